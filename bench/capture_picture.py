@@ -12,13 +12,15 @@ import tempfile
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+from faulty_clock import FaultyClock  # pyright: ignore[reportMissingImports]
 from rich.console import Console
 
 from fieldlum import capture
 from fieldlum.capture.live import Live
 from fieldlum.cli.live import panel
 from fieldlum.core.records import Site, SiteFile, Slot
-from fieldlum.devices.clock import ClockFault, FastClock
 from fieldlum.optics.profiles import bracket_exposures, load_camera_profile
 from fieldlum.session import create_session
 
@@ -33,12 +35,12 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         session = create_session(Path(folder) / "s", SiteFile(site), slots, {})
         _, options = capture.prepare(session, fast=True)
-        nap = ClockFault(START + timedelta(hours=3, minutes=40), "suspend", 3900.0)
+        nap = (START + timedelta(hours=3, minutes=40), "suspend", 3900.0)
         capture.run(
             session,
             "sim:office?seed=1",
             "sim:office?seed=1",
-            clock=FastClock(START - timedelta(minutes=2), [nap]),
+            clock=FaultyClock(START - timedelta(minutes=2), [nap]),
             options=options,
             watch=seen.append,
         )

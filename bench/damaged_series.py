@@ -9,7 +9,7 @@ number by the profile alone, how many the driver lets through, and how many of t
 leaves without a flag. The driver asks the SPN1 again. Of what talks by itself it knows the form of
 sixty lines before, and of a line a second it takes the median of the newest three since the last
 reading; right is then what is between the three undamaged ones. Of these further answers and
-lines one in ten is damaged too. A TOA5 row is in a file of 59. Skies are made of clouds whose
+lines one in ten is damaged too. Skies are made of clouds whose
 lengths follow a power law (exponent -1.66, as clouds' chords do), blown over the place at 5 to 20
 m/s, their shadows' edges blurred by the sun's disc and their own softness.
 """
@@ -22,19 +22,19 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from copy import deepcopy
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from functools import partial
 from statistics import median
 from typing import NamedTuple
 
 import numpy as np
-from fuzz_parsers import FIXED, TOA5_HEAD, nmea, with_crc16
+from fuzz_parsers import FIXED, nmea, with_crc16
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from fieldlum.core.errors import FieldlumError
-from fieldlum.devices import ascii_lines, logger_files, spn1
-from fieldlum.devices.learned_format import LineForm
+from fieldlum.devices import ascii_lines, spn1
+from fieldlum.devices.ascii_lines import LineForm
 from fieldlum.pair import irradiance
 
 Array = NDArray[np.float64]
@@ -116,29 +116,6 @@ def _values(profile: ascii_lines.AsciiProfile) -> Callable[[bytes], Reading]:
     return read
 
 
-def _toa5(rows: int, line: bytes) -> Reading:
-    """A row in the middle of as many at a minute's step, whose light goes up and down."""
-    minutes = range(_TOA5_MINUTE - rows // 2, _TOA5_MINUTE + rows // 2 + 1)
-    lines = [
-        _toa5_row(minute, 500.0 + 470.0 * np.sin(minute), 60.0 + 50.0 * np.sin(minute))
-        for minute in minutes
-    ]
-    lines[rows // 2] = line
-    text = (TOA5_HEAD + b"".join(lines)).decode("utf-8", "replace")
-    due = NOON.replace(hour=8) + timedelta(minutes=_TOA5_MINUTE)
-    found = [s for s in logger_files.parse_toa5(text, timedelta()).samples if s.t_utc == due]
-    if len(found) != 1 or found[0].ghi_wm2 is None:
-        raise FieldlumError("left out, or blank")
-    return found[0].ghi_wm2, found[0].dhi_wm2
-
-
-_TOA5_MINUTE = 30  # of the damaged row
-
-
-def _toa5_row(minute: int, ghi: float, dhi: float) -> bytes:
-    return b'"2027-06-21 08:%02d:00",%d,%.1f,%.1f,21.5\r\n' % (minute, 100 + minute, ghi, dhi)
-
-
 def protocols() -> list[Protocol]:
     keys, js, crc = (
         ascii_lines.load_ascii_profile(n) for n in ("arduino-keys", "arduino-json", "arduino-crc")
@@ -180,7 +157,6 @@ def protocols() -> list[Protocol]:
             streams("ASCII key=value, all stated", lambda g, d: b"G=%06.1f T=024.1\n" % g, FIXED, n)
             for n in (1, 5)
         ),
-        Protocol("TOA5 row", partial(_toa5_row, _TOA5_MINUTE), partial(_toa5, 5), _left_in),
     ]
 
 
@@ -226,13 +202,6 @@ def _heard(
 def voted(readings: Sequence[Reading]) -> Reading:
     diffuse = [d for _, d in readings if d is not None]
     return median(g for g, _ in readings), median(diffuse) if diffuse else None
-
-
-def _left_in(
-    came: bytes, whole: Sequence[bytes], before: bytes, form: LineForm, rng: np.random.Generator
-) -> tuple[Reading, list[Reading]]:
-    """A row in a file of 59."""
-    return _toa5(59, came), [_toa5(59, whole[-1])]
 
 
 def maybe_damaged(line: bytes, other: bytes, rng: np.random.Generator) -> bytes:

@@ -18,6 +18,7 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from datetime import timedelta
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from hypothesis import HealthCheck, Phase, given, seed, settings
@@ -26,7 +27,8 @@ from pymodbus.client import ModbusSerialClient
 from pymodbus.exceptions import ModbusException
 
 from fieldlum.core.errors import FieldlumError
-from fieldlum.devices import ascii_lines, cl200a, logger_files, registers, spn1
+from fieldlum.devices import ascii_lines, cl200a, logger_files, spn1
+from fieldlum.devices import modbus as modbus_driver
 
 WATTS, CELSIUS = st.integers(0, 14000), st.integers(-300, 600)  # tenths
 
@@ -60,7 +62,7 @@ class _Reply:
 
 
 def modbus() -> Parser:
-    profile, port = registers.load_register_profile("smp"), _Reply()
+    profile, port = modbus_driver.load_register_profile("smp"), _Reply()
     client = ModbusSerialClient("none", timeout=0.005, retries=0)
     client.socket = port
 
@@ -77,7 +79,7 @@ def modbus() -> Parser:
             raise FieldlumError(str(error)) from None  # as the driver turns it into a DeviceError
         if answer.isError() or len(answer.registers) != 8:
             raise FieldlumError(str(answer))
-        return registers.decode(profile, dict(enumerate(answer.registers, start=2)))
+        return modbus_driver.decode(profile, dict(enumerate(answer.registers, start=2)))
 
     return Parser("Modbus RTU (SMP)", "CRC-16", st.builds(line, WATTS, CELSIUS, st.just(0)), read)
 
@@ -112,9 +114,8 @@ TOA5_HEAD = (
 
 
 def _toa5_row(data: bytes) -> Any:
-    table = logger_files.parse_toa5(
-        (TOA5_HEAD + data).decode("utf-8", "replace"), timedelta(hours=-8)
-    )
+    text = (TOA5_HEAD + data).decode("utf-8", "replace")
+    table = logger_files.parse_table(Path("a.dat"), text, timedelta(hours=-8), {}, {})
     if len(table.samples) != 1 or table.left_out:
         raise FieldlumError("left out")
     return table.samples

@@ -24,7 +24,7 @@ from time import process_time
 import numpy as np
 
 from fieldlum.core.records import Exposure, Flag
-from fieldlum.devices.simulated.sensor import RawSensor
+from fieldlum.devices.simulated.camera import RawSensor
 from fieldlum.merge.bracket import merge_headings
 from fieldlum.merge.estimator import Merged
 from fieldlum.merge.frames import Crop, lens_crop

@@ -35,12 +35,16 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+from pty_instrument import PtyInstrument  # pyright: ignore[reportMissingImports]
+
 from fieldlum import capture
+from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import Exposure, Slot
 from fieldlum.devices import CameraInfo, open_pyranometer, spn1
 from fieldlum.devices.clock import FastClock
-from fieldlum.devices.gphoto_child import Child
-from fieldlum.devices.simulated.spn1 import PtyInstrument
+from fieldlum.devices.gphoto import Child
 from fieldlum.session import Session, day_files, open_session, read_day, read_journal, sha256
 from fieldlum.session.ledger import fold
 
@@ -194,7 +198,7 @@ def serve_camera(pipe: Connection) -> None:
         if how == "killed":
             os.kill(os.getpid(), signal.SIGKILL)
         if how in ("card full", "switched off"):
-            pipe.send(("error", how))
+            pipe.send(("error", DeviceError(f"camera: {how}")))
             continue
         try:
             Path(path).write_bytes(text.encode().ljust(FRAME_BYTES, b"."))

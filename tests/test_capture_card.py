@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from places import SEATTLE
 
 from fieldlum.capture import import_card
-from fieldlum.capture.card import of_the_session, without_copies
+from fieldlum.capture.import_card import of_the_session
 from fieldlum.capture.match_card import CardFrame, Group, Offset, clock_parts, doubt, in_order
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import CameraSetup, Exposure, SiteFile, Slot
@@ -325,13 +325,3 @@ def test_pictures_that_cannot_be_merged_are_named(tmp_path: Path) -> None:
         "2 .heic files, which cannot be merged",
         "1 .mpo files, which cannot be merged",
     ]
-
-
-@pytest.mark.contract
-def test_one_copy_is_named_without_a_count(tmp_path: Path) -> None:
-    for name in ("a.jpg", "b.jpg"):
-        (tmp_path / name).write_bytes(b"one frame")
-    at = datetime(2027, 3, 20, tzinfo=UTC)
-    frames = [CardFrame(tmp_path / name, LADDER[0], at) for name in ("a.jpg", "b.jpg")]
-    kept, notes = without_copies(frames)
-    assert (kept, notes) == (frames[:1], [f"{tmp_path / 'b.jpg'}: a copy of another frame"])

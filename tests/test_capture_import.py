@@ -21,12 +21,12 @@ from fieldlum.capture.match_card import (
     CardFrame,
     Group,
     Offset,
-    campaigns,
     find_offset,
     fits,
     group_frames,
     match_groups,
     refine_offset,
+    split_at_gaps,
 )
 from fieldlum.cli import main
 from fieldlum.core.errors import InputError, NotEnoughDataError
@@ -82,7 +82,7 @@ def test_any_camera_clock_is_found_from_a_whole_day(
     assert offset is not None and offset.seconds == clock_s
     refined = refine_offset(groups, PLAN, offset)
     assert refined.seconds == pytest.approx(clock_s + drift, abs=1.5)
-    matches, unmatched = match_groups(groups, PLAN, refined)
+    matches, unmatched = match_groups([(groups, refined)], PLAN)
     assert [m.slot for m in matches] == PLAN and not unmatched
 
 
@@ -118,10 +118,10 @@ def test_brackets_back_to_back_and_snapshots_are_told_apart() -> None:
     stray = frames_at(DAWN + timedelta(hours=20))
     groups = group_frames(twice + snapshot + stray, LADDER)
     assert [len(g.frames) for g in groups] == [5, 5, 1, 5]
-    matches, unmatched = match_groups(groups, PLAN, Offset(0.0, "told"))
+    matches, unmatched = match_groups([(groups, Offset(0.0, "told"))], PLAN)
     assert [m.slot for m in matches] == PLAN[:1] and matches[0].group is groups[0]
     assert len(unmatched) == 3
-    assert {u.why.split()[0] for u in unmatched} == {"another", "at", "no"}
+    assert {why.split()[0] for _, why in unmatched} == {"another", "at", "no"}
 
 
 @pytest.mark.contract
@@ -156,13 +156,13 @@ def test_one_frame_is_not_two_exposures_with_and_without_a_filter() -> None:
     for number, matched in ((1, 0), (2, 1)):
         group = Group(tuple(frames_at(DAWN, (LADDER[-1],) * number)))
         assert fits(group, plan[0]) == number
-        assert len(match_groups([group], plan, Offset(0.0, "stated"))[0]) == matched
+        assert len(match_groups([([group], Offset(0.0, "stated"))], plan)[0]) == matched
 
 
 @pytest.mark.contract
 def test_campaigns_have_clocks_of_their_own() -> None:
     june = [Slot(s.t_utc + timedelta(days=92), 10.0, 120.0, LADDER) for s in PLAN]
-    parts = campaigns(group_frames(card(PLAN, -8 * 3600.0) + card(june, PDT_S), LADDER))
+    parts = split_at_gaps(group_frames(card(PLAN, -8 * 3600.0) + card(june, PDT_S), LADDER))
     assert [len(p) for p in parts] == [12, 12]
 
 
@@ -388,7 +388,7 @@ def test_unusual_columns_are_named_by_the_command(session: Session, tmp_path: Pa
         "-08:00",
     ]
     without = CliRunner().invoke(main, asked)
-    assert without.exit_code == 3 and "or name a column: --column ghi_wm2=NAME" in without.stderr
+    assert without.exit_code == 3 and "choose it: --column ghi_wm2=NAME" in without.stderr
     assert CliRunner().invoke(main, [*asked, "--column", "sky=Sky_W"]).exit_code == 2
     named = CliRunner().invoke(
         main, [*asked, "--column", "ghi_wm2=Sky_W", "--column", "dhi_wm2=Shade_W"]

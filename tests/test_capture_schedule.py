@@ -8,14 +8,14 @@ from dataclasses import replace
 from datetime import timedelta
 
 import pytest
+from faulty_clock import FaultyClock
 from tiny_field import FAST, T0, Field, TinyCamera
 
-from fieldlum.capture.preflight import refuse_a_clock_behind, refuse_what_is_not_offered
-from fieldlum.capture.runner import Live, run
+from fieldlum.capture.runner import Live, refuse_a_clock_behind, refuse_what_is_not_offered, run
 from fieldlum.capture.utc_clock import SteadyClock
 from fieldlum.core.errors import DeviceError, NotEnoughDataError
 from fieldlum.core.records import Exposure
-from fieldlum.devices.clock import ClockFault, FastClock
+from fieldlum.devices.clock import FastClock
 from fieldlum.session import (
     read_journal,
     write_plan,
@@ -86,7 +86,7 @@ def test_a_plan_that_the_camera_cannot_take_is_refused_at_the_start(rig: Field) 
                 raise DeviceError("camera shutter: 0.25 s is not offered, the nearest is 1/2")
 
     with pytest.raises(
-        DeviceError, match=r"the plan has exposures that the camera cannot be set to: .*0.25 s"
+        DeviceError, match=r"1 exposures of the plan that the camera cannot be set to: .*0.25 s"
     ):
         rig.run(open_cam=lambda: Choosy(rig.clock))
     assert {event["event"] for event in read_journal(rig.session)} == {"close"}
@@ -125,8 +125,8 @@ def test_a_long_pause_starts_the_bracket_anew(rig: Field) -> None:
 def test_clock_step_keeps_slots_at_the_sun(rig: Field, trusted: bool) -> None:
     # Wall clock set back an hour by hand, twenty minutes after the first slot; or by a time server
     # (then it is right).
-    rig.clock = FastClock(
-        T0 - timedelta(minutes=5), [ClockFault(T0 + timedelta(minutes=20), "step", -3600.0)]
+    rig.clock = FaultyClock(
+        T0 - timedelta(minutes=5), [(T0 + timedelta(minutes=20), "step", -3600.0)]
     )
     events = rig.run(replace(FAST, log_around_s=None, log_every_s=30.0), trusted=trusted)
     steps = [e for e in read_journal(rig.session) if e["event"] == "clock-step"]
@@ -139,8 +139,8 @@ def test_clock_step_keeps_slots_at_the_sun(rig: Field, trusted: bool) -> None:
 
 @pytest.mark.contract
 def test_suspend_is_told_and_what_it_covered_is_missed(rig: Field) -> None:
-    rig.clock = FastClock(
-        T0 - timedelta(minutes=5), [ClockFault(T0 + timedelta(minutes=30), "suspend", 3600.0)]
+    rig.clock = FaultyClock(
+        T0 - timedelta(minutes=5), [(T0 + timedelta(minutes=30), "suspend", 3600.0)]
     )
     rig.run(replace(FAST, log_around_s=None, log_every_s=30.0))
     assert [e["seconds"] for e in read_journal(rig.session) if e["event"] == "suspend"] == [

@@ -25,11 +25,10 @@ RANKS = (
         "session",
         "weather",
     },
-    {"capture.notify", "core.scheduler", "devices", "sky.sky_view"},
+    {"core.scheduler", "devices", "sky.sky_view"},
     {
         "calibrate",
         "capture",
-        "capture.doctor",
         "merge",
         "pair",
         "pair.irradiance",

@@ -1,13 +1,16 @@
 """devices: URIs are strict, and the fast clock behaves like a computer's clocks."""
 
 from datetime import UTC, datetime, timedelta
+from typing import Annotated, Literal
 
 import pytest
+from faulty_clock import FaultyClock
+from msgspec import Meta, Struct
 
 from fieldlum.core.errors import DeviceError
 from fieldlum.devices import open_camera
-from fieldlum.devices.clock import ClockFault, FastClock, RealClock
-from fieldlum.devices.uri import integer_option, number, one_of, parse_uri
+from fieldlum.devices.clock import FastClock, RealClock
+from fieldlum.devices.uri import parse_uri
 
 START = datetime(2027, 3, 20, 15, 0, tzinfo=UTC)
 
@@ -22,7 +25,7 @@ def test_fast_clock_sleeps_for_nothing() -> None:
 
 @pytest.mark.contract
 def test_step_moves_the_wall_only() -> None:
-    clock = FastClock(START, [ClockFault(START + timedelta(seconds=10), "step", -3600.0)])
+    clock = FaultyClock(START, [(START + timedelta(seconds=10), "step", -3600.0)])
     clock.sleep(20.0)
     assert clock.now() == START + timedelta(seconds=20 - 3600)
     assert clock.true_utc == START + timedelta(seconds=20)
@@ -31,7 +34,7 @@ def test_step_moves_the_wall_only() -> None:
 
 @pytest.mark.contract
 def test_suspend_stops_monotonic_only() -> None:
-    clock = FastClock(START, [ClockFault(START + timedelta(seconds=10), "suspend", 1800.0)])
+    clock = FaultyClock(START, [(START + timedelta(seconds=10), "suspend", 1800.0)])
     clock.sleep(20.0)
     assert clock.boottime() == 1820.0 and clock.monotonic() == 20.0
     assert clock.now() == START + timedelta(seconds=1820)
@@ -55,10 +58,7 @@ def test_naive_start_is_refused() -> None:
 def test_uri_parts() -> None:
     uri = parse_uri("serial:/dev/ttyUSB0?kind=spn1&baud=9600")
     assert (uri.scheme, uri.place) == ("serial", "/dev/ttyUSB0")
-    assert uri.read(kind=one_of("spn1"), baud=integer_option(300, 115200)) == {
-        "kind": "spn1",
-        "baud": 9600,
-    }
+    assert uri.read(Wanted) == Wanted(kind="spn1", baud=9600)
 
 
 @pytest.mark.contract
@@ -77,13 +77,23 @@ def test_bad_uris_name_themselves(text: str, said: str) -> None:
     assert text in str(caught.value)
 
 
+class Wanted(Struct):
+    kind: Literal["spn1"] = "spn1"
+    baud: int = 0
+    seed: Annotated[int, Meta(ge=0, le=9)] = 1
+    noise: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
+
+
 @pytest.mark.contract
 def test_unknown_option_is_named() -> None:
     with pytest.raises(DeviceError, match=r"unknown option 'sede'; did you mean 'seed'\?"):
-        parse_uri("sim:office?sede=1").read(seed=integer_option(0, 9))
-    with pytest.raises(DeviceError, match="option seed=12; expected an integer from 0 to 9"):
-        parse_uri("sim:office?seed=12").read(seed=integer_option(0, 9))
-    with pytest.raises(DeviceError, match="option seed=one; expected an integer from 0 to 9; corr"):
-        parse_uri("sim:office?seed=one").read(seed=integer_option(0, 9))
-    with pytest.raises(DeviceError, match="expected a number from 0 to 1"):
-        parse_uri("sim:office?noise=nan").read(noise=number(0, 1))
+        parse_uri("sim:office?sede=1").read(Wanted)
+    for text, said in (
+        ("seed=12", "option seed=12; Expected `int` <= 9; correct the URI"),
+        ("seed=one", "option seed=one; Expected `int`"),
+        ("noise=nan", "option noise=nan; Expected `float`"),
+        ("noise=inf", "option noise=inf; Expected `float` <= 1.0"),
+        ("kind=x", "option kind=x"),
+    ):
+        with pytest.raises(DeviceError, match=said):
+            parse_uri(f"sim:office?{text}").read(Wanted)

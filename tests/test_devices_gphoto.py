@@ -20,8 +20,7 @@ from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import Exposure
 from fieldlum.devices import not_offered, open_camera
 from fieldlum.devices.clock import FastClock
-from fieldlum.devices.gphoto import GphotoCamera, choose, setting_value
-from fieldlum.devices.gphoto_child import Child, serve
+from fieldlum.devices.gphoto import Child, GphotoCamera, choose, serve, setting_value
 
 pytest.importorskip("gphoto2", reason="the gphoto2 extra is not installed")
 CLOCK = FastClock(datetime(2027, 3, 20, 15, tzinfo=UTC))

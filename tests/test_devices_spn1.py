@@ -7,15 +7,15 @@ from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 
-import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pty_instrument import PtyInstrument
 
 from fieldlum.core.errors import DeviceError
 from fieldlum.devices import open_pyranometer
 from fieldlum.devices.clock import FastClock
-from fieldlum.devices.simulated.spn1 import PtyInstrument, Spn1Voice
+from fieldlum.devices.simulated.spn1 import SimulatedSpn1
 from fieldlum.devices.simulated.world import SimulatedLight
 from fieldlum.devices.spn1 import Spn1, Spn1Reading, parse_reading, parse_status
 
@@ -89,9 +89,26 @@ class Wire:
         self.light, self.sent = light or SimulatedLight(812.4, 104.9, 900.0), b""
         self.fault: Callable[[bytes], bytes] = lambda reply: reply
         self.time = 0.0
-        self._voice = Spn1Voice(
-            lambda: (self.time, self.light), np.random.default_rng(1), noise_wm2, 106
-        )
+        self._sky = SimulatedSpn1(self, self, 1, noise_wm2)  # type: ignore[arg-type]
+
+    def now(self) -> datetime:
+        return START
+
+    def boottime(self) -> float:
+        return self.time
+
+    def irradiance(self, t_utc: datetime) -> SimulatedLight:
+        return self.light
+
+    def _voice(self, data: bytes) -> bytes:
+        out = b""
+        for byte in data:
+            command = bytes([byte])
+            reading = self._sky.answer() if command == b"S" else b""
+            out += {b"R": b"\xaf", b"S": b"S" + reading, b"I": b"I" + STATUS}.get(
+                command, b"? \xaf"
+            )
+        return out
 
     def __call__(self, data: bytes) -> bytes:
         self.sent += data
@@ -311,7 +328,7 @@ def test_a_port_is_found_again_by_its_identity(monkeypatch: pytest.MonkeyPatch) 
         assert resolve("usb=0403:6001") == resolve("usb=0403:6001:ft9z") == device
     with pytest.raises(
         DeviceError,
-        match=r"not plugged in; plug it in, or name one of these USB ports: 0403:6001:ft9z",
+        match=r"not plugged in; plug it in, or name one of these ports: 0403:6001:ft9z",
     ):
         resolve("usb=0403:6015")
     assert resolve("COM3") == "COM3"

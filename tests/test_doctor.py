@@ -10,7 +10,6 @@ from click.testing import CliRunner
 from places import SEATTLE
 
 from fieldlum.capture import doctor
-from fieldlum.capture.doctor import computer, instruments, planned
 from fieldlum.cli import main
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import CameraSetup, Exposure, IrradianceSample, SiteFile, Slot
@@ -147,29 +146,27 @@ def test_disk_counts_what_is_owed(tmp_path: Path) -> None:
     ],
 )
 def test_camera(info: CameraInfo, verdicts: dict[str, str]) -> None:
-    findings = instruments.judge_camera(info, "x:", 20)
+    findings = doctor.judge_camera(info, "x:", 20)
     assert _verdicts(findings) == {"camera": "ok", **verdicts}
     assert all("larger card" not in f.text for f in findings if f.verdict == "ok")
 
 
 @pytest.mark.contract
 def test_what_the_camera_does_not_offer_is_told_before_anybody_leaves() -> None:
-    found = instruments.judge_exposures(
-        [f"camera shutter: {i} s is not offered" for i in range(5)], 10
-    )
+    found = doctor.judge_exposures([f"camera shutter: {i} s is not offered" for i in range(5)], 10)
     assert [f.verdict for f in found] == ["fail"] and found[0].text.startswith(
         "the camera cannot set some of the 10 planned exposures"
     )
     assert "plan a new session (fieldlum plan SITE.toml --out NEW)" in found[0].text
     assert "camera shutter: 2 s is not offered; 2 more" in found[
         0
-    ].text and not instruments.judge_exposures([], 10)
+    ].text and not doctor.judge_exposures([], 10)
 
 
 @pytest.mark.contract
 def test_another_camera_than_the_profiles_is_told() -> None:
     profile = load_camera_profile("sim-dual-fisheye")
-    told = instruments.judge_model(CameraInfo("gphoto", model="D750"), profile)
+    told = doctor.judge_model(CameraInfo("gphoto", model="D750"), profile)
     assert [f.verdict for f in told] == ["warn"] and "D750 is not the camera of profile" in told[
         0
     ].text
@@ -178,16 +175,16 @@ def test_another_camera_than_the_profiles_is_told() -> None:
         CameraInfo("gphoto"),
         CameraInfo("gphoto", model=profile.camera.model),
     ):
-        assert not instruments.judge_model(info, profile)
+        assert not doctor.judge_model(info, profile)
 
 
 @pytest.mark.contract
 def test_a_clock_off_by_whole_hours_is_called_so() -> None:
-    clock = instruments.judge_camera(CameraInfo("x", clock_offset_s=-3599.0), "x:", 20)[1]
+    clock = doctor.judge_camera(CameraInfo("x", clock_offset_s=-3599.0), "x:", 20)[1]
     assert clock.verdict == "fail" and "-3599.0 s" in clock.text and "daylight saving" in clock.text
     assert (
         "daylight"
-        not in instruments.judge_camera(CameraInfo("x", clock_offset_s=1000.0), "x:", 20)[1].text
+        not in doctor.judge_camera(CameraInfo("x", clock_offset_s=1000.0), "x:", 20)[1].text
     )
 
 
@@ -206,25 +203,23 @@ def test_disk_goes_by_what_the_camera_really_writes(tmp_path: Path) -> None:
 @pytest.mark.contract
 def test_pyranometer_readings() -> None:
     spn1 = InstrumentInfo("spn1", "SPN1", "A1", calibration_date="2026-06-01", gives=("ghi", "dhi"))
-    good = instruments.judge_pyranometer(spn1, IrradianceSample(NOON, 500.0, 80.0), SEATTLE)
+    good = doctor.judge_pyranometer(spn1, IrradianceSample(NOON, 500.0, 80.0), SEATTLE)
     assert [f.verdict for f in good] == ["ok"]
-    night = instruments.judge_pyranometer(
+    night = doctor.judge_pyranometer(
         spn1, IrradianceSample(NOON + timedelta(hours=12), 500.0), SEATTLE
     )
     assert "fail" in [f.verdict for f in night]
     wrong = InstrumentInfo("ascii", "rig", calibration_date="2022")
     with pytest.raises(InputError, match="profile of the pyranometer rig: date '2022'"):
-        instruments.judge_pyranometer(wrong, IrradianceSample(NOON, 500.0), SEATTLE)
+        doctor.judge_pyranometer(wrong, IrradianceSample(NOON, 500.0), SEATTLE)
     old = InstrumentInfo("smp", calibration_date="2022-01-01")
     said = " ".join(
         f.text
-        for f in instruments.judge_pyranometer(
-            old, IrradianceSample(NOON, 500.0, status="9"), SEATTLE
-        )
+        for f in doctor.judge_pyranometer(old, IrradianceSample(NOON, 500.0, status="9"), SEATTLE)
     )
     assert "reports a fault" in said and "only global" in said and "years ago" in said
     rig = InstrumentInfo("ascii", gives=("ghi", "dhi"), guard=FORM_ALONE)
-    told = instruments.judge_pyranometer(rig, IrradianceSample(NOON, 500.0, 80.0), SEATTLE)
+    told = doctor.judge_pyranometer(rig, IrradianceSample(NOON, 500.0, 80.0), SEATTLE)
     assert [f.verdict for f in told] == [
         "ok",
         "warn",
@@ -252,10 +247,10 @@ def test_this_computer_answers_or_is_not_asked() -> None:
 
 @pytest.mark.contract
 def test_a_read_only_or_cloud_folder(tmp_path: Path) -> None:
-    assert computer.check_writing(tmp_path / "absent")[0].verdict == "fail"
+    assert doctor.check_writing(tmp_path / "absent")[0].verdict == "fail"
     cloud = tmp_path / "Dropbox"
     cloud.mkdir()
-    assert computer.check_writing(cloud)[-1].verdict == "warn"
+    assert doctor.check_writing(cloud)[-1].verdict == "warn"
 
 
 @pytest.mark.contract
@@ -287,10 +282,10 @@ def test_an_unknown_filter_is_a_bad_profile(tmp_path: Path) -> None:
         nd=(NeutralDensity("nd3", (1000.0, 1000.0, 1000.0)),),
     )
     slot = Slot(NOW, 30.0, 180.0, (Exposure(0.5, 5.6, nd="nd4"), Exposure(0.5, 5.6, nd="nd3")))
-    assert ["nd4" in f.text for f in planned.judge_calibration(profile, [slot])] == [True]
-    assert planned.judge_age(profile, date(2027, 1, 1)).verdict == "ok"
+    assert ["nd4" in f.text for f in doctor.judge_calibration(profile, [slot])] == [True]
+    assert doctor.judge_age(profile, date(2027, 1, 1)).verdict == "ok"
     never = replace(profile, camera=replace(profile.camera, date=""))
-    assert planned.judge_age(never, date(2027, 1, 1)).verdict == "warn"
+    assert doctor.judge_age(never, date(2027, 1, 1)).verdict == "warn"
 
 
 @pytest.mark.contract
@@ -303,13 +298,13 @@ def test_a_meter_is_asked_where_there_is_one(monkeypatch: pytest.MonkeyPatch) ->
 
         def close(self) -> None: ...
 
-    monkeypatch.setattr(instruments, "open_meter", lambda uri, clock: Meter())
-    found = instruments.check_meter("cl200a:/dev/ttyUSB1")
+    monkeypatch.setattr(doctor, "open_meter", lambda uri, clock: Meter())
+    found = doctor.check_meter("cl200a:/dev/ttyUSB1")
     assert [(f.verdict, f.text) for f in found] == [
         ("ok", "CL-200A 10001 answers: 1234 lx"),
         ("warn", "the meter's battery is low: change it"),
     ]
-    assert instruments.check_meter("") == []
+    assert doctor.check_meter("") == []
 
 
 @pytest.mark.slow

@@ -16,8 +16,8 @@ import pytest
 from places import SEATTLE
 from tiny_field import T0, Field, make_session
 
+from fieldlum.capture.alerts import _latest_contact_sheet
 from fieldlum.capture.notify import Message, Outbox
-from fieldlum.capture.remote import _latest_contact_sheet
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import CameraSetup, Exposure, Room, SiteFile, slot_id
 from fieldlum.devices.stored import names_more, require_permitted

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from tiny_field import make_session
 
 from fieldlum.capture import import_card
-from fieldlum.capture.doctor.instruments import judge_camera
+from fieldlum.capture.doctor import judge_camera
 from fieldlum.cli import main, terminal
 from fieldlum.cli.estimates import (
     bench_s,

@@ -22,8 +22,8 @@ from fieldlum.capture.notify import (
     read_address,
     read_targets,
 )
-from fieldlum.capture.preflight import wait_for_clock
 from fieldlum.capture.runner import Options, run
+from fieldlum.capture.utc_clock import wait_for_clock
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure, IrradianceSample, SiteFile, Slot
 from fieldlum.devices import CameraInfo, InstrumentInfo
@@ -257,7 +257,7 @@ def test_the_summary_carries_the_sheet_that_was_written_last(session: Session) -
     """A month of capture: the sheets are written after the capture began, contact-10 after -9."""
     import os
 
-    from fieldlum.capture.remote import informed
+    from fieldlum.capture.alerts import informed
 
     arrived: list[Message] = []
 
@@ -306,7 +306,7 @@ class SteadyPyranometer:
 @pytest.mark.slow
 @pytest.mark.contract
 def test_a_capture_reports_and_no_secret_is_written(session: Session, tmp_path: Path) -> None:
-    from fieldlum.capture.remote import informed
+    from fieldlum.capture.alerts import informed
 
     clock = FastClock(T0 - timedelta(minutes=1))
     options = Options(log_around_s=60.0, threaded=False, flush=False, reserve_bytes=4096)

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from outside_jpeg import GOOD, Value, exif_segment, jpeg, segment
 from PIL import TiffImagePlugin
 
-from fieldlum.capture.card import card_files, without_edited
+from fieldlum.capture.import_card import card_files, without_edited
 from fieldlum.capture.match_card import CardFrame
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure

@@ -405,7 +405,7 @@ def test_pairing_recovers_the_simulated_light_within_the_instruments_noise(tmp_p
     # The simulator's truth, read through the SPN1 on its pty (noise 1 W/m2) over a bracket of 40 s.
     from fieldlum.devices import open_pyranometer
     from fieldlum.devices.clock import FastClock
-    from fieldlum.devices.simulated.office import open_world
+    from fieldlum.devices.simulated.world import open_world
     from fieldlum.sky.sun import position
 
     session = create_session(tmp_path / "s", SiteFile(SEATTLE), [Slot(NOON, 18.0, 180.0, ())], {})

@@ -213,7 +213,7 @@ def test_a_site_without_heading_and_camera_is_planned_and_says_so(tmp_path: Path
     """Plan, sheet and doctor name each default that turns the answer; sizes are unknown."""
     from datetime import date
 
-    from fieldlum.capture.doctor.planned import check_profile
+    from fieldlum.capture.doctor import check_profile
     from fieldlum.plan import Request, run, sentences, summary, write_sheets
 
     path = tmp_path / "s.toml"

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from places import SEATTLE
 
-from fieldlum.capture.doctor.planned import check_journal
+from fieldlum.capture.doctor import check_journal
 from fieldlum.cli import main
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure, IrradianceSample, SiteFile, Slot

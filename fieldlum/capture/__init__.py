@@ -6,5 +6,4 @@ imports; `status` counts what is done. The state of each slot is computed by
 `fieldlum.session.ledger`.
 """
 
-from fieldlum.capture.options import Options, prepare
-from fieldlum.capture.runner import run
+from fieldlum.capture.runner import Options, prepare, run

@@ -9,16 +9,22 @@ from __future__ import annotations
 import os
 import subprocess
 import threading
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import date, datetime, timedelta
 from pathlib import Path
+from threading import Lock
 from zoneinfo import ZoneInfo
 
-from fieldlum.capture.notify import Message
+from fieldlum.capture.live import Live
+from fieldlum.capture.notify import Heartbeat, Message, Outbox, Post
 from fieldlum.capture.recorder import Recorder
 from fieldlum.core.records import parse_utc
-from fieldlum.session.ledger import SlotState
+from fieldlum.session import Session
+from fieldlum.session.inside import link_on_the_way
+from fieldlum.session.ledger import SETTLED, SlotState
 from fieldlum.session.tables import EventFields
 
 # Not measured. Chosen so that a message means that somebody should act, and that faults which the
@@ -31,20 +37,6 @@ ENOUGH_DISK_DAYS = 4.0
 MISSES_IN_A_ROW = 2
 QUIET = timedelta(hours=6)
 _HOOK_TIMEOUT_S = 300.0  # the time until the next slot is usually longer; not measured
-
-
-@dataclass(slots=True)
-class DayCount:
-    """Counts of the outcomes of slots on one local day, and its highest global irradiance.
-
-    doubtful: number of the done ones with a doubt; highest_ghi_wm2: None without a reading.
-    """
-
-    done: int = 0
-    missed: int = 0
-    aborted: int = 0
-    doubtful: int = 0
-    highest_ghi_wm2: float | None = None
 
 
 @dataclass(slots=True)
@@ -64,7 +56,8 @@ class Alerts:
     _disk_is_low: bool = False
     _last: dict[str, datetime] = field(default_factory=dict)
     _day: date | None = None
-    _count: DayCount = field(default_factory=DayCount)
+    _counts: Counter[str] = field(default_factory=Counter)  # of the day's outcomes
+    _highest_ghi_wm2: float | None = None  # of the day
 
     def event(self, event: str, t_utc: datetime, fields: EventFields) -> list[Message]:
         """Return the messages to send for a journal event and, on a new day, the daily summary."""
@@ -76,17 +69,17 @@ class Alerts:
         elif event in ("done", "missed", "aborted"):
             messages += self._outcome(event, t_utc, fields)
         elif event == "clock-step":
-            messages += self._clock_step(t_utc, fields)
+            follows = "follows" if fields.get("followed") else "does not follow"
+            body = f"The computer's clock jumped by {fields.get('seconds', 0.0):+.0f} s. "
+            body += f"The capture {follows} the new time."
+            messages += self._once("clock-step", t_utc, "the clock jumped", body)
         elif event == "disk-full":
             free = f"The disk has {fields.get('bytes_free', 0) / 1e6:.0f} MB free."
             messages += self._once("disk-full", t_utc, "the disk is full", free)
         return messages
 
     def look(
-        self,
-        t_utc: datetime,
-        disk_days: float | None,
-        ghi_wm2: float | None,
+        self, t_utc: datetime, disk_days: float | None, ghi_wm2: float | None
     ) -> list[Message]:
         """Return the messages that are due at a time, whether or not an event happened.
 
@@ -95,64 +88,49 @@ class Alerts:
         """
         messages = self._new_day(t_utc)
         if ghi_wm2 is not None:
-            highest = self._count.highest_ghi_wm2
-            self._count.highest_ghi_wm2 = ghi_wm2 if highest is None else max(highest, ghi_wm2)
+            self._highest_ghi_wm2 = max(ghi_wm2, self._highest_ghi_wm2 or ghi_wm2)
         for device, since in self._away_since.items():
             if device not in self._reported_away and t_utc - since >= DEVICE_AWAY:
                 self._reported_away.add(device)
                 minutes = (t_utc - since).total_seconds() / 60.0
-                body = (
-                    f"{device} stopped answering at {self._local(since)}, {minutes:.0f} minutes "
-                    "ago."
-                )
+                body = f"It stopped answering at {self._local(since)}, {minutes:.0f} minutes ago."
                 messages.append(self._message(f"{device} is lost", body))
-        return messages + self._disk(disk_days)
+        if disk_days is None:
+            return messages
+        if self._disk_is_low:
+            self._disk_is_low = disk_days < ENOUGH_DISK_DAYS
+        elif disk_days < LOW_DISK_DAYS:
+            self._disk_is_low = True
+            body = f"The disk has room for {disk_days:.1f} more days of captures."
+            messages.append(self._message("the disk is nearly full", body))
+        return messages
 
     def _back(self, device: str, t_utc: datetime) -> list[Message]:
-        since = self._away_since.pop(device, None)
-        if device not in self._reported_away or since is None:
+        since = self._away_since.pop(device, t_utc)
+        if device not in self._reported_away:
             return []
         self._reported_away.discard(device)
         minutes = (t_utc - since).total_seconds() / 60.0
-        return [
-            self._message(
-                f"{device} is back", f"{device} did not answer for {minutes:.0f} minutes."
-            )
-        ]
+        body = f"{device} did not answer for {minutes:.0f} minutes."
+        return [self._message(f"{device} is back", body)]
 
     def _outcome(self, event: str, t_utc: datetime, fields: EventFields) -> list[Message]:
         slot, why = fields.get("slot", ""), fields.get("why", "")
-        setattr(self._count, event, getattr(self._count, event) + 1)
+        self._counts[event] += 1
+        with suppress(ValueError):
+            slot = f"{slot} ({self._local(parse_utc(slot))})"
         if event == "done":
             self._misses = 0
-            self._count.doubtful += bool(why)
+            self._counts["doubtful"] += bool(why)
             if "clipped" not in why:
                 return []
-            body = f"Bracket {self._slot(slot)}: {why}. The exposures may no longer suit the light."
+            body = f"Bracket {slot}: {why}. The exposures may no longer suit the light."
             return self._once("clipped", t_utc, "a bracket is clipped", body)
         self._misses += 1
         if self._misses != MISSES_IN_A_ROW:
             return []
-        body = f"The last slot was {self._slot(slot)} ({event}): {why or 'no reason recorded'}."
+        body = f"The last slot was {slot} ({event}): {why or 'no reason recorded'}."
         return [self._message(f"{self._misses} slots in a row gave no bracket", body)]
-
-    def _clock_step(self, t_utc: datetime, fields: EventFields) -> list[Message]:
-        follows = "follows" if fields.get("followed") else "does not follow"
-        body = f"The computer's clock jumped by {fields.get('seconds', 0.0):+.0f} s. "
-        body += f"The capture {follows} the new time."
-        return self._once("clock-step", t_utc, "the clock jumped", body)
-
-    def _disk(self, disk_days: float | None) -> list[Message]:
-        if disk_days is None:
-            return []
-        if self._disk_is_low:
-            self._disk_is_low = disk_days < ENOUGH_DISK_DAYS
-            return []
-        if disk_days >= LOW_DISK_DAYS:
-            return []
-        self._disk_is_low = True
-        body = f"The disk has room for {disk_days:.1f} more days of captures."
-        return [self._message("the disk is nearly full", body)]
 
     def _new_day(self, t_utc: datetime) -> list[Message]:
         """Return the summary of the day that just ended; return it only once."""
@@ -160,17 +138,15 @@ class Alerts:
         if self._day is None or today <= self._day:
             self._day = self._day or today
             return []
-        ended, count = self._day, self._count
-        self._day, self._count = today, DayCount()
-        if not (count.done or count.missed or count.aborted):
+        ended, counts, ghi = self._day, self._counts, self._highest_ghi_wm2
+        self._day, self._counts, self._highest_ghi_wm2 = today, Counter(), None
+        if not counts:
             return []
-        ghi = count.highest_ghi_wm2
         body = (
-            f"{count.done} brackets done ({count.doubtful} with a doubt), {count.missed} missed, "
-            f"{count.aborted} aborted."
+            f"{counts['done']} brackets done ({counts['doubtful']} with a doubt), "
+            f"{counts['missed']} missed, {counts['aborted']} aborted."
         )
-        if ghi is not None:
-            body += f" Highest global irradiance {ghi:.0f} W/m2."
+        body += "" if ghi is None else f" Highest global irradiance {ghi:.0f} W/m2."
         return [self._message(f"summary of {ended.isoformat()}", body, self.contact_sheet())]
 
     def _once(self, kind: str, t_utc: datetime, title: str, body: str) -> list[Message]:
@@ -185,12 +161,6 @@ class Alerts:
 
     def _local(self, t_utc: datetime) -> str:
         return f"{t_utc.astimezone(ZoneInfo(self.timezone)):%Y-%m-%d %H:%M}"
-
-    def _slot(self, slot: str) -> str:
-        try:
-            return f"{slot} ({self._local(parse_utc(slot))})"
-        except ValueError:
-            return slot
 
 
 @dataclass(slots=True)
@@ -220,29 +190,110 @@ class MissedHook:
             "FIELDLUM_REASON": state.why,
             "FIELDLUM_SESSION": str(self.folder.resolve()),
         }
-        arguments = (self.command, self.folder, about, self.recorder.tell)
-        threading.Thread(target=_run_hook, args=arguments, daemon=True).start()
+        threading.Thread(target=self._run, args=(about,), daemon=True).start()
+
+    def _run(self, about: dict[str, str]) -> None:
+        """Run the user's command, and journal a failure of it."""
+        try:
+            code = subprocess.run(
+                self.command,
+                shell=True,
+                cwd=self.folder,
+                env={**os.environ, **about},
+                timeout=_HOOK_TIMEOUT_S,
+                stdin=subprocess.DEVNULL,
+                check=False,
+            ).returncode
+            why = f"exit code {code}" if code else ""
+        except (OSError, subprocess.SubprocessError) as error:
+            why = type(error).__name__
+        if why:
+            self.recorder.tell("hook-failed", why=why)
 
 
-def _run_hook(
-    command: str, folder: Path, about: dict[str, str], tell: Callable[..., object]
-) -> None:
-    """Run the user's command for missed slots, and journal a failure of it.
+OUTBOX = "outbox.jsonl"
 
-    Environment variables state the slot, its outcome, the reason and the session's folder.
+
+@dataclass(frozen=True, slots=True)
+class Remote:
+    """Sends messages and heartbeats about a running capture.
+
+    `listen` takes journal events, `look` the state of the capture; both return at once. Events come
+    from the capture and from the thread that logs irradiance, so a lock guards the alerts.
     """
+
+    alerts: Alerts
+    outbox: Outbox | None
+    heartbeat: Heartbeat | None
+    _lock: Lock = field(default_factory=Lock)
+
+    def listen(self, event: str, t_utc: datetime, fields: EventFields) -> None:
+        """Send the messages that a journal event causes.
+
+        Also send a heartbeat if the event settles a slot (done, missed, aborted).
+        """
+        if self.heartbeat is not None and event in SETTLED:
+            self.heartbeat.beat()
+        with self._lock:
+            messages = self.alerts.event(event, t_utc, fields)
+        self._send(messages)
+
+    def look(self, live: Live) -> None:
+        """Send the messages that are due now."""
+        with self._lock:
+            messages = self.alerts.look(live.t_utc, live.disk_days, live.ghi_wm2)
+        self._send(messages)
+
+    def _send(self, messages: Sequence[Message]) -> None:
+        if self.outbox is not None:
+            for message in messages:
+                self.outbox.put(message)
+
+
+@contextmanager
+def informed(
+    session: Session,
+    post: Post | None,
+    heartbeat_address: str,
+    say: Callable[[str], None],
+    *,
+    with_picture: bool = False,
+) -> Iterator[Remote]:
+    """Yield the object that a capture calls to send messages and heartbeats; then close it.
+
+    post: sends one message; None without targets. heartbeat_address: "" without a monitor.
+    with_picture: attach the latest contact sheet to the daily summary; the sheet may show people.
+    """
+    site = session.site_file().site
+
+    def sheet() -> Path | None:
+        return _latest_contact_sheet(session) if with_picture else None
+
+    texts = {
+        "notify-lost": "messages cannot be sent; they are stored and sent later: ",
+        "notify-refused": "messages of another computer or session are not sent: ",
+        "notify-back": "messages are sent again",
+    }
+
+    def report(event: str, why: str) -> None:
+        with suppress(OSError):
+            say(f"note: {texts[event]}{why}")
+
+    outbox = Outbox(post, session.root / OUTBOX, report) if post is not None else None
+    heartbeat = Heartbeat(heartbeat_address) if heartbeat_address else None
     try:
-        code = subprocess.run(
-            command,
-            shell=True,
-            cwd=folder,
-            env={**os.environ, **about},
-            timeout=_HOOK_TIMEOUT_S,
-            stdin=subprocess.DEVNULL,
-            check=False,
-        ).returncode
-        why = f"exit code {code}" if code else ""
-    except (OSError, subprocess.SubprocessError) as error:
-        why = type(error).__name__
-    if why:
-        tell("hook-failed", why=why)
+        yield Remote(Alerts(site.name, site.timezone, sheet), outbox, heartbeat)
+    finally:
+        if heartbeat is not None:
+            heartbeat.close()
+        if outbox is not None and (waiting := outbox.close()):
+            say(f"note: {waiting} unsent messages are stored in {session.root / OUTBOX}")
+
+
+def _latest_contact_sheet(session: Session) -> Path | None:
+    """Return the contact sheet that merge wrote last; None if there is none."""
+    with suppress(OSError):  # a sheet may just be replaced, or the disk may be away
+        found = session.panoramas.glob("contact-*.png")
+        sheets = (path for path in found if link_on_the_way(session.root, path) is None)
+        return max(sheets, key=lambda path: path.stat().st_mtime, default=None)
+    return None

@@ -9,13 +9,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from pathlib import Path
 
-from fieldlum.capture.reconnect import (
-    FIRST_PAUSE_S,
-    MAX_PAUSE_S,
-    Keeper,
-    error_text,
-    plain_info,
-)
+from fieldlum.capture.reconnect import FIRST_PAUSE_S, MAX_PAUSE_S, Keeper, error_text, plain_info
 from fieldlum.capture.recorder import Recorder
 from fieldlum.capture.utc_clock import SteadyClock
 from fieldlum.capture.verify import as_taken
@@ -91,29 +85,19 @@ class BracketCapture:
             have = {frame.index for frame in state.frames}
             missing = [shot for shot in wanted if shot.index not in have]
             if not missing:
-                state = self._opened(slot, folder, state, wanted, deadline)
-                why = self._unusable(folder, state)
-                return self.abort(slot, state, why) if why else self._finish(slot, folder, state)
+                return self._complete(slot, folder, state, wanted, deadline)
             try:
-                whole = missing == list(wanted) and self._takes_whole_brackets(wanted)
-                taken = (
-                    self._expose_bracket(wanted, folder)
-                    if whole
-                    else [self._expose(missing[0], folder, state.attempt)]
-                )
+                is_whole = not have and self._takes_whole_brackets(wanted)
+                taken = self._expose(missing if is_whole else missing[:1], folder, state.attempt)
             # A driver's defect may cost one frame, but must not end a capture of a month.
             except Exception as error:
-                why = error_text(error)
+                self._failed(error, folder)
                 if disk_is_full(error):
-                    self.recorder.make_room()
-                    _sweep(folder)  # an incomplete frame takes up space
-                    on = self._wait_for_room(deadline, disk.next_s())
+                    can_go_on = self._wait_for_room(deadline, disk.next_s())
                 else:
-                    if not isinstance(error, _Away):
-                        self.camera.lost(error)
-                    on = self._wait_for(lambda: self.camera.get() is not None, deadline)
-                if not on:
-                    return self.abort(slot, state, why)
+                    can_go_on = self._wait_for(lambda: self.camera.get() is not None, deadline)
+                if not can_go_on:
+                    return self.abort(slot, state, error_text(error))
                 continue
             for frame in taken:
                 if not self.recorder.tell("frame", slot=slot.id, frame=frame_fields(frame)):
@@ -122,6 +106,14 @@ class BracketCapture:
                 self.between(frame)
             for frame in taken:
                 state = self._again(slot, folder, state, wanted[frame.index], frame, deadline)
+
+    def _failed(self, error: Exception, folder: Path) -> None:
+        """Free the reserve after a full disk; drop the camera after another error of it."""
+        _sweep(folder)  # an incomplete frame takes up space
+        if disk_is_full(error):
+            self.recorder.make_room()
+        elif not isinstance(error, _Away):
+            self.camera.lost(error)
 
     def resumable(self, slot: Slot, state: SlotState) -> bool:
         """Return whether all frames exist, or the last one ended at most a minute ago.
@@ -155,23 +147,18 @@ class BracketCapture:
         if not doubtful.doubt or in_vain or not in_time:
             return state
         try:
-            second = self._expose(shot, folder, state.attempt, instead_of=doubtful.file)
+            (second,) = self._expose([shot], folder, state.attempt, instead_of=doubtful.file)
         except Exception as error:  # the doubtful frame is already in the journal, so it is used
-            if disk_is_full(error):
-                self.recorder.make_room()
-            elif not isinstance(error, _Away):
-                self.camera.lost(error)
+            self._failed(error, folder)
             return state
         second = replace(second, doubt=second.doubt or self.checks.pixels(folder / second.file))
-        if not self.recorder.tell(
-            "retake", slot=slot.id, frame=frame_fields(second), why=doubtful.doubt
-        ):
+        fields = frame_fields(second)
+        if not self.recorder.tell("retake", slot=slot.id, frame=fields, why=doubtful.doubt):
             return state
         self.between(second)
-        others = tuple(frame for frame in state.frames if frame.index != second.index)
-        return replace(state, frames=(*others, second))
+        return _with_frame(state, second)
 
-    def _opened(
+    def _complete(
         self,
         slot: Slot,
         folder: Path,
@@ -179,21 +166,26 @@ class BracketCapture:
         wanted: Sequence[FrameRequest],
         deadline: datetime,
     ) -> SlotState:
-        """Read the pixels of each frame after the camera has finished.
+        """Read the pixels of each frame after the camera has finished; return the final state.
 
         Take a frame again if it does not open and the slot's window is still open. Second frames
-        were read when they were taken.
+        were read when they were taken. A bracket of which most frames cannot be read is aborted,
+        because it cannot be merged.
         """
         for frame in sorted(state.frames, key=lambda frame: frame.index):
             if not (frame.doubt or frame.instead_of) and (
                 why := self.checks.pixels(folder / frame.file)
             ):
                 doubtful = replace(frame, doubt=why)
-                others = tuple(other for other in state.frames if other.index != frame.index)
-                state = replace(state, frames=(*others, doubtful))
+                state = _with_frame(state, doubtful)
                 state = self._again(slot, folder, state, wanted[frame.index], doubtful, deadline)
             self.between(None)
-        return state
+        lost = [f for f in state.frames if f.doubt and self.checks.pixels(folder / f.file)]
+        count = len(state.frames)
+        if not lost or count - len(lost) >= max(2, count / 2):  # `merge` needs so many
+            return self._finish(slot, folder, state)
+        why = f"{len(lost)} of {count} frames cannot be read: {lost[0].file}: {lost[0].doubt}"
+        return self.abort(slot, state, why)
 
     def _start(self, slot: Slot, attempt: int) -> SlotState:
         self.recorder.tell("started", slot=slot.id, attempt=attempt)
@@ -216,34 +208,54 @@ class BracketCapture:
         return self._start(slot, state.attempt + 1)
 
     def _expose(
-        self, shot: FrameRequest, folder: Path, attempt: int, instead_of: str = ""
-    ) -> Frame:
+        self, wanted: Sequence[FrameRequest], folder: Path, attempt: int, instead_of: str = ""
+    ) -> list[Frame]:
+        """Take one frame, or all frames of a bracket in one call; return them only if all exist."""
         if self.camera.get() is None:
             raise _Away("the camera is away")
-        self.recorder.claim(self.frame_bytes)
+        self.recorder.claim(self.frame_bytes * len(wanted))
         folder.mkdir(parents=True, exist_ok=True)
         begun, boot = self.clock.now(), self.clock.boottime()
+        exposures = [shot.exposure for shot in wanted]
         # Each try has its own file name, so that a frame which a hung camera delivers late cannot
         # replace another.
-        target = folder / f".{shot.stem}.{os.getpid()}.{attempt}.{boot:.3f}"
-        written = self.camera.call(
-            lambda camera: camera.expose(shot.exposure, target, heading_deg=shot.heading_deg),
-            shot.exposure.shutter_s,
-        )
-        return self._stored(shot, written, begun, boot, instead_of)
+        targets = [folder / f".{s.stem}.{os.getpid()}.{attempt}.{boot:.3f}" for s in wanted]
+
+        def take(camera: Camera) -> list[Path]:
+            if len(wanted) == 1:
+                heading_deg = wanted[0].heading_deg
+                return [camera.expose(exposures[0], targets[0], heading_deg=heading_deg)]
+            if not isinstance(camera, BracketingCamera):
+                raise DeviceError("another camera was connected, which takes single frames")
+            return camera.expose_bracket(exposures, targets)
+
+        files = self.camera.call(take, sum(e.shutter_s for e in exposures))
+        each_s = (self.clock.boottime() - boot) / len(wanted)
+        return [
+            self._stored(s, path, begun + timedelta(seconds=k * each_s), each_s, instead_of)
+            for k, (s, path) in enumerate(zip(wanted, files, strict=True))
+        ]
 
     def _stored(
-        self, shot: FrameRequest, written: Path, begun: datetime, boot: float, instead_of: str = ""
+        self, shot: FrameRequest, written: Path, begun: datetime, seconds: float, instead_of: str
     ) -> Frame:
         """Check a new frame, give it its final name, and return it.
 
-        begun, boot: UTC and boot time [s] of the request.
+        begun, seconds: UTC of the request, and the time that the frame took [s].
         """
-        doubt, exposure = self._judged(written, shot.exposure)
+        camera, exposure = self.camera.get(), shot.exposure
+        if isinstance(camera, ReportingCamera):
+            exposure = camera.exposure_taken(written) or exposure
+        if doubt := self.checks.settings(written, exposure):
+            exposure = as_taken(written, exposure)
         final = written.with_name(f"{shot.stem}{'_again' if instead_of else ''}{written.suffix}")
-        _settle(written, final, flush=self.recorder.flush)
+        if self.recorder.flush:
+            with written.open("rb+") as file:
+                os.fsync(file.fileno())
+        written.replace(final)
+        if self.recorder.flush:
+            sync_folder(final.parent)
         self.frame_bytes = max(self.frame_bytes, final.stat().st_size)
-        seconds = self.clock.boottime() - boot
         return Frame(
             shot.index,
             final.name,
@@ -256,14 +268,6 @@ class BracketCapture:
             instead_of,
         )
 
-    def _judged(self, written: Path, asked: Exposure) -> tuple[str, Exposure]:
-        """Return what is wrong with a new frame, and the exposure to record for it."""
-        camera = self.camera.get()
-        if isinstance(camera, ReportingCamera):
-            asked = camera.exposure_taken(written) or asked
-        doubt = self.checks.settings(written, asked)
-        return doubt, as_taken(written, asked) if doubt else asked
-
     def _takes_whole_brackets(self, wanted: Sequence[FrameRequest]) -> bool:
         """Return whether the camera can take these frames as one bracket by itself.
 
@@ -274,33 +278,6 @@ class BracketCapture:
         return (
             still and isinstance(camera, BracketingCamera) and len(wanted) in camera.bracket_shots
         )
-
-    def _expose_bracket(self, wanted: Sequence[FrameRequest], folder: Path) -> list[Frame]:
-        """Take all frames in one call; return them only if all exist."""
-        self.recorder.claim(self.frame_bytes * len(wanted))
-        folder.mkdir(parents=True, exist_ok=True)
-        begun, boot = self.clock.now(), self.clock.boottime()
-        exposures = [shot.exposure for shot in wanted]
-        targets = [folder / f".{shot.stem}.{os.getpid()}.{boot:.3f}" for shot in wanted]
-
-        def take(camera: Camera) -> list[Path]:
-            if not isinstance(camera, BracketingCamera):  # another camera was connected meanwhile
-                raise DeviceError(
-                    "another camera was connected, which cannot take a bracket in one call"
-                )
-            return camera.expose_bracket(exposures, targets)
-
-        try:
-            files = self.camera.call(take, sum(e.shutter_s for e in exposures))
-        except Exception:
-            _sweep(folder)
-            raise
-        each_s = (self.clock.boottime() - boot) / len(wanted)
-        frames = [
-            self._stored(shot, written, begun + timedelta(seconds=each_s * shot.index), boot)
-            for shot, written in zip(wanted, files, strict=True)
-        ]
-        return [replace(frame, seconds=each_s) for frame in frames]
 
     def _wait_for_room(self, deadline: datetime, pause_s: float) -> bool:
         """Wait until a frame fits on the disk; return False at the deadline.
@@ -323,13 +300,6 @@ class BracketCapture:
             self.between(None)
         return False
 
-    def _unusable(self, folder: Path, state: SlotState) -> str:
-        """Return why a bracket cannot be merged: most of its frames cannot be read; else ""."""
-        lost = [f for f in state.frames if f.doubt and self.checks.pixels(folder / f.file)]
-        if not lost or (count := len(state.frames)) - len(lost) >= max(2, count / 2):
-            return ""  # `merge` needs so many
-        return f"{len(lost)} of {count} frames cannot be read: {lost[0].file}: {lost[0].doubt}"
-
     def _finish(self, slot: Slot, folder: Path, state: SlotState) -> SlotState:
         state = self._read_meter(slot, state)
         doubts = [f"{frame.file}: {frame.doubt}" for frame in state.frames if frame.doubt]
@@ -341,12 +311,12 @@ class BracketCapture:
         if text := self.checks.darkest(folder / darkest.file):
             doubts.append(f"{darkest.file}: {text}")
         try:
-            write_capture(folder, slot, state, self.setup, self._camera_info(), complete=True)
+            self._write(folder, slot, state)
         except OSError as error:
             if not disk_is_full(error):
                 raise
             self.recorder.make_room()  # frees the reserve; capture.json has a few kilobytes
-            write_capture(folder, slot, state, self.setup, self._camera_info(), complete=True)
+            self._write(folder, slot, state)
         why = "; ".join(again + doubts)
         self.recorder.tell("done", slot=slot.id, frames=len(state.frames), why=why)
         return replace(state, outcome="done", why=why)
@@ -373,15 +343,21 @@ class BracketCapture:
             _sweep(folder)
             if state.frames:
                 with suppress(OSError):  # the journal has the same content
-                    whole = len(state.frames) == len(shots(slot.exposures, self.setup))
-                    info = self._camera_info()
-                    write_capture(folder, slot, state, self.setup, info, complete=whole)
+                    self._write(folder, slot, state)
         self.recorder.tell("aborted", slot=slot.id, frames=len(state.frames), why=why)
         return replace(state, outcome="aborted", why=why)
 
-    def _camera_info(self) -> DeviceTable:
+    def _write(self, folder: Path, slot: Slot, state: SlotState) -> None:
         camera = self.camera.get()
-        return plain_info(camera.info) if camera is not None else {}
+        info = plain_info(camera.info) if camera is not None else {}
+        is_complete = len(state.frames) == len(shots(slot.exposures, self.setup))
+        write_capture(folder, slot, state, self.setup, info, complete=is_complete)
+
+
+def _with_frame(state: SlotState, frame: Frame) -> SlotState:
+    """Return a state with a frame in place of the one of the same index."""
+    others = (other for other in state.frames if other.index != frame.index)
+    return replace(state, frames=(*others, frame))
 
 
 def _sweep(folder: Path) -> None:
@@ -389,16 +365,6 @@ def _sweep(folder: Path) -> None:
     with suppress(OSError):
         for scrap in folder.glob(".*"):
             scrap.unlink(missing_ok=True)
-
-
-def _settle(written: Path, final: Path, *, flush: bool) -> None:
-    """Rename a frame to its final name; with `flush`, wait until it is on the disk."""
-    if flush:
-        with written.open("rb+") as file:
-            os.fsync(file.fileno())
-    written.replace(final)
-    if flush:
-        sync_folder(final.parent)
 
 
 class _Away(DeviceError):

@@ -2,51 +2,34 @@
 
 from __future__ import annotations
 
+import re
 import shutil
+from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
+from fieldlum.capture import match_card
 from fieldlum.capture.bracket import shots, write_capture
-from fieldlum.capture.card import (
-    card_files,
-    of_the_session,
-    read_card,
-    without_copies,
-    without_edited,
-)
 from fieldlum.capture.logger_rows import adopt_rows, logger_table, read_as
-from fieldlum.capture.match_card import (
-    Group,
-    Match,
-    Offset,
-    as_shown,
-    campaigns,
-    clock_offset,
-    clock_parts,
-    clock_steps,
-    contradiction,
-    doubt,
-    group_frames,
-    match_groups,
-    misfit,
-    missing_exposures,
-    tells_utc,
-    true_time,
-)
+from fieldlum.capture.match_card import CardFrame, Group, Match, Offset
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import (
     CameraSetup,
     Exposure,
     Progress,
+    SiteFile,
     Slot,
+    counted,
     quiet,
     shutter_text,
-    utc_text,
 )
 from fieldlum.optics.photometry import same_exposure
-from fieldlum.optics.profiles import load_camera_profile
+from fieldlum.optics.profiles import CameraBody, load_camera_profile
+from fieldlum.optics.raw import RAW_SUFFIXES, is_jpeg, jpeg_size, read_exif, same_model
+from fieldlum.optics.raw.exif import tags_of, text_of
 from fieldlum.session import (
     Journal,
     Session,
@@ -131,69 +114,43 @@ def _adopt_card(
     session: Session, folder: Path, utc_offset_s: float | None, progress: Progress
 ) -> Report:
     setup, slots = session.site_file(), session.slots()
-    files, others = card_files(folder)
-    profile = load_camera_profile(setup.camera.profile)
-    frames, unread = read_card(files, progress, lens_f_number=profile.camera.fixed_f_number)
-    frames, other_cameras = of_the_session(frames, setup)
-    frames, copies = without_copies(frames)
-    body = profile.camera
-    frames, edited = without_edited(frames, (body.width_px, body.height_px))
-    if utc_offset_s is not None:
-        frames = as_shown(frames)
-    groups = group_frames(
-        frames, slots[0].exposures if slots else (), max(1, len(setup.camera.headings))
-    )
-    left_out = [*other_cameras, *copies, *edited, *unread, *others]
-    if not groups:
-        raise NotEnoughDataError(
-            f"{folder}: no usable frame; {left_out[0]}; check that this is the right card"
-        )
-    matched: list[tuple[Match, Offset]] = []
+    groups, left_out = _brackets(folder, setup, slots, utc_offset_s is not None, progress)
     clocks: list[tuple[list[Group], Offset]] = []
     notes: list[str] = []
     refused: list[InputError] = []
     for part in _parts(groups, slots, utc_offset_s):
         try:
-            offset = clock_offset(part, slots, setup, utc_offset_s)
+            offset = match_card.clock_offset(part, slots, setup, utc_offset_s)
         # The error of one campaign: a wrong date, or brackets of another plan.
         except InputError as error:
             refused.append(error)
             whose = f"{_range(part[0])} and {len(part) - 1} brackets after it"
             left_out.append(f"{whose}: {error.found}; {error.remedy}")
             continue
-        matches, unmatched = match_groups(part, slots, offset)
         clocks.append((part, offset))
-        matched += [(match, offset) for match in matches]
-        left_out += [
-            f"{_range(u.group)}: {u.why} ({utc_text(true_time(u.group.t_camera, offset))})"
-            for u in unmatched
-        ]
-        opposed = contradiction(part, slots, utc_offset_s) if utc_offset_s is not None else ""
-        if warning := opposed or doubt(part, slots, offset):
+        opposed = match_card.contradiction(part, slots, utc_offset_s)
+        if warning := opposed or match_card.doubt(part, slots, offset):
             notes.append(warning)
-    if refused and not matched:
-        raise refused[0]
-    if not matched:
-        raise NotEnoughDataError(
-            f"{folder}: none of {len(groups)} brackets matches the plan; {left_out[-1]}; "
-            "check --utc-offset and the plan"
-        )
-    notes += clock_steps(clocks)
-    offsets = [offset for _, offset in clocks]
-    matched, doubles = _one_a_slot(matched)
-    left_out += doubles
-    notes += [text for match, _ in matched if (text := _lacking_text(match, setup.camera))]
-    new, moved = _adopt_all(session, setup.camera, matched, progress)
+    matches, others = match_card.match_groups(clocks, slots)
+    left_out += [f"{_range(group)}: {why}" for group, why in others]
+    if not matches:
+        if refused:
+            raise refused[0]
+        found = f"none of {len(groups)} brackets matches the plan; {left_out[-1]}"
+        raise NotEnoughDataError(f"{folder}: {found}; check --utc-offset and the plan")
+    notes += match_card.clock_steps(clocks)
+    notes += [text for match in matches if (text := _lacking_text(match, setup.camera))]
+    new, moved = _adopt_all(session, setup.camera, matches, progress)
+    offsets = tuple(offset for _, offset in clocks)
     about = [{"camera_clock_minus_utc_s": round(o.seconds, 1), "how": o.how} for o in offsets]
-    update_session(
-        session, {"imported": {**session.table().get("imported", {}), _text(folder): about}}
-    )
+    imported = session.table().get("imported", {})
+    update_session(session, {"imported": {**imported, _text(folder): about}})
     return Report(
         len(new),
         sum(len(m.group.frames) for m in new),
-        len(matched) - len(new),
-        tuple(offsets),
-        tuple(m.late_s for m, _ in matched),
+        len(matches) - len(new),
+        offsets,
+        tuple(m.late_s for m in matches),
         tuple(left_out),
         tuple(notes),
         slots=tuple(m.slot.id for m in new),
@@ -201,44 +158,45 @@ def _adopt_card(
     )
 
 
+def _brackets(
+    folder: Path, setup: SiteFile, slots: Sequence[Slot], own_clock: bool, progress: Progress
+) -> tuple[list[Group], list[str]]:
+    """Return the brackets in a card's folder, and sentences on files that are not used.
+
+    own_clock: whether times are those of the camera's clock, not corrected by EXIF's offset. Raises
+    NotEnoughDataError without a usable frame.
+    """
+    files, others = card_files(folder)
+    body = load_camera_profile(setup.camera.profile).camera
+    frames, unread = read_card(files, progress, lens_f_number=body.fixed_f_number)
+    frames, other_cameras = of_the_session(frames, setup)
+    frames, copies = without_edited(frames, (body.width_px, body.height_px))
+    left_out = [*other_cameras, *copies, *unread, *others]
+    if not frames:
+        remedy = "check that this is the right card"
+        raise NotEnoughDataError(f"{folder}: no usable frame; {left_out[0]}; {remedy}")
+    exposures = slots[0].exposures if slots else ()
+    frames = match_card.as_shown(frames) if own_clock else frames
+    return match_card.group_frames(frames, exposures, max(1, len(setup.camera.headings))), left_out
+
+
 def _parts(
     groups: Sequence[Group], slots: Sequence[Slot], utc_offset_s: float | None
 ) -> list[list[Group]]:
     """Return the brackets in parts between which the camera's clock was set."""
-    parts = campaigns(groups)
+    parts = match_card.split_at_gaps(groups)
     if utc_offset_s is not None or not slots:
         return parts
-    return [
-        piece
-        for part in parts
-        for piece in ([part] if tells_utc(part) else clock_parts(part, slots))
-    ]
-
-
-def _one_a_slot(
-    matched: Sequence[tuple[Match, Offset]],
-) -> tuple[list[tuple[Match, Offset]], list[str]]:
-    """Return the best bracket for each slot, and a note on each other bracket that matched.
-
-    Two brackets can match one slot if the camera's clock was set.
-    """
-    best: dict[str, tuple[Match, Offset]] = {}
-    left_out_notes: list[str] = []
-    for match, offset in sorted(matched, key=lambda pair: misfit(pair[0])):
-        if match.slot.id in best:
-            left_out_notes.append(
-                f"{_range(match.group)}: not imported, because another bracket "
-                f"matches {match.slot.id} better"
-            )
-        else:
-            best[match.slot.id] = match, offset
-    return sorted(best.values(), key=lambda pair: pair[0].slot.t_utc), left_out_notes
+    pieces: list[list[Group]] = []
+    for part in parts:
+        pieces += [part] if match_card.tells_utc(part) else match_card.clock_parts(part, slots)
+    return pieces
 
 
 def lacking(group: Group, slot: Slot, setup: CameraSetup) -> list[Exposure]:
     """Return the planned exposures, counted once for each heading, that a card's bracket lacks."""
     planned = [shot.exposure for shot in shots(slot.exposures, setup)]
-    return missing_exposures(group, planned)
+    return match_card.missing_exposures(group, planned)
 
 
 def _lacking_text(match: Match, setup: CameraSetup) -> str:
@@ -250,29 +208,26 @@ def _lacking_text(match: Match, setup: CameraSetup) -> str:
     if not missing:
         return ""
     there = [frame.exposure for frame in match.group.frames]
-    same_exposures = [
+    alike = [
         e
         for e in missing
         if any(same_exposure(e, f) for f in there)
         and any(e.nd != other.nd and same_exposure(e, other) for other in match.slot.exposures)
     ]
-    unsure = (
-        f"; frames of {shutter_text(same_exposures[0].shutter_s)} s may have been taken with or "
-        "without the filter, and are used as frames without it"
-        if same_exposures
-        else ""
-    )
     shown = ", ".join(exposure_text(e) for e in missing[:3]) + (" ..." if len(missing) > 3 else "")
-    return (
-        f"{_range(match.group)}: missing frames of slot {match.slot.id}: {len(missing)} "
-        f"({shown}){unsure}"
-    )
+    text = f"missing frames of slot {match.slot.id}: {len(missing)} ({shown})"
+    if alike:
+        text += (
+            f"; frames of {shutter_text(alike[0].shutter_s)} s may have been taken with or without "
+            "the filter, and are used as frames without it"
+        )
+    return f"{_range(match.group)}: {text}"
 
 
 def _adopt_all(
     session: Session,
     setup: CameraSetup,
-    matched: Sequence[tuple[Match, Offset]],
+    matches: Sequence[Match],
     progress: Progress,
 ) -> tuple[list[Match], tuple[str, ...]]:
     """Import every bracket that the journal does not record as done.
@@ -282,12 +237,12 @@ def _adopt_all(
     journal = Journal(session)
     new: list[Match] = []
     try:
-        moved = withdraw(session, journal, read_ledger(session), matched)
+        moved = withdraw(session, journal, read_ledger(session), matches)
         ledger = read_ledger(session)
-        for number, (match, offset) in enumerate(matched, start=1):
-            progress(number, len(matched), match.slot.id)
+        for number, match in enumerate(matches, start=1):
+            progress(number, len(matches), match.slot.id)
             if ledger.state(match.slot.id).outcome != "done":
-                _adopt(session, setup, journal, match, offset)
+                _adopt(session, setup, journal, match)
                 new.append(match)
     finally:
         journal.close()
@@ -304,9 +259,7 @@ def _text(path: Path) -> str:
     return str(path).encode("utf-8", "replace").decode()
 
 
-def _adopt(
-    session: Session, setup: CameraSetup, journal: Journal, match: Match, offset: Offset
-) -> None:
+def _adopt(session: Session, setup: CameraSetup, journal: Journal, match: Match) -> None:
     """Copy the frames of one bracket and journal them like captured ones."""
     slot, folder = match.slot, session.capture_file(match.slot.id).parent
     now = datetime.now(UTC)
@@ -314,14 +267,16 @@ def _adopt(
     journal.append("started", now, slot=slot.id, attempt=1)
     frames: list[Frame] = []
     for index, card in enumerate(match.group.frames):
-        name = _name(card.path, [f.file for f in frames])
+        name = card.path.name
+        if any(frame.file == name for frame in frames):
+            name = f"{card.path.parent.name}_{name}"
         with replacing_path(folder / name) as copy:
             shutil.copyfile(card.path, copy)
         frame = Frame(
             index,
             name,
             *meant(match.group, index, slot, setup),
-            true_time(card.t_camera, offset),
+            match_card.true_time(card.t_camera, match.offset),
             card.exposure.shutter_s,
             sha256(folder / name),
         )
@@ -351,10 +306,6 @@ def meant(
     return shot.exposure, shot.heading_deg
 
 
-def _name(path: Path, taken: Sequence[str]) -> str:
-    return path.name if path.name not in taken else f"{path.parent.name}_{path.name}"
-
-
 # ----------------------------------------------------------------------------------------------
 # brackets that an earlier import, with another clock, put into wrong slots
 
@@ -362,11 +313,11 @@ SAME_TIME_S = 120.0  # a refined clock offset changes times by less; not measure
 
 
 def withdraw(
-    session: Session, journal: Journal, ledger: Ledger, matched: Sequence[tuple[Match, Offset]]
+    session: Session, journal: Journal, ledger: Ledger, matches: Sequence[Match]
 ) -> tuple[str, ...]:
     """Remove imported brackets whose frames now have another slot or time; return their slots' ids.
 
-    matched: the new matches, each with its clock offset; times over two minutes apart differ. The
+    matches: the new ones, each with its clock offset; times over two minutes apart differ. The
     brackets' folders move to raw/withdrawn/, and what merge wrote from them is deleted. The slots
     are then without a bracket again.
     """
@@ -376,33 +327,26 @@ def withdraw(
             for frame in state.frames:
                 held.setdefault(frame.file, []).append(slot)
     gone: list[str] = []
-    for match, offset in matched:
-        there = dict.fromkeys(
-            slot for f in match.group.frames for slot in held.get(f.path.name, ())
-        )
-        for slot in there:
-            if slot not in gone and _misplaced(ledger.slots[slot], slot, match, offset):
+    for match in matches:
+        for slot in dict.fromkeys(s for f in match.group.frames for s in held.get(f.path.name, ())):
+            if slot not in gone and _misplaced(ledger.slots[slot], slot, match):
                 # Before the journal entry: the next import repairs an interrupted one.
                 _set_aside(session, slot)
-                journal.append(
-                    "withdrawn", datetime.now(UTC), slot=slot, why="imported with another clock"
-                )
+                why = "imported with another clock"
+                journal.append("withdrawn", datetime.now(UTC), slot=slot, why=why)
                 gone.append(slot)
     return tuple(gone)
 
 
-def _misplaced(state: SlotState, slot: str, match: Match, offset: Offset) -> bool:
-    """Return whether a slot's imported bracket must be removed.
-
-    It must if the match gives its frames to another slot, or the corrected clock gives them another
-    time.
-    """
+def _misplaced(state: SlotState, slot: str, match: Match) -> bool:
+    """Return whether a slot's imported bracket has another slot or time by this match and clock."""
     frames_by_file = {frame.file: frame for frame in state.frames}
     card = next((f for f in match.group.frames if f.path.name in frames_by_file), None)
     if card is None:
         return False
     frame = frames_by_file[card.path.name]
-    apart_s = abs((true_time(card.t_camera, offset) - frame.t_utc).total_seconds())
+    t_utc = match_card.true_time(card.t_camera, match.offset)
+    apart_s = abs((t_utc - frame.t_utc).total_seconds())
     is_elsewhere = slot != match.slot.id or apart_s > SAME_TIME_S
     return is_elsewhere and frame.sha256 == sha256(card.path)
 
@@ -414,3 +358,151 @@ def _set_aside(session: Session, slot: str) -> None:
         folder.replace(aside / f"{slot}.{len(list(aside.glob(f'{slot}.*')))}")
     for path in (session.panorama(slot), session.sidecar(slot), session.sunpatch(slot)):
         path.unlink(missing_ok=True)
+
+
+# ----------------------------------------------------------------------------------------------
+# the files of a card
+
+_BODY_SERIAL_NUMBER = 42033  # tag of EXIF 2.3
+_OTHER_PICTURES = re.compile(r"\.(mpo|hei[cf]|hif|tiff?|png|insp|gpr|x3f|3fr|iiq|avif)")
+
+
+def card_files(folder: Path) -> tuple[list[Path], list[str]]:
+    """Return the raw and JPEG files in a folder and its subfolders, and notes on other pictures.
+
+    There is one note for each kind of picture that cannot be merged, such as .heic; other files are
+    ignored, and so are folders that begin with `.` or `@`, in which systems store thumbnails and
+    deleted files. Raises InputError if the folder is missing, or has no raw or JPEG file.
+    """
+    if not folder.is_dir():
+        found = "this is a file, not a folder" if folder.is_file() else "no such folder"
+        remedy = "import a logger's file with --irradiance, or check the path of the card"
+        raise InputError(folder, found, "a card's folder, such as DCIM", remedy)
+    files = sorted(
+        p
+        for p in folder.rglob("*")
+        if p.is_file() and not any(name[0] in ".@" for name in p.relative_to(folder).parts)
+    )
+    frames = [p for p in files if p.suffix.lower() in RAW_SUFFIXES or is_jpeg(p)]
+    suffixes = Counter(
+        p.suffix.lower() for p in files if _OTHER_PICTURES.fullmatch(p.suffix.lower())
+    )
+    other = [f"{count} {suffix}" for suffix, count in sorted(suffixes.items())]
+    if not frames:
+        found = "no raw or JPEG frames in this folder"
+        found += f", but {' and '.join(other)} files" if other else ""
+        remedy = "set the camera to record raw files" if other else "check the path of the card"
+        raise InputError(folder, found, "a card's folder, such as DCIM", remedy)
+    return frames, [f"{folder}: {text} files, which cannot be merged" for text in other]
+
+
+def read_card(
+    files: Sequence[Path], progress: Progress = quiet, *, lens_f_number: float = 0.0
+) -> tuple[list[CardFrame], list[str]]:
+    """Return the frames with their EXIF, and a note on each file that cannot be used.
+
+    lens_f_number: f-number of a lens that writes none to EXIF.
+    """
+    frames: list[CardFrame] = []
+    left_out: list[str] = []
+    for number, path in enumerate(files, start=1):
+        progress(number, len(files), path.name)
+        try:
+            info = read_exif(path, lens_f_number=lens_f_number)
+        except InputError as error:
+            left_out.append(str(error))
+            continue
+        if info.t_camera is None:
+            left_out.append(f"{path}: EXIF has no time")
+            continue
+        offset = info.t_camera.utcoffset()  # None for a camera that writes no offset
+        offset_s = None if offset is None else offset.total_seconds()
+        aware = offset is not None
+        when = info.t_camera.astimezone(UTC) if aware else info.t_camera.replace(tzinfo=UTC)
+        who = info.model or info.make or "a camera that EXIF does not name"
+        # The number distinguishes two bodies of one model.
+        serial = text_of(tags_of(path), _BODY_SERIAL_NUMBER)
+        frames.append(CardFrame(path, info.exposure, when, offset_s, who, serial))
+    return frames, left_out
+
+
+def without_edited(
+    frames: Sequence[CardFrame], size_px: tuple[int, int]
+) -> tuple[list[CardFrame], list[str]]:
+    """Return the frames as the camera wrote them, and notes on copies and other sizes.
+
+    A copy, edited or not, has the time and exposure of a frame, but another form of name than most
+    frames of the card (IMG_0003_edit.JPG), or the same name in another folder. size_px : width and
+    height of the camera's frames by its profile; if no JPEG has it, the commonest size counts.
+    """
+    sizes = {f.path: jpeg_size(f.path) for f in frames if is_jpeg(f.path)}
+    common = Counter(sizes.values())
+    size = size_px if size_px in common else max(common, key=lambda s: common[s], default=size_px)
+    other_size = {path for path, its in sizes.items() if its not in (size, (0, 0))}
+    full = [frame for frame in frames if frame.path not in other_size]
+    forms = Counter(_form(frame.path) for frame in full)
+    alike: dict[tuple[datetime, Exposure], list[CardFrame]] = {}
+    for frame in full:
+        key = frame.t_camera.replace(microsecond=0), frame.exposure
+        alike.setdefault(key, []).append(frame)
+    edited: set[Path] = set()
+    for same in (group for group in alike.values() if len(group) > 1):
+        best = max(forms[_form(frame.path)] for frame in same)
+        usual = [frame for frame in same if forms[_form(frame.path)] == best]
+        # Two files of one name in two folders: the camera's own folder is below DCIM (DCF 2.0).
+        usual.sort(key=lambda f: ("DCIM" not in f.path.parts, len(f.path.parts), f.path))
+        first = {frame.path.stem: frame for frame in reversed(usual)}
+        edited |= {f.path for f in same if first.get(f.path.stem) is not f}
+    notes = [
+        *_note(sorted(other_size), f"not the size of the camera's frames, {size[0]} x {size[1]}"),
+        *_note(sorted(edited), "a copy of another frame"),
+    ]
+    return [frame for frame in full if frame.path not in edited], notes
+
+
+def _form(path: Path) -> str:
+    """Return a file's name without suffix and with # for each digit, such as IMG_####."""
+    return re.sub(r"\d", "#", path.stem)
+
+
+def _note(paths: Sequence[Path], what: str) -> list[str]:
+    if not paths:
+        return []
+    more = f", as are {counted(len(paths) - 1, 'more file')}" if len(paths) > 1 else ""
+    return [f"{paths[0]}: {what}{more}"]
+
+
+def of_the_session(
+    frames: Sequence[CardFrame], setup: SiteFile
+) -> tuple[list[CardFrame], list[str]]:
+    """Return the frames of the session's camera in one format, and a note on each other camera.
+
+    The session's camera is the one that the profile names, else the one with most frames: frames of
+    two cameras never form a bracket. If there is only one body of a model, frames without a serial
+    number belong to it. If the camera has raw and JPEG frames, those of the profile's kind are
+    returned, and the other ones are skipped without a note.
+    """
+    body = CameraBody("", "raw", 0, 0)
+    # doctor and merge report a missing profile; the frames are imported anyway
+    with suppress(InputError):
+        body = load_camera_profile(setup.camera.profile).camera
+    serials: dict[str, set[str]] = {}
+    for f in frames:
+        serials.setdefault(f.camera, set()).update({f.serial} - {""})
+    only = {camera: (*known, "")[0] if len(known) < 2 else "" for camera, known in serials.items()}
+    bodies = [(f.camera, f.serial or only[f.camera]) for f in frames]
+    count = Counter(bodies)
+    ours = min(
+        count, key=lambda who: (not same_model(who[0], body.model), -count[who]), default=("", "")
+    )
+    notes = [
+        f"{number} frames of {' '.join(who).strip()}: the session's camera is "
+        f"{' '.join(ours).strip()}"
+        for who, number in count.items()
+        if who != ours
+    ]
+    mine = [frame for frame, who in zip(frames, bodies, strict=True) if who == ours]
+    jpeg = [frame for frame in mine if is_jpeg(frame.path)]
+    raw = [frame for frame in mine if not is_jpeg(frame.path)]
+    first, second = (jpeg, raw) if body.kind == "jpeg" else (raw, jpeg)
+    return first or second, notes

@@ -6,7 +6,8 @@ A repeated import with another clock or other columns replaces the earlier rows.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -66,14 +67,15 @@ def adopt_rows(
     with sole_user(session, "log"):
         for other in before:
             if other != table and other["file"] == table["file"]:
-                withdrawn += withdraw(session, _readable(path, other))
+                with suppress(InputError):  # the file cannot be read in the earlier way any more
+                    withdrawn += withdraw(session, read_as(path, other).samples)
         added = add_samples(session, logger_file.samples)
     if table not in before:
         update_session(session, {"logger_files": [*before, table]})
-    about = (
+    left_out, notes = (
         tuple(f"{path}: {text}" for text in f) for f in (logger_file.left_out, logger_file.notes)
     )
-    return Adopted(added, withdrawn, *about)
+    return Adopted(added, withdrawn, left_out, notes)
 
 
 def logger_table(
@@ -96,23 +98,8 @@ def logger_table(
 def read_as(path: Path, table: LoggerFileTable) -> LoggerFile:
     """Read a logger's file in a stated way. Raises InputError for a file that cannot be read."""
     offset_s = table.get("utc_offset_s")
-    return read_logger_file(
-        path,
-        None if offset_s is None else timedelta(seconds=offset_s),
-        table.get("columns"),
-        table.get("sensitivities"),
-    )
-
-
-def _readable(path: Path, table: LoggerFileTable) -> Sequence[IrradianceSample]:
-    """Return the file's rows as an earlier import read them.
-
-    Empty if the file cannot be read now.
-    """
-    try:
-        return read_as(path, table).samples
-    except InputError:
-        return ()
+    offset = None if offset_s is None else timedelta(seconds=offset_s)
+    return read_logger_file(path, offset, table.get("columns"), table.get("sensitivities"))
 
 
 def add_samples(session: Session, samples: Iterable[IrradianceSample]) -> int:
@@ -121,8 +108,6 @@ def add_samples(session: Session, samples: Iterable[IrradianceSample]) -> int:
     Of equal rows in sequence, one is appended; different rows of the same time all are.
     """
     wanted = sorted(samples, key=lambda s: s.t_utc)
-    if not wanted:
-        return 0
     stored_utc: set[datetime] = set()
     days = {s.t_utc.strftime("%Y-%m-%d") for s in wanted}
     for path in day_files(session):

@@ -7,6 +7,7 @@ which the clock was set during a campaign are detected too.
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
@@ -17,7 +18,7 @@ from zoneinfo import ZoneInfo
 import numpy as np
 
 from fieldlum.core.errors import InputError
-from fieldlum.core.records import Exposure, SiteFile, Slot
+from fieldlum.core.records import Exposure, SiteFile, Slot, utc_text
 from fieldlum.optics.photometry import same_exposure
 
 WITHIN_S = 1200.0  # a bracket started by hand further from its slot belongs to another hour; chosen
@@ -29,7 +30,7 @@ _STEADY_S = 5.0  # spread of the start times of an intervalometer; starts by han
 _PAUSE_FACTOR = 10.0
 # additional factor for a head that is turned between two frames; chosen, not measured
 _TURN_FACTOR = 6.0
-_CAMPAIGN_S = 5 * 86400.0  # a gap of more days separates campaigns; chosen
+CAMPAIGN_S = 5 * 86400.0  # a gap of more days separates campaigns; chosen
 _QUARTER_S = 900.0  # civil clocks differ by multiples of a quarter of an hour (IANA tz database)
 _HALF_COUNT = 5000  # cameras number their files up to 9999 (DCF 2.0)
 
@@ -80,20 +81,13 @@ class Offset:
 class Match:
     """A bracket on a card, and the planned slot it belongs to.
 
-    late_s: true start minus planned start [s].
+    late_s: true start minus planned start [s]; offset: of the camera's clock.
     """
 
     slot: Slot
     group: Group
     late_s: float
-
-
-@dataclass(frozen=True, slots=True)
-class Unmatched:
-    """A bracket on a card that belongs to no slot, and the reason."""
-
-    group: Group
-    why: str
+    offset: Offset
 
 
 def usual_step_s(frames: Sequence[CardFrame]) -> float:
@@ -115,22 +109,16 @@ def in_order(frames: Sequence[CardFrame]) -> list[CardFrame]:
     """
     ordered: list[CardFrame] = []
     for _, same in groupby(sorted(frames, key=lambda f: f.t_camera), key=lambda f: f.t_camera):
-        second = list(same)
-        numbers = [_number(frame) for frame in second]
-        wraps = max(numbers) - min(numbers) > _HALF_COUNT
-        lifted = [
-            number + (2 * _HALF_COUNT if wraps and number < _HALF_COUNT else 0)
-            for number in numbers
-        ]
-        order = sorted(range(len(second)), key=lambda i: (lifted[i], second[i].path.name))
-        ordered += [second[i] for i in order]
+        found = [(re.search(r"(\d{4})$", f.path.stem), f.path.name, f) for f in same]
+        numbered = [(int(match[1]) if match else 0, name, f) for match, name, f in found]
+        highest = max(number for number, _, _ in numbered)
+
+        def place(entry: tuple[int, str, CardFrame], highest: int = highest) -> tuple[int, str]:
+            wraps = highest - entry[0] > _HALF_COUNT
+            return entry[0] + (2 * _HALF_COUNT if wraps else 0), entry[1]
+
+        ordered += [frame for _, _, frame in sorted(numbered, key=place)]
     return ordered
-
-
-def _number(frame: CardFrame) -> int:
-    """Return the camera's file number, the last four digits of the name; 0 for another name."""
-    match = re.search(r"(\d{4})$", frame.path.stem)
-    return int(match[1]) if match else 0
 
 
 def group_frames(
@@ -162,16 +150,11 @@ def group_frames(
     return [Group(tuple(group)) for group in groups]
 
 
-def campaigns(groups: Sequence[Group]) -> list[list[Group]]:
-    """Split brackets, in order of time, at gaps of five days or more between two starts.
+def split_at_gaps(groups: Sequence[Group], gap_s: float = CAMPAIGN_S) -> list[list[Group]]:
+    """Split brackets, in order of time, between two that begin at least `gap_s` apart.
 
-    The camera's clock may have been set there.
+    By default they are split into campaigns, between which the camera's clock may have been set.
     """
-    return split_at_gaps(groups, _CAMPAIGN_S)
-
-
-def split_at_gaps(groups: Sequence[Group], gap_s: float) -> list[list[Group]]:
-    """Split brackets, in order of time, between two that begin at least `gap_s` apart."""
     parts: list[list[Group]] = []
     for group in groups:
         if parts and (group.t_camera - parts[-1][-1].t_camera).total_seconds() < gap_s:
@@ -242,11 +225,8 @@ def find_offset(
     if chosen is None:
         return None
     what = "civil time of the place" if chosen else "UTC"
-    return Offset(
-        chosen,
-        f"assumed to be {what}; other offsets would fit the plan too: if you "
-        "know the offset, state it with --utc-offset",
-    )
+    how = f"assumed to be {what}; other offsets would fit the plan too: if you know the offset, "
+    return Offset(chosen, f"{how}state it with --utc-offset")
 
 
 def refine_offset(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset) -> Offset:
@@ -258,16 +238,14 @@ def refine_offset(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset
     """
     late = late_s(groups, slots, offset.seconds)
     near = late[np.abs(late) <= WITHIN_S]
-    if len(near) < 3:
-        return offset
-    middle = float(np.median(near))
-    if float(np.median(np.abs(near - middle))) > _STEADY_S or abs(middle) < 1.0:
+    middle = float(np.median(near)) if len(near) >= 3 else 0.0
+    if abs(middle) < 1.0 or float(np.median(np.abs(near - middle))) > _STEADY_S:
         return offset
     how = f"{offset.how}, corrected by {middle:+.0f} s, the median of {len(near)} brackets"
     return replace(offset, seconds=offset.seconds + middle, how=how)
 
 
-def misfit(match: Match) -> tuple[int, float]:
+def _misfit(match: Match) -> tuple[int, float]:
     """Return a key that sorts the best match first.
 
     The best has frames for most of the slot's exposures, then the smallest time from the
@@ -277,30 +255,31 @@ def misfit(match: Match) -> tuple[int, float]:
 
 
 def match_groups(
-    groups: Sequence[Group], slots: Sequence[Slot], offset: Offset
-) -> tuple[list[Match], list[Unmatched]]:
-    """Match brackets to the nearest slot within 20 minutes; return matches and the others.
+    clocks: Sequence[tuple[Sequence[Group], Offset]], slots: Sequence[Slot]
+) -> tuple[list[Match], list[tuple[Group, str]]]:
+    """Match brackets to the nearest slot within 20 minutes; return matches, and why others do not.
 
-    Matches are in order of the slots. A bracket must have two of the slot's exposures, or its only
-    one. Of several brackets at one slot, the one with most of the slot's exposures is matched, then
-    the nearest.
+    clocks: brackets with the offset of their clock. Matches are in order of the slots. A bracket
+    must have two of the slot's exposures, or its only one. Of several brackets at one slot, the one
+    with most of the slot's exposures is matched, then the nearest.
     """
     matches: dict[str, Match] = {}
-    unmatched: list[Unmatched] = []
-    for group in groups:
+    others: list[tuple[Group, str]] = []
+    for group, offset in ((group, offset) for part, offset in clocks for group in part):
         t_utc = true_time(group.t_camera, offset)
+        when = f"({utc_text(t_utc)})"
         slot = min(slots, key=lambda s: abs((s.t_utc - t_utc).total_seconds()), default=None)
         if slot is None or abs((t_utc - slot.t_utc).total_seconds()) > WITHIN_S:
-            unmatched.append(Unmatched(group, f"no slot within {WITHIN_S / 60:.0f} min"))
+            others.append((group, f"no slot within {WITHIN_S / 60:.0f} min {when}"))
             continue
         if fits(group, slot) < min(2, len(slot.exposures)):
-            unmatched.append(Unmatched(group, "at most one of its exposures is in the plan"))
+            others.append((group, f"at most one of its exposures is in the plan {when}"))
             continue
-        match = Match(slot, group, (t_utc - slot.t_utc).total_seconds())
-        best, *worse = sorted((m for m in (matches.get(slot.id), match) if m), key=misfit)
-        unmatched += [Unmatched(m.group, f"another bracket fits {slot.id} better") for m in worse]
+        match = Match(slot, group, (t_utc - slot.t_utc).total_seconds(), offset)
+        best, *worse = sorted((m for m in (matches.get(slot.id), match) if m), key=_misfit)
+        others += [(m.group, f"another bracket fits {slot.id} better") for m in worse]
         matches[slot.id] = best
-    return sorted(matches.values(), key=lambda m: m.slot.t_utc), unmatched
+    return sorted(matches.values(), key=lambda m: m.slot.t_utc), others
 
 
 def true_time(t_camera: datetime, offset: Offset) -> datetime:
@@ -336,28 +315,22 @@ def clock_offset(
         start = Offset(0.0, "stated in EXIF", _exif_offsets_s(groups))
     else:
         start = find_offset(groups, slots, _expected_s(groups, slots, setup))
-    if start is None and not fitting_offsets(groups, slots):
-        first, last = (min(g.t_camera for g in groups), max(g.t_camera for g in groups))
-        near = min(slots, key=lambda slot: abs(slot.t_utc - first), default=None)
-        raise InputError(
-            "import",
-            f"the brackets from {first:%Y-%m-%d %H:%M} to {last:%Y-%m-%d %H:%M} by the camera's "
-            "clock match no slot of the plan",
-            "brackets near slots, such as the slot nearest to the first bracket, at "
-            f"{near.t_utc:%Y-%m-%d %H:%M} UTC"
-            if near
-            else "a plan with slots",
-            "check that this is the right card; correct a wrong date, for example by one day: "
-            'exiftool -AllDates+="0:0:1 0:0:0" FOLDER',
-        )
-    if start is None:
-        raise InputError(
-            "import",
-            "several UTC offsets of the camera's clock fit the plan equally well",
-            "one offset that fits best",
-            "state the camera's offset, for example --utc-offset -08:00",
-        )
-    return refine_offset(groups, slots, start)
+    if start is not None:
+        return refine_offset(groups, slots, start)
+    if fitting_offsets(groups, slots):
+        found = "several UTC offsets of the camera's clock fit the plan equally well"
+        remedy = "state the camera's offset, for example --utc-offset -08:00"
+        raise InputError("import", found, "one offset that fits best", remedy)
+    first, last = (min(g.t_camera for g in groups), max(g.t_camera for g in groups))
+    near = min((slot.t_utc for slot in slots), key=lambda t: abs(t - first), default=None)
+    span = f"the brackets from {first:%Y-%m-%d %H:%M} to {last:%Y-%m-%d %H:%M}"
+    raise InputError(
+        "import",
+        f"{span} by the camera's clock match no slot of the plan",
+        f"brackets near slots, such as the slot nearest to the first bracket, at {near} UTC",
+        "check that this is the right card; correct a wrong date, for example by one day: "
+        'exiftool -AllDates+="0:0:1 0:0:0" FOLDER',
+    )
 
 
 def tells_utc(groups: Sequence[Group]) -> bool:
@@ -380,34 +353,28 @@ def as_shown(frames: Sequence[CardFrame]) -> list[CardFrame]:
     ]
 
 
-def contradiction(groups: Sequence[Group], slots: Sequence[Slot], stated_s: float) -> str:
+def contradiction(groups: Sequence[Group], slots: Sequence[Slot], stated_s: float | None) -> str:
     """Return a warning if EXIF's offset differs from the stated one by over a minute, else "".
 
     The warning states how many frames are within 20 minutes of slots with each of the two. groups:
     with times from `as_shown`; stated_s: clock minus UTC [s]. Without slots there is no warning.
     """
+    if stated_s is None:
+        return ""
     own = [g for g in groups if g.frames[0].exif_offset_s is not None]
     offsets_s = _exif_offsets_s(own)
     if not slots or all(abs(offset_s - stated_s) <= _SAME_OFFSET_S for offset_s in offsets_s):
         return ""
     stated, exif = 0, 0
     for group in own:
-        by_exif_s = group.frames[0].exif_offset_s or 0.0
         stated += len(group.frames) * _near([group], slots, stated_s)
-        exif += len(group.frames) * _near([group], slots, by_exif_s)
-    total = sum(len(group.frames) for group in own)
-    text = (
-        f"--utc-offset {hms(stated_s)} was used, but EXIF states UTC {hms_list(offsets_s)}: "
-        f"with --utc-offset {stated} of {total} frames are near planned slots, with the offset in "
-        f"EXIF {exif}"
+        exif += len(group.frames) * _near([group], slots, group.frames[0].exif_offset_s or 0.0)
+    count = f"{stated} of {sum(len(group.frames) for group in own)} frames are near planned slots"
+    remedy = "import the card again without --utc-offset, separately from the logger's file"
+    return (
+        f"--utc-offset {hms(stated_s)} was used, but EXIF states UTC {hms_list(offsets_s)}: with "
+        f"--utc-offset {count}, with the offset in EXIF {exif}{f'; {remedy}' * (exif > stated)}"
     )
-    if exif > stated:
-        return (
-            f"{text}; import the card again without --utc-offset, separately from the logger's file"
-        )
-    if exif == stated:
-        return f"{text}; the plan fits both offsets equally: compare the camera's clock with UTC"
-    return text
 
 
 def hms(seconds: float) -> str:
@@ -436,16 +403,11 @@ def _expected_s(groups: Sequence[Group], slots: Sequence[Slot], setup: SiteFile)
     """
     zone = ZoneInfo(setup.site.timezone)
     days = {group.t_camera.date() for group in groups}
-    near = [slot for slot in slots if slot.t_utc.date() in days]
-    then, ever = (
-        [(slot.t_utc.astimezone(zone).utcoffset() or timedelta()).total_seconds() for slot in some]
-        for some in (near, slots)
-    )
-    return [
-        *sorted(set(then), key=lambda o: -then.count(o)),
-        *sorted(set(ever), key=lambda o: -ever.count(o)),
-        0.0,
-    ]
+    offsets = [(slot, slot.t_utc.astimezone(zone).utcoffset() or timedelta()) for slot in slots]
+    then = Counter(offset for slot, offset in offsets if slot.t_utc.date() in days)
+    ever = Counter(offset for _, offset in offsets)
+    likely = [offset for offset, _ in (*then.most_common(), *ever.most_common())]
+    return [offset.total_seconds() for offset in (*likely, timedelta())]
 
 
 def clock_parts(groups: Sequence[Group], slots: Sequence[Slot]) -> list[list[Group]]:
@@ -457,8 +419,10 @@ def clock_parts(groups: Sequence[Group], slots: Sequence[Slot]) -> list[list[Gro
     slots. groups: not empty.
     """
     days = split_at_gaps(groups, _NIGHT_S)
-    hits = hits_by_hour(days, slots)
-    path = _steadiest(hits)
+    # The minutes of the quarter of an hour that fits all brackets best, and each full hour.
+    base = next(iter(fitting_offsets(groups, slots)), 0.0) % 3600.0
+    hits = [[_near(day, slots, base + 3600.0 * hour) for hour in _HOURS] for day in days]
+    path = _steadiest(np.array(hits))
     parts: list[list[Group]] = []
     for k, day in enumerate(days):
         if k == 0 or path[k] != path[k - 1]:
@@ -467,21 +431,11 @@ def clock_parts(groups: Sequence[Group], slots: Sequence[Slot]) -> list[list[Gro
     return parts
 
 
-def hits_by_hour(days: Sequence[Sequence[Group]], slots: Sequence[Slot]) -> np.ndarray:
-    """Return how many brackets of each day are near slots, for each clock offset [days, 53].
-
-    Near is within 20 minutes. Offsets are -26 to 26 hours from a base: the minutes of the quarter
-    of an hour that fits all brackets best.
-    """
-    everything = [group for day in days for group in day]
-    base = next(iter(fitting_offsets(everything, slots)), 0.0) % 3600.0
-    return np.array([[_near(day, slots, base + 3600.0 * hour) for hour in _HOURS] for day in days])
-
-
 def _steadiest(hits: np.ndarray) -> list[int]:
     """Return the best offset of each day, as an index of hours.
 
-    The sum of brackets near slots is maximised, minus `_EVIDENCE` for each change between days.
+    hits [days, hours]: numbers of brackets near slots. Their sum is maximised, minus `_EVIDENCE`
+    for each change between days.
     """
     value, came = hits[0].astype(float), []
     for day in hits[1:]:
@@ -505,12 +459,11 @@ def clock_steps(clocks: Sequence[tuple[Sequence[Group], Offset]]) -> list[str]:
     for (before, old), (after, new) in pairwise(clocks):
         step_s = new.seconds - old.seconds
         if abs(step_s) > _STEP_S:
+            change = f"the camera's clock was changed by {step_s / 3600:+.3g} h"
+            where = f"between {before[-1].frames[0].path} and {after[0].frames[0].path}"
             notes.append(
-                f"the plan suggests that the camera's clock was changed by {step_s / 3600:+.3g} h "
-                f"between {before[-1].frames[0].path} and {after[0].frames[0].path}, and the "
-                "brackets before and after were imported with different offsets; if the clock was "
-                "not changed, but brackets were taken at other hours than planned, state "
-                "--utc-offset"
+                f"the plan suggests that {change} {where}, and each part was imported with its own "
+                "offset; if brackets were taken at other hours than planned, state --utc-offset"
             )
     return notes
 
@@ -530,12 +483,11 @@ def doubt(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset) -> str
             f"brackets are near slots; with an offset changed by {shifts[best] / 3600:+g} h it "
             f"would be {hits[best]}: check the camera's clock and date, and state --utc-offset"
         )
-    parts = clock_parts(groups, slots)
-    for before, after in pairwise(parts):
-        return (
-            f"one clock offset ({offset.how}) was used for all brackets, but the plan suggests "
-            f"that the camera's clock was changed between {before[-1].frames[0].path} and "
-            f"{after[0].frames[0].path}: import these two parts from separate folders, each with "
-            "its own --utc-offset"
-        )
-    return ""
+    if len(parts := clock_parts(groups, slots)) == 1:
+        return ""
+    where = f"between {parts[0][-1].frames[0].path} and {parts[1][0].frames[0].path}"
+    return (
+        f"one clock offset ({offset.how}) was used for all brackets, but the plan suggests that "
+        f"the camera's clock was changed {where}: import these two parts from separate folders, "
+        "each with its own --utc-offset"
+    )

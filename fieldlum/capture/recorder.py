@@ -15,7 +15,7 @@ from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 from shutil import disk_usage
-from typing import Unpack
+from typing import TypeVar, Unpack
 
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import IrradianceSample
@@ -25,6 +25,7 @@ from fieldlum.session.tables import EventFields
 
 RESERVE_BYTES = 16 << 20  # bytes of twelve days of rows (75 bytes each, every 5 s); chosen
 
+T = TypeVar("T")
 Listen = Callable[[str, datetime, EventFields], None]
 
 
@@ -139,20 +140,22 @@ class Recorder:
             self._flush_rows()
 
     def _flush_events(self) -> bool:
-        while self._events:
-            event, t_utc, fields = self._events[0]
-            if not self._write(lambda e=event, t=t_utc, f=fields: self.journal.append(e, t, **f)):
-                return False
-            self._events.popleft()
-        return True
+        return self._flush(self._events, lambda e: self.journal.append(e[0], e[1], **e[2]))
 
     def _flush_rows(self) -> bool:
-        while self._rows:
-            sample = self._rows[0]
-            if not self._write(lambda s=sample: self.days.append(s)):
+        return self._flush(self._rows, self._append)
+
+    def _append(self, sample: IrradianceSample) -> None:
+        self.days.append(sample)
+        self.rows += 1
+
+    def _flush(self, waiting: deque[T], write: Callable[[T], None]) -> bool:
+        """Write what waits in memory; return False if some of it cannot be written now."""
+        while waiting:
+            item = waiting[0]
+            if not self._write(lambda item=item: write(item)):
                 return False
-            self._rows.popleft()
-            self.rows += 1
+            waiting.popleft()
         return True
 
     def _write(self, write: Callable[[], None]) -> bool:

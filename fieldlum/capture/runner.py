@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext, suppress
-from datetime import datetime, timedelta
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from functools import partial
 from shutil import disk_usage
 from typing import Any
 
@@ -13,27 +16,23 @@ from fieldlum.capture.alerts import MissedHook
 from fieldlum.capture.bracket import NO_CHECKS, BracketCapture, FrameChecks, shots
 from fieldlum.capture.live import Live, Watch, no_display
 from fieldlum.capture.logger import Logger
-from fieldlum.capture.options import DEFAULTS, Options
-from fieldlum.capture.preflight import (
-    refuse_a_clock_behind,
-    refuse_a_past_plan,
-    refuse_what_is_not_offered,
-)
 from fieldlum.capture.reconnect import Keeper, error_text, plain_info
-from fieldlum.capture.recorder import Listen, Recorder, no_listener
-from fieldlum.capture.utc_clock import SteadyClock
-from fieldlum.core.errors import InputError
+from fieldlum.capture.recorder import RESERVE_BYTES, Listen, Recorder, no_listener
+from fieldlum.capture.utc_clock import SteadyClock, boot_id
+from fieldlum.core.errors import DeviceError, InputError, NotEnoughDataError
 from fieldlum.core.records import Slot, parse_utc
 from fieldlum.devices import (
     Camera,
     IlluminanceMeter,
     Pyranometer,
+    not_offered,
     open_camera,
     open_meter,
     open_pyranometer,
 )
-from fieldlum.devices.clock import Clock, synchronised
+from fieldlum.devices.clock import Clock, FastClock, RealClock, synchronised
 from fieldlum.session import (
+    DEFAULT_GRACE_S,
     Session,
     disk_is_full,
     paused_until,
@@ -43,8 +42,54 @@ from fieldlum.session import (
 )
 from fieldlum.session.files.capture_json import Frame
 from fieldlum.session.ledger import Ledger, SlotState, read_ledger, slots_to_do
-from fieldlum.session.tables import DevicesTable, DeviceTable
+from fieldlum.session.tables import DevicesTable
 from fieldlum.version import __version__
+
+FAST_LEAD_S = 20.0  # simulated seconds before a slot: four rows of irradiance at 5 s; chosen
+_PUNCTUAL_S = 10.0  # a bracket that begins later is journalled as late; chosen
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """Settings of a running capture that are not in the plan: times, watchdog, hook, disk.
+
+    grace_s: how late a bracket may start; after that its slot is missed. log_around_s: log
+    irradiance only from this time before a slot, in simulated time; None: always. threaded: whether
+    the log has its own thread; else the loop polls, as a simulated clock requires. watchdog_s: a
+    device that does not answer for longer is closed and reopened. on_misses: shell command after
+    two slots in a row without a bracket. reserve_bytes: disk space for journal and rows. flush:
+    with False, files survive a killed process but not a power cut. boot: identifies the computer's
+    boot, to detect a clock step after a restart.
+    """
+
+    grace_s: float = DEFAULT_GRACE_S
+    log_every_s: float = 5.0
+    log_around_s: float | None = None
+    threaded: bool = True
+    watchdog_s: float = 60.0
+    on_misses: str = ""
+    reserve_bytes: int = RESERVE_BYTES
+    flush: bool = True
+    boot: str = ""
+
+
+DEFAULTS = Options()
+
+
+def prepare(session: Session, *, fast: bool) -> tuple[Clock, Options]:
+    """Return the clock and the options of a capture.
+
+    fast: a simulated clock that jumps from slot to slot. It starts where the journal ends, or,
+    without an event, a minute before the first slot.
+    """
+    grace_s = session.grace.total_seconds()
+    if not fast:
+        return RealClock(), Options(grace_s=grace_s, boot=boot_id())
+    ledger = read_ledger(session)
+    slots = slots_to_do(session.slots(), ledger)
+    first = slots[0].t_utc - timedelta(seconds=60) if slots else datetime.now(UTC)
+    options = Options(grace_s=grace_s, log_around_s=FAST_LEAD_S, threaded=False, flush=False)
+    return FastClock(ledger.last_utc or first), options
 
 
 def run(
@@ -73,26 +118,63 @@ def run(
     if another process captures, imports or, with a pyranometer, logs in the session;
     NotEnoughDataError if every slot is past and none was begun, or if no slot has an exposure.
     """
-    logs = open_pyr is not None or bool(pyranometer_uri)
-    with sole_user(session, "capture"), sole_user(session, "log") if logs else nullcontext():
+    if pyranometer_uri and open_pyr is None:
+        open_pyr = partial(open_pyranometer, pyranometer_uri, clock=clock, session=session)
+    if meter_uri and open_met is None:
+        open_met = partial(open_meter, meter_uri, clock=clock)
+    open_cam = open_cam or partial(open_camera, camera_uri, clock=clock, session=session)
+    uris = {"camera": camera_uri, "pyranometer": pyranometer_uri, "meter": meter_uri}
+    with sole_user(session, "capture"), sole_user(session, "log") if open_pyr else nullcontext():
         steady = SteadyClock(clock, trusted, options.boot)
-        runner = _Runner(session, steady, options, watch, checks, listen)
+        runner = _Runner(session, steady, options, watch, checks, listen, open_cam)
         try:
-            runner.open(
-                open_cam or (lambda: open_camera(camera_uri, clock=clock, session=session)),
-                open_pyr
-                or (
-                    (lambda: open_pyranometer(pyranometer_uri, clock=clock, session=session))
-                    if pyranometer_uri
-                    else None
-                ),
-                open_met or ((lambda: open_meter(meter_uri, clock=clock)) if meter_uri else None),
-                {"camera": camera_uri, "pyranometer": pyranometer_uri, "meter": meter_uri},
-            )
+            runner.open(open_pyr, open_met, uris)
             runner.work()
         finally:
             runner.close()
     return read_ledger(session)
+
+
+def refuse_a_clock_behind(now_utc: datetime, last_utc: datetime) -> None:
+    """Raise DeviceError if the clock is over 2 s before the last journal entry."""
+    if now_utc < last_utc - timedelta(seconds=2):
+        found = f"this computer's clock shows {now_utc:%Y-%m-%d %H:%M:%S} UTC"
+        last = f"before the last journal entry ({last_utc:%Y-%m-%d %H:%M:%S})"
+        raise DeviceError(f"{found}, {last}: set the clock, then start again")
+
+
+def refuse_a_past_plan(
+    slots: Sequence[Slot], before: Ledger, now_utc: datetime, grace: timedelta
+) -> None:
+    """Raise NotEnoughDataError if every slot is past and the journal has no event of a slot.
+
+    grace: how late a bracket may start. Otherwise all slots would be journalled as missed. The
+    cause is an old plan, or a clock that is fast.
+    """
+    last = max((slot.t_utc for slot in slots), default=now_utc)
+    if not before.slots and last + grace < now_utc:
+        found = f"the last was {last:%Y-%m-%d %H:%M} UTC, and it is {now_utc:%Y-%m-%d %H:%M} UTC"
+        remedy = "correct the clock, or plan them again with fieldlum plan SESSION --replan"
+        raise NotEnoughDataError(f"the plan has no slot left: {found}; {remedy}")
+
+
+def refuse_what_is_not_offered(
+    camera: Camera, slots: Sequence[Slot], states: Mapping[str, SlotState]
+) -> None:
+    """Raise DeviceError for planned exposures to which the camera cannot be set.
+
+    After the first complete bracket nothing is checked: a mismatch may then be a turned dial, which
+    can be turned back. Raises NotEnoughDataError if no slot has an exposure.
+    """
+    if any(state.outcome == "done" for state in states.values()):
+        return
+    empty = [slot.id for slot in slots if not slot.exposures]
+    if len(empty) == len(slots) and empty:  # hours of `simulate --year-sample` are not a plan
+        found = f"no slot of the plan has an exposure (first slot: {empty[0]})"
+        raise NotEnoughDataError(f"{found}; plan a new session with fieldlum plan")
+    if refused := not_offered(camera, dict.fromkeys(e for slot in slots for e in slot.exposures)):
+        found = f"{len(refused)} exposures of the plan that the camera cannot be set to"
+        raise DeviceError(f"{found}: {refused[0]}; run fieldlum doctor")
 
 
 class _Runner:
@@ -103,14 +185,13 @@ class _Runner:
         options: Options,
         watch: Watch,
         checks: FrameChecks,
-        listen: Listen = no_listener,
+        listen: Listen,
+        open_cam: Callable[[], Camera],
     ) -> None:
         self.session, self.clock, self.options, self.watch = session, clock, options, watch
-        self.checks = checks
-        self.setup = session.site_file()
+        self.checks, self.setup, self.slots = checks, session.site_file(), session.slots()
         self._plan_stamp = 0
         self._plan_stamp = self._stamp()
-        self.slots = session.slots()
         before = read_ledger(session)
         self.states = before.slots
         if before.last_utc is not None:
@@ -122,20 +203,21 @@ class _Runner:
             session, clock.now, options.reserve_bytes, flush=options.flush, listen=listen
         )
         self.hook = MissedHook(options.on_misses, session.root, self.recorder)
-        self.camera: Keeper[Camera] | None = None
+        self.camera = self._keeper("camera", open_cam)
         self.logger: Logger | None = None
         self.meter: Keeper[IlluminanceMeter] | None = None
-        self.frame_bytes, self.bytes_per_slot = 0, 0.0
-        self.last_frame = ""
+        self.frame_bytes, self.bytes_per_slot, self.last_frame = 0, 0.0, ""
         begun = [slot for slot in self.slots if self.states.get(slot.id, SlotState()).frames]
         if begun:
             self._learn_sizes(begun[-1], self.states[begun[-1].id])
         self._watched = True
         self._state, self._next, self._paused_slot = "waiting", "", ""
 
+    def _keeper(self, name: str, open_device: Callable[[], Any]) -> Keeper[Any]:
+        return Keeper(name, open_device, self.clock, self.recorder.tell, self.options.watchdog_s)
+
     def open(
         self,
-        open_cam: Callable[[], Camera],
         open_pyr: Callable[[], Pyranometer] | None,
         open_met: Callable[[], IlluminanceMeter] | None,
         uris: dict[str, str],
@@ -145,54 +227,44 @@ class _Runner:
         When a capture is started again, an instrument that answered before may be missing for a
         while: the brackets do not wait for it.
         """
-        options = self.options
-        rest = self.clock, self.recorder.tell, options.watchdog_s
-        self.camera = Keeper("camera", open_cam, *rest)
-        about: DevicesTable = {"uris": uris}
         camera = self.camera.open_or_raise()
         refuse_what_is_not_offered(camera, self.slots, self.states)
-        about["camera"] = plain_info(camera.info)
+        about: DevicesTable = {"uris": uris, "camera": plain_info(camera.info)}
         if open_pyr is not None:
-            keeper = Keeper("pyranometer", open_pyr, *rest)
-            if info := self._open_or_raise(keeper, uris):
-                about["pyranometer"] = info
-            self.logger = Logger(keeper, self.recorder, self.clock, options.log_every_s)
+            keeper = self._keeper("pyranometer", open_pyr)
+            self._open_instrument(keeper, about)
+            self.logger = Logger(keeper, self.recorder, self.clock, self.options.log_every_s)
         if open_met is not None:
-            self.meter = Keeper("meter", open_met, *rest)
-            if info := self._open_or_raise(self.meter, uris):
-                about["meter"] = info
+            self.meter = self._keeper("meter", open_met)
+            self._open_instrument(self.meter, about)
+        cut_bytes = self.recorder.journal.cut_bytes
         self.recorder.tell(
-            "open",
-            **self.clock.mark(),
-            pid=os.getpid(),
-            fieldlum=__version__,
-            cut_bytes=self.recorder.journal.cut_bytes,
+            "open", **self.clock.mark(), pid=os.getpid(), fieldlum=__version__, cut_bytes=cut_bytes
         )
         self.recorder.tell_all(self.clock.check())
         try:
             devices = self.session.table().get("devices", {})
             update_session(self.session, {"devices": {**devices, **about}})
-            store_grace(self.session, options.grace_s)
+            store_grace(self.session, self.options.grace_s)
         except OSError as error:
             if not disk_is_full(error):
                 raise
-        if self.logger is not None and options.threaded:
+        if self.logger is not None and self.options.threaded:
             self.logger.start()
 
-    def _open_or_raise(self, keeper: Keeper[Any], uris: dict[str, str]) -> DeviceTable:
-        """Return the instrument's information; empty if it is away but answered before."""
-        devices = self.session.table().get("devices", {})
+    def _open_instrument(self, keeper: Keeper[Any], about: DevicesTable) -> None:
+        """Add an instrument's information to `about`, unless it is away but answered before."""
+        devices, name = self.session.table().get("devices", {}), keeper.name
         try:
-            return plain_info(keeper.open_or_raise().info)
+            about[name] = plain_info(keeper.open_or_raise().info)
         except Exception as error:
-            answered_before = keeper.name in devices
-            if not answered_before or devices.get("uris", {}).get(keeper.name) != uris[keeper.name]:
+            same_uri = devices.get("uris", {}).get(name) == about.get("uris", {}).get(name)
+            if not (name in devices and same_uri):
                 raise
             keeper.lost(error)
-            return {}
 
     def work(self) -> None:
-        assert self.camera is not None
+        """Wait for each slot and take its bracket, until every slot has an outcome."""
         bracket = BracketCapture(
             self.session,
             self.setup.camera,
@@ -204,28 +276,21 @@ class _Runner:
             self.meter,
             self.frame_bytes,
         )
-        grace = timedelta(seconds=self.options.grace_s)
         while (slot := self._next_to_do()) is not None:
-            state = self.states.get(slot.id, SlotState())
             self._state, self._next = "waiting", slot.id
             if not self._wait_until(slot.t_utc):
                 continue
+            state = self.states.get(slot.id, SlotState())
             late_s = (self.clock.now() - slot.t_utc).total_seconds()
             if late_s <= self.options.grace_s and self._is_paused(state):
                 self._state, self._paused_slot = "paused", slot.id
-                self._sleep_until(self.clock.now() + timedelta(seconds=1), log=True)
+                self._sleep_until(self.clock.now() + timedelta(seconds=1))
                 continue
-            if late_s > self.options.grace_s and not (
-                state.outcome == "started" and bracket.resumable(slot, state)
-            ):
+            can_resume = state.outcome == "started" and bracket.resumable(slot, state)
+            if late_s > self.options.grace_s and not can_resume:
                 state = self._too_late(bracket, slot, state, late_s)
             else:
-                self._state = "capturing"
-                self.recorder.refill()
-                if late_s > 10.0 and state.outcome == "":
-                    self.recorder.tell("late", slot=slot.id, by_s=round(late_s, 1))
-                state = self._take(bracket, slot, state, slot.t_utc + grace)
-                self._after_bracket(slot, state)
+                state = self._take(bracket, slot, state, late_s)
             self.states[slot.id] = state
             self.hook.count(slot.id, state)
             following = self._next_to_do()
@@ -235,10 +300,7 @@ class _Runner:
         self._show()
 
     def _is_paused(self, state: SlotState) -> bool:
-        """Return whether the user paused the capture.
-
-        A bracket that has begun is still finished.
-        """
+        """Return whether the user paused the capture; a bracket that has begun is finished."""
         now = self.clock.now()
         return state.outcome != "started" and paused_until(self.session, now) is not None
 
@@ -264,36 +326,39 @@ class _Runner:
             return self._plan_stamp
 
     def _take(
-        self, bracket: BracketCapture, slot: Slot, state: SlotState, deadline: datetime
+        self, bracket: BracketCapture, slot: Slot, state: SlotState, late_s: float
     ) -> SlotState:
-        """Take a bracket; any failure affects this slot only."""
+        """Take a bracket and measure its size; any failure affects this slot only.
+
+        One more row is logged, so that rows surround the bracket.
+        """
+        self._state = "capturing"
+        self.recorder.refill()
+        if late_s > _PUNCTUAL_S and state.outcome == "":
+            self.recorder.tell("late", slot=slot.id, by_s=round(late_s, 1))
         try:
-            return bracket.take(slot, state, deadline)
+            state = bracket.take(slot, state, slot.t_utc + timedelta(seconds=self.options.grace_s))
         except Exception as error:
-            latest = state
             with suppress(OSError):
-                latest = read_ledger(self.session).slots.get(slot.id, state)
-            return bracket.abort(slot, latest, error_text(error))
+                state = read_ledger(self.session).slots.get(slot.id, state)
+            state = bracket.abort(slot, state, error_text(error))
+        if self.logger is not None and not self.options.threaded:
+            self.clock.sleep(self.logger.due_in_s)
+            self.logger.poll_if_due()
+        self._learn_sizes(slot, state)
+        return state
 
     def _too_late(
         self, bracket: BracketCapture, slot: Slot, state: SlotState, late_s: float
     ) -> SlotState:
         if state.outcome == "started":
             why = (
-                f"interrupted, and not finished when the slot's window closed (now {late_s:.0f} s "
-                "late)"
+                f"interrupted, and not finished within the slot's window (now {late_s:.0f} s late)"
             )
             return bracket.abort(slot, state, why)
         paused = ", because the capture was paused" if self._paused_slot == slot.id else ""
         self.recorder.tell("missed", slot=slot.id, why=f"late by {late_s:.0f} s{paused}")
         return SlotState("missed", why=f"late{paused}")
-
-    def _after_bracket(self, slot: Slot, state: SlotState) -> None:
-        """Log one more row, so that rows surround the bracket; measure the bracket's size."""
-        if self.logger is not None and not self.options.threaded:
-            self.clock.sleep(self.logger.due_in_s)
-            self.logger.poll_if_due()
-        self._learn_sizes(slot, state)
 
     def _learn_sizes(self, slot: Slot, state: SlotState) -> None:
         sizes: list[int] = []
@@ -311,9 +376,9 @@ class _Runner:
         around = self.options.log_around_s
         if around is not None and self.logger is not None:
             self._sleep_until(t_utc - timedelta(seconds=around), log=False)
-        return self._sleep_until(t_utc, log=True)
+        return self._sleep_until(t_utc)
 
-    def _sleep_until(self, t_utc: datetime, *, log: bool) -> bool:
+    def _sleep_until(self, t_utc: datetime, *, log: bool = True) -> bool:
         inline = self.logger if log and not self.options.threaded else None
         while not self._plan_changed():
             self.recorder.tell_all(self.clock.check())
@@ -326,7 +391,7 @@ class _Runner:
             if self.options.threaded:
                 wait_s = min(wait_s, 1.0)
                 self._show()
-            if self.camera is not None and wait_s <= 60.0:
+            if wait_s <= 60.0:
                 self.camera.get()  # reopen a lost camera before its slot, if possible
             self.clock.sleep(wait_s)
         return False
@@ -352,10 +417,9 @@ class _Runner:
                 self.recorder.tell("display-lost", why=error_text(error))
 
     def live(self) -> Live:
-        outcomes = [state.outcome for state in self.states.values()]
-        done_count, missed, aborted = (outcomes.count(o) for o in ("done", "missed", "aborted"))
-        to_do = len(self.slots) - done_count - missed - aborted
-        now = self.clock.now()
+        """Return the state of the capture."""
+        outcomes, now = Counter(state.outcome for state in self.states.values()), self.clock.now()
+        done, missed, aborted = (outcomes[name] for name in ("done", "missed", "aborted"))
         upcoming = next((s for s in self.slots if s.id == self._next), None)
         sample = self.logger.last if self.logger else None
         free = disk_usage(self.session.root).free
@@ -365,16 +429,16 @@ class _Runner:
             self._state,
             now,
             len(self.slots),
-            done_count,
+            done,
             missed,
             aborted,
-            to_do,
+            len(self.slots) - done - missed - aborted,
             self._next,
             (upcoming.t_utc - now).total_seconds() if upcoming else None,
             self.last_frame,
             sample.ghi_wm2 if sample else None,
             (now - sample.t_utc).total_seconds() if sample else None,
-            self.camera.state if self.camera else "",
+            self.camera.state,
             self.logger.keeper.state if self.logger else "",
             free,
             self.recorder.missing_bytes(self.bytes_per_slot),
@@ -383,11 +447,9 @@ class _Runner:
         )
 
     def close(self) -> None:
-        if self.logger is not None:
-            self.logger.close()
-        if self.meter is not None:
-            self.meter.close()
-        if self.camera is not None:
-            self.camera.close()
-            self.recorder.tell("close", state=self._state)
+        """Close all devices and the recorder."""
+        for device in (self.logger, self.meter, self.camera):
+            if device is not None:
+                device.close()
+        self.recorder.tell("close", state=self._state)
         self.recorder.close()

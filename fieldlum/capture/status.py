@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 
 from fieldlum.core.errors import InputError
@@ -44,24 +45,23 @@ def next_step(answer: JsonTable) -> str:
     root = answer["session"]
     capture, merge, pair = answer["capture"], answer["merge"], answer["pair"]
     models = [row["name"] for row in answer["train"]["models"]]
-    if merge["owed"]:
-        return f"fieldlum merge {root}"
-    if pair["owed"]:
-        return f"fieldlum pair {root}"
-    if capture["owed"]:
-        during = "doctor" if capture["frames"] == 0 else "capture"
-        return f"fieldlum {during} {root}" + (
-            "" if during == "capture" else f", then fieldlum capture {root}"
-        )
-    if capture["done"] == 0 and not pair["usable"]:
-        return f"fieldlum plan {root} --replan, because no slot is left and none was captured"
-    if not models:
-        return f"fieldlum train {root}"
-    if not answer["predict"]["years"]:
-        return f"fieldlum predict {root}/models/{models[0]} --weather FILE"
-    if not answer["report"]["done"]:
-        return f"fieldlum report {root}"
-    return f"open {root}/report/index.html"
+    during = "doctor" if capture["frames"] == 0 else "capture"
+    after = "" if during == "capture" else f", then fieldlum capture {root}"
+    nothing_left = capture["done"] == 0 and not pair["usable"]
+    why = "because no slot is left and none was captured"
+    steps = (
+        (merge["owed"], f"fieldlum merge {root}"),
+        (pair["owed"], f"fieldlum pair {root}"),
+        (capture["owed"], f"fieldlum {during} {root}{after}"),
+        (nothing_left, f"fieldlum plan {root} --replan, {why}"),
+        (not models, f"fieldlum train {root}"),
+        (
+            not answer["predict"]["years"],
+            f"fieldlum predict {root}/models/{(*models, '')[0]} --weather FILE",
+        ),
+        (not answer["report"]["done"], f"fieldlum report {root}"),
+    )
+    return next((step for is_due, step in steps if is_due), f"open {root}/report/index.html")
 
 
 def _plan(session: Session, slots: list[Slot]) -> JsonTable:
@@ -91,9 +91,7 @@ def _capture(session: Session, slots: list[Slot], ledger: Ledger) -> JsonTable:
 
 def _irradiance(session: Session) -> JsonTable:
     files = day_files(session)
-    rows = 0
-    for path in files:
-        rows += path.read_bytes().count(b"\n") - 1
+    rows = sum(path.read_bytes().count(b"\n") - 1 for path in files)
     return {
         "days": len(files),
         "rows": max(rows, 0),
@@ -106,9 +104,8 @@ def _models(session: Session) -> list[JsonTable]:
     """Return name and class of each trained model; the class is empty if config.json is damaged."""
     rows: list[JsonTable] = []
     for folder in session.model_folders():
-        try:
+        model = ""
+        with suppress(InputError):
             model = ModelConfig.read(folder).model
-        except InputError:
-            model = ""
         rows.append({"name": folder.name, "class": model})
     return rows

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from fieldlum.devices.clock import Clock, synchronised
+from fieldlum.session import Session
 from fieldlum.session.tables import ClockMark, EventFields, JournalEvent
 
 # A larger difference between the computer's clock and the steady time is a step; a smaller one is
 # drift, which is followed. Not measured: the drift between two checks is far smaller.
 STEP_S = 2.0
+_CLOCK_TOLERANCE = timedelta(minutes=2)  # for a session copied from another computer; not measured
+_CLOCK_CHECK_S = 5.0  # chosen
 
 
 def boot_id() -> str:
@@ -97,3 +100,29 @@ class SteadyClock:
 
     def _follow(self) -> None:
         self._anchor, self._boot = self._clock.now(), self._clock.boottime()
+
+
+def wait_for_clock(
+    session: Session,
+    clock: Clock,
+    say: Callable[[str], None],
+    trusted: Callable[[], bool | None] = synchronised,
+) -> None:
+    """Wait while the computer's clock is over two minutes earlier than the session's last change.
+
+    A small computer without a clock battery starts with a past time, until a time server answers. A
+    bracket taken before that would be filed under a wrong sun position. Return at once if
+    `trusted()`, which means that a time server has set the clock. say: called with notes for the
+    user.
+    """
+    latest_utc = datetime.fromtimestamp(session.toml.stat().st_mtime, UTC)
+    if clock.now() >= latest_utc - _CLOCK_TOLERANCE or trusted():
+        return
+    say(
+        f"this computer's clock shows {clock.now():%Y-%m-%d %H:%M} UTC, earlier than the session "
+        f"({latest_utc:%Y-%m-%d %H:%M} UTC), so it has not been set. The capture waits: connect to "
+        "the network, or set the clock."
+    )
+    while clock.now() < latest_utc - _CLOCK_TOLERANCE and not trusted():
+        clock.sleep(_CLOCK_CHECK_S)
+    say(f"the clock is set: {clock.now():%Y-%m-%d %H:%M} UTC")

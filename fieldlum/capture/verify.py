@@ -57,12 +57,11 @@ def wrong_settings(info: FrameInfo, asked: Exposure) -> str:
         ("f-number", taken.f_number, asked.f_number, 2.0),
         ("ISO", taken.iso, asked.iso, 1.0),
     )
-    differences = [
+    return ", ".join(
         f"{name} {is_:g} instead of {should:g}"
         for name, is_, should, per_octave in pairs
         if is_ > 0 and should > 0 and abs(per_octave * math.log2(is_ / should)) > SAME_SETTING_EV
-    ]
-    return ", ".join(differences)
+    )
 
 
 def clipped_share(path: Path) -> float:
@@ -89,8 +88,5 @@ def bracket_doubts(shortest: Path) -> str:
         share = clipped_share(shortest)
     except InputError as error:
         return error.found
-    return (
-        f"{100 * share:.0f} % of the shortest exposure's pixels are clipped"
-        if share > ALL_CLIPPED
-        else ""
-    )
+    text = f"{100 * share:.0f} % of the shortest exposure's pixels are clipped"
+    return text if share > ALL_CLIPPED else ""

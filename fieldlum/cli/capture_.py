@@ -58,11 +58,11 @@ def command(
           an external monitor.
     """
     from fieldlum import capture
+    from fieldlum.capture.alerts import informed
     from fieldlum.capture.bracket import FrameChecks
     from fieldlum.capture.live import Live
     from fieldlum.capture.notify import read_address
-    from fieldlum.capture.preflight import wait_for_clock
-    from fieldlum.capture.remote import informed
+    from fieldlum.capture.utc_clock import wait_for_clock
     from fieldlum.capture.verify import bracket_doubts, doubts
     from fieldlum.cli.live import shown
     from fieldlum.core.records import counted
@@ -137,7 +137,7 @@ def command(
 
 def _post(option: str) -> Post | None:
     """Return the function that sends a message to the targets of --notify; None without targets."""
-    from fieldlum.capture.notify.targets import VARIABLE, apprise_post, read_targets
+    from fieldlum.capture.notify import VARIABLE, apprise_post, read_targets
 
     targets, note = read_targets(option, os.environ.get(VARIABLE, ""))
     if note:

@@ -177,7 +177,7 @@ def _toml(path: Path) -> Facts:
 
 def _instrument(path: Path, lines_form: bool) -> Facts:
     from fieldlum.devices.ascii_lines import load_ascii_profile
-    from fieldlum.devices.registers import load_register_profile
+    from fieldlum.devices.modbus import load_register_profile
 
     if lines_form:
         lines = load_ascii_profile(str(path))

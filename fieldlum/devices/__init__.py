@@ -28,7 +28,7 @@ from typing import Any, Protocol, TypeVar, runtime_checkable
 from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import Exposure, IrradianceSample, shutter_text
 from fieldlum.devices.clock import Clock
-from fieldlum.devices.uri import DeviceUri, parse_uri
+from fieldlum.devices.uri import parse_uri
 from fieldlum.optics.photometry import SAME_SETTING_EV
 from fieldlum.session import Session
 
@@ -141,10 +141,8 @@ def refuse_turning(kind: str, heading_deg: float | None) -> None:
     kind : the driver's name, for the error.
     """
     if heading_deg is not None:
-        raise DeviceError(
-            f"{kind}: this camera has no turning head; remove headings from the site file and plan "
-            "a new session with it"
-        )
+        remedy = "remove headings from the site file and plan a new session with it"
+        raise DeviceError(f"{kind}: this camera has no turning head; {remedy}")
 
 
 def not_offered(camera: Camera, exposures: Iterable[Exposure]) -> list[str]:
@@ -244,33 +242,26 @@ class IlluminanceMeter(Protocol):
         ...
 
 
-# Scheme of the URI, and the module and function that open it. A module is imported only when its
-# scheme is used.
+# Schemes of URIs, and the modules whose `open_camera`, `open_pyranometer` or `open_meter` opens
+# them. A module is imported only when its scheme is used.
 CAMERAS = {
-    "sim": ("fieldlum.devices.simulated", "open_camera"),
-    "gphoto": ("fieldlum.devices.gphoto", "open_camera"),
-    "theta": ("fieldlum.devices.theta", "open_camera"),
-    "rpicam": ("fieldlum.devices.rpicam", "open_camera"),
-    "replay": ("fieldlum.devices.replay", "open_camera"),
+    "sim": "simulated",
+    "gphoto": "gphoto",
+    "theta": "theta",
+    "rpicam": "rpicam",
+    "replay": "replay",
 }
-METERS = {
-    "cl200a": ("fieldlum.devices.cl200a", "open_meter"),
-}
-PYRANOMETERS = {
-    "sim": ("fieldlum.devices.simulated", "open_pyranometer"),
-    "serial": ("fieldlum.devices.serial_lines", "open_pyranometer"),
-    "modbus": ("fieldlum.devices.modbus", "open_pyranometer"),
-}
+METERS = {"cl200a": "cl200a"}
+PYRANOMETERS = {"sim": "simulated", "serial": "ascii_lines", "modbus": "modbus"}
 
 
-def _driver(uri: DeviceUri, table: dict[str, tuple[str, str]], what: str) -> Any:
+def _open(text: str, table: dict[str, str], what: str, **arguments: Any) -> Any:
+    uri = parse_uri(text)
     if uri.scheme not in table:
-        raise DeviceError(
-            f"{uri.text}: no {what} driver '{uri.scheme}:'; expected one of "
-            f"{', '.join(sorted(table))}; correct the URI"
-        )
-    module, function = table[uri.scheme]
-    return getattr(import_module(module), function)
+        expected = f"expected one of {', '.join(sorted(table))}"
+        raise DeviceError(f"{text}: no {what} driver '{uri.scheme}:'; {expected}; correct the URI")
+    module = import_module(f"fieldlum.devices.{table[uri.scheme]}")
+    return getattr(module, f"open_{what}")(uri, **arguments)
 
 
 def open_camera(uri: str, *, clock: Clock, session: Session | None = None) -> Camera:
@@ -281,8 +272,7 @@ def open_camera(uri: str, *, clock: Clock, session: Session | None = None) -> Ca
     option, or a missing camera; InputError for a file of the session or a camera profile that
     cannot be used.
     """
-    parsed = parse_uri(uri)
-    return _driver(parsed, CAMERAS, "camera")(parsed, clock=clock, session=session)
+    return _open(uri, CAMERAS, "camera", clock=clock, session=session)
 
 
 def open_pyranometer(uri: str, *, clock: Clock, session: Session | None = None) -> Pyranometer:
@@ -292,8 +282,7 @@ def open_pyranometer(uri: str, *, clock: Clock, session: Session | None = None) 
     Raises DeviceError for a malformed URI, an unknown scheme or option, or a missing instrument;
     InputError for a file of the session or an instrument profile that cannot be used.
     """
-    parsed = parse_uri(uri)
-    return _driver(parsed, PYRANOMETERS, "pyranometer")(parsed, clock=clock, session=session)
+    return _open(uri, PYRANOMETERS, "pyranometer", clock=clock, session=session)
 
 
 def open_meter(uri: str, *, clock: Clock) -> IlluminanceMeter:
@@ -302,17 +291,11 @@ def open_meter(uri: str, *, clock: Clock) -> IlluminanceMeter:
     Raises DeviceError for a malformed URI, an unknown scheme or option, a port that cannot be
     opened, or a meter that does not answer.
     """
-    parsed = parse_uri(uri)
-    return _driver(parsed, METERS, "illuminance meter")(parsed, clock=clock)
+    return _open(uri, METERS, "meter", clock=clock)
 
 
 def nearest(
-    asked: float,
-    offered: Iterable[float],
-    what: str,
-    unit: str = "",
-    *,
-    ev_per_octave: float = 1.0,
+    asked: float, offered: Iterable[float], what: str, unit: str = "", *, ev_per_octave: float = 1.0
 ) -> float:
     """Return the value in `offered` that is nearest to the planned setting `asked`, by ratio.
 
@@ -320,18 +303,13 @@ def nearest(
     of 2, which is 2 for f-numbers, 1 for shutter times and ISO. Raises DeviceError if the nearest
     value is more than 1/6 EV away, or if no positive value is offered or planned.
     """
-    choices = [value for value in offered if value > 0]
+    choices, shown = [value for value in offered if value > 0], f"{asked:.5g} {unit}".strip()
     if not (asked > 0 and choices):
-        raise DeviceError(
-            f"{what}: {asked:g} {unit} planned, but the camera offers no values to set; turn "
-            "it to its manual mode".replace("  ", " ")
-        )
+        found = f"{shown} planned, but the camera offers no values to set"
+        raise DeviceError(f"{what}: {found}; turn it to its manual mode")
     best = min(choices, key=lambda value: abs(math.log2(value / asked)))
     if abs(ev_per_octave * math.log2(best / asked)) > SAME_SETTING_EV:
-        shown = shutter_text(best) if unit == "s" else f"{best:.5g}"
-        raise DeviceError(
-            f"{what}: {asked:.5g} {unit} is not offered by the camera; the nearest value is "
-            f"{shown}: plan "
-            "with that value".replace("  ", " ")
-        )
+        step = shutter_text(best) if unit == "s" else f"{best:.5g}"
+        found = f"{shown} is not offered by the camera; the nearest value is {step}"
+        raise DeviceError(f"{what}: {found}: plan with that value")
     return best

@@ -1,8 +1,9 @@
-"""Parse lines of instruments that print their readings (Arduino rigs, loggers).
+"""Read instruments that print lines (Arduino rigs, loggers), and open serial pyranometers.
 
-A profile describes the lines: `regex` with named groups, `key-value` (``G=812.4 T=24.1``) or `json`
-(one object per line). A line that does not fit its profile raises DeviceError, and none of its
-numbers is used.
+``serial:PLACE?kind=spn1`` or ``?kind=ascii&profile=NAME``; PLACE is a device file or
+usb=VID:PID:SERIAL. A profile describes the lines: `regex` with named groups, `key-value`
+(``G=812.4 T=24.1``) or `json` (one object per line). A line that does not fit its profile raises
+DeviceError, and none of its numbers is used. Nothing is ever sent to such an instrument.
 """
 
 from __future__ import annotations
@@ -10,25 +11,33 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Mapping
+import time
+from collections import Counter, deque
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from functools import reduce
 from operator import xor
-from typing import Literal
+from statistics import median
+from typing import Annotated, Literal
+
+from msgspec import Meta, Struct
 
 from fieldlum.core.errors import DeviceError, InputError
 from fieldlum.core.records import IrradianceSample
-from fieldlum.devices.registers import MAX_WM2, MIN_WM2, read_profile
-from fieldlum.devices.serial_port import SerialLine
+from fieldlum.devices import FORM_ALONE, InstrumentInfo, Pyranometer
+from fieldlum.devices.clock import Clock
+from fieldlum.devices.modbus import MAX_WM2, MIN_WM2, read_profile
+from fieldlum.devices.serial_port import SerialLine, SerialPort
+from fieldlum.devices.uri import DeviceUri
 from fieldlum.optics.profiles import shipped
+from fieldlum.session import Session
 
 _NUMBER = re.compile(r"[+-]?\d{1,7}(?:\.(\d{1,8}))?(?:[eE][+-]?\d{1,2})?")
 _MAX_LINE_BYTES = 1000  # bytes; a longer line has lost its end mark. Chosen, not measured.
-# Limits of quantities other than irradiance; a number outside was misread. Chosen wider than any
-# instrument housing in use; not measured.
-_LIMITS = {"temperature_c": (-60.0, 150.0)}
-_CORRECT = "check the cable, or correct the instrument's program or the profile"
+# Limits of temperature [C]; a number outside was misread. Chosen wider than any instrument housing
+# in use; not measured.
+_TEMPERATURES_C = (-60.0, 150.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,32 +103,25 @@ def load_ascii_profile(name: str) -> AsciiProfile:
     folder = shipped("calibration") / "instruments" / "ascii"
     profile, path = read_profile(AsciiProfile, name, folder, "profile of text lines", "profile=")
     quantities = [e.quantity for e in profile.entry]
-    is_repeated = len(set(quantities)) != len(quantities)
-    if not {"ghi_wm2", "dhi_wm2", "dni_wm2"} & set(quantities) or is_repeated:
-        raise InputError(
-            path,
-            f"entries for {', '.join(quantities) or 'nothing'}",
-            "at least one of ghi_wm2, dhi_wm2 and dni_wm2, and each quantity once",
-            "correct the [[entry]] tables",
-        )
+    if len(set(quantities)) < len(quantities) or not set(quantities) - {"temperature_c"}:
+        found = f"entries for {', '.join(quantities) or 'nothing'}"
+        expected = "at least one of ghi_wm2, dhi_wm2 and dni_wm2, and each quantity once"
+        raise InputError(path, found, expected, "correct the [[entry]] tables")
     if profile.form == "regex":
+        expected = "a regular expression with a group (?P<key>...) for each [[entry]]"
         try:
-            groups = set(re.compile(profile.pattern, re.ASCII).groupindex)
+            groups = re.compile(profile.pattern, re.ASCII).groupindex
         except re.error as error:
-            raise InputError(
-                path,
-                f"pattern: {error}",
-                "a regular expression with named groups",
-                "correct the pattern",
-            ) from None
-        if missing := {e.key for e in profile.entry} - groups:
-            raise InputError(
-                path,
-                f"pattern: no group named {', '.join(sorted(missing))}",
-                "a group (?P<key>...) for each [[entry]]",
-                "correct the pattern",
-            )
+            raise InputError(path, f"pattern: {error}", expected, "correct it") from None
+        if missing := [e.key for e in profile.entry if e.key not in groups]:
+            found = f"pattern: no group named {', '.join(missing)}"
+            raise InputError(path, found, expected, "correct it")
     return profile
+
+
+def _bad(text: str | bytes, why: str) -> DeviceError:
+    remedy = "check cable and baud rate, or correct the profile or the instrument's program"
+    return DeviceError(f"line {text[:60]!r} {why}; {remedy}")
 
 
 def parse_line(profile: AsciiProfile, line: bytes) -> dict[str, float]:
@@ -131,20 +133,12 @@ def parse_line(profile: AsciiProfile, line: bytes) -> dict[str, float]:
     text = body_of(profile, line)
     readers = {"regex": _by_regex, "key-value": _by_keys, "json": _by_json}
     words = readers[profile.form](profile, text)
-    values = {
-        e.quantity: e.scale * _number(words[e.key], e, text) + e.offset for e in profile.entry
-    }
-    for entry in profile.entry:
-        value = values[entry.quantity]
-        low, high = _LIMITS.get(entry.quantity, (MIN_WM2, MAX_WM2))
-        low = entry.lowest if entry.lowest is not None else low
-        high = entry.highest if entry.highest is not None else high
-        if not low <= value <= high:
-            raise DeviceError(
-                f"line {text[:60]!r}: {entry.quantity} is {value:g}; expected {low:g} to "
-                f"{high:g}; check scale and offset of the profile"
-            )
-    return values
+    keys = [e.key for e in profile.entry]
+    if missing := [key for key in keys if key not in words]:
+        raise _bad(text, f"has no key {', '.join(missing)}")
+    if profile.only and profile.form != "regex" and list(words) != keys:
+        raise _bad(text, f"has other keys; expected exactly {', '.join(keys)}, in this order")
+    return {e.quantity: _value(words[e.key], e, text) for e in profile.entry}
 
 
 def body_of(profile: AsciiProfile, line: bytes) -> str:
@@ -153,37 +147,21 @@ def body_of(profile: AsciiProfile, line: bytes) -> str:
     Raises DeviceError for a line without a line feed, of over 1000 bytes, with other bytes than
     ASCII text, or with a missing or wrong checksum.
     """
-    text = _complete_text(line)
-    return text if profile.checksum == "none" else _without_checksum(text, profile.checksum)
-
-
-def _complete_text(line: bytes) -> str:
     if not line.endswith(b"\n") or len(line) > _MAX_LINE_BYTES:
-        raise DeviceError(
-            f"line {line[:60]!r} of {len(line)} bytes; expected at most {_MAX_LINE_BYTES} "
-            "bytes and a line feed at the end; check cable and baud rate"
-        )
-    body = line.rstrip(b"\r\n")
-    if not body.isascii() or any(c < 32 and c != 9 for c in body):
-        raise DeviceError(
-            f"line {line[:60]!r} has bytes that are not ASCII text; check cable and baud rate"
-        )
-    return body.decode("ascii")
-
-
-def _without_checksum(text: str, kind: Literal["xor", "crc16"]) -> str:
+        raise _bad(line, f"of {len(line)} bytes has no line feed, or over {_MAX_LINE_BYTES} bytes")
+    data = line.rstrip(b"\r\n")
+    if not data.isascii() or any(c < 32 and c != 9 for c in data):
+        raise _bad(line, "has bytes that are not ASCII text")
+    text = data.decode("ascii")
+    if profile.checksum == "none":
+        return text
     body, star, digits = text.rpartition("*")
     data = body.removeprefix("$").encode("ascii")
-    due = f"{reduce(xor, data, 0):02X}" if kind == "xor" else f"{crc16(data):04X}"
+    due = f"{reduce(xor, data, 0):02X}" if profile.checksum == "xor" else f"{crc16(data):04X}"
     if not star:
-        raise DeviceError(
-            f"line {text[:60]!r} has no checksum; expected * and {len(due)} hexadecimal digits at "
-            "its end; use a profile without a checksum, or let the instrument's program print it"
-        )
+        raise _bad(text, f"has no checksum; expected * and {len(due)} hexadecimal digits")
     if digits.upper() != due:
-        raise DeviceError(
-            f"line {text[:60]!r} has the checksum *{digits[:8]}; expected *{due}; check the cable"
-        )
+        raise _bad(text, f"has the checksum *{digits[:8]}; expected *{due}")
     return body
 
 
@@ -203,30 +181,22 @@ def crc16(data: bytes) -> int:
 def _by_regex(profile: AsciiProfile, text: str) -> Mapping[str, object]:
     match = re.fullmatch(profile.pattern, text, re.ASCII)
     if match is None:
-        raise DeviceError(
-            f"line {text[:60]!r} does not fit the pattern of the instrument's profile; correct the "
-            "pattern, or the instrument's program"
-        )
+        raise _bad(text, "does not fit the pattern of the instrument's profile")
     return match.groupdict()
 
 
 def _by_keys(profile: AsciiProfile, text: str) -> Mapping[str, object]:
     """Return the values by key; every word must be key=value, and each key must occur once."""
-    texts: dict[str, str] = {}
-    for word in re.split(r"[,;\s]+", text.strip(" \t,;")):
-        key, equals, value = word.partition("=")
-        if not equals or not key or key in texts:
-            raise DeviceError(
-                f"line {text[:60]!r}: {word!r} is not key=value, or its key occurs twice; "
-                f"{_CORRECT}"
-            )
-        texts[key] = value
-    return _having(profile, texts, text)
+    words = [word.partition("=") for word in re.split(r"[,;\s]+", text.strip(" \t,;"))]
+    values = {key: value for key, equals, value in words if key and equals}
+    if len(values) < len(words):
+        raise _bad(text, "has a word that is not key=value, or a key twice")
+    return values
 
 
 def _by_json(profile: AsciiProfile, text: str) -> Mapping[str, object]:
     def once(pairs: list[tuple[str, object]]) -> dict[str, object]:
-        if len({key for key, _ in pairs}) != len(pairs):
+        if len(dict(pairs)) < len(pairs):
             raise ValueError("a key occurs twice")
         return dict(pairs)
 
@@ -238,44 +208,33 @@ def _by_json(profile: AsciiProfile, text: str) -> Mapping[str, object]:
     except (ValueError, RecursionError):
         parsed = None
     if not isinstance(parsed, dict):
-        raise DeviceError(f"line {text[:60]!r} is not a JSON object; {_CORRECT}")
-    return _having(profile, parsed, text)
+        raise _bad(text, "is not a JSON object with each key once")
+    return parsed
 
 
-def _having(profile: AsciiProfile, record: Mapping[str, object], text: str) -> Mapping[str, object]:
-    keys = [e.key for e in profile.entry]
-    if missing := [key for key in keys if key not in record]:
-        raise DeviceError(f"line {text[:60]!r} has no key {', '.join(missing)}; {_CORRECT}")
-    if profile.only and list(record) != keys:
-        raise DeviceError(
-            f"line {text[:60]!r} has keys {', '.join(record)}; expected exactly "
-            f"{', '.join(keys)}, in this order; {_CORRECT}"
-        )
-    return record
-
-
-def _number(value: object, entry: AsciiField, text: str) -> float:
-    word = value if isinstance(value, str) else ""
-    shown = word.removesuffix(entry.unit)
+def _value(word: object, entry: AsciiField, text: str) -> float:
+    """Return the quantity of an entry. Raises DeviceError for a number of another form or range."""
+    number = word if isinstance(word, str) else ""
+    shown = number.removesuffix(entry.unit)
     match = _NUMBER.fullmatch(shown.strip())
     if (
         match is None
-        or (entry.unit and not word.endswith(entry.unit))
-        or (entry.decimals is not None and len(match[1] or "") != entry.decimals)
-        or (entry.width is not None and len(shown) != entry.width)
+        or not number.endswith(entry.unit)
+        or entry.decimals not in (None, len(match[1] or ""))
+        or entry.width not in (None, len(shown))
         or not math.isfinite(float(match[0]))
     ):
-        raise DeviceError(
-            f"line {text[:60]!r}: {entry.key} is {value!r}; expected {_form(entry)}; {_CORRECT}"
-        )
-    return float(match[0])
-
-
-def _form(entry: AsciiField) -> str:
-    form = "a number"
-    form += f" of {entry.width} characters" if entry.width is not None else ""
-    form += f" with {entry.decimals} decimals" if entry.decimals is not None else ""
-    return form + (f" and '{entry.unit}'" if entry.unit else "")
+        form = f" of {entry.width} characters" if entry.width is not None else ""
+        form += f" with {entry.decimals} decimals" if entry.decimals is not None else ""
+        form += f" and '{entry.unit}'" if entry.unit else ""
+        raise _bad(text, f"has {entry.key} {word!r}; expected a number{form}")
+    value = entry.scale * float(match[0]) + entry.offset
+    low, high = (MIN_WM2, MAX_WM2) if entry.quantity.endswith("_wm2") else _TEMPERATURES_C
+    low = low if entry.lowest is None else entry.lowest
+    high = high if entry.highest is None else entry.highest
+    if not low <= value <= high:
+        raise _bad(text, f"has {entry.quantity} {value:g}; expected {low:g} to {high:g}")
+    return value
 
 
 def sample_of(t_utc: datetime, values: Mapping[str, float | None], raw: str) -> IrradianceSample:
@@ -285,3 +244,193 @@ def sample_of(t_utc: datetime, values: Mapping[str, float | None], raw: str) -> 
     """
     ghi, dhi, dni = values.get("ghi_wm2"), values.get("dhi_wm2"), values.get("dni_wm2")
     return IrradianceSample(t_utc, ghi, dhi, dni, values.get("temperature_c"), raw=raw)
+
+
+# ----------------------------------------------------------------------------------------------
+# the driver
+
+_POLL_S = 0.05  # timeout of one read; only sets how often the port is polled; chosen
+# this many bytes without an end mark mean a wrong baud rate; chosen, not measured
+_MAX_REST_BYTES = 4096
+# Number of lines whose median is taken, and largest time between them, because the light changes
+# over longer times. Effect in docs/validation.md.
+_VOTES = 3
+_MAX_VOTE_STEP_S = 2.0
+_REJECTED_STORED = 100  # number of the last rejected lines that `refused` can return
+_GUARD = {"none": FORM_ALONE, "xor": "exclusive or", "crc16": "CRC-16"}
+# Number of recent lines whose form counts, and number from which on it is known. Chosen so that a
+# form is known after half a minute to some minutes; effect in docs/validation.md.
+_RECENT_LINES = 60
+_ENOUGH_LINES = 20
+_NUMBER_OF_STREAM = re.compile(r"[ \t]*[+-]?\d+(?:\.(\d+))?(?:[eE][+-]?\d{1,2})?")
+
+
+class LineForm:
+    """The form of the last 60 lines of a stream, against which each new line is checked.
+
+    The form is the text around the numbers and their decimals. A damaged line that still reads as
+    numbers often differs in it from all earlier lines. It need not be stated in a profile.
+    """
+
+    def __init__(self) -> None:
+        self._forms: deque[str] = deque(maxlen=_RECENT_LINES)
+
+    def unlike(self, text: str) -> str:
+        """Return how a line differs from the form of nearly all earlier lines, or ""; store it.
+
+        The result is "" until 20 lines are known. After a permanent change of the form, two lines
+        are rejected, then the new form is accepted.
+        """
+        usual, count = Counter(self._forms).most_common(1)[0] if self._forms else ("", 0)
+        known = len(self._forms) >= _ENOUGH_LINES and len(self._forms) - count <= 1
+        form = _NUMBER_OF_STREAM.sub(lambda match: "#" + "0" * len(match[1] or ""), text)
+        form = re.sub(r"[ \t]+", " ", form)
+        self._forms.append(form)
+        if not known or form == usual:
+            return ""
+        return f"its form is {form!r} (# and decimals), and earlier lines have {usual!r}"
+
+
+def voted(values: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """Return the median of each quantity over some lines, which all have the same quantities.
+
+    One damaged value out of three is either outside the other two, so that the median omits it, or
+    between them, where it does no harm.
+    """
+    return {quantity: median(line[quantity] for line in values) for quantity in values[-1]}
+
+
+class LineInstrument:
+    """An instrument that sends lines; implements `Pyranometer` and `Streaming`.
+
+    A reading is the newest line since the last reading, or else the next line. If three or more
+    lines have arrived, on average at most two seconds apart, each quantity is the median of the
+    newest three. Raises DeviceError if the port cannot be opened.
+    """
+
+    def __init__(
+        self, place: str, profile: AsciiProfile, clock: Clock, *, silence_s: float | None = None
+    ) -> None:
+        line = profile.line
+        self._profile, self._clock = profile, clock
+        self._silence_s = line.silence_s if silence_s is None else silence_s
+        self._port = SerialPort(place, line, timeout_s=_POLL_S)
+        # None: the first line may have begun before the port was opened.
+        self._rest: bytes | None = None
+        self._form = LineForm()
+        self._refused: list[str] = []
+        self._last_read_s = clock.boottime()
+        self.ignored = 0
+
+    @property
+    def info(self) -> InstrumentInfo:
+        """Return what the profile states about the instrument."""
+        p = self._profile
+        gives = tuple(
+            e.quantity.removesuffix("_wm2") for e in p.entry if e.quantity.endswith("_wm2")
+        )
+        return InstrumentInfo(
+            "ascii",
+            p.model or p.name,
+            p.serial,
+            calibration_date=p.calibration_date,
+            port=self._port.name,
+            gives=gives,
+            guard=_GUARD[p.checksum],
+        )
+
+    def read(self) -> IrradianceSample:
+        """Return a reading; wait for a line if there is none.
+
+        Raises DeviceError if no line that fits the profile and the format of earlier lines arrives
+        within the silence time (default: that of the profile), or if the port fails.
+        """
+        deadline = time.monotonic() + self._silence_s
+        why = "no line received; check cable, power and baud rate"
+        while True:
+            valid: list[tuple[str, dict[str, float]]] = []
+            for line in self._lines():
+                try:
+                    valid.append(self._understood(line))
+                except DeviceError as error:
+                    self.ignored, why = self.ignored + 1, str(error)
+                    reasons = [*self._refused, f"{why}; the line was {line!r}"]
+                    self._refused = reasons[-_REJECTED_STORED:]
+            if valid:
+                return self._reading(valid)
+            if time.monotonic() > deadline:
+                raise DeviceError(f"{self._port.name}: {why}")
+
+    def _understood(self, line: bytes) -> tuple[str, dict[str, float]]:
+        values = parse_line(self._profile, line)
+        if reason := self._form.unlike(body_of(self._profile, line)):
+            raise DeviceError(f"the line differs from earlier lines: {reason}; check the cable")
+        return line.decode("ascii").strip(), values
+
+    def _reading(self, valid: Sequence[tuple[str, dict[str, float]]]) -> IrradianceSample:
+        now = self._clock.boottime()
+        apart_s = (now - self._last_read_s) / len(valid)
+        self._last_read_s = now
+        can_vote = len(valid) >= _VOTES and apart_s <= _MAX_VOTE_STEP_S
+        newest = valid[-_VOTES:] if can_vote else valid[-1:]
+        texts = " | ".join(dict.fromkeys(text for text, _ in newest))
+        return sample_of(self._clock.now(), voted([values for _, values in newest]), texts)
+
+    def refused(self) -> list[str]:
+        """Return the lines rejected since the last call (the newest 100), each with the reason."""
+        refused, self._refused = self._refused, []
+        return refused
+
+    def _lines(self) -> list[bytes]:
+        """Return the complete lines received; an incomplete line stays for the next call."""
+        data = self._port.drain() or self._port.read(1) + self._port.drain()
+        if self._rest is None:
+            if b"\n" not in data:
+                return []
+            data = data.partition(b"\n")[2]
+            self._rest = b""
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        if len(self._rest) > _MAX_REST_BYTES:  # without an end mark the baud rate is wrong
+            self._rest = None
+        return [line + b"\n" for line in lines]
+
+    def close(self) -> None:
+        """Close the port."""
+        self._port.close()
+
+
+class _Spn1Options(Struct):
+    kind: Literal["spn1", "ascii"] | None = None
+    baud: Annotated[int, Meta(ge=300, le=921600)] = 9600
+    timeout: Annotated[float, Meta(ge=0.1, le=60.0)] = 2.0
+
+
+class _LineOptions(Struct):
+    kind: str
+    profile: str = ""
+    silence: Annotated[float, Meta(ge=0.1, le=600.0)] | None = None
+
+
+def open_pyranometer(
+    uri: DeviceUri, *, clock: Clock, session: Session | None = None
+) -> Pyranometer:
+    """Open the serial pyranometer that a URI names: an SPN1, or one that prints lines.
+
+    Raises DeviceError for unknown options, a missing port, kind or profile, and for an SPN1 that
+    does not answer; InputError for a broken profile.
+    """
+    if not uri.place:
+        example = "serial:/dev/serial/by-id/NAME?kind=spn1"
+        raise DeviceError(f"{uri.text}: no port; expected a URI like {example}")
+    if uri.options.get("kind") == "ascii":
+        stated = uri.read(_LineOptions)
+        if not stated.profile:
+            raise DeviceError(f"{uri.text}: no profile; add &profile= and a name or a TOML file")
+        profile = load_ascii_profile(stated.profile)
+        return LineInstrument(uri.place, profile, clock, silence_s=stated.silence)
+    options = uri.read(_Spn1Options)
+    if not options.kind:
+        raise DeviceError(f"{uri.text}: no kind; add ?kind=spn1 or ?kind=ascii&profile=NAME")
+    from fieldlum.devices.spn1 import Spn1
+
+    return Spn1(uri.place, clock, baud=options.baud, timeout_s=options.timeout)

@@ -33,13 +33,7 @@ def kept_awake() -> Iterator[str]:
         yield what
     finally:
         if process is not None:
-            with suppress(OSError, subprocess.TimeoutExpired):
-                if process.stdin is not None:
-                    process.stdin.close()
-                process.terminate()
-                process.wait(_PATIENCE_S)
-            if process.stdout is not None:
-                process.stdout.close()
+            _ended(process)
 
 
 def granted_locks() -> str:
@@ -65,19 +59,13 @@ def _inhibit(what: str) -> subprocess.Popen[bytes] | None:
 
     The process answers once the lock is granted, and ends when this process ends.
     """
-    line = [
-        "systemd-inhibit",
-        f"--what={what}",
-        "--who=fieldlum",
-        "--why=captures are planned",
-        "--mode=block",
-        "cat",
-    ]
+    why = ["--who=fieldlum", "--why=captures are planned", "--mode=block"]
+    pipe = subprocess.PIPE
     try:
         process = subprocess.Popen(
-            line,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
+            ["systemd-inhibit", f"--what={what}", *why, "cat"],
+            stdin=pipe,
+            stdout=pipe,
             stderr=subprocess.DEVNULL,
             start_new_session=True,
         )
@@ -87,17 +75,23 @@ def _inhibit(what: str) -> subprocess.Popen[bytes] | None:
     with suppress(OSError):
         process.stdin.write(b"?\n")
         process.stdin.flush()
-        if (
-            select.select([process.stdout], [], [], _PATIENCE_S)[0]
-            and process.stdout.read(2) == b"?\n"
-        ):
+        answered = select.select([process.stdout], [], [], _PATIENCE_S)[0]
+        if answered and process.stdout.read(2) == b"?\n":
             return process
     process.kill()
-    process.wait()
-    with suppress(OSError):
-        process.stdin.close()
-    process.stdout.close()
+    _ended(process)
     return None
+
+
+def _ended(process: subprocess.Popen[bytes]) -> None:
+    """End a process and close its pipes."""
+    with suppress(OSError, subprocess.TimeoutExpired):
+        process.terminate()
+        process.wait(_PATIENCE_S)
+    for pipe in (process.stdin, process.stdout):
+        with suppress(OSError):
+            if pipe is not None:
+                pipe.close()
 
 
 @contextmanager

@@ -13,11 +13,13 @@ from functools import reduce
 from operator import xor
 from typing import Literal
 
+from msgspec import Struct
+
 from fieldlum.core.errors import DeviceError
 from fieldlum.devices import IlluminanceReading, InstrumentInfo, retried
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.serial_port import SerialLine, SerialPort, closed_on_error
-from fieldlum.devices.uri import DeviceUri, one_of
+from fieldlum.devices.uri import DeviceUri
 
 # Commands and frame marks of CS-A32T.
 PC_MODE = b"00541   "
@@ -39,7 +41,6 @@ _TRIES = 4  # measurements until the meter has settled on a range; chosen, not m
 _LONG_PAUSE_S = 0.5
 _SHORT_PAUSE_S = 0.175
 _ANSWER = re.compile(r"(\d{2})(\d{2})(.)(.)(.)(.)((?:[+\-=][ \d]{4}\d){3})", re.DOTALL)
-_SHORT = re.compile(r"(\d{2})(\d{2})(.)(.)(.)(.)", re.DOTALL)
 
 
 class NotReady(DeviceError):
@@ -63,10 +64,8 @@ def unframe(reply: bytes) -> str:
     """Return the body of a frame. Raises DeviceError for a damaged or incomplete frame."""
     match = re.fullmatch(rb"\x02([^\x02\x03]*)\x03([0-9A-F]{2})\r\n", reply)
     if match is None or bcc(match[1]) != match[2] or not match[1].isascii():
-        raise DeviceError(
-            f"CL-200A answered {reply[:40]!r}; expected a frame with the right check digits; check "
-            "the cable"
-        )
+        expected = "expected a frame with the right check digits"
+        raise DeviceError(f"CL-200A answered {reply[:40]!r}; {expected}; check the cable")
     return match[1].decode("ascii")
 
 
@@ -77,9 +76,7 @@ def _value(six: str) -> float:
     """
     digits = six[1:5].replace(" ", "")
     if not digits:
-        raise DeviceError(
-            f"CL-200A: the answer has the value {six!r} without digits; check the cable"
-        )
+        raise DeviceError(f"CL-200A: a value {six!r} without digits; check the cable")
     return (-1.0 if six[0] == "-" else 1.0) * float(digits) * 10.0 ** (int(six[5]) - 4)
 
 
@@ -93,11 +90,8 @@ def parse_answer(reply: bytes) -> IlluminanceReading:
     body = unframe(reply)
     match = _ANSWER.fullmatch(body)
     if match is None:
-        short = _SHORT.fullmatch(body)
-        code = short[4] if short else ""
-        raise DeviceError(
-            f"CL-200A: {_ERRORS.get(code, f'an answer without values ({body[:30]!r})')}"
-        )
+        why = f"an answer without values ({body[:30]!r})"
+        raise DeviceError(f"CL-200A: {_ERRORS.get(body[5:6], why) if len(body) == 8 else why}")
     if match[4] in _ERRORS:
         raise DeviceError(f"CL-200A: {_ERRORS[match[4]]}")
     if match[4] == "4":
@@ -106,11 +100,9 @@ def parse_answer(reply: bytes) -> IlluminanceReading:
         raise NotReady("CL-200A changes its range; read it again in steady light")
     illuminance_lx, x, y = (_value(match[7][i : i + 6]) for i in (0, 6, 12))
     if not (0.0 <= illuminance_lx <= 200_000.0 and 0.0 <= x <= 1.0 and 0.0 <= y <= 1.0):
-        raise DeviceError(
-            f"CL-200A: {illuminance_lx:g} lx with chromaticity x {x:g}, y {y:g}; expected 0 to "
-            "200000 lx "
-            "and x, y from 0 to 1; read it again in less light"
-        )
+        found = f"{illuminance_lx:g} lx with chromaticity x {x:g}, y {y:g}"
+        expected = "expected 0 to 200000 lx and x, y from 0 to 1"
+        raise DeviceError(f"CL-200A: {found}; {expected}; read it again in less light")
     return IlluminanceReading(illuminance_lx, match[6] == "1", reply.decode("ascii").strip())
 
 
@@ -169,9 +161,8 @@ class Cl200a:
         self._port.write(frame(command))
         reply = self._port.read_until(b"\r\n", 128)
         if not reply:
-            raise DeviceError(
-                f"{self._port.name}: CL-200A does not answer; switch it on and check its cable"
-            )
+            why = "CL-200A does not answer; switch it on and check its cable"
+            raise DeviceError(f"{self._port.name}: {why}")
         unframe(reply)
         return reply
 
@@ -180,12 +171,16 @@ class Cl200a:
         self._port.close()
 
 
+class _Options(Struct):
+    parity: Literal["E", "N"] = "E"
+
+
 def open_meter(uri: DeviceUri, *, clock: Clock) -> Cl200a:
     """Open the meter of ``cl200a:/dev/serial/by-id/...``; option parity: E (default) or N.
 
     Raises DeviceError for an unknown option or value, a missing port, or no answer.
     """
-    options = uri.read(parity=one_of("E", "N"))
+    options = uri.read(_Options)
     if not uri.place:
         raise DeviceError(f"{uri.text}: no port; expected a URI like cl200a:/dev/ttyUSB0")
-    return Cl200a(uri.place, clock.sleep, **options)
+    return Cl200a(uri.place, clock.sleep, parity=options.parity)

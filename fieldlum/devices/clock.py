@@ -7,10 +7,8 @@ import ctypes.util
 import sys
 import threading
 import time
-from collections.abc import Iterable
-from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
-from typing import Literal, Protocol
+from typing import Protocol
 
 # State of adjtimex for a clock that is not synchronised (TIME_ERROR, <sys/timex.h>).
 _TIME_ERROR = 5
@@ -98,34 +96,19 @@ class RealClock:
         time.sleep(max(seconds, 0.0))
 
 
-@dataclass(frozen=True, slots=True)
-class ClockFault:
-    """A disturbance of the wall clock at the true time `at_utc`.
-
-    step : the wall clock is set forward by `seconds` (back, if negative); suspend : the computer
-    sleeps for `seconds`.
-    """
-
-    at_utc: datetime
-    kind: Literal["step", "suspend"]
-    seconds: float
-
-
 class FastClock:
     """A simulated clock: `sleep` returns at once and moves its time forward.
 
-    start : first time, aware; `true_utc` : time of the simulated sun; faults : steps and suspends
-    that happen at their times; `step` and `suspend` cause them directly. Raises ValueError for a
-    naive start.
+    start : first time, aware; `true_utc` : time of the simulated sun; `step` and `suspend` disturb
+    it like a computer's clock. Raises ValueError for a naive start.
     """
 
-    def __init__(self, start: datetime, faults: Iterable[ClockFault] = ()) -> None:
+    def __init__(self, start: datetime) -> None:
         if start.tzinfo is None:
             raise ValueError(f"naive time {start}: add a time zone")
         self._lock = threading.RLock()
         self._true = start.astimezone(UTC)
         self._step_s = self._boot_s = self._slept_s = 0.0
-        self._faults = sorted(faults, key=lambda fault: fault.at_utc)
 
     @property
     def true_utc(self) -> datetime:
@@ -149,19 +132,9 @@ class FastClock:
             return self._boot_s
 
     def sleep(self, seconds: float) -> None:
-        """Advance the time by `seconds` (0 if negative), and apply the faults due until then.
-
-        A suspend adds its own duration.
-        """
+        """Advance the time by `seconds`; not at all for a negative number."""
         with self._lock:
-            rest_s = max(seconds, 0.0)
-            while self._faults and self._faults[0].at_utc <= self._true + timedelta(seconds=rest_s):
-                fault = self._faults.pop(0)
-                wait = max((fault.at_utc - self._true).total_seconds(), 0.0)
-                self._pass(wait)
-                rest_s -= wait
-                self.step(fault.seconds) if fault.kind == "step" else self.suspend(fault.seconds)
-            self._pass(rest_s)
+            self._pass(max(seconds, 0.0))
 
     def step(self, seconds: float) -> None:
         """Set the wall clock forward by `seconds` (or back, if negative)."""

@@ -1,22 +1,32 @@
 """Drive a tethered camera through libgphoto2: ``gphoto:``, ``gphoto:Nikon``.
 
-The option ``?delete=1`` deletes each picture from the card after it was copied.
+The option ``?delete=1`` deletes each picture from the card after it was copied. libgphoto2 runs in
+a child process, which is killed if it hangs and restarted after a crash.
 """
 
 from __future__ import annotations
 
+import multiprocessing
 import re
+import signal
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+from msgspec import Struct
+
 from fieldlum.core.errors import DeviceError, install_text
 from fieldlum.core.records import Exposure
-from fieldlum.devices import CameraInfo, nearest, refuse_turning
+from fieldlum.devices import CameraInfo, nearest, refuse_turning, retried, store_frame
 from fieldlum.devices.clock import Clock
-from fieldlum.devices.gphoto_child import Child, Serve, serve
 from fieldlum.devices.serial_port import closed_on_error
-from fieldlum.devices.uri import DeviceUri, integer_option
-from fieldlum.session import Session
+from fieldlum.devices.uri import DeviceUri
+from fieldlum.optics.raw import RAW_SUFFIXES
+from fieldlum.session import Session, disk_is_full
 
 # Timeouts in seconds; READOUT_S is added to the shutter time. Chosen so that slow cards pass; not
 # measured.
@@ -24,6 +34,25 @@ OPEN_S = 30.0
 SET_S = 15.0
 READOUT_S = 30.0
 _NUMBER = re.compile(r"(?:f/|iso ?)?(\d+(?:\.\d+)?)(?:/(\d+(?:\.\d+)?))? ?s?", re.IGNORECASE)
+# Names of the three settings by brand; the first name that a camera has is used.
+_WIDGETS = {
+    "shutter": ("shutterspeed", "shutterspeed2", "exptime"),
+    "aperture": ("aperture", "f-number"),
+    "iso": ("iso", "isospeed"),
+}
+_ERRORS = {  # codes of gphoto2-port-result.h and gphoto2-result.h
+    -1: "unspecified error",
+    -3: "out of memory, or the camera's card is full; delete pictures on the card",
+    -7: "input/output error; check the cable",
+    -10: "timeout",
+    -52: "the camera is not on USB; check the cable and switch the camera on",
+    -53: "another program uses it; close that program, or run 'gio mount -s gphoto2'",
+    -105: "no camera found; switch it on, set it to PTP, and check the cable",
+    -115: "the camera's card is full; delete pictures on it",
+}
+_BUSY = -110  # GP_ERROR_CAMERA_BUSY of gphoto2-result.h
+_TRIES = 4  # number of tries, half a second apart, while the camera is busy; chosen, not measured
+Serve = Callable[[Connection], None]
 
 
 def setting_value(text: str) -> float | None:
@@ -44,8 +73,7 @@ def choose(role: str, asked: float, choices: list[str]) -> str:
     choice is within 1/6 EV.
     """
     offered = {value: text for text in choices if (value := setting_value(text)) is not None}
-    unit = {"shutter": "s", "aperture": "", "iso": ""}[role]
-    ev_per_octave = 2.0 if role == "aperture" else 1.0
+    unit, ev_per_octave = ("s" if role == "shutter" else ""), 1.0 + (role == "aperture")
     return offered[nearest(asked, offered, f"camera {role}", unit, ev_per_octave=ev_per_octave)]
 
 
@@ -72,37 +100,34 @@ class GphotoCamera:
         late_file_s: float = 0.15,
     ) -> None:
         self._child = Child("gphoto", serve)
-        self._model, self._delete = model, delete
-        self._readout_s = readout_s
+        self._model, self._delete, self._readout_s = model, delete, readout_s
         self._late_ms = round(1000 * late_file_s)
-        self._about: dict[str, Any] = {}
         with closed_on_error(self):
             self._open()
 
     def _open(self) -> None:
-        self._about = self._child.ask("open", self._model, timeout_s=OPEN_S)
+        about: dict[str, Any] = self._child.ask("open", self._model, timeout_s=OPEN_S)
         self._opened_at_start = self._child.starts
-        if "shutter" not in self._about["settings"]:
+        self._settings: dict[str, tuple[str, list[str]]] = about.pop("settings")
+        self.info = CameraInfo("gphoto", **about)
+        if "shutter" not in self._settings:
             raise DeviceError("gphoto: the camera offers no shutter times; set its dial to M")
-
-    @property
-    def info(self) -> CameraInfo:
-        """Return what the camera reports about itself."""
-        about = {k: v for k, v in self._about.items() if k != "settings"}
-        return CameraInfo("gphoto", **about)
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
         """Set what the camera lets a computer set, take the frame and copy it; return the file.
 
-        The EXIF of the frame is not checked. Raises DeviceError for a heading, or if the camera
-        fails, does not offer the exposure or shows another setting, and OSError if the disk is
-        full.
+        The EXIF of the frame is not checked: a manual lens or a fixed setting cannot be set. Raises
+        DeviceError for a heading, or if the camera fails, does not offer the exposure or shows
+        another setting, and OSError if the disk is full.
         """
         refuse_turning("gphoto", heading_deg)
         if not self._child.alive or self._child.starts != self._opened_at_start:
             self._open()
-        for role, asked in _roles(exposure):
-            self._set(role, asked)
+        for widget, text in self._chosen(exposure).items():
+            shown = self._child.ask("set", widget, text, timeout_s=SET_S)
+            if shown != text:
+                found = f"{widget} was set to {text}, but the camera shows {shown}"
+                raise DeviceError(f"gphoto: {found}; set its dial to M")
         wait_s = exposure.shutter_s + self._readout_s
         return Path(
             self._child.ask("expose", str(target), self._delete, self._late_ms, timeout_s=wait_s)
@@ -113,26 +138,20 @@ class GphotoCamera:
 
         Settings that the camera does not let a computer set are not checked.
         """
-        for role, asked in _roles(exposure):
-            if role in self._about["settings"]:
-                choose(role, asked, self._about["settings"][role][1])
+        self._chosen(exposure)
 
-    def _set(self, role: str, asked: float) -> None:
-        # A manual lens or a fixed setting: `capture` checks the EXIF of the frame instead.
-        if role not in self._about["settings"]:
-            return
-        widget, choices = self._about["settings"][role]
-        text = choose(role, asked, choices)
-        shown = self._child.ask("set", widget, text, timeout_s=SET_S)
-        if shown != text:
-            raise DeviceError(
-                f"gphoto: {widget} was set to {text}, but the camera shows {shown}; set its "
-                "dial to M"
-            )
+    def _chosen(self, exposure: Exposure) -> dict[str, str]:
+        """Return the camera's own text of each setting, by widget."""
+        roles = ((*self._settings[r], r, v) for r, v in _roles(exposure) if r in self._settings)
+        return {widget: choose(role, value, choices) for widget, choices, role, value in roles}
 
     def close(self) -> None:
         """End the child process, which releases the camera."""
         self._child.close()
+
+
+class _Options(Struct):
+    delete: bool = False
 
 
 def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None) -> GphotoCamera:
@@ -143,9 +162,226 @@ def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None)
     """
     from importlib.util import find_spec
 
-    options = uri.read(delete=integer_option(0, 1))
+    options = uri.read(_Options)
     if find_spec("gphoto2") is None:
-        raise DeviceError(
-            f"{uri.text}: the package gphoto2 is missing; {install_text('gphoto')} (Linux, macOS)"
-        )
-    return GphotoCamera(serve, uri.place, delete=bool(options.get("delete", 0)))
+        remedy = f"{install_text('gphoto')} (Linux, macOS)"
+        raise DeviceError(f"{uri.text}: the package gphoto2 is missing; {remedy}")
+    return GphotoCamera(serve, uri.place, delete=options.delete)
+
+
+# ----------------------------------------------------------------------------------------------
+# the child process
+
+
+class Child:
+    """A child process that starts with the first command and runs one command at a time.
+
+    name : for errors; serve : function that the child runs: it receives (command, arguments) and
+    answers ("ok", result) or ("error", exception); starts : number of times that it was started.
+    The next command after its end starts it again.
+    """
+
+    def __init__(self, name: str, serve: Serve) -> None:
+        self._name, self._serve = name, serve
+        self._lock = threading.Lock()
+        self._process: Any = None
+        self._pipe: Connection | None = None
+        self.starts = 0
+
+    @property
+    def alive(self) -> bool:
+        """Whether the process runs."""
+        return self._process is not None and self._process.is_alive()
+
+    def ask(self, command: str, *arguments: Any, timeout_s: float) -> Any:
+        """Send a command to the child and return its answer, or raise the error that it answers.
+
+        Raises DeviceError if the child dies, or does not answer within `timeout_s` (it is then
+        killed).
+        """
+        with self._lock:
+            pipe = self._ready()
+            try:
+                pipe.send((command, arguments))
+                if not pipe.poll(timeout_s):
+                    self._kill()
+                    why = f"did not answer within {timeout_s:g} s and its process was killed"
+                    raise DeviceError(f"{self._name}: '{command}' {why}; check cable and battery")
+                kind, result = pipe.recv()
+            except (EOFError, OSError):
+                code = self._kill(grace_s=5.0)  # the process is ending, so wait for its exit code
+                why = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
+                raise DeviceError(
+                    f"{self._name}: the driver crashed in '{command}' ({why}); check cable and "
+                    "battery, then run the command again"
+                ) from None
+        if kind == "error":
+            raise result
+        return result
+
+    def _ready(self) -> Connection:
+        if self._pipe is None or not self.alive:
+            self._kill()
+            # Never fork, because neither libusb nor threads survive it.
+            context = multiprocessing.get_context("spawn")
+            self._pipe, theirs = context.Pipe()
+            self._process = context.Process(target=self._serve, args=(theirs,), daemon=True)
+            self._process.start()
+            theirs.close()
+            self.starts += 1
+        return self._pipe
+
+    def _kill(self, grace_s: float = 0.1) -> int:
+        """End the process and return its exit code, 0 without a process."""
+        if self._pipe is not None:
+            self._pipe.close()
+            self._pipe = None
+        process, self._process = self._process, None
+        if process is None:
+            return 0
+        process.join(grace_s)
+        process.kill()
+        process.join(5.0)
+        return process.exitcode or 0
+
+    def close(self, timeout_s: float = 3.0) -> None:
+        """Tell the child to end, and kill it if it still runs after `timeout_s`."""
+        with self._lock:
+            if self._pipe is not None and self.alive:
+                with suppress(OSError, EOFError):
+                    self._pipe.send(("close", ()))
+            self._kill(timeout_s)
+
+
+def serve(pipe: Connection) -> None:
+    """Answer the commands to the camera that come through `pipe`, until `close`.
+
+    It ends also if the parent closes the pipe or ends.
+    """
+    import gphoto2 as gp
+
+    camera: Any = None
+    while True:
+        command, arguments = "close", ()
+        with suppress(EOFError, OSError):
+            command, arguments = pipe.recv()
+        try:
+            if command == "open":
+                camera = _open(gp, *arguments)
+                result: Any = _describe(gp, camera)
+            elif command == "set":
+                result = _set(gp, camera, *arguments)
+            elif command == "expose":
+                result = _expose(gp, camera, *arguments)
+            else:
+                if camera is not None:
+                    with suppress(gp.GPhoto2Error):
+                        camera.exit()
+                return
+            pipe.send(("ok", result))
+        except gp.GPhoto2Error as error:
+            why = _ERRORS.get(error.code, f"{error.string} ({error.code})")
+            pipe.send(("error", DeviceError(f"gphoto: {why}")))
+        except (OSError, ValueError) as error:
+            full = isinstance(error, OSError) and disk_is_full(error)
+            pipe.send(("error", error if full else DeviceError(f"gphoto: {error}")))
+
+
+def _open(gp: Any, model: str) -> Any:
+    camera = gp.Camera()
+    if model:
+        connected = list(gp.Camera.autodetect())
+        cameras = [entry for entry in connected if model.lower() in entry[0].lower()]
+        if not cameras:
+            names = [name for name, _ in connected] or "none"
+            raise ValueError(f"no camera named {model}; connected: {names}")
+        name, port = cameras[0]
+        abilities, ports = gp.CameraAbilitiesList(), gp.PortInfoList()
+        abilities.load()
+        ports.load()
+        camera.set_abilities(abilities[abilities.lookup_model(name)])
+        camera.set_port_info(ports[ports.lookup_path(port)])
+    camera.init()
+    return camera
+
+
+def _value(gp: Any, camera: Any, *names: str) -> Any:
+    """Return the first of the camera's values with these names that is not empty; else ""."""
+    for name in names:
+        with suppress(gp.GPhoto2Error):
+            if value := camera.get_single_config(name).get_value():
+                return value
+    return ""
+
+
+def _describe(gp: Any, camera: Any) -> dict[str, Any]:
+    """Return what the camera reports: the fields of `CameraInfo`, and its settings.
+
+    settings : (widget, choices) by shutter, aperture, iso, for those that a computer can set.
+    """
+    settings: dict[str, tuple[str, list[str]]] = {}
+    for role, names in _WIDGETS.items():
+        for name in reversed(names):
+            with suppress(gp.GPhoto2Error):
+                widget = camera.get_single_config(name)
+                if not widget.get_readonly():
+                    settings[role] = (name, list(widget.get_choices()))
+    clock, asked = _value(gp, camera, "datetimeutc", "datetime"), time.time()
+    return {
+        "make": str(_value(gp, camera, "manufacturer")),
+        "model": str(_value(gp, camera, "cameramodel") or camera.get_abilities().model),
+        "serial": str(_value(gp, camera, "serialnumber")).lstrip("0"),
+        "firmware": str(_value(gp, camera, "deviceversion")),
+        "lens": str(_value(gp, camera, "lensname")),
+        "battery": str(_value(gp, camera, "batterylevel")),
+        "clock_offset_s": clock - asked if isinstance(clock, int) else None,
+        "settings": settings,
+    }
+
+
+def _patiently(work: Callable[[], Any]) -> Any:
+    """Call `work`; call it again while the camera reports that it is busy."""
+    return retried(work, _TRIES, lambda error: getattr(error, "code", 0) == _BUSY, 0.5)
+
+
+def _set(gp: Any, camera: Any, name: str, text: str) -> str:
+    """Set a widget to one of its own choices, and return the value that it then has.
+
+    A text that is not among the choices is never sent to libgphoto2, because it silently replaces
+    some such texts and crashes on others.
+    """
+    widget = camera.get_single_config(name)
+    if text not in list(widget.get_choices()):
+        raise ValueError(f"{name}: {text} is not offered; expected one of the camera's choices")
+    if widget.get_value() != text:
+        widget.set_value(text)
+        _patiently(lambda: camera.set_single_config(name, widget))
+    return camera.get_single_config(name).get_value()
+
+
+def _expose(gp: Any, camera: Any, target: str, delete: bool, late_ms: int) -> str:
+    """Take a picture, copy it to `target` plus its suffix, and return the path.
+
+    From a pair of raw and JPEG only the raw file is copied. late_ms : time to wait for the second
+    file.
+    """
+    for _ in range(50):  # discard events of earlier pictures
+        if camera.wait_for_event(1)[0] == gp.GP_EVENT_TIMEOUT:
+            break
+    first = _patiently(lambda: camera.capture(gp.GP_CAPTURE_IMAGE))
+    files = [(first.folder, first.name)]
+    kind, data = camera.wait_for_event(late_ms)
+    while kind not in (gp.GP_EVENT_TIMEOUT, gp.GP_EVENT_CAPTURE_COMPLETE) and len(files) < 4:
+        if kind == gp.GP_EVENT_FILE_ADDED and (data.folder, data.name) not in files:
+            files.append((data.folder, data.name))
+        kind, data = camera.wait_for_event(late_ms)
+    folder, name = min(files, key=lambda f: Path(f[1]).suffix.lower() not in RAW_SUFFIXES)
+    shot = camera.file_get(folder, name, gp.GP_FILE_TYPE_NORMAL)
+    # `shot` must exist until this copy is complete
+    body = bytes(memoryview(shot.get_data_and_size()))
+    path = Path(f"{target}{Path(name).suffix.lower()}")
+    store_frame(path, body)
+    if delete:
+        for folder, name in files:
+            camera.file_delete(folder, name)
+    return str(path)

@@ -10,40 +10,249 @@ parity, stop, timeout. Only functions 3 and 4 are sent: no register is ever writ
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+import math
+import struct
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass, field, replace
+from datetime import date
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
 
-from fieldlum.core.errors import DeviceError
+from msgspec import Meta, Struct
+
+from fieldlum.core.errors import DeviceError, InputError
 from fieldlum.core.records import IrradianceSample
+from fieldlum.core.strict_toml import build, read_toml
 from fieldlum.devices import InstrumentInfo
 from fieldlum.devices.clock import Clock
-from fieldlum.devices.registers import (
-    Decoded,
-    RegisterBlock,
-    RegisterProfile,
-    decode,
-    load_register_profile,
-)
 from fieldlum.devices.serial_port import SerialLine, SerialPort, closed_on_error, device_errors
-from fieldlum.devices.uri import DeviceUri, integer_option, number, one_of
+from fieldlum.devices.uri import DeviceUri
+from fieldlum.optics.profiles import shipped
 from fieldlum.session import Session
+
+# ----------------------------------------------------------------------------------------------
+# register profiles
+
+Kind = Literal["u16", "s16", "u32", "s32", "f32", "date", "text"]
+_CODES = {"u16": ">H", "s16": ">h", "u32": ">I", "s32": ">i", "f32": ">f", "date": ">I"}
+# An irradiance outside these limits means a misread register [W/m2]. Chosen beyond any sun, cloud
+# edge and night offset; not measured.
+MIN_WM2 = -200.0
+MAX_WM2 = 4000.0
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
-class Unit:
-    """One instrument on a Modbus bus: what it measures (ghi, dhi or dni), and its address."""
+class Line(SerialLine):
+    """Factory settings of a Modbus line.
 
-    measures: str  # ghi, dhi or dni
-    address: int
+    unit : the instrument's address; 0: there is no default, so that the user must state it.
+    """
+
+    baud: int = 19200
+    parity: Literal["N", "E", "O"] = "E"
+    unit: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class RegisterBlock:
+    """A block of Modbus registers that are read by one request, and therefore at one moment."""
+
+    start: int
+    count: int
+
+    @property
+    def numbers(self) -> range:
+        """Numbers of the block's registers."""
+        return range(self.start, self.start + self.count)
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One value of a register profile: its name, first register, type and scale (a factor).
+
+    power10_register : the number is divided by ten to the power in that register (Kipp & Zonen);
+    words : number of registers of a text; allow : values of a status word without a fault; another
+    value makes the sample suspect (empty: no check).
+    """
+
+    name: str
+    register: int
+    type: Kind = "u16"
+    scale: float = 1.0
+    power10_register: int | None = None
+    words: int = 0
+    allow: tuple[int, ...] = ()
+
+    @property
+    def own_registers(self) -> range:
+        """Numbers of the registers of the value itself."""
+        count = self.words if self.type == "text" else struct.calcsize(_CODES[self.type]) // 2
+        return range(self.register, self.register + count)
+
+    @property
+    def registers(self) -> set[int]:
+        """Numbers of all registers that the value needs."""
+        scale = set() if self.power10_register is None else {self.power10_register}
+        return scale.union(self.own_registers)
+
+
+@dataclass(frozen=True, slots=True)
+class RegisterProfile:
+    """Description of the registers of a kind of instrument: calibration/instruments/KIND.toml.
+
+    poll : blocks of each reading; at_open : more blocks, read once; function : read holding (3) or
+    input (4) registers, no other function is ever sent; largest_request : number of registers; note
+    : about the unit number, for an error. 32-bit values have their high word first.
+    """
+
+    kind: str
+    maker: str
+    models: tuple[str, ...]
+    source: str
+    poll: tuple[RegisterBlock, ...]
+    entry: tuple[Entry, ...]
+    function: Literal[3, 4] = 3
+    at_open: tuple[RegisterBlock, ...] = ()
+    largest_request: int = 125
+    line: Line = field(default_factory=Line)
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Decoded:
+    """The decoded content of some registers.
+
+    values : numbers by name of the entry; texts : texts and dates by name of the entry; status :
+    the status words that report a fault, as NAME=NUMBER, or "".
+    """
+
+    values: dict[str, float]
+    texts: dict[str, str]
+    status: str
+
+
+def read_profile(cls: type[T], name: str, folder: Path, what: str, option: str) -> tuple[T, Path]:
+    """Return the profile of an instrument and its file: a shipped one by name, others by path.
+
+    A path ends in .toml. folder: of the shipped profiles; what, option: the kind of profile and the
+    URI's option, for the DeviceError of an unknown name or a missing file. Raises InputError for a
+    broken profile.
+    """
+    path = Path(name) if name.endswith(".toml") else folder / f"{name}.toml"
+    if not path.is_file():
+        names = ", ".join(sorted(p.stem for p in folder.glob("*.toml")))
+        expected = f"expected one of {names}, or the path of a TOML file"
+        raise DeviceError(f"no {what} '{name}'; {expected}; correct {option} in the URI")
+    return build(cls, read_toml(path), str(path)), path
+
+
+def load_register_profile(kind: str) -> RegisterProfile:
+    """Read a profile of registers: a shipped one by kind, any other by path.
+
+    A path ends in .toml. Raises InputError for a broken profile, DeviceError for an unknown kind or
+    a missing file.
+    """
+    folder = shipped("calibration") / "instruments"
+    profile, path = read_profile(RegisterProfile, kind, folder, "instrument", "kind=")
+    most = profile.largest_request
+    for block in (*profile.poll, *profile.at_open):
+        if not 0 < block.count <= most or not 0 <= block.start <= 65535 - block.count:
+            found = f"a block of {block.count} registers from register {block.start}"
+            expected = f"1 to {most} registers in a request, from 0 to 65535"
+            raise InputError(path, found, expected, "correct the block, or split it into two")
+    polled = {r for block in profile.poll for r in block.numbers}
+    read = polled.union(*(block.numbers for block in profile.at_open))
+    for entry in profile.entry:
+        if not entry.registers <= (polled if entry.name == "irradiance_wm2" else read):
+            found = f"registers of entry '{entry.name}' that are in no [[poll]] block"
+            raise InputError(path, found, "all of them in such a block", "add them to a block")
+    if all(entry.name != "irradiance_wm2" for entry in profile.entry):
+        expected = 'an [[entry]] with name = "irradiance_wm2"'
+        raise InputError(path, "no entry 'irradiance_wm2'", expected, "add it to the profile")
+    return profile
+
+
+def _bytes(words: Iterable[int]) -> bytes:
+    return b"".join(struct.pack(">H", word) for word in words)
+
+
+def raw_value(kind: str, words: Iterable[int]) -> float:
+    """Return the number in `words`, 16-bit registers with the high word first.
+
+    kind : u16, s16, u32, s32, f32 or date.
+    """
+    return float(struct.unpack(_CODES[kind], _bytes(words))[0])
+
+
+def date_text(number: float) -> str:
+    """Return 20260115 as 2026-01-15; "" unless it is a date of the years 1990 to 2100."""
+    with suppress(ValueError):
+        day = date.fromisoformat(f"{number:08.0f}")
+        return day.isoformat() if 1990 <= day.year <= 2100 else ""
+    return ""
+
+
+def decode(profile: RegisterProfile, registers: Mapping[int, int]) -> Decoded:
+    """Return the profile's entries whose registers are in `registers` (content by number), decoded.
+
+    A value that is not finite is omitted. Raises DeviceError for an irradiance that is not finite
+    or outside -200 to 4000 W/m2, and for a power of ten outside -1 to 2.
+    """
+    decoded, faults = Decoded({}, {}, ""), []
+    who = f"{profile.maker} {profile.kind}"
+    for entry in profile.entry:
+        if not entry.registers <= registers.keys():
+            continue
+        words = [registers[r] for r in entry.own_registers]
+        if entry.type == "text":
+            text = _bytes(words).decode("ascii", "ignore")
+            decoded.texts[entry.name] = "".join(filter(str.isprintable, text)).strip()
+            continue
+        number = raw_value(entry.type, words)
+        if entry.type == "date":
+            decoded.texts[entry.name] = date_text(number)
+            continue
+        if entry.allow and number not in entry.allow:
+            faults.append(f"{entry.name}={number:.0f}")
+        if entry.power10_register is not None:
+            power = raw_value("s16", [registers[entry.power10_register]])
+            if not -1 <= power <= 2:
+                found = f"a scale factor of 10^{power:g}; expected 10^-1 to 10^2"
+                raise DeviceError(f"{who}: {found}; check the kind in the URI")
+            number /= 10.0**power
+        number *= entry.scale
+        if entry.name == "irradiance_wm2" and not MIN_WM2 <= number <= MAX_WM2:
+            found = f"{number:g} W/m2; expected {MIN_WM2:g} to {MAX_WM2:g} W/m2"
+            raise DeviceError(f"{who}: {found}; check the kind in the URI")
+        if math.isfinite(number):
+            decoded.values[entry.name] = number
+    return Decoded(decoded.values, decoded.texts, " ".join(faults))
+
+
+# ----------------------------------------------------------------------------------------------
+# the driver
+
+_Unit = Annotated[int, Meta(ge=1, le=247)]
+
+
+class _Options(Struct):
+    kind: str = ""
+    unit: _Unit | None = None
+    dhi_unit: _Unit | None = None
+    dni_unit: _Unit | None = None
+    baud: Annotated[int, Meta(ge=300, le=115200)] | None = None
+    parity: Literal["N", "E", "O"] | None = None
+    stop: Annotated[int, Meta(ge=1, le=2)] | None = None
+    timeout: Annotated[float, Meta(ge=0.05, le=30.0)] = 0.5
 
 
 class ModbusPyranometer:
     """One instrument, or several of one kind, on one bus; implements `Pyranometer`.
 
-    Raises DeviceError if the port cannot be opened, or if an instrument does not answer or its
-    answer is damaged or impossible.
+    units : addresses by what is measured: ghi, dhi, dni. Raises DeviceError if the port cannot be
+    opened, or if an instrument does not answer or its answer is damaged or impossible.
     """
 
     def __init__(
@@ -51,17 +260,16 @@ class ModbusPyranometer:
         place: str,
         profile: RegisterProfile,
         line: SerialLine,
-        units: Sequence[Unit],
+        units: Mapping[str, int],
         clock: Clock,
         *,
         timeout_s: float,
     ) -> None:
-        self._profile, self._units, self._clock = profile, tuple(units), clock
+        self._profile, self._units, self._clock = profile, units, clock
         self._client, self.name = _connected(place, line, timeout_s)
+        blocks = profile.at_open + profile.poll
         with closed_on_error(self):
-            self._about = [
-                self._ask(unit, profile.at_open + profile.poll)[0] for unit in self._units
-            ]
+            self._about = [self._ask(unit, blocks)[0] for unit in units.values()]
 
     @property
     def info(self) -> InstrumentInfo:
@@ -72,21 +280,21 @@ class ModbusPyranometer:
         """
 
         def texts(name: str) -> str:
-            parts = [d.texts.get(name) or _integer_text(d.values.get(name)) for d in self._about]
-            return " + ".join(text for text in parts if text)
+            numbers = [f"{d.values[name]:.10g}" if name in d.values else "" for d in self._about]
+            texts = [d.texts.get(name) for d in self._about]
+            return " + ".join(filter(None, (t or n for t, n in zip(texts, numbers, strict=True))))
 
-        model = texts("model") or f"{self._profile.maker} {self._profile.models[0]}"
         dates = [date for d in self._about if (date := d.texts.get("calibration_date"))]
         return InstrumentInfo(
             self._profile.kind,
-            model,
+            texts("model") or f"{self._profile.maker} {self._profile.models[0]}",
             texts("serial"),
             texts("firmware"),
             min(dates, default=""),  # the oldest of several instruments
             texts("sensitivity"),
             " ".join(d.status for d in self._about if d.status),
             self.name,
-            tuple(unit.measures for unit in self._units),
+            tuple(self._units),
             "CRC-16",
         )
 
@@ -97,25 +305,17 @@ class ModbusPyranometer:
         does not answer, or if its answer is damaged or impossible.
         """
         t_utc = self._clock.now()
-        values: dict[str, float] = {}
-        words, status, warm = [], [], None
-        for unit in self._units:
-            decoded, raw = self._ask(unit, self._profile.poll)
-            values[f"{unit.measures}_wm2"] = decoded.values["irradiance_wm2"]
-            words.append(raw)
-            if decoded.status:
-                status.append(f"{unit.measures}: {decoded.status}")
-            warm = decoded.values.get("temperature_c") if warm is None else warm
+        answers = {what: self._ask(unit, self._profile.poll) for what, unit in self._units.items()}
+        warm = (d.values.get("temperature_c") for d, _ in answers.values())
         return IrradianceSample(
             t_utc,
-            values.pop("ghi_wm2", None),
-            **values,
-            temperature_c=warm,
-            status="; ".join(status),
-            raw="; ".join(words),
+            **{f"{what}_wm2": d.values["irradiance_wm2"] for what, (d, _) in answers.items()},
+            temperature_c=next((t for t in warm if t is not None), None),
+            status="; ".join(f"{what}: {d.status}" for what, (d, _) in answers.items() if d.status),
+            raw="; ".join(raw for _, raw in answers.values()),
         )
 
-    def _ask(self, unit: Unit, blocks: tuple[RegisterBlock, ...]) -> tuple[Decoded, str]:
+    def _ask(self, unit: int, blocks: tuple[RegisterBlock, ...]) -> tuple[Decoded, str]:
         """Return the register blocks of one unit, decoded, and as hexadecimal words."""
         registers: dict[int, int] = {}
         for block in blocks:
@@ -123,23 +323,22 @@ class ModbusPyranometer:
         raw = " ".join(f"{registers[r]:04x}" for b in self._profile.poll for r in b.numbers)
         return decode(self._profile, registers), raw
 
-    def _words(self, unit: Unit, block: RegisterBlock) -> list[int]:
+    def _words(self, unit: int, block: RegisterBlock) -> list[int]:
         """Return the registers of one block. Raises DeviceError."""
         from pymodbus.exceptions import ConnectionException, ModbusException
 
-        whose = f"{self.name}: {self._profile.kind} unit {unit.address}"
+        whose = f"{self.name}: {self._profile.kind} unit {unit}"
         read = self._client.read_holding_registers
         if self._profile.function == 4:
             read = self._client.read_input_registers
         try:
             with device_errors(self.name):
-                answer = read(block.start, count=block.count, device_id=unit.address)
+                answer = read(block.start, count=block.count, device_id=unit)
         except ConnectionException:
             raise DeviceError(f"{whose}: the connection is lost; check cable and power") from None
         except ModbusException:  # no answer, or one with a wrong checksum
-            raise DeviceError(
-                f"{whose} does not answer; check wiring, power, unit number, baud rate and parity"
-            ) from None
+            remedy = "check wiring, power, unit number, baud rate and parity"
+            raise DeviceError(f"{whose} does not answer; {remedy}") from None
         if answer.isError() or len(answer.registers) != block.count:
             raise DeviceError(f"{whose} refused or cut the registers ({answer}); check the kind")
         return answer.registers
@@ -170,10 +369,6 @@ def _connected(place: str, line: SerialLine, timeout_s: float) -> tuple[Any, str
     return client, port.name
 
 
-def _integer_text(value: float | None) -> str:
-    return "" if value is None else f"{value:.10g}"
-
-
 def open_pyranometer(
     uri: DeviceUri, *, clock: Clock, session: Session | None = None
 ) -> ModbusPyranometer:
@@ -183,40 +378,18 @@ def open_pyranometer(
     port, or an instrument that does not answer or gives an impossible value; InputError for a
     broken profile.
     """
-    options = uri.read(
-        kind=str,
-        unit=integer_option(1, 247),
-        dhi_unit=integer_option(1, 247),
-        dni_unit=integer_option(1, 247),
-        baud=integer_option(300, 115200),
-        parity=one_of("N", "E", "O"),
-        stop=integer_option(1, 2),
-        timeout=number(0.05, 30.0),
-    )
-    if not uri.place or "kind" not in options:
-        raise DeviceError(
-            f"{uri.text}: expected a port and a kind, such as modbus:/dev/ttyUSB0?kind=smp&unit=1"
-        )
-    profile = load_register_profile(options["kind"])
-    line = profile.line
-    unit = options.get("unit", line.unit)
-    if not unit:
-        raise DeviceError(
-            f"{uri.text}: no unit number, and {profile.kind} has no default; add it to the "
-            f"URI: {profile.note}"
-        )
-    units = [Unit("ghi", unit)]
-    units += [
-        Unit(name, options[f"{name}_unit"]) for name in ("dhi", "dni") if f"{name}_unit" in options
-    ]
-    if len({u.address for u in units}) != len(units):
+    options = uri.read(_Options)
+    if not uri.place or not options.kind:
+        example = "modbus:/dev/ttyUSB0?kind=smp&unit=1"
+        raise DeviceError(f"{uri.text}: expected a port and a kind, such as {example}")
+    profile = load_register_profile(options.kind)
+    addresses = options.unit or profile.line.unit, options.dhi_unit, options.dni_unit
+    units = {what: u for what, u in zip(("ghi", "dhi", "dni"), addresses, strict=True) if u}
+    if "ghi" not in units:
+        why = f"no unit number, and {profile.kind} has no default"
+        raise DeviceError(f"{uri.text}: {why}; add it to the URI: {profile.note}")
+    if len(set(units.values())) < len(units):
         raise DeviceError(f"{uri.text}: a unit number occurs twice; each unit needs its own")
-    stated = {name: options[name] for name in ("baud", "parity", "stop") if name in options}
-    return ModbusPyranometer(
-        uri.place,
-        profile,
-        replace(line, **stated),
-        units,
-        clock,
-        timeout_s=options.get("timeout", 0.5),
-    )
+    stated = {"baud": options.baud, "parity": options.parity, "stop": options.stop}
+    line = replace(profile.line, **{name: value for name, value in stated.items() if value})
+    return ModbusPyranometer(uri.place, profile, line, units, clock, timeout_s=options.timeout)

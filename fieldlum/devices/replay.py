@@ -7,8 +7,11 @@ exposure that it matches.
 from __future__ import annotations
 
 import shutil
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
+
+from msgspec import Struct
 
 from fieldlum.core.errors import DeviceError, InputError
 from fieldlum.core.records import Exposure
@@ -31,32 +34,17 @@ def frames_of(folder: Path) -> list[tuple[Path, FrameInfo]]:
     frames = []
     for path in sorted(p for p in folder.rglob("*") if p.is_file() and p.name[0] != "."):
         if path.suffix.lower() not in _NO_FRAMES:
-            try:
+            with suppress(InputError):
                 frames.append((path, read_exif(path)))
-            except InputError:
-                continue
     if not frames:
-        raise DeviceError(
-            f"replay: no frames in {folder}; expected raw or JPEG files with their exposure in "
-            "EXIF; name another folder"
-        )
-    return sorted(frames, key=lambda frame: (_order(frame[1].t_camera), str(frame[0])))
+        expected = "expected raw or JPEG files with their exposure in EXIF"
+        raise DeviceError(f"replay: no frames in {folder}; {expected}; name another folder")
 
+    def when(frame: tuple[Path, FrameInfo]) -> datetime:
+        t_camera = frame[1].t_camera or datetime.max.replace(tzinfo=UTC)
+        return t_camera if t_camera.tzinfo else t_camera.replace(tzinfo=UTC)
 
-def _order(t_camera: datetime | None) -> datetime:
-    """Return a sort key; times without a zone are compared only with each other."""
-    late = datetime.max.replace(tzinfo=UTC)
-    return (
-        late if t_camera is None else t_camera if t_camera.tzinfo else t_camera.replace(tzinfo=UTC)
-    )
-
-
-def fits(recorded: Exposure, asked: Exposure) -> bool:
-    """Return whether two exposures agree: shutter, aperture and ISO within 1/6 EV each, and filter.
-
-    The filter is compared only if `recorded` states one.
-    """
-    return same_exposure(recorded, asked) and recorded.nd in ("", asked.nd)
+    return sorted(frames, key=when)
 
 
 class ReplayCamera:
@@ -83,17 +71,16 @@ class ReplayCamera:
         such frame is left, OSError if the disk is full.
         """
         for i, (path, info) in enumerate(self._left):
-            if fits(info.exposure, exposure):
+            is_same = same_exposure(info.exposure, exposure)
+            if is_same and info.exposure.nd in ("", exposure.nd):
                 del self._left[i]
                 written = target.with_name(f"{target.name}{path.suffix.lower()}")
                 shutil.copyfile(path, written)
                 self._clock.sleep(exposure.shutter_s)
                 return written
         shown = f"{exposure.shutter_s:.5g} s f/{exposure.f_number:g} ISO {exposure.iso:g}"
-        raise DeviceError(
-            f"replay: the folder has no unused frame of {shown}, only {len(self._left)} of other "
-            "exposures; plan exposures that the folder has, and at most as many brackets"
-        )
+        found = f"no unused frame of {shown}, only {len(self._left)} of other exposures"
+        raise DeviceError(f"replay: {found}; plan what the folder has")
 
     def close(self) -> None:
         """Forget the frames that were not replayed; their files stay."""
@@ -105,7 +92,7 @@ def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None)
 
     Raises DeviceError for any option, for a missing folder, or one without frames.
     """
-    uri.read()
+    uri.read(Struct)
     folder = Path(uri.place)
     if not uri.place or not folder.is_dir():
         raise DeviceError(f"{uri.text}: no such folder; expected replay:FOLDER; correct the path")

@@ -27,7 +27,7 @@ from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import Exposure, shutter_text
 from fieldlum.devices import CameraInfo, refuse_turning
 from fieldlum.devices.clock import Clock
-from fieldlum.devices.uri import DeviceUri, number
+from fieldlum.devices.uri import DeviceUri
 from fieldlum.optics.photometry import SAME_SETTING_EV
 from fieldlum.session import Session
 
@@ -77,9 +77,9 @@ def parse_metadata(text: str) -> FrameMetadata:
     try:
         return json.decode(text, type=FrameMetadata)
     except (ValueError, RecursionError) as error:
+        expected = "expected JSON with ExposureTime and AnalogueGain above 0"
         raise DeviceError(
-            f"rpicam: the metadata of the frame cannot be used: {str(error)[:120]}; expected JSON "
-            "with ExposureTime and AnalogueGain above 0; install a newer rpicam-apps"
+            f"rpicam: metadata: {str(error)[:120]}; {expected}; install a newer rpicam-apps"
         ) from None
 
 
@@ -106,10 +106,8 @@ class RpicamCamera:
         cameras = parse_cameras(self._run(["--list-cameras"], LIST_S))
         if self._number not in cameras:
             there = ", ".join(f"{n} ({name})" for n, (name, _) in cameras.items())
-            raise DeviceError(
-                f"rpicam:{place}: {PROGRAM} --list-cameras does not name camera {self._number}; "
-                f"it names {there or 'none: check the ribbon cable, then restart'}"
-            )
+            there = there or "none: check the ribbon cable, then restart"
+            raise DeviceError(f"rpicam: no camera {self._number}; {PROGRAM} names {there}")
         self._sensor = cameras[self._number][0]
         self._taken: dict[Path, Exposure] = {}
 
@@ -133,13 +131,10 @@ class RpicamCamera:
             timeout_s = self._start_s + DISCARDED_FRAMES * exposure.shutter_s
             self._run(self._arguments(exposure, picture, about), timeout_s)
             metadata = self._metadata(about)
-            self._check(metadata, exposure)
-            if not written.is_file() or written.stat().st_size < _MIN_FILE_BYTES:
-                size = written.stat().st_size if written.is_file() else 0
-                raise DeviceError(
-                    f"rpicam: the raw frame has only {size} bytes; take it "
-                    "again, and check the camera's cable"
-                )
+            _check(metadata, exposure)
+            size = written.stat().st_size if written.is_file() else 0
+            if size < _MIN_FILE_BYTES:
+                raise DeviceError(f"rpicam: a raw frame of only {size} bytes; check the cable")
         except BaseException:
             written.unlink(missing_ok=True)
             raise
@@ -156,15 +151,12 @@ class RpicamCamera:
     def check_offered(self, exposure: Exposure) -> None:
         """Raise DeviceError for an aperture over 2 % from the lens's, or for an ISO below 97."""
         if abs(exposure.f_number / self._f_number - 1.0) > 0.02:
-            raise DeviceError(
-                f"rpicam: f/{exposure.f_number:g} is planned, and the lens has "
-                f"f/{self._f_number:g}; give f_number=... in the URI, or "
-                "correct f_number in [bracket] of the profile, then plan a new session"
-            )
+            found = f"f/{exposure.f_number:g} is planned, and the lens has f/{self._f_number:g}"
+            remedy = "state f_number=... in the URI, or correct [bracket] of the profile and plan"
+            raise DeviceError(f"rpicam: {found}; {remedy}")
         if exposure.iso < ISO_OF_GAIN_1 * (1.0 - GAIN_TOLERANCE):
-            raise DeviceError(
-                f"rpicam: ISO {exposure.iso:g} would need a gain below 1; plan with ISO 100 or more"
-            )
+            found = f"ISO {exposure.iso:g} would need a gain below 1"
+            raise DeviceError(f"rpicam: {found}; plan with ISO 100 or more")
 
     def close(self) -> None:
         """Do nothing: the camera is not held between frames."""
@@ -179,34 +171,9 @@ class RpicamCamera:
         ]
 
     def _metadata(self, about: Path) -> FrameMetadata:
-        try:
-            return parse_metadata(about.read_text(encoding="utf-8", errors="replace"))
-        except OSError:
-            raise DeviceError(
-                "rpicam: no metadata were written, so the exposure is unknown; update rpicam-apps"
-            ) from None
-
-    def _check(self, metadata: FrameMetadata, asked: Exposure) -> None:
-        """Raise DeviceError if the sensor cannot take this exposure.
-
-        A repetition would not help.
-        """
-        off_ev = abs(math.log2(metadata.shutter_s / asked.shutter_s))
-        stretched = metadata.digital_gain > 1.0 + 10 * GAIN_TOLERANCE
-        if off_ev > SAME_SETTING_EV and stretched:
-            raise DeviceError(
-                f"rpicam: {shutter_text(asked.shutter_s)} s requested, but the sensor exposed "
-                f"{metadata.shutter_s:.4g} s and the program multiplied the picture by "
-                f"{metadata.digital_gain:g}, so the time is too long for this camera module; "
-                "remove "
-                f"the long exposures from [bracket] in the profile and plan again"
-            )
-        gain = asked.iso / ISO_OF_GAIN_1
-        if abs(math.log2(metadata.analogue_gain / gain)) > SAME_SETTING_EV:
-            raise DeviceError(
-                f"rpicam: gain {gain:g} requested, but the sensor used "
-                f"{metadata.analogue_gain:g}; plan an ISO that this camera module has"
-            )
+        if not about.is_file():
+            raise DeviceError("rpicam: no metadata, so no known exposure; update rpicam-apps")
+        return parse_metadata(about.read_text(encoding="utf-8", errors="replace"))
 
     def _run(self, arguments: list[str], timeout_s: float) -> str:
         """Run the program and return what it prints.
@@ -222,46 +189,52 @@ class RpicamCamera:
                 start_new_session=True,
             )
         except OSError as error:
-            raise DeviceError(
-                f"rpicam: {self._program} does not start ({error.strerror}); "
-                f"install it with: sudo apt install rpicam-apps"
-            ) from None
+            why, remedy = error.strerror, "install it with: sudo apt install rpicam-apps"
+            raise DeviceError(f"rpicam: {self._program} does not start ({why}); {remedy}") from None
         try:
             printed = process.communicate(timeout=timeout_s)[0].decode("utf-8", "replace")
         except subprocess.TimeoutExpired:
-            _kill(process)
-            raise DeviceError(
-                f"rpicam: {PROGRAM} did not end within {timeout_s:.0f} s and was killed; check the "
-                "camera's cable, then capture again"
-            ) from None
-        except BaseException:
-            _kill(process)
-            raise
+            why = f"{PROGRAM} did not end within {timeout_s:.0f} s and was killed"
+            raise DeviceError(f"rpicam: {why}; check the camera's cable") from None
+        finally:
+            if process.returncode is None:
+                _kill(process)
         if "No space left on device" in printed:
             raise OSError(errno.ENOSPC, "No space left on device")
         if process.returncode != 0 or "ERROR: ***" in printed:
-            raise DeviceError(f"rpicam: {_reason(printed, process.returncode)}")
+            lines = [line.strip() for line in printed.splitlines() if line.strip()]
+            errors = [line for line in lines if "ERROR" in line]
+            why = f"{(errors or lines or ['nothing printed'])[-1][:200]}; run it in a terminal"
+            if "in use by another process" in printed:
+                why = "another program uses the camera; end that program"
+            raise DeviceError(f"rpicam: {PROGRAM} failed (code {process.returncode}): {why}")
         return printed
 
 
-def _reason(printed: str, code: int) -> str:
-    """Return the line of the program's output that names the fault."""
-    lines = [line.strip() for line in printed.splitlines() if line.strip()]
-    errors = [line for line in lines if "ERROR" in line]
-    if any("in use by another process" in line for line in lines):
-        return "another program uses the camera; end that program"
-    shown = (errors or lines or ["nothing printed"])[-1][:200]
-    return f"{shown} (exit code {code}); run {PROGRAM} in a terminal to find the cause"
+def _check(metadata: FrameMetadata, asked: Exposure) -> None:
+    """Raise DeviceError if the sensor cannot take this exposure; a repetition would not help."""
+    off_ev = abs(math.log2(metadata.shutter_s / asked.shutter_s))
+    if off_ev > SAME_SETTING_EV and metadata.digital_gain > 1.0 + 10 * GAIN_TOLERANCE:
+        found = f"{shutter_text(asked.shutter_s)} s requested, {metadata.shutter_s:.4g} s exposed"
+        why = f"{found}, digital gain {metadata.digital_gain:g}: too long for this camera module"
+        raise DeviceError(f"rpicam: {why}; remove it from [bracket] in the profile and plan again")
+    gain = asked.iso / ISO_OF_GAIN_1
+    if abs(math.log2(metadata.analogue_gain / gain)) > SAME_SETTING_EV:
+        found = f"gain {gain:g} requested, {metadata.analogue_gain:g} used"
+        raise DeviceError(f"rpicam: {found}; plan an ISO that this camera module has")
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:
+    """Kill a program with all processes that it started."""
     with suppress(OSError):
-        if sys.platform == "win32":
-            process.kill()
-        else:
-            os.killpg(process.pid, signal.SIGKILL)
+        process.kill() if sys.platform == "win32" else os.killpg(process.pid, signal.SIGKILL)
     with suppress(subprocess.TimeoutExpired):
         process.communicate(timeout=5.0)
+
+
+class _Options(Struct):
+    f_number: Annotated[float, Meta(ge=0.5, le=64.0)] | None = None
+    program: str = PROGRAM
 
 
 def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None) -> RpicamCamera:
@@ -271,21 +244,11 @@ def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None)
     have exactly one. Raises DeviceError also for an unknown option or a missing camera, InputError
     for a broken plan.
     """
-    options = uri.read(f_number=number(0.5, 64.0), program=str)
-    f_number = options.get("f_number") or _planned_f_number(session)
-    return RpicamCamera(uri.place, f_number, program=options.get("program", PROGRAM))
-
-
-def _planned_f_number(session: Session | None) -> float:
-    """Return the aperture of the plan.
-
-    Raises DeviceError without a session, or if the plan has two apertures.
-    """
-    slots = session.slots() if session is not None else []
+    options = uri.read(_Options)
+    slots = session.slots() if session is not None and not options.f_number else []
     planned = {exposure.f_number for slot in slots for exposure in slot.exposures}
+    planned = {options.f_number} if options.f_number else planned
     if len(planned) != 1:
-        raise DeviceError(
-            "rpicam: the plan has no single aperture; state the lens's aperture in the URI, such "
-            "as rpicam:0?f_number=2.0"
-        )
-    return planned.pop()
+        remedy = "state the lens's aperture in the URI, such as rpicam:0?f_number=2.0"
+        raise DeviceError(f"rpicam: the plan has no single aperture; {remedy}")
+    return RpicamCamera(uri.place, planned.pop(), program=options.program)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -45,27 +46,24 @@ def closed_on_error(device: Closable) -> Iterator[None]:
         raise
 
 
-def _cannot_open(port: str, error: DeviceError) -> str:
-    """Return why a port cannot be opened, and the remedy.
+# What the text of pyserial's error contains (on Windows it is the only hint), and what it means.
+_REASONS = {
+    r"\[Errno 13\]": "no permission; join the port's group (often dialout) and log in again",
+    r"exclusively lock|\[Errno 16\]|PermissionError": "another program uses it; close it "
+    "(a terminal, another capture or log)",
+    r"\[Errno 25\]|Inappropriate ioctl": "not a serial port",
+}
 
-    On Windows the text of pyserial's error is the only hint of the reason.
-    """
-    reason = str(error)
-    if "[Errno 2]" in reason or "FileNotFoundError" in reason:
+
+def _cannot_open(port: str, reason: str) -> str:
+    """Return why a port cannot be opened, and the remedy."""
+    if re.search(r"\[Errno 2\]|FileNotFoundError", reason):
         from serial.tools.list_ports import comports
 
         ports = ", ".join(sorted(port.device for port in comports()))
         return f"{port}: no such port; ports: {ports or 'none, check cable and power'}"
-    if "[Errno 13]" in reason:
-        return (
-            f"{port}: no permission to open it; join the port's group (often dialout) and log in "
-            f"again"
-        )
-    if "exclusively lock" in reason or "[Errno 16]" in reason or "PermissionError" in reason:
-        return f"{port}: another program uses it; close it (a terminal, another capture or log)"
-    if "[Errno 25]" in reason or "Inappropriate ioctl" in reason:
-        return f"{port}: not a serial port"
-    return reason
+    known = (f"{port}: {why}" for text, why in _REASONS.items() if re.search(text, reason))
+    return next(known, reason)
 
 
 def resolve(place: str) -> str:
@@ -79,19 +77,16 @@ def resolve(place: str) -> str:
         return place
     from serial.tools.list_ports import comports
 
-    wanted = place.removeprefix("usb=").lower().split(":")
-    ports = []
+    wanted = place.removeprefix("usb=").lower()
+    there: list[str] = []
     for port in comports():
-        if port.vid is None:
-            continue
-        name = [f"{port.vid:04x}", f"{port.pid:04x}", (port.serial_number or "").lower()]
-        if name[: len(wanted)] == wanted:
-            return port.device
-        ports.append(":".join(part for part in name if part))
-    raise DeviceError(
-        f"{place}: not plugged in; plug it in, or name one of these USB ports: "
-        f"{', '.join(ports) or 'none'}"
-    )
+        if port.vid is not None:
+            name = f"{port.vid:04x}:{port.pid:04x}:{(port.serial_number or '').lower()}"
+            if f"{name}:".startswith(f"{wanted}:"):
+                return port.device
+            there.append(name.strip(":"))
+    ports = ", ".join(there) or "none"
+    raise DeviceError(f"{place}: not plugged in; plug it in, or name one of these ports: {ports}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +123,7 @@ class SerialPort:
                     exclusive=True,
                 )
         except DeviceError as error:
-            raise DeviceError(_cannot_open(self.name, error)) from None
+            raise DeviceError(_cannot_open(self.name, str(error))) from None
 
     @property
     def handle(self) -> Any:

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
+from datetime import datetime
 from itertools import combinations
 
 from fieldlum.core.errors import DeviceError
@@ -67,37 +67,31 @@ def parse_reading(reply: bytes) -> Spn1Reading:
     """
     match = _READING.fullmatch(reply)
     if match is None:
-        raise DeviceError(
-            f"SPN1 answered {reply[:40]!r}; expected total, diffuse, sunshine and a carriage "
-            "return; check the cable"
-        )
+        raise _unexpected(reply, "total, diffuse, sunshine and a carriage return")
     total, diffuse = float(match[1]), float(match[2])
     if max(total, diffuse) > MAX_WM2:
-        raise DeviceError(
-            f"SPN1 answered {reply[:40]!r}; expected at most {MAX_WM2:g} W/m2; check the cable"
-        )
+        raise _unexpected(reply, f"at most {MAX_WM2:g} W/m2")
     return Spn1Reading(total, diffuse, match[3] == b"1")
 
 
-def apart_wm2(a: Spn1Reading, b: Spn1Reading) -> float:
+def _unexpected(reply: bytes, expected: str) -> DeviceError:
+    return DeviceError(f"SPN1 answered {reply[:40]!r}; expected {expected}; check port and cable")
+
+
+def _apart_wm2(a: Spn1Reading, b: Spn1Reading) -> float:
     """Return the larger difference of two readings, in total or in diffuse irradiance [W/m2]."""
-    return max(abs(x - y) for x, y in zip(_both(a), _both(b), strict=True))
+    return max(abs(a.total_wm2 - b.total_wm2), abs(a.diffuse_wm2 - b.diffuse_wm2))
 
 
-def in_line(a: Spn1Reading, b: Spn1Reading, c: Spn1Reading) -> bool:
+def _in_line(a: Spn1Reading, b: Spn1Reading, c: Spn1Reading) -> bool:
     """Return whether `b`, read between `a` and `c`, is half way between them, to 25 W/m2.
 
-    This must hold for the total and the diffuse, and `a` and `c` may differ by at most 200 W/m2. It
-    is so in light that rises or falls steadily.
+    `a` and `c` may differ by at most 200 W/m2. It is so in light that rises or falls steadily.
     """
-    triples = zip(_both(a), _both(b), _both(c), strict=True)
-    return apart_wm2(a, c) <= MAX_SLOPE_WM2 and all(
-        abs(y - (x + z) / 2.0) <= AGREE_WM2 for x, y, z in triples
+    middle = Spn1Reading(
+        (a.total_wm2 + c.total_wm2) / 2.0, (a.diffuse_wm2 + c.diffuse_wm2) / 2.0, b.sunshine
     )
-
-
-def _both(reading: Spn1Reading) -> tuple[float, float]:
-    return reading.total_wm2, reading.diffuse_wm2
+    return _apart_wm2(a, c) <= MAX_SLOPE_WM2 and _apart_wm2(b, middle) <= AGREE_WM2
 
 
 def agreed_reading(ask: Callable[[], bytes]) -> tuple[Spn1Reading, tuple[bytes, ...]]:
@@ -105,7 +99,7 @@ def agreed_reading(ask: Callable[[], bytes]) -> tuple[Spn1Reading, tuple[bytes, 
 
     The answers have no checksum. `ask` queries the instrument twice, and a third time if the
     readings differ by more than the noise or exactly one answer is damaged. If two readings agree,
-    the earlier of the nearest two is returned. Otherwise, if three are `in_line`, the light was
+    the earlier of the nearest two is returned. Otherwise, if three are on a line, the light was
     changing and the middle one is returned. Raises DeviceError if neither is the case, or at once
     if `ask` raises it, for example because the instrument is silent.
     """
@@ -118,17 +112,32 @@ def agreed_reading(ask: Callable[[], bytes]) -> tuple[Spn1Reading, tuple[bytes, 
             valid.append(parse_reading(answers[-1]))
         except DeviceError as error:
             why = why or str(error)
-        if len(valid) == len(answers) == 2 and apart_wm2(*valid) <= NOISE_WM2:
+        if len(valid) == len(answers) == 2 and _apart_wm2(*valid) <= NOISE_WM2:
             break
-    pairs = sorted(combinations(valid, 2), key=lambda pair: apart_wm2(*pair))
-    if pairs and apart_wm2(*pairs[0]) <= AGREE_WM2:
+    pairs = sorted(combinations(valid, 2), key=lambda pair: _apart_wm2(*pair))
+    if pairs and _apart_wm2(*pairs[0]) <= AGREE_WM2:
         return pairs[0][0], tuple(answers)
-    if len(valid) == MAX_ANSWERS and in_line(*valid):
+    if len(valid) == MAX_ANSWERS and _in_line(*valid):
         return valid[1], tuple(answers)
-    shown = ", ".join(repr(answer[:40]) for answer in answers)
-    raise DeviceError(
-        why if not valid else f"no two answers of the instrument agree: {shown}; check the cable"
-    )
+    if valid:
+        shown = ", ".join(repr(answer[:40]) for answer in answers)
+        why = f"no two answers of the instrument agree: {shown}; check the cable"
+    raise DeviceError(why)
+
+
+def agreed_sample(t_utc: datetime, ask: Callable[[], bytes]) -> IrradianceSample:
+    """Return a reading on which two answers agree, or the middle of three evenly spaced ones.
+
+    Several answers are needed because the line has no checksum. A total over 3 W/m2 below the
+    diffuse gets a status. `raw` has the distinct answers, joined by " | ". Raises DeviceError if
+    neither two valid answers agree nor three are evenly spaced.
+    """
+    reading, answers = agreed_reading(ask)
+    is_doubtful = reading.total_wm2 < reading.diffuse_wm2 - _TOTAL_BELOW_DIFFUSE_WM2
+    status = "total below diffuse" if is_doubtful else ""
+    texts = (a.decode("ascii", "backslashreplace").strip() for a in dict.fromkeys(answers))
+    raw = " | ".join(texts)
+    return IrradianceSample(t_utc, reading.total_wm2, reading.diffuse_wm2, status=status, raw=raw)
 
 
 def parse_status(reply: bytes) -> Spn1Status:
@@ -138,16 +147,12 @@ def parse_status(reply: bytes) -> Spn1Status:
     units than W/m2.
     """
     if not (_STATUS_REPLY.fullmatch(reply) and b"SPN1 " in reply):
-        raise DeviceError(
-            f"SPN1 answered {reply[:40]!r}; expected lines about the instrument; check that this "
-            "is the port of an SPN1"
-        )
+        raise _unexpected(reply, "lines about the instrument")
     text = reply.decode("ascii").replace("\r", "\n")
     units = re.search(r"Units: *(\S+)", text)
     if units and units[1].upper().replace("^", "") not in ("W.M-2", "W/M2"):
-        raise DeviceError(
-            f"SPN1 is set to {units[1]}; expected W.m-2; change the unit with Delta-T's own program"
-        )
+        remedy = "change the unit with Delta-T's own program"
+        raise DeviceError(f"SPN1 is set to {units[1]}; expected W.m-2; {remedy}")
     firmware, serial = _FIRMWARE.search(text), _SERIAL.search(text)
     return Spn1Status(firmware[1].strip() if firmware else "", serial[1] if serial else "")
 
@@ -155,20 +160,13 @@ def parse_status(reply: bytes) -> Spn1Status:
 class Spn1:
     """An SPN1 on a serial port; implements `Pyranometer`. Sends R, S and I and nothing else.
 
-    close_too : called by `close`, to stop a simulator behind the port. Raises DeviceError if the
-    port cannot be opened or the instrument does not answer as an SPN1.
+    Raises DeviceError if the port cannot be opened or the instrument does not answer as an SPN1.
     """
 
     def __init__(
-        self,
-        place: str,
-        clock: Clock,
-        *,
-        baud: int = 9600,
-        timeout_s: float = 2.0,
-        close_too: Callable[[], None] | None = None,
+        self, place: str, clock: Clock, *, baud: int = 9600, timeout_s: float = 2.0
     ) -> None:
-        self._clock, self._close_too = clock, close_too
+        self._clock = clock
         self._port = SerialPort(place, SerialLine(baud), timeout_s=timeout_s)
         with closed_on_error(self):
             self._status = self._ask_status()
@@ -187,31 +185,16 @@ class Spn1:
         )
 
     def read(self) -> IrradianceSample:
-        """Return a reading on which two answers agree, or the middle of three evenly spaced ones.
-
-        Several answers are needed because the line has no checksum. A total over 3 W/m2 below the
-        diffuse gets a status. `raw` has the distinct answers, joined by " | ". Raises DeviceError
-        for silence, or if neither two valid answers agree nor three are evenly spaced.
-        """
-        t_utc = self._clock.now()
-        reading, answers = agreed_reading(self._ask_reading)
-        is_doubtful = reading.total_wm2 < reading.diffuse_wm2 - _TOTAL_BELOW_DIFFUSE_WM2
-        doubt = "total below diffuse" if is_doubtful else ""
-        text = " | ".join(
-            answer.decode("ascii", "backslashreplace").strip() for answer in dict.fromkeys(answers)
-        )
-        return IrradianceSample(
-            t_utc, reading.total_wm2, reading.diffuse_wm2, status=doubt, raw=text
-        )
+        """Return a reading; see `agreed_sample`. Raises DeviceError also for silence."""
+        return agreed_sample(self._clock.now(), self._ask_reading)
 
     def _ask_reading(self) -> bytes:
         self._wake()
         self._port.write(b"S")
         reply = self._port.read_until(b"\r", 64)
         if not reply:
-            raise DeviceError(
-                f"{self._port.name}: SPN1 woke, but sends no reading; switch it off and on again"
-            )
+            why = "SPN1 woke, but sends no reading; switch it off and on again"
+            raise DeviceError(f"{self._port.name}: {why}")
         return reply
 
     def _wake(self) -> None:
@@ -224,10 +207,8 @@ class Spn1:
             if heard == AWAKE:
                 return
         answer = f"answered {heard!r}" if heard else "did not answer"
-        raise DeviceError(
-            f"{self._port.name}: SPN1 {answer} when woken; expected 0xAF; check cable, power and "
-            f"9600 8N1"
-        )
+        remedy = "check cable, power and 9600 8N1"
+        raise DeviceError(f"{self._port.name}: SPN1 {answer} when woken; expected 0xAF; {remedy}")
 
     def _ask_status(self) -> Spn1Status:
         self._wake()
@@ -238,6 +219,3 @@ class Spn1:
     def close(self) -> None:
         """Close the port."""
         self._port.close()
-        if self._close_too is not None:
-            with suppress(OSError):
-                self._close_too()

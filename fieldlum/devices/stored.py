@@ -73,12 +73,8 @@ def require_permitted(text: str, source: Path, option: str) -> None:
         wanted = names_more(text)
     except DeviceError:
         return  # opening the device reports it
-    if wanted is None or is_permitted(wanted):
-        return
-    raise InputError(
-        source,
-        f"{option.removeprefix('--')} = {text}, which names a program, file or computer",
-        "an address that was named on the command line of this computer",
-        "if you trust it, permit it with: fieldlum doctor "
-        f"{shlex.quote(str(source.parent))} {option} {shlex.quote(text)}",
-    )
+    if wanted is not None and not is_permitted(wanted):
+        found = f"{option.removeprefix('--')} = {text}, which names a program, file or computer"
+        expected = "an address that was named on the command line of this computer"
+        command = f"fieldlum doctor {shlex.quote(str(source.parent))} {option} {shlex.quote(text)}"
+        raise InputError(source, found, expected, f"if you trust it, permit it with: {command}")

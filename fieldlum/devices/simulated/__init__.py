@@ -7,20 +7,35 @@ options: seed, noise (W/m2).
 
 from __future__ import annotations
 
+from typing import Annotated
+
+from msgspec import Meta, Struct
+
 from fieldlum.core.errors import DeviceError
 from fieldlum.devices import Camera, Pyranometer
 from fieldlum.devices.clock import Clock
-from fieldlum.devices.uri import DeviceUri, integer_option, number
+from fieldlum.devices.uri import DeviceUri
 from fieldlum.session import Session
 
-_SEED = integer_option(0, 2**31)
+_Seed = Annotated[int, Meta(ge=0, le=2**31)]
+
+
+class _CameraOptions(Struct):
+    seed: _Seed = 1
+    profile: str = ""
+    clock_offset: Annotated[float, Meta(ge=-1e9, le=1e9)] = 0.0
+    overhead: Annotated[float, Meta(ge=0.0, le=600.0)] | None = None
+
+
+class _PyranometerOptions(Struct):
+    seed: _Seed = 1
+    noise: Annotated[float, Meta(ge=0.0, le=100.0)] = 1.0
 
 
 def _check_place(uri: DeviceUri) -> None:
     if uri.place not in ("office", ""):
-        raise DeviceError(
-            f"{uri.text}: no simulated place '{uri.place}'; expected sim:office; correct the URI"
-        )
+        found = f"no simulated place '{uri.place}'; expected sim:office"
+        raise DeviceError(f"{uri.text}: {found}; correct the URI")
 
 
 def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None) -> Camera:
@@ -32,38 +47,34 @@ def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None)
     """
     from fieldlum.core.records import CameraSetup
     from fieldlum.devices.simulated.camera import SimulatedCamera
-    from fieldlum.devices.simulated.office import open_world
+    from fieldlum.devices.simulated.world import open_world
     from fieldlum.optics.profiles import load_camera_profile
 
     _check_place(uri)
-    options = uri.read(
-        seed=_SEED, profile=str, clock_offset=number(-1e9, 1e9), overhead=number(0.0, 600.0)
-    )
-    seed = options.get("seed", 1)
+    options = uri.read(_CameraOptions)
     setup = session.site_file().camera if session is not None else CameraSetup()
     return SimulatedCamera(
-        open_world(session, seed),
-        load_camera_profile(options.get("profile", setup.profile)),
+        open_world(session, options.seed),
+        load_camera_profile(options.profile or setup.profile),
         clock,
         heading_deg=setup.heading_deg,
-        seed=seed,
-        clock_offset_s=options.get("clock_offset", 0.0),
-        overhead_s=options.get("overhead"),
+        seed=options.seed,
+        clock_offset_s=options.clock_offset,
+        overhead_s=options.overhead,
     )
 
 
 def open_pyranometer(
     uri: DeviceUri, *, clock: Clock, session: Session | None = None
 ) -> Pyranometer:
-    """Open a simulated SPN1 on a pseudo-terminal, read by the real driver; see `open_world`.
+    """Open a simulated SPN1; see `open_world`.
 
-    Raises DeviceError for another place than office, for unknown options and on Windows, InputError
-    for a bad SITE.toml or truth/ of the session.
+    Raises DeviceError for another place than office and for unknown options, InputError for a bad
+    SITE.toml or truth/ of the session.
     """
-    from fieldlum.devices.simulated.office import open_world
-    from fieldlum.devices.simulated.spn1 import open_simulated
+    from fieldlum.devices.simulated.spn1 import SimulatedSpn1
+    from fieldlum.devices.simulated.world import open_world
 
     _check_place(uri)
-    options = uri.read(seed=_SEED, noise=number(0.0, 100.0))
-    seed = options.get("seed", 1)
-    return open_simulated(open_world(session, seed), clock, seed, options.get("noise", 1.0))
+    options = uri.read(_PyranometerOptions)
+    return SimulatedSpn1(open_world(session, options.seed), clock, options.seed, options.noise)

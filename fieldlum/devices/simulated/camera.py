@@ -6,22 +6,160 @@ import zlib
 from datetime import datetime, timedelta
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from fieldlum.core.arrays import Floats32
+from fieldlum.core.arrays import Floats, Floats32
 from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import Exposure, Panorama
 from fieldlum.devices import CameraInfo, nearest
 from fieldlum.devices.clock import Clock
-from fieldlum.devices.simulated import optics, sensor
+from fieldlum.devices.simulated import optics
 from fieldlum.devices.simulated.world import World, detail_of
-from fieldlum.optics.linear_light import lens_geometry, true_shutter_s, vignetting_of
-from fieldlum.optics.photometry import vignetting_at
+from fieldlum.optics.images import RADIANCE_Y
+from fieldlum.optics.linear_light import (
+    gain_e_per_dn,
+    lens_geometry,
+    nd_factors,
+    response_tables,
+    true_shutter_s,
+    vignetting_of,
+)
+from fieldlum.optics.photometry import vignetting_at, z_per_cdm2
 from fieldlum.optics.profiles import CameraProfile
 from fieldlum.optics.projection import relative_radius
-from fieldlum.optics.raw import write_dng, write_jpeg
+from fieldlum.optics.raw import channel_positions, write_dng, write_jpeg
 from fieldlum.sky.sky_view import SkyGrid
+
+# ----------------------------------------------------------------------------------------------
+# the sensor: from luminance to counts or codes, with noise and clipping
+
+# Nominal shutter times of cameras, in thirds of a stop.
+_SECONDS = "30 25 20 15 13 10 8 6 5 4 3.2 2.5 2 1.6 1.3 1"
+_FRACTIONS = (
+    "1.3 1.6 2 2.5 3 4 5 6 8 10 13 15 20 25 30 40 50 60 80 100 125 160 200 250 320 400 500 640 800 "
+    "1000 1250 1600 2000 2500 3200 4000 5000 6400 8000 10000 12800 16000"
+)
+DIAL_S = (
+    *(float(text) for text in _SECONDS.split()),
+    *(1.0 / float(text) for text in _FRACTIONS.split()),
+)
+# A Poisson distribution of more electrons is approximated by a normal one, for speed. Chosen.
+_GAUSSIAN_ABOVE_E = 60.0
+
+
+def camera_from_scene(profile: CameraProfile) -> Floats:
+    """Return the matrix from scene R, G, B [cd/m2] to camera channels, [3, 3].
+
+    It is the inverse of the profile's colour. With a profile without a matrix, each channel gets
+    luminance / sum(y_from_rgb), so that the camera sees grey only.
+    """
+    colour = profile.colour
+    if colour.rgb_to_radiance:
+        return np.linalg.inv(np.reshape(colour.rgb_to_radiance, (3, 3)))
+    return np.tile(np.asarray(RADIANCE_Y) / sum(colour.y_from_rgb), (3, 1))
+
+
+def camera_channels(scene: Floats32, profile: CameraProfile) -> Floats32:
+    """Return camera channels [h, w, 3] of a scene [h, w, 3] or grey [h, w, 1], in cd/m2."""
+    matrix = camera_from_scene(profile).astype(np.float32)
+    return scene * matrix.sum(axis=1) if scene.shape[-1] == 1 else scene @ matrix.T
+
+
+def mosaic_of(image: Floats32, cfa: str) -> Floats32:
+    """Return each pixel's channel in the Bayer pattern `cfa`: R, G, B [h, w, 3] become [h, w].
+
+    cfa : the letters of a cell of 2 x 2 pixels, row by row, such as RGGB.
+    """
+    out = np.empty(image.shape[:2], np.float32)
+    for i, letter in enumerate(cfa):
+        row, column = divmod(i, 2)
+        out[row::2, column::2] = image[row::2, column::2, "RGB".index(letter)]
+    return out
+
+
+def _cells(cfa: str, by_colour: tuple[float, ...], shape: tuple[int, int]) -> Floats32:
+    """Return the values of R, G1, G2, B at their pixels of a mosaic, [h, w]."""
+    out = np.empty(shape, np.float32)
+    for (row, column), value in zip(channel_positions(cfa), by_colour, strict=True):
+        out[row::2, column::2] = value
+    return out
+
+
+class RawSensor:
+    """A simulated Bayer sensor with the properties of a camera profile."""
+
+    def __init__(self, profile: CameraProfile) -> None:
+        sensor, body = profile.sensor, profile.camera
+        shape = (body.height_px, body.width_px)
+        self._profile = profile
+        self._black = _cells(sensor.cfa, sensor.black_dn, shape)
+        self._full = _cells(sensor.cfa, sensor.saturation_dn, shape)
+        self._range = sensor.white_dn - self._black
+
+    def counts(
+        self, mosaic_cdm2: Floats32, exposure: Exposure, true_s: float, rng: np.random.Generator
+    ) -> NDArray[np.uint16]:
+        """Return the raw counts [h, w] of one frame, with shot noise and read noise, clipped.
+
+        mosaic_cdm2 [h, w] : value of each pixel's channel after vignetting [cd/m2]; true_s : the
+        true shutter time [s].
+        """
+        sensor, k = self._profile.sensor, self._profile.scale.k
+        gain = gain_e_per_dn(exposure.iso, self._profile)
+        per = z_per_cdm2(true_s, exposure.f_number, exposure.iso, k)
+        red, green, blue = nd_factors(exposure.nd, self._profile)
+        attenuation = _cells(sensor.cfa, (red, green, green, blue), mosaic_cdm2.shape)
+        electrons = mosaic_cdm2 * (self._range * np.float32(per * gain)) / attenuation
+        electrons = np.minimum(electrons, np.float32(4.0 * gain * sensor.white_dn))
+        noisy = electrons + rng.standard_normal(electrons.shape, np.float32) * np.sqrt(
+            np.where(electrons > _GAUSSIAN_ABOVE_E, electrons, 0.0)
+            + np.float32(sensor.read_noise_e**2)
+        )
+        few = (electrons <= _GAUSSIAN_ABOVE_E) & (electrons > 0)
+        mean = electrons[few]
+        noisy[few] += rng.poisson(mean) - mean
+        return np.clip(np.rint(noisy / np.float32(gain) + self._black), 0, self._full).astype(
+            np.uint16
+        )
+
+
+class JpegSensor:
+    """A simulated camera that writes 8-bit codes through the response of a profile."""
+
+    def __init__(self, profile: CameraProfile) -> None:
+        self._profile = profile
+        self._z = response_tables(profile).T  # [3, 256]
+
+    def codes(
+        self, image_cdm2: Floats32, exposure: Exposure, true_s: float, rng: np.random.Generator
+    ) -> NDArray[np.uint8]:
+        """Return the 8-bit codes [h, w, 3] (R, G, B) of one frame, with noise.
+
+        image_cdm2 [h, w, 3] : camera channels after vignetting [cd/m2]; true_s : the true shutter
+        time [s].
+        """
+        sensor, k = self._profile.sensor, self._profile.scale.k
+        per = z_per_cdm2(true_s, exposure.f_number, exposure.iso, k)
+        full_e = sensor.gain_e_per_dn * sensor.white_dn * sensor.iso / exposure.iso
+        z = (
+            image_cdm2
+            * np.float32(per)
+            / np.asarray(nd_factors(exposure.nd, self._profile), np.float32)
+        )
+        spread = np.sqrt(np.maximum(z, 0) / full_e + (sensor.read_noise_e / full_e) ** 2)
+        z = z + rng.standard_normal(z.shape, np.float32) * spread
+        out = np.empty(z.shape, np.uint8)
+        for c, table in enumerate(self._z):
+            codes = np.interp(z[..., c], table + np.arange(256) * 1e-12, np.arange(256.0))
+            out[..., c] = np.rint(codes)
+        return out
+
+
+# ----------------------------------------------------------------------------------------------
+# the camera
 
 
 class SimulatedCamera:
@@ -48,8 +186,8 @@ class SimulatedCamera:
         self._clock_offset_s = clock_offset_s
         self._overhead_s = profile.bracket.seconds_per_frame if overhead_s is None else overhead_s
         self._shape = (profile.camera.height_px, profile.camera.width_px)
-        self._raw = sensor.RawSensor(profile) if profile.camera.kind == "raw" else None
-        self._jpeg = sensor.JpegSensor(profile) if profile.camera.kind == "jpeg" else None
+        self._raw = RawSensor(profile) if profile.camera.kind == "raw" else None
+        self._jpeg = JpegSensor(profile) if profile.camera.kind == "jpeg" else None
         self._views = lru_cache(maxsize=8)(self._views_of)
         self._shading = lru_cache(maxsize=8)(self._shading_of)
         self._last: tuple[Panorama, float, Floats32] | None = None
@@ -99,24 +237,17 @@ class SimulatedCamera:
         """
         profile = self._profile
         apertures = [v.f_number for v in profile.lens[0].vignetting] or [profile.bracket.f_number]
-        if exposure.f_number not in apertures:
-            raise DeviceError(
-                f"simulated camera: no f/{exposure.f_number:g}; expected "
-                f"{', '.join(f'f/{n:g}' for n in apertures)}; "
-                "correct f_number in [bracket] of the profile, then plan a new session"
-            )
-        if exposure.nd not in {"", *(nd.name for nd in profile.nd)}:
-            filters = ", ".join(nd.name for nd in profile.nd) or "an exposure without a filter"
-            raise DeviceError(
-                f"simulated camera: no filter '{exposure.nd}'; expected {filters}; correct nd in "
-                "[bracket] of the profile, or add the filter to [[nd]], then plan a new session"
-            )
-        if not 50 <= exposure.iso <= 6400:
-            raise DeviceError(
-                f"simulated camera: no ISO {exposure.iso:g}; expected 50 to 6400; correct iso in "
-                "[bracket] of the profile, then plan a new session"
-            )
-        return nearest(exposure.shutter_s, sensor.DIAL_S, "simulated camera: shutter", "s")
+        filters = ["", *(nd.name for nd in profile.nd)]
+        allowed = (
+            (exposure.f_number in apertures, f"f/{exposure.f_number:g}", f"f-numbers {apertures}"),
+            (exposure.nd in filters, f"filter '{exposure.nd}'", f"filters {filters}"),
+            (50 <= exposure.iso <= 6400, f"ISO {exposure.iso:g}", "50 to 6400"),
+        )
+        for is_allowed, found, expected in allowed:
+            if not is_allowed:
+                remedy = "correct [bracket] of the profile, then plan a new session"
+                raise DeviceError(f"simulated camera: no {found}; expected {expected}; {remedy}")
+        return nearest(exposure.shutter_s, DIAL_S, "simulated camera: shutter", "s")
 
     def _image(self, panorama: Panorama, heading_deg: float) -> Floats32:
         """Return camera channels before vignetting, [h, w] on the mosaic or [h, w, 3].
@@ -129,9 +260,9 @@ class SimulatedCamera:
             grid = None if detail is None else detail.grid
             views = self._views(heading_deg - panorama.heading_deg, (height, width), grid)
             scene = optics.on_sensor(panorama, views, self._shape)
-            image = sensor.camera_channels(scene, self._profile)
+            image = camera_channels(scene, self._profile)
             if self._raw is not None:
-                image = sensor.mosaic_of(image, self._profile.sensor.cfa)
+                image = mosaic_of(image, self._profile.sensor.cfa)
             self._last = (panorama, heading_deg, image)
         return self._last[2]
 
@@ -164,26 +295,16 @@ class SimulatedCamera:
         opened: datetime,
         rng: np.random.Generator,
     ) -> Path:
-        body = self._profile.camera
+        body, s = self._profile.camera, self._profile.sensor
         camera_time = opened + timedelta(seconds=self._clock_offset_s)
         t_camera = camera_time.replace(tzinfo=None)  # cameras write no time zone
+        about: dict[str, Any] = {"t_camera": t_camera, "make": body.make, "model": body.model}
         if self._jpeg is not None:
             path = target.with_name(f"{target.name}.jpg")
-            codes = self._jpeg.codes(image, exposure, true_s, rng)
-            write_jpeg(path, codes, exposure, t_camera=t_camera, make=body.make, model=body.model)
+            write_jpeg(path, self._jpeg.codes(image, exposure, true_s, rng), exposure, **about)
             return path
         assert self._raw is not None
-        path, s = target.with_name(f"{target.name}.dng"), self._profile.sensor
-        counts = self._raw.counts(image, exposure, true_s, rng)
-        write_dng(
-            path,
-            counts,
-            exposure,
-            black_dn=s.black_dn,
-            white_dn=s.white_dn,
-            cfa=s.cfa,
-            t_camera=t_camera,
-            make=body.make,
-            model=body.model,
-        )
+        path = target.with_name(f"{target.name}.dng")
+        about.update(black_dn=s.black_dn, white_dn=s.white_dn, cfa=s.cfa)
+        write_dng(path, self._raw.counts(image, exposure, true_s, rng), exposure, **about)
         return path

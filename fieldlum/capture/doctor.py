@@ -1,0 +1,522 @@
+"""Check, before a campaign, what could ruin a month of captures; each finding is one line."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import time
+from collections.abc import Callable, Container, Sequence
+from contextlib import closing
+from dataclasses import asdict, dataclass
+from datetime import UTC, date, datetime
+from pathlib import Path
+from typing import Literal
+from zoneinfo import ZoneInfo
+
+from fieldlum.core.errors import FieldlumError, InputError
+from fieldlum.core.records import IrradianceSample, JsonTable, Progress, Site, Slot, quiet
+from fieldlum.devices import (
+    FORM_ALONE,
+    CameraInfo,
+    InstrumentInfo,
+    not_offered,
+    open_camera,
+    open_meter,
+    open_pyranometer,
+)
+from fieldlum.devices.awake import granted_locks
+from fieldlum.devices.clock import RealClock, synchronised
+from fieldlum.optics.profiles import (
+    CameraProfile,
+    assumed_texts,
+    coverage_text,
+    load_camera_profile,
+    sun_text,
+    uncalibrated_text,
+)
+from fieldlum.optics.raw import same_model
+from fieldlum.session import Session, sha256
+from fieldlum.session.journal import damage_text, damaged_lines
+from fieldlum.session.ledger import read_ledger, slots_ahead
+from fieldlum.session.makeups import without_capture
+from fieldlum.sky import sun
+
+Verdict = Literal["ok", "warn", "fail"]
+_CALIBRATION_YEARS = 2.0  # recommended interval of pyranometer makers (Kipp & Zonen, Delta-T)
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """The result of one check of `doctor`: its subject, ok, warn or fail, and a sentence.
+
+    exit_code: of the command if the check failed: 4 for devices and this computer, 3 for files.
+    """
+
+    what: str
+    verdict: Verdict
+    text: str
+    exit_code: int = 4
+
+
+def ok(what: str, text: str) -> Finding:
+    """Return a finding without a fault."""
+    return Finding(what, "ok", text)
+
+
+def warn(what: str, text: str) -> Finding:
+    """Return a warning."""
+    return Finding(what, "warn", text)
+
+
+def fail(what: str, text: str, exit_code: int = 4) -> Finding:
+    """Return a failure; exit_code: 3 for a file."""
+    return Finding(what, "fail", text, exit_code)
+
+
+def iso_date(text: str, source: str = "camera profile") -> date | None:
+    """Parse an ISO date; None for an empty text. Raises InputError for any other text.
+
+    source: what states the date, for the error.
+    """
+    try:
+        return date.fromisoformat(text) if text else None
+    except ValueError:
+        expected = "a date such as 2027-03-20"
+        raise InputError(source, f"date '{text}'", expected, "correct the profile") from None
+
+
+def age_text(calibrated: date | None, today: date) -> str:
+    """Return a sentence on a calibration that is over two years old, else ""."""
+    if calibrated is None or (today - calibrated).days <= _CALIBRATION_YEARS * 365.25:
+        return ""
+    years = f"over {_CALIBRATION_YEARS:g} years ago"
+    return f"last calibrated on {calibrated}, {years}: calibrate again"
+
+
+# Checks for a page that is shown while a capture uses the devices and writes the journal.
+WITHOUT_DEVICES = ("plan", "profile", "clock", "disk", "sleep", "sun")
+EVERY = (*WITHOUT_DEVICES, "journal", "camera", "pyranometer", "meter", "writing")
+
+
+def run(
+    session: Session,
+    camera_uri: str,
+    pyranometer_uri: str,
+    now_utc: datetime,
+    progress: Progress = quiet,
+    *,
+    meter_uri: str = "",
+    only: Container[str] = EVERY,
+) -> list[Finding]:
+    """Run all checks and return their findings; a check that raises an error is a failure.
+
+    progress: called with the number of checks done, their total and the name of the next one. An
+    empty URI means that the device is not used. only: names of the checks to run.
+    """
+    checks: list[tuple[str, Callable[[], list[Finding]]]] = [
+        ("plan", lambda: check_plan(session, now_utc)),
+        ("journal", lambda: check_journal(session)),
+        ("profile", lambda: check_profile(session, now_utc.date())),
+        ("camera", lambda: check_camera(session, camera_uri, now_utc)),
+        ("pyranometer", lambda: check_pyranometer(session, pyranometer_uri)),
+        ("meter", lambda: check_meter(meter_uri)),
+        ("clock", lambda: [check_clock(synchronised())]),
+        ("disk", lambda: [check_disk(session, now_utc, shutil.disk_usage(session.root).free)]),
+        ("writing", lambda: check_writing(session.root)),
+        ("sleep", lambda: [check_sleep(granted_locks(), lid=has_lid())]),
+        ("sun", lambda: check_sun(session, now_utc)),
+    ]
+    findings: list[Finding] = []
+    checks = [(name, check) for name, check in checks if name in only]
+    for number, (name, check) in enumerate(checks):
+        progress(number, len(checks), name)
+        try:
+            findings += check()
+        except (FieldlumError, OSError, ValueError, KeyError) as error:
+            code = 3 if isinstance(error, InputError) else 4
+            findings.append(Finding(name, "fail", str(error), code))
+    return findings
+
+
+def exit_code(findings: Sequence[Finding]) -> int:
+    """Return 0 if no check failed, else the exit code of the failure.
+
+    A bad file (3) precedes a device (4), because without files the other checks have no meaning.
+    """
+    codes = [finding.exit_code for finding in findings if finding.verdict == "fail"]
+    return min(codes, default=0)
+
+
+def as_table(findings: Sequence[Finding]) -> JsonTable:
+    """Return the object that `doctor --json` prints about the findings."""
+    return {"ok": exit_code(findings) == 0, "findings": [asdict(finding) for finding in findings]}
+
+
+# ----------------------------------------------------------------------------------------------
+# the plan and the camera profile
+
+
+def check_plan(session: Session, now_utc: datetime) -> list[Finding]:
+    """Return findings on plan.csv: it fails if changed since it was planned.
+
+    It is a warning if no slot can still be captured.
+    """
+    about = session.table().get("plan", {})
+    slots, ahead = session.slots(), slots_ahead(session, now_utc)
+    findings = []
+    if about.get("sha256", "") != sha256(session.plan):
+        text = "plan.csv differs from the plan that session.toml records: restore it from a copy, "
+        text += "or plan a new session (fieldlum plan SITE.toml --set SET --out NEW)"
+        findings.append(fail("plan", text, 3))
+    if not ahead:
+        return [*findings, warn("plan", _nothing_ahead(session, slots))]
+    first = ahead[0].t_utc.astimezone(ZoneInfo(session.site_file().site.timezone))
+    text = f"{len(ahead)} of {len(slots)} slots are in the future, the next on "
+    return [*findings, ok("plan", f"{text}{first:%a %Y-%m-%d at %H:%M %Z}")]
+
+
+def check_journal(session: Session) -> list[Finding]:
+    """Return a warning that names the journal's damaged lines; none without such a line."""
+    text = damage_text(damaged_lines(session))
+    remedy = "; what they recorded is lost: restore the journal from a copy if there is one"
+    return [warn("journal", text + remedy)] if text else []
+
+
+def _nothing_ahead(session: Session, slots: Sequence[Slot]) -> str:
+    """Return the text for a plan without a coming slot: how many were not captured, what to do."""
+    states = read_ledger(session).slots
+    captured = {slot for slot, state in states.items() if state.outcome == "done"}
+    missing, count = without_capture(slots, captured)
+    text = "no slot of the plan can still be captured"
+    if not missing:
+        return f"{text}: all {count} were captured"
+    remedy = f"add make-up slots with fieldlum plan {session.root} --replan"
+    return f"{text}, and {missing} of {count} were not captured: {remedy}"
+
+
+def check_profile(session: Session, today: date) -> list[Finding]:
+    """Return findings on the camera profile: its age, calibration and coverage of the view.
+
+    See `judge_age` and `judge_calibration`. Directions that no lens covers are a warning. Raises
+    InputError for an unreadable profile.
+    """
+    setup = session.site_file()
+    profile = load_camera_profile(setup.camera.profile)
+    blind = coverage_text(profile, setup.camera)
+    return [
+        *(warn("camera", text) for text in assumed_texts(setup.camera)),
+        judge_age(profile, today),
+        *judge_calibration(profile, session.slots()),
+        *([warn("coverage", blind)] if blind else []),
+    ]
+
+
+def judge_age(profile: CameraProfile, today: date) -> Finding:
+    """Return a finding on a profile: fail if expired, warn if calibrated never or 2 years ago."""
+    name = profile.camera.name
+    expires, calibrated = iso_date(profile.expires), iso_date(profile.camera.date)
+    if expires and expires < today:
+        text = f"{name} expired on {expires}: calibrate again, or change its expiry date"
+        return fail("profile", text, 3)
+    if text := age_text(calibrated, today):
+        return warn("profile", f"{name}: {text}")
+    if uncalibrated := uncalibrated_text(profile):
+        return warn("profile", uncalibrated)
+    return ok("profile", f"{name}, calibrated {calibrated}")
+
+
+def judge_calibration(profile: CameraProfile, slots: Sequence[Slot]) -> list[Finding]:
+    """Return a failed finding for apertures without a scale, and one for unknown filters.
+
+    slots: with the planned exposures; the list is empty if all are in the profile.
+    """
+    planned = {exposure for slot in slots for exposure in slot.exposures}
+    name, scaled = profile.camera.name, set(profile.scale.f_numbers)
+    findings = []
+    if scaled and (other := sorted({e.f_number for e in planned} - scaled)):
+        shown = ", ".join(f"f/{f:g}" for f in other)
+        text = f"{name} has no scale k for {shown}: calibrate this aperture, or plan again"
+        findings.append(fail("profile", text, 3))
+    if missing := {e.nd for e in planned if e.nd} - {nd.name for nd in profile.nd}:
+        text = f"{name} has no filter {sorted(missing)[0]}: add it to [[nd]], or plan again"
+        findings.append(fail("profile", text, 3))
+    return findings
+
+
+def check_sun(session: Session, now_utc: datetime) -> list[Finding]:
+    """Return a warning if coming slots have the sun in view of the lens, else an empty list.
+
+    It asks who moves a planned filter, or names the way without one.
+    """
+    text = sun_text(slots_ahead(session, now_utc))
+    return [warn("sun", text)] if text else []
+
+
+# ----------------------------------------------------------------------------------------------
+# camera and instruments
+
+# Limits of the error of the camera's clock: warning and failure. Import matches frames by time with
+# a measured offset, and slots are an hour apart: above the second limit, the default grace of a
+# slot, a wrong slot is possible. Chosen, not measured.
+CAMERA_CLOCK_WARN_S = 5.0
+CAMERA_CLOCK_FAIL_S = 300.0
+
+
+def _joined(*parts: str) -> str:
+    return " ".join(part for part in parts if part)
+
+
+def check_camera(session: Session, uri: str, now_utc: datetime) -> list[Finding]:
+    """Check that the camera opens, has the planned exposures, and is that of the profile.
+
+    The findings also report its name, its clock and the free space of its card. An empty URI is a
+    warning. Raises DeviceError if the camera does not open, InputError for a file of the session or
+    the profile.
+    """
+    if not uri:
+        text = "no camera stated: add --camera URI, or import its card afterwards"
+        return [warn("camera", text)]
+    with closing(open_camera(uri, clock=RealClock(), session=session)) as camera:
+        ahead, setup = slots_ahead(session, now_utc), session.site_file().camera
+        exposures = dict.fromkeys(e for slot in ahead for e in slot.exposures)
+        frames = sum(len(slot.exposures) for slot in ahead) * max(len(setup.headings), 1)
+        return [
+            *judge_camera(camera.info, uri, frames),
+            *judge_exposures(not_offered(camera, exposures), len(exposures)),
+            *judge_model(camera.info, load_camera_profile(setup.profile)),
+        ]
+
+
+def judge_exposures(refused: Sequence[str], planned: int) -> list[Finding]:
+    """Return one failed finding if the camera cannot be set to some planned exposures, else [].
+
+    refused: a sentence on each of these; planned: number of planned exposures.
+    """
+    if not refused:
+        return []
+    shown = "; ".join(refused[:3]) + (f"; {len(refused) - 3} more" if len(refused) > 3 else "")
+    text = f"the camera cannot set some of the {planned} planned exposures: {shown}; edit [bracket]"
+    text += " in the profile and plan a new session (fieldlum plan SITE.toml --out NEW)"
+    return [fail("camera", text)]
+
+
+def judge_model(info: CameraInfo, profile: CameraProfile) -> list[Finding]:
+    """Return a warning if the camera's model is not that of the profile, else an empty list.
+
+    Simulated and replayed cameras, and unknown models, give none. Frames of another camera cannot
+    be merged, and the planned exposures may be impossible.
+    """
+    model, wanted = info.model, profile.camera.model
+    is_unknown = not model or not wanted or info.kind in ("sim", "replay")
+    if is_unknown or same_model(model, wanted):
+        return []
+    text = f"{model} is not the camera of profile {profile.camera.name} ({wanted}), for which the "
+    text += f"exposures were planned: use a profile of the {model}, and plan again"
+    return [warn("profile", text)]
+
+
+def judge_camera(info: CameraInfo, uri: str, frames: int) -> list[Finding]:
+    """Return the findings about a camera's name, clock and card.
+
+    frames: number that is planned. The clock warns over 5 s from the computer's and fails over 300
+    s; an unknown time is a warning, and so is a card with less space than planned.
+    """
+    make = "" if info.model.startswith(info.make) else info.make  # "Canon", "Canon EOS 5D"
+    who = _joined(make, info.model, info.serial) or info.kind
+    battery = f", battery {info.battery}" if info.battery else ""
+    findings = [ok("camera", f"{who} answers at {uri}{battery}")]
+    if info.clock_offset_s is None:
+        text = "the camera does not report its time: photograph this computer's clock once"
+        findings.append(warn("camera clock", text))
+    else:
+        findings.append(_judge_camera_clock(info.clock_offset_s))
+    if info.frames_left is not None:
+        text = f"space for {info.frames_left} frames; {frames} are planned"
+        full = warn("camera card", f"{text}: use a larger card, or empty this one")
+        findings.append(full if info.frames_left < frames else ok("camera card", text))
+    return findings
+
+
+def _judge_camera_clock(offset_s: float) -> Finding:
+    text = f"{offset_s:+.1f} s compared with this computer's clock"
+    hours = round(offset_s / 3600.0)
+    if hours and abs(offset_s - 3600.0 * hours) < CAMERA_CLOCK_FAIL_S:
+        text += ": full hours, so the camera's time zone or daylight saving time is probably wrong"
+        text += "; correct it in the camera's menu"
+    if abs(offset_s) > CAMERA_CLOCK_FAIL_S:
+        return fail("camera clock", text)
+    return (warn if abs(offset_s) > CAMERA_CLOCK_WARN_S else ok)("camera clock", text)
+
+
+def check_pyranometer(session: Session, uri: str) -> list[Finding]:
+    """Check that the instrument opens, gives a plausible reading, and is calibrated.
+
+    An empty URI is a warning. Raises DeviceError if it does not open or answer.
+    """
+    if not uri:
+        text = "no pyranometer stated: add --pyranometer URI, or import a logger's file"
+        return [warn("pyranometer", text)]
+    with closing(open_pyranometer(uri, clock=RealClock(), session=session)) as instrument:
+        return judge_pyranometer(instrument.info, instrument.read(), session.site_file().site)
+
+
+def check_meter(uri: str) -> list[Finding]:
+    """Check that the illuminance meter next to the lens answers; nothing for an empty URI.
+
+    Raises DeviceError if it does not answer.
+    """
+    if not uri:
+        return []
+    with closing(open_meter(uri, clock=RealClock())) as meter:
+        info, reading = meter.info, meter.read()
+    who = _joined(info.model, info.serial) or info.kind
+    findings = [ok("meter", f"{who} answers: {reading.illuminance_lx:.4g} lx")]
+    if reading.low_battery:
+        findings.append(warn("meter", "the meter's battery is low: change it"))
+    return findings
+
+
+def judge_pyranometer(info: InstrumentInfo, sample: IrradianceSample, site: Site) -> list[Finding]:
+    """Return findings on an instrument: its reading, faults, and age of calibration.
+
+    A reading that is impossible for the sun's altitude fails. A reported fault, an instrument of
+    global irradiance only, lines without a checksum, and a calibration over two years ago are
+    warnings.
+    """
+    who = _joined(info.model or info.kind, info.serial)
+    parts = {"global": sample.ghi_wm2, "diffuse": sample.dhi_wm2, "direct": sample.dni_wm2}
+    measured = {name: value for name, value in parts.items() if value is not None}
+    reading = ", ".join(f"{name} {value:.0f}" for name, value in measured.items())
+    findings = [ok("pyranometer", f"{who} answers: {reading} W/m2")]
+    altitude = sun.position([sample.t_utc], site).altitude_deg
+    limits = sun.bsrn_limits(altitude, sun.extraterrestrial_wm2([sample.t_utc]))
+    possible = {"global": limits.ghi_wm2, "diffuse": limits.dhi_wm2, "direct": limits.dni_wm2}
+    for name, value in measured.items():
+        low, high = possible[name][0], possible[name][1][0]
+        if not low <= value <= high:
+            text = f"{name} {value:.0f} W/m2 with the sun at {altitude[0]:.0f} deg is impossible "
+            text += f"(limits {low:g} to {high:.0f} W/m2): check mounting, wiring and time"
+            findings.append(fail("pyranometer", text))
+    warnings: list[str] = []
+    if status := sample.status or info.status:
+        warnings.append(f"the instrument reports a fault: {status}: see its manual")
+    if info.gives == ("ghi",):
+        warnings.append(
+            "the instrument measures only global irradiance: direct and diffuse will be derived "
+            "from it, with an error of about 30 % in direct irradiance"
+        )
+    if info.guard == FORM_ALONE:
+        warnings.append(
+            "the instrument's lines have no checksum: some damaged lines are not detected and give "
+            "wrong values; let the instrument's program print a CRC-16 (profile arduino-crc), or "
+            "at least one line per second, so that each row has three lines"
+        )
+    calibrated = iso_date(info.calibration_date, f"profile of the pyranometer {who}")
+    if text := age_text(calibrated, sample.t_utc.date()):
+        warnings.append(text)
+    return findings + [warn("pyranometer", text) for text in warnings]
+
+
+# ----------------------------------------------------------------------------------------------
+# this computer
+
+DISK_MARGIN = 1.3  # free space over planned size; chosen, not measured
+# seconds for 1 MB; a slower disk delays the frames of a bracket. Chosen, not measured.
+SLOW_FSYNC_S = 0.5
+SYNCED_FOLDERS = ("dropbox", "onedrive", "google drive", "googledrive", "icloud", "nextcloud")
+
+
+def check_clock(synchronised: bool | None) -> Finding:
+    """Return a finding on this computer's clock: a warning unless it is synchronised.
+
+    synchronised: None if unknown, which is a warning too.
+    """
+    now = f"this computer has {datetime.now(UTC):%Y-%m-%d %H:%M:%S} UTC"
+    if synchronised is None:
+        remedy = "compare it with a time server"
+        return warn("clock", f"{now}, and it is unknown whether it is synchronised: {remedy}")
+    if not synchronised:
+        remedy = "switch network time on, or set the clock by hand today"
+        return warn("clock", f"{now}, and its clock is not synchronised: {remedy}")
+    return ok("clock", f"{now}, synchronised by a time server")
+
+
+def check_disk(session: Session, now_utc: datetime, free_bytes: int) -> Finding:
+    """Return a finding on the disk: it fails without space for all future slots and 30 % more.
+
+    free_bytes: free space. A slot needs what the plan states, or more if one of the last five
+    brackets was larger, because the files of a camera may differ much from the profile's estimate.
+    """
+    planned = 1e6 * float(session.table().get("plan", {}).get("megabytes_per_slot", 0.0))
+    folders = session.captured_folders()
+    taken = [folder for folder in folders if session.capture_file(folder.name).is_file()]
+    sizes = [sum(file.stat().st_size for file in folder.glob("[!.]*")) for folder in taken[-5:]]
+    ahead = len(slots_ahead(session, now_utc))
+    wanted = ahead * max(planned, *sizes, 0) * DISK_MARGIN
+    need = f"{wanted / 1e9:.1f} GB for {ahead} slots, with 30 % in reserve"
+    free = f"{free_bytes / 1e9:.1f} GB free"
+    if free_bytes < wanted:
+        return fail("disk", f"{free}; needed: {need}; delete files or use a larger disk")
+    return ok("disk", f"{free}, enough: {need}")
+
+
+def check_writing(folder: Path) -> list[Finding]:
+    """Write 1 MB into the folder, flush, rename and read it back; return findings on this.
+
+    An error, or other bytes than those written, is a failure. A flush of over 0.5 s, or a folder
+    that a cloud service synchronises, is a warning.
+    """
+    path = folder / f".doctor.{os.getpid()}.tmp"
+    payload = os.urandom(1 << 20)
+    start = time.perf_counter()
+    try:
+        with path.open("wb") as file:
+            file.write(payload)
+            file.flush()
+            os.fsync(file.fileno())
+        took_s = time.perf_counter() - start
+        same = path.replace(path.with_suffix(".renamed")).read_bytes() == payload
+    except OSError as error:
+        remedy = "free space, or use a folder that can be written to"
+        return [fail("writing", f"{folder}: {error.strerror}: {remedy}")]
+    finally:
+        path.unlink(missing_ok=True)
+        path.with_suffix(".renamed").unlink(missing_ok=True)
+    if not same:
+        return [fail("writing", f"{folder}: the bytes read differ from those written")]
+    text = f"1 MB written and flushed in {took_s * 1000:.0f} ms"
+    findings = [ok("writing", text)]
+    if took_s > SLOW_FSYNC_S:
+        findings = [warn("writing", f"{text}, which delays frames: use a faster disk")]
+    if any(name in str(folder.resolve()).lower() for name in SYNCED_FOLDERS):
+        text = "the folder's path has the name of a cloud service, which can lock files that it "
+        text += "synchronises: if it does, move the session to a local folder"
+        findings.append(warn("writing", text))
+    return findings
+
+
+def has_lid() -> bool:
+    """Return whether this computer has a lid, by Linux's ACPI; False on other systems."""
+    return any(Path("/proc/acpi/button/lid").glob("*"))
+
+
+def check_sleep(locks: str, *, lid: bool = False) -> Finding:
+    """Return a finding on whether a capture can keep this computer awake, a warning if it cannot.
+
+    locks: names of the locks that `capture` is granted, joined by colons; lid: whether there is a
+    lid. By logind's default a closed lid overrides a lock on sleep; only a lock on
+    handle-lid-switch prevents this.
+    """
+    commands = {
+        "linux": "systemd-inhibit --what=sleep:idle:handle-lid-switch fieldlum capture ...",
+        "darwin": "caffeinate -dims fieldlum capture ...",
+    }
+    command = commands.get(sys.platform)
+    how = f"start the capture with: {command}" if command else "switch sleep off in the settings"
+    if "sleep" not in locks.split(":"):
+        return warn("sleep", f"capture is granted no lock that keeps this computer awake: {how}")
+    text = "prevented by capture itself while it runs"
+    if lid and "handle-lid-switch" not in locks:
+        return warn("sleep", f"{text}, but a closed lid would still send it to sleep: {how}")
+    return ok("sleep", text)
