@@ -112,7 +112,9 @@ class ThetaCamera:
         """
         count = len(exposures)
         if count not in self.bracket_shots:
-            raise DeviceError(f"theta: a bracket of {count} frames; expected 2 to 13; plan so many")
+            raise DeviceError(
+                f"theta: a bracket of {count} frames; expected 2 to 13; change the plan"
+            )
         fixed = {"exposureProgram": 1, "whiteBalance": "daylight"}
         shots = [{**fixed, **self._chosen(exposure)} for exposure in exposures]
         bracket = {"_bracketNumber": count, "_bracketParameters": shots}
