@@ -43,6 +43,7 @@ COMMANDS = (
     "report",
     "compare",
     "export",
+    "pack",
     "simulate",
     "campaign",
     "info",

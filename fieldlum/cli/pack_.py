@@ -1,0 +1,56 @@
+"""`fieldlum pack`: a session as an archive for publication."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import click
+
+from fieldlum.cli.declared import FILE_PATH
+from fieldlum.cli.options import command_of
+from fieldlum.cli.terminal import progress, say
+
+
+@command_of("pack")
+def command(
+    session_folder: Path,
+    archive: Annotated[Path, FILE_PATH],
+    title: str,
+    authors: tuple[str, ...],
+    licence: str,
+    people: str,
+    coarse_position: bool = False,
+) -> None:
+    """Pack a session for publication, with a data sheet and metadata for a DOI.
+
+    Frames whose EXIF has a position, an owner or a serial number are refused. Device addresses,
+    messages, locks and models stay at home. Every file has its checksum in MANIFEST.sha256.
+
+    \b
+    Example:
+      fieldlum pack office-2027 office-2027.zip --title "An office in Seattle" --author "Roe, Jo" \
+--licence CC-BY-4.0 --people "nobody is visible"
+
+    Options:
+      --title: Title of the data set.
+      --author NAME: Author as "Family, Given"; can be repeated.
+      --licence SPDX: Licence of the data, such as CC-BY-4.0.
+      --people TEXT: Who can be seen, and how they consented.
+      --coarse-position: Round latitude and longitude to 0.01 degrees (about 1 km).
+    """
+    from fieldlum.report.publish import Statement, pack
+    from fieldlum.session import open_session
+
+    statement = Statement(title, authors, licence, people)
+    with progress("packing") as shown:
+        notes = pack(
+            open_session(session_folder),
+            archive,
+            statement,
+            coarse_position=coarse_position,
+            progress=shown,
+        )
+    for note in notes:
+        say(f"note: {note}")
+    click.echo(str(archive))

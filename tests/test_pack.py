@@ -1,0 +1,76 @@
+"""`pack`: what travels in a published session, and what does not."""
+
+import hashlib
+import json
+import zipfile
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+from PIL import Image
+from places import SEATTLE
+
+from fieldlum.cli import main
+from fieldlum.core.records import CameraSetup, Flag, Panorama, SiteFile, Slot
+from fieldlum.optics.images import write_panorama
+from fieldlum.session import Session, create_session
+
+NOON = datetime(2027, 3, 20, 20, 0, tzinfo=UTC)
+ID = "20270320T200000Z"
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Session:
+    site = SiteFile(SEATTLE, CameraSetup(heading_deg=180.0))
+    made = create_session(tmp_path / "office", site, [Slot(NOON, 30.0, 180.0, ())], {})
+    with made.toml.open("a") as file:
+        file.write('[devices.uris]\ncamera = "rpicam:secret-host"\n')
+    (made.raw / ID).mkdir(parents=True)
+    made.panoramas.mkdir(exist_ok=True)
+    flags = np.zeros((8, 16), np.uint16)
+    flags[2:4] = Flag.MOTION
+    write_panorama(made.panorama(ID), Panorama(np.ones((8, 16), np.float32), 180.0, None, flags))
+    (made.root / "outbox.jsonl").write_text("private")
+    frame(made)
+    return made
+
+
+def frame(session: Session, *, gps: bool = False) -> None:
+    exif = Image.Exif()
+    if gps:
+        exif.get_ifd(0x8825)[1] = "N"
+    Image.new("RGB", (8, 8)).save(session.raw / ID / "00.jpg", exif=exif)
+
+
+def pack(session: Session, *more: str) -> Result:
+    out = str(session.root.parent / "out.zip")
+    about = ["--title", "Office", "--author", "Roe, Jo", "--licence", "CC-BY-4.0"]
+    return CliRunner().invoke(
+        main, ["pack", str(session.root), out, *about, "--people", "none", *more]
+    )
+
+
+@pytest.mark.contract
+def test_a_packed_session_has_metadata_and_checksums_and_no_addresses(session: Session) -> None:
+    ran = pack(session, "--coarse-position")
+    assert ran.exit_code == 0, ran.output
+    assert f"perhaps people: look at the frames of {ID}" in ran.output
+    with zipfile.ZipFile(session.root.parent / "out.zip") as archive:
+        content = {name.removeprefix("office/"): archive.read(name) for name in archive.namelist()}
+    assert {"DATASHEET.md", "CITATION.cff", "datacite.json", f"raw/{ID}/00.jpg"} <= content.keys()
+    assert not any(b"secret-host" in data for data in content.values())
+    assert "outbox.jsonl" not in content
+    assert json.loads(content["datacite.json"])["dates"][0]["date"] == "2027-03-20/2027-03-20"
+    for line in content["MANIFEST.sha256"].decode().splitlines():
+        digest, _, name = line.partition("  ")
+        assert hashlib.sha256(content[name]).hexdigest() == digest
+
+
+@pytest.mark.contract
+def test_a_frame_with_a_position_is_refused(session: Session) -> None:
+    frame(session, gps=True)
+    ran = pack(session)
+    assert ran.exit_code == 3 and "00.jpg (a position)" in ran.output, ran.output
+    assert not (session.root.parent / "out.zip").exists()
