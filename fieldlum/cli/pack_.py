@@ -22,14 +22,14 @@ def command(
     people: str,
     coarse_position: bool = False,
 ) -> None:
-    """Pack a session for publication, with a data sheet and metadata for a DOI.
+    """Pack a session for publication, with data sheet and DOI metadata.
 
     Frames whose EXIF has a position, an owner or a serial number are refused. Device addresses,
     messages, locks and models stay at home. Every file has its checksum in MANIFEST.sha256.
 
     \b
     Example:
-      fieldlum pack office-2027 office-2027.zip --title "An office in Seattle" --author "Roe, Jo" \
+      fieldlum pack office-2027 office-2027.zip --title "Office" --author "Roe, Jo" \
 --licence CC-BY-4.0 --people "nobody is visible"
 
     Options:
