@@ -211,11 +211,16 @@ def test_slip_of_a_straight_edge() -> None:
 @pytest.mark.property
 def test_experience_of_like_suns_raises_the_expectation() -> None:
     model = fit(captured())
-    held = np.where(model.captured.beam > 0.3, 0.02, 1e-4)
-    unsure = replace(model.uncertainty, held_out_mse=held, usual_mse=np.full(3, 1e-4))
-    guess = np.full(len(held), 1e-3)
-    expected = unsure.experience(model.captured, model.captured, guess)
-    assert (expected[held > 0.01] > 0.015).all() and np.allclose(expected[held < 0.01], 1e-3)
+    hours, of = model.captured, model.uncertainty
+    sunny = hours.beam > 0.3
+    wrong = np.where(sunny[of.tested], 20.0, 1.0) * of.guess_of
+    of = replace(of, error_of=wrong)
+    guess = np.full(len(hours), 1e-3)
+    variance = of.variance_of[: len(hours)]
+    expected = of.experience(hours, hours, variance, guess, careful=False)
+    assert (expected[sunny] > 0.015).all() and (expected[hours.beam < 0.01] < 2e-3).all()
+    careful = of.experience(hours, hours, variance, guess, careful=True)
+    assert (careful >= expected).all()
 
 
 @pytest.mark.contract

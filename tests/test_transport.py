@@ -251,7 +251,7 @@ def test_captures_under_changing_light_teach_less() -> None:
         log_mse(fit(data).predict(TEST.light, TEST.patch_cdm2).luminance_cdm2, TEST)
         for data in (off, replace(off, steadiness=change))
     )
-    assert known < unknown
+    assert known < 0.9 * unknown
 
 
 @pytest.mark.slow

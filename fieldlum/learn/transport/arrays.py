@@ -12,7 +12,7 @@ from fieldlum.core.arrays import Array, Floats, Floats32, Indices, Mask
 from fieldlum.core.room_states import ADDED, OFF, indicators, parse_state
 from fieldlum.core.statistics import cauchy_weights, nan_percentiles
 from fieldlum.learn.models.hour_weights import light_variance, weight_of_variance
-from fieldlum.optics.projection import equirect_pixel, equirect_rays
+from fieldlum.optics.projection import equirect_pixel, equirect_rays, equirect_solid_angles
 from fieldlum.sky.light import LAMP_LX, Facades, Features, Light, facades_of, light_features
 
 if TYPE_CHECKING:
@@ -31,6 +31,15 @@ SCENE_SLIP_DEG = 0.5
 # Standard deviation of ln L at which a value next to an edge has half weight; that of the robust
 # rounds.
 _HALF_WEIGHT_SD = 0.15
+# Cells of a picture whose patches are compared, about 8 x 16 degrees each; not measured
+CELLS = 23
+# Upper limit in these cells: the luminance of a sunlit white wall. Brighter pixels show a window or
+# a disc. Chosen.
+MAX_PATCH_CDM2 = 3e4
+FAINT_SUN_LX = 20.0  # less direct light is not visible in a room; not measured
+# Weights of the cells and of their sum beside the sun's light in a coarse model of the room, whose
+# variance is 5 (`Kernel.bounced`): variances of 0.5 and 1. Not measured.
+CELL_WEIGHT, FLUX_WEIGHT = float(np.sqrt(0.1)), float(np.sqrt(0.2))
 # Computed light has no meaning below; far under that of any wall by day. Chosen.
 MIN_COMPUTED_CDM2 = 1e-3
 # Largest gain of a pixel's computed light over the median of all pixels; chosen: black to white
@@ -86,6 +95,12 @@ class OpenSky:
     share: Floats32
     directions: Array
 
+    def mask(self, seen: Mask) -> Mask:
+        """Return a mask [H, W] of the window pixels; seen: mask of the P pixels."""
+        out = np.zeros(seen.shape, bool)
+        out.flat[np.flatnonzero(seen)[self.index]] = True
+        return out
+
     def luminance(self, light: Light) -> Floats32:
         """Return the Perez sky's luminance behind these pixels times `share`, [n, k] cd/m2."""
         return light.sky_at(self.directions) * self.share
@@ -115,6 +130,65 @@ def open_sky_from_captures(
     share = np.exp(low)
     keep = (high - low < WINDOW_SCATTER * spread) & (share > WINDOW_SHARE) & (middle < np.log(1.2))
     return OpenSky(above[keep], share[keep].astype(np.float32), rays[above[keep]])
+
+
+# ----------------------------------------------------------------------------------------------
+# sun patches
+
+
+@dataclass(frozen=True, slots=True)
+class PatchLight:
+    """How maps of sun patches become features of an hour: their light in cells, and all of it.
+
+    norms: divisors, from the captured hours, with which the features are about one when the sun is
+    in the room, for the cells and for their sum [2].
+    """
+
+    norms: Array
+
+    @classmethod
+    def of(cls, patch: Floats, light: Light, window: Mask) -> PatchLight:
+        """Return the divisors for captures; arguments as for `features`."""
+        cells = _patch_cells(patch, window)
+        sunny = light.direct_lx > FAINT_SUN_LX
+        if not cells[sunny].any():
+            return cls(np.ones(2))
+        size = np.stack((np.linalg.norm(cells, axis=1), cells @ _cell_roots(patch.shape)))
+        share = size[:, sunny] / light.direct_lx[sunny]
+        return cls(np.maximum(np.percentile(share, 75, axis=1), 0.1 * share.max(axis=1)))
+
+    def features(self, patch: Floats, light: Light, window: Mask) -> Floats32:
+        """Return the light of sun patches over the total light, in cells and as a sum, [n, c + 1].
+
+        patch: luminance of sun patches [n, H, W] cd/m2; window: mask [H, W], True at window pixels,
+        which do not count.
+        """
+        cells = _patch_cells(patch, window)
+        total = (cells @ _cell_roots(patch.shape))[:, None]
+        both = np.hstack((CELL_WEIGHT * cells / self.norms[0], FLUX_WEIGHT * total / self.norms[1]))
+        both[light.direct_lx == 0.0] = 0.0  # of a sun that no instrument measured
+        return (both / light.total_lx[:, None]).astype(np.float32)
+
+
+def _in_cells(picture: Floats) -> Floats:
+    """Return the sums of a picture [H, W] over its cells, [c]."""
+    for axis in (0, 1):
+        size = picture.shape[axis]
+        edges = np.unique(np.linspace(0, size, min(CELLS, size) + 1).astype(int))[:-1]
+        picture = np.add.reduceat(picture, edges, axis=axis)
+    return picture.ravel()
+
+
+def _cell_roots(shape: tuple[int, ...]) -> Floats:
+    """Return the root of each cell's solid angle, [c]; shape: of the maps, [..., H, W]."""
+    return np.sqrt(_in_cells(equirect_solid_angles(*shape[-2:])))
+
+
+def _patch_cells(patch: Floats, window: Mask) -> Floats:
+    """Return the light of sun patches in each cell over the root of its solid angle, [n, c]."""
+    weights = np.where(window, 0.0, equirect_solid_angles(*window.shape))
+    lit = (np.minimum(picture, MAX_PATCH_CDM2) * weights for picture in patch)
+    return np.array([_in_cells(picture) for picture in lit]) / _cell_roots(patch.shape)
 
 
 # ----------------------------------------------------------------------------------------------

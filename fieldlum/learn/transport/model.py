@@ -24,6 +24,7 @@ from fieldlum.learn.models.held_out_choice import HeldOutErrors, choose, differe
 from fieldlum.learn.transport.arrays import (
     MIN_CDM2,
     OpenSky,
+    PatchLight,
     StateColumns,
     TrainingArrays,
     computed_light,
@@ -42,16 +43,18 @@ from fieldlum.learn.transport.solve import (
 )
 from fieldlum.learn.transport.uncertainty import (
     LOG10_E,
+    MAX_SD,
     SLIP_MSE,
     Uncertainty,
     calibrate,
+    log10_variance,
     one_season,
 )
 from fieldlum.learn.transport.window_sky import SkyField, seen_sky
 from fieldlum.optics.projection import equirect_solid_angles
 from fieldlum.sky.light import Facades, Features, Kernel, Light
 
-FORMAT = 2  # of the table "transport" in config.json
+FORMAT = 3  # of the table "transport" in config.json
 # Number of pixels, drawn by solid angle, that choose inputs and noise, and that calibrate the
 # uncertainty. Not measured.
 CHOOSING, CALIBRATING = 250, 600
@@ -91,7 +94,7 @@ class Transport:
     window pixels; pixels: fitted values; uncertainty: of predictions; patch_scale: fitted factor on
     all sun patches, None if patches are not used; physics: the coarse room model, None
     without a box room; sky_field: how the skies in the windows differed from Perez's, None if the
-    fit did not use them.
+    fit did not use them; patch_light: how sun patches become features, None without patches.
     """
 
     seen: Mask
@@ -107,6 +110,7 @@ class Transport:
     patch_scale: float | None = None
     physics: Physics | None = None
     sky_field: SkyField | None = None
+    patch_light: PatchLight | None = None
     name: str = field(default="transport", init=False)
 
     @property
@@ -168,6 +172,9 @@ class Transport:
         patch: luminance of direct sun on surfaces [n, H, W] cd/m2; None adds no direct sun.
         """
         pixels, features = self.pixels, self.states.features(light)
+        if self.patch_light is not None and patch is not None:
+            window = self.open_sky.mask(self.seen)
+            features = replace(features, bounced=self.patch_light.features(patch, light, window))
         sunlight = None
         if self.physics is not None:
             sunlight = self.physics.sunlight(light)
@@ -195,13 +202,17 @@ class Transport:
         luminance = np.maximum(maps.luminance, np.float32(MIN_CDM2))
         variance = unsure.variance(maps.cross, self.kernel.diagonal(features))  # [n]
         share = 0.0 if maps.patch is None else maps.patch / luminance  # [n, P]
-        surface = maps.unit / luminance
-        sd = unsure.log10_sd(surface, share, variance, features.beam, self.pixels.noise)
+        second = unsure.second_variance(features, self.captured)
+        square = log10_variance(
+            maps.unit / luminance, unsure.patch * share, variance, second, self.pixels.noise
+        )  # [n, P]
         weights = equirect_solid_angles(*self.seen.shape)[self.seen]
-        guess = unsure.mse * ((sd.astype(float) ** 2) @ (weights / weights.sum()))  # [n]
-        expected = unsure.experience(features, self.captured, guess)
-        wider = np.sqrt(expected / np.maximum(guess, 1e-12)).astype(sd.dtype)
-        sd, trusted = sd * wider[:, None], unsure.trusted(variance)
+        guess = square.astype(float) @ (weights / weights.sum())  # [n]
+        careful = self.patch_scale is None or bool(self.pixels.computed_gain.any())
+        expected = unsure.experience(features, self.captured, variance, guess, careful)
+        wider = unsure.band * np.sqrt(expected / np.maximum(guess, 1e-12))
+        sd = np.minimum(np.sqrt(square) * wider.astype(square.dtype)[:, None], MAX_SD * LOG10_E)
+        trusted = unsure.trusted(variance)
         if patch is None or unsure.slip_deg <= 0.0:
             return sd, expected, trusted
         dark = np.maximum(luminance * (1.0 - share), np.float32(MIN_CDM2))
@@ -220,7 +231,7 @@ class Transport:
     def state(self) -> ModelState:
         """Return settings for config.json and plain arrays for weights.npz."""
         arrays: dict[str, Array] = {}
-        parts = ("captured", "open_sky", "pixels", "uncertainty", "physics")
+        parts = ("captured", "open_sky", "pixels", "uncertainty", "physics", "patch_light")
         table: dict[str, Any] = {"format": FORMAT, "noise": self.noise}
         table |= {"patch_scale": self.patch_scale, "states": asdict(self.states)}
         table["sky_field"] = None if self.sky_field is None else asdict(self.sky_field)
@@ -280,6 +291,7 @@ def from_state(state: ModelState) -> Transport:
         table["patch_scale"],
         rebuilt(Physics, "physics") if "physics" in table else None,
         None if sky_field is None else SkyField(**sky_field),
+        rebuilt(PatchLight, "patch_light") if "patch_light" in table else None,
     )
 
 
@@ -327,14 +339,20 @@ def fit(
     arrays, scale = _scaled(data, patch)
     kernel = Kernel(arrays.facades)
     progress(5, 100, "light between surfaces")
-    physics = physics_of(data.setup, data.heading_deg)
+    physics, patch_light = physics_of(data.setup, data.heading_deg), None
+    if physics is None and arrays.patch is not None and data.patch_cdm2 is not None:
+        window = arrays.open_sky.mask(data.seen)
+        patch_light = PatchLight.of(data.patch_cdm2, data.light, window)
+        entered = patch_light.features(data.patch_cdm2, data.light, window)
+        arrays = replace(arrays, features=replace(arrays.features, bounced=entered))
     every = _inputs(arrays, kernel, physics, data.seen)
     progress(10, 100, "choosing by held-out days")
     rng = np.random.default_rng(seed)
     count = min(CALIBRATING, len(arrays.weights))
     share = arrays.weights / arrays.weights.sum()
     drawn = rng.choice(len(arrays.weights), count, p=share)
-    chosen, noise = _chosen(every, kernel, drawn[:CHOOSING], data.days)
+    robust = data.scene is not None or arrays.patch is None
+    chosen, noise = _chosen(every, kernel, drawn[:CHOOSING], data.days, robust)
     arrays, basis = chosen.arrays, chosen.basis
     progress(20, 100, "fitting")
 
@@ -343,7 +361,6 @@ def fit(
 
     pixels = fit_pixels(arrays, basis, noise, tick)
     progress(90, 100, "calibrating uncertainty")
-    own = pixels.noise_overcast[drawn], pixels.noise_sun[drawn]
     return Transport(
         data.seen,
         data.heading_deg,
@@ -354,19 +371,22 @@ def fit(
         arrays.states,
         arrays.open_sky,
         pixels,
-        calibrate(arrays[drawn], basis, chosen.covariance, noise, own),
+        calibrate(arrays[drawn], basis, chosen.covariance, noise, pixels.noise[drawn]),
         scale,
         physics,
         chosen.sky_field,
+        patch_light,
     )
 
 
 def _chosen(
-    every: list[_Inputs], kernel: Kernel, pixels: Indices, days: NDArray
+    every: list[_Inputs], kernel: Kernel, pixels: Indices, days: NDArray, robust: bool
 ) -> tuple[_Inputs, float]:
     """Return the inputs and the noise with the smallest error on held-out days at some pixels.
 
-    A lamp that is on in all hours must explain much of the error, by two standard errors.
+    A lamp that is on in all hours must explain much of the error, by two standard errors. robust:
+    exclude the smallest noise, with which errors of patches are learnt: held-out days, which have
+    nearly the same suns as others, do not show it. So do days of one season.
     """
     best = every[choose([_errors(i, pixels) for i in every]).best]
     lit = _with_lamp(best, kernel)
@@ -374,7 +394,7 @@ def _chosen(
     gain, error = difference(without, with_lamp, "log10")
     if gain > max(LAMP_GAIN * without.figure("log10"), 2.0 * error):
         best = lit
-    noises = NOISES[1:] if one_season(days) else NOISES  # whose held-out days are too close
+    noises = NOISES[robust or one_season(days) :]
     return best, noises[choose([_errors(best, pixels, noise) for noise in noises]).best]
 
 

@@ -43,8 +43,8 @@ FLOOR_CDM2 = 1.0  # for scores, lower values are raised to it (floor of the pape
 # Chord between two sun directions over which the second stage corrects the log residual. Without
 # the second stage, the error of a Radiance room with a fitted scene is 1.2 times as large.
 SECOND_WIDTH = 0.15
-SECOND_NOISE = 0.06  # noise of the second stage's log residuals; not measured
 SECOND_SEASON = 0.02  # variance of changes with the season, with or without sun; not measured
+SECOND_NOISE = 0.06  # noise of the second stage's log residuals; not measured
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,8 +119,8 @@ class PixelFit:
     the scale [P, r]; patch_gain, sky_gain: factors on the sun patch and on the sky behind windows
     [P]; minimum: lower bound of the surface's light, in units of the scale [P]; second: weights of
     the n captures in the second stage [n, P]; computed_gain: factor on the computed light, 0 if it
-    is not used [P]; noise_overcast: residual standard deviation of ln L in overcast hours [P];
-    noise_sun: its increase with the sun's share of the light [P].
+    is not used [P]; noise: standard deviation of the log residual over that of the second stage's
+    covariance, the most likely one [P].
     """
 
     scale: Floats32
@@ -130,13 +130,7 @@ class PixelFit:
     minimum: Floats32
     second: Floats32
     computed_gain: Floats32
-    noise_overcast: Floats32
-    noise_sun: Floats32
-
-    @property
-    def noise(self) -> tuple[Floats32, Floats32]:
-        """Return `noise_overcast` and `noise_sun`."""
-        return self.noise_overcast, self.noise_sun
+    noise: Floats32
 
 
 def each_chunk(work: Callable[[slice], None], count: int, size: int = CHUNK) -> Iterator[int]:
@@ -286,7 +280,7 @@ def fit_pixels(
     scale = pixel_scale(arrays)
     second = np.empty((len(arrays.light), count), np.float32)
     b = np.empty((count, basis.values.shape[1]), np.float32)
-    unknown = np.zeros((6, count), np.float32)  # its rows are filled below
+    unknown = np.zeros((5, count), np.float32)  # its rows are filled below
     out = PixelFit(
         scale=scale.astype(np.float32),
         b=b,
@@ -295,10 +289,9 @@ def fit_pixels(
         minimum=unknown[2],
         second=second,
         computed_gain=unknown[3],
-        noise_overcast=unknown[4],
-        noise_sun=unknown[5],
+        noise=unknown[4],
     )
-    inverse = second_inverse(arrays.features)
+    inverse = second_inverse(arrays)
 
     def one(part: slice) -> None:
         some = arrays[part]
@@ -310,27 +303,13 @@ def fit_pixels(
         if some.computed is not None:
             out.computed_gain[part] = fit.gains[:, 0] * some.computed.gain
         fitted = fit.light(basis.values @ fit.b.T)
-        out.second[:, part] = inverse @ (known(some) * np.log(fit.target / fitted))
-        left = SECOND_NOISE * out.second[:, part]  # the residual of the second stage
-        out.noise_overcast[part], out.noise_sun[part] = _residual_noise(left, some.features.beam)
+        left = known(some) * np.log(fit.target / fitted)
+        out.second[:, part] = inverse @ left
+        out.noise[part] = np.sqrt(np.maximum((left * out.second[:, part]).mean(axis=0), 0.0))
 
     for stop in each_chunk(one, count):
         tick(stop, count)
     return out
-
-
-def _residual_noise(ln_error: Array, beam: Array) -> tuple[Array, Array]:
-    """Return the sd of each pixel's ln residual in overcast hours, and its increase with the sun.
-
-    Both are [P]; variances add: sd^2 + (share of sun * increase)^2. ln_error: [n, P]; beam: the
-    sun's share of the light [n]. Without sunny hours the increase is 0.
-    """
-    squares, overcast = ln_error**2, beam < 0.3
-    base = squares[overcast].mean(axis=0) if overcast.any() else squares.min(axis=0)
-    if overcast.all():
-        return np.sqrt(base), np.zeros_like(base)
-    extra = np.maximum(squares[~overcast] - base, 0.0).mean(axis=0)
-    return np.sqrt(base), np.sqrt(extra / (beam[~overcast] ** 2).mean())
 
 
 def patch_scale(arrays: TrainingArrays) -> float:
@@ -368,10 +347,13 @@ def second_covariance(a: Features, b: Features) -> Array:
     return sharp + SECOND_SEASON * np.exp((cosine - 1.0) / 0.25)
 
 
-def second_inverse(captured: Features) -> Array:
-    """Return the inverse of the second stage's covariance plus noise, between captures, [n, n]."""
-    own = second_covariance(captured, captured)
-    return np.linalg.inv(own + SECOND_NOISE * np.eye(len(own)))
+def second_inverse(arrays: TrainingArrays) -> Array:
+    """Return the inverse of the second stage's covariance plus noise, between captures, [n, n].
+
+    Hours of unsteady or unmeasured light have more noise.
+    """
+    own = second_covariance(arrays.features, arrays.features)
+    return np.linalg.inv(own + np.diag(SECOND_NOISE / arrays.sureness))
 
 
 def known(arrays: TrainingArrays) -> Floats:
@@ -417,7 +399,7 @@ def hold_out(arrays: TrainingArrays, basis: Basis, noise: float) -> HeldOutFit:
     for _ in each_chunk(one, len(scale), HELD_OUT_CHUNK):
         pass
     residual = known(arrays) * np.log(target / predicted)
-    inverse = second_inverse(arrays.features)
+    inverse = second_inverse(arrays)
     solved = inverse @ residual
     for day in np.unique(arrays.days):
         rows = np.flatnonzero(arrays.days == day)
