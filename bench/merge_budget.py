@@ -24,7 +24,7 @@ from time import process_time
 import numpy as np
 
 from fieldlum.core.records import Exposure, Flag
-from fieldlum.devices.simulated.camera import RawSensor
+from fieldlum.devices.simulated.camera import raw_counts
 from fieldlum.merge.bracket import merge_headings
 from fieldlum.merge.estimator import Merged
 from fieldlum.merge.frames import Crop, lens_crop
@@ -338,7 +338,7 @@ def _photograph(
     mosaic = np.empty(exposed.shape[:2], np.float32)
     for i, letter in enumerate(s.cfa):
         mosaic[i // 2 :: 2, i % 2 :: 2] = exposed[i // 2 :: 2, i % 2 :: 2, "RGB".index(letter)]
-    counts = RawSensor(true).counts(mosaic, e, true_s, rng)
+    counts = raw_counts(mosaic, true, e, true_s, rng)
     write_dng(
         path.with_suffix(".dng"), counts, e, black_dn=s.black_dn, white_dn=s.white_dn, cfa=s.cfa
     )

@@ -29,8 +29,7 @@ STATUS = b"SPN1 v1.03 Mar 13 2007\rUnits: W.m-2\r1mV radio off\rA106\r"
 def test_transcript_of_the_manual() -> None:
     assert parse_reading(READING) == Spn1Reading(812.4, 104.9, True)
     assert parse_reading(b"   0.0,   0.0,0\r") == Spn1Reading(0.0, 0.0, False)
-    status = parse_status(STATUS)
-    assert (status.serial, status.firmware) == ("A106", "v1.03 Mar 13 2007")
+    assert parse_status(STATUS) == ("v1.03 Mar 13 2007", "A106")
 
 
 @pytest.mark.contract

@@ -90,18 +90,6 @@ class Match:
     offset: Offset
 
 
-def usual_step_s(frames: Sequence[CardFrame]) -> float:
-    """Return the median pause from the end of one frame to the start of the next [s], at least 1 s.
-
-    It is 1 s for fewer than two frames. frames: in order of time.
-    """
-    gaps = [
-        (b.t_camera - a.t_camera).total_seconds() - a.exposure.shutter_s
-        for a, b in pairwise(frames)
-    ]
-    return max(float(np.median(gaps)), 1.0) if gaps else 1.0
-
-
 def in_order(frames: Sequence[CardFrame]) -> list[CardFrame]:
     """Return frames ordered by the camera's time, and within one second by file number.
 
@@ -135,15 +123,18 @@ def group_frames(
     each exposure is expected once for each.
     """
     ordered = in_order(frames)
-    pause = _PAUSE_FACTOR * usual_step_s(ordered) * (_TURN_FACTOR if headings > 1 else 1.0)
+    gaps_s = [
+        (b.t_camera - a.t_camera).total_seconds() - a.exposure.shutter_s
+        for a, b in pairwise(ordered)
+    ]
+    usual_s = max(float(np.median(gaps_s)), 1.0) if gaps_s else 1.0
+    pause_s = _PAUSE_FACTOR * usual_s * (_TURN_FACTOR if headings > 1 else 1.0)
     groups: list[list[CardFrame]] = []
-    for frame in ordered:
+    for frame, gap_s in zip(ordered, (0.0, *gaps_s), strict=False):
         if groups:
-            last = groups[-1][-1]
-            gap = (frame.t_camera - last.t_camera).total_seconds() - last.exposure.shutter_s
             taken = sum(same_exposure(f.exposure, frame.exposure) for f in groups[-1])
             often = max(1, sum(same_exposure(e, frame.exposure) for e in pattern)) * headings
-            if gap <= pause and taken < often:
+            if gap_s <= pause_s and taken < often:
                 groups[-1].append(frame)
                 continue
         groups.append([frame])
@@ -245,15 +236,6 @@ def refine_offset(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset
     return replace(offset, seconds=offset.seconds + middle, how=how)
 
 
-def _misfit(match: Match) -> tuple[int, float]:
-    """Return a key that sorts the best match first.
-
-    The best has frames for most of the slot's exposures, then the smallest time from the
-    slot, early or late.
-    """
-    return -fits(match.group, match.slot), abs(match.late_s)
-
-
 def match_groups(
     clocks: Sequence[tuple[Sequence[Group], Offset]], slots: Sequence[Slot]
 ) -> tuple[list[Match], list[tuple[Group, str]]]:
@@ -263,6 +245,10 @@ def match_groups(
     must have two of the slot's exposures, or its only one. Of several brackets at one slot, the one
     with most of the slot's exposures is matched, then the nearest.
     """
+
+    def misfit(match: Match) -> tuple[int, float]:
+        return -fits(match.group, match.slot), abs(match.late_s)
+
     matches: dict[str, Match] = {}
     others: list[tuple[Group, str]] = []
     for group, offset in ((group, offset) for part, offset in clocks for group in part):
@@ -276,7 +262,7 @@ def match_groups(
             others.append((group, f"at most one of its exposures is in the plan {when}"))
             continue
         match = Match(slot, group, (t_utc - slot.t_utc).total_seconds(), offset)
-        best, *worse = sorted((m for m in (matches.get(slot.id), match) if m), key=_misfit)
+        best, *worse = sorted((m for m in (matches.get(slot.id), match) if m), key=misfit)
         others += [(m.group, f"another bracket fits {slot.id} better") for m in worse]
         matches[slot.id] = best
     return sorted(matches.values(), key=lambda m: m.slot.t_utc), others

@@ -370,7 +370,7 @@ class _Clock:
         self.is_utc = self.name.lower() in _UTC_TIMES
         if self.name.lower() == "time" and "date" in names:
             self._at.insert(0, names.index("date"))
-        self._order = self._date_order(split for split in _split_all(table))
+        self._order = self._date_order(line for _, line in table.lines if "/" in line)
 
     def utc(self, row: Sequence[str]) -> datetime:
         """Return the time of a row. Raises ValueError for a text that is no time."""
@@ -390,10 +390,14 @@ class _Clock:
             t = t.replace(tzinfo=UTC) - self._utc_offset
         return t.astimezone(UTC)
 
-    def _date_order(self, rows: Iterable[list[str]]) -> tuple[int, int, int]:
+    def _date_order(self, lines: Iterable[str]) -> tuple[int, int, int]:
         """Return the places of year, month and day in dates such as 13/12/2015, from 1."""
-        texts = (" ".join(row[k] for k in self._at) for row in rows if len(row) > max(self._at))
-        dates = [part for text in texts if (part := _SLASHED.fullmatch(text))]
+        dates: list[re.Match[str]] = []
+        for line in lines:
+            with suppress(ValueError, IndexError):
+                row = split_row(line)
+                if part := _SLASHED.fullmatch(" ".join(row[k] for k in self._at)):
+                    dates.append(part)
         day_first = any(int(part[1]) > 12 for part in dates)
         if dates and day_first == any(int(part[2]) > 12 for part in dates):
             why = "whose day and month cannot be distinguished, because no number is above 12"
@@ -405,10 +409,3 @@ class _Clock:
                 "write the year first, or import the file together with a later day",
             )
         return (3, 2, 1) if day_first else (3, 1, 2)
-
-
-def _split_all(table: _Table) -> Iterable[list[str]]:
-    for _, line in table.lines:
-        if "/" in line:
-            with suppress(ValueError):
-                yield split_row(line)

@@ -129,8 +129,17 @@ class RpicamCamera:
         written = target.with_name(f"{target.name}.dng")
         try:
             timeout_s = self._start_s + DISCARDED_FRAMES * exposure.shutter_s
-            self._run(self._arguments(exposure, picture, about), timeout_s)
-            metadata = self._metadata(about)
+            arguments = [
+                *("--camera", str(self._number), "--nopreview", "--immediate", "--raw"),
+                *("--shutter", str(max(1, round(exposure.shutter_s * 1e6)))),
+                *("--gain", f"{exposure.iso / ISO_OF_GAIN_1:g}", "--awbgains", "1,1"),
+                *("--denoise", "off", "--metadata", str(about), "--metadata-format", "json"),
+                *("--output", str(picture)),
+            ]
+            self._run(arguments, timeout_s)
+            if not about.is_file():
+                raise DeviceError("rpicam: no metadata, so no known exposure; update rpicam-apps")
+            metadata = parse_metadata(about.read_text(encoding="utf-8", errors="replace"))
             _check(metadata, exposure)
             size = written.stat().st_size if written.is_file() else 0
             if size < _MIN_FILE_BYTES:
@@ -160,20 +169,6 @@ class RpicamCamera:
 
     def close(self) -> None:
         """Do nothing: the camera is not held between frames."""
-
-    def _arguments(self, exposure: Exposure, picture: Path, about: Path) -> list[str]:
-        return [
-            *("--camera", str(self._number), "--nopreview", "--immediate", "--raw"),
-            *("--shutter", str(max(1, round(exposure.shutter_s * 1e6)))),
-            *("--gain", f"{exposure.iso / ISO_OF_GAIN_1:g}", "--awbgains", "1,1"),
-            *("--denoise", "off", "--metadata", str(about), "--metadata-format", "json"),
-            *("--output", str(picture)),
-        ]
-
-    def _metadata(self, about: Path) -> FrameMetadata:
-        if not about.is_file():
-            raise DeviceError("rpicam: no metadata, so no known exposure; update rpicam-apps")
-        return parse_metadata(about.read_text(encoding="utf-8", errors="replace"))
 
     def _run(self, arguments: list[str], timeout_s: float) -> str:
         """Run the program and return what it prints.

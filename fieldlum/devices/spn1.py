@@ -50,14 +50,6 @@ class Spn1Reading:
     sunshine: bool
 
 
-@dataclass(frozen=True, slots=True)
-class Spn1Status:
-    """The instrument's answer to the command I."""
-
-    firmware: str = ""
-    serial: str = ""
-
-
 def parse_reading(reply: bytes) -> Spn1Reading:
     """Return the reading in ``S 812.4, 104.9,1<CR>``, with or without the echo S.
 
@@ -140,8 +132,8 @@ def agreed_sample(t_utc: datetime, ask: Callable[[], bytes]) -> IrradianceSample
     return IrradianceSample(t_utc, reading.total_wm2, reading.diffuse_wm2, status=status, raw=raw)
 
 
-def parse_status(reply: bytes) -> Spn1Status:
-    """Parse the reply to the command I: lines with firmware, units, radio and serial number.
+def parse_status(reply: bytes) -> tuple[str, str]:
+    """Return firmware and serial number in the reply to the command I, "" where unknown.
 
     reply : without the echo. Raises DeviceError for another reply, and for an instrument with other
     units than W/m2.
@@ -154,7 +146,7 @@ def parse_status(reply: bytes) -> Spn1Status:
         remedy = "change the unit with Delta-T's own program"
         raise DeviceError(f"SPN1 is set to {units[1]}; expected W.m-2; {remedy}")
     firmware, serial = _FIRMWARE.search(text), _SERIAL.search(text)
-    return Spn1Status(firmware[1].strip() if firmware else "", serial[1] if serial else "")
+    return firmware[1].strip() if firmware else "", serial[1] if serial else ""
 
 
 class Spn1:
@@ -169,7 +161,10 @@ class Spn1:
         self._clock = clock
         self._port = SerialPort(place, SerialLine(baud), timeout_s=timeout_s)
         with closed_on_error(self):
-            self._status = self._ask_status()
+            self._wake()
+            self._port.write(b"I")
+            reply = self._port.read_quiet(0.25, 3.0)
+            self._firmware, self._serial = parse_status(reply.removeprefix(b"I"))
 
     @property
     def info(self) -> InstrumentInfo:
@@ -177,8 +172,8 @@ class Spn1:
         return InstrumentInfo(
             "spn1",
             "Delta-T SPN1",
-            self._status.serial,
-            self._status.firmware,
+            self._serial,
+            self._firmware,
             port=self._port.name,
             gives=("ghi", "dhi"),
             guard="asked twice",
@@ -209,12 +204,6 @@ class Spn1:
         answer = f"answered {heard!r}" if heard else "did not answer"
         remedy = "check cable, power and 9600 8N1"
         raise DeviceError(f"{self._port.name}: SPN1 {answer} when woken; expected 0xAF; {remedy}")
-
-    def _ask_status(self) -> Spn1Status:
-        self._wake()
-        self._port.write(b"I")
-        reply = self._port.read_quiet(0.25, 3.0)
-        return parse_status(reply.removeprefix(b"I"))
 
     def close(self) -> None:
         """Close the port."""

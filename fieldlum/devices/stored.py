@@ -12,7 +12,7 @@ import shutil
 from pathlib import Path
 
 from fieldlum.core.errors import DeviceError, InputError
-from fieldlum.devices.uri import DeviceUri, parse_uri
+from fieldlum.devices.uri import parse_uri
 from fieldlum.session import sha256
 from fieldlum.session.permits import Subject, is_permitted, subject
 
@@ -35,23 +35,19 @@ def names_more(text: str) -> Subject | None:
     Raises DeviceError for a text that is no address.
     """
     uri = parse_uri(text)
-    named = [value for name, value in uri.options.items() if not _is_harmless(name, value)]
-    if not _is_device(uri):
+    named = [
+        value
+        for name, value in uri.options.items()
+        if not (_HARMLESS.fullmatch(name) or (name in _NAMES and _PLAIN.fullmatch(value)))
+    ]
+    is_device = uri.scheme in _NO_PLACE or (uri.scheme == "theta" and not uri.place)
+    if uri.scheme in _SERIAL:
+        is_device = _PORT.fullmatch(uri.place) is not None
+    if not is_device:
         named.append(uri.place)
     if not named:
         return None
     return subject("device", text, text, *(_state(value) for value in named))
-
-
-def _is_harmless(name: str, value: str) -> bool:
-    is_shipped = name in _NAMES and _PLAIN.fullmatch(value) is not None
-    return is_shipped or _HARMLESS.fullmatch(name) is not None
-
-
-def _is_device(uri: DeviceUri) -> bool:
-    if uri.scheme in _SERIAL:
-        return _PORT.fullmatch(uri.place) is not None
-    return uri.scheme in _NO_PLACE or (uri.scheme == "theta" and not uri.place)
 
 
 def _state(value: str) -> str:

@@ -88,74 +88,58 @@ def _cells(cfa: str, by_colour: tuple[float, ...], shape: tuple[int, int]) -> Fl
     return out
 
 
-class RawSensor:
-    """A simulated Bayer sensor with the properties of a camera profile."""
+def raw_counts(
+    mosaic_cdm2: Floats32,
+    profile: CameraProfile,
+    exposure: Exposure,
+    true_s: float,
+    rng: np.random.Generator,
+) -> NDArray[np.uint16]:
+    """Return the raw counts [h, w] of one frame, with shot noise and read noise, clipped.
 
-    def __init__(self, profile: CameraProfile) -> None:
-        sensor, body = profile.sensor, profile.camera
-        shape = (body.height_px, body.width_px)
-        self._profile = profile
-        self._black = _cells(sensor.cfa, sensor.black_dn, shape)
-        self._full = _cells(sensor.cfa, sensor.saturation_dn, shape)
-        self._range = sensor.white_dn - self._black
-
-    def counts(
-        self, mosaic_cdm2: Floats32, exposure: Exposure, true_s: float, rng: np.random.Generator
-    ) -> NDArray[np.uint16]:
-        """Return the raw counts [h, w] of one frame, with shot noise and read noise, clipped.
-
-        mosaic_cdm2 [h, w] : value of each pixel's channel after vignetting [cd/m2]; true_s : the
-        true shutter time [s].
-        """
-        sensor, k = self._profile.sensor, self._profile.scale.k
-        gain = gain_e_per_dn(exposure.iso, self._profile)
-        per = z_per_cdm2(true_s, exposure.f_number, exposure.iso, k)
-        red, green, blue = nd_factors(exposure.nd, self._profile)
-        attenuation = _cells(sensor.cfa, (red, green, green, blue), mosaic_cdm2.shape)
-        electrons = mosaic_cdm2 * (self._range * np.float32(per * gain)) / attenuation
-        electrons = np.minimum(electrons, np.float32(4.0 * gain * sensor.white_dn))
-        noisy = electrons + rng.standard_normal(electrons.shape, np.float32) * np.sqrt(
-            np.where(electrons > _GAUSSIAN_ABOVE_E, electrons, 0.0)
-            + np.float32(sensor.read_noise_e**2)
-        )
-        few = (electrons <= _GAUSSIAN_ABOVE_E) & (electrons > 0)
-        mean = electrons[few]
-        noisy[few] += rng.poisson(mean) - mean
-        return np.clip(np.rint(noisy / np.float32(gain) + self._black), 0, self._full).astype(
-            np.uint16
-        )
+    mosaic_cdm2 [h, w] : value of each pixel's channel after vignetting [cd/m2]; true_s : the true
+    shutter time [s].
+    """
+    sensor, shape = profile.sensor, mosaic_cdm2.shape
+    black = _cells(sensor.cfa, sensor.black_dn, shape)
+    gain = gain_e_per_dn(exposure.iso, profile)
+    per = z_per_cdm2(true_s, exposure.f_number, exposure.iso, profile.scale.k)
+    red, green, blue = nd_factors(exposure.nd, profile)
+    attenuation = _cells(sensor.cfa, (red, green, green, blue), shape)
+    electrons = mosaic_cdm2 * ((sensor.white_dn - black) * np.float32(per * gain)) / attenuation
+    electrons = np.minimum(electrons, np.float32(4.0 * gain * sensor.white_dn))
+    counted = electrons + rng.standard_normal(shape, np.float32) * np.sqrt(
+        np.where(electrons > _GAUSSIAN_ABOVE_E, electrons, 0.0) + np.float32(sensor.read_noise_e**2)
+    )
+    few = (electrons <= _GAUSSIAN_ABOVE_E) & (electrons > 0)
+    counted[few] += rng.poisson(electrons[few]) - electrons[few]
+    full = _cells(sensor.cfa, sensor.saturation_dn, shape)
+    return np.clip(np.rint(counted / np.float32(gain) + black), 0, full).astype(np.uint16)
 
 
-class JpegSensor:
-    """A simulated camera that writes 8-bit codes through the response of a profile."""
+def jpeg_codes(
+    image_cdm2: Floats32,
+    profile: CameraProfile,
+    exposure: Exposure,
+    true_s: float,
+    rng: np.random.Generator,
+) -> NDArray[np.uint8]:
+    """Return the 8-bit codes [h, w, 3] (R, G, B) of one frame, with noise.
 
-    def __init__(self, profile: CameraProfile) -> None:
-        self._profile = profile
-        self._z = response_tables(profile).T  # [3, 256]
-
-    def codes(
-        self, image_cdm2: Floats32, exposure: Exposure, true_s: float, rng: np.random.Generator
-    ) -> NDArray[np.uint8]:
-        """Return the 8-bit codes [h, w, 3] (R, G, B) of one frame, with noise.
-
-        image_cdm2 [h, w, 3] : camera channels after vignetting [cd/m2]; true_s : the true shutter
-        time [s].
-        """
-        sensor, k = self._profile.sensor, self._profile.scale.k
-        per = z_per_cdm2(true_s, exposure.f_number, exposure.iso, k)
-        full_e = sensor.gain_e_per_dn * sensor.white_dn * sensor.iso / exposure.iso
-        z = (
-            image_cdm2
-            * np.float32(per)
-            / np.asarray(nd_factors(exposure.nd, self._profile), np.float32)
-        )
-        spread = np.sqrt(np.maximum(z, 0) / full_e + (sensor.read_noise_e / full_e) ** 2)
-        z = z + rng.standard_normal(z.shape, np.float32) * spread
-        out = np.empty(z.shape, np.uint8)
-        for c, table in enumerate(self._z):
-            codes = np.interp(z[..., c], table + np.arange(256) * 1e-12, np.arange(256.0))
-            out[..., c] = np.rint(codes)
-        return out
+    image_cdm2 [h, w, 3] : camera channels after vignetting [cd/m2]; true_s : the true shutter
+    time [s].
+    """
+    sensor = profile.sensor
+    per = z_per_cdm2(true_s, exposure.f_number, exposure.iso, profile.scale.k)
+    full_e = sensor.gain_e_per_dn * sensor.white_dn * sensor.iso / exposure.iso
+    z = image_cdm2 * np.float32(per) / np.asarray(nd_factors(exposure.nd, profile), np.float32)
+    spread = np.sqrt(np.maximum(z, 0) / full_e + (sensor.read_noise_e / full_e) ** 2)
+    z = z + rng.standard_normal(z.shape, np.float32) * spread
+    out = np.empty(z.shape, np.uint8)
+    for c, table in enumerate(response_tables(profile).T):  # [256]
+        codes = np.interp(z[..., c], table + np.arange(256) * 1e-12, np.arange(256.0))
+        out[..., c] = np.rint(codes)
+    return out
 
 
 # ----------------------------------------------------------------------------------------------
@@ -186,8 +170,7 @@ class SimulatedCamera:
         self._clock_offset_s = clock_offset_s
         self._overhead_s = profile.bracket.seconds_per_frame if overhead_s is None else overhead_s
         self._shape = (profile.camera.height_px, profile.camera.width_px)
-        self._raw = RawSensor(profile) if profile.camera.kind == "raw" else None
-        self._jpeg = JpegSensor(profile) if profile.camera.kind == "jpeg" else None
+        self._is_jpeg = profile.camera.kind == "jpeg"
         self._views = lru_cache(maxsize=8)(self._views_of)
         self._shading = lru_cache(maxsize=8)(self._shading_of)
         self._last: tuple[Panorama, float, Floats32] | None = None
@@ -261,7 +244,7 @@ class SimulatedCamera:
             views = self._views(heading_deg - panorama.heading_deg, (height, width), grid)
             scene = optics.on_sensor(panorama, views, self._shape)
             image = camera_channels(scene, self._profile)
-            if self._raw is not None:
+            if not self._is_jpeg:
                 image = mosaic_of(image, self._profile.sensor.cfa)
             self._last = (panorama, heading_deg, image)
         return self._last[2]
@@ -284,7 +267,7 @@ class SimulatedCamera:
             curve, _ = vignetting_of(lens, f_number)
             inside = distance <= 1.0
             out[inside] = vignetting_at(curve, relative)[inside]
-        return out if self._jpeg is None else out[..., None]
+        return out[..., None] if self._is_jpeg else out
 
     def _write(
         self,
@@ -299,12 +282,12 @@ class SimulatedCamera:
         camera_time = opened + timedelta(seconds=self._clock_offset_s)
         t_camera = camera_time.replace(tzinfo=None)  # cameras write no time zone
         about: dict[str, Any] = {"t_camera": t_camera, "make": body.make, "model": body.model}
-        if self._jpeg is not None:
-            path = target.with_name(f"{target.name}.jpg")
-            write_jpeg(path, self._jpeg.codes(image, exposure, true_s, rng), exposure, **about)
-            return path
-        assert self._raw is not None
-        path = target.with_name(f"{target.name}.dng")
-        about.update(black_dn=s.black_dn, white_dn=s.white_dn, cfa=s.cfa)
-        write_dng(path, self._raw.counts(image, exposure, true_s, rng), exposure, **about)
+        path = target.with_name(f"{target.name}.{'jpg' if self._is_jpeg else 'dng'}")
+        if self._is_jpeg:
+            codes = jpeg_codes(image, self._profile, exposure, true_s, rng)
+            write_jpeg(path, codes, exposure, **about)
+        else:
+            about.update(black_dn=s.black_dn, white_dn=s.white_dn, cfa=s.cfa)
+            counts = raw_counts(image, self._profile, exposure, true_s, rng)
+            write_dng(path, counts, exposure, **about)
         return path
