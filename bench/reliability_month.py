@@ -164,14 +164,13 @@ class MonthClock(FastClock):
 
     def _pass(self, seconds: float) -> None:
         super()._pass(seconds)
-        self._shared.set_time(self._true.timestamp(), self._step_s, self._boot_s, self._slept_s)
+        self._shared.set_time(self.true_utc.timestamp(), self._step_s, self._boot_s, self._slept_s)
 
     def sleep(self, seconds: float) -> None:
         left = max(seconds, 0.0)
         while left > 0:
             part = min(left, 60.0)
-            with self._lock:
-                self._pass(part)
+            self._pass(part)
             left -= part
             if self.world is not None:
                 self.world.happen(self)

@@ -113,6 +113,7 @@ def run(
 def _adopt_card(
     session: Session, folder: Path, utc_offset_s: float | None, progress: Progress
 ) -> Report:
+    """Import the brackets in a card's folder that match the plan."""
     setup, slots = session.site_file(), session.slots()
     groups, left_out = _brackets(folder, setup, slots, utc_offset_s is not None, progress)
     clocks: list[tuple[list[Group], Offset]] = []
@@ -129,8 +130,7 @@ def _adopt_card(
             continue
         clocks.append((part, offset))
         opposed = match_card.contradiction(part, slots, utc_offset_s)
-        if warning := opposed or match_card.doubt(part, slots, offset):
-            notes.append(warning)
+        notes.append(opposed or match_card.doubt(part, slots, offset))
     matches, others = match_card.match_groups(clocks, slots)
     left_out += [f"{_range(group)}: {why}" for group, why in others]
     if not matches:
@@ -139,7 +139,7 @@ def _adopt_card(
         found = f"none of {len(groups)} brackets matches the plan; {left_out[-1]}"
         raise NotEnoughDataError(f"{folder}: {found}; check --utc-offset and the plan")
     notes += match_card.clock_steps(clocks)
-    notes += [text for match in matches if (text := _lacking_text(match, setup.camera))]
+    notes += [_lacking_text(match, setup.camera) for match in matches]
     new, moved = _adopt_all(session, setup.camera, matches, progress)
     offsets = tuple(offset for _, offset in clocks)
     about = [{"camera_clock_minus_utc_s": round(o.seconds, 1), "how": o.how} for o in offsets]
@@ -152,7 +152,7 @@ def _adopt_card(
         offsets,
         tuple(m.late_s for m in matches),
         tuple(left_out),
-        tuple(notes),
+        tuple(filter(None, notes)),
         slots=tuple(m.slot.id for m in new),
         moved=moved,
     )

@@ -38,7 +38,3 @@ class Live:
 
 
 Watch = Callable[[Live], None]
-
-
-def no_display(live: Live) -> None:
-    """Do nothing; used for a capture without a display."""

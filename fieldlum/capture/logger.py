@@ -25,7 +25,7 @@ class Logger:
     """Reads a pyranometer every `every_s` seconds and writes the rows.
 
     It has its own thread (`start`), or the capture's loop calls `poll_if_due`. last: newest valid
-    reading, or None; bad: number of failed readings.
+    reading, or None.
     """
 
     def __init__(
@@ -38,7 +38,6 @@ class Logger:
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
         self.last: IrradianceSample | None = None
-        self.bad = 0
         self._hour, self._refused = -1, 0
 
     def poll(self) -> IrradianceSample | None:
@@ -53,7 +52,7 @@ class Logger:
         try:
             sample = self.keeper.call(lambda d: d.read())
         except Exception as error:  # a driver can raise anything; the log must continue
-            self._failed, self.bad = self._failed + 1, self.bad + 1
+            self._failed += 1
             if self.keeper.state != "lost":  # each failed reading of a lost one is not reported
                 self._tell_bad(error_text(error))
             if self._failed >= _BAD_IN_A_ROW:

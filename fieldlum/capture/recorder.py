@@ -27,12 +27,6 @@ RESERVE_BYTES = 16 << 20  # bytes of twelve days of rows (75 bytes each, every 5
 
 T = TypeVar("T")
 Listen = Callable[[str, datetime, EventFields], None]
-
-
-def no_listener(event: str, t_utc: datetime, fields: EventFields) -> None:
-    """Ignore an event; used if nobody listens."""
-
-
 _KEPT_ROWS = 100_000  # rows that wait in memory, almost six days at 5 s; chosen
 
 
@@ -52,7 +46,7 @@ class Recorder:
         reserve_bytes: int = RESERVE_BYTES,
         *,
         flush: bool = True,
-        listen: Listen = no_listener,
+        listen: Listen = lambda event, t_utc, fields: None,
         reserve: str = ".reserve",
     ) -> None:
         self._session, self._now, self._listen = session, now, listen

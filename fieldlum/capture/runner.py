@@ -14,10 +14,10 @@ from typing import Any
 
 from fieldlum.capture.alerts import MissedHook
 from fieldlum.capture.bracket import NO_CHECKS, BracketCapture, FrameChecks, shots
-from fieldlum.capture.live import Live, Watch, no_display
+from fieldlum.capture.live import Live, Watch
 from fieldlum.capture.logger import Logger
 from fieldlum.capture.reconnect import Keeper, error_text, plain_info
-from fieldlum.capture.recorder import RESERVE_BYTES, Listen, Recorder, no_listener
+from fieldlum.capture.recorder import RESERVE_BYTES, Listen, Recorder
 from fieldlum.capture.utc_clock import SteadyClock, boot_id
 from fieldlum.core.errors import DeviceError, InputError, NotEnoughDataError
 from fieldlum.core.records import Slot, parse_utc
@@ -99,11 +99,11 @@ def run(
     *,
     clock: Clock,
     options: Options = DEFAULTS,
-    watch: Watch = no_display,
+    watch: Watch = lambda live: None,
     checks: FrameChecks = NO_CHECKS,
     meter_uri: str = "",
     trusted: Callable[[], bool | None] = synchronised,
-    listen: Listen = no_listener,
+    listen: Listen = lambda event, t_utc, fields: None,
     open_cam: Callable[[], Camera] | None = None,
     open_pyr: Callable[[], Pyranometer] | None = None,
     open_met: Callable[[], IlluminanceMeter] | None = None,

@@ -320,7 +320,6 @@ class LineInstrument:
         self._form = LineForm()
         self._refused: list[str] = []
         self._last_read_s = clock.boottime()
-        self.ignored = 0
 
     @property
     def info(self) -> InstrumentInfo:
@@ -353,7 +352,7 @@ class LineInstrument:
                 try:
                     valid.append(self._understood(line))
                 except DeviceError as error:
-                    self.ignored, why = self.ignored + 1, str(error)
+                    why = str(error)
                     reasons = [*self._refused, f"{why}; the line was {line!r}"]
                     self._refused = reasons[-_REJECTED_STORED:]
             if valid:

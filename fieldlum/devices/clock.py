@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 import ctypes.util
 import sys
-import threading
 import time
 from datetime import UTC, datetime, timedelta
 from typing import Protocol
@@ -99,54 +98,41 @@ class RealClock:
 class FastClock:
     """A simulated clock: `sleep` returns at once and moves its time forward.
 
-    start : first time, aware; `true_utc` : time of the simulated sun; `step` and `suspend` disturb
-    it like a computer's clock. Raises ValueError for a naive start.
+    start : first time, aware; true_utc : time of the simulated sun, which `step` does not change;
+    `step` and `suspend` disturb it like a computer's clock. Raises ValueError for a naive start.
     """
 
     def __init__(self, start: datetime) -> None:
         if start.tzinfo is None:
             raise ValueError(f"naive time {start}: add a time zone")
-        self._lock = threading.RLock()
-        self._true = start.astimezone(UTC)
+        self.true_utc = start.astimezone(UTC)
         self._step_s = self._boot_s = self._slept_s = 0.0
-
-    @property
-    def true_utc(self) -> datetime:
-        """Time of the simulation (UTC), which steps of its simulated wall clock do not change."""
-        with self._lock:
-            return self._true
 
     def now(self) -> datetime:
         """Return wall time, aware UTC: true time plus all steps."""
-        with self._lock:
-            return self._true + timedelta(seconds=self._step_s)
+        return self.true_utc + timedelta(seconds=self._step_s)
 
     def monotonic(self) -> float:
         """Return seconds since a fixed start; they stop while the computer sleeps."""
-        with self._lock:
-            return self._boot_s - self._slept_s
+        return self._boot_s - self._slept_s
 
     def boottime(self) -> float:
         """Return seconds since a fixed start; they continue while the computer sleeps."""
-        with self._lock:
-            return self._boot_s
+        return self._boot_s
 
     def sleep(self, seconds: float) -> None:
         """Advance the time by `seconds`; not at all for a negative number."""
-        with self._lock:
-            self._pass(max(seconds, 0.0))
+        self._pass(max(seconds, 0.0))
 
     def step(self, seconds: float) -> None:
         """Set the wall clock forward by `seconds` (or back, if negative)."""
-        with self._lock:
-            self._step_s += seconds
+        self._step_s += seconds
 
     def suspend(self, seconds: float) -> None:
         """Simulate sleep of the computer: wall and boot time continue, monotonic time does not."""
-        with self._lock:
-            self._slept_s += seconds
-            self._pass(seconds)
+        self._slept_s += seconds
+        self._pass(seconds)
 
     def _pass(self, seconds: float) -> None:
-        self._true += timedelta(seconds=seconds)
+        self.true_utc += timedelta(seconds=seconds)
         self._boot_s += seconds
