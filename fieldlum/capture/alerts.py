@@ -31,8 +31,6 @@ from fieldlum.session.tables import EventFields
 # capture repairs itself cause none. A device that reconnects needs at most two tries (30 s each).
 DEVICE_AWAY = timedelta(minutes=10)
 LOW_DISK_DAYS = 3.0  # days of captures; leaves a weekend to bring a disk; chosen
-# days of captures; above this, a new alert about the disk is possible; chosen
-ENOUGH_DISK_DAYS = 4.0
 # a single missed slot can be due to a slow bracket before it; chosen, not measured
 MISSES_IN_A_ROW = 2
 QUIET = timedelta(hours=6)
@@ -98,7 +96,7 @@ class Alerts:
         if disk_days is None:
             return messages
         if self._disk_is_low:
-            self._disk_is_low = disk_days < ENOUGH_DISK_DAYS
+            self._disk_is_low = disk_days < LOW_DISK_DAYS + 1.0
         elif disk_days < LOW_DISK_DAYS:
             self._disk_is_low = True
             body = f"The disk has room for {disk_days:.1f} more days of captures."

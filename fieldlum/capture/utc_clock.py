@@ -14,7 +14,6 @@ from fieldlum.session.tables import ClockMark, EventFields, JournalEvent
 # drift, which is followed. Not measured: the drift between two checks is far smaller.
 STEP_S = 2.0
 _CLOCK_TOLERANCE = timedelta(minutes=2)  # for a session copied from another computer; not measured
-_CLOCK_CHECK_S = 5.0  # chosen
 
 
 def boot_id() -> str:
@@ -124,5 +123,5 @@ def wait_for_clock(
         "the network, or set the clock."
     )
     while clock.now() < latest_utc - _CLOCK_TOLERANCE and not trusted():
-        clock.sleep(_CLOCK_CHECK_S)
+        clock.sleep(5.0)
     say(f"the clock is set: {clock.now():%Y-%m-%d %H:%M} UTC")

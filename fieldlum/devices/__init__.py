@@ -33,6 +33,7 @@ from fieldlum.optics.photometry import SAME_SETTING_EV
 from fieldlum.session import Session
 
 T = TypeVar("T")
+_TRIES = 4  # while a camera is busy or a meter changes its range; chosen, not measured
 FORM_ALONE = "form alone"  # the `guard` of an instrument whose lines have no checksum
 
 
@@ -170,17 +171,17 @@ def store_frame(path: Path, body: bytes) -> None:
 
 
 def retried(
-    work: Callable[[], T], tries: int, again: Callable[[Exception], bool], pause_s: float = 0.0
+    work: Callable[[], T], is_passing: Callable[[Exception], bool], pause_s: float = 0.0
 ) -> T:
-    """Return the result of `work`; call it up to `tries` times while it raises an expected error.
+    """Return the result of `work`; call it up to four times while its error will pass.
 
-    again: whether an error is expected, such as that of a busy camera; pause_s: between two tries.
+    is_passing: whether an error is that of a busy device; pause_s: between two tries.
     """
-    for _ in range(tries - 1):
+    for _ in range(_TRIES - 1):
         try:
             return work()
         except Exception as error:
-            if not again(error):
+            if not is_passing(error):
                 raise
         time.sleep(pause_s)
     return work()

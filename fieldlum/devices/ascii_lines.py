@@ -249,14 +249,10 @@ def sample_of(t_utc: datetime, values: Mapping[str, float | None], raw: str) -> 
 # ----------------------------------------------------------------------------------------------
 # the driver
 
-_POLL_S = 0.05  # timeout of one read; only sets how often the port is polled; chosen
-# this many bytes without an end mark mean a wrong baud rate; chosen, not measured
-_MAX_REST_BYTES = 4096
 # Number of lines whose median is taken, and largest time between them, because the light changes
 # over longer times. Effect in docs/validation.md.
 _VOTES = 3
 _MAX_VOTE_STEP_S = 2.0
-_REJECTED_STORED = 100  # number of the last rejected lines that `refused` can return
 _GUARD = {"none": FORM_ALONE, "xor": "exclusive or", "crc16": "CRC-16"}
 # Number of recent lines whose form counts, and number from which on it is known. Chosen so that a
 # form is known after half a minute to some minutes; effect in docs/validation.md.
@@ -314,11 +310,11 @@ class LineInstrument:
         line = profile.line
         self._profile, self._clock = profile, clock
         self._silence_s = line.silence_s if silence_s is None else silence_s
-        self._port = SerialPort(place, line, timeout_s=_POLL_S)
+        self._port = SerialPort(place, line, timeout_s=0.05)  # sets how often it is polled
         # None: the first line may have begun before the port was opened.
         self._rest: bytes | None = None
         self._form = LineForm()
-        self._refused: list[str] = []
+        self._refused: deque[str] = deque(maxlen=100)  # for `refused`
         self._last_read_s = clock.boottime()
 
     @property
@@ -353,8 +349,7 @@ class LineInstrument:
                     valid.append(self._understood(line))
                 except DeviceError as error:
                     why = str(error)
-                    reasons = [*self._refused, f"{why}; the line was {line!r}"]
-                    self._refused = reasons[-_REJECTED_STORED:]
+                    self._refused.append(f"{why}; the line was {line!r}")
             if valid:
                 return self._reading(valid)
             if time.monotonic() > deadline:
@@ -377,7 +372,8 @@ class LineInstrument:
 
     def refused(self) -> list[str]:
         """Return the lines rejected since the last call (the newest 100), each with the reason."""
-        refused, self._refused = self._refused, []
+        refused = list(self._refused)
+        self._refused.clear()
         return refused
 
     def _lines(self) -> list[bytes]:
@@ -389,7 +385,7 @@ class LineInstrument:
             data = data.partition(b"\n")[2]
             self._rest = b""
         *lines, self._rest = (self._rest + data).split(b"\n")
-        if len(self._rest) > _MAX_REST_BYTES:  # without an end mark the baud rate is wrong
+        if len(self._rest) > _MAX_LINE_BYTES:  # without an end mark the baud rate is wrong
             self._rest = None
         return [line + b"\n" for line in lines]
 

@@ -35,7 +35,6 @@ _ERRORS = {
     "5": "the light is over the meter's range; measure in less light",
     "7": "the light is out of the meter's range; measure in other light",
 }
-_TRIES = 4  # measurements until the meter has settled on a range; chosen, not measured
 # Pauses that the meter needs after commands (CS-A32T): 0.5 s after PC mode, hold and measure,
 # 0.175 s after EXT_ON.
 _LONG_PAUSE_S = 0.5
@@ -148,7 +147,7 @@ class Cl200a:
         Raises DeviceError if the meter does not answer or is not ready after four measurements, or
         if its answer is damaged, impossible or reports an error.
         """
-        return retried(self._measure, _TRIES, lambda error: isinstance(error, NotReady))
+        return retried(self._measure, lambda error: isinstance(error, NotReady))
 
     def _measure(self) -> IlluminanceReading:
         self._port.drain()

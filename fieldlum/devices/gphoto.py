@@ -28,11 +28,9 @@ from fieldlum.devices.uri import DeviceUri
 from fieldlum.optics.raw import RAW_SUFFIXES
 from fieldlum.session import Session, disk_is_full
 
-# Timeouts in seconds; READOUT_S is added to the shutter time. Chosen so that slow cards pass; not
+# Timeout of a command [s], in addition to the shutter time. Chosen so that slow cards pass; not
 # measured.
-OPEN_S = 30.0
-SET_S = 15.0
-READOUT_S = 30.0
+PATIENCE_S = 30.0
 _NUMBER = re.compile(r"(?:f/|iso ?)?(\d+(?:\.\d+)?)(?:/(\d+(?:\.\d+)?))? ?s?", re.IGNORECASE)
 # Names of the three settings by brand; the first name that a camera has is used.
 _WIDGETS = {
@@ -51,7 +49,6 @@ _ERRORS = {  # codes of gphoto2-port-result.h and gphoto2-result.h
     -115: "the camera's card is full; delete pictures on it",
 }
 _BUSY = -110  # GP_ERROR_CAMERA_BUSY of gphoto2-result.h
-_TRIES = 4  # number of tries, half a second apart, while the camera is busy; chosen, not measured
 Serve = Callable[[Connection], None]
 
 
@@ -96,7 +93,7 @@ class GphotoCamera:
         model: str = "",
         *,
         delete: bool = False,
-        readout_s: float = READOUT_S,
+        readout_s: float = PATIENCE_S,
         late_file_s: float = 0.15,
     ) -> None:
         self._child = Child("gphoto", serve)
@@ -106,7 +103,7 @@ class GphotoCamera:
             self._open()
 
     def _open(self) -> None:
-        about: dict[str, Any] = self._child.ask("open", self._model, timeout_s=OPEN_S)
+        about: dict[str, Any] = self._child.ask("open", self._model, timeout_s=PATIENCE_S)
         self._opened_at_start = self._child.starts
         self._settings: dict[str, tuple[str, list[str]]] = about.pop("settings")
         self.info = CameraInfo("gphoto", **about)
@@ -124,7 +121,7 @@ class GphotoCamera:
         if not self._child.alive or self._child.starts != self._opened_at_start:
             self._open()
         for widget, text in self._chosen(exposure).items():
-            shown = self._child.ask("set", widget, text, timeout_s=SET_S)
+            shown = self._child.ask("set", widget, text, timeout_s=PATIENCE_S)
             if shown != text:
                 found = f"{widget} was set to {text}, but the camera shows {shown}"
                 raise DeviceError(f"gphoto: {found}; set its dial to M")
@@ -341,7 +338,7 @@ def _describe(gp: Any, camera: Any) -> dict[str, Any]:
 
 def _patiently(work: Callable[[], Any]) -> Any:
     """Call `work`; call it again while the camera reports that it is busy."""
-    return retried(work, _TRIES, lambda error: getattr(error, "code", 0) == _BUSY, 0.5)
+    return retried(work, lambda error: getattr(error, "code", 0) == _BUSY, 0.5)
 
 
 def _set(gp: Any, camera: Any, name: str, text: str) -> str:

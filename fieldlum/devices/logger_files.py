@@ -44,9 +44,7 @@ _SLASHED = re.compile(r"(\d{1,2})/(\d{1,2})/(\d{4})[ T]+(\d{1,2})(:.+)")
 _COMMA = re.compile(r" is '[+-]?\d+,\d+'")
 # A pyranometer's full voltage is 5 to 20 mV; the sky of a day gives more W/m2. Chosen.
 _VOLTAGE_BELOW = 30.0
-_COMPARED_ROWS = 50  # rows before a damaged one whose decimal points are counted; chosen
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?")
-_MILLIVOLT = 1e3  # microvolts; loggers store the voltage of a pyranometer in mV
 _SAVE_AGAIN = "save it as CSV with commas between and points in the numbers"
 # Usual column names in loggers' programs and in ARM's netCDF files, without "avg"; digits,
 # underscores and case are ignored in the comparison.
@@ -255,7 +253,7 @@ def _read(
         try:
             row = split_row(line, padded=table.padded)
             if len(row) != len(names):
-                commas = decimal_commas(row, len(names), right[-_COMPARED_ROWS:])
+                commas = decimal_commas(row, len(names), right[-50:])
                 why = COMMAS if commas else ""
                 raise ValueError(f"{len(row)} values, expected {len(names)}{why}")
             values = {q: _number(row[i], q, factor.get(q, 1.0)) for q, i in at.items()}
@@ -319,7 +317,7 @@ def _factors(
         unit, volts = units[i], microvolts(units[i])
         sensitivity = sensitivities.get(quantity)
         if sensitivity and (volts or not unit):
-            factor[quantity] = (volts or _MILLIVOLT) / sensitivity
+            factor[quantity] = (volts or 1e3) / sensitivity  # loggers store mV
             shown = unit or "mV (its unit is not stated)"
             notes.append(f"column {names[i]} read in {shown}, {sensitivity:g} uV per W/m2")
         elif quantity.endswith("_wm2") and (

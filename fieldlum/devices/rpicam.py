@@ -32,7 +32,6 @@ from fieldlum.optics.photometry import SAME_SETTING_EV
 from fieldlum.session import Session
 
 PROGRAM = "rpicam-still"
-LIST_S = 20.0  # timeout for listing the cameras; chosen, not measured
 # Start of the camera stack, and number of frames that it discards before the one that it writes.
 # Long exposures take several times their length (rpicam-apps and its predecessor report up to 7).
 # The first value is chosen.
@@ -103,7 +102,7 @@ class RpicamCamera:
         if not (place == "" or place.isdigit()):
             raise DeviceError(f"rpicam:{place}: name the camera by its number, such as rpicam:0")
         self._number = int(place or 0)
-        cameras = parse_cameras(self._run(["--list-cameras"], LIST_S))
+        cameras = parse_cameras(self._run(["--list-cameras"], START_S))
         if self._number not in cameras:
             there = ", ".join(f"{n} ({name})" for n, (name, _) in cameras.items())
             there = there or "none: check the ribbon cable, then restart"

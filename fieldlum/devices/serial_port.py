@@ -159,9 +159,7 @@ class SerialPort:
         out, deadline = b"", time.monotonic() + longest_s
         last = time.monotonic()
         while (now := time.monotonic()) < deadline and now - last < quiet_s:
-            with device_errors(self.name):
-                data = self._port.read(self._port.in_waiting) if self._port.in_waiting else b""
-            if data:
+            if data := self.drain():
                 out, last = out + data, now
             else:
                 time.sleep(0.005)

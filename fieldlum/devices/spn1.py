@@ -34,11 +34,9 @@ MAX_SLOPE_WM2 = 200.0
 _STATUS_REPLY = re.compile(rb"(?:[\x20-\x7e]*\r\n?){2,8}")
 _SERIAL = re.compile(r"(?m)^ *([A-Z]\d+) *$")
 _FIRMWARE = re.compile(r"SPN1 +(v[\w.]+.*)")
-MAX_ANSWERS = 3  # a third answer decides if two differ (docs/validation.md)
-_WAKE_TRIES = 3  # a sleeping SPN1 may lose the first character; chosen, not measured
-# A total this far below the diffuse is doubtful, because the instrument's own noise is below 3
-# W/m2. Larger differences were seen in the field at dawn. Chosen.
-_TOTAL_BELOW_DIFFUSE_WM2 = 3.0
+# Answers: a third decides if two differ (docs/validation.md). Tries to wake it: a sleeping SPN1 may
+# lose the first character.
+_TRIES = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +96,7 @@ def agreed_reading(ask: Callable[[], bytes]) -> tuple[Spn1Reading, tuple[bytes, 
     answers: list[bytes] = []
     valid: list[Spn1Reading] = []
     why = ""
-    while len(answers) < MAX_ANSWERS and (valid or len(answers) < MAX_ANSWERS - 1):
+    while len(answers) < _TRIES and (valid or len(answers) < _TRIES - 1):
         answers.append(ask())
         try:
             valid.append(parse_reading(answers[-1]))
@@ -109,7 +107,7 @@ def agreed_reading(ask: Callable[[], bytes]) -> tuple[Spn1Reading, tuple[bytes, 
     pairs = sorted(combinations(valid, 2), key=lambda pair: _apart_wm2(*pair))
     if pairs and _apart_wm2(*pairs[0]) <= AGREE_WM2:
         return pairs[0][0], tuple(answers)
-    if len(valid) == MAX_ANSWERS and _in_line(*valid):
+    if len(valid) == _TRIES and _in_line(*valid):
         return valid[1], tuple(answers)
     if valid:
         shown = ", ".join(repr(answer[:40]) for answer in answers)
@@ -125,7 +123,7 @@ def agreed_sample(t_utc: datetime, ask: Callable[[], bytes]) -> IrradianceSample
     neither two valid answers agree nor three are evenly spaced.
     """
     reading, answers = agreed_reading(ask)
-    is_doubtful = reading.total_wm2 < reading.diffuse_wm2 - _TOTAL_BELOW_DIFFUSE_WM2
+    is_doubtful = reading.total_wm2 < reading.diffuse_wm2 - NOISE_WM2
     status = "total below diffuse" if is_doubtful else ""
     texts = (a.decode("ascii", "backslashreplace").strip() for a in dict.fromkeys(answers))
     raw = " | ".join(texts)
@@ -195,7 +193,7 @@ class Spn1:
     def _wake(self) -> None:
         """Send R until the answer is 0xAF; discard late replies in the line."""
         heard = b""
-        for _ in range(_WAKE_TRIES):
+        for _ in range(_TRIES):
             self._port.drain()
             self._port.write(b"R")
             heard = self._port.read(1)
