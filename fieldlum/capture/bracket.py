@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -45,13 +45,14 @@ NO_CHECKS = FrameChecks()
 
 @dataclass(slots=True)
 class BracketCapture:
-    """Takes the frames of slots, one slot after the other (`take`).
+    """Takes the frames of one slot that are missing (`take`).
 
     A doubtful frame is taken once more while the slot's window is open, unless an earlier second
-    frame of the bracket is doubtful too. between: called with each frame, and with
-    None while waiting, to log irradiance and to refresh the display. meter: illuminance meter, read
-    before the first and after the last frame of each slot, None without one; frame_bytes: size of
-    the largest frame so far, for which the disk must have space.
+    frame of the bracket is doubtful too. state: from the journal, with the frames already taken;
+    deadline: the end of the slot's window. between: called with each frame, and with None while
+    waiting, to log irradiance and to refresh the display. meter: illuminance meter, read before the
+    first and after the last frame, None without one; frame_bytes: size of the largest frame so far,
+    for which the disk must have space.
     """
 
     session: Session
@@ -61,165 +62,175 @@ class BracketCapture:
     clock: SteadyClock
     checks: FrameChecks
     between: Callable[[Frame | None], None]
-    meter: Keeper[IlluminanceMeter] | None = None
-    frame_bytes: int = 0
+    meter: Keeper[IlluminanceMeter] | None
+    frame_bytes: int
+    slot: Slot
+    state: SlotState
+    deadline: datetime
+    folder: Path = field(init=False)
+    wanted: tuple[FrameRequest, ...] = field(init=False)
 
-    def take(self, slot: Slot, state: SlotState, deadline: datetime) -> SlotState:
-        """Take the missing frames of a slot; return its final state, done or aborted.
+    def __post_init__(self) -> None:
+        """Derive the slot's folder and its frames."""
+        self.folder = self.session.capture_file(self.slot.id).parent
+        self.wanted = shots(self.slot.exposures, self.setup)
 
-        state: from the journal, with the frames already taken. After a failure, try again until
-        `deadline`, the end of the slot's window.
+    def take(self) -> SlotState:
+        """Take the missing frames; return the final state, done or aborted.
+
+        After a failure, try again until the deadline.
         """
-        folder = self.session.capture_file(slot.id).parent
-        wanted = shots(slot.exposures, self.setup)
-        if (link := link_on_the_way(self.session.root, folder)) is not None:
-            return self.abort(slot, state, f"{link} is a symbolic link: replace it by a folder")
-        _sweep(folder)
+        if (link := link_on_the_way(self.session.root, self.folder)) is not None:
+            return self.abort(f"{link} is a symbolic link: replace it by a folder")
+        _sweep(self.folder)
         disk = Backoff(FIRST_PAUSE_S, MAX_PAUSE_S)
-        if state.outcome == "":
-            state = self._start(slot, 1)
+        if self.state.outcome == "":
+            self._start(1)
         while True:
-            state = self._not_too_old(slot, folder, state)
-            if not state.frames:
-                state = self._read_meter(slot, state)
-            have = {frame.index for frame in state.frames}
-            missing = [shot for shot in wanted if shot.index not in have]
+            self._refuse_old_frames()
+            if not self.state.frames:
+                self._read_meter()
+            have = {frame.index for frame in self.state.frames}
+            missing = [shot for shot in self.wanted if shot.index not in have]
             if not missing:
-                return self._complete(slot, folder, state, wanted, deadline)
+                return self._complete()
             try:
-                is_whole = not have and self._takes_whole_brackets(wanted)
-                taken = self._expose(missing if is_whole else missing[:1], folder, state.attempt)
+                is_whole = not have and self._takes_whole_brackets()
+                taken = self._expose(missing if is_whole else missing[:1])
             # A driver's defect may cost one frame, but must not end a capture of a month.
             except Exception as error:
-                self._failed(error, folder)
+                self._failed(error)
                 if disk_is_full(error):
-                    can_go_on = self._wait_for_room(deadline, disk.next_s())
+                    can_go_on = self._wait_for_room(disk.next_s())
                 else:
-                    can_go_on = self._wait_for(lambda: self.camera.get() is not None, deadline)
+                    can_go_on = self._wait_for(lambda: self.camera.get() is not None)
                 if not can_go_on:
-                    return self.abort(slot, state, error_text(error))
+                    return self.abort(error_text(error))
                 continue
             for frame in taken:
-                if not self.recorder.tell("frame", slot=slot.id, frame=frame_fields(frame)):
-                    return self.abort(slot, state, "could not write the frame to the journal")
-                state = replace(state, frames=(*state.frames, frame))
+                fields = frame_fields(frame)
+                if not self.recorder.tell("frame", slot=self.slot.id, frame=fields):
+                    return self.abort("could not write the frame to the journal")
+                self._replace(frame)
                 self.between(frame)
             for frame in taken:
-                state = self._again(slot, folder, state, wanted[frame.index], frame, deadline)
+                self._again(frame)
 
-    def _failed(self, error: Exception, folder: Path) -> None:
+    def resumable(self) -> bool:
+        """Return whether all frames exist, or the last one ended at most a minute ago.
+
+        Without a frame it is False.
+        """
+        if len(self.state.frames) == len(self.wanted):
+            return True
+        if not self.state.frames:
+            return False
+        last = max(self.state.frames, key=lambda frame: frame.t_utc)
+        return (self.clock.now() - last.t_utc).total_seconds() - last.seconds <= STALE_S
+
+    def abort(self, why: str) -> SlotState:
+        """Journal the slot as aborted for the reason `why`, and return its state.
+
+        Its frames remain; capture.json records whether they are all that were planned.
+        """
+        frames = self.state.frames
+        if link_on_the_way(self.session.root, self.folder) is None:
+            _sweep(self.folder)
+            if frames:
+                with suppress(OSError):  # the journal has the same content
+                    self._write()
+        self.recorder.tell("aborted", slot=self.slot.id, frames=len(frames), why=why)
+        return replace(self.state, outcome="aborted", why=why)
+
+    def _replace(self, frame: Frame) -> None:
+        """Store a frame in the state, in place of an earlier one of its index."""
+        others = (other for other in self.state.frames if other.index != frame.index)
+        self.state = replace(self.state, frames=(*others, frame))
+
+    def _failed(self, error: Exception) -> None:
         """Free the reserve after a full disk; drop the camera after another error of it."""
-        _sweep(folder)  # an incomplete frame takes up space
+        _sweep(self.folder)  # an incomplete frame takes up space
         if disk_is_full(error):
             self.recorder.make_room()
         elif not isinstance(error, _Away):
             self.camera.lost(error)
 
-    def resumable(self, slot: Slot, state: SlotState) -> bool:
-        """Return whether all frames exist, or the last one ended at most a minute ago.
-
-        Without a frame it is False.
-        """
-        if len(state.frames) == len(shots(slot.exposures, self.setup)):
-            return True
-        return bool(state.frames) and self._pause_s(state) <= STALE_S
-
-    def _pause_s(self, state: SlotState) -> float:
-        last = max(state.frames, key=lambda frame: frame.t_utc)
-        return (self.clock.now() - last.t_utc).total_seconds() - last.seconds
-
-    def _again(
-        self,
-        slot: Slot,
-        folder: Path,
-        state: SlotState,
-        shot: FrameRequest,
-        doubtful: Frame,
-        deadline: datetime,
-    ) -> SlotState:
+    def _again(self, doubtful: Frame) -> None:
         """Take a doubtful frame again while the slot's window is open.
 
         Both files remain; the second one is used. If an earlier second frame of this bracket is
         doubtful too, nothing is taken again, because the cause is then a setting of the camera.
         """
-        in_time = self.clock.now() + timedelta(seconds=doubtful.seconds) <= deadline
-        in_vain = any(frame.instead_of and frame.doubt for frame in state.frames)
+        in_time = self.clock.now() + timedelta(seconds=doubtful.seconds) <= self.deadline
+        in_vain = any(frame.instead_of and frame.doubt for frame in self.state.frames)
         if not doubtful.doubt or in_vain or not in_time:
-            return state
+            return
         try:
-            (second,) = self._expose([shot], folder, state.attempt, instead_of=doubtful.file)
+            (second,) = self._expose([self.wanted[doubtful.index]], instead_of=doubtful.file)
         except Exception as error:  # the doubtful frame is already in the journal, so it is used
-            self._failed(error, folder)
-            return state
-        second = replace(second, doubt=second.doubt or self.checks.pixels(folder / second.file))
+            self._failed(error)
+            return
+        doubt = second.doubt or self.checks.pixels(self.folder / second.file)
+        second = replace(second, doubt=doubt)
         fields = frame_fields(second)
-        if not self.recorder.tell("retake", slot=slot.id, frame=fields, why=doubtful.doubt):
-            return state
-        self.between(second)
-        return _with_frame(state, second)
+        if self.recorder.tell("retake", slot=self.slot.id, frame=fields, why=doubtful.doubt):
+            self.between(second)
+            self._replace(second)
 
-    def _complete(
-        self,
-        slot: Slot,
-        folder: Path,
-        state: SlotState,
-        wanted: Sequence[FrameRequest],
-        deadline: datetime,
-    ) -> SlotState:
+    def _complete(self) -> SlotState:
         """Read the pixels of each frame after the camera has finished; return the final state.
 
         Take a frame again if it does not open and the slot's window is still open. Second frames
         were read when they were taken. A bracket of which most frames cannot be read is aborted,
         because it cannot be merged.
         """
-        for frame in sorted(state.frames, key=lambda frame: frame.index):
+        for frame in sorted(self.state.frames, key=lambda frame: frame.index):
             if not (frame.doubt or frame.instead_of) and (
-                why := self.checks.pixels(folder / frame.file)
+                why := self.checks.pixels(self.folder / frame.file)
             ):
                 doubtful = replace(frame, doubt=why)
-                state = _with_frame(state, doubtful)
-                state = self._again(slot, folder, state, wanted[frame.index], doubtful, deadline)
+                self._replace(doubtful)
+                self._again(doubtful)
             self.between(None)
-        lost = [f for f in state.frames if f.doubt and self.checks.pixels(folder / f.file)]
-        count = len(state.frames)
-        if not lost or count - len(lost) >= max(2, count / 2):  # `merge` needs so many
-            return self._finish(slot, folder, state)
-        why = f"{len(lost)} of {count} frames cannot be read: {lost[0].file}: {lost[0].doubt}"
-        return self.abort(slot, state, why)
+        frames = self.state.frames
+        lost = [f for f in frames if f.doubt and self.checks.pixels(self.folder / f.file)]
+        if not lost or len(frames) - len(lost) >= max(2, len(frames) / 2):  # `merge` needs so many
+            return self._finish()
+        shown = f"{lost[0].file}: {lost[0].doubt}"
+        return self.abort(f"{len(lost)} of {len(frames)} frames cannot be read: {shown}")
 
-    def _start(self, slot: Slot, attempt: int) -> SlotState:
-        self.recorder.tell("started", slot=slot.id, attempt=attempt)
-        return SlotState("started", attempt)
+    def _start(self, attempt: int) -> None:
+        self.recorder.tell("started", slot=self.slot.id, attempt=attempt)
+        self.state = SlotState("started", attempt)
 
-    def _not_too_old(self, slot: Slot, folder: Path, state: SlotState) -> SlotState:
+    def _refuse_old_frames(self) -> None:
         """Start the bracket again if its pause is too long; move its frames to a subfolder."""
-        if not state.frames or self.resumable(slot, state):
-            return state
+        if not self.state.frames or self.resumable():
+            return
         self.recorder.claim(_FOLDER_BYTES)
-        aside = folder / f"attempt-{state.attempt}"
+        aside = self.folder / f"attempt-{self.state.attempt}"
         if aside.is_symlink():
             aside.unlink()
         aside.mkdir(exist_ok=True)
-        for frame in state.frames:
+        for frame in self.state.frames:
             for name in (frame.file, frame.instead_of):
-                if name and (folder / name).exists():
-                    (folder / name).replace(aside / name)
-        sync_folder(folder)
-        return self._start(slot, state.attempt + 1)
+                if name and (self.folder / name).exists():
+                    (self.folder / name).replace(aside / name)
+        sync_folder(self.folder)
+        self._start(self.state.attempt + 1)
 
-    def _expose(
-        self, wanted: Sequence[FrameRequest], folder: Path, attempt: int, instead_of: str = ""
-    ) -> list[Frame]:
+    def _expose(self, wanted: Sequence[FrameRequest], instead_of: str = "") -> list[Frame]:
         """Take one frame, or all frames of a bracket in one call; return them only if all exist."""
         if self.camera.get() is None:
             raise _Away("the camera is away")
         self.recorder.claim(self.frame_bytes * len(wanted))
-        folder.mkdir(parents=True, exist_ok=True)
+        self.folder.mkdir(parents=True, exist_ok=True)
         begun, boot = self.clock.now(), self.clock.boottime()
         exposures = [shot.exposure for shot in wanted]
         # Each try has its own file name, so that a frame which a hung camera delivers late cannot
         # replace another.
-        targets = [folder / f".{s.stem}.{os.getpid()}.{attempt}.{boot:.3f}" for s in wanted]
+        unique = f"{os.getpid()}.{self.state.attempt}.{boot:.3f}"
+        targets = [self.folder / f".{shot.stem}.{unique}" for shot in wanted]
 
         def take(camera: Camera) -> list[Path]:
             if len(wanted) == 1:
@@ -256,30 +267,20 @@ class BracketCapture:
         if self.recorder.flush:
             sync_folder(final.parent)
         self.frame_bytes = max(self.frame_bytes, final.stat().st_size)
-        return Frame(
-            shot.index,
-            final.name,
-            exposure,
-            shot.heading_deg,
-            begun,
-            seconds,
-            sha256(final),
-            doubt,
-            instead_of,
-        )
+        about = exposure, shot.heading_deg, begun, seconds, sha256(final), doubt, instead_of
+        return Frame(shot.index, final.name, *about)
 
-    def _takes_whole_brackets(self, wanted: Sequence[FrameRequest]) -> bool:
-        """Return whether the camera can take these frames as one bracket by itself.
+    def _takes_whole_brackets(self) -> bool:
+        """Return whether the camera can take the frames as one bracket by itself.
 
         This is several times faster than frame by frame.
         """
         camera = self.camera.get()
-        still = all(shot.heading_deg is None and not shot.exposure.nd for shot in wanted)
-        return (
-            still and isinstance(camera, BracketingCamera) and len(wanted) in camera.bracket_shots
-        )
+        still = all(shot.heading_deg is None and not shot.exposure.nd for shot in self.wanted)
+        can_bracket = isinstance(camera, BracketingCamera)
+        return still and can_bracket and len(self.wanted) in camera.bracket_shots
 
-    def _wait_for_room(self, deadline: datetime, pause_s: float) -> bool:
+    def _wait_for_room(self, pause_s: float) -> bool:
         """Wait until a frame fits on the disk; return False at the deadline.
 
         Wait at least `pause_s`, because free space does not show that a disk quota is exhausted.
@@ -290,74 +291,55 @@ class BracketCapture:
             late_enough = self.clock.now() >= earliest
             return late_enough and not self.recorder.missing_bytes(self.frame_bytes)
 
-        return self._wait_for(has_room, deadline)
+        return self._wait_for(has_room)
 
-    def _wait_for(self, ready: Callable[[], bool], deadline: datetime) -> bool:
-        while self.clock.now() < deadline:
-            if ready():
+    def _wait_for(self, is_ready: Callable[[], bool]) -> bool:
+        while self.clock.now() < self.deadline:
+            if is_ready():
                 return True
             self.clock.sleep(1.0)
             self.between(None)
         return False
 
-    def _finish(self, slot: Slot, folder: Path, state: SlotState) -> SlotState:
-        state = self._read_meter(slot, state)
-        doubts = [f"{frame.file}: {frame.doubt}" for frame in state.frames if frame.doubt]
-        again = [f"{f.file} taken again" for f in state.frames if f.instead_of and not f.doubt]
+    def _finish(self) -> SlotState:
+        self._read_meter()
+        frames = self.state.frames
+        notes = [f"{f.file} taken again" for f in frames if f.instead_of and not f.doubt]
+        notes += [f"{f.file}: {f.doubt}" for f in frames if f.doubt]
         darkest = min(
-            state.frames,
+            frames,
             key=lambda f: (f.exposure.nd == "", f.exposure.shutter_s / f.exposure.f_number**2),
         )
-        if text := self.checks.darkest(folder / darkest.file):
-            doubts.append(f"{darkest.file}: {text}")
+        if text := self.checks.darkest(self.folder / darkest.file):
+            notes.append(f"{darkest.file}: {text}")
         try:
-            self._write(folder, slot, state)
+            self._write()
         except OSError as error:
             if not disk_is_full(error):
                 raise
             self.recorder.make_room()  # frees the reserve; capture.json has a few kilobytes
-            self._write(folder, slot, state)
-        why = "; ".join(again + doubts)
-        self.recorder.tell("done", slot=slot.id, frames=len(state.frames), why=why)
-        return replace(state, outcome="done", why=why)
+            self._write()
+        why = "; ".join(notes)
+        self.recorder.tell("done", slot=self.slot.id, frames=len(frames), why=why)
+        return replace(self.state, outcome="done", why=why)
 
-    def _read_meter(self, slot: Slot, state: SlotState) -> SlotState:
+    def _read_meter(self) -> None:
         """Read the illuminance at the lens. A failing meter does not affect the bracket."""
         if self.meter is None or self.meter.get() is None:
-            return state
+            return
         try:
-            reading = self.meter.call(lambda meter: meter.read())
+            lux = self.meter.call(lambda meter: meter.read()).illuminance_lx
         except Exception as error:  # as with the other devices
             self.meter.lost(error)
-            return state
-        self.recorder.tell("illuminance", slot=slot.id, illuminance_lx=reading.illuminance_lx)
-        return replace(state, illuminance_lx=(*state.illuminance_lx, reading.illuminance_lx))
+            return
+        self.recorder.tell("illuminance", slot=self.slot.id, illuminance_lx=lux)
+        self.state = replace(self.state, illuminance_lx=(*self.state.illuminance_lx, lux))
 
-    def abort(self, slot: Slot, state: SlotState, why: str) -> SlotState:
-        """Journal a slot as aborted for the reason `why`, and return its state.
-
-        Its frames remain; capture.json records whether they are all that were planned.
-        """
-        folder = self.session.capture_file(slot.id).parent
-        if link_on_the_way(self.session.root, folder) is None:
-            _sweep(folder)
-            if state.frames:
-                with suppress(OSError):  # the journal has the same content
-                    self._write(folder, slot, state)
-        self.recorder.tell("aborted", slot=slot.id, frames=len(state.frames), why=why)
-        return replace(state, outcome="aborted", why=why)
-
-    def _write(self, folder: Path, slot: Slot, state: SlotState) -> None:
+    def _write(self) -> None:
         camera = self.camera.get()
         info = plain_info(camera.info) if camera is not None else {}
-        is_complete = len(state.frames) == len(shots(slot.exposures, self.setup))
-        write_capture(folder, slot, state, self.setup, info, complete=is_complete)
-
-
-def _with_frame(state: SlotState, frame: Frame) -> SlotState:
-    """Return a state with a frame in place of the one of the same index."""
-    others = (other for other in state.frames if other.index != frame.index)
-    return replace(state, frames=(*others, frame))
+        is_complete = len(self.state.frames) == len(self.wanted)
+        write_capture(self.folder, self.slot, self.state, self.setup, info, complete=is_complete)
 
 
 def _sweep(folder: Path) -> None:

@@ -265,17 +265,6 @@ class _Runner:
 
     def work(self) -> None:
         """Wait for each slot and take its bracket, until every slot has an outcome."""
-        bracket = BracketCapture(
-            self.session,
-            self.setup.camera,
-            self.camera,
-            self.recorder,
-            self.clock,
-            self.checks,
-            self._between,
-            self.meter,
-            self.frame_bytes,
-        )
         while (slot := self._next_to_do()) is not None:
             self._state, self._next = "waiting", slot.id
             if not self._wait_until(slot.t_utc):
@@ -286,11 +275,12 @@ class _Runner:
                 self._state, self._paused_slot = "paused", slot.id
                 self._sleep_until(self.clock.now() + timedelta(seconds=1))
                 continue
-            can_resume = state.outcome == "started" and bracket.resumable(slot, state)
+            bracket = self._bracket(slot, state)
+            can_resume = state.outcome == "started" and bracket.resumable()
             if late_s > self.options.grace_s and not can_resume:
-                state = self._too_late(bracket, slot, state, late_s)
+                state = self._too_late(bracket, late_s)
             else:
-                state = self._take(bracket, slot, state, late_s)
+                state = self._take(bracket, late_s)
             self.states[slot.id] = state
             self.hook.count(slot.id, state)
             following = self._next_to_do()
@@ -298,6 +288,22 @@ class _Runner:
             self._show()
         self._state, self._next = "finished", ""
         self._show()
+
+    def _bracket(self, slot: Slot, state: SlotState) -> BracketCapture:
+        return BracketCapture(
+            self.session,
+            self.setup.camera,
+            self.camera,
+            self.recorder,
+            self.clock,
+            self.checks,
+            self._between,
+            self.meter,
+            self.frame_bytes,
+            slot,
+            state,
+            slot.t_utc + timedelta(seconds=self.options.grace_s),
+        )
 
     def _is_paused(self, state: SlotState) -> bool:
         """Return whether the user paused the capture; a bracket that has begun is finished."""
@@ -325,39 +331,36 @@ class _Runner:
         except OSError:
             return self._plan_stamp
 
-    def _take(
-        self, bracket: BracketCapture, slot: Slot, state: SlotState, late_s: float
-    ) -> SlotState:
+    def _take(self, bracket: BracketCapture, late_s: float) -> SlotState:
         """Take a bracket and measure its size; any failure affects this slot only.
 
         One more row is logged, so that rows surround the bracket.
         """
-        self._state = "capturing"
+        self._state, slot = "capturing", bracket.slot
         self.recorder.refill()
-        if late_s > _PUNCTUAL_S and state.outcome == "":
+        if late_s > _PUNCTUAL_S and bracket.state.outcome == "":
             self.recorder.tell("late", slot=slot.id, by_s=round(late_s, 1))
         try:
-            state = bracket.take(slot, state, slot.t_utc + timedelta(seconds=self.options.grace_s))
+            state = bracket.take()
         except Exception as error:
             with suppress(OSError):
-                state = read_ledger(self.session).slots.get(slot.id, state)
-            state = bracket.abort(slot, state, error_text(error))
+                bracket.state = read_ledger(self.session).slots.get(slot.id, bracket.state)
+            state = bracket.abort(error_text(error))
         if self.logger is not None and not self.options.threaded:
             self.clock.sleep(self.logger.due_in_s)
             self.logger.poll_if_due()
         self._learn_sizes(slot, state)
         return state
 
-    def _too_late(
-        self, bracket: BracketCapture, slot: Slot, state: SlotState, late_s: float
-    ) -> SlotState:
-        if state.outcome == "started":
+    def _too_late(self, bracket: BracketCapture, late_s: float) -> SlotState:
+        slot = bracket.slot.id
+        if bracket.state.outcome == "started":
             why = (
                 f"interrupted, and not finished within the slot's window (now {late_s:.0f} s late)"
             )
-            return bracket.abort(slot, state, why)
-        paused = ", because the capture was paused" if self._paused_slot == slot.id else ""
-        self.recorder.tell("missed", slot=slot.id, why=f"late by {late_s:.0f} s{paused}")
+            return bracket.abort(why)
+        paused = ", because the capture was paused" if self._paused_slot == slot else ""
+        self.recorder.tell("missed", slot=slot, why=f"late by {late_s:.0f} s{paused}")
         return SlotState("missed", why=f"late{paused}")
 
     def _learn_sizes(self, slot: Slot, state: SlotState) -> None:
