@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from places import SEATTLE
@@ -29,6 +30,7 @@ from fieldlum.core.records import Exposure, IrradianceSample, SiteFile, Slot
 from fieldlum.devices import CameraInfo, InstrumentInfo
 from fieldlum.devices.clock import FastClock
 from fieldlum.session import Session, create_session, read_journal
+from fieldlum.session.tables import EventFields
 
 T0 = datetime(2027, 3, 20, 15, 30, tzinfo=UTC)
 SECRET = "hunter2-very-secret"
@@ -200,8 +202,29 @@ def test_a_service_that_hangs_delays_nobody(tmp_path: Path) -> None:
 # What is reported
 
 
-def alerts() -> Alerts:
-    return Alerts("office", "America/Los_Angeles")
+class Heard:
+    """Alerts whose messages are returned by the call that caused them."""
+
+    def __init__(self) -> None:
+        self.sent: list[Message] = []
+        self.alerts = Alerts("office", "America/Los_Angeles", self.sent.append)
+
+    def event(self, event: str, t_utc: datetime, fields: EventFields) -> list[Message]:
+        self.sent.clear()
+        self.alerts.listen(event, t_utc, fields)
+        return list(self.sent)
+
+    def look(
+        self, t_utc: datetime, disk_days: float | None, ghi_wm2: float | None
+    ) -> list[Message]:
+        self.sent.clear()
+        live = SimpleNamespace(t_utc=t_utc, disk_days=disk_days, ghi_wm2=ghi_wm2)
+        self.alerts.look(live)  # type: ignore[arg-type]
+        return list(self.sent)
+
+
+def alerts() -> Heard:
+    return Heard()
 
 
 @pytest.mark.analytic

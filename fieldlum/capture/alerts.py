@@ -10,7 +10,7 @@ import os
 import subprocess
 import threading
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import date, datetime, timedelta
@@ -39,15 +39,20 @@ _HOOK_TIMEOUT_S = 300.0  # the time until the next slot is usually longer; not m
 
 @dataclass(slots=True)
 class Alerts:
-    """The faults already reported, and the counts of the current day, in one capture.
+    """Sends messages and heartbeats about a running capture.
 
-    name, timezone: of the site; contact_sheet: called for a daily summary, returns the picture to
-    attach, or None.
+    `listen` takes journal events, `look` the state of the capture; both return at once. Events come
+    from the capture and from the thread that logs irradiance, so a lock guards the alerts. name,
+    timezone: of the site; send: sends a message; beat: sends a heartbeat; contact_sheet: called for
+    a daily summary, returns the picture to attach, or None.
     """
 
     name: str
     timezone: str
+    send: Callable[[Message], None]
+    beat: Callable[[], None] = lambda: None
     contact_sheet: Callable[[], Path | None] = lambda: None
+    _lock: Lock = field(default_factory=Lock)
     _away_since: dict[str, datetime] = field(default_factory=dict)
     _reported_away: set[str] = field(default_factory=set)
     _misses: int = 0
@@ -57,62 +62,55 @@ class Alerts:
     _counts: Counter[str] = field(default_factory=Counter)  # of the day's outcomes
     _highest_ghi_wm2: float | None = None  # of the day
 
-    def event(self, event: str, t_utc: datetime, fields: EventFields) -> list[Message]:
-        """Return the messages to send for a journal event and, on a new day, the daily summary."""
-        messages = self._new_day(t_utc)
-        if event == "device-lost":
-            self._away_since.setdefault(str(fields.get("device")), t_utc)
-        elif event == "device-back":
-            messages += self._back(str(fields.get("device")), t_utc)
-        elif event in ("done", "missed", "aborted"):
-            messages += self._outcome(event, t_utc, fields)
-        elif event == "clock-step":
-            follows = "follows" if fields.get("followed") else "does not follow"
-            body = f"The computer's clock jumped by {fields.get('seconds', 0.0):+.0f} s. "
-            body += f"The capture {follows} the new time."
-            messages += self._once("clock-step", t_utc, "the clock jumped", body)
-        elif event == "disk-full":
-            free = f"The disk has {fields.get('bytes_free', 0) / 1e6:.0f} MB free."
-            messages += self._once("disk-full", t_utc, "the disk is full", free)
-        return messages
+    def listen(self, event: str, t_utc: datetime, fields: EventFields) -> None:
+        """Send the messages that a journal event causes and, on a new day, the daily summary.
 
-    def look(
-        self, t_utc: datetime, disk_days: float | None, ghi_wm2: float | None
-    ) -> list[Message]:
-        """Return the messages that are due at a time, whether or not an event happened.
-
-        disk_days: days of captures that the free disk space holds. ghi_wm2: latest global
-        irradiance [W/m2]. None: unknown.
+        Also send a heartbeat if the event settles a slot (done, missed, aborted).
         """
-        messages = self._new_day(t_utc)
-        if ghi_wm2 is not None:
-            self._highest_ghi_wm2 = max(ghi_wm2, self._highest_ghi_wm2 or ghi_wm2)
-        for device, since in self._away_since.items():
-            if device not in self._reported_away and t_utc - since >= DEVICE_AWAY:
-                self._reported_away.add(device)
-                minutes = (t_utc - since).total_seconds() / 60.0
-                body = f"It stopped answering at {self._local(since)}, {minutes:.0f} minutes ago."
-                messages.append(self._message(f"{device} is lost", body))
-        if disk_days is None:
-            return messages
-        if self._disk_is_low:
-            self._disk_is_low = disk_days < LOW_DISK_DAYS + 1.0
-        elif disk_days < LOW_DISK_DAYS:
-            self._disk_is_low = True
-            body = f"The disk has room for {disk_days:.1f} more days of captures."
-            messages.append(self._message("the disk is nearly full", body))
-        return messages
+        if event in SETTLED:
+            self.beat()
+        with self._lock:
+            self._new_day(t_utc)
+            device = str(fields.get("device"))
+            if event == "device-lost":
+                self._away_since.setdefault(device, t_utc)
+            elif event == "device-back":
+                since = self._away_since.pop(device, t_utc)
+                if device in self._reported_away:
+                    self._reported_away.discard(device)
+                    body = f"{device} did not answer for {_minutes(t_utc - since)}."
+                    self._send(f"{device} is back", body)
+            elif event in SETTLED:
+                self._outcome(event, t_utc, fields)
+            elif event == "clock-step":
+                follows = "follows" if fields.get("followed") else "does not follow"
+                body = f"The computer's clock jumped by {fields.get('seconds', 0.0):+.0f} s. "
+                body += f"The capture {follows} the new time."
+                self._send("the clock jumped", body, once=t_utc)
+            elif event == "disk-full":
+                free = f"The disk has {fields.get('bytes_free', 0) / 1e6:.0f} MB free."
+                self._send("the disk is full", free, once=t_utc)
 
-    def _back(self, device: str, t_utc: datetime) -> list[Message]:
-        since = self._away_since.pop(device, t_utc)
-        if device not in self._reported_away:
-            return []
-        self._reported_away.discard(device)
-        minutes = (t_utc - since).total_seconds() / 60.0
-        body = f"{device} did not answer for {minutes:.0f} minutes."
-        return [self._message(f"{device} is back", body)]
+    def look(self, live: Live) -> None:
+        """Send the messages that are due now, whether or not an event happened."""
+        with self._lock:
+            self._new_day(live.t_utc)
+            if live.ghi_wm2 is not None:
+                self._highest_ghi_wm2 = max(live.ghi_wm2, self._highest_ghi_wm2 or live.ghi_wm2)
+            for device, since in self._away_since.items():
+                away = live.t_utc - since
+                if device not in self._reported_away and away >= DEVICE_AWAY:
+                    self._reported_away.add(device)
+                    body = f"It stopped answering at {self._local(since)}, {_minutes(away)} ago."
+                    self._send(f"{device} is lost", body)
+            if live.disk_days is not None:
+                limit = LOW_DISK_DAYS + (1.0 if self._disk_is_low else 0.0)
+                was_low, self._disk_is_low = self._disk_is_low, live.disk_days < limit
+                if self._disk_is_low and not was_low:
+                    body = f"The disk has room for {live.disk_days:.1f} more days of captures."
+                    self._send("the disk is nearly full", body)
 
-    def _outcome(self, event: str, t_utc: datetime, fields: EventFields) -> list[Message]:
+    def _outcome(self, event: str, t_utc: datetime, fields: EventFields) -> None:
         slot, why = fields.get("slot", ""), fields.get("why", "")
         self._counts[event] += 1
         with suppress(ValueError):
@@ -120,45 +118,47 @@ class Alerts:
         if event == "done":
             self._misses = 0
             self._counts["doubtful"] += bool(why)
-            if "clipped" not in why:
-                return []
-            body = f"Bracket {slot}: {why}. The exposures may no longer suit the light."
-            return self._once("clipped", t_utc, "a bracket is clipped", body)
+            if "clipped" in why:
+                body = f"Bracket {slot}: {why}. The exposures may no longer suit the light."
+                self._send("a bracket is clipped", body, once=t_utc)
+            return
         self._misses += 1
-        if self._misses != MISSES_IN_A_ROW:
-            return []
-        body = f"The last slot was {slot} ({event}): {why or 'no reason recorded'}."
-        return [self._message(f"{self._misses} slots in a row gave no bracket", body)]
+        if self._misses == MISSES_IN_A_ROW:
+            body = f"The last slot was {slot} ({event}): {why or 'no reason recorded'}."
+            self._send(f"{self._misses} slots in a row gave no bracket", body)
 
-    def _new_day(self, t_utc: datetime) -> list[Message]:
-        """Return the summary of the day that just ended; return it only once."""
+    def _new_day(self, t_utc: datetime) -> None:
+        """Send the summary of the day that just ended, once."""
         today = t_utc.astimezone(ZoneInfo(self.timezone)).date()
         if self._day is None or today <= self._day:
             self._day = self._day or today
-            return []
+            return
         ended, counts, ghi = self._day, self._counts, self._highest_ghi_wm2
         self._day, self._counts, self._highest_ghi_wm2 = today, Counter(), None
-        if not counts:
-            return []
-        body = (
-            f"{counts['done']} brackets done ({counts['doubtful']} with a doubt), "
-            f"{counts['missed']} missed, {counts['aborted']} aborted."
-        )
-        body += "" if ghi is None else f" Highest global irradiance {ghi:.0f} W/m2."
-        return [self._message(f"summary of {ended.isoformat()}", body, self.contact_sheet())]
+        if counts:
+            body = (
+                f"{counts['done']} brackets done ({counts['doubtful']} with a doubt), "
+                f"{counts['missed']} missed, {counts['aborted']} aborted."
+            )
+            body += "" if ghi is None else f" Highest global irradiance {ghi:.0f} W/m2."
+            self._send(f"summary of {ended.isoformat()}", body, self.contact_sheet())
 
-    def _once(self, kind: str, t_utc: datetime, title: str, body: str) -> list[Message]:
-        last = self._last.get(kind)
-        if last is not None and t_utc - last < QUIET:
-            return []
-        self._last[kind] = t_utc
-        return [self._message(title, body)]
-
-    def _message(self, title: str, body: str, picture: Path | None = None) -> Message:
-        return Message(f"fieldlum {self.name}: {title}", body, picture)
+    def _send(
+        self, title: str, body: str, picture: Path | None = None, once: datetime | None = None
+    ) -> None:
+        """Send a message; once: the time, for a title that is sent at most every six hours."""
+        if once is not None:
+            if title in self._last and once - self._last[title] < QUIET:
+                return
+            self._last[title] = once
+        self.send(Message(f"fieldlum {self.name}: {title}", body, picture))
 
     def _local(self, t_utc: datetime) -> str:
         return f"{t_utc.astimezone(ZoneInfo(self.timezone)):%Y-%m-%d %H:%M}"
+
+
+def _minutes(duration: timedelta) -> str:
+    return f"{duration.total_seconds() / 60.0:.0f} minutes"
 
 
 @dataclass(slots=True)
@@ -212,42 +212,6 @@ class MissedHook:
 OUTBOX = "outbox.jsonl"
 
 
-@dataclass(frozen=True, slots=True)
-class Remote:
-    """Sends messages and heartbeats about a running capture.
-
-    `listen` takes journal events, `look` the state of the capture; both return at once. Events come
-    from the capture and from the thread that logs irradiance, so a lock guards the alerts.
-    """
-
-    alerts: Alerts
-    outbox: Outbox | None
-    heartbeat: Heartbeat | None
-    _lock: Lock = field(default_factory=Lock)
-
-    def listen(self, event: str, t_utc: datetime, fields: EventFields) -> None:
-        """Send the messages that a journal event causes.
-
-        Also send a heartbeat if the event settles a slot (done, missed, aborted).
-        """
-        if self.heartbeat is not None and event in SETTLED:
-            self.heartbeat.beat()
-        with self._lock:
-            messages = self.alerts.event(event, t_utc, fields)
-        self._send(messages)
-
-    def look(self, live: Live) -> None:
-        """Send the messages that are due now."""
-        with self._lock:
-            messages = self.alerts.look(live.t_utc, live.disk_days, live.ghi_wm2)
-        self._send(messages)
-
-    def _send(self, messages: Sequence[Message]) -> None:
-        if self.outbox is not None:
-            for message in messages:
-                self.outbox.put(message)
-
-
 @contextmanager
 def informed(
     session: Session,
@@ -256,7 +220,7 @@ def informed(
     say: Callable[[str], None],
     *,
     with_picture: bool = False,
-) -> Iterator[Remote]:
+) -> Iterator[Alerts]:
     """Yield the object that a capture calls to send messages and heartbeats; then close it.
 
     post: sends one message; None without targets. heartbeat_address: "" without a monitor.
@@ -280,7 +244,9 @@ def informed(
     outbox = Outbox(post, session.root / OUTBOX, report) if post is not None else None
     heartbeat = Heartbeat(heartbeat_address) if heartbeat_address else None
     try:
-        yield Remote(Alerts(site.name, site.timezone, sheet), outbox, heartbeat)
+        send = outbox.put if outbox is not None else lambda message: None
+        beat = heartbeat.beat if heartbeat is not None else lambda: None
+        yield Alerts(site.name, site.timezone, send, beat, sheet)
     finally:
         if heartbeat is not None:
             heartbeat.close()
