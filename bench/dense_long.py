@@ -1,10 +1,10 @@
 """The dense network trained for as long as one cares to wait, kept as a model folder for
 `office_tables.py --dense`.
 
-    python bench/dense_long.py PAIRS.csv OUT [--minutes 70 | --paper]
+    python bench/dense_long.py PAIRS.csv OUT [--minutes 70 | --full]
 
---minutes fits the short schedule into that time; --paper runs the paper's to its end (60 to 90
-epochs). OUT/checkpoint.pt is written as it goes, and the same command takes it up again.
+--minutes fits the training into that time; --full runs 90 passes over the pixels.
+OUT/checkpoint.pt is written as it goes, and the same command takes it up again.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ def main() -> None:
     parser.add_argument("pairs", type=Path)
     parser.add_argument("out", type=Path)
     parser.add_argument("--minutes", type=float, default=70.0)
-    parser.add_argument("--paper", action="store_true")
+    parser.add_argument("--full", action="store_true")
     parser.add_argument("--seed", type=int, default=0)
     asked = parser.parse_args()
     asked.out.mkdir(parents=True, exist_ok=True)
@@ -36,7 +36,7 @@ def main() -> None:
             print(f"{100 * done / total:.1f} %  {message}", flush=True)
 
     data = load_pairs(asked.pairs)
-    budget_s = None if asked.paper else 60.0 * asked.minutes
+    budget_s = None if asked.full else 60.0 * asked.minutes
     checkpoint = asked.out / "checkpoint.pt"
     fitted = models.fit(
         "dense", data, seed=asked.seed, budget_s=budget_s, checkpoint=checkpoint, progress=progress

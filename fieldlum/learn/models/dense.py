@@ -2,8 +2,8 @@
 
 One branch has the inputs pixel position, mean luminance, sun, irradiance and sky, the other the sun
 patch. Source: Deep Neural Network Approach for Annual Luminance Simulations, J. Building
-Performance Simulation 13(5), 2020. Inputs, sizes, loss and schedule follow the paper; where the
-authors' code differs from their text, the text is followed. `dense_training` has the loop.
+Performance Simulation 13(5), 2020. Inputs, sizes and loss follow the paper; where the authors' code
+differs from their text, the text is followed. `dense_training` has the loop.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import os
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
@@ -29,7 +29,6 @@ from fieldlum.sky.perez import reinhart_patches
 
 LOG_TOP = 9.2  # log10 of 1.6e9 cd/m2, the sun's disc (paper)
 POWER = 1.0 / 1.5  # of the paper's preprocessing
-GAMMA = 10.0  # of the paper's preprocessing without a logarithm
 DNI_TOP_WM2, DHI_TOP_WM2 = 1100.0, 700.0  # normalisation of the paper's inputs
 PREDICT_PIXELS = 16384  # pixels of a chunk that fits into the processor's cache; not measured
 
@@ -39,41 +38,28 @@ class Shape:
     """The form of the network of Liu, Colburn and Inanici (2020).
 
     width, depth: units of each layer and number of layers in branch one; patch_width: units of
-    branch two (200 in the form "cnn", by `dense_training.fit`); sky_map: whether the luminance of
-    the sky patch behind a pixel is an input; form: "cnn" trains with complete images as batches, as
-    convolutions with kernel 1 would; curve: encoding of luminance, see `encode`. The defaults are
-    the paper's final form, other values its ablations (Table 1 and Figure 8).
+    branch two. The defaults are the paper's final form.
     """
 
     width: int = 600
     depth: int = 4
     patch_width: int = 400
-    sky_map: bool = True
-    form: Literal["dense", "cnn"] = "dense"
-    curve: Literal["log", "gamma"] = "log"
 
 
-def encode(luminance_cdm2: Array, curve: str = "log") -> Floats32:
-    """Return luminance encoded for the network, in the same shape: 1.6e9 cd/m2 becomes 1.
+def encode(luminance_cdm2: Array) -> Floats32:
+    """Return luminance encoded for the network, in the same shape: (log10 L / 9.2)^(1/1.5).
 
-    Luminance below 1 cd/m2 counts as 1. The curve "log" is (log10 L / 9.2)^(1/1.5); "gamma" is (L /
-    1.6e9)^(1/10). Larger luminances than 1.6e9 cd/m2 give values above 1.
+    Luminance below 1 cd/m2 counts as 1. Larger luminances than 1.6e9 cd/m2 give values above 1.
     """
-    floored = np.maximum(luminance_cdm2, 1.0)
-    if curve == "gamma":
-        return ((floored / 10.0**LOG_TOP) ** (1.0 / GAMMA)).astype(np.float32)
-    return ((np.log10(floored) / LOG_TOP) ** POWER).astype(np.float32)
+    return ((np.log10(np.maximum(luminance_cdm2, 1.0)) / LOG_TOP) ** POWER).astype(np.float32)
 
 
-def decode(encoded: Array, curve: str = "log") -> Floats32:
-    """Return the luminance [cd/m2] of values encoded by `encode` with the same curve.
+def decode(encoded: Array) -> Floats32:
+    """Return the luminance [cd/m2] of encoded values; they are clipped to [0, 1] first.
 
-    Values outside [0, 1] are clipped first, which bounds every prediction: the least result is 1,
-    the largest 1.6e9 cd/m2.
+    That bounds every prediction: the least result is 1, the largest 1.6e9 cd/m2.
     """
     inside = np.clip(encoded, 0.0, 1.0)
-    if curve == "gamma":
-        return np.maximum(10.0**LOG_TOP * inside**GAMMA, 1.0).astype(np.float32)
     return (10.0 ** (LOG_TOP * inside ** (1.0 / POWER))).astype(np.float32)
 
 
@@ -82,12 +68,12 @@ class Net(nn.Module):
 
     Branch one has position, sun, irradiance, mean luminance and sky of a pixel as inputs, branch
     two the luminance of the sun patch there. With the default sizes the network has 1 689 201
-    parameters, or 1 688 601 without the sky as the eighth input of branch one.
+    parameters.
     """
 
     def __init__(self, shape: Shape) -> None:
         super().__init__()
-        sizes = [8 if shape.sky_map else 7] + [shape.width] * shape.depth
+        sizes = [8] + [shape.width] * shape.depth
         self.scene = nn.ModuleList(nn.Linear(a, b) for a, b in itertools.pairwise(sizes))
         self.patch = nn.Linear(1, shape.patch_width)
         self.merge = nn.Linear(shape.width + shape.patch_width, shape.width)
@@ -96,7 +82,7 @@ class Net(nn.Module):
     def forward(self, scene: Tensor, patch: Tensor) -> Tensor:
         """Return the encoded luminance [b] of b pairs of an hour and a pixel.
 
-        scene: input of branch one, by `Inputs.scene` [b, 7 or 8]; patch: input of branch two, the
+        scene: input of branch one, by `Inputs.scene` [b, 8]; patch: input of branch two, the
         encoded luminance of the sun patch [b, 1].
         """
         x = scene
@@ -124,31 +110,28 @@ class Inputs:
     pixel: x, y (0 to 1 from the left and the top) and encoded mean luminance [P, 3]; sky_patch:
     index of the nearest of 2305 sky patches, -1 at or below the horizon [P]; sun: altitude,
     azimuth, DNI and DHI, scaled to about 0 to 1 [n, 4]; sky: encoded luminance of the sky patches
-    [n, 2306], whose last column is 0, for pixels at or below the horizon; None without a sky map.
+    [n, 2306], whose last column is 0, for pixels at or below the horizon.
     """
 
     pixel: Tensor
     sky_patch: Tensor
     sun: Tensor
-    sky: Tensor | None
+    sky: Tensor
 
     def scene(self, hour: Tensor, pixel: Tensor) -> Tensor:
-        """Return the input of branch one for b pairs of an hour and a pixel, [b, 7 or 8].
+        """Return the input of branch one for b pairs of an hour and a pixel, [b, 8].
 
-        hour, pixel: indices from 0 [b]. Columns: x, y, altitude, azimuth, DNI, DHI, mean luminance
-        and, with a sky map, the sky patch.
+        hour, pixel: indices from 0 [b]. Columns: x, y, altitude, azimuth, DNI, DHI, mean luminance,
+        sky patch.
         """
-        fixed = self.pixel[pixel]
-        columns = [fixed[:, :2], self.sun[hour], fixed[:, 2:]]
-        if self.sky is not None:
-            columns.append(self.sky[hour, self.sky_patch[pixel]].unsqueeze(1))
-        return torch.cat(columns, dim=1)
+        fixed, sky = self.pixel[pixel], self.sky[hour, self.sky_patch[pixel]]
+        return torch.cat([fixed[:, :2], self.sun[hour], fixed[:, 2:], sky.unsqueeze(1)], dim=1)
 
-    def at(self, light: Light, shape: Shape) -> Inputs:
+    def at(self, light: Light) -> Inputs:
         """Return the inputs of the same pixels in the hours of `light`.
 
         Altitude is divided by 90 degrees, DNI by 1100 and DHI by 700 W/m2; azimuth is 0 at north,
-        0.5 at south and 0.75 at west. shape: its sky_map and curve are used.
+        0.5 at south and 0.75 at west.
         """
         from_south = signed_angle_deg(light.sun_azimuth_deg - 180.0)  # west positive
         columns = (
@@ -157,12 +140,10 @@ class Inputs:
             light.dni_wm2 / DNI_TOP_WM2,
             light.dhi_wm2 / DHI_TOP_WM2,
         )
-        device, sky = self.pixel.device, None
-        if shape.sky_map:
-            padded = np.pad(encode(light.sky_cdm2, shape.curve), ((0, 0), (0, 1)))
-            sky = torch.from_numpy(padded).to(device)
+        device = self.pixel.device
+        sky = np.pad(encode(light.sky_cdm2), ((0, 0), (0, 1)))
         sun = torch.from_numpy(np.stack(columns, axis=1).astype(np.float32)).to(device)
-        return replace(self, sun=sun, sky=sky)
+        return replace(self, sun=sun, sky=torch.from_numpy(sky).to(device))
 
 
 def inputs_of(average_log10: Floats, heading_deg: float, device: torch.device) -> Inputs:
@@ -182,7 +163,8 @@ def inputs_of(average_log10: Floats, heading_deg: float, device: torch.device) -
     for rows in np.array_split(up, max(1, len(up) // 8192)):
         nearest[rows] = (rays[rows] @ directions.T).argmax(axis=1)
     pixel = torch.from_numpy(fixed.astype(np.float32)).to(device)
-    return Inputs(pixel, torch.from_numpy(nearest).to(device), torch.empty(0, 4), None)
+    empty = torch.empty(0, 4), torch.empty(0, 2306)
+    return Inputs(pixel, torch.from_numpy(nearest).to(device), *empty)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -221,7 +203,7 @@ class DenseFitted:
 
     net, shape: the network and its form; average_log10: mean of log10 L over the training images
     [H, W]; heading_deg: azimuth of the maps' centre column; patch: how sun patches are used;
-    domain: range of light in the captures; training: content of a `TrainingRecord`; parameters:
+    domain: range of light in the captures; training: what config.json records of it; parameters:
     number of fitted values; held_out_mse: None, because errors on days without captures are not
     computed for a network.
     """
@@ -248,12 +230,12 @@ class DenseFitted:
 
     def _encoded(self, light: Light, patch_cdm2: Floats32 | None) -> Iterator[Floats32]:
         """Yield the encoded map [H W] of each hour."""
-        inputs = self._inputs.at(light, self.shape)
+        inputs = self._inputs.at(light)
         pixels = torch.arange(len(inputs.pixel), device=self._device)  # [H W]
         direct = torch.zeros(len(pixels), 1, device=self._device)
         for k in range(len(light)):
             if patch_cdm2 is not None and self.patch != "none":
-                encoded = torch.from_numpy(encode(patch_cdm2[k].reshape(-1, 1), self.shape.curve))
+                encoded = torch.from_numpy(encode(patch_cdm2[k].reshape(-1, 1)))
                 direct = encoded.to(self._device)
             parts = [
                 self.net(inputs.scene(torch.full_like(pixel, k), pixel), direct[pixel])
@@ -276,7 +258,7 @@ class DenseFitted:
         device, fast = self._device, bfloat16_pays(self._device)
         with torch.inference_mode(), torch.autocast(device.type, torch.bfloat16, enabled=fast):
             for k, encoded in enumerate(self._encoded(light, patch_cdm2)):
-                out[k] = decode(encoded, self.shape.curve).reshape(height, width)
+                out[k] = decode(encoded).reshape(height, width)
         return Prediction(out, None, np.full(len(out), np.nan), self.domain.holds(light))
 
     def state(self) -> ModelState:
@@ -300,7 +282,10 @@ def from_state(state: ModelState) -> DenseFitted:
     Raises KeyError, TypeError or ValueError for missing or wrong content.
     """
     config, arrays = state.config, state.arrays
-    shape = Shape(**config["shape"])
+    table = config["shape"]
+    if table.get("curve", "log") != "log":  # a variant of earlier versions
+        raise ValueError("a network with another encoding of luminance")
+    shape = Shape(table["width"], table["depth"], table["patch_width"])
     net = Net(shape)
     weights = {
         name.removeprefix("net."): torch.from_numpy(value.copy())
