@@ -87,7 +87,7 @@ def glare(
     maps: NDArray[np.float32], heading: float, suns: Array, disc: Array
 ) -> tuple[Array, Array]:
     views = panorama_views(maps.shape[1], maps.shape[2], heading, [heading])
-    found = glare_directions(maps, heading, [heading], suns, disc, views=views)
+    found = glare_directions(maps, views, suns, disc)
     return found["ev_lx"][:, 0], found["dgp"][:, 0]
 
 

@@ -34,7 +34,7 @@ from fieldlum.learn.train.trials import choose_model, day_folds, evaluate_folds
 from fieldlum.room import simulate
 from fieldlum.session import open_session
 from fieldlum.sky import sun
-from fieldlum.year.glare import glare_directions, view_azimuths_deg
+from fieldlum.year.glare import glare_directions, panorama_views, view_azimuths_deg
 
 Array = NDArray[Any]
 YEAR = 2027
@@ -115,7 +115,8 @@ def dgp_of(maps: Array, year: Dataset) -> Array:
     """Return DGP in ten directions with the true disc, [n, 10]."""
     azimuths = view_azimuths_deg(year.heading_deg)
     light = year.light.shown_sun_direction, year.disc_lx
-    return glare_directions(maps, year.heading_deg, azimuths, *light)["dgp"]
+    views = panorama_views(*maps.shape[1:], year.heading_deg, azimuths)
+    return glare_directions(maps, views, *light)["dgp"]
 
 
 def judge(out: Path, seed: int) -> dict[str, Any]:

@@ -30,6 +30,7 @@ from fieldlum.year.glare import (
     dgp,
     glare_directions,
     panorama_to_fisheye,
+    panorama_views,
     position_index,
     reference_glare,
     reference_version,
@@ -122,7 +123,8 @@ def main() -> None:
     args = parser.parse_args()
     data = load(args.maps)
     azimuths = view_azimuths_deg(HEADING_DEG)
-    ours = glare_directions(data["luminance"], HEADING_DEG, azimuths, data["sun"], data["disc_lx"])
+    views = panorama_views(*data["luminance"].shape[1:], HEADING_DEG, azimuths)
+    ours = glare_directions(data["luminance"], views, data["sun"], data["disc_lx"])
     label = strata(ours, data["luminance"], data["sun"], data["disc_lx"], azimuths)
     rng = np.random.default_rng(args.seed)
     rows = compare(data, ours, label, azimuths, HEADING_DEG, rng, args.per_stratum, args.size)

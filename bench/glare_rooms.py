@@ -22,7 +22,12 @@ from fieldlum.core.records import CameraSetup, Room, Site, SiteFile, Window
 from fieldlum.room.simulate.truth import simulated_room
 from fieldlum.sky.light import light_at
 from fieldlum.weather import synthetic_weather
-from fieldlum.year.glare import glare_directions, reference_version, view_azimuths_deg
+from fieldlum.year.glare import (
+    glare_directions,
+    panorama_views,
+    reference_version,
+    view_azimuths_deg,
+)
 
 ROOMS = {
     "corner, Madrid": SiteFile(
@@ -116,7 +121,8 @@ def main() -> None:
         }
         heading = setup.camera.heading_deg
         azimuths = view_azimuths_deg(heading)
-        ours = glare_directions(data["luminance"], heading, azimuths, data["sun"], data["disc_lx"])
+        views = panorama_views(*data["luminance"].shape[1:], heading, azimuths)
+        ours = glare_directions(data["luminance"], views, data["sun"], data["disc_lx"])
         label = strata(ours, data["luminance"], data["sun"], data["disc_lx"], azimuths)
         found = compare(data, ours, label, azimuths, heading, rng, args.per_stratum, 800)
         print(f"\n### {name}\n")

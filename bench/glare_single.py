@@ -21,8 +21,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from fieldlum.optics.images import radiance_program
-from fieldlum.year.glare.own_pixels import glare_of_pixels, weighted_sum
-from fieldlum.year.glare.picture_view import picture_grid, picture_rays
+from fieldlum.year.glare.metrics import glare_directions
+from fieldlum.year.glare.picture_view import picture_centres, picture_rays, picture_views
 from fieldlum.year.glare.pictures import read_picture
 from fieldlum.year.glare.reference import FLAGS, reference_glare_of_file, reference_version
 
@@ -106,19 +106,18 @@ def band(path: Path) -> tuple[float, ...]:
     assert picture.view is not None
     pixels = picture.panorama.luminance_cdm2
     height, width = pixels.shape
-    y, x = 0.5 - (np.arange(height) + 0.5) / height, (np.arange(width) + 0.5) / width - 0.5
-    rays = picture_rays(picture.view, x[None, :], y[:, None])
-    directions = np.stack([rays.right, rays.up, rays.forward], axis=-1)  # [H, W, 3]
+    y, x = picture_centres(height, width)
+    directions = picture_rays(picture.view, x, y)[0]  # [H, W, 3]
     middle = height - 1 - (height - 1) // 2  # evalglare counts rows from the bottom
     cosine = (directions * directions[middle][None]).sum(axis=-1)
-    grid = picture_grid(picture.view, height, width)
-    inside = (cosine >= np.cos(0.4)) & (rays.forward >= 0.0)
-    omega = np.where(inside, grid.solid_angle, 0.0)
+    solid_angle = picture_views(picture.view, height, width).moments[:, 0].reshape(height, width)
+    inside = (cosine >= np.cos(0.4)) & (directions[..., 2] >= 0.0)
+    omega = np.where(inside, solid_angle, 0.0).astype(float)
     total, values = float(omega.sum(dtype=float)), pixels[inside].astype(float)
     quartiles = [float(np.percentile(values, q)) for q in (75, 95)]
     return (
         total,
-        weighted_sum(pixels, omega) / total,
+        float((pixels * omega).sum()) / total,
         float(np.median(values)),
         float(values.std()),
         *quartiles,
@@ -146,8 +145,8 @@ def main() -> None:
             picture = read_picture(path)
             assert picture.view is not None
             pixels = picture.panorama.luminance_cdm2
-            grid = picture_grid(picture.view, *pixels.shape)
-            ours = glare_of_pixels(pixels, grid)[0]
+            views = picture_views(picture.view, *pixels.shape)
+            ours = {key: v.item() for key, v in glare_directions(pixels[None], views).items()}
             theirs = reference_glare_of_file(path)
             if stratum == "vta" and pixels.max() > 1e6:
                 stratum = "vta sun"

@@ -108,7 +108,7 @@ def year(
     """
     azimuths = view_azimuths_deg(room.heading_deg, views)
     weights = panorama_views(room.height, room.width, room.heading_deg, azimuths)
-    regions = ViewRegions(room.height, room.width, room.heading_deg, azimuths)
+    regions = ViewRegions(weights)
     rng = np.random.default_rng(0)
     asked = set(rng.choice(len(light), sample, replace=False).tolist())
     kept, maps_s, metrics_s = [], np.zeros(2), np.zeros(2)
@@ -116,7 +116,7 @@ def year(
     for block in blocks(fitted, room, light):
         now = _clocks()
         maps_s += now - begin
-        view_figures(block, room, weights, regions)
+        view_figures(block, weights, regions)
         metrics_s += _clocks() - now
         here = [
             k - block.rows.start for k in sorted(asked) if block.rows.start <= k < block.rows.stop

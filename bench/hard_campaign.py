@@ -42,7 +42,7 @@ from fieldlum.session import create_session, open_session
 from fieldlum.session.site_toml import load_site
 from fieldlum.sky import sun
 from fieldlum.sky.sky_view.disc_in_view import disc_lx
-from fieldlum.year.glare import glare_directions, view_azimuths_deg
+from fieldlum.year.glare import glare_directions, panorama_views, view_azimuths_deg
 
 HARD = shipped("capture_plans") / "troubles" / "hard.toml"
 YEAR_STEP = 5  # every fifth day of the year is rendered
@@ -245,10 +245,9 @@ def _dgp(test: Dataset, maps: NDArray[np.float32], disc_lx: Floats | None) -> Fl
     disc = test.disc_lx if disc_lx is None else disc_lx
     light = replace(test.light)
     azimuths = view_azimuths_deg(test.heading_deg)
+    views = panorama_views(*maps.shape[1:], test.heading_deg, azimuths)
     parts = [
-        glare_directions(
-            maps[rows], test.heading_deg, azimuths, light.shown_sun_direction[rows], disc[rows]
-        )["dgp"]
+        glare_directions(maps[rows], views, light.shown_sun_direction[rows], disc[rows])["dgp"]
         for rows in (slice(k, k + 64) for k in range(0, len(maps), 64))
     ]
     return np.concatenate(parts)

@@ -13,11 +13,10 @@ from fieldlum.learn import models
 from fieldlum.learn.models import Fitted
 from fieldlum.learn.models.data import Dataset
 from fieldlum.year.glare import view_azimuths_deg
-from fieldlum.year.glare.standards import class_of, exceeded_in_share
+from fieldlum.year.glare.standards import class_of, exceeded_in_share, protection
 from fieldlum.year.predict.blocks import room_of
-from fieldlum.year.predict.glare_summary import judge
+from fieldlum.year.predict.hours_unit import measure
 from fieldlum.year.predict.occupancy import default_occupancy
-from fieldlum.year.predict.year import measure
 
 TOLERANCE = 1e-3  # of DGP: half a digit of what a report prints
 
@@ -57,23 +56,24 @@ def predicted_year(
     models.save(folder / "model", model, data, patch=patch)
     room = room_of(models.read_config(folder / "model"), folder / "model")
     azimuths = view_azimuths_deg(room.heading_deg)
-    annual, doubt, u_of_maps = measure(
-        folder / "model", room, hours.light, azimuths, folder / "predicted"
-    )
-    occupied = default_occupancy().at(annual.t_utc, hours.setup.site.timezone)
-    annual.hours["occupied"][:] = occupied
+    found = measure(folder / "model", room, hours.light, azimuths)
+    occupied = default_occupancy().at(hours.light.t_utc, hours.setup.site.timezone)
     count = int(occupied.sum()) if occupied_hours is None else occupied_hours
-    stated = judge(annual, doubt, u_of_maps, count, 0)
-    assert stated.low is not None and stated.high is not None
-    low, high = annual.views["dgp_low"] - TOLERANCE, annual.views["dgp_high"] + TOLERANCE
+    dgp, rng = found.views["dgp"][occupied], np.random.default_rng(0)
+    stated = protection(dgp, found.doubt.hours(occupied), count, azimuths, rng)
+    ends = np.array([(row.low, row.high) for row in stated], float)
+    certain = np.array([row.certain for row in stated])
+    low, high = found.views["dgp_low"] - TOLERANCE, found.views["dgp_high"] + TOLERANCE
     inside = (true_dgp >= low) & (true_dgp <= high)
     exceeded = exceeded_in_share(true_dgp[occupied], count)
-    held = (exceeded >= stated.low - TOLERANCE) & (exceeded <= stated.high + TOLERANCE)
-    right = np.array([class_of(float(v)) for v in exceeded]) == np.array(stated.classes)
+    held = (exceeded >= ends[:, 0] - TOLERANCE) & (exceeded <= ends[:, 1] + TOLERANCE)
+    right = np.array(
+        [class_of(v) == row.glare_class for v, row in zip(exceeded, stated, strict=True)]
+    )
     return Year(
         float(inside[occupied].mean()),
         int(held.sum()),
-        int(stated.certain.sum()),
-        int((stated.certain & ~right).sum()),
+        int(certain.sum()),
+        int((certain & ~right).sum()),
         len(azimuths),
     )

@@ -40,7 +40,7 @@ from fieldlum.sky.sky_view.disc import disc_of_hours, drawn_shares
 from fieldlum.sky.sky_view.estimate import Captured, estimate
 from fieldlum.sky.sky_view.measured_discs import MeasuredDiscs
 from fieldlum.sky.sky_view.pose import pose_of_discs
-from fieldlum.year.glare.metrics import glare_directions
+from fieldlum.year.glare import glare_directions, panorama_views
 
 HEIGHT = 60  # rows of the truth and of panoramas
 YEAR_HOURS = 1500  # of a year, at random, of which the disc is compared
@@ -241,14 +241,11 @@ def glare(made: Case, sunny: Indices, own: Floats) -> tuple[float, str]:
     worst = np.argsort(-(own + made.share[sunny]), kind="stable")[:GLARE_HOURS]
     some = made.light[sunny[worst]]
     maps = truth.render(some).luminance_cdm2
+    views = panorama_views(*maps.shape[1:], made.setup.camera.heading_deg, DIRECTIONS_DEG)
     dgp = [
-        glare_directions(
-            maps,
-            made.setup.camera.heading_deg,
-            DIRECTIONS_DEG,
-            some.shown_sun_direction,
-            share[worst] * some.direct_lx,
-        )["dgp"]
+        glare_directions(maps, views, some.shown_sun_direction, share[worst] * some.direct_lx)[
+            "dgp"
+        ]
         for share in (made.share[sunny], own)
     ]
     classes = [np.digitize(values, (0.35, 0.40, 0.45)) for values in dgp]

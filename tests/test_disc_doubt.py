@@ -54,8 +54,8 @@ def test_analytic_another_disc_changes_dgp_as_glare_directions_does() -> None:
     azimuths = np.array([0.0, 90.0, 200.0])
     views = panorama_views(HEIGHT, 2 * HEIGHT, HEADING_DEG, azimuths)
     first, second = np.array([0.0, 3e4, 500.0]), np.array([2e4, 0.0, 800.0])
-    found = glare_directions(maps, HEADING_DEG, azimuths, suns, first, views=views)
-    wanted = glare_directions(maps, HEADING_DEG, azimuths, suns, second, views=views)
+    found = glare_directions(maps, views, suns, first)
+    wanted = glare_directions(maps, views, suns, second)
     np.testing.assert_allclose(
         dgp_with_disc(found, sun_per_lx(suns, views), second), wanted["dgp"], rtol=1e-6
     )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,20 +13,27 @@ from fieldlum.core.records import SunSource
 from fieldlum.optics.projection import direction, equirect_rays, equirect_solid_angles
 from fieldlum.sky.sun import SUN_SOLID_ANGLE_SR
 from fieldlum.year.glare import (
+    FISHEYE_VIEW,
     dgp,
     glare_directions,
     panorama_to_fisheye,
+    panorama_views,
     position_index,
     reference_glare,
     reference_version,
     view_azimuths_deg,
 )
-from fieldlum.year.glare.fisheye import fisheye_solid_angles
 from fieldlum.year.glare.metrics import combine
+from fieldlum.year.glare.picture_view import HEMISPHERE_SOURCES_SR, parse_view, picture_views
 from fieldlum.year.glare.sources import group_pixels, sources_of, widen
 from fieldlum.year.glare.standards import disturbed_share
 
 H, W = 90, 180
+
+
+def _glare(maps: np.ndarray, heading: float, azimuths: object, *sun: np.ndarray) -> dict:
+    views = panorama_views(*maps.shape[1:], heading, azimuths)  # type: ignore[arg-type]
+    return glare_directions(maps, views, *sun)
 
 
 def _uniform(value: float) -> np.ndarray:
@@ -38,7 +47,7 @@ def _uniform(value: float) -> np.ndarray:
 @pytest.mark.analytic
 @pytest.mark.parametrize("heading", [180.0, 33.3])
 def test_a_uniform_sphere_gives_pi_l_in_every_direction(heading: float) -> None:
-    got = glare_directions(_uniform(1000.0), heading, view_azimuths_deg(heading, 12))
+    got = _glare(_uniform(1000.0), heading, view_azimuths_deg(heading, 12))
     assert got["ev_lx"] == pytest.approx(np.pi * 1000.0, rel=2e-4)
     assert got["dgp"] == pytest.approx(
         5.87e-5 * np.pi * 1000.0 + 0.159, abs=1e-4
@@ -48,7 +57,7 @@ def test_a_uniform_sphere_gives_pi_l_in_every_direction(heading: float) -> None:
 
 @pytest.mark.analytic
 def test_a_uniform_bright_sphere_is_one_source() -> None:
-    got = glare_directions(_uniform(5000.0), 180.0, [180.0])
+    got = _glare(_uniform(5000.0), 180.0, [180.0])
     # One source of 2 pi sr: its centre is the line of sight (P = 1).
     expected = dgp(np.pi * 5000.0, 5000.0**2 * 2 * np.pi)
     assert got["dgp"][0, 0] == pytest.approx(float(expected), abs=2e-3)
@@ -61,7 +70,7 @@ def test_a_uniform_bright_sphere_is_one_source() -> None:
 def test_the_sun_alone_follows_the_formula(altitude: float, turn: float) -> None:
     lux, view = 2000.0, 200.0
     sun = direction(altitude, view + turn)
-    got = glare_directions(_uniform(50.0), 180.0, [view], sun[None], np.array([lux]))
+    got = _glare(_uniform(50.0), 180.0, [view], sun[None], np.array([lux]))
     cosine = float(sun @ direction(0.0, view))
     ev = 50.0 * np.pi + lux * cosine
     angle = np.arccos(cosine)
@@ -77,10 +86,8 @@ def test_the_sun_alone_follows_the_formula(altitude: float, turn: float) -> None
 
 @pytest.mark.analytic
 def test_a_sun_behind_the_head_adds_nothing() -> None:
-    lit = glare_directions(
-        _uniform(50.0), 180.0, [0.0], direction(20.0, 180.0)[None], np.array([9e4])
-    )
-    dark = glare_directions(_uniform(50.0), 180.0, [0.0])
+    lit = _glare(_uniform(50.0), 180.0, [0.0], direction(20.0, 180.0)[None], np.array([9e4]))
+    dark = _glare(_uniform(50.0), 180.0, [0.0])
     assert lit["ev_lx"] == pytest.approx(dark["ev_lx"])
     assert lit["dgp"] == pytest.approx(dark["dgp"])
 
@@ -90,7 +97,7 @@ def test_illuminance_follows_the_cosine() -> None:
     maps = np.zeros((1, H, W), np.float32)
     maps[0, H // 2, W // 2] = 1e4  # straight ahead of heading 180, half a pixel below the horizon
     turns = np.array([0.0, 30.0, 60.0, 85.0, 95.0])
-    got = glare_directions(maps, 180.0, 180.0 + turns)["ev_lx"][0]
+    got = _glare(maps, 180.0, 180.0 + turns)["ev_lx"][0]
     ray = equirect_rays(H, W, 180.0)[H // 2, W // 2]
     cosine = np.clip(direction(0.0, 180.0 + turns) @ ray, 0.0, None)
     expected = 1e4 * equirect_solid_angles(H, W)[H // 2, W // 2] * cosine
@@ -101,8 +108,8 @@ def test_illuminance_follows_the_cosine() -> None:
 def test_turning_head_and_picture_together_changes_nothing() -> None:
     rng = np.random.default_rng(3)
     maps = rng.lognormal(6.0, 1.5, (2, H, W)).astype(np.float32)
-    a = glare_directions(maps, 180.0, [180.0, 216.0])
-    b = glare_directions(maps, 70.0, [70.0, 106.0])
+    a = _glare(maps, 180.0, [180.0, 216.0])
+    b = _glare(maps, 70.0, [70.0, 106.0])
     for name in a:
         assert a[name] == pytest.approx(b[name], rel=1e-4, nan_ok=True)
 
@@ -134,6 +141,16 @@ def test_published_position_index(right_deg: float, up_deg: float, expected: flo
 
 
 @pytest.mark.analytic
+def test_a_hemisphere_has_its_sources() -> None:
+    """The constant is the integral of solid angle over the squared position index."""
+    angle, turn = (np.arange(400) + 0.5) / 400 * np.pi / 2, (np.arange(1600) + 0.5) / 800 * np.pi
+    angle = angle[:, None]
+    index = position_index(angle * np.sin(turn), angle * np.cos(turn))
+    total = (np.sin(angle) / index**2).sum() * (np.pi / 800) ** 2
+    assert total == pytest.approx(HEMISPHERE_SOURCES_SR, rel=1e-4)
+
+
+@pytest.mark.analytic
 def test_position_index_grows_and_is_capped() -> None:
     angles = np.radians(np.linspace(0.0, 90.0, 91))
     for right, up in ((angles, 0 * angles + 1e-9), (0 * angles, angles), (0 * angles, -angles)):
@@ -152,9 +169,7 @@ def test_evalglare_agrees_on_a_window_and_a_sun() -> None:
     maps[40:58, 114:130] = 9000.0
     maps[80:90, 60:70] = 2500.0
     sun = SunSource(28.0, 215.0, 3000.0)
-    got = glare_directions(
-        maps[None], 180.0, [180.0], direction(28.0, 215.0)[None], np.array([3000.0])
-    )
+    got = _glare(maps[None], 180.0, [180.0], direction(28.0, 215.0)[None], np.array([3000.0]))
     ref = reference_glare(panorama_to_fisheye(maps, 180.0, 180.0, sun=sun))
     assert reference_version().startswith("evalglare 3.")
     assert got["ev_lx"][0, 0] == pytest.approx(ref.ev_lx, rel=0.005)
@@ -169,7 +184,7 @@ def test_the_share_of_disturbed_directions_is_that_of_evalglare() -> None:
     maps = np.full((115, 230), 400.0, np.float32)
     maps[30:70, 85:145] = 20_000.0
     azimuths = [0.0, 90.0, 150.0, 180.0, 230.0]
-    own = glare_directions(maps[None], 180.0, azimuths)["dgp"]
+    own = _glare(maps[None], 180.0, azimuths)["dgp"]
     theirs = np.array(
         [[reference_glare(panorama_to_fisheye(maps, 180.0, a)).dgp for a in azimuths]]
     )
@@ -225,7 +240,8 @@ def test_fisheye_keeps_flux_and_the_suns_energy() -> None:
     picture = panorama_to_fisheye(
         _uniform(700.0)[0], 180.0, 180.0, size=size, sun=SunSource(20.0, 190.0, 5e4)
     )
-    omega = fisheye_solid_angles(size)
+    view = parse_view(f"{FISHEYE_VIEW} -vd 0 -1 0", Path("x"))
+    omega = picture_views(view, size, size).moments[:, 0].reshape(size, size)
     assert omega.sum() == pytest.approx(2 * np.pi, rel=1e-3)
     assert (picture * omega).sum() == pytest.approx(700.0 * 2 * np.pi + 5e4, rel=2e-3)
 

@@ -13,8 +13,10 @@ from click.testing import CliRunner
 from fieldlum.cli import main
 from fieldlum.core.records import SunSource
 from fieldlum.optics.images import write_radiance_hdr
-from fieldlum.year.glare.own_pixels import disc_pixels, glare_of_pixels, region_ratios
-from fieldlum.year.glare.picture_view import PictureView, parse_view, picture_grid, picture_rays
+from fieldlum.year.glare.contrast import ViewRegions
+from fieldlum.year.glare.fisheye import disc_pixels
+from fieldlum.year.glare.metrics import map_ev_lx
+from fieldlum.year.glare.picture_view import PictureView, parse_view, picture_rays, picture_views
 from fieldlum.year.glare.reference import reference_glare_of_file
 from fieldlum.year.glare.single import picture_glare
 
@@ -29,15 +31,16 @@ def _scene(view: PictureView, size: int) -> np.ndarray:
     """A room with a window, a lamp and darker corners as a function of direction, [size, size]."""
     fine = 4
     axis = (np.arange(size * fine) + 0.5) / (size * fine) - 0.5
-    rays = picture_rays(view, axis[None, :], -axis[:, None])
-    angle_right = np.degrees(np.arctan2(rays.right, rays.forward))
-    angle_up = np.degrees(np.arcsin(np.clip(rays.up, -1, 1)))
-    values = 80.0 + 60.0 * rays.forward + 40.0 * rays.up
+    rays, density = picture_rays(view, axis[None, :], -axis[:, None])
+    right, up, forward = np.moveaxis(rays, -1, 0)
+    angle_right = np.degrees(np.arctan2(right, forward))
+    angle_up = np.degrees(np.arcsin(np.clip(up, -1, 1)))
+    values = 80.0 + 60.0 * forward + 40.0 * up
     values = np.where(
         (np.abs(angle_right - 30) < 15) & (np.abs(angle_up - 10) < 12), 6000.0, values
     )
     values = np.where(np.hypot(angle_right + 40, angle_up - 35) < 4.0, 30_000.0, values)
-    values = np.where(rays.density > 0, values, 0.0)
+    values = np.where(density > 0, values, 0.0)
     return values.reshape(size, fine, size, fine).mean(axis=(1, 3)).astype(np.float32)
 
 
@@ -46,32 +49,31 @@ def _scene(view: PictureView, size: int) -> np.ndarray:
 @pytest.mark.parametrize("size", [41, 300])
 def test_a_uniform_hemisphere_gives_pi_l_in_every_mapping(kind: str, size: int) -> None:
     """Analytic: Ev = pi L, and the hemisphere has 2 pi sr."""
-    grid = picture_grid(_view(f"-vt{kind} {LEVEL} -vh 180 -vv 180"), size, size)
-    figures = glare_of_pixels(np.full((size, size), 100.0, np.float32), grid)[0]
-    assert figures["ev_lx"] == pytest.approx(100 * np.pi, rel=1e-3)
-    assert grid.solid_angle.sum(dtype=float) == pytest.approx(2 * np.pi, rel=5e-3)
+    views = picture_views(_view(f"-vt{kind} {LEVEL} -vh 180 -vv 180"), size, size)
+    assert map_ev_lx(np.full((1, size, size), 100.0), views) == pytest.approx(100 * np.pi, rel=1e-3)
+    assert views.moments[:, 0].sum(dtype=float) == pytest.approx(2 * np.pi, rel=5e-3)
 
 
 @pytest.mark.analytic
 def test_a_sun_near_the_rim_of_a_hemispherical_picture_is_exact() -> None:
     """Analytic: in -vth, cosine times solid angle is the pixel's area on the unit disc."""
     size = 200
-    grid = picture_grid(_view(f"-vth {LEVEL} -vh 180 -vv 180"), size, size)
+    views = picture_views(_view(f"-vth {LEVEL} -vh 180 -vv 180"), size, size)
     for column in (120, 180, 196, 198):
-        pixels = np.zeros((size, size), np.float32)
-        pixels[size // 2, column] = 1e8
-        figures = glare_of_pixels(pixels, grid)[0]
-        assert figures["ev_lx"] == pytest.approx(1e8 * (2.0 / size) ** 2, rel=1e-3)
+        pixels = np.zeros((1, size, size), np.float32)
+        pixels[0, size // 2, column] = 1e8
+        assert map_ev_lx(pixels, views) == pytest.approx(1e8 * (2.0 / size) ** 2, rel=1e-3)
 
 
 @pytest.mark.analytic
 @pytest.mark.parametrize("size", [40, 400])
 def test_the_disc_of_a_sun_outside_the_picture_adds_nothing(size: int) -> None:
     """Analytic: the disc's energy is its illuminance in the picture, and 0 outside of it."""
-    grid = picture_grid(_view(f"-vtv {LEVEL} -vh 40 -vv 40"), size, size)
+    views = picture_views(_view(f"-vtv {LEVEL} -vh 40 -vv 40"), size, size)
+    omega = views.moments[:, 0].reshape(size, size)
     for azimuth_deg, expected_lx in ((180.0, 5e4), (190.3, 5e4), (199.9, 5e4), (202.0, 0.0)):
-        disc = disc_pixels(grid, SunSource(2.0, azimuth_deg, 5e4))
-        total_lx = (disc * grid.solid_angle).sum(dtype=float)
+        disc = disc_pixels(views, (size, size), SunSource(2.0, azimuth_deg, 5e4))
+        total_lx = (disc * omega).sum(dtype=float)
         assert total_lx == pytest.approx(expected_lx, rel=1e-4)
 
 
@@ -82,9 +84,8 @@ def test_crops_by_shift_and_lift_add_up() -> None:
     for shift in (-0.5, 0.5):
         for lift in (-0.5, 0.5):
             view = _view(f"-vta {LEVEL} -vh 90 -vv 90 -vs {shift} -vl {lift}")
-            grid = picture_grid(view, 80, 80)
-            pixels = np.full((80, 80), 100.0 if lift > 0 else 50.0, np.float32)
-            total += glare_of_pixels(pixels, grid)[0]["ev_lx"]
+            pixels = np.full((1, 80, 80), 100.0 if lift > 0 else 50.0, np.float32)
+            total += map_ev_lx(pixels, picture_views(view, 80, 80)).item()
     assert total == pytest.approx(75.0 * np.pi, rel=1e-3)
 
 
@@ -108,8 +109,7 @@ def test_views_go_the_way_of_radiance(tmp_path: Path) -> None:
         expected = expected.reshape(5, 7, 3)
         x, y = (np.arange(7) + 0.5) / 7 - 0.5, 0.5 - (np.arange(5) + 0.5) / 5
         parsed = _view(view)
-        rays = picture_rays(parsed, x[None, :], y[:, None])
-        found = np.stack([rays.right, rays.up, rays.forward], axis=-1) @ parsed.frame
+        found = picture_rays(parsed, x[None, :], y[:, None])[0] @ parsed.frame
         np.testing.assert_allclose(found, expected, atol=2e-5, err_msg=kind)
 
 
@@ -158,18 +158,22 @@ def test_authority_the_sun_in_view_agrees(tmp_path: Path) -> None:
     assert ours["dgp"] == pytest.approx(theirs.dgp, abs=1e-3)
 
 
+def _ratios(view: PictureView, size: int) -> dict[str, np.ndarray]:
+    return ViewRegions(picture_views(view, size, size)).ratios(_scene(view, size)[None])
+
+
 @pytest.mark.slow
 @pytest.mark.analytic
 def test_uniformity_does_not_depend_on_the_mapping() -> None:
     found = []
     for kind in "ahs":
         view = _view(f"-vt{kind} {LEVEL} -vh 180 -vv 180")
-        found.append(region_ratios(_scene(view, 300), picture_grid(view, 300, 300)))
+        found.append(_ratios(view, 300))
     for name in ("task_cdm2", "window_to_task", "uniformity"):
         values = [row[name] for row in found]
         assert max(values) / min(values) < 1.025, name
     view = _view(f"-vtv {LEVEL} -vh 60 -vv 60")
-    narrow = region_ratios(_scene(view, 60), picture_grid(view, 60, 60))
+    narrow = _ratios(view, 60)
     assert np.isnan(narrow["uniformity"]) and np.isnan(narrow["task_cdm2"])
 
 

@@ -13,10 +13,17 @@ from fieldlum.learn import models
 from fieldlum.optics.images import read_panorama, write_panorama
 from fieldlum.optics.photometry.melanopic import attribute_text
 from fieldlum.session.files.hourly_csv import HOUR_COLUMNS, VIEW_COLUMNS, HourlyFile
-from fieldlum.sky.light import Light, light_at
+from fieldlum.sky.light import Light, facades_of, light_at
 from fieldlum.year.predict.blocks import room_of
-from fieldlum.year.predict.melanopic import MelanopicYear, _without_sun, fit_year, has_colour
-from fieldlum.year.predict.year import measure
+from fieldlum.year.predict.hours_unit import measure
+from fieldlum.year.predict.melanopic import (
+    MelanopicYear,
+    _parts,
+    _without_sun,
+    fit_year,
+    has_colour,
+    year_of_captures,
+)
 
 SITE = Site("x", 47.6, -122.3)
 
@@ -28,28 +35,46 @@ def light(count: int, seed: int = 1) -> Light:
     return light_at(times, SITE, np.where(sunny, 700.0, 0.0), rng.uniform(60.0, 300.0, count))
 
 
+def eye(hours: Light) -> tuple[Floats, Floats]:
+    """Light at the eye in two directions, of sky and of sun, [n, 2]: one has the sun in front."""
+    sky, sun = hours.diffuse_lx[:, None], hours.direct_lx[:, None]
+    ahead = np.maximum(hours.sun_direction @ np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0]]).T, 0.0)
+    return sky * np.array([0.05, 0.02]), sun * (0.004 + 0.01 * ahead)
+
+
+def coloured(hours: Light, weights: Floats, factors: Floats, seed: int = 0) -> MelanopicYear:
+    """A fit to captures whose sky and sun have known colours; with noise if there is a seed."""
+    sky, sun = eye(hours)
+    share = sun / (sky + sun)
+    ratio = np.einsum("ndk,k,d->nd", _parts(hours, share), weights, factors)
+    if seed:
+        ratio = ratio * np.exp(0.05 * np.random.default_rng(seed).normal(size=ratio.shape))
+    days = [t.toordinal() for t in hours.t_utc]
+    edi = (sky + sun) * ratio
+    return fit_year(hours, sky + sun, edi, days, 0.0 if seed else 0.03, facades_of(None))
+
+
 @pytest.mark.analytic
 def test_the_ratio_of_sky_sun_and_direction_comes_back() -> None:
     hours = light(80)
     up = hours[hours.sun_altitude_deg > 3.0]
-    shares = np.random.default_rng(2).uniform(0.0, 0.6, (len(up), 3)) * (up.dni_wm2 > 0)[:, None]
-    truth = MelanopicYear(np.array([0.9, 0.4, 0.8]), np.array([1.0, 1.05, 0.95]), 0.0)
-    ratio = truth.ratio(up, shares)
-    days = [t.toordinal() for t in up.t_utc]
-    found = fit_year(up, ratio, shares, days, 0.03)
-    assert found.ratio(up, shares) == pytest.approx(ratio, rel=0.03)
+    weights, factors = np.array([0.9, 0.4, 0.8]), np.array([1.0, 1.05])
+    found = coloured(up, weights, factors)
+    sky, sun = eye(up)
+    np.testing.assert_allclose(found.sun_shares(up), sun / (sky + sun), atol=0.05)
+    ratio = np.einsum("ndk,k,d->nd", _parts(up, sun / (sky + sun)), weights, factors)
+    assert np.std(found.ratio(up) / ratio - 1.0) < 0.02
     assert 0.03 < found.u_rel < 0.04
-    noisy = ratio * np.exp(0.05 * np.random.default_rng(3).normal(size=ratio.shape))
-    assert fit_year(up, noisy, shares, days, 0.0).u_rel == pytest.approx(0.05, rel=0.25)
+    assert coloured(up, weights, factors, seed=3).u_rel == pytest.approx(0.05, rel=0.25)
 
 
 @pytest.mark.analytic
 def test_the_visible_sun_has_its_own_colour_and_uncertainty() -> None:
     hours = light(4)
-    year = MelanopicYear(np.array([1.0, 0.0, 1.0]), np.ones(1), 0.05)
-    views = {"ev_lx": np.full((4, 1), 1500.0), "sun_ev_lx": np.full((4, 1), 500.0)}
-    figures = year.figures(hours, np.zeros((4, 1)), views, np.full((4, 1), 0.1))
-    of_sun = figures["melanopic_edi_lx"][:, 0] - 1000.0
+    year = coloured(hours, np.array([1.0, 0.0, 1.0]), np.ones(2))
+    views = {"ev_lx": np.full((4, 2), 1500.0), "sun_ev_lx": np.full((4, 2), 500.0)}
+    figures = year.figures(hours, views, np.full((4, 2), 0.1))
+    of_sun = figures["melanopic_edi_lx"] - 1000.0 * year.ratio(hours)
     assert (of_sun > 0).all() and (of_sun < 0.9 * 500.0).all()
     u = figures["u_melanopic_edi_lx"]
     assert (u > 0.1 * figures["melanopic_edi_lx"]).all()
@@ -94,14 +119,9 @@ def test_the_captures_colour_reaches_the_year(tmp_path: Path) -> None:
         white = Panorama(light, data.heading_deg, rgb=rgb, attributes={"melanopic": text})
         write_panorama(path, white)
     room = room_of(models.read_config(tmp_path / "m"), tmp_path / "m")
-    found = measure(
-        tmp_path / "m",
-        room,
-        data.light[:6],
-        np.array([0.0, 180.0]),
-        tmp_path / "y",
-        coloured_pairs=pairs if has_colour(pairs) else None,
-    )[0]
+    azimuths = np.array([0.0, 180.0])
+    colours = year_of_captures(pairs, room, azimuths)
+    found = measure(tmp_path / "m", room, data.light[:6], azimuths, melanopic=colours)
     edi, ev = found.views["melanopic_edi_lx"], found.views["ev_lx"]
     # the fit expects warmer light of a low sun than these grey pictures have
     assert edi / ev == pytest.approx(0.8, rel=0.15)

@@ -216,9 +216,9 @@ def test_the_warning_is_in_every_result(tmp_path: Path) -> None:
     assert len(shown) > 3
     north = int(np.argmin(np.abs((year.azimuths_deg + 180.0) % 360.0 - 180.0)))
     views = panorama_views(room.height, room.width, room.heading_deg, year.azimuths_deg)
-    regions = ViewRegions(room.height, room.width, room.heading_deg, year.azimuths_deg, None)
+    regions = ViewRegions(views)
     (alone,) = blocks(fitted, bare, light[:64])
-    without = view_figures(alone, bare, views, regions)["dgp"]
+    without = view_figures(alone, views, regions)["dgp"]
     gain = year.views["dgp"][:64] - without
     assert gain[shown, north].min() > 0.1
     np.testing.assert_allclose(gain[image.shown_lx == 0.0], 0.0, atol=1e-4)
@@ -249,15 +249,12 @@ def test_an_image_has_the_glare_of_a_sun_in_its_place() -> None:
     maps, suns = np.full((2, 30, 60), 200.0, np.float32), direction([20.0, 40.0], [180.0, 150.0])
     images = mirrored(suns, FACADE)
     lx = np.array([3000.0, 500.0])
-    hidden = glare_directions(maps, 0.0, [0.0, 30.0], images, lx)
-    both = glare_directions(
-        maps, 0.0, [0.0, 30.0], np.stack([suns, images]), np.stack([np.zeros(2), lx])
-    )
+    views = panorama_views(30, 60, 0.0, [0.0, 30.0])
+    hidden = glare_directions(maps, views, images, lx)
+    both = glare_directions(maps, views, np.stack([suns, images]), np.stack([np.zeros(2), lx]))
     for name, values in hidden.items():
         np.testing.assert_allclose(both[name], values, rtol=1e-12, err_msg=name)
-    twice = glare_directions(
-        maps, 0.0, [0.0, 30.0], np.stack([images, images]), np.stack([lx, 2.0 * lx])
-    )
+    twice = glare_directions(maps, views, np.stack([images, images]), np.stack([lx, 2.0 * lx]))
     np.testing.assert_allclose(twice["sun_ev_lx"], 3.0 * hidden["sun_ev_lx"])
     np.testing.assert_allclose(twice["sun_contrast"], 5.0 * hidden["sun_contrast"])
 

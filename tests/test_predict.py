@@ -99,7 +99,7 @@ def test_python_gives_what_the_command_gives(model: Path, weather: Path, year: A
     assert "luminance_cdm2" in maps._repr_html_()
     whole = year.to_xarray()
     assert whole.ev_lx.attrs == {"units": "lx"} and (whole.azimuth == glare.azimuth).all()
-    for name in ("dgp", "ev_lx", "uniformity", "disc_lx"):
+    for name in ("dgp", "ev_lx", "uniformity", "disc_lx", "dgp_low", "dgp_high", "u_dgp"):
         np.testing.assert_allclose(glare[name], whole[name], rtol=1e-6)
     maps.luminance_cdm2.isel(time=0).plot()  # type: ignore[call-arg]
 
@@ -295,6 +295,11 @@ def test_rounding_keeps_a_hundredth_of_a_percent(value: float) -> None:
 # 17037
 
 
+def _doubt(dgp: np.ndarray, u: float) -> standards.DgpUncertainty:
+    words = ("seen",) * dgp.shape[1]
+    return standards.DgpUncertainty(words, dgp, dgp, dgp[None], np.full(dgp.shape, u))
+
+
 @pytest.mark.authority
 def test_classes_at_their_limits() -> None:
     """EN 17037:2018 table A.7, DGP not above 0.35 / 0.40 / 0.45 in more than 5 % of
@@ -308,8 +313,9 @@ def test_classes_at_their_limits() -> None:
     ):
         dgp = np.full((100, 1), 0.2)
         dgp[:hours] = over
-        found = standards.protection(dgp, None, 100, np.array([180.0]), np.random.default_rng(0))
-        assert found.classes == (expected,)
+        rng = np.random.default_rng(0)
+        (found,) = standards.protection(dgp, _doubt(dgp, np.nan), 100, np.array([180.0]), rng)
+        assert found.glare_class == expected and found.low is None
 
 
 @pytest.mark.analytic
@@ -324,13 +330,10 @@ def test_an_interval_across_a_limit_cannot_tell_yet() -> None:
     rng = np.random.default_rng(1)
     dgp = rng.normal(0.30, 0.03, (1000, 2)) + np.array([0.0, 0.0])
     dgp[:, 1] -= 0.1
-    found = standards.protection(dgp, np.full(dgp.shape, 0.01), 1000, np.array([180.0, 0.0]), rng)
-    assert found.low is not None and found.high is not None
-    assert not found.certain[0] and found.certain[1]
-    assert "cannot tell yet" in found.sentence(0) and "class high" in found.sentence(1)
-    worth = standards.hours_to_capture(
-        dgp, np.full(dgp.shape, 0.01), ~found.certain, standards.nearest_limits(found)
-    )
+    found = standards.protection(dgp, _doubt(dgp, 0.01), 1000, np.array([180.0, 0.0]), rng)
+    assert not found[0].certain and found[1].certain
+    assert "cannot tell yet" in found[0].sentence and "class high" in found[1].sentence
+    worth = standards.hours_to_capture(dgp, np.full(dgp.shape, 0.01), found)
     assert abs(dgp[worth.argmax(), 0] - 0.35) < 0.01
 
 
@@ -348,9 +351,9 @@ def test_intervals_cover_the_truth() -> None:
         truth = predicted + u * np.sqrt(0.5) * (
             rng.standard_normal() + rng.standard_normal(predicted.shape)
         )
-        found = standards.protection(predicted, u, 300, np.array([0.0]), rng)
+        (found,) = standards.protection(predicted, _doubt(predicted, 0.02), 300, np.zeros(1), rng)
         assert found.low is not None and found.high is not None
-        inside += found.low[0] <= standards.exceeded_in_share(truth, 300)[0] <= found.high[0]
+        inside += found.low <= standards.exceeded_in_share(truth, 300)[0] <= found.high
     assert inside >= 54
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -22,7 +23,7 @@ from fieldlum.core.records import Exposure, Slot
 from fieldlum.learn import models, train
 from fieldlum.report import annual as annual_page
 from fieldlum.report import captured, evidence
-from fieldlum.report.assessor import melanopic_shares
+from fieldlum.report.melanopic import melanopic_shares, section
 from fieldlum.report.page import NOTHING, Quantity, day_hour_grid, heat_map
 from fieldlum.session import Session, create_session
 from fieldlum.session.files.held_out_npz import HeldOutMaps
@@ -163,14 +164,14 @@ def test_without_a_usable_bracket_nothing_is_stated_about_its_irradiance(tmp_pat
 def test_the_heat_map_holds_what_it_was_given() -> None:
     grid = day_hour_grid(np.array([1, 365]), np.array([0, 23]), np.array([[0.2], [0.5]]), 365)
     assert np.isfinite(grid).sum() == 2
-    layer = Quantity("DGP", "", grid, 0.001, (0.35,), ("#000000", "#ffffff"), (True, False), 2)
-    found = heat_map([layer], ["S"], 2027, "alt", 0)
+    layer = Quantity("DGP", "", 0.001, (0.35,), ("#000000", "#ffffff"), 2)
+    found = heat_map([(layer, grid)], ["S"], 2027, "alt", 0)
     import base64
     import json
 
-    cells = np.frombuffer(
-        base64.b64decode(json.loads(found.json)["quantities"][0]["grids"][0]), "<u2"
-    )
+    (stored,) = json.loads(found.json)["quantities"]
+    assert stored["dark"] == [True, False]
+    cells = np.frombuffer(base64.b64decode(stored["grids"][0]), "<u2")
     assert (
         cells[0] == 200 and cells[364 * 24 + 23] == 500 and (cells == NOTHING).sum() == 365 * 24 - 2
     )
@@ -295,3 +296,9 @@ def test_shares_of_the_year_with_enough_melanopic_light() -> None:
     assert hours.above(60.0) == "cannot tell" and hours.above(40.0) == "yes"
     assert [share.value for share in days] == [100.0] * 4
     assert days[-1].low == 50.0 and days[0].low == 100.0
+    blank = dict.fromkeys(views, np.full((48, 1), np.nan))
+    some = {"melanopic_edi_lx_estimate": np.full((48, 1), 200.0), "dgp": np.full((48, 1), 0.2)}
+    guess = replace(year, views=blank | some)
+    ((hours, days),) = melanopic_shares(guess, "UTC")
+    assert hours.text() == "0 %" and [share.value for share in days] == [100.0, 100.0, 100.0, 0.0]
+    assert section(guess, "UTC").text.startswith("An estimate")

@@ -16,7 +16,7 @@ from fieldlum.optics.images import write_panorama
 from fieldlum.year.glare.budget import Budget, picture_budget, year_budget
 from fieldlum.year.glare.metrics import dgp
 from fieldlum.year.glare.single import panorama_glare
-from fieldlum.year.glare.standards import GlareDoubt, dgp_per_scale, exceeded_in_share
+from fieldlum.year.glare.standards import DgpUncertainty, dgp_per_scale, exceeded_in_share
 
 SCALE, COLOUR, NOISE = 0.03, 0.01, 0.05
 SIZE = (32, 64)
@@ -92,8 +92,8 @@ def test_the_budget_of_a_year_sums_to_monte_carlo() -> None:
     ev = rng.uniform(200, 6000, (1500, 1))
     values = dgp(ev, ev**2 * 20)
     u_maps = np.full_like(values, 0.02)
-    doubt = GlareDoubt(("seen",), values, values)
-    (row,) = year_budget(values, ev, u_maps, doubt, 3000, np.array([180.0]), 0.04)
+    doubt = DgpUncertainty(("seen",), values, values, values[None], u_maps)
+    (row,) = year_budget(values, ev, doubt, 3000, np.array([180.0]), 0.04)
     slope, drawn = dgp_per_scale(values, ev), []
     for _ in range(300):
         common, own = rng.standard_normal(), rng.standard_normal((1500, 1))

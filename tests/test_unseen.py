@@ -32,11 +32,10 @@ from fieldlum.optics.projection import (
 from fieldlum.report import annual as annual_page
 from fieldlum.year import predict
 from fieldlum.year.glare import glare_directions, panorama_views
-from fieldlum.year.glare.picture_view import parse_view, picture_grid
+from fieldlum.year.glare.picture_view import parse_view, picture_views
 from fieldlum.year.glare.single import picture_glare
 from fieldlum.year.glare.unseen import (
     brightest_cdm2,
-    picture_coverage,
     unseen_dgp_bounds,
     view_coverage,
 )
@@ -80,15 +79,16 @@ def test_plan_and_doctor_name_directions_before_nine_days_are_spent() -> None:
 @given(st.floats(0.0, 2e4), st.integers(0, 9))
 def test_the_bounds_hold_any_even_light_in_the_unseen_part(level: float, turn: int) -> None:
     azimuths = np.array([HEADING_DEG + 6.0 * turn])
-    views = panorama_views(HEIGHT, 2 * HEIGHT, HEADING_DEG, azimuths)
-    full = np.full((1, HEIGHT, 2 * HEIGHT), 300.0, np.float32)
-    full[0, 6:9, 14:18] = 6000.0
-    dark = np.where(SEEN, full, np.float32(0.0))
-    filled = np.where(SEEN, full, np.float32(level))
-    truth = glare_directions(filled, HEADING_DEG, azimuths, views=views)["dgp"]
-    found = glare_directions(dark, HEADING_DEG, azimuths, views=views)
+    seen = seen_by_lenses([LENS], [0.0], 64)
+    views, of_seen = (panorama_views(64, 128, HEADING_DEG, azimuths, mask) for mask in (None, seen))
+    full = np.full((1, 64, 128), 300.0, np.float32)
+    full[0, 24:36, 56:72] = 6000.0
+    dark = np.where(seen, full, np.float32(0.0))
+    filled = np.where(seen, full, np.float32(level))
+    truth = glare_directions(filled, views)["dgp"]
+    found = glare_directions(dark, of_seen)
     low, high = unseen_dgp_bounds(
-        view_coverage(SEEN, views), found["ev_lx"], found["contrast"], np.array([2e4])
+        view_coverage(of_seen), found["ev_lx"], found["contrast"], np.array([2e4])
     )
     # The bounds sum sources pixel by pixel, the truth groups them, and levels are sampled.
     assert low[0, 0] - 0.005 <= truth[0, 0] <= high[0, 0] + 0.01
@@ -99,8 +99,10 @@ def test_the_brightest_hundredth_is_of_the_seen_part() -> None:
     image = np.full((1, 64, 128), 100.0, np.float32)
     image[0, 30:36, 60:68] = 5000.0  # 0.6 % of the sphere, 1.2 % of a half
     seen = seen_by_lenses([LENS], [0.0], 64)
-    assert brightest_cdm2(image, seen)[0] == pytest.approx(5000.0)
-    assert brightest_cdm2(image, np.ones((64, 128), bool))[0] == pytest.approx(100.0)
+    around = np.arange(0.0, 360.0, 36.0)
+    for mask, expected in ((seen, 5000.0), (None, 100.0)):
+        views = panorama_views(64, 128, HEADING_DEG, around, mask)
+        assert brightest_cdm2(image, views)[0] == pytest.approx(expected)
 
 
 @pytest.mark.contract
@@ -232,10 +234,9 @@ def test_a_narrow_dim_picture_has_a_grade_for_each_bound(tmp_path: Path) -> None
 def test_the_unseen_part_of_a_picture_completes_the_hemisphere() -> None:
     """Analytic: seen and unseen illuminance add up to pi, whatever the mapping."""
     for options in ("-vta -vh 140 -vv 140", "-vtv -vh 100 -vv 80", "-vth -vh 120 -vv 120"):
-        grid = picture_grid(parse_view(f"{options} -vd 0 -1 0 -vu 0 0 1", Path("x")), 200, 200)
-        coverage = picture_coverage(grid)
+        view = parse_view(f"{options} -vd 0 -1 0 -vu 0 0 1", Path("x"))
+        coverage = view_coverage(picture_views(view, 200, 200))
         share = float(coverage.seen_share[0])
         assert coverage.unseen_illuminance[0] == pytest.approx((1.0 - share) * np.pi, rel=1e-3)
-    assert picture_coverage(
-        picture_grid(parse_view("-vta -vd 0 -1 0 -vh 180 -vv 180", Path("x")), 200, 200)
-    ).words == ("seen",)
+    view = parse_view("-vta -vd 0 -1 0 -vh 180 -vv 180", Path("x"))
+    assert view_coverage(picture_views(view, 200, 200)).words == ("seen",)

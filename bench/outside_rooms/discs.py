@@ -60,9 +60,7 @@ def own_disc_lx(asked: Truth) -> Array:
 def dgp(maps: Array, part: Dataset, asked: Truth, disc_lx: Array) -> Array:
     """Return the DGP [n, views] of maps with a sun's disc."""
     sun = part.light.shown_sun_direction
-    azimuths = asked.views.azimuths_deg
-    values = glare_directions(maps, part.heading_deg, azimuths, sun, disc_lx, views=asked.views)
-    return values["dgp"]
+    return glare_directions(maps, asked.views, sun, disc_lx)["dgp"]
 
 
 def wrong_classes(fitted: Any, asked: Truth, own_lx: Array) -> dict[str, Any]:

@@ -7,12 +7,11 @@ from datetime import UTC, date, datetime
 from pathlib import Path
 
 from fieldlum.api.files import load_camera_profile, load_site, path_of
-from fieldlum.core.records import Panorama, Progress, SiteFile, quiet
+from fieldlum.core.records import JsonTable, Panorama, Progress, SiteFile, quiet
 from fieldlum.merge import MergeResult
 from fieldlum.optics.profiles import CameraProfile
 from fieldlum.plan import Plan
 from fieldlum.weather import Weather
-from fieldlum.year.glare.answers import GlareAnswer
 
 
 def plan_captures(
@@ -137,7 +136,7 @@ def merge_frames(
 
 def evaluate_glare(
     picture: Panorama | str | Path, view_azimuths_deg: Sequence[float] = ()
-) -> GlareAnswer:
+) -> JsonTable:
     """Evaluate glare of a luminance map in one or several view directions.
 
     Parameters

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,7 +15,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from fieldlum.learn.models import Fitted
-    from fieldlum.year.predict.blocks import HourBlock, ModelRoom
+    from fieldlum.year.predict.blocks import ModelRoom
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -57,9 +56,10 @@ class RoomModel:
         import xarray as xr
 
         from fieldlum.year.predict.annual import unit_of
+        from fieldlum.year.predict.blocks import blocks
         from fieldlum.year.predict.maps import map_coordinates
 
-        parts = list(self._blocks(light))
+        parts = list(blocks(self.fitted, self.room, self._checked(light)))
         heading_deg = self.room.heading_deg
         maps = {"luminance_cdm2": [part.pictures_cdm2(heading_deg) for part in parts]}
         spreads = [part.prediction.log10_sd for part in parts]
@@ -86,40 +86,27 @@ class RoomModel:
     def glare(self, light: Light, views: int = 10) -> xr.Dataset:
         """Return all metrics of glare over (time, azimuth), with the sun's disc.
 
-        views: number of view directions, evenly around from the model's heading.
+        dgp_low and dgp_high are the 95 % interval, as the command has it: by the model's error, by
+        unseen parts of the view, and by what the sky view leaves open about the disc; u_dgp is its
+        standard uncertainty. views: number of view directions, evenly around from the model's
+        heading.
         """
-        from fieldlum.year.glare.contrast import ViewRegions
-        from fieldlum.year.glare.geometry import panorama_views, view_azimuths_deg
+        from fieldlum.year.glare.geometry import view_azimuths_deg
         from fieldlum.year.predict.annual import dataset_of
-        from fieldlum.year.predict.hours_unit import hour_figures, view_figures
+        from fieldlum.year.predict.hours_unit import room_figures
 
-        room = self.room
-        size = (room.height, room.width, room.heading_deg)
-        azimuths_deg = view_azimuths_deg(room.heading_deg, views)
-        directions = panorama_views(*size, azimuths_deg)
-        regions = ViewRegions(*size, azimuths_deg, room.seen)
-        hours, figures = [], []
-        for part in self._blocks(light):
-            hours.append(hour_figures(part))
-            figures.append(view_figures(part, room, directions, regions))
-        return dataset_of(
-            light.t_utc,
-            azimuths_deg,
-            _joined(hours, [name for name in hours[0] if name != "occupied"]),
-            _joined(figures, [name for name in figures[0] if name not in _PARTS]),
-        )
+        azimuths_deg = view_azimuths_deg(self.room.heading_deg, views)
+        found = room_figures(self.fitted, self.room, self._checked(light), azimuths_deg)
+        hours = {name: v for name, v in found.hours.items() if name != "occupied"}
+        figures = {name: v for name, v in found.views.items() if name not in _PARTS}
+        return dataset_of(light.t_utc, azimuths_deg, hours, figures)
 
-    def _blocks(self, light: Light) -> Iterator[HourBlock]:
-        from fieldlum.year.predict.blocks import blocks
-
+    @staticmethod
+    def _checked(light: Light) -> Light:
         if not isinstance(light, Light) or not len(light):
-            raise InputError(
-                "light",
-                f"{light!r:.60}",
-                "one hour or more from fieldlum.light_at",
-                "call it first",
-            )
-        return blocks(self.fitted, self.room, light)
+            expected = "one hour or more from fieldlum.light_at"
+            raise InputError("light", f"{light!r:.60}", expected, "call it first")
+        return light
 
 
 def load(folder: Path) -> RoomModel:
@@ -131,7 +118,3 @@ def load(folder: Path) -> RoomModel:
 
 
 _PARTS = ("contrast", "sun_contrast", "sun_ev_lx")  # of DGP; no metrics
-
-
-def _joined(parts: list[dict[str, Any]], names: list[str]) -> dict[str, Any]:
-    return {name: np.concatenate([part[name] for part in parts]) for name in names}

@@ -12,9 +12,9 @@ import click
 from fieldlum.cli.declared import FILE_PATH
 from fieldlum.cli.options import command_of
 from fieldlum.cli.terminal import emit_json, print_table, say, write_csv
+from fieldlum.core.records import JsonTable
 
 if TYPE_CHECKING:
-    from fieldlum.year.glare.answers import GlareAnswer
     from fieldlum.year.glare.budget import Budget
 
 # Columns of --csv, which are a contract: further metrics come at the end.
@@ -159,7 +159,7 @@ def csv_columns() -> tuple[str, ...]:
     return (*_CSV_COLUMNS, *(name for name in METRICS if name not in _CSV_COLUMNS))
 
 
-def csv_rows(answer: GlareAnswer) -> list[dict[str, object]]:
+def csv_rows(answer: JsonTable) -> list[dict[str, object]]:
     """Return one row for each view direction of a `glare` answer, by column of --csv."""
     of_picture = {**answer, "warnings": "; ".join(answer["warnings"])}
     rows, columns = [], csv_columns()
@@ -170,7 +170,7 @@ def csv_rows(answer: GlareAnswer) -> list[dict[str, object]]:
     return rows
 
 
-def _table(answer: GlareAnswer) -> None:
+def _table(answer: JsonTable) -> None:
     from fieldlum.session.panorama_sun import SUN_FROM
 
     click.echo(f"{answer['file']}  (DGP, DGPs: 0 to 1; Ev, melanopic EDI: lx)")

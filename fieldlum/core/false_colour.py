@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import lru_cache
 
 import numpy as np
@@ -49,11 +50,23 @@ def png_of(rgb: NDArray[np.uint8]) -> bytes:
     return data.tobytes()
 
 
-def rounded_scale(low: float, high: float) -> tuple[float, float]:
-    """Return low and high (above 0), rounded outwards to one significant digit.
+def luminance_ends(luminance_cdm2: Floats | Floats32) -> tuple[float, float] | None:
+    """Return the 1 % and 99.9 % percentiles of the luminances above 0; None without any."""
+    values = luminance_cdm2.ravel()[:: max(1, luminance_cdm2.size // 200_000)]
+    values = values[np.isfinite(values) & (values > 0)]
+    if not len(values):
+        return None
+    return float(np.percentile(values, 1.0)), float(np.percentile(values, 99.9))
 
-    The high end is at least ten times the low one.
+
+def shared_scale(ends: Iterable[tuple[float, float] | None]) -> tuple[float, float]:
+    """Return the ends of one scale [cd/m2] for pictures with these `luminance_ends`.
+
+    They are rounded outwards to one digit, and at least a factor of ten apart; 1 and 1000 without
+    a picture.
     """
+    lows, highs = zip(*(pair for pair in ends if pair), (np.inf, 0.0), strict=True)
+    low, high = (min(lows), max(highs)) if max(highs) else (1.0, 1000.0)
     return _one_digit(low, np.floor), _one_digit(max(high, 10.0 * low), np.ceil)
 
 

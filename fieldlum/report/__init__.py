@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tomli_w
 
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.records import Progress, quiet, slot_id
@@ -25,8 +26,6 @@ from fieldlum.session.files.scores_json import ScoresFile
 from fieldlum.version import __version__
 from fieldlum.year.glare.budget import BUDGET_FILE
 from fieldlum.year.predict import Annual, read_annual, read_pictures
-
-_MOST_LISTED = 12  # values of a setting that are shown one by one; chosen
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,21 +60,25 @@ def find(session: Session) -> SessionArtefacts:
 
 
 def _settings(session: Session, artefacts: SessionArtefacts) -> Section:
-    groups: list[tuple[str, Any]] = list(session.table().items())
+    """Return the settings of session, model and year as TOML."""
+    groups: dict[str, Any] = {"fieldlum": __version__, "session": session.table()}
+    if artefacts.config is not None:
+        keep = ("model", "patch", "seed", "software", "training")
+        groups["model"] = {k: v for k, v in artefacts.config.state.items() if k in keep}
     if artefacts.annual is not None:
-        groups.append(("prediction", artefacts.annual.summary.inputs))
-        groups.append(("weather", artefacts.annual.about["weather"]))
-    keep = ("model", "patch", "seed", "software", "training")
-    config = artefacts.config.state if artefacts.config else {}
-    groups.append(("model", {key: value for key, value in config.items() if key in keep}))
-    settings = [
-        (f"{group}: {key}", _text(value))
-        for group, values in groups
-        for key, value in _flat(values)
-    ]
-    rows = (("fieldlum", __version__), *settings)
-    table = Table(("setting", "value"), rows, words=True)
-    return Section("settings", "Settings and versions", tables=(table,))
+        groups["prediction"] = dict(artefacts.annual.summary.inputs)
+        groups["weather"] = artefacts.annual.about["weather"]
+    plain = json.loads(json.dumps(groups, default=str), object_hook=_without_none)
+    return Section("settings", "Settings and versions", code=tomli_w.dumps(plain))
+
+
+def _without_none(table: dict[str, Any]) -> dict[str, Any]:
+    """Return a table without what TOML cannot store, and with long lists as their length."""
+    short = {
+        key: f"{len(value)} entries" if isinstance(value, list) and len(value) > 12 else value
+        for key, value in table.items()
+    }
+    return {key: value for key, value in short.items() if value is not None}
 
 
 def _budget_section(year: Annual) -> list[Section]:
@@ -86,9 +89,8 @@ def _budget_section(year: Annual) -> list[Section]:
     table = read_table(path, "an uncertainty budget", "predict the year again: fieldlum predict")
     parts: dict[str, dict[str, str]] = {}
     for _, cells in table.dicts():
-        parts.setdefault(cells["azimuth_deg"], {})[cells["source"]] = (
-            f"{float(cells['contribution']):.4f}"
-        )
+        figure = f"{float(cells['contribution']):.4f}"
+        parts.setdefault(cells["azimuth_deg"], {})[cells["source"]] = figure
     sources = tuple(dict.fromkeys(name for row in parts.values() for name in row))
     rows = tuple(
         (named(float(azimuth)), *(row.get(name, "–") for name in sources))
@@ -103,36 +105,13 @@ def _budget_section(year: Annual) -> list[Section]:
     return [Section("budget", "Uncertainty budget", text, tables=tables)]
 
 
-def _text(value: Any) -> str:
-    """Return a setting as text: a list as its length, True and False as words."""
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, list | tuple):
-        plain = all(isinstance(item, str | int | float) for item in value)
-        if plain and len(value) <= _MOST_LISTED:
-            return ", ".join(map(str, value)) or "none"
-        return f"{len(value)} entries"
-    return "–" if value in (None, "", {}) else str(value)
-
-
 def _slot_names(pairs: PairsFile) -> dict[str, str]:
     """Return the panoramas' names (the ids of their slots), by the time of the pair."""
     return {slot_id(row.t_utc): Path(row.panorama).stem for row in pairs.usable if row.panorama}
 
 
-def _flat(values: Any, before: str = "") -> list[tuple[str, Any]]:
-    """Return the values of nested tables with dotted names."""
-    if not isinstance(values, dict):
-        return [(before, values)]
-    return [
-        pair
-        for key, value in values.items()
-        for pair in _flat(value, f"{before}.{key}" if before else key)
-    ]
-
-
 def _page(session: Session, artefacts: SessionArtefacts) -> Page:
-    from fieldlum.report import annual, captured, evidence
+    from fieldlum.report import annual, captured, evidence, melanopic
 
     setup = session.site_file()
     zone = setup.site.timezone
@@ -142,6 +121,7 @@ def _page(session: Session, artefacts: SessionArtefacts) -> Page:
     if year is not None:
         sections += [annual.directions_section(year), annual.when_section(year, zone)]
         sections.append(annual.looks_section(year, read_pictures(year.folder), zone))
+        sections.append(melanopic.section(year, zone))
         sections += _budget_section(year)
     if artefacts.model is not None:
         held, names = HeldOutMaps.find(artefacts.model), _slot_names(pairs)

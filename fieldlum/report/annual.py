@@ -6,35 +6,23 @@ from collections.abc import Sequence
 from zoneinfo import ZoneInfo
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats32
-from fieldlum.core.false_colour import coloured, png_of
 from fieldlum.core.records import SunSource
 from fieldlum.optics.projection import NOT_SEEN, PARTLY_SEEN
-from fieldlum.report.figures import (
-    exceedance_svg,
-    fisheyes_png,
-    luminance_scale_svg,
-    polar_svg,
-    strip_png,
-)
+from fieldlum.report.figures import exceedance_svg, picture_grid, png, polar_svg
 from fieldlum.report.page import (
-    DGP_COLOURS,
-    DGP_EDGES,
-    EV_COLOURS,
-    EV_EDGES,
+    DGP,
+    EV,
+    NOT_TRUSTED,
     Figure,
-    HeatMap,
-    Quantity,
     Row,
     Section,
     Table,
     day_hour_grid,
     heat_map,
     named,
-    png_figure,
-    svg_figure,
+    sentence,
 )
 from fieldlum.session.files.predict_json import DirectionYear
 from fieldlum.sky.sun import shown_altitude_deg, standard_time
@@ -43,6 +31,7 @@ from fieldlum.year.predict import Annual
 from fieldlum.year.predict.annual import Pictures
 from fieldlum.year.predict.glare_summary import best_and_worst
 
+_FISHEYE_PX = 220  # of a fisheye's edge: about its size on the page
 CLASS_WORDS = {
     "high": "high protection",
     "medium": "medium protection",
@@ -110,9 +99,9 @@ def polar(annual: Annual) -> Figure:
     bounds = [None if np.isnan(ends).all() else ends for ends in bounds]
     spoken = ", ".join(f"{named(row.azimuth_deg)} {_figure(row)}" for row in rows)
     band = " The grey band is its 95 % interval." if bounds[0] is not None else ""
-    return svg_figure(
+    return Figure(
         polar_svg(azimuths, exceeded, *bounds),
-        f"Polar plot, north up, of the DGP exceeded in 5 % of occupied hours by view direction: "
+        "Polar plot, north up, of the DGP exceeded in 5 % of occupied hours by view direction: "
         f"{spoken}.",
         "The DGP that is exceeded in 5 % of the occupied hours, by view direction; the rings are "
         "the limits 0.35, 0.40, "
@@ -158,8 +147,8 @@ def directions_section(annual: Annual) -> Section:
         tables.append(
             Table(head, rows, "Hours like these, when captured, would decide the open classes")
         )
-    notes = (f"{note[0].upper()}{note[1:].rstrip('.')}." for note in annual.summary.notes[1:])
-    text = f"Occupied hours: {annual.summary.occupancy.text}. {' '.join(notes)}"
+    notes = " ".join(map(sentence, annual.summary.notes[1:]))
+    text = f"Occupied hours: {annual.summary.occupancy.text}. {notes}"
     return Section("directions", "Where to sit", text, _exceedance(annual), tuple(tables))
 
 
@@ -179,20 +168,11 @@ def _exceedance(annual: Annual) -> tuple[Row, ...]:
         "Share of the occupied hours in which a DGP is exceeded; each grey line is a view "
         "direction."
     )
-    return (Row((svg_figure(curve, alt, caption),)),)
+    return (Row((Figure(curve, alt, caption),)),)
 
 
 # ----------------------------------------------------------------------------------------------
 # when
-
-
-def _local_day_and_hour(
-    annual: Annual, zone: str
-) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
-    """Return day of the year from 1, hour of local standard time, and a year for naming days."""
-    local = [standard_time(t, zone) for t in annual.t_utc]
-    days = np.array([t.timetuple().tm_yday for t in local])
-    return days, np.array([t.hour for t in local]), local[len(local) // 2].year
 
 
 def when_section(annual: Annual, zone: str) -> Section:
@@ -200,33 +180,15 @@ def when_section(annual: Annual, zone: str) -> Section:
 
     Its layers are DGP, vertical illuminance and hours that are not trusted, for each direction.
     """
-    day, hour, year = _local_day_and_hour(annual, zone)
-    days = max(365, int(day.max()))
-    dgp = day_hour_grid(day, hour, annual.views["dgp"], days)
-    ev = day_hour_grid(day, hour, annual.views["ev_lx"], days)
-    judged = annual.judged
-    doubt = day_hour_grid(day, hour, np.where(annual.hours["trusted"] > 0, 0.0, 1.0)[:, None], days)
-    quantities = (
-        Quantity("DGP", "", dgp, 0.001, DGP_EDGES, DGP_COLOURS, (False, False, False, True), 2),
-        Quantity(
-            "Vertical illuminance",
-            " lx",
-            ev,
-            10.0,
-            EV_EDGES,
-            EV_COLOURS,
-            (True, True, True, True, False, False, False),
-        ),
-        Quantity(
-            "Hours that are not trusted",
-            "",
-            np.where(judged, np.repeat(doubt, dgp.shape[2], axis=2), np.nan),
-            1.0,
-            (1.0,),
-            ("#cfe6dc", "#8d6bb0"),
-            (False, True),
-        ),
-    )
+    local = [standard_time(t, zone) for t in annual.t_utc]
+    day = np.array([t.timetuple().tm_yday for t in local])
+    hour = np.array([t.hour for t in local])
+    judged, dgp = annual.judged, annual.views["dgp"]
+    doubt = np.where(judged, (annual.hours["trusted"] <= 0.0)[:, None], np.nan)
+    grids = [
+        (layer, day_hour_grid(day, hour, values, max(365, int(day.max()))))
+        for layer, values in ((DGP, dgp), (EV, annual.views["ev_lx"]), (NOT_TRUSTED, doubt))
+    ]
     ends = best_and_worst(annual.summary.protection)
     names = [
         named(a) if good else f"{named(a)}: not seen"
@@ -239,11 +201,12 @@ def when_section(annual: Annual, zone: str) -> Section:
     )
     used_hours = hour[annual.occupied]
     used = (int(used_hours.min()), int(used_hours.max()) + 1) if len(used_hours) else ()
-    picture: HeatMap = heat_map(quantities, names, year, alt, start, used)
+    year = local[len(local) // 2].year
     text = (
         "Each cell is one hour of the year: days to the right from January, hours of local "
         "standard time upwards. The dashed lines bound the hours of use over the year."
     )
+    picture = heat_map(grids, names, year, alt, start, used)
     return Section("when", "When glare comes", text, heatmap=picture)
 
 
@@ -255,72 +218,55 @@ def _when(annual: Annual, row: int, zone: str) -> str:
     return annual.t_utc[row].astimezone(ZoneInfo(zone)).strftime("%d %b %H:%M")
 
 
-def _sun_of(annual: Annual, row: int, disc_lx: float) -> SunSource | None:
-    hours = annual.hours
-    if disc_lx <= 0:
-        return None
-    return SunSource(
-        float(shown_altitude_deg(hours["sun_altitude_deg"][row])),
-        float(hours["sun_azimuth_deg"][row]),
-        disc_lx,
+def _fisheyes(annual: Annual, pictures: Pictures, k: int, zone: str) -> Row:
+    """Return fisheyes around the room in one hour, with the sun's disc."""
+    row, disc_lx, hours = int(pictures.rows[k]), float(pictures.disc_lx[k]), annual.hours
+    altitude = float(shown_altitude_deg(hours["sun_altitude_deg"][row]))
+    sun = (
+        SunSource(altitude, float(hours["sun_azimuth_deg"][row]), disc_lx) if disc_lx > 0 else None
     )
-
-
-def _fisheyes(annual: Annual, pictures: Pictures, k: int, zone: str) -> Figure:
-    row = int(pictures.rows[k])
-    sun = _sun_of(annual, row, float(pictures.disc_lx[k]))
-    shown = np.flatnonzero(annual.judged)[:10]
-    views = np.stack(
-        [
-            panorama_to_fisheye(
-                pictures.luminance_cdm2[k], pictures.heading_deg, float(a), size=220, sun=sun
-            )
-            for a in annual.azimuths_deg[shown]
-        ]
-    )
-    axis = (np.arange(220) + 0.5) / 110.0 - 1.0
-    views[:, np.hypot(axis[None, :], axis[:, None]) > 1.0] = np.nan
-    png = fisheyes_png(views, annual.azimuths_deg[shown], annual.views["dgp"][row, shown])
+    views, titles = [], []
+    axis = (np.arange(_FISHEYE_PX) + 0.5) / _FISHEYE_PX - 0.5
+    outside = np.hypot(axis[None, :], axis[:, None]) > 0.5
+    for i in np.flatnonzero(annual.judged)[:10]:
+        azimuth = float(annual.azimuths_deg[i])
+        view = panorama_to_fisheye(
+            pictures.luminance_cdm2[k], pictures.heading_deg, azimuth, size=_FISHEYE_PX, sun=sun
+        )
+        views.append(np.where(outside, np.nan, view))
+        titles.append(f"{named(azimuth)}  DGP {annual.views['dgp'][row, i]:.2f}")
     when = _when(annual, row, zone)
-    return png_figure(
-        png, f"Fisheye views around the room at {when}.", f"Around the room, {when} (predicted)."
-    )
+    figure = png(picture_grid(views, titles, 5, 2.3)[0])
+    alt = f"Fisheye views around the room at {when}."
+    shown = Figure(figure, alt, f"Around the room, {when} (predicted).")
+    return Row((shown,), "View directions in the hour of the highest DGP")
 
 
 def looks_section(annual: Annual, pictures: Pictures, zone: str) -> Section:
     """Return the section with predicted pictures of typical and worst hours, and of a clear day."""
-    single = [k for k, kind in enumerate(pictures.kinds) if kind != "clear day"]
-    shown = []
-    for k in single:
-        row = int(pictures.rows[k])
-        azimuth_deg = float(pictures.kinds[k].split()[-1])
-        turned = turned_map(pictures.luminance_cdm2[k], pictures.heading_deg, azimuth_deg)
-        image = png_of(coloured(turned))
-        caption = (
-            f"{_spoken(pictures.kinds[k])}: {_when(annual, row, zone)}. The middle faces "
-            f"{named(azimuth_deg)}."
-        )
-        shown.append(png_figure(image, f"False-colour panorama, {caption}", caption))
-    scale = svg_figure(
-        luminance_scale_svg(), "Colour scale from 1 to 10 000 cd/m².", "Logarithmic colour scale."
-    )
-    rows = [Row((scale,)), *(Row(tuple(shown[i : i + 2])) for i in range(0, len(shown), 2))]
-    worst = next((k for k in single if pictures.kinds[k].startswith("highest of worst")), None)
-    if worst is not None:
-        rows.append(
-            Row(
-                (_fisheyes(annual, pictures, worst, zone),),
-                "View directions in the hour of the highest DGP",
-            )
-        )
     day = [k for k, kind in enumerate(pictures.kinds) if kind == "clear day"]
+    single = [k for k, kind in enumerate(pictures.kinds) if kind != "clear day"]
+    when = [_when(annual, int(row), zone) for row in pictures.rows]
+    rows = []
+    if single:
+        azimuths = [float(pictures.kinds[k].split()[-1]) for k in single]
+        turned = [
+            turned_map(pictures.luminance_cdm2[k], pictures.heading_deg, azimuth)
+            for k, azimuth in zip(single, azimuths, strict=True)
+        ]
+        titles = [f"{_spoken(pictures.kinds[k])}, {when[k]}" for k in single]
+        alt = f"False-colour panoramas: {'; '.join(titles)}."
+        caption = "Predicted panoramas. The middle of each faces the direction that it is of."
+        rows.append(Row((Figure(png(picture_grid(turned, titles, 2, 6.0)[0]), alt, caption),)))
+    rows += [
+        _fisheyes(annual, pictures, k, zone)
+        for k in single
+        if pictures.kinds[k].startswith("highest of worst")
+    ]
     if day:
-        labels = [_when(annual, int(pictures.rows[k]), zone) for k in day]
-        png = strip_png(pictures.luminance_cdm2[day], labels)
-        strip = png_figure(
-            png, "Panoramas through a clear day.", "One clear day, hour by hour (predicted)."
-        )
-        rows.append(Row((strip,), "A clear day"))
+        figure = picture_grid([*pictures.luminance_cdm2[day]], [when[k] for k in day], 4, 3.0)[0]
+        alt, caption = "Panoramas through a clear day.", "One clear day by hours (predicted)."
+        rows.append(Row((Figure(png(figure, 90), alt, caption),), "A clear day"))
     return Section("looks", "What it looks like", "", tuple(rows))
 
 

@@ -6,30 +6,24 @@ It certifies nothing. Figures are those of the predicted year; an interval that 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime
 
 import numpy as np
 
-from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import SiteFile
 from fieldlum.optics.profiles import CameraProfile, find_camera_profile, load_camera_profile
-from fieldlum.report.page import Page, Section, Table, named
+from fieldlum.report import melanopic
+from fieldlum.report.melanopic import Share
+from fieldlum.report.page import Page, Section, Table, named, sentence
 from fieldlum.session import Session, sha256
 from fieldlum.session.files.pairs_csv import PairsFile
-from fieldlum.sky.sun import standard_time
 from fieldlum.version import __version__
 from fieldlum.year.predict import Annual
 
 _GA_DGP, _SDG_DGP = 0.40, 0.38  # honeybee's and ClimateStudio's limits
 _SHARE = 0.05  # of the occupied hours, EN 17037 and ClimateStudio
-BROWN_EDI_LX, BROWN_HOURS = 250.0, (6, 19)  # Brown et al., PLOS Biology 20 (2022)
-WELL_EDI_LX, WELL_HOURS = (109.0, 136.0, 163.0, 250.0), (9, 13)  # WELL v2, L03
-_NORMAL_95 = 1.96
 _WORDS = {"none": "below minimum"}
-NOT_MEASURED = "cannot tell: no melanopic colour was measured"
 METHOD = (
     "A camera of known calibration captured luminance maps of the room under many suns and skies, "
     "while irradiance was measured outside. A model learned how the room responds to sky and sun. "
@@ -39,29 +33,13 @@ METHOD = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class _Counted:
-    """A share in percent: its best value, and the ends of its 95 % interval."""
-
-    value: float
-    low: float
-    high: float
-
-    def text(self) -> str:
-        return f"{self.value:.0f} % ({self.low:.0f} to {self.high:.0f})"
-
-    def above(self, limit: float) -> str:
-        """Return whether the share exceeds a limit [%]: yes, no, or cannot tell."""
-        return "yes" if self.low > limit else "no" if self.high <= limit else "cannot tell"
-
-
-def _hours_over(annual: Annual, limit: float) -> list[_Counted]:
+def _hours_over(annual: Annual, limit: float) -> list[Share]:
     """Return the share of the occupied hours whose DGP exceeds a limit, for each direction."""
     used, count = annual.occupied, max(annual.summary.occupancy.hours, 1)
     dgp, low, high = (annual.views[name][used] for name in ("dgp", "dgp_low", "dgp_high"))
     low, high = np.where(np.isnan(low), dgp, low), np.where(np.isnan(high), dgp, high)
     shares = [100.0 * (values > limit).sum(axis=0) / count for values in (dgp, low, high)]
-    return [_Counted(*map(float, row)) for row in zip(*shares, strict=True)]
+    return [Share(*map(float, row)) for row in zip(*shares, strict=True)]
 
 
 def _glare_table(annual: Annual) -> Table:
@@ -74,7 +52,7 @@ def _glare_table(annual: Annual) -> Table:
         interval = "–" if row.low is None else f"{row.low:.2f} to {row.high:.2f}"
         word = _WORDS.get(row.glare_class, row.glare_class)
         settled = word if row.certain else f"cannot tell ({word} likeliest)"
-        free = _Counted(100 - over[k].value, 100 - over[k].high, 100 - over[k].low)
+        free = Share(100 - over[k].value, 100 - over[k].high, 100 - over[k].low)
         disturbed = over_sdg[k].above(100 * _SHARE)
         exceeded = "–" if row.dgp_exceeded is None else f"{row.dgp_exceeded:.2f}"
         rows.append((named(row.azimuth_deg), settled, exceeded, interval, free.text(), disturbed))
@@ -95,67 +73,6 @@ def _sdg(annual: Annual) -> str:
 
 
 # ----------------------------------------------------------------------------------------------
-# melanopic light
-
-
-def melanopic_shares(annual: Annual, zone: str) -> list[tuple[_Counted, list[_Counted]]]:
-    """Return shares of the year with enough melanopic light, for each direction.
-
-    The first is of the hours from 06:00 to 19:00 with 250 lx or more; the others are of the days
-    with each of `WELL_EDI_LX` in all four hours from 09:00 to 13:00. Hours in the dark count as
-    without light. Hours are those of local standard time; zone : its IANA name.
-    """
-    local = [standard_time(t, zone) for t in annual.t_utc]
-    hour, day = np.array([t.hour for t in local]), np.array([t.toordinal() for t in local])
-    edi, u = annual.views["melanopic_edi_lx"], annual.views["u_melanopic_edi_lx"]
-    ends = [edi, edi - _NORMAL_95 * u, edi + _NORMAL_95 * u]
-    brown = (hour >= BROWN_HOURS[0]) & (hour < BROWN_HOURS[1])
-    days = max(annual.summary.days, 1)
-    hours = days * (BROWN_HOURS[1] - BROWN_HOURS[0])
-    every = [(end[brown] >= BROWN_EDI_LX).sum(axis=0) / hours for end in ends]
-    well = [[_days_with(end >= limit, hour, day) / days for end in ends] for limit in WELL_EDI_LX]
-    return [
-        (_counted(every, k), [_counted(shares, k) for shares in well]) for k in range(edi.shape[1])
-    ]
-
-
-def _counted(shares: Sequence[Floats], k: int) -> _Counted:
-    value, low, high = (100.0 * float(share[k]) for share in shares)
-    return _Counted(value, low, high)
-
-
-def _days_with(bright: Mask, hour: Floats, day: Floats) -> Floats:
-    """Return the number of days that are bright in all of the hours of WELL, [d]."""
-    first, last = WELL_HOURS
-    rows = (hour >= first) & (hour < last)
-    days, index = np.unique(day[rows], return_inverse=True)
-    counts = np.zeros((len(days), bright.shape[1]))
-    np.add.at(counts, index, bright[rows])
-    return (counts >= last - first).sum(axis=0)
-
-
-def _melanopic_section(annual: Annual, zone: str) -> Section:
-    title = "Melanopic light of day"
-    if not np.isfinite(annual.views["melanopic_edi_lx"]).any():
-        text = (
-            f"{NOT_MEASURED[0].upper()}{NOT_MEASURED[1:]}. Calibrate the camera's colour "
-            "(fieldlum calibrate colour), merge and predict again."
-        )
-        return Section("melanopic", title, text)
-    rows = tuple(
-        (named(azimuth), hours.text(), *(share.text() for share in days))
-        for azimuth, good, (hours, days) in zip(
-            annual.azimuths_deg, annual.judged, melanopic_shares(annual, zone), strict=True
-        )
-        if good
-    )
-    limits = (f"days ≥ {limit:.0f} lx, 09–13 h" for limit in WELL_EDI_LX)
-    text = "Melanopic EDI of daylight alone, at the camera's place and height, by measured colour."
-    head = ("view direction", "hours ≥ 250 lx, 06–19 h", *limits)
-    return Section("melanopic", title, text, tables=(Table(head, rows),))
-
-
-# ----------------------------------------------------------------------------------------------
 # requirements
 
 
@@ -167,17 +84,14 @@ def _requirements(annual: Annual, zone: str) -> Table:
         for row in decided
     )
     found = f"decided in {len(decided)} of {len(rows)} directions: {classes or 'none'}"
-    coloured = bool(np.isfinite(annual.views["melanopic_edi_lx"]).any())
-    edi, well = NOT_MEASURED, NOT_MEASURED
-    if coloured:
-        shares = [
-            s for s, good in zip(melanopic_shares(annual, zone), annual.judged, strict=True) if good
-        ]
-        best = max(shares, key=lambda share: share[0].value)
+    edi = well = melanopic.NOT_MEASURED
+    if melanopic.is_measured(annual):
+        each = zip(melanopic.melanopic_shares(annual, zone), annual.judged, strict=True)
+        best = max((s for s, good in each if good), key=lambda share: share[0].value)
         edi = f"best direction: {best[0].text()} of the hours"
         well = "best direction, daylight alone: " + ", ".join(
             f"{limit:.0f} lx on {share.text()} of the days"
-            for limit, share in zip(WELL_EDI_LX, best[1], strict=True)
+            for limit, share in zip(melanopic.WELL_EDI_LX, best[1], strict=True)
         )
     place = "views at other places of the room"
     return Table(
@@ -253,7 +167,11 @@ def _instruments(session: Session, setup: SiteFile) -> Table:
     times = sorted(row.t_utc for row in used)
     span = f"{times[0]:%d %B %Y} to {times[-1]:%d %B %Y}" if times else "none"
     rows.append(("captures used", f"{len(used)}, {span}"))
-    return Table(("item", "value"), tuple(rows), "Instruments and calibrations", words=True)
+    return _words(rows, "Instruments and calibrations")
+
+
+def _words(rows: list[tuple[str, str]], title: str = "") -> Table:
+    return Table(("item", "value"), tuple(rows), title, words=True)
 
 
 def _camera_rows(profile: CameraProfile) -> list[tuple[str, str]]:
@@ -272,9 +190,8 @@ def _camera_rows(profile: CameraProfile) -> list[tuple[str, str]]:
 def page_of(session: Session, annual: Annual | None) -> Page:
     """Return the page. Raises InputError without a predicted year."""
     if annual is None:
-        raise InputError(
-            session.root, "no predicted year", "a year of figures", "run fieldlum predict first"
-        )
+        remedy = "run fieldlum predict first"
+        raise InputError(session.root, "no predicted year", "a year of figures", remedy)
     setup = session.site_file()
     zone = setup.site.timezone
     summary = annual.summary
@@ -292,18 +209,14 @@ def page_of(session: Session, annual: Annual | None) -> Page:
         tuple((role, "", "", "") for role in ("measured by", "calculated by", "checked by")),
         words=True,
     )
-    notes = " ".join(f"{note[0].upper()}{note[1:].rstrip('.')}." for note in summary.notes)
+    notes = " ".join(map(sentence, summary.notes))
     sections = (
         Section("requirements", "Requirements", tables=(_requirements(annual, zone),)),
         Section("glare", "Glare by view direction", notes, tables=(_glare_table(annual),)),
-        _melanopic_section(annual, zone),
+        melanopic.section(annual, zone),
         Section("method", "Method", METHOD),
         Section("instruments", "What was measured", tables=(_instruments(session, setup),)),
-        Section(
-            "versions",
-            "Versions and files",
-            tables=(Table(("item", "value"), tuple(versions), words=True),),
-        ),
+        Section("versions", "Versions and files", tables=(_words(versions),)),
         Section("signatures", "Signatures", tables=(signatures,)),
     )
     return Page(

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats
 from fieldlum.core.records import Site, counted
-from fieldlum.report.figures import sky_domain_svg, sun_path_svg
-from fieldlum.report.page import Row, Section, Table, svg_figure
+from fieldlum.report.figures import captured_svg
+from fieldlum.report.page import Figure, Row, Section, Table
 from fieldlum.session import Session, read_journal
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.session.files.quality_csv import read_quality
@@ -45,23 +45,33 @@ def section(
     used = pairs.usable
     year = used[0].t_utc.year if used else 2027
     sky = year_of_sun(site, year)
+    suns = column(used, "sun_azimuth_deg"), column(used, "sun_altitude_deg")
+    skies = column(used, "dni_wm2"), column(used, "dhi_wm2")
+    path = captured_svg(
+        (sky.azimuth_deg, sky.altitude_deg),
+        suns,
+        "hours of the year",
+        xlabel="sun azimuth, ° from north",
+        ylabel="sun altitude, °",
+        ylim=(0, None),
+    )
+    irradiances = captured_svg(
+        (year_dni, year_dhi),
+        skies,
+        "weather file",
+        xlabel="direct normal irradiance, W/m²",
+        ylabel="diffuse horizontal irradiance, W/m²",
+    )
     domain = Row(
         (
-            svg_figure(
-                sun_path_svg(
-                    sky.azimuth_deg,
-                    sky.altitude_deg,
-                    column(used, "sun_azimuth_deg"),
-                    column(used, "sun_altitude_deg"),
-                ),
+            Figure(
+                path,
                 f"Sun positions of a year in grey and of the {len(used)} captured hours in red.",
                 "Sun positions of the year and of the captures. Hours far from every red point are "
                 "extrapolated.",
             ),
-            svg_figure(
-                sky_domain_svg(
-                    year_dni, year_dhi, column(used, "dni_wm2"), column(used, "dhi_wm2")
-                ),
+            Figure(
+                irradiances,
                 "Direct against diffuse irradiance of the weather year in grey and of the "
                 "captures in red.",
                 "Skies of the weather file and of the captures.",

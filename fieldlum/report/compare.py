@@ -39,9 +39,9 @@ from fieldlum.room.scene.view import look
 from fieldlum.session import Session, replacing
 from fieldlum.session.panorama_sun import read_panorama_with_sun
 from fieldlum.sky.sun import standard_time
-from fieldlum.year.glare.answers import seen_pixels, valid_pixels
 from fieldlum.year.glare.picture_view import picture_rays
 from fieldlum.year.glare.pictures import Picture, read_picture
+from fieldlum.year.glare.single import seen_pixels, valid_pixels
 from fieldlum.year.glare.standards import DISTURBING_DGP
 from fieldlum.year.predict import Annual
 
@@ -247,10 +247,9 @@ def _at_rays(picture: Picture, path: Path, rays: Floats) -> tuple[Floats, Array]
         row, column = (np.floor(part).astype(int) for part in place)
         return pixels[np.clip(row, 0, height - 1), column % width], np.ones(rays.shape[:2], bool)
     x, y = (np.arange(width) + 0.5) / width - 0.5, 0.5 - (np.arange(height) + 0.5) / height
-    own = picture_rays(picture.view, x[None, :], y[:, None])
-    parts = np.stack(np.broadcast_arrays(own.right, own.up, own.forward), axis=-1)
+    parts, density = picture_rays(picture.view, x[None, :], y[:, None])
     distance, nearest = KDTree((parts @ picture.view.frame).reshape(-1, 3)).query(rays)
-    inside = (distance < np.pi / rays.shape[0]) & (own.density.ravel()[nearest] > 0)
+    inside = (distance < np.pi / rays.shape[0]) & (density.ravel()[nearest] > 0)
     if picture.view.kind != "v":  # beyond its angle a fisheye's square has no picture
         half = np.radians(picture.view.horizontal_deg) / 2
         inside &= rays @ picture.view.forward > np.cos(half - np.pi / rays.shape[0])

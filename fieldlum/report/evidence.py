@@ -8,13 +8,8 @@ from typing import Any
 import numpy as np
 
 from fieldlum.core.records import counted
-from fieldlum.report.figures import (
-    agreement_svg,
-    comparison_png,
-    contrast_levels_svg,
-    error_by_sun_svg,
-)
-from fieldlum.report.page import Row, Section, Table, png_figure, svg_figure
+from fieldlum.report.figures import agreement_svg, comparison_png
+from fieldlum.report.page import Figure, Row, Section, Table
 from fieldlum.session.files.held_out_npz import HeldOutMaps
 from fieldlum.session.files.scores_json import ScoresFile
 
@@ -50,101 +45,64 @@ def _maps_row(held: HeldOutMaps, names: Mapping[str, str]) -> Row:
         10.0 ** maps[picks].astype(np.float32)
         for maps in (held.measured_log10, held.predicted_log10)
     )
-    png = comparison_png(measured, predicted, labels)
-    which = ", ".join(text for text, _ in zip(SHOWN, picks, strict=False))
     caption = (
-        f"Measured, predicted and their ratio for held-out hours ({which}), without the sun's "
-        "disc. Red is predicted too bright, blue too dark."
+        "Measured, predicted and their ratio for held-out hours "
+        f"({', '.join(SHOWN[: len(picks)])}), without the sun's disc. Red is predicted too bright, "
+        "blue too dark."
     )
-    return Row(
-        (png_figure(png, "Measured and predicted luminance panoramas with their ratio.", caption),)
-    )
+    alt = "Measured and predicted luminance panoramas with their ratio."
+    return Row((Figure(comparison_png(measured, predicted, labels), alt, caption),))
 
 
-def _agreement_rows(held: HeldOutMaps) -> tuple[Row, ...]:
+def _agreement_row(held: HeldOutMaps) -> Row:
     measured, predicted = held.dgp_measured, held.dgp_predicted
-    true_levels, guess_levels = held.contrast_measured, held.contrast_predicted
-    mean_error = (predicted - measured).mean(axis=1)
-    glare = Row(
+    contrast = held.contrast_measured.mean(axis=1), held.contrast_predicted.mean(axis=1)
+    return Row(
         (
-            svg_figure(
+            Figure(
                 agreement_svg(measured, predicted, "DGP"),
                 "Predicted against measured DGP of ten directions.",
                 "DGP of ten directions around each held-out hour.",
             ),
-            svg_figure(
-                error_by_sun_svg(mean_error, held.sun_altitude_deg, held.sun_azimuth_deg, "DGP"),
-                "Mean DGP error against sun altitude and sun azimuth.",
-                "Sun positions at which the predicted glare was wrong.",
-            ),
-        ),
-        "Glare",
-    )
-    contrast = Row(
-        (
-            svg_figure(
-                contrast_levels_svg(true_levels, guess_levels),
-                "Mean local contrast of measured and predicted maps at five sizes of detail.",
-                "Local contrast by size of detail, disc included.",
-            ),
-            svg_figure(
-                agreement_svg(true_levels.mean(axis=1), guess_levels.mean(axis=1), "RAMMG, cd/m²"),
+            Figure(
+                agreement_svg(*contrast, "RAMMG, cd/m²"),
                 "Predicted against measured RAMMG contrast.",
-                "RAMMG, the mean of the levels, of each held-out hour.",
+                "Contrast of each held-out hour: RAMMG, disc included.",
             ),
         ),
-        "Contrast",
+        "Glare and contrast",
     )
-    return glare, contrast
 
 
-def _score_table(scores: ScoresFile | None) -> Table | None:
-    rows = scores.models if scores else ()
-    if scores is None or not rows:
-        return None
-    head = (
-        "model",
-        "fit, s",
-        "DGP error",
-        "ln Ev error",
-        "log10 MSE",
-        "judged hours",
-        "DGP error, all hours",
-        "log10 MSE, all hours",
-        "DGP MSE, own disc",
-        "captures in a fold's training",
-        "held-out captures",
-    )
-    keys = (
-        "name",
-        "fit_s",
-        "judged_dgp_error",
-        "judged_ev_error",
-        "judged_log10_mse",
-        "n_judged",
-        "dgp_mae",
-        "log10_mse_weighted",
-        "dgp_mse_own_disc",
-        "n_train",
-        "n_test",
-    )
+_COLUMNS = {
+    "name": "model",
+    "fit_s": "fit, s",
+    "judged_dgp_error": "DGP error",
+    "judged_ev_error": "ln Ev error",
+    "judged_log10_mse": "log10 MSE",
+    "n_judged": "judged hours",
+    "dgp_mae": "DGP error, all hours",
+    "log10_mse_weighted": "log10 MSE, all hours",
+}
+
+
+def _score_table(scores: ScoresFile | None) -> tuple[Table, ...]:
+    if scores is None or not scores.models:
+        return ()
     chosen = scores.chosen
 
     def cell(row: dict[str, Any], key: str) -> Any:
         value = row.get(key)
         if key == "judged_dgp_error" and row.get("not_judged_because"):
             return "too little time to judge"
-        if key == "name":
-            return {"kind": "high", "text": f"{value} (chosen)"} if value == chosen else value
+        if key == "name" and value == chosen:
+            return {"kind": "high", "text": f"{value} (chosen)"}
         if isinstance(value, float):
             return f"{value:.3g}"
         return "–" if value is None else value
 
-    return Table(
-        head,
-        tuple(tuple(cell(row, key) for key in keys) for row in rows),
-        "Models tried, on held-out days",
-    )
+    rows = tuple(tuple(cell(row, key) for key in _COLUMNS) for row in scores.models)
+    return (Table(tuple(_COLUMNS.values()), rows, "Models tried, on held-out days"),)
 
 
 def section(
@@ -155,8 +113,7 @@ def section(
     Without maps or scores their parts are left out, and the text states it. names: the slot's id in
     the session by its id in `held`, which is from the middle of its bracket.
     """
-    table = _score_table(scores)
-    rows = (_maps_row(held, names or {}), *_agreement_rows(held)) if held else ()
+    rows = (_maps_row(held, names or {}), _agreement_row(held)) if held else ()
     judged = None if scores is None else scores.judged_row
     if judged is not None:
         median, worst = (10 ** np.sqrt(judged[key] or 0.0) for key in ("median", "worst"))
@@ -168,6 +125,5 @@ def section(
         text += f" {_likeness(held)}" if held else f" {_NO_MAPS}"
     else:
         text = "The numbers of this report are not checked: training had no held-out day."
-    return Section(
-        "evidence", "How good the numbers are", text.strip(), rows, (table,) if table else ()
-    )
+    title = "How good the numbers are"
+    return Section("evidence", title, text.strip(), rows, _score_table(scores))

@@ -19,8 +19,8 @@ from fieldlum.session import Session, replacing, replacing_path
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.panorama_sun import read_panorama_with_sun
 from fieldlum.sky.sky_view import SkyView
-from fieldlum.year.glare.answers import valid_pixels
 from fieldlum.year.glare.fisheye import FISHEYE_VIEW, panorama_to_fisheye
+from fieldlum.year.glare.single import valid_pixels
 from fieldlum.year.predict import read_annual
 from fieldlum.year.predict.annual import time_coordinate
 

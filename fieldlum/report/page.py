@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -18,32 +18,28 @@ from fieldlum.optics.projection import compass_name
 NOTHING = 65535  # in a heat map's 16-bit cells: no daylight, or not predicted
 
 
-@dataclass(frozen=True, slots=True)
-class Figure:
-    """A picture with its alternative text and caption: either SVG text, or a PNG in base64.
-
-    The unused one of svg and png is "".
-    """
-
-    alt: str
-    caption: str
-    svg: str = ""
-    png: str = ""
-
-
 def named(azimuth_deg: float) -> str:
     """Return the compass name of a direction with its degrees, such as "S (180°)"."""
     return f"{compass_name(azimuth_deg)} ({azimuth_deg:.0f}°)"
 
 
-def svg_figure(svg: str, alt: str, caption: str) -> Figure:
-    """Return a figure from SVG text."""
-    return Figure(alt, caption, svg=svg)
+def sentence(text: str) -> str:
+    """Return a note as a sentence: a capital at its begin, a full stop at its end."""
+    return f"{text[0].upper()}{text[1:].rstrip('.')}."
 
 
-def png_figure(data: bytes, alt: str, caption: str) -> Figure:
-    """Return a figure from PNG bytes, which it stores in base64."""
-    return Figure(alt, caption, png=base64.b64encode(data).decode())
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """A picture with its alternative text and caption: SVG text, or the bytes of a PNG."""
+
+    content: str | bytes
+    alt: str
+    caption: str
+
+    @property
+    def png(self) -> str:
+        """The PNG in base64; "" for SVG text."""
+        return base64.b64encode(self.content).decode() if isinstance(self.content, bytes) else ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,21 +69,21 @@ class Table:
 class HeatMap:
     """Day x hour grids of several quantities and directions, as JSON for the page's script.
 
-    quantities: settings of each; start: index, from 0, of the direction shown first; used: hours of
+    quantities: name of each; start: index, from 0, of the direction shown first; used: hours of
     the day at which lines are drawn, the begin and the end of use, or empty.
     """
 
     json: str
     directions: tuple[str, ...]
-    quantities: tuple[dict[str, Any], ...]
+    quantities: tuple[str, ...]
     alt: str
     start: int = 0
-    used: tuple[int, ...] = ()  # first and last hour of use, drawn as lines
+    used: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """One section of the page: text, rows of figures, tables and a heat map, where it has them."""
+    """One section of the page: text, figures, tables, a heat map and code, where it has them."""
 
     id: str
     title: str
@@ -95,6 +91,7 @@ class Section:
     rows: tuple[Row, ...] = ()
     tables: tuple[Table, ...] = ()
     heatmap: HeatMap | None = None
+    code: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,26 +113,28 @@ class Page:
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """One layer of the heat map. values: [days, 24, directions], NaN where there is no value.
+    """One layer of the heat map.
 
-    step: resolution of the stored values; edges: values at which the colour changes; colours: one
-    more than edges; dark: True for colours that need white text; digits: decimals shown.
+    step: resolution of the stored integers; edges: values at which the colour changes; colours: one
+    more than edges; digits: decimals shown.
     """
 
     name: str
     unit: str
-    values: Floats
-    step: float  # resolution of the stored integers
+    step: float
     edges: tuple[float, ...]
-    colours: tuple[str, ...]  # one more than edges
-    dark: tuple[bool, ...]  # whether white text reads on it
+    colours: tuple[str, ...]
     digits: int = 0
 
 
-DGP_EDGES, DGP_COLOURS = (0.35, 0.40, 0.45), ("#cfe6dc", "#f2d16b", "#e58a2b", "#b03427")
-# Colours of vertical illuminance change at these values [lx]. Not measured.
-EV_EDGES = (100.0, 300.0, 500.0, 1000.0, 2000.0, 4000.0)
-EV_COLOURS = ("#20233a", "#3b3a78", "#6a4c93", "#a8628f", "#d98880", "#f0b68a", "#fbe3b0")
+DGP = Quantity(
+    "DGP", "", 0.001, (0.35, 0.40, 0.45), ("#cfe6dc", "#f2d16b", "#e58a2b", "#b03427"), 2
+)
+# Colours of illuminances change at these values [lx]. Not measured.
+_LX = (100.0, 300.0, 500.0, 1000.0, 2000.0, 4000.0)
+_LX_COLOURS = ("#20233a", "#3b3a78", "#6a4c93", "#a8628f", "#d98880", "#f0b68a", "#fbe3b0")
+EV = Quantity("Vertical illuminance", " lx", 10.0, _LX, _LX_COLOURS)
+NOT_TRUSTED = Quantity("Hours that are not trusted", "", 1.0, (1.0,), ("#cfe6dc", "#8d6bb0"))
 
 
 def _cells(values: Floats, step: float) -> str:
@@ -146,31 +145,36 @@ def _cells(values: Floats, step: float) -> str:
 
 
 def heat_map(
-    quantities: Sequence[Quantity],
+    grids: Sequence[tuple[Quantity, Floats]],
     directions: Sequence[str],
     year: int,
     alt: str,
     start: int,
     used: tuple[int, ...] = (),
 ) -> HeatMap:
-    """Return the heat map of `quantities`, all with the same days and directions.
+    """Return the heat map of quantities with values [days, 24, directions], NaN where undefined.
 
     start: index, from 0, of the direction shown first; used: hours of the day, 0 to 24, at which
     lines are drawn; year: for the dates of the days; alt: text instead of the picture.
     """
-    names = ("name", "unit", "step", "edges", "colours", "dark", "digits")
-    shown = tuple({name: getattr(q, name) for name in names} for q in quantities)
-    data = {
-        "year": year,
-        "days": int(quantities[0].values.shape[0]),
-        "quantities": [
-            {**meta, "grids": [_cells(q.values[:, :, d], q.step) for d in range(q.values.shape[2])]}
-            for meta, q in zip(shown, quantities, strict=True)
-        ],
-    }
-    return HeatMap(
-        json.dumps(data).replace("</", "<\\/"), tuple(directions), shown, alt, start, used
-    )
+    quantities = [
+        {
+            **asdict(layer),
+            "dark": [_is_dark(colour) for colour in layer.colours],
+            "grids": [_cells(values[:, :, d], layer.step) for d in range(values.shape[2])],
+        }
+        for layer, values in grids
+    ]
+    data = {"year": year, "days": len(grids[0][1]), "quantities": quantities}
+    names = tuple(layer.name for layer, _ in grids)
+    text = json.dumps(data).replace("</", "<\\/")
+    return HeatMap(text, tuple(directions), names, alt, start, used)
+
+
+def _is_dark(colour: str) -> bool:
+    """Return whether white text is readable on a colour such as #20233a (weights of BT.709)."""
+    red, green, blue = bytes.fromhex(colour[1:])
+    return 0.2126 * red + 0.7152 * green + 0.0722 * blue < 125.0
 
 
 def day_hour_grid(

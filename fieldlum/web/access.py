@@ -11,7 +11,6 @@ import hmac
 import json
 import secrets
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from typing import Any
 from urllib.parse import parse_qs
 
@@ -19,8 +18,8 @@ from starlette.exceptions import HTTPException
 from starlette.requests import Request
 
 
-async def json_body(request: Request, most_bytes: int) -> Mapping[str, Any]:
-    """Return the JSON object of a request of at most `most_bytes`, else raise HTTPException.
+async def json_body(request: Request, max_bytes: int) -> Mapping[str, Any]:
+    """Return the JSON object of a request of at most `max_bytes`, else raise HTTPException.
 
     Its status is 415 for another content type, 413 for a longer body, 400 for other content.
     """
@@ -29,7 +28,7 @@ async def json_body(request: Request, most_bytes: int) -> Mapping[str, Any]:
     data = b""
     async for part in request.stream():
         data += part
-        if len(data) > most_bytes:
+        if len(data) > max_bytes:
             raise HTTPException(413)
     try:
         asked = json.loads(data)
@@ -58,18 +57,6 @@ SECURITY_HEADERS = {
 """Sent with each answer."""
 
 
-@dataclass(frozen=True, slots=True)
-class Ruling:
-    """Decision about a request.
-
-    status 200: answer it; 303: turn the token into a cookie and remove it from the address; any
-    other: refuse it with `text`.
-    """
-
-    status: int
-    text: str = ""
-
-
 class Access:
     """The token of one run of the server, its cookie, and the host names that the server has.
 
@@ -78,47 +65,44 @@ class Access:
 
     def __init__(self, port: int, names: Iterable[str]) -> None:
         """names: host names and addresses without a port, an IPv6 address in brackets."""
-        self.token = secrets.token_urlsafe(TOKEN_BYTES)
-        self._cookie = secrets.token_urlsafe(TOKEN_BYTES)
+        self.token, cookie = secrets.token_urlsafe(TOKEN_BYTES), secrets.token_urlsafe(TOKEN_BYTES)
         # Cookies are shared by all ports of a host: two sessions that are watched need two names.
-        self._cookie_name = f"fieldlum-{port}"
+        self._cookie = f"fieldlum-{port}={cookie}"
         self.hosts = frozenset(f"{name}:{port}".lower() for name in names)
 
     @property
     def set_cookie(self) -> str:
         """Value of the Set-Cookie header whose cookie replaces the token."""
-        return f"{self._cookie_name}={self._cookie}; Path=/; HttpOnly; SameSite=Strict"
+        return f"{self._cookie}; Path=/; HttpOnly; SameSite=Strict"
 
-    def rule(self, method: str, path: str, query: str, headers: Mapping[str, str]) -> Ruling:
+    def rule(
+        self, method: str, path: str, query: str, headers: Mapping[str, str]
+    ) -> tuple[int, str]:
         """Decide about one request by its names, origin, method, and token or cookie.
 
-        method: in capitals; query: without the question mark; headers: by name in lower case.
+        method: in capitals; query: without the question mark; headers: by name in lower case. The
+        first result is 200: answer it; 303: turn the token into a cookie and remove it from the
+        address; or the status of a refusal, whose text is the second result.
         """
         if headers.get("host", "").lower() not in self.hosts:
-            return Ruling(421, "This server does not have that name.")
+            return 421, "This server does not have that name."
         origin = headers.get("origin", "")
-        if origin and origin.lower() not in {f"http://{host}" for host in self.hosts}:
-            return Ruling(403, "The request comes from another site.")
-        if headers.get("sec-fetch-site", "none") not in ("none", "same-origin"):
-            return Ruling(403, "The request comes from another site.")
+        own = not origin or origin.lower() in {f"http://{host}" for host in self.hosts}
+        if not own or headers.get("sec-fetch-site", "none") not in ("none", "same-origin"):
+            return 403, "The request comes from another site."
         if method not in ("GET", "HEAD", "POST"):
-            return Ruling(405, "Only GET, HEAD and POST are answered.")
+            return 405, "Only GET, HEAD and POST are answered."
         if method == "POST" and not origin:
-            return Ruling(403, "A change needs the header Origin.")
-        if self._has_cookie(headers.get("cookie", "")):
-            return Ruling(303 if path == "/" and "token" in parse_qs(query) else 200)
-        token = parse_qs(query).get("token", [""])[0]
-        if path == "/" and method == "GET" and _same(token, self.token):
-            return Ruling(303)
-        return Ruling(401, "Open the address with the token that the terminal printed first.")
-
-    def _has_cookie(self, header: str) -> bool:
-        pairs = (part.strip().partition("=") for part in header.split(";"))
-        return any(
-            name == self._cookie_name and _same(value, self._cookie) for name, _, value in pairs
-        )
+            return 403, "A change needs the header Origin."
+        tokens = parse_qs(query).get("token", [])
+        cookies = (part.strip() for part in headers.get("cookie", "").split(";"))
+        if any(_same(cookie, self._cookie) for cookie in cookies):
+            return (303 if path == "/" and tokens else 200), ""
+        if path == "/" and method == "GET" and tokens and _same(tokens[0], self.token):
+            return 303, ""
+        return 401, "Open the address with the token that the terminal printed first."
 
 
-def _same(token: str, wanted: str) -> bool:
+def _same(text: str, wanted: str) -> bool:
     """Compare in constant time."""
-    return hmac.compare_digest(token.encode(), wanted.encode())
+    return hmac.compare_digest(text.encode(), wanted.encode())

@@ -1,7 +1,7 @@
 """Compute the answer so far: the commands from frames to glare classes, at low priority.
 
-Each command runs in its own process. It is paused before a slot begins and continues after it (not
-on Windows), so that a capture on the same computer never waits. Merge and pair write into the
+Each command runs in its own process. It is paused before a slot begins and continues after it, so
+that a capture on the same computer never waits. Merge and pair write into the
 session; the model and the year are in its folder watch/, separate from the user's own.
 """
 
@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import subprocess
 import sys
 import threading
@@ -18,7 +17,9 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import IO
+from typing import IO, NamedTuple
+
+import psutil
 
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import JsonTable, utc_text
@@ -33,7 +34,7 @@ QUIET_BEFORE_S = 90.0
 _LOOK_EVERY_S = 5.0  # not measured
 _LOWEST_PRIORITY = 19  # of POSIX nice
 ANSWER_EVERY = timedelta(hours=6)  # fitting takes minutes: at most a few times a day; chosen
-LEAST_CAPTURES = 8  # fewer leave every class open; chosen
+MIN_CAPTURES = 8  # fewer leave every class open; chosen
 _DAYS_KEPT = 400  # a year and a month of answers; chosen
 PROGRAM = (
     sys.executable,
@@ -42,23 +43,15 @@ PROGRAM = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Moment:
+class Moment(NamedTuple):
     """State that decides whether there is time to compute.
 
-    seconds_to_slot: None without a coming slot or a capture. busy: a bracket is being taken, or
-    time is simulated and runs fast. captured: number of complete slots.
+    is_quiet: no bracket is running, none begins within 90 s, and time is not simulated and fast.
+    captured: number of complete slots.
     """
 
-    seconds_to_slot: float | None
-    busy: bool
+    is_quiet: bool
     captured: int
-
-    @property
-    def is_quiet(self) -> bool:
-        """Whether there is time to compute: no bracket is running, and none begins within 90 s."""
-        far = self.seconds_to_slot is None or self.seconds_to_slot > QUIET_BEFORE_S
-        return far and not self.busy
 
 
 @dataclass(slots=True)
@@ -122,16 +115,13 @@ class Worker:
                 self._merged_at = now.captured
             if not good:
                 return
-        due = now.captured != self._answered_at and now.captured >= LEAST_CAPTURES
+        due = now.captured != self._answered_at and now.captured >= MIN_CAPTURES
         if due and self._is_old():
             self._answer(now.captured)
 
     def _is_old(self) -> bool:
-        rows = read_answers(self.session)
-        if not rows:
-            return True
-        last = datetime.fromisoformat(rows[-1]["t_utc"])
-        return datetime.now(UTC) - last >= ANSWER_EVERY
+        times = (datetime.fromisoformat(row["t_utc"]) for row in read_answers(self.session)[-1:])
+        return all(datetime.now(UTC) - t >= ANSWER_EVERY for t in times)
 
     def _answer(self, captured: int) -> None:
         model, annual, root = self.folder / "model", self.folder / "annual", str(self.session.root)
@@ -193,20 +183,18 @@ class Worker:
     def _started(
         self, arguments: Sequence[str], out: IO[bytes], errors: IO[bytes]
     ) -> subprocess.Popen[bytes]:
-        threads = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-        flags = subprocess.IDLE_PRIORITY_CLASS if sys.platform == "win32" else 0
+        threads = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
         process = subprocess.Popen(
             [*self.program, *arguments],
             stdin=subprocess.DEVNULL,
             stdout=out,
             stderr=errors,
-            env={**os.environ, **threads},
-            start_new_session=sys.platform != "win32",
-            creationflags=flags,
+            env={**os.environ, **dict.fromkeys(threads, "1")},
+            start_new_session=True,
         )
-        if sys.platform != "win32":
-            with suppress(OSError):
-                os.setpriority(os.PRIO_PGRP, process.pid, _LOWEST_PRIORITY)
+        with suppress(psutil.Error):
+            lowest = getattr(psutil, "IDLE_PRIORITY_CLASS", _LOWEST_PRIORITY)
+            psutil.Process(process.pid).nice(lowest)
         return process
 
     def _attended(self, process: subprocess.Popen[bytes]) -> int:
@@ -216,25 +204,21 @@ class Worker:
             with suppress(subprocess.TimeoutExpired):
                 return process.wait(min(self.look_every_s, 1.0))
             if self._stop.is_set():
-                _signal(process, "SIGKILL")
+                _each(process, psutil.Process.kill)
                 return process.wait()
             quiet = self.moment().is_quiet
             if quiet == stopped:
-                _signal(process, "SIGCONT" if stopped else "SIGSTOP")
+                _each(process, psutil.Process.resume if stopped else psutil.Process.suspend)
                 stopped = not stopped
 
 
-def _signal(process: subprocess.Popen[bytes], name: str) -> None:
-    """Send a signal to a process and its children.
-
-    Windows cannot pause a process: there, the command continues at idle priority near a slot.
-    """
-    if sys.platform == "win32":
-        if name == "SIGKILL":
-            process.kill()
-        return
-    with suppress(ProcessLookupError):
-        os.killpg(process.pid, getattr(signal, name))
+def _each(process: subprocess.Popen[bytes], act: Callable[[psutil.Process], object]) -> None:
+    """Call `act` for a process and its children; those that have ended are skipped."""
+    with suppress(psutil.Error):
+        parent = psutil.Process(process.pid)
+        for one in (parent, *parent.children(recursive=True)):
+            with suppress(psutil.Error):
+                act(one)
 
 
 def read_answers(session: Session) -> list[JsonTable]:
@@ -273,5 +257,5 @@ def answer_table(session: Session, worker: Worker | None) -> JsonTable:
         "computes": worker is not None,
         "step": worker.step if worker else "",
         "problem": worker.problem if worker else "",
-        "least_captures": LEAST_CAPTURES,
+        "least_captures": MIN_CAPTURES,
     }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,6 @@ from fieldlum.optics.images import read_panorama
 from fieldlum.optics.projection import direction
 from fieldlum.room.scene import sun_patches
 from fieldlum.room.scene.clicked import (
-    Click,
     ClickedRoom,
     ClickGrid,
     clicks_from_rows,
@@ -57,19 +57,11 @@ class ClickedPicture:
         files = session.panorama_files()
         chosen = next((path for path in files if path.stem == slot), None) if slot else None
         if not files:
-            raise InputError(
-                session.root,
-                "no merged panorama",
-                "a merged session",
-                f"run fieldlum merge {session.root}",
-            )
+            remedy = f"run fieldlum merge {session.root}"
+            raise InputError(session.root, "no merged panorama", "a merged session", remedy)
         if slot and chosen is None:
-            raise InputError(
-                session.root,
-                f"no panorama {slot}",
-                f"a slot such as {files[-1].stem}",
-                "see panoramas/",
-            )
+            expected = f"a slot such as {files[-1].stem}"
+            raise InputError(session.root, f"no panorama {slot}", expected, "see panoramas/")
         heights_deg = {slot.id: slot.sun_altitude_deg for slot in session.slots()}
         path = chosen or max(files, key=lambda file: heights_deg.get(file.stem, -90.0))
         panorama = read_panorama(path)
@@ -139,44 +131,42 @@ def click_routes(picture: ClickedPicture, camera_height_m: float) -> list[Route]
         }
         return JSONResponse(answer)
 
-    async def solve(request: Request) -> Response:
-        return await _answered(request, _solved)
-
-    async def save(request: Request) -> Response:
-        return await _answered(request, _saved)
-
-    def _solved(clicks: list[Click], height_m: float, replace_room: bool) -> JsonTable:
-        clicked = room_from_clicks(clicks, picture.grid, height_m)
+    def solved(clicked: ClickedRoom, replace_room: bool) -> JsonTable:
         lines = outline_pixels(clicked.room, picture.grid)
         return clicked_table(clicked) | {"lines": lines, "patches": _patches(clicked.room, picture)}
 
-    def _saved(clicks: list[Click], height_m: float, replace_room: bool) -> JsonTable:
-        clicked = room_from_clicks(clicks, picture.grid, height_m)
+    def saved(clicked: ClickedRoom, replace_room: bool) -> JsonTable:
         path, taken = save_room(session, clicked, replace_room=replace_room)
         return {"file": str(path), "taken": taken}
+
+    def posted(path: str, make: Callable[[ClickedRoom, bool], JsonTable]) -> Route:
+        """Return the route of `make` for posted clicks; an InputError becomes a sentence."""
+
+        def answer(asked: Mapping[str, Any]) -> JsonTable:
+            clicks, height_m = clicks_from_rows(asked["clicks"]), float(asked["camera_height_m"])
+            clicked = room_from_clicks(clicks, picture.grid, height_m)
+            return make(clicked, asked.get("replace") is True)
+
+        async def handle(request: Request) -> Response:
+            asked = await json_body(request, _MAX_BODY)
+            try:
+                return JSONResponse(await asyncio.to_thread(answer, asked))
+            except InputError as error:
+                return JSONResponse({"error": str(error)})
+            except (ValueError, TypeError, KeyError):
+                raise HTTPException(400) from None
+
+        return Route(path, handle, methods=["POST"])
 
     return [
         static_route("/", "click.html"),
         static_route("/click.js", "click.js"),
         static_route("/page.css", "page.css"),
         Route("/room.json", about),
-        Route("/solve.json", solve, methods=["POST"]),
-        Route("/save.json", save, methods=["POST"]),
+        posted("/solve.json", solved),
+        posted("/save.json", saved),
         *picture_routes(session),
     ]
-
-
-async def _answered(request: Request, make: Any) -> Response:
-    """Answer a list of clicks; an InputError becomes a sentence in the answer."""
-    asked = await json_body(request, _MAX_BODY)
-    try:
-        clicks, height_m = clicks_from_rows(asked["clicks"]), float(asked["camera_height_m"])
-        replace_room = asked.get("replace") is True
-        return JSONResponse(await asyncio.to_thread(make, clicks, height_m, replace_room))
-    except InputError as error:
-        return JSONResponse({"error": str(error)})
-    except (ValueError, TypeError, KeyError):
-        raise HTTPException(400) from None
 
 
 def _patches(room: Room, picture: ClickedPicture) -> list[list[float]]:

@@ -12,6 +12,7 @@ import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
+from typing import NoReturn
 
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
@@ -58,11 +59,8 @@ class Control:
     def _extra(self, asked: Mapping[str, object]) -> str:
         state = self._running()
         if state["next"] is not None and state["next"]["state"] == "running":
-            raise InputError(
-                self.session.root,
-                "a bracket is being taken now",
-                "no bracket in progress",
-                "request the extra bracket again after that bracket",
+            self._refuse(
+                "a bracket is being taken now", "no bracket in progress", "try again later"
             )
         slot = add_extra(self.session, datetime.now(UTC))
         return f"An extra bracket is planned at {slot.t_utc:%H:%M} UTC."
@@ -82,20 +80,15 @@ class Control:
         """Return the present state; raise InputError unless a capture runs in real time."""
         state = self.state()
         if state["rehearsal"]:
-            raise InputError(
-                self.session.root,
-                "a rehearsal in simulated time",
-                "a capture in real time",
-                "start fieldlum capture without --clock fast",
-            )
+            remedy = "start fieldlum capture without --clock fast"
+            self._refuse("a rehearsal in simulated time", "a capture in real time", remedy)
         if state["running"] is False:
-            raise InputError(
-                self.session.root,
-                "no capture runs in this session",
-                "a running capture",
-                "start fieldlum capture first",
-            )
+            remedy = "start fieldlum capture first"
+            self._refuse("no capture runs in this session", "a running capture", remedy)
         return state
+
+    def _refuse(self, found: str, expected: str, remedy: str) -> NoReturn:
+        raise InputError(self.session.root, found, expected, remedy)
 
 
 def _text(asked: Mapping[str, object], key: str) -> str:

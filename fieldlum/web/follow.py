@@ -8,8 +8,7 @@ number of bins.
 from __future__ import annotations
 
 import os
-from collections import OrderedDict, deque
-from dataclasses import dataclass, field
+from collections import Counter, deque
 from datetime import date, datetime, timedelta
 from pathlib import Path
 
@@ -54,51 +53,46 @@ class LineTail:
         return again, data[:end].splitlines(keepends=True)
 
 
-@dataclass(slots=True)
-class JournalState:
-    """State that follows from the journal so far.
+class JournalFollower:
+    """State that follows from the journal so far; `update` reads what is new.
 
     ledger: state of each slot. events: the latest 60 for the page, without frames, starts of
     brackets and illuminances. away: devices that do not answer now, with the time since when.
     opened: the last `open` event (start of a capture) without a `close`, or None.
     """
 
-    ledger: Ledger = field(default_factory=Ledger)
-    events: deque[JournalEvent] = field(default_factory=lambda: deque(maxlen=_EVENTS_KEPT))
-    away: dict[str, datetime] = field(default_factory=dict)
-    opened: JournalEvent | None = None
+    def __init__(self, session: Session) -> None:
+        self._tail = LineTail(session.journal)
+        self._clear()
 
-    def add(self, event: JournalEvent) -> None:
-        """Update all fields by one event of the journal."""
-        kind = event["event"]
+    def _clear(self) -> None:
+        self.ledger = Ledger()
+        self.events: deque[JournalEvent] = deque(maxlen=_EVENTS_KEPT)
+        self.away: dict[str, datetime] = {}
+        self.opened: JournalEvent | None = None
+
+    def update(self) -> JournalFollower:
+        """Read the journal's new lines, skip damaged ones; return itself."""
+        again, lines = self._tail.read()
+        if again:
+            self._clear()
+        for event in filter(None, map(decode_event, lines)):
+            self._add(event)
+        return self
+
+    def _add(self, event: JournalEvent) -> None:
+        kind, device = event["event"], str(event.get("device", ""))
         fold((event,), self.ledger)
         if kind == "open":
             self.opened, self.away = event, {}
         elif kind == "close":
             self.opened = None
         elif kind == "device-lost":
-            self.away[str(event.get("device", ""))] = parse_utc(event["t_utc"])
+            self.away[device] = parse_utc(event["t_utc"])
         elif kind == "device-back":
-            self.away.pop(str(event.get("device", "")), None)
+            self.away.pop(device, None)
         if kind not in ("frame", "retake", "started", "illuminance"):
             self.events.append(event)
-
-
-class JournalFollower:
-    """Keeps a `JournalState` up to date with the file; `update` reads what is new."""
-
-    def __init__(self, session: Session) -> None:
-        self._tail, self.state = LineTail(session.journal), JournalState()
-
-    def update(self) -> JournalState:
-        """Read the journal's new lines, skip damaged ones; return the state after all lines."""
-        again, lines = self._tail.read()
-        if again:
-            self.state = JournalState()
-        for line in lines:
-            if (event := decode_event(line)) is not None:
-                self.state.add(event)
-        return self.state
 
 
 class DayBins:
@@ -113,32 +107,27 @@ class DayBins:
         self._clear()
 
     def _clear(self) -> None:
-        self._sum = np.zeros((_BINS, 3))
-        self._count = np.zeros((_BINS, 3))
+        self._sum, self._count = np.zeros((2, _BINS, 3))
         self.flagged = np.zeros(_BINS, bool)
-        self.status: dict[str, int] = {}
+        self.status: Counter[str] = Counter()
         self.last: tuple[datetime, float | None] | None = None
 
-    def update(self) -> None:
-        """Add the new rows of the file; begin again if it was replaced or shortened."""
+    def update(self) -> DayBins:
+        """Add the new rows of the file; begin again if it was replaced. Return itself."""
         again, lines = self._tail.read()
         if again:
             self._clear()
-        for line in lines:
-            sample = decode_sample(line)
-            if sample is None:
-                continue
-            midnight = sample.t_utc.replace(hour=0, minute=0, second=0, microsecond=0)
-            k = int((sample.t_utc - midnight).total_seconds() // BIN_S)
-            for i, value in enumerate((sample.ghi_wm2, sample.dni_wm2, sample.dhi_wm2)):
-                if value is not None:
-                    self._sum[k, i] += value
-                    self._count[k, i] += 1
+        for sample in filter(None, map(decode_sample, lines)):
+            t = sample.t_utc
+            k = (t.hour * 3600 + t.minute * 60 + t.second) // BIN_S
+            row = np.array([sample.ghi_wm2, sample.dni_wm2, sample.dhi_wm2], float)
+            self._sum[k] += np.nan_to_num(row)
+            self._count[k] += np.isfinite(row)
             if sample.status:
                 self.flagged[k] = True
-                if sample.status in self.status or len(self.status) < 20:
-                    self.status[sample.status] = self.status.get(sample.status, 0) + 1
-            self.last = sample.t_utc, sample.ghi_wm2
+                self.status[sample.status] += 1
+            self.last = t, sample.ghi_wm2
+        return self
 
     @property
     def means(self) -> Floats:
@@ -151,25 +140,20 @@ class IrradianceFollower:
 
     def __init__(self, session: Session) -> None:
         self._session = session
-        self._days: OrderedDict[date, DayBins] = OrderedDict()
+        self._days: dict[date, DayBins] = {}
 
     def day(self, day_utc: date) -> DayBins:
         """Return the irradiance bins of a UTC day, with the file's newest rows."""
-        if day_utc not in self._days:
-            path = self._session.irradiance / f"{day_utc.isoformat()}.csv"
-            self._days[day_utc] = DayBins(path)
-        self._days.move_to_end(day_utc)
+        path = self._session.irradiance / f"{day_utc.isoformat()}.csv"
+        self._days[day_utc] = self._days.pop(day_utc, None) or DayBins(path)  # now the newest
         while len(self._days) > _DAYS_KEPT:
-            self._days.popitem(last=False)
-        self._days[day_utc].update()
-        return self._days[day_utc]
+            del self._days[next(iter(self._days))]
+        return self._days[day_utc].update()
 
     def latest(self, now: datetime) -> tuple[datetime, float | None] | None:
         """Return time and global irradiance of the last row of today or yesterday (UTC).
 
         None without a row; the irradiance [W/m2] is None if the row has none.
         """
-        for day in (now.date(), now.date() - timedelta(days=1)):
-            if (last := self.day(day).last) is not None:
-                return last
-        return None
+        days = (now.date(), now.date() - timedelta(days=1))
+        return next((last for day in days if (last := self.day(day).last) is not None), None)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
 from fieldlum.core.arrays import Floats32
-from fieldlum.core.false_colour import colour_table, coloured, png_of, rounded_scale
+from fieldlum.core.errors import InputError
+from fieldlum.core.false_colour import colour_table, coloured, luminance_ends, png_of, shared_scale
 from fieldlum.core.records import Flag
 from fieldlum.optics.images import read_panorama
 
@@ -16,31 +18,23 @@ MAX_WIDTH = 1840  # four times a panorama of 460; bounds the memory; chosen
 _KEPT_PICTURES = 48  # of about 100 kB: what a page shows at once, and no more; chosen
 
 
-def luminance_ends(path: Path) -> tuple[float, float]:
-    """Return the 1 % and 99.9 % percentiles of a panorama's seen pixels above 0, in cd/m2.
+def scale_of(paths: Iterable[Path]) -> tuple[float, float]:
+    """Return the ends of one scale for several panoramas in cd/m2, see `shared_scale`.
 
-    The result is 1 and 1000 if there are none.
+    A panorama that cannot be read is left out: a merge may be writing it.
     """
-    return _ends(path, path.stat().st_mtime_ns)
+    ends = []
+    for path in paths:
+        try:
+            ends.append(_ends(path, path.stat().st_mtime_ns))
+        except (InputError, OSError):
+            continue
+    return shared_scale(ends)
 
 
 @lru_cache(maxsize=1024)
-def _ends(path: Path, stamp: int) -> tuple[float, float]:
-    values = _seen(path)
-    values = values[np.isfinite(values) & (values > 0)]
-    if not len(values):
-        return 1.0, 1000.0
-    low, high = np.percentile(values, (1.0, 99.9))
-    return float(low), float(high)
-
-
-def scale_of(paths: list[Path]) -> tuple[float, float]:
-    """Return the ends of one scale for several panoramas [cd/m2], rounded outwards to one digit.
-
-    They are from the lowest 1 % to the highest 99.9 % percentile; 1 to 1000 without panoramas.
-    """
-    ends = [luminance_ends(path) for path in paths] or [(1.0, 1000.0)]
-    return rounded_scale(min(low for low, _ in ends), max(high for _, high in ends))
+def _ends(path: Path, stamp: int) -> tuple[float, float] | None:
+    return luminance_ends(_seen(path))
 
 
 def picture_png(path: Path, width: int, low: float, high: float) -> bytes:

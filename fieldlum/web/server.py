@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import socket
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
@@ -21,49 +20,38 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from fieldlum.core.errors import DeviceError, InputError
+from fieldlum.core.records import parse_utc, slot_id
 from fieldlum.session import Session
 from fieldlum.web.access import SECURITY_HEADERS, Access
 from fieldlum.web.answer import Worker, answer_table
 from fieldlum.web.control import Control, control_routes
 from fieldlum.web.pictures import picture_png, scale_png
-from fieldlum.web.snapshot import Snapshots, is_slot_id
+from fieldlum.web.snapshot import Snapshots
 
-MAX_CONNECTIONS = 64  # bounds the open files; not measured
 _REQUEST_S = 5.0  # for the headers of the first request; a phone on slow Wi-Fi needs under one
 
 
 class PatientProtocol(H11Protocol):
     """A connection that is closed if its first request is not complete after five seconds.
 
-    If there is no place for a new connection, the oldest one without a request is closed. Refused
-    requests end their connection, so that only requests with the token keep a place.
+    So silent connections cannot use up the files that the process may open.
     """
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Accept a connection, if necessary in the place of a silent one."""
-        self._began_s = time.monotonic()
-        silent = [c for c in self.connections if isinstance(c, PatientProtocol) and c._silent]
-        if len(self.connections) >= MAX_CONNECTIONS - 1 and silent:
-            oldest = min(silent, key=lambda connection: connection._began_s)
-            oldest.connections.discard(oldest)
-            oldest.transport.abort()
+        """Accept a connection."""
         super().connection_made(transport)
         self.loop.call_later(_REQUEST_S, self._end_if_silent)
 
-    @property
-    def _silent(self) -> bool:
-        """Whether no request arrived yet with all its headers."""
-        return self.cycle is None
-
     def _end_if_silent(self) -> None:
-        if self._silent:
+        if self.cycle is None:  # no request arrived with all its headers
             self.transport.abort()
 
 
 STATIC = Path(__file__).parent / "static"
 _TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css"}
 _FIRST_YEAR, _LAST_YEAR = 1970, 2999  # of days with a curve; chosen
-_YEAR_S = 31_536_000  # 365 days
+# The address of a picture has the stamp of its file: one that is merged again has another address.
+_CACHED = {"Cache-Control": "private, max-age=31536000, immutable"}  # 365 days
 
 
 class Guard:
@@ -77,22 +65,17 @@ class Guard:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer a request, or refuse it."""
-        if scope["type"] == "lifespan":
-            await self._app(scope, receive, send)
-            return
         if scope["type"] != "http":  # no web sockets here
             return
         headers = dict(Headers(scope=scope).items())
         query = scope["query_string"].decode("latin-1")
-        ruling = self._access.rule(scope["method"], scope["path"], query, headers)
+        status, text = self._access.rule(scope["method"], scope["path"], query, headers)
         answer: ASGIApp = self._app
-        if ruling.status == 303:
+        if status == 303:
             cookie = {"location": "/", "set-cookie": self._access.set_cookie}
             answer = Response(status_code=303, headers=cookie)
-        elif ruling.status != 200:
-            # a closed connection leaves its place to a browser that has the cookie
-            close = {"connection": "close"}
-            answer = PlainTextResponse(f"{ruling.text}\n", ruling.status, close)
+        elif status != 200:
+            answer = PlainTextResponse(f"{text}\n", status, {"connection": "close"})
 
         async def secured(message: Message) -> None:
             if message["type"] == "http.response.start":
@@ -104,19 +87,15 @@ class Guard:
         await answer(scope, receive, secured)
 
 
-def static_route(path: str, name: str) -> Route:
-    """Return a route at `path` for the file `name` of this package."""
-    body = (STATIC / name).read_bytes()
+def static_route(path: str, name: str, scripts: Sequence[str] = ()) -> Route:
+    """Return a route at `path` for the file `name` of this package.
+
+    scripts: addresses of further scripts at the end of a page's head.
+    """
+    tags = "".join(f'<script src="{script}" defer></script>\n' for script in scripts)
+    body = (STATIC / name).read_text(encoding="utf-8").replace("</head>", f"{tags}</head>", 1)
     kind = _TYPES[Path(name).suffix]
     return Route(path, lambda request: Response(body, media_type=kind))
-
-
-def _page(scripts: Sequence[str]) -> Route:
-    """Return the route of the watch page, with more scripts at the end of its head."""
-    tags = "".join(f'<script src="{name}" defer></script>\n' for name in scripts)
-    text = (STATIC / "watch.html").read_text(encoding="utf-8")
-    body = text.replace("</head>", f"{tags}</head>", 1)
-    return Route("/", lambda request: Response(body, media_type="text/html"))
 
 
 def picture_routes(session: Session) -> list[Route]:
@@ -127,25 +106,21 @@ def picture_routes(session: Session) -> list[Route]:
         try:
             low, high = (float(request.query_params[name]) for name in ("low", "high"))
             width = int(request.query_params.get("width", "920"))
+            safe = slot_id(parse_utc(slot)) == slot  # as a part of a file's name
         except (KeyError, ValueError):
             raise HTTPException(400) from None
-        if not (is_slot_id(slot) and 1e-6 <= low < high <= 1e12 and width >= 16):
+        if not (safe and 1e-6 <= low < high <= 1e12 and width >= 16):
             raise HTTPException(400)
         try:
             data = picture_png(session.panorama(slot), width, low, high)
         except (InputError, OSError):
             raise HTTPException(404) from None
-        # the address has the stamp of the file: a picture that is merged again has another one
-        return Response(data, media_type="image/png", headers=_cached())
+        return Response(data, media_type="image/png", headers=_CACHED)
 
     def scale(request: Request) -> Response:
-        return Response(scale_png(), media_type="image/png", headers=_cached())
+        return Response(scale_png(), media_type="image/png", headers=_CACHED)
 
     return [Route("/picture/{slot}.png", picture), Route("/scale.png", scale)]
-
-
-def _cached() -> dict[str, str]:
-    return {"Cache-Control": f"private, max-age={_YEAR_S}, immutable"}
 
 
 def watch_routes(
@@ -169,29 +144,29 @@ def watch_routes(
     def day(request: Request) -> Response:
         try:
             wanted = date.fromisoformat(request.path_params["day"])
-            if not _FIRST_YEAR <= wanted.year <= _LAST_YEAR:
-                raise ValueError
         except ValueError:
             raise HTTPException(404) from None
-        return table(lambda: snapshots.day(wanted))
+        if not _FIRST_YEAR <= wanted.year <= _LAST_YEAR:
+            raise HTTPException(404)
+        return _table(lambda: snapshots.day(wanted))
 
     changes = []
     if control is not None:
         changes = [static_route("/control.js", "control.js"), *control_routes(control)]
     return [
-        _page(["/control.js"] if changes else []),
+        static_route("/", "watch.html", ["/control.js"] if changes else []),
         *changes,
         static_route("/watch.js", "watch.js"),
         static_route("/page.css", "page.css"),
-        Route("/state.json", lambda request: table(state)),
-        Route("/answer.json", lambda request: table(lambda: answer_table(session, worker))),
-        Route("/calendar.json", lambda request: table(snapshots.calendar)),
+        Route("/state.json", lambda request: _table(state)),
+        Route("/answer.json", lambda request: _table(lambda: answer_table(session, worker))),
+        Route("/calendar.json", lambda request: _table(snapshots.calendar)),
         Route("/day/{day}.json", day),
         *picture_routes(session),
     ]
 
 
-def table(make: Callable[[], Mapping[str, object]]) -> Response:
+def _table(make: Callable[[], Mapping[str, object]]) -> Response:
     """Return the table of `make` as JSON; status 503 if the session cannot be read now."""
     try:
         return JSONResponse(make())
@@ -201,10 +176,7 @@ def table(make: Callable[[], Mapping[str, object]]) -> Response:
 
 @dataclass(frozen=True, slots=True)
 class Served:
-    """A server that is ready to run.
-
-    app: the routes with the access rules; socket: which listens already; address: with the token.
-    """
+    """A server that is ready to run: the socket, which listens, and the address with the token."""
 
     app: ASGIApp
     socket: socket.socket
@@ -218,7 +190,6 @@ class Served:
             access_log=False,  # addresses hold the token
             server_header=False,
             http=PatientProtocol,
-            limit_concurrency=MAX_CONNECTIONS,
             timeout_graceful_shutdown=2,
             ws="none",
             lifespan="off",
@@ -235,7 +206,7 @@ def prepare(routes: Sequence[Route], port: int, *, lan: bool) -> Served:
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listener.bind(("0.0.0.0" if lan else "127.0.0.1", port))
-        listener.listen(MAX_CONNECTIONS)  # the printed address works at once
+        listener.listen()  # the printed address works at once
     except OSError as error:
         listener.close()
         raise DeviceError(
@@ -243,15 +214,17 @@ def prepare(routes: Sequence[Route], port: int, *, lan: bool) -> Served:
             f"give another --port N, or --port 0 for a free one"
         ) from None
     port = listener.getsockname()[1]
-    lan_name = lan_address() if lan else ""
-    own = {"127.0.0.1", "localhost"} | ({lan_name, *_host_names()} if lan else set())
-    access = Access(port, own - {""})
-    host = lan_name or "127.0.0.1"
+    names, host = {"127.0.0.1", "localhost"}, "127.0.0.1"
+    if lan:
+        name = socket.gethostname()
+        host = _lan_address() or host
+        names |= {host, *((name, f"{name}.local") if name else ())}
+    access = Access(port, names)
     app = Guard(Starlette(routes=list(routes)), access)
     return Served(app, listener, f"http://{host}:{port}/?token={access.token}")
 
 
-def lan_address() -> str:
+def _lan_address() -> str:
     """Return this computer's IPv4 address in its network, "" without one. Nothing is sent."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
@@ -259,8 +232,3 @@ def lan_address() -> str:
             return str(probe.getsockname()[0])
         except OSError:
             return ""
-
-
-def _host_names() -> set[str]:
-    name = socket.gethostname()
-    return {name, f"{name}.local"} if name else set()

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import os
 import shutil
-import sys
 import threading
+from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import asdict
 from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
@@ -14,12 +14,13 @@ from typing import Literal, NamedTuple
 from zoneinfo import ZoneInfo
 
 import numpy as np
+import psutil
 
 from fieldlum.capture import doctor
 from fieldlum.capture.utc_clock import boot_id
 from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError
-from fieldlum.core.records import JsonTable, Site, Slot, parse_utc, slot_id, utc_text
+from fieldlum.core.records import JsonTable, Site, Slot, parse_utc, utc_text
 from fieldlum.plan.coverage import sun_band_percent
 from fieldlum.plan.days import hours_of
 from fieldlum.session import Session, paused_until
@@ -28,8 +29,8 @@ from fieldlum.session.ledger import SETTLED
 from fieldlum.session.makeups import made_up_for
 from fieldlum.session.tables import JournalEvent
 from fieldlum.sky import sun
-from fieldlum.web.answer import Moment
-from fieldlum.web.follow import BIN_S, IrradianceFollower, JournalFollower, JournalState
+from fieldlum.web.answer import QUIET_BEFORE_S, Moment
+from fieldlum.web.follow import BIN_S, IrradianceFollower, JournalFollower
 from fieldlum.web.pictures import scale_of
 
 
@@ -51,32 +52,25 @@ def day_curve(day: date, site: Site, followed: IrradianceFollower) -> JsonTable:
     values = np.array([means[d][k] for d, k in of])  # [bins, 3]
     flagged = np.array([index[d].flagged[k] for d, k in of])
     present = np.isfinite(values).any(axis=1)
-    impossible = np.zeros(len(times), bool)
-    clear = np.full(len(times), np.nan)
+    impossible, clear = np.zeros(len(times), bool), np.full(len(times), np.nan)
     if present.any():
         altitude = sun.position(times, site).altitude_deg
         limits = sun.bsrn_limits(altitude, sun.extraterrestrial_wm2(times))
-        for i, (low, high) in enumerate((limits.ghi_wm2, limits.dni_wm2, limits.dhi_wm2)):
-            with np.errstate(invalid="ignore"):
-                impossible |= (values[:, i] < low) | (values[:, i] > high)
+        low, high = zip(limits.ghi_wm2, limits.dni_wm2, limits.dhi_wm2, strict=True)
+        impossible = ((values < low) | (values > np.stack(high, axis=-1))).any(axis=1)
         clear = sun.clearsky(times, site).ghi_wm2
     keep = present | (np.nan_to_num(clear) > 1.0)
-    words: dict[str, int] = {}
-    for bins in index.values():
-        for text, count in bins.status.items():
-            words[text] = words.get(text, 0) + count
-    ghi, dni, dhi = (_numbers(values[keep, i]) for i in range(3))
+    ghi, dni, dhi, clear_ghi = (_numbers(v) for v in (*values[keep].T, clear[keep]))
     return {
         "ghi": ghi,
         "dni": dni,
         "dhi": dhi,
         "minutes": [round((t - start).total_seconds() / 60, 1) for t in np.array(times)[keep]],
-        "clear_ghi": _numbers(clear[keep]),
+        "clear_ghi": clear_ghi,
         "flagged": (flagged | impossible)[keep].tolist(),
         "flagged_bins": int(flagged.sum()),
         "impossible_bins": int(impossible.sum()),
-        "status": words,
-        "first_local": f"{start.astimezone(zone):%H:%M}",
+        "status": dict(sum((bins.status for bins in index.values()), Counter())),
     }
 
 
@@ -88,20 +82,21 @@ Level = Literal["info", "warn", "fail"]
 
 # Events that are no news on a page: the plan's calendar shows outcomes.
 _SILENT = frozenset({"imported", "withdrawn"})
+# Sentences with fields of the event, of which some are put into words by `event_words`.
 _WORDS: dict[str, tuple[Level, str]] = {
     "done": ("warn", "Bracket {slot} is complete, with a warning: {why}."),
-    "missed": ("fail", "Bracket {slot} was not taken: {reason}."),
-    "aborted": ("fail", "Bracket {slot} was ended before it was complete: {reason}."),
+    "missed": ("fail", "Bracket {slot} was not taken: {why}."),
+    "aborted": ("fail", "Bracket {slot} was ended before it was complete: {why}."),
     "device-lost": ("fail", "The {device} stopped answering ({why}). The capture tries it again."),
-    "device-back": ("info", "The {device} answers again after {away}."),
+    "device-back": ("info", "The {device} answers again after {after_s}."),
     "bad-reading": ("warn", "The {device} gave a reading that cannot be used: {why}."),
     "clock-step": (
         "warn",
-        "The computer's clock jumped by {jump} s; the new time was {accepted}accepted.",
+        "The computer's clock jumped by {jump} s; the new time was {not_}accepted.",
     ),
-    "suspend": ("warn", "The computer slept for {slept}."),
-    "disk-full": ("fail", "The disk is full: {free_mb} MB are free."),
-    "late": ("info", "Bracket {slot} began {late_s} s late."),
+    "suspend": ("warn", "The computer slept for {seconds}."),
+    "disk-full": ("fail", "The disk is full: {free_mb:.0f} MB are free."),
+    "late": ("info", "Bracket {slot} began {by_s:.0f} s late."),
     "hook": ("info", "Two brackets in a row are missing: the command of --on-misses was run."),
     "hook-failed": ("warn", "The command of --on-misses failed: {why}."),
     "display-lost": ("info", "The terminal of the capture was closed; the capture continues."),
@@ -125,22 +120,19 @@ def event_words(event: JournalEvent) -> tuple[Level, str] | None:
         return None
     if kind not in _WORDS:
         return "info", kind
+    blank = dict.fromkeys(("slot", "state", "until_utc", "text"), "") | {"device": "a device"}
+    words = {
+        "by_s": 0.0,
+        **event,
+        "why": why or "no reason recorded",
+        "after_s": _duration(event.get("after_s")),
+        "seconds": _duration(event.get("seconds")),
+        "jump": f"{event.get('seconds', 0.0):+.0f}",
+        "not_": "" if event.get("followed") else "not ",
+        "free_mb": event.get("bytes_free", 0) / 1e6,
+    }
     level, sentence = _WORDS[kind]
-    return level, sentence.format(
-        slot=event.get("slot", ""),
-        why=why,
-        reason=why or "no reason recorded",
-        device=event.get("device", "a device"),
-        away=_duration(event.get("after_s")),
-        slept=_duration(event.get("seconds")),
-        jump=f"{event.get('seconds', 0.0):+.0f}",
-        accepted="" if event.get("followed") else "not ",
-        free_mb=f"{event.get('bytes_free', 0) / 1e6:.0f}",
-        late_s=f"{event.get('by_s', 0.0):.0f}",
-        state=event.get("state", ""),
-        until_utc=event.get("until_utc", ""),
-        text=event.get("text", ""),
-    )
+    return level, sentence.format(**(blank | words))
 
 
 def _duration(seconds: float | None) -> str:
@@ -150,46 +142,30 @@ def _duration(seconds: float | None) -> str:
     return f"{value / 60:.0f} min" if value < 7200 else f"{value / 3600:.1f} h"
 
 
-def is_running(journal: JournalState) -> bool | None:
+def is_running(journal: JournalFollower) -> bool:
     """Return whether the capture that the journal shows as open runs on this computer.
 
-    False without an open one, or if it began before this boot or on another computer. None if that
-    cannot be determined.
+    False without an open one, or if it began before this boot or on another computer.
     """
-    if journal.opened is None:
+    opened = journal.opened
+    if opened is None or opened.get("boot_id") not in ("", None, boot_id()):
         return False
-    if journal.opened.get("boot_id") not in ("", None, boot_id()):
-        return False
-    if sys.platform == "win32":  # os.kill(pid, 0) would end the process there
-        return None
     try:
-        os.kill(int(journal.opened.get("pid", 0)) or -1, 0)
-    except ProcessLookupError:
+        return psutil.pid_exists(int(opened.get("pid", 0)) or -1)
+    except (ValueError, OverflowError):
         return False
-    except (PermissionError, ValueError, OverflowError):
-        return None
-    return True
 
 
 def battery() -> JsonTable | None:
-    """Return {"percent", "mains"} of this computer's battery (Linux); None where there is none.
+    """Return {"percent", "mains"} of this computer's battery; None where there is none.
 
     mains: whether it has external power; the key is absent where that is unknown.
     """
-    percent: int | None = None
-    mains: bool | None = None
-    for supply in sorted(Path("/sys/class/power_supply").glob("*")):
-        try:
-            kind = (supply / "type").read_text().strip()
-            if kind == "Battery" and (supply / "capacity").is_file():
-                percent = int((supply / "capacity").read_text())
-            elif kind in ("Mains", "USB") and (supply / "online").is_file():
-                mains = (supply / "online").read_text().strip() == "1" or bool(mains)
-        except (OSError, ValueError):
-            continue
-    if percent is None:
+    found = psutil.sensors_battery() if hasattr(psutil, "sensors_battery") else None
+    if found is None:
         return None
-    return {"percent": percent} if mains is None else {"percent": percent, "mains": mains}
+    mains = {} if found.power_plugged is None else {"mains": found.power_plugged}
+    return {"percent": round(found.percent), **mains}
 
 
 _FINDINGS_EVERY = timedelta(minutes=5)  # not measured
@@ -201,14 +177,15 @@ _REHEARSAL = timedelta(hours=1)
 class _Present(NamedTuple):
     """The journal and the plan as they are now, and the state of each slot.
 
-    rehearsal: whether `now` is the simulated time of a capture.
+    rehearsal: whether `now` is the simulated time of a capture; merged: slots with a panorama.
     """
 
-    journal: JournalState
+    journal: JournalFollower
     slots: list[Slot]
     now: datetime
     rehearsal: bool
     states: dict[str, str]
+    merged: set[str]
 
 
 class Snapshots:
@@ -232,11 +209,10 @@ class Snapshots:
     def state(self) -> JsonTable:
         """Return the present state: next slot, counts, newest picture, devices, events, checks."""
         with self._lock:
-            journal, slots, now, rehearsal, states = self._present()
-            latest, merged = self._latest(), self._merged()
+            journal, slots, now, rehearsal, states, merged = self._present()
             ahead = [slot for slot in slots if states[slot.id] in ("owed", "running")]
             counts = list(states.values())
-            irradiance = self._irradiance.latest(now)
+            sample = self._irradiance.latest(now)
             return {
                 "name": self._setup.site.name,
                 "folder": self._session.root.resolve().name,
@@ -249,11 +225,9 @@ class Snapshots:
                 "counts": {word: counts.count(word) for word in dict.fromkeys(counts)},
                 "slots": len(slots),
                 "next": self._slot_row(ahead[0], states) if ahead else None,
-                "latest": latest,
+                "latest": self._latest(),
                 "devices": self._devices(journal),
-                "irradiance": None
-                if irradiance is None
-                else {"t_utc": utc_text(irradiance[0]), "ghi_wm2": irradiance[1]},
+                "irradiance": sample and {"t_utc": utc_text(sample[0]), "ghi_wm2": sample[1]},
                 "disk": self._disk(slots),
                 "computer": battery(),
                 "events": self._events(journal),
@@ -263,20 +237,15 @@ class Snapshots:
             }
 
     def moment(self) -> Moment:
-        """Return the time to the next slot, whether a capture is busy, and how many are done.
-
-        See `Moment`; the time is None unless a capture may be running on this computer.
-        """
+        """Return whether there is time to compute, and how many slots are done."""
         with self._lock:
-            journal, slots, now, rehearsal, states = self._present()
+            journal, slots, now, rehearsal, states, _ = self._present()
             ahead = [slot.t_utc for slot in slots if states[slot.id] == "owed"]
-            running = is_running(journal) is not False
+            running = is_running(journal)
             captured = sum(state.outcome == "done" for state in journal.ledger.slots.values())
-            return Moment(
-                (ahead[0] - now).total_seconds() if ahead and running else None,
-                running and (rehearsal or "running" in states.values()),
-                captured,
-            )
+            far = not ahead or (ahead[0] - now).total_seconds() > QUIET_BEFORE_S
+            busy = running and (rehearsal or not far or "running" in states.values())
+            return Moment(not busy, captured)
 
     def calendar(self) -> JsonTable:
         """Return the local days of the plan with the state of each slot, and their coverage.
@@ -285,12 +254,10 @@ class Snapshots:
         shares of the sun's positions in a year that plan and captures reach [%].
         """
         with self._lock:
-            _, slots, _, _, states = self._present()
-            merged = self._merged()
+            _, slots, _, _, states, merged = self._present()
             days: dict[str, list[JsonTable]] = {}
             for slot in slots:
-                row = self._slot_row(slot, states)
-                row["picture"] = slot.id in merged
+                row = self._slot_row(slot, states) | {"picture": slot.id in merged}
                 days.setdefault(self._local_day(slot.t_utc).isoformat(), []).append(row)
             return {
                 "days": [{"date": day, "slots": rows} for day, rows in sorted(days.items())],
@@ -303,21 +270,21 @@ class Snapshots:
         The scale is one for all pictures of the day [cd/m2].
         """
         with self._lock:
-            journal, slots, _, _, states = self._present()
-            merged = self._merged()
+            journal, slots, _, _, states, merged = self._present()
             today = [slot for slot in slots if self._local_day(slot.t_utc) == day]
-            rows: list[JsonTable] = []
-            for slot in today:
-                row = self._slot_row(slot, states)
-                row["picture"] = slot.id in merged
-                row["verdict"] = self._verdict(slot.id, journal.ledger.state(slot.id).why)
-                rows.append(row)
+            rows = [
+                self._slot_row(slot, states)
+                | {
+                    "picture": slot.id in merged,
+                    "verdict": self._verdict(slot.id, journal.ledger.state(slot.id).why),
+                }
+                for slot in today
+            ]
             paths = [self._session.panorama(slot.id) for slot in today if slot.id in merged]
-            low, high = _readable_scale(paths)
             return {
                 "date": day.isoformat(),
                 "slots": rows,
-                "scale": {"low": low, "high": high, "stamp": _stamp(paths)},
+                "scale": _scale(paths),
                 "irradiance": day_curve(day, self._setup.site, self._irradiance),
             }
 
@@ -327,7 +294,9 @@ class Snapshots:
     def _present(self) -> _Present:
         journal, slots = self._journal.update(), self._slots()
         now, rehearsal = self._now(journal)
-        return _Present(journal, slots, now, rehearsal, self._states(slots, journal, now))
+        states = self._states(slots, journal, now)
+        merged = {path.stem for path in self._session.panorama_files()}
+        return _Present(journal, slots, now, rehearsal, states, merged)
 
     def _slots(self) -> list[Slot]:
         """Return the plan, read again only when the file changed."""
@@ -339,12 +308,12 @@ class Snapshots:
             pass
         return self._plan[1]
 
-    def _now(self, journal: JournalState) -> tuple[datetime, bool]:
+    def _now(self, journal: JournalFollower) -> tuple[datetime, bool]:
         now, last = self._wall_clock(), journal.ledger.last_utc
         rehearsal = last is not None and last - now > _REHEARSAL
         return (last if rehearsal and last is not None else now), rehearsal
 
-    def _states(self, slots: list[Slot], journal: JournalState, now: datetime) -> dict[str, str]:
+    def _states(self, slots: list[Slot], journal: JournalFollower, now: datetime) -> dict[str, str]:
         """Return done, missed, aborted, "made up", running or owed for each slot."""
         grace = self._session.grace
         states: dict[str, str] = {}
@@ -373,27 +342,16 @@ class Snapshots:
             "sun_azimuth_deg": round(slot.sun_azimuth_deg, 1),
         }
 
-    def _merged(self) -> set[str]:
-        return {path.stem for path in self._session.panorama_files()}
-
     def _latest(self) -> JsonTable | None:
         """Return the newest panorama with its verdict."""
-        files = self._session.panorama_files()
+        files = self._session.panorama_files()[-1:]
         if not files:
             return None
-        slot, (low, high) = files[-1].stem, _readable_scale(files[-1:])
-        row: JsonTable = {
-            "slot": slot,
-            "low": low,
-            "high": high,
-            "stamp": _stamp(files[-1:]),
-            "verdict": self._verdict(slot, "no sidecar"),
-        }
-        try:
+        slot = files[0].stem
+        row = {"slot": slot, "verdict": self._verdict(slot, "no sidecar"), **_scale(files)}
+        with suppress(ValueError):
             local = parse_utc(slot).astimezone(self._zone)
-        except ValueError:
-            return row
-        row["local"], row["date"] = f"{local:%a %d %b %Y, %H:%M}", local.date().isoformat()
+            row |= {"local": f"{local:%a %d %b %Y, %H:%M}", "date": local.date().isoformat()}
         return row
 
     def _verdict(self, slot: str, without_sidecar: str) -> str:
@@ -407,7 +365,7 @@ class Snapshots:
         until = paused_until(self._session, now)
         return None if until is None else f"{until.astimezone(self._zone):%H:%M}"
 
-    def _devices(self, journal: JournalState) -> JsonTable:
+    def _devices(self, journal: JournalFollower) -> JsonTable:
         table = self._session.table().get("devices", {})
         camera = table.get("camera", {})
         offset_s = camera.get("clock_offset_s")
@@ -415,7 +373,6 @@ class Snapshots:
             "camera": " ".join(str(camera.get(k, "")) for k in ("make", "model")).strip(),
             "camera_battery": str(camera.get("battery", "")),
             "camera_clock_offset_s": None if offset_s is None else float(offset_s),
-            "pyranometer": str(table.get("pyranometer", {}).get("model", "")),
             "away": {name: utc_text(t) for name, t in journal.away.items()},
         }
 
@@ -426,7 +383,7 @@ class Snapshots:
         per_day = 1e6 * planned * len(slots) / max(days, 1)
         return {"free_bytes": free, "days": free / per_day if per_day else None}
 
-    def _events(self, journal: JournalState) -> list[JsonTable]:
+    def _events(self, journal: JournalFollower) -> list[JsonTable]:
         """Return the latest events, newest first; equal sentences in a row become one."""
         rows: list[JsonTable] = []
         for event in reversed(journal.events):
@@ -465,26 +422,8 @@ class Snapshots:
         return t_utc.astimezone(self._zone).date()
 
 
-def _readable_scale(paths: list[Path]) -> tuple[float, float]:
-    """Return the scale of the panoramas that can be read; a merge may be writing one of them."""
-    good: list[Path] = []
-    for path in paths:
-        try:
-            scale_of([path])
-            good.append(path)
-        except (InputError, OSError):
-            continue
-    return scale_of(good)
-
-
-def _stamp(paths: list[Path]) -> str:
-    """Return a text that changes when one of the files is written again."""
-    return f"{max((path.stat().st_mtime_ns for path in paths), default=0):x}"
-
-
-def is_slot_id(text: str) -> bool:
-    """Return whether a text has the form of a slot's id, so that it is safe in a file name."""
-    try:
-        return slot_id(parse_utc(text)) == text
-    except ValueError:
-        return False
+def _scale(paths: list[Path]) -> JsonTable:
+    """Return one scale of panoramas, and a text that changes when one of them is written again."""
+    low, high = scale_of(paths)
+    stamp = max((path.stat().st_mtime_ns for path in paths), default=0)
+    return {"low": low, "high": high, "stamp": f"{stamp:x}"}

@@ -24,6 +24,7 @@ from fieldlum.learn.models import Fitted, Prediction, trusted_hours
 from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.held_out_choice import HeldOutErrors
 from fieldlum.learn.models.hour_weights import choice_weights
+from fieldlum.optics.projection import SEEN
 from fieldlum.session.files.held_out_npz import HeldOutMaps
 from fieldlum.session.files.scores_json import ScoreFigures
 from fieldlum.sky.sky_view.disc_in_view import disc_lx
@@ -151,7 +152,8 @@ def truth(data: Dataset, *, glare: bool = True) -> Truth:
     asked = np.zeros(n, bool)
     if glare:
         asked[np.unique(np.linspace(0, n - 1, min(n, GLARE_MAPS)).round().astype(int))] = True
-    views = panorama_views(*data.shape, data.heading_deg, view_azimuths_deg(data.heading_deg))
+    azimuths_deg = view_azimuths_deg(data.heading_deg)
+    views = panorama_views(*data.shape, data.heading_deg, azimuths_deg, data.seen)
     d = len(views.azimuths_deg)
     dgp, ev, contrast = (np.full((n, k), np.nan) for k in (d, d, RAMMG_LEVELS))
     for rows in _chunks(np.flatnonzero(asked)):
@@ -160,7 +162,7 @@ def truth(data: Dataset, *, glare: bool = True) -> Truth:
         dgp[rows], ev[rows] = glare_of["dgp"], glare_of["ev_lx"]
         contrast[rows] = _contrast(part.luminance_cdm2, part)
     own_disc = disc_lx(data.sky_view, data.setup, data.light) if glare else None
-    full = view_coverage(data.seen, views).complete
+    full = view_coverage(views).is_any(SEEN)
     full = full if full.any() else np.ones(d, bool)
     weight = choice_weights(data)
     return Truth(data, data.weights, views, asked, dgp, contrast, ev, full, weight, own_disc)
@@ -173,14 +175,7 @@ def _chunks(rows: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
 
 def _glare(maps: Floats32, data: Dataset, views: Views) -> dict[str, Floats]:
     """Return glare of maps with the true disc, [n, d] each."""
-    return glare_directions(
-        maps,
-        data.heading_deg,
-        views.azimuths_deg,
-        data.light.shown_sun_direction,
-        data.disc_lx,
-        views=views,
-    )
+    return glare_directions(maps, views, data.light.shown_sun_direction, data.disc_lx)
 
 
 def _contrast(maps: Floats32, data: Dataset) -> Floats:

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from fieldlum.core.arrays import Floats, Floats32, Mask
-from fieldlum.core.false_colour import rounded_scale
+from fieldlum.core.false_colour import luminance_ends
 from fieldlum.core.records import Flag
 from fieldlum.optics.projection import direction, equirect_rays, equirect_solid_angles
-from fieldlum.year.glare.own_pixels import glare_of_pixels
-from fieldlum.year.glare.picture_view import PictureView, picture_grid, picture_rays
+from fieldlum.year.glare.picture_view import PictureView, picture_centres, picture_rays
 from fieldlum.year.glare.pictures import Picture, read_picture
-from fieldlum.year.glare.single import picture_glare
+from fieldlum.year.glare.single import judged
+from fieldlum.year.glare.sources import Sources
 
 _COUNTS = {"rect": 4, "circle": 3, "cone": 3}
 FORMS = "rect:x,y,w,h, circle:x,y,r, polygon:x1,y1,x2,y2,x3,y3... or cone:AZ,ALT,RADIUS"
@@ -108,24 +107,6 @@ def region_statistics(region: Region, picture: MeasuredPicture) -> dict[str, flo
     }
 
 
-def shared_scale(pictures: Sequence[MeasuredPicture]) -> tuple[float, float]:
-    """Return the ends of a scale [cd/m2] for all pictures together.
-
-    They are the lowest 1 % and the highest 99.9 % percentile of a picture's luminances above 0,
-    rounded outwards to one digit, and at least a factor of ten apart; 1 and 1000 without such
-    luminances.
-    """
-    lows, highs = [], []
-    for picture in pictures:
-        step = max(1, picture.luminance_cdm2.size // 200_000)
-        values = picture.luminance_cdm2[picture.solid_angle_sr > 0].ravel()[::step]
-        values = values[np.isfinite(values) & (values > 0)]
-        if len(values):
-            lows.append(float(np.percentile(values, 1)))
-            highs.append(float(np.percentile(values, 99.9)))
-    return rounded_scale(*((min(lows), max(highs)) if lows else (1.0, 1000.0)))
-
-
 _DRAWN_SOURCES = 12  # strongest sources with an outline; not measured
 Outline = tuple[tuple[int, int], ...]
 
@@ -155,6 +136,11 @@ class MeasuredPicture:
     outlines: tuple[Outline, ...]
     notes: tuple[str, ...]
 
+    @property
+    def ends_cdm2(self) -> tuple[float, float] | None:
+        """The `luminance_ends` of the pixels with a direction."""
+        return luminance_ends(np.where(self.solid_angle_sr > 0, self.luminance_cdm2, np.nan))
+
     def cosine_to(self, towards: Floats) -> Floats:
         """Return the cosine between pixels and a unit vector (x east, y north, z up), [H, W].
 
@@ -163,12 +149,9 @@ class MeasuredPicture:
         height, width = self.luminance_cdm2.shape
         if self.view is None:
             return equirect_rays(height, width, self.heading_deg) @ towards
-        right, up, forward = self.view.frame @ towards
-        y = 0.5 - (np.arange(height) + 0.5) / height
-        x = (np.arange(width) + 0.5) / width - 0.5
-        rays = picture_rays(self.view, x[None, :], y[:, None])
-        cosine = rays.right * right + rays.up * up + rays.forward * forward
-        return np.where(rays.density > 0, cosine, -1.0)
+        y, x = picture_centres(height, width)
+        cosine = picture_rays(self.view, x, y)[0] @ (self.view.frame @ towards)
+        return np.where(self.solid_angle_sr > 0, cosine, -1.0)
 
 
 def read_measured_picture(path: Path, part: str = "") -> MeasuredPicture:
@@ -182,7 +165,7 @@ def read_measured_picture(path: Path, part: str = "") -> MeasuredPicture:
     if panorama.flags is not None:
         luminance[(panorama.flags & Flag.OUTSIDE_LENS) > 0] = np.nan
     azimuths_deg = (panorama.heading_deg,) if picture.view is None else ()
-    answer = picture_glare(path, azimuths_deg, part=part)
+    answer, sources = judged(picture, path, azimuths_deg)
     row = answer["views"][0]
     edi, u_edi = row["melanopic_edi_lx"], row["u_melanopic_edi_lx"]
     return MeasuredPicture(
@@ -195,7 +178,7 @@ def read_measured_picture(path: Path, part: str = "") -> MeasuredPicture:
         ev_lx=row["ev_lx"],
         dgp=row["dgp"],
         edi_lx=None if edi is None or u_edi is None else (edi, u_edi),
-        outlines=_outlines(picture, luminance),
+        outlines=() if picture.view is None else _outlines(sources, luminance.shape),
         notes=tuple(answer["warnings"]),
     )
 
@@ -205,23 +188,18 @@ def _solid_angles(picture: Picture) -> Floats32:
     height, width = picture.panorama.luminance_cdm2.shape
     if picture.view is None:
         return equirect_solid_angles(height, width).astype(np.float32)
-    y = 0.5 - (np.arange(height) + 0.5) / height
-    x = (np.arange(width) + 0.5) / width - 0.5
-    density = picture_rays(picture.view, x[None, :], y[:, None]).density
-    return (density / (height * width)).astype(np.float32)
+    y, x = picture_centres(height, width)
+    return (picture_rays(picture.view, x, y)[1] / (height * width)).astype(np.float32)
 
 
-def _outlines(picture: Picture, luminance: Floats32) -> tuple[Outline, ...]:
-    """Return polygons around the strongest sources; none for a panorama, which has many views."""
+def _outlines(sources: Sources, shape: tuple[int, ...]) -> tuple[Outline, ...]:
+    """Return polygons around the strongest sources of a single view."""
     import cv2
 
-    if picture.view is None:
-        return ()
-    pixels = np.maximum(np.nan_to_num(luminance), 0.0)
-    label = glare_of_pixels(pixels, picture_grid(picture.view, *pixels.shape))[1].label
     outlines: list[Outline] = []
-    for number in range(1, min(int(label.max()), _DRAWN_SOURCES) + 1):
-        mask = (label == number).astype(np.uint8)
+    for number in np.argsort(sources.contrast[:, 0])[::-1][:_DRAWN_SOURCES]:
+        mask = np.zeros(shape, np.uint8)
+        mask.flat[sources.pixels[number]] = 1
         contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
         for contour in sorted(contours, key=len, reverse=True)[:20]:
             points = cv2.approxPolyDP(contour, 1.0, True).reshape(-1, 2)

@@ -13,12 +13,13 @@ from pathlib import Path
 import numpy as np
 
 from fieldlum.core.arrays import Floats32
-from fieldlum.core.false_colour import COLOUR_MAP, colour_table
+from fieldlum.core.false_colour import colour_table, shared_scale
 from fieldlum.core.records import JsonTable
-from fieldlum.report.view.measured_picture import MeasuredPicture, Region, region_mask, shared_scale
+from fieldlum.report.figures import picture_grid, png
+from fieldlum.report.view.measured_picture import MeasuredPicture, Region, region_mask
 
 _INCHES, _DPI = 6.4, 150  # 960 pixels wide
-_MOST_PIXELS = 1200  # drawn along an edge; more is not visible at this size; chosen
+_MAX_PIXELS = 1200  # drawn along an edge; more is not visible at this size; chosen
 
 
 def write_png(
@@ -28,36 +29,25 @@ def write_png(
 
     isolines: draw lines at the powers of ten.
     """
-    from matplotlib.colors import LogNorm
-    from matplotlib.figure import Figure
-
-    low, high = shared_scale(pictures)
-    figure = Figure(
-        figsize=(_INCHES * len(pictures) + 1.0, _INCHES), dpi=_DPI, layout="constrained"
-    )
-    axes = figure.subplots(1, len(pictures), squeeze=False)[0]
-    norm = LogNorm(low, high)
-    image = None
-    for axis, picture in zip(axes, pictures, strict=True):
-        step = max(1, -(-max(picture.luminance_cdm2.shape) // _MOST_PIXELS))
-        values = np.where(picture.solid_angle_sr > 0, picture.luminance_cdm2, np.nan)
-        values = np.maximum(values[::step, ::step], low * 1e-3)
-        height, width = picture.luminance_cdm2.shape
-        extent = (0.0, float(width), float(height), 0.0)
-        image = axis.imshow(values, norm=norm, cmap=COLOUR_MAP, extent=extent)
+    low, high = shared_scale(picture.ends_cdm2 for picture in pictures)
+    maps = [
+        np.where(picture.solid_angle_sr > 0, picture.luminance_cdm2, np.nan) for picture in pictures
+    ]
+    figure, cells = picture_grid(maps, map(_title, pictures), len(maps), _INCHES, (low, high))
+    for axis, picture, values in zip(cells, pictures, maps, strict=True):
         _draw_marks(axis, picture, regions)
         if isolines:
-            levels = 10.0 ** np.arange(np.ceil(np.log10(low)), np.floor(np.log10(high)) + 1)
+            step = max(1, -(-max(values.shape) // _MAX_PIXELS))
+            height, width = values.shape
             lines = axis.contour(
-                values, levels, colors="white", linewidths=0.6, extent=extent, origin="upper"
+                np.maximum(values[::step, ::step], low * 1e-3),
+                10.0 ** np.arange(np.ceil(np.log10(low)), np.floor(np.log10(high)) + 1),
+                colors="white",
+                linewidths=0.6,
+                extent=(0.0, width, 0.0, height),
             )
             axis.clabel(lines, fontsize=6, fmt="%g")
-        axis.set_title(_title(picture), fontsize=8)
-        axis.set_axis_off()
-    if image is not None:
-        bar = figure.colorbar(image, ax=list(axes), shrink=0.8, extend="both")
-        bar.set_label("luminance, cd/m²")
-    figure.savefig(path, format="png")
+    path.write_bytes(png(figure, _DPI))
 
 
 def _title(picture: MeasuredPicture) -> str:
@@ -123,7 +113,7 @@ def encode_uncertainty(picture: MeasuredPicture) -> str:
 
 def write_page(path: Path, pictures: Sequence[MeasuredPicture], rows: Sequence[JsonTable]) -> None:
     """Write one self-contained page: pictures, their figures, and the rows of the regions."""
-    low, high = shared_scale(pictures)
+    low, high = shared_scale(picture.ends_cdm2 for picture in pictures)
     about = {
         "pictures": [_about(picture) for picture in pictures],
         "rows": list(rows),

@@ -24,11 +24,16 @@ from fieldlum.session.panorama_sun import MEASURED_ORIGINS
 from fieldlum.session.writing import replacing
 from fieldlum.sky.sky_view import SkyView
 from fieldlum.sky.sky_view.pose import STATED_SD
-from fieldlum.year.glare.answers import seen_pixels, valid_pixels
 from fieldlum.year.glare.geometry import panorama_views
 from fieldlum.year.glare.metrics import glare_directions
 from fieldlum.year.glare.pictures import read_picture
-from fieldlum.year.glare.standards import GlareDoubt, dgp_per_scale, exceeded_in_share, year_errors
+from fieldlum.year.glare.single import seen_pixels, valid_pixels
+from fieldlum.year.glare.standards import (
+    DgpUncertainty,
+    dgp_per_scale,
+    exceeded_in_share,
+    year_errors,
+)
 
 # relative u of a disc's illuminance by DNI: luminous efficacy and glass together; not measured
 U_DISC = 0.05
@@ -90,9 +95,7 @@ class _Scene(NamedTuple):
         grid = panorama_views(height, width, panorama.heading_deg, azimuths_deg)
         rays = None if sun is None else direction(sun.altitude_deg, sun.azimuth_deg)[None]
         lx = None if sun is None else np.array([sun.normal_illuminance_lx * sun_factor])
-        parts = glare_directions(
-            light[None], panorama.heading_deg, azimuths_deg, rays, lx, views=grid
-        )
+        parts = glare_directions(light[None], grid, rays, lx)
         figures = {"DGP": parts["dgp"][0], "Ev": parts["ev_lx"][0]}
         if melanopic_ratio(panorama) is not None:
             figures["melanopic EDI"] = melanopic_edi(
@@ -142,16 +145,14 @@ def picture_budget(
 def year_budget(
     dgp: Floats,
     ev_lx: Floats,
-    u_maps: Floats,
-    doubt: GlareDoubt,
+    doubt: DgpUncertainty,
     occupied_hours: int,
     azimuths_deg: Floats,
     u_scale: float,
 ) -> list[Budget]:
     """Return the budget of the DGP that is exceeded in 5 % of the occupied hours, by direction.
 
-    dgp, ev_lx, u_maps [n, d]: of the n lit occupied hours, with the standard uncertainty of DGP by
-    the model's maps (with the disc's illuminance). doubt: of disc and unseen parts, in these hours.
+    dgp, ev_lx [n, d], doubt: of the n lit occupied hours.
     u_scale: relative standard uncertainty of the camera's scale. Another year's weather, a blind
     that moves and clouds that move within the hour are not in it.
     """
@@ -161,7 +162,7 @@ def year_budget(
         return exceeded_in_share(np.clip(values, 0.0, 1.0), occupied_hours)
 
     rng = np.random.default_rng(0)
-    errors = (np.nan_to_num(u_maps) * year_errors(dgp.shape, rng) for _ in range(DRAWS))
+    errors = (np.nan_to_num(doubt.u_maps) * year_errors(dgp.shape, rng) for _ in range(DRAWS))
     of_scale = u_scale * dgp_per_scale(dgp, ev_lx)
     sources = [
         (
@@ -174,10 +175,10 @@ def year_budget(
         ),
         (
             Source("part of the view that no lens saw", "B", _RECTANGULAR, 1.0, "u", 0.0, "hour"),
-            np.abs(exceeded(doubt.most) - exceeded(doubt.least)) / np.sqrt(12.0),
+            np.abs(exceeded(doubt.maximum) - exceeded(doubt.minimum)) / np.sqrt(12.0),
         ),
     ]
-    if doubt.drawn is not None:
+    if len(doubt.drawn) > 1:
         source = Source("whether the sun's disc is seen", "B", _NORMAL, 1.0, "u", 0.0, "all hours")
         sources.append((source, np.std([exceeded(d) for d in doubt.drawn], axis=0)))
     rows = [(source, {"DGP exceeded in 5 %": part}) for source, part in sources]

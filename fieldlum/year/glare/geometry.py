@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from fieldlum.core.arrays import Floats, Floats32
+from fieldlum.core.arrays import Floats, Floats32, Mask
 from fieldlum.optics.projection import direction, equirect_rays, equirect_solid_angles
 
 PAPER_VIEWS = 10  # horizontal, 36 degrees apart (Liu, Colburn and Inanici 2020)
-LARGEST_POSITION_INDEX = 16.0  # as evalglare limits it (source of evalglare 3)
+MAX_POSITION_INDEX = 16.0  # as evalglare limits it (source of evalglare 3)
 
 
 def view_azimuths_deg(heading_deg: float, views: int = PAPER_VIEWS) -> Floats:
@@ -67,49 +67,74 @@ def position_index(right_rad: ArrayLike, up_rad: ArrayLike) -> Floats:
     )
     beta = np.degrees(np.arctan(slope))
     below = np.exp(6.49e-3 * beta + 21e-5 * beta**2)
-    return np.minimum(np.where(up < 0.0, below, above), LARGEST_POSITION_INDEX)
+    return np.minimum(np.where(up < 0.0, below, above), MAX_POSITION_INDEX)
 
 
 @dataclass(frozen=True, slots=True)
 class Views:
-    """The weights of each panorama pixel for each of d horizontal view directions.
+    """The weights of each pixel of a picture of P pixels for each of d view directions.
 
+    A panorama has any number of horizontal directions, another picture its own one.
     azimuths_deg : [d] the view directions, clockwise from north. frames : [d, 3, 3] unit vectors
-    right, up and forward of each as rows. illuminance : [H * W, d] solid angle times cosine to the
-    view direction, sr, 0 behind the observer; its product with a flat map is Ev. moments : [H * W,
-    3, d] solid angle, sr, and this times the pixel's coordinates right and up by
-    `angles_from_view`; 0 behind. shape : (H, W) of the panorama.
+    right, up and forward of each as rows. illuminance : [P, d] solid angle times cosine to the
+    view direction, sr; its product with a flat map is Ev. moments : [P, 3, d] solid angle, sr, and
+    this times the pixel's coordinates right and up by `angles_from_view`. Both are 0 behind the
+    observer and for pixels that no lens saw. ahead : [P, d] pixels with a weight whose centre is in
+    front. hemisphere : [5, d] sums over the complete hemisphere in front: of illuminance, of
+    moments, and of solid angle over squared position index.
     """
 
     azimuths_deg: Floats
     frames: Floats
     illuminance: Floats32
     moments: Floats32
-    shape: tuple[int, int]
+    ahead: Mask
+    hemisphere: Floats
+    is_panorama: bool = True
+
+    def rays(self, pixels: NDArray[np.int64] | slice = slice(None)) -> tuple[Floats, Floats]:
+        """Return unit vectors (right, up, forward) [n, 3, d] and solid angles [n, d] of n pixels.
+
+        Only those of pixels with a solid angle above 0 have a meaning.
+        """
+        omega, right, up = np.moveaxis(self.moments[pixels], 1, 0)
+        right, up = right / np.maximum(omega, 1e-30), up / np.maximum(omega, 1e-30)
+        angle = np.hypot(right, up)
+        ratio = np.sinc(angle / np.pi)  # sin(angle) / angle
+        return np.stack([right * ratio, up * ratio, np.cos(angle)], axis=1), omega
 
 
-def panorama_views(height: int, width: int, heading_deg: float, azimuths_deg: ArrayLike) -> Views:
+def panorama_views(
+    height: int,
+    width: int,
+    heading_deg: float,
+    azimuths_deg: ArrayLike,
+    seen_mask: Mask | None = None,
+) -> Views:
     """Return the weights of a panorama's pixels in d view directions, the same for all hours.
 
     height, width : of the panorama in pixels; heading_deg : azimuth of its centre column;
-    azimuths_deg : [d] view directions; azimuths are clockwise from north. The weights need 16 bytes
-    of memory for each pixel and direction.
+    azimuths_deg : [d] view directions; azimuths are clockwise from north. seen_mask : pixels that a
+    lens saw [H, W]; None for all. The weights need 16 bytes of memory for each pixel and direction.
     """
     azimuths = np.atleast_1d(np.asarray(azimuths_deg, float))
     rays = equirect_rays(height, width, heading_deg).reshape(-1, 3)
     omega = equirect_solid_angles(height, width).ravel()
+    seen = 1.0 if seen_mask is None else seen_mask.ravel()
     illuminance = np.empty((len(rays), len(azimuths)), np.float32)
     moments = np.empty((len(rays), 3, len(azimuths)), np.float32)
     frames = np.stack([view_frame(azimuth) for azimuth in azimuths])
+    hemisphere = np.empty((5, len(azimuths)))
+    closure = _cosine_closure(height, width)
     for i, frame in enumerate(frames):
         right, up, cosine = angles_from_view(rays, frame)
         facing_sr = omega * (cosine > 0)
-        illuminance[:, i] = facing_sr * cosine
-        moments[:, 0, i] = facing_sr
-        moments[:, 1, i] = facing_sr * right
-        moments[:, 2, i] = facing_sr * up
-    illuminance *= _cosine_closure(height, width)
-    return Views(azimuths, frames, illuminance, moments, (height, width))
+        weights = facing_sr * np.stack([cosine * closure, np.ones_like(up), right, up])
+        hemisphere[:4, i] = weights.sum(axis=1)
+        hemisphere[4, i] = (facing_sr / position_index(right, up) ** 2).sum()
+        illuminance[:, i], *parts = weights * seen
+        moments[:, :, i] = np.transpose(parts)
+    return Views(azimuths, frames, illuminance, moments, moments[:, 0] > 0.0, hemisphere)
 
 
 def _cosine_closure(height: int, width: int) -> float:

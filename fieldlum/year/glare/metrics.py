@@ -17,17 +17,17 @@ from numpy.typing import ArrayLike
 
 from fieldlum.core.arrays import Floats
 from fieldlum.sky.sun import SUN_SOLID_ANGLE_SR
-from fieldlum.year.glare.geometry import Views, angles_from_view, panorama_views, position_index
-from fieldlum.year.glare.sources import sources_of
+from fieldlum.year.glare.geometry import Views, angles_from_view, position_index
+from fieldlum.year.glare.sources import Sources, glare_sources
 
 # What a disc of 1 lx adds, by `sun_per_lx`, and its illuminance [..., n] in lx.
 DiscLight = tuple[tuple[Floats, Floats], Floats]
 
 _VEILING_AGE = 70.0  # CIE 146:2002, age-adjusted Stiles-Holladay: 1 + (age / 70)^4
-YOUNG_AGE = 25.0  # age in years for the first of the two veiling luminances; chosen
-OLD_AGE = 70.0  # age in years for the second; chosen: CIE 146:2002 then doubles the luminance
-_LEAST_GLARE_ANGLE_RAD = float(np.radians(1.0))  # Stiles-Holladay is valid from 1 to 30 degrees
+YOUNG_AGE, OLD_AGE = 25.0, 70.0  # years, of the two veiling luminances; at 70 CIE 146 doubles it
+_MIN_GLARE_ANGLE_RAD = float(np.radians(1.0))  # Stiles-Holladay is valid from 1 to 30 degrees
 
+_BLOCK = 1 << 16  # pixels whose light is summed in single precision: errors below 1e-5; chosen
 # Wienold and Christoffersen 2006 print 5.87e-5, 9.18e-2 and 0.16. evalglare computes with the
 # digits here, and so does fieldlum, so that both agree.
 DGP_EV = 5.87e-5
@@ -70,7 +70,7 @@ def ugr(contrast: ArrayLike, background_cdm2: ArrayLike) -> Floats:
 def dgi(source_sum: ArrayLike) -> Floats:
     """Return the daylight glare index DGI, 10 log10 of `source_sum`, [...]; NaN without a source.
 
-    source_sum : Hopkinson's terms summed over sources, the third row of `sums_of_sources`
+    source_sum : Hopkinson's terms summed over sources, the third row of `_source_sums`
     (Hopkinson 1972, with the position index P for windows).
     """
     total = np.asarray(source_sum, float)
@@ -118,7 +118,7 @@ class ViewSums:
 
     ev_lx : vertical illuminance; source_ev_lx : its part from glare sources; background_cdm2 : the
     rest of the map over pi. contrast : sum of L^2 omega / P^2 over sources; dgi_sum, veiling_sum :
-    third and fourth row of `sums_of_sources`.
+    third and fourth row of `_source_sums`.
     """
 
     ev_lx: Floats
@@ -152,40 +152,47 @@ METRICS: dict[str, Metric] = {
 
 def glare_directions(
     luminance_cdm2: Floats,
-    heading_deg: float,
-    azimuths_deg: ArrayLike,
+    views: Views,
     sun_direction: Floats | None = None,
     disc_lx: Floats | None = None,
     *,
-    views: Views | None = None,
+    sources: Sequence[Sources] | None = None,
 ) -> dict[str, Floats]:
-    """Return the glare of n panoramas in d horizontal view directions by name, [n, d] each.
+    """Return the glare of n maps in d view directions by name, [n, d] each.
 
-    luminance_cdm2 : [n, H, W] without the sun's disc. heading_deg : azimuth of the centre column;
-    azimuths_deg : [d] view directions; both clockwise from north.
+    luminance_cdm2 : [n, H, W] without the sun's disc; views : weights of their pixels.
     sun_direction : [n, 3] unit vectors (x east, y north, z up), or [m, n, 3] of the sun and images
     of it in mirrors; None without a sun.
     disc_lx : [n] or [m, n] illuminance from each, at the lens, on a plane normal to it; 0 where it
     is hidden; None without a sun.
-    views : weights from `panorama_views`, which then replace heading_deg and azimuths_deg; pass
-    them if you call this for many blocks of hours.
+    sources : `glare_sources` of each map, if they are known.
 
     Keys: those of `METRICS`, and the parts of DGP: contrast is the sum of L^2 omega / P^2 over
     sources; sun_contrast and sun_ev_lx are the parts of sun and images in contrast and Ev. ugr,
     dgi, ugp and cgi are NaN without a source.
     """
     maps = np.asarray(luminance_cdm2, np.float32)
-    count, height, width = maps.shape
-    views = views or panorama_views(height, width, heading_deg, azimuths_deg)
-    flat = maps.reshape(count, -1)
+    count = len(maps)
     disc = np.zeros(count) if disc_lx is None else np.asarray(disc_lx, float)
     sun = np.zeros((count, 3)) if sun_direction is None else np.asarray(sun_direction, float)
     right, up, cosine = _sun_angles(sun, views)  # [n, d], or [m, n, d]
-    map_ev = (flat @ views.illuminance).astype(float)
-    sums = np.stack([_source_sums(flat[i], maps[i], views, map_ev[i]) for i in range(count)])
+    map_ev = map_ev_lx(maps, views)
+    sources = sources or [glare_sources(image, views) for image in maps]
+    sums = np.stack([_source_sums(*each) for each in zip(sources, map_ev, strict=True)])
     sun_cdm2 = disc[..., None] * (cosine > 0) / SUN_SOLID_ANGLE_SR
     sun_ev = disc[..., None] * np.clip(cosine, 0.0, None)
     return combine(map_ev, sun_ev, sums, sun_cdm2, right, up)
+
+
+def map_ev_lx(luminance_cdm2: Floats, views: Views) -> Floats:
+    """Return the vertical illuminance by n maps [n, H, W] in d view directions, [n, d] in lx.
+
+    The sums of blocks of pixels are added in double precision.
+    """
+    flat = luminance_cdm2.reshape(len(luminance_cdm2), -1)
+    starts = range(0, flat.shape[1], _BLOCK)
+    parts = [flat[:, k : k + _BLOCK] @ views.illuminance[k : k + _BLOCK] for k in starts]
+    return np.sum(parts, axis=0, dtype=float)
 
 
 def sun_per_lx(sun_direction: Floats, views: Views) -> tuple[Floats, Floats]:
@@ -229,61 +236,25 @@ def _sun_angles(sun: Floats, views: Views) -> tuple[Floats, Floats, Floats]:
     return right, up, cosine
 
 
-def _source_sums(flat: Floats, image: Floats, views: Views, ev: Floats) -> Floats:
-    """Return `sums_of_sources` of a map's sources for d views, [4, d]."""
-    groups = sources_of(image)
-    if not groups:
-        return np.zeros((4, len(views.azimuths_deg)))
-    means, omegas, places, illuminances = [], [], [], []
-    for pixels in groups:
-        weights = views.moments[pixels]
-        bright = flat[pixels]
-        omega = weights[:, 0].sum(axis=0, dtype=float)
-        power, right, up = np.tensordot(bright, weights, axes=1).astype(float)
-        least_power = np.maximum(power, 1e-30)
-        means.append(power / np.maximum(omega, 1e-30))
-        omegas.append(omega)
-        places.append((right / least_power, up / least_power))
-        illuminances.append(bright @ views.illuminance[pixels])
-    right, up = np.moveaxis(np.array(places), 1, 0)  # [s, d] each
-    return sums_of_sources(
-        np.stack(means), np.stack(omegas), right, up, np.stack(illuminances).astype(float), ev
-    )
+def _source_sums(sources: Sources, ev: Floats) -> Floats:
+    """Return four sums over the sources of a map in each of d views, [4, d], without the disc.
 
-
-def sums_of_sources(
-    mean_cdm2: Floats,
-    omega_sr: Floats,
-    right_rad: Floats,
-    up_rad: Floats,
-    source_ev_lx: Floats,
-    ev: Floats,
-) -> Floats:
-    """Return four sums over the s glare sources in each of d views, [4, d], without the sun's disc.
-
-    mean_cdm2, omega_sr, right_rad, up_rad, source_ev_lx : [s, d] mean luminance, solid angle,
-    coordinates of the centre by `angles_from_view`, and vertical illuminance of each source. ev :
-    [d] vertical illuminance of the complete map, lx.
-
-    Rows: L^2 omega / P^2 (`contrast`); vertical illuminance from the sources, lx; Hopkinson's terms
-    for `dgi`; illuminance over the squared angle from the line of sight [lx/deg2] for
-    `veiling_cdm2`.
+    ev : [d] vertical illuminance of the complete map, lx. Rows: L^2 omega / P^2 (`contrast`);
+    vertical illuminance from the sources, lx; Hopkinson's terms for `dgi`; illuminance over the
+    squared angle from the line of sight [lx/deg2] for `veiling_cdm2`.
     """
-    index = position_index(right_rad, up_rad)
-    background = np.maximum(ev - source_ev_lx.sum(axis=0), 0.0) / np.pi
-    return np.stack(
-        [
-            (mean_cdm2**2 * omega_sr / index**2).sum(axis=0),
-            source_ev_lx.sum(axis=0),
-            _dgi_terms(mean_cdm2, omega_sr, index, background).sum(axis=0),
-            (source_ev_lx / _glare_angle_deg(right_rad, up_rad) ** 2).sum(axis=0),
-        ]
-    )
+    index = position_index(sources.right_rad, sources.up_rad)
+    source_ev = sources.ev_lx.sum(axis=0)
+    background = np.maximum(ev - source_ev, 0.0) / np.pi
+    angle_deg = _glare_angle_deg(sources.right_rad, sources.up_rad)
+    terms = _dgi_terms(sources.mean_cdm2, sources.solid_angle_sr, index, background)
+    veil = (sources.ev_lx / angle_deg**2).sum(axis=0)
+    return np.stack([sources.contrast.sum(axis=0), source_ev, terms.sum(axis=0), veil])
 
 
 def _glare_angle_deg(right_rad: Floats, up_rad: Floats) -> Floats:
     """Return the angle from the line of sight, at least 1 degree (validity of Stiles-Holladay)."""
-    return np.degrees(np.maximum(np.hypot(right_rad, up_rad), _LEAST_GLARE_ANGLE_RAD))
+    return np.degrees(np.maximum(np.hypot(right_rad, up_rad), _MIN_GLARE_ANGLE_RAD))
 
 
 def _dgi_terms(mean: Floats, omega: Floats, index: Floats, background: Floats) -> Floats:
@@ -302,7 +273,7 @@ def combine(
 ) -> dict[str, Floats]:
     """Add the sun to the other sources and return all figures of `glare_directions`, [n, d] each.
 
-    map_ev : [n, d] vertical illuminance from the map, lx; sums : [n, 4, d] by `sums_of_sources`,
+    map_ev : [n, d] vertical illuminance from the map, lx; sums : [n, 4, d] by `_source_sums`,
     without the sun. sun_ev, sun_cdm2, sun_right, sun_up : [n, d], or [m, n, d] for the sun and
     images of it: vertical illuminance [lx] and luminance of the disc [cd/m2], both 0 for a sun
     behind the observer, and its coordinates right and up [rad].

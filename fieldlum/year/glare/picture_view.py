@@ -7,144 +7,83 @@ the picture, plus shift (-vs) and lift (-vl) in picture widths and heights.
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fieldlum.core.arrays import Floats, Floats32, Mask
+from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.errors import InputError
 from fieldlum.optics.projection import direction
-from fieldlum.year.glare.contrast import BAND_DEG, TASK_ALTITUDE_DEG, TASK_RADIUS_DEG
+from fieldlum.year.glare.geometry import Views, angles_from_view
 
+# Sum of solid angle over squared position index of a hemisphere, sr: the integral of
+# `position_index` (test_a_hemisphere_has_its_sources).
+HEMISPHERE_SOURCES_SR = 0.84636
 _BLOCK_PIXELS = 250_000  # pixels processed at a time: about 40 MB of temporary arrays; chosen
-# Samples along an edge of the picture, which make solid angles exact to 1e-4. Chosen.
-_FINE_SAMPLES = 400
-# Samples along an edge of a pixel that the hemisphere's edge crosses; chosen, not measured.
-_RIM_SAMPLES = 8
-# below this cosine, the solid angle of a -vth pixel varies within the pixel; chosen
-_GRAZING_COSINE = 0.1
+# Samples along an edge of the picture and most along an edge of a pixel, with which solid angles
+# are exact to 5e-3 (test_a_uniform_hemisphere_gives_pi_l_in_every_mapping).
+_FINE_SAMPLES, _MAX_PIXEL_SAMPLES = 1000, 8
 
 
-@dataclass(frozen=True, slots=True)
-class PictureGrid:
-    """The weights of each pixel of a picture with the view `view`, [H, W] each.
-
-    solid_angle : of the pixel's part in front of the observer, sr; illuminance : this times the
-    cosine to the view direction, sr. Both are 0 behind the observer. task, band : masks, True for
-    pixels in the task cone and in the horizontal band (see `contrast.ViewRegions`).
-    """
-
-    view: PictureView
-    solid_angle: Floats32
-    illuminance: Floats32
-    task: Mask
-    band: Mask
-
-    @property
-    def covered_share(self) -> float:
-        """Share (0 to 1) of the front hemisphere's solid angle that the picture covers."""
-        return min(1.0, float(self.solid_angle.sum(dtype=float)) / (2.0 * np.pi))
-
-
-def picture_grid(view: PictureView, height: int, width: int) -> PictureGrid:
+def picture_views(
+    view: PictureView, height: int, width: int, seen_mask: Mask | None = None
+) -> Views:
     """Return the weights of each pixel of a picture of height x width pixels with a Radiance view.
 
-    They need 10 bytes of memory for each pixel.
+    seen_mask : pixels that a lens saw [H, W]; None for all. A pixel on the edge of the hemisphere
+    has the weight of its part in front. The weights need 16 bytes of memory for each pixel.
     """
-    solid_angle = np.zeros((height, width), np.float32)
-    illuminance = np.zeros((height, width), np.float32)
-    task, band = np.zeros((height, width), bool), np.zeros((height, width), bool)
-    samples = int(np.clip(np.ceil(_FINE_SAMPLES / min(height, width)), 1, _RIM_SAMPLES))
-    for rows in row_blocks(height, width):
-        y, x = centres(rows, height, width)
-        rays = picture_rays(view, x, y)
-        task[rows], band[rows] = _regions(rays.up, rays.forward)
-        solid_angle[rows], illuminance[rows] = _weights(view, x, y, (height, width), samples)
-        rim = _rim(view, x, y, (height, width))
-        if samples < _RIM_SAMPLES and rim.any():
-            row, column = np.nonzero(rim)
-            fine = _weights(view, x[0, column], y[row, 0], (height, width), _RIM_SAMPLES)
-            solid_angle[rows][rim], illuminance[rows][rim] = fine
-    return PictureGrid(view, solid_angle, illuminance, task, band)
+    fine = np.ceil(_FINE_SAMPLES / min(height, width)).clip(1, _MAX_PIXEL_SAMPLES).astype(int)
+    steps = (np.arange(fine) + 0.5) / fine - 0.5
+    weights, ahead = np.zeros((height, width, 4), np.float32), np.zeros((height, width), bool)
+    pixel = 1.0 / (height * width * fine**2)
+    block = max(1, _BLOCK_PIXELS // width)
+    for first in range(0, height, block):
+        rows = slice(first, first + block)
+        y, x = picture_centres(height, width, rows)
+        ahead[rows] = picture_rays(view, x, y)[0][..., 2] > 0.0
+        for dy, dx in product(steps / height, steps / width):
+            rays, density = picture_rays(view, x + dx, y + dy)
+            right, up, cosine = angles_from_view(rays, np.eye(3))
+            part = np.where(cosine > 0.0, density * pixel, 0.0)
+            weights[rows] += np.stack([part * cosine, part, part * right, part * up], axis=-1)
+    if seen_mask is not None:
+        weights[~seen_mask] = 0.0
+        ahead &= seen_mask
+    flat, azimuths = weights.reshape(-1, 4, 1), np.array([view.azimuth_deg])
+    return Views(
+        azimuths,
+        view.frame[None],
+        flat[:, 0],
+        flat[:, 1:],
+        ahead.reshape(-1, 1),
+        np.array([[np.pi], [2.0 * np.pi], [0.0], [0.0], [HEMISPHERE_SOURCES_SR]]),
+        is_panorama=False,
+    )
 
 
-def row_blocks(height: int, width: int) -> Iterator[slice]:
-    """Yield slices of rows, from the top, that divide a picture of height x width pixels.
-
-    A slice has at most 250 000 pixels, but at least one row.
-    """
-    step = max(1, _BLOCK_PIXELS // width)
-    for first in range(0, height, step):
-        yield slice(first, min(first + step, height))
-
-
-def centres(rows: slice, height: int, width: int) -> tuple[Floats, Floats]:
+def picture_centres(height: int, width: int, rows: slice = slice(None)) -> tuple[Floats, Floats]:
     """Return y [k, 1] and x [1, W] of the centres of pixels in the k rows of the slice `rows`.
 
     Both run from -1/2 to 1/2 over the picture of height x width pixels, x to the right, y upwards;
     row 0 is at the top.
     """
-    y = 0.5 - (np.arange(rows.start, rows.stop) + 0.5) / height
-    x = (np.arange(width) + 0.5) / width - 0.5
-    return y[:, None], x[None, :]
+    y = 0.5 - (np.arange(height)[rows] + 0.5) / height
+    return y[:, None], (np.arange(width)[None, :] + 0.5) / width - 0.5
 
 
-def _weights(
-    view: PictureView, x: Floats, y: Floats, shape: tuple[int, int], samples: int
-) -> tuple[Floats, Floats]:
-    """Return solid angle, and solid angle times cosine, of each pixel's part in front, in sr."""
-    height, width = shape
-    steps = (np.arange(samples) + 0.5) / samples - 0.5
-    solid_angle, illuminance = np.zeros(1), np.zeros(1)
-    for dy in steps / height:
-        for dx in steps / width:
-            rays = picture_rays(view, x + dx, y + dy)
-            part = np.where(rays.forward > 0.0, rays.density, 0.0)
-            solid_angle = solid_angle + part
-            illuminance = illuminance + part * np.maximum(rays.forward, 0.0)
-    pixel = 1.0 / (height * width * samples**2)
-    return solid_angle * pixel, illuminance * pixel
-
-
-def _rim(view: PictureView, x: Floats, y: Floats, shape: tuple[int, int]) -> Mask:
-    """Return a mask [k, W] of pixels on the edge of the hemisphere, and of grazing -vth ones."""
-    height, width = shape
-    corner_y = np.append(y[:, 0] + 0.5 / height, y[-1, 0] - 0.5 / height)[:, None]  # [k + 1, 1]
-    corner_x = np.append(x[0] - 0.5 / width, x[0, -1] + 0.5 / width)[None, :]  # [1, W + 1]
-    rays = picture_rays(view, corner_x, corner_y)
-    ahead = (rays.forward > 0.0) & (rays.density > 0.0)
-    grazing = (rays.forward < _GRAZING_COSINE) & (view.kind == "h")
-    count = sum(
-        part.astype(np.int8)
-        for part in (ahead[:-1, :-1], ahead[1:, :-1], ahead[:-1, 1:], ahead[1:, 1:])
-    )
-    return (count > 0) & ((count < 4) | grazing[:-1, :-1])
-
-
-def _regions(up: Floats, forward: Floats) -> tuple[Mask, Mask]:
-    """Return two masks: pixels in the task cone, and pixels in the 40-degree horizontal band.
-
-    The task cone is 30 degrees below the line of sight. up, forward : components of each pixel's
-    direction along the axes of the view.
-    """
-    below = np.radians(TASK_ALTITUDE_DEG)
-    to_task = up * np.sin(below) + forward * np.cos(below)
-    task = to_task > np.cos(np.radians(TASK_RADIUS_DEG))
-    return task, (forward > 0.0) & (np.abs(up) < np.sin(np.radians(BAND_DEG)))
-
-
-VIEW_TYPES = {"a": "equidistant", "h": "hemispherical", "s": "stereographic", "v": "perspective"}
 EXAMPLE_VIEW = "-vta -vd 0 -1 0 -vu 0 0 1 -vh 180 -vv 180"
 HOW = f'state the true view, such as --view "{EXAMPLE_VIEW}" for a fisheye that looks south'
-# Angles that Radiance accepts for each type, and the numbers after each view option (rpict -v).
-_LARGEST_DEG = {"a": 360.0, "h": 180.0, "s": 359.0, "v": 179.0}
+# Angles that Radiance accepts for equidistant (a), hemispherical, stereographic and perspective
+# views, and the numbers after each view option (rpict -v).
+_MAX_DEG = {"a": 360.0, "h": 180.0, "s": 359.0, "v": 179.0}
 _ARGUMENTS = {"vp": 3, "vd": 3, "vu": 3, "vh": 1, "vv": 1, "vo": 1, "va": 1, "vs": 1, "vl": 1}
 # The solid angle of -vth is infinite at its rim; directions with a smaller cosine are 0.1 % of the
 # hemisphere. Chosen.
-_LEAST_COSINE = 1e-3
+_MIN_COSINE = 1e-3
 _SAME_PROPORTION = 0.02  # relative; -vh and -vv are often rounded to degrees; chosen
 
 
@@ -192,48 +131,35 @@ class PictureView:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class PictureRays:
-    """Directions of points of a picture, and how much solid angle a unit of picture area has there.
-
-    right, up, forward : components of unit vectors along the axes of the view. density : solid
-    angle [sr] over picture area, where the complete picture has the area 1; 0 where the mapping has
-    no direction. All have one shape.
-    """
-
-    right: Floats
-    up: Floats
-    forward: Floats
-    density: Floats
-
-
-def picture_rays(view: PictureView, x: ArrayLike, y: ArrayLike) -> PictureRays:
-    """Return the directions of points of a picture with the view `view`.
+def picture_rays(view: PictureView, x: ArrayLike, y: ArrayLike) -> tuple[Floats, Floats]:
+    """Return directions [..., 3] of points of a picture, and their solid angle over area [...].
 
     x, y : [...] coordinates of the points, from -1/2 to 1/2 over the picture, x to the right, y
-    upwards; the view's shift and lift are added to them.
+    upwards; the view's shift and lift are added to them. A direction is a unit vector (right, up,
+    forward) along the axes of the view. The solid angle, in sr, is that of the complete picture if
+    it had the same everywhere; 0 where the mapping has no direction.
     """
     reach = [_reach(view.kind, angle) for angle in (view.horizontal_deg, view.vertical_deg)]
-    across = (np.asarray(x, float) + view.shift) * 2.0 * reach[0]
-    upwards = (np.asarray(y, float) + view.lift) * 2.0 * reach[1]
-    across, upwards = np.broadcast_arrays(across, upwards)
+    across, upwards = np.broadcast_arrays(
+        (np.asarray(x, float) + view.shift) * 2.0 * reach[0],
+        (np.asarray(y, float) + view.lift) * 2.0 * reach[1],
+    )
     square = across**2 + upwards**2
-    scale = 4.0 * reach[0] * reach[1]
     if view.kind == "a":
         angle = np.sqrt(square)
         shrink = np.sinc(angle / np.pi)  # sin(angle) / angle
-        density = np.where(angle < np.pi, shrink * scale, 0.0)
-        return PictureRays(across * shrink, upwards * shrink, np.cos(angle), density)
-    if view.kind == "h":
-        forward = np.sqrt(np.maximum(1.0 - square, 0.0))
-        density = np.where(square < 1.0, scale / np.maximum(forward, _LEAST_COSINE), 0.0)
-        return PictureRays(across, upwards, forward, density)
-    if view.kind == "s":
-        ratio = 4.0 / (4.0 + square)
-        forward = (4.0 - square) / (4.0 + square)
-        return PictureRays(across * ratio, upwards * ratio, forward, ratio**2 * scale)
-    forward = 1.0 / np.sqrt(1.0 + square)
-    return PictureRays(across * forward, upwards * forward, forward, forward**3 * scale)
+        forward, density = np.cos(angle), np.where(angle < np.pi, shrink, 0.0)
+    elif view.kind == "h":
+        shrink, forward = np.ones_like(square), np.sqrt(np.maximum(1.0 - square, 0.0))
+        density = np.where(square < 1.0, 1.0 / np.maximum(forward, _MIN_COSINE), 0.0)
+    elif view.kind == "s":
+        shrink = 4.0 / (4.0 + square)
+        forward, density = 2.0 * shrink - 1.0, shrink**2
+    else:
+        shrink = forward = 1.0 / np.sqrt(1.0 + square)
+        density = forward**3
+    rays = np.stack([across * shrink, upwards * shrink, forward], axis=-1)
+    return rays, density * 4.0 * reach[0] * reach[1]
 
 
 def _reach(kind: str, angle_deg: float) -> float:
@@ -277,34 +203,25 @@ def parse_view(text: str, source: Path, heading_deg: float = 0.0) -> PictureView
     """
     options = _options(text, source)
     kind = options.get("vt", "")
-    if kind not in VIEW_TYPES:
+    if kind not in _MAX_DEG:
         forms = "-vta, -vth, -vts or -vtv"
         if kind:
-            raise InputError(
-                source, f"the view type -vt{kind}", forms, "render the picture with -vta"
-            )
+            remedy = "render the picture with -vta"
+            raise InputError(source, f"the view type -vt{kind}", forms, remedy)
         raise InputError(source, "a VIEW without a view type", forms, HOW)
     forward = direction(0.0, heading_deg)
     if "vd" in options:
         forward = _vector(options["vd"], "-vd", source)
     up = _vector(options.get("vu", "0 0 1"), "-vu", source)
     if abs(float(forward @ up)) > 0.9999:
-        raise InputError(
-            source,
-            "-vd and -vu are parallel",
-            "two different directions",
-            "write -vu 0 1 0 for a picture of the sky",
-        )
+        remedy = "write -vu 0 1 0 for a picture of the sky"
+        raise InputError(source, "-vd and -vu are parallel", "two different directions", remedy)
     default = "45" if kind == "v" else "180"
     angles = [_number(options.get(name, default), f"-{name}", source) for name in ("vh", "vv")]
     for name, angle in zip(("-vh", "-vv"), angles, strict=True):
-        if not 0.0 < angle <= _LARGEST_DEG[kind]:
-            raise InputError(
-                source,
-                f"{name} {angle:g} with -vt{kind}",
-                f"an angle above 0 and at most {_LARGEST_DEG[kind]:g} deg",
-                HOW,
-            )
+        if not 0.0 < angle <= _MAX_DEG[kind]:
+            expected = f"an angle above 0 and at most {_MAX_DEG[kind]:g} deg"
+            raise InputError(source, f"{name} {angle:g} with -vt{kind}", expected, HOW)
     up = up - forward * float(up @ forward)
     shift, lift = (_number(options.get(name, "0"), f"-{name}", source) for name in ("vs", "vl"))
     return PictureView(kind, forward, up / np.linalg.norm(up), angles[0], angles[1], shift, lift)
@@ -318,9 +235,8 @@ def _options(text: str, source: Path) -> dict[str, str]:
     try:
         words = shlex.split(text)
     except ValueError as error:
-        raise InputError(
-            source, f"VIEW {text[:80]!r} ({error})", "Radiance's view options", HOW
-        ) from None
+        found = f"VIEW {text[:80]!r} ({error})"
+        raise InputError(source, found, "Radiance's view options", HOW) from None
     options: dict[str, str] = {}
     at = 0
     while at < len(words):

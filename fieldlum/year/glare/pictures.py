@@ -55,12 +55,7 @@ def read_picture(path: Path, view_options: str = "", part: str = "") -> Picture:
     damaged file, and a missing or contradictory view.
     """
     if not path.is_file():
-        raise InputError(
-            path,
-            "no such file",
-            "a luminance picture .hdr or .exr",
-            "check the path of the picture",
-        )
+        raise InputError(path, "no such file", "a picture .hdr or .exr", "check the path")
     with path.open("rb") as file:
         is_exr = file.read(4) == _EXR_MAGIC or path.suffix.lower() == ".exr"
     if part and not is_exr:
@@ -89,28 +84,17 @@ def _read_hdr(path: Path, view_options: str) -> Picture:
 
 def _check_views(header: RadianceHeader, path: Path) -> None:
     """Raise InputError for views of different types, or for a panorama with a view."""
+    remedy = "state the true view with --view"
     if header.heading_deg is not None and header.views:
-        raise InputError(
-            path,
-            f"the header has the lines FIELDLUM_VIEW= (a panorama) and VIEW= {header.view[:80]}",
-            "one of the two",
-            "remove one of the two lines from the header",
-        )
+        found = f"the header has the lines FIELDLUM_VIEW= (a panorama) and VIEW= {header.view[:80]}"
+        raise InputError(path, found, "one of the two", "remove one of the two lines")
     types = {word for text in header.views for word in text.split() if word.startswith("-vt")}
     if len(types) > 1:
-        raise InputError(
-            path,
-            f"VIEW lines of several types: {', '.join(sorted(types))}",
-            "one VIEW",
-            "state the true view with --view",
-        )
+        found = f"VIEW lines of several types: {', '.join(sorted(types))}"
+        raise InputError(path, found, "one VIEW", remedy)
     if not header.view and header.inherited_views:
-        raise InputError(
-            path,
-            "different VIEW lines inherited from its input pictures",
-            "one VIEW",
-            "state the true view with --view",
-        )
+        found = "different VIEW lines inherited from its input pictures"
+        raise InputError(path, found, "one VIEW", remedy)
 
 
 def _read_exr(path: Path, view_options: str, part: str) -> Picture:

@@ -26,8 +26,8 @@ class ReferenceGlare:
     """evalglare's figures of one picture; NaN for figures that its version does not print.
 
     dgp, dgi, ugr, ugp, cgi : its indices. ev_lx : vertical illuminance. background_cdm2 :
-    background luminance. sources : number of glare sources. veiling_cdm2 : veiling luminance of
-    Stiles and Holladay without the age term (evalglare's Lveil_cie). version, flags : of the
+    background luminance. veiling_cdm2 : veiling luminance of Stiles and Holladay without the age
+    term (evalglare's Lveil_cie). sources : number of glare sources. version, flags : of the
     evalglare that was run.
     """
 
@@ -36,12 +36,24 @@ class ReferenceGlare:
     dgi: float
     ugr: float
     background_cdm2: float
+    ugp: float
+    cgi: float
+    veiling_cdm2: float
     sources: int
     version: str
     flags: str
-    ugp: float = float("nan")
-    cgi: float = float("nan")
-    veiling_cdm2: float = float("nan")
+
+
+_NAMES = {  # of the figures in evalglare's output
+    "dgp": "dgp",
+    "ev_lx": "E_v",
+    "dgi": "dgi",
+    "ugr": "ugr",
+    "background_cdm2": "lum_backg",
+    "ugp": "ugp",
+    "cgi": "cgi",
+    "veiling_cdm2": "Lveil_cie",
+}
 
 
 @lru_cache(maxsize=1)
@@ -93,15 +105,10 @@ def _parse(text: str, trouble: str) -> ReferenceGlare:
             f"evalglare printed no result: {trouble}; expected a line that begins with 'dgp,'; "
             "install pyradiance again"
         )
-    head = text.split(maxsplit=1)[0] if text.split() else "0"
+    head = text.split(maxsplit=1)[0]
     return ReferenceGlare(
-        float(row["dgp"]),
-        float(row["E_v"]),
-        float(row["dgi"]),
-        float(row["ugr"]),
-        float(row["lum_backg"]),
-        int(head) if head.isdigit() else 0,
-        reference_version(),
-        " ".join(FLAGS),
-        *(float(row.get(name, "nan")) for name in ("ugp", "cgi", "Lveil_cie")),
+        **{field: float(row.get(name, "nan")) for field, name in _NAMES.items()},
+        sources=int(head) if head.isdigit() else 0,
+        version=reference_version(),
+        flags=" ".join(FLAGS),
     )

@@ -1,156 +1,55 @@
-"""Compute the glare of one picture on disk, as plain numbers for a terminal or a pipe."""
+"""Compute the glare of one picture, as plain values for a terminal, a pipe or Python."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
-from fieldlum.core.arrays import Floats
+from fieldlum.core.arrays import Floats, Floats32, Mask
 from fieldlum.core.errors import InputError
-from fieldlum.core.records import Panorama, SunSource
-from fieldlum.optics.photometry.melanopic import melanopic_edi
-from fieldlum.optics.projection import FULLY_SEEN_SHARE, NOT_SEEN, SEEN, direction, signed_angle_deg
-from fieldlum.sky.sun_disc import find_disc, without_disc
-from fieldlum.year.glare.answers import (
-    GlareAnswer,
-    ViewAnswer,
-    answer_of,
-    bounds_verdict,
-    plain,
-    scaled_sun,
-    seen_pixels,
-    valid_pixels,
-    verdict,
+from fieldlum.core.records import Flag, JsonTable, Panorama, SunSource, counted, utc_text
+from fieldlum.optics.photometry.melanopic import melanopic_edi, melanopic_ratio
+from fieldlum.optics.projection import (
+    FULLY_SEEN_SHARE,
+    NOT_SEEN,
+    PARTLY_SEEN,
+    SEEN,
+    direction,
+    signed_angle_deg,
 )
-from fieldlum.year.glare.contrast import ViewRegions, rammg, rammg_lightness
-from fieldlum.year.glare.fisheye import panorama_to_fisheye
-from fieldlum.year.glare.geometry import panorama_views, view_azimuths_deg
+from fieldlum.sky.sun_disc import find_disc, without_disc
+from fieldlum.year.glare.contrast import ViewRegions, rammg
+from fieldlum.year.glare.fisheye import disc_pixels, panorama_to_fisheye
+from fieldlum.year.glare.geometry import Views, panorama_views, view_azimuths_deg
 from fieldlum.year.glare.metrics import METRICS, glare_directions
-from fieldlum.year.glare.own_pixels import GlareSources, disc_pixels, glare_of_pixels, region_ratios
-from fieldlum.year.glare.picture_view import PictureGrid, picture_grid
+from fieldlum.year.glare.picture_view import picture_views
 from fieldlum.year.glare.pictures import Picture, read_picture
 from fieldlum.year.glare.reference import reference_glare
-from fieldlum.year.glare.unseen import (
-    brightest_cdm2,
-    brightest_of_picture_cdm2,
-    picture_coverage,
-    unseen_dgp_bounds,
-    view_coverage,
+from fieldlum.year.glare.sources import Sources, glare_sources
+from fieldlum.year.glare.standards import disturbed_share
+from fieldlum.year.glare.unseen import brightest_cdm2, unseen_dgp_bounds, view_coverage
+
+# Upper limits of DGP of the four grades (Wienold 2009; Mardaljevic et al. 2012).
+VERDICTS = (
+    (0.35, "imperceptible"),
+    (0.40, "perceptible"),
+    (0.45, "disturbing"),
+    (np.inf, "intolerable"),
 )
-
-# most sources that are listed, because a noisy picture can have thousands; chosen
-SHOWN_SOURCES = 20
-
-
-def single_picture_glare(
-    picture: Picture,
-    path: Path,
-    azimuths_deg: Sequence[float],
-    reference: bool,
-    factor: float,
-    lamps: bool,
-) -> GlareAnswer:
-    """Return the `glare` answer of a fisheye or perspective picture in its own view direction.
-
-    path : names the picture in the answer and in errors. factor : multiplies the luminance.
-    reference : add evalglare's figures. lamps : electric light is on. Raises InputError if
-    `azimuths_deg` has another azimuth than the picture's own (it may be empty), and for pixels that
-    are not finite.
-    """
-    view = picture.view
-    assert view is not None
-    _check_azimuths(view.azimuth_deg, azimuths_deg, path)
-    pixels, warnings = valid_pixels(picture.panorama, path)
-    pixels *= np.float32(factor)
-    sun = scaled_sun(picture.panorama.sun, factor)
-    grid = _seen_grid(picture, *pixels.shape)
-    parts, sources = glare_of_pixels(pixels, grid, sun)
-    figures = {name: parts[name] for name in METRICS}
-    figures |= region_ratios(pixels, grid)
-    row: dict[str, Any] = {"azimuth_deg": view.azimuth_deg, "altitude_deg": view.altitude_deg}
-    row |= {name: plain(value) for name, value in figures.items()}
-    weights = grid.illuminance.reshape(-1, 1)
-    sun_ev_lx = np.array([parts["sun_ev_lx"]])
-    edi, u_edi = melanopic_edi(
-        picture.panorama, pixels.ravel(), weights, sun, sun_ev_lx, lamps=lamps
-    )
-    row["melanopic_edi_lx"] = float(edi[0])
-    row["u_melanopic_edi_lx"] = None if u_edi is None else plain(u_edi[0])
-    row |= _seen_figures(pixels, grid, parts)
-    row |= {"source_count": len(sources), "sources": _source_rows(sources)}
-    if reference:
-        shown = pixels if sun is None else pixels + disc_pixels(grid, sun)
-        row["reference"] = asdict(reference_glare(shown, view=view.text))
-    share = grid.covered_share
-    if share < FULLY_SEEN_SHARE:
-        warnings.append(
-            f"the picture covers {100 * share:.0f} % of the hemisphere in front: Ev is a lower "
-            "bound, and DGP counts the part outside the picture as black; a partly seen view has "
-            "bounds of DGP too; use a 180-degree fisheye"
-        )
-    return answer_of(path, picture, [cast(ViewAnswer, row)], warnings, sun, share, factor)
-
-
-def _seen_figures(
-    pixels: Floats, grid: PictureGrid, parts: dict[str, float]
-) -> dict[str, str | float]:
-    """Return how much of the view was seen, the grade, and bounds of DGP for a partly seen view.
-
-    pixels : [H, W] cd/m2; grid : their weights; parts : figures by `glare_of_pixels`.
-    """
-    coverage = picture_coverage(grid)
-    row: dict[str, str | float] = {
-        "seen": coverage.words[0],
-        "seen_share": float(coverage.seen_share[0]),
-    }
-    if not coverage.judged[0]:
-        return row | {"verdict": NOT_SEEN}
-    if not coverage.partly[0]:
-        return row | {"verdict": verdict(parts["dgp"])}
-    most = np.array([brightest_of_picture_cdm2(pixels, grid)])
-    ev_lx, contrast = (np.array([[parts[name]]]) for name in ("ev_lx", "contrast"))
-    low, high = (float(bound[0, 0]) for bound in unseen_dgp_bounds(coverage, ev_lx, contrast, most))
-    return row | {"dgp_low": low, "dgp_high": high, "verdict": bounds_verdict(low, high)}
-
-
-def _seen_grid(picture: Picture, height: int, width: int) -> PictureGrid:
-    """Return the weights of the pixels; 0 for pixels that no lens saw."""
-    assert picture.view is not None
-    grid = picture_grid(picture.view, height, width)
-    seen_mask = seen_pixels(picture.panorama)
-    if seen_mask is not None:
-        grid.solid_angle[~seen_mask] = 0.0
-        grid.illuminance[~seen_mask] = 0.0
-    return grid
-
-
-def _check_azimuths(azimuth_deg: float, asked: Sequence[float], path: Path) -> None:
-    """Raise InputError for view directions other than the picture's own."""
-    if asked and np.abs(signed_angle_deg(np.asarray(asked) - azimuth_deg)).max() > 1e-3:
-        raise InputError(
-            path,
-            f"--view-azimuth with a picture that has one view direction, {azimuth_deg:.1f} deg",
-            "--view-azimuth only with a panorama",
-            "remove --view-azimuth",
-        )
-
-
-def _source_rows(sources: GlareSources) -> list[dict[str, float]]:
-    """Return the figures of the strongest sources."""
-    return [
-        {
-            "mean_cdm2": float(sources.mean_cdm2[i]),
-            "solid_angle_sr": float(sources.solid_angle_sr[i]),
-            "right_deg": float(np.degrees(sources.right_rad[i])),
-            "up_deg": float(np.degrees(sources.up_rad[i])),
-            "ev_lx": float(sources.ev_lx[i]),
-        }
-        for i in range(min(len(sources), SHOWN_SOURCES))
-    ]
+SHOWN_SOURCES = 20  # strongest ones that are listed: a noisy picture can have thousands; chosen
+# More than sun and sky give: the sun's illuminance outside the atmosphere is 133 100 lx (IES
+# Lighting Handbook). Chosen above it, for sunlit snow. A picture in cd/m2 instead of Radiance's
+# W/sr/m2 is 179 times too bright.
+MAX_EV_LX = 200_000.0
+# DGP was derived from rooms with at least this vertical illuminance (Wienold 2009); evalglare warns
+# at the same limit.
+MIN_DGP_EV_LX = 380.0
+_SCALE = "scale the picture with --calibrate-ev LX, the vertical illuminance measured at the lens"
 
 
 def picture_glare(
@@ -162,7 +61,7 @@ def picture_glare(
     part: str = "",
     measured_ev_lx: float | None = None,
     lamps: bool = False,
-) -> GlareAnswer:
+) -> JsonTable:
     """Return the object that `glare --json` prints for a .hdr or .exr picture.
 
     azimuths_deg : view directions, clockwise from north; if empty, ten around a panorama, or a
@@ -170,14 +69,15 @@ def picture_glare(
     replace the view in the file; "" to use the file's. part : name of the part, layer or stereo
     view of an .exr; "" for the only one. measured_ev_lx : scale the picture so that its first view
     has this vertical illuminance; None for no scaling. lamps : electric light is on, so that
-    melanopic EDI is less certain. Raises InputError for an unusable picture,
-    or if a picture to scale has no light in its first view.
+    melanopic EDI is less certain. Keys: `judged`. Raises InputError for an unusable picture, for
+    azimuths other than the own one of a picture that is no panorama, or if a picture to scale has
+    no light in its first view.
     """
     picture = read_picture(path, view_options, part)
-    judge = _panorama_answer if picture.view is None else single_picture_glare
+    judge = partial(judged, picture, path, azimuths_deg, lamps=lamps)
     if measured_ev_lx is None:
-        return judge(picture, path, azimuths_deg, reference, 1.0, lamps)
-    ev = judge(picture, path, azimuths_deg, False, 1.0, lamps)["views"][0]["ev_lx"]
+        return judge(reference=reference)[0]
+    ev = judge()[0]["views"][0]["ev_lx"]
     if not ev or ev <= 0.0:
         raise InputError(
             path,
@@ -186,111 +86,219 @@ def picture_glare(
             "check the view direction, or omit the measured illuminance (--calibrate-ev)",
         )
     factor = measured_ev_lx / ev
-    answer = judge(picture, path, azimuths_deg, reference, factor, lamps)
-    answer["calibration_factor"] = factor
-    return answer
+    return judge(reference=reference, factor=factor)[0] | {"calibration_factor": factor}
 
 
-def panorama_glare(panorama: Panorama, azimuths_deg: Sequence[float] = ()) -> GlareAnswer:
+def panorama_glare(panorama: Panorama, azimuths_deg: Sequence[float] = ()) -> JsonTable:
     """Return the same as `picture_glare`, for a panorama in memory; the answer's `file` is "".
 
     azimuths_deg : view directions, clockwise from north; ten if empty. Raises InputError for a map
     that is not twice as wide as high, or has seen pixels that are not finite.
     """
-    source = Path("panorama")
     height, width = panorama.luminance_cdm2.shape
     if width != 2 * height:
-        raise InputError(
-            source,
-            f"a map of {width} x {height} pixels",
-            "a map twice as wide as high",
-            "use a map of all directions (equirectangular)",
-        )
-    picture = Picture(panorama, None)
-    answer = _panorama_answer(picture, source, azimuths_deg, False, 1.0, False)
-    answer["file"] = ""
-    return answer
+        found, remedy = f"a map of {width} x {height} pixels", "use an equirectangular map"
+        raise InputError("panorama", found, "a map twice as wide as high", remedy)
+    return judged(Picture(panorama, None), Path("panorama"), azimuths_deg)[0] | {"file": ""}
 
 
-def _panorama_answer(
+def judged(
     picture: Picture,
     path: Path,
-    azimuths_deg: Sequence[float],
-    reference: bool,
-    factor: float,
-    lamps: bool,
-) -> GlareAnswer:
-    """Judge a panorama in the given directions, with its luminance times `factor`."""
-    panorama = picture.panorama
-    azimuths = np.asarray(azimuths_deg or view_azimuths_deg(panorama.heading_deg), float) % 360.0
-    maps, warnings = valid_pixels(panorama, path)
-    maps *= np.float32(factor)
+    azimuths_deg: Sequence[float] = (),
+    *,
+    reference: bool = False,
+    factor: float = 1.0,
+    lamps: bool = False,
+) -> tuple[JsonTable, Sources]:
+    """Return the `glare` answer of a picture with its luminance times `factor`, and its sources.
+
+    path : names the picture in the answer and in errors. Further arguments: `picture_glare`. Keys:
+
+    file; t_utc : time of the picture; None if unknown. heading_deg : azimuth of a panorama's centre
+    column, or of a fisheye's view. sun : the sun as a source next to the pixels (fields of
+    `SunSource`); None without a sun. melanopic_der : "D65, assumed" for an estimate, else "colour".
+    disturbed_share : share (0 to 1) of the views with a grade whose DGP is above 0.40; None if no
+    view has a grade. warnings : texts. covered_share : share of the front hemisphere that the
+    picture covers; 1 for a panorama. rammg_cdm2 : of a panorama, see `contrast`.
+
+    views, a table for each direction : azimuth_deg, altitude_deg (of a single picture) : its
+    direction. The names of `METRICS` and of `ViewRegions.ratios`. melanopic_edi_lx : by the
+    camera's colour, or the estimate; u_melanopic_edi_lx : its standard uncertainty, or None.
+    verdict : the grade of DGP; "A to B" if dgp_low and dgp_high have different ones; "not seen".
+    seen : "seen", "partly seen" or "not seen", by seen_share (see `ViewCoverage`). dgp_low,
+    dgp_high : bounds of DGP of a partly seen direction. source_count, sources : of a single
+    picture, the strongest 20. reference : evalglare's figures, if requested, of fully seen
+    directions. Undefined figures are None.
+    """
+    panorama, view = picture.panorama, picture.view
     seen_mask = seen_pixels(panorama)
-    if seen_mask is not None:
-        warnings.insert(0, _unseen_text(seen_mask))
-    maps, sun = take_out_sun(maps, panorama.heading_deg, scaled_sun(panorama.sun, factor))
-    views = _view_rows(maps, panorama, azimuths, sun, seen_mask, lamps)
-    for row in views:
-        if reference and row["seen"] == SEEN:
-            azimuth = row["azimuth_deg"]
-            fisheye = panorama_to_fisheye(maps, panorama.heading_deg, azimuth, sun=sun)
-            row["reference"] = asdict(reference_glare(fisheye))
-    answer = answer_of(path, picture, views, warnings, sun, 1.0, factor)
-    answer["rammg_cdm2"], answer["rammg_lightness"] = rammg(maps), rammg_lightness(maps)
-    return answer
+    pixels, warnings = valid_pixels(panorama, path)
+    pixels *= np.float32(factor)
+    height, width = pixels.shape
+    sun, share = _scaled_sun(panorama.sun, factor), 1.0
+    if view is None:
+        azimuths = (
+            np.asarray(azimuths_deg or view_azimuths_deg(panorama.heading_deg), float) % 360.0
+        )
+        pixels, sun = take_out_sun(pixels, panorama.heading_deg, sun)
+        views = panorama_views(height, width, panorama.heading_deg, azimuths, seen_mask)
+        warnings = [*_unseen_texts(seen_mask), *warnings]
+    else:
+        _check_azimuths(view.azimuth_deg, azimuths_deg, path)
+        views = picture_views(view, height, width, seen_mask)
+        share = min(1.0, float(views.moments[:, 0].sum(dtype=float)) / (2.0 * np.pi))
+        warnings += _cover_texts(share)
+    sources = glare_sources(pixels, views)
+    rows = _view_rows(pixels, picture, views, sources, sun, lamps)
+    if reference:
+        _add_reference(rows, pixels, picture, views, sun)
+    graded = [
+        np.nan if row["dgp"] is None or row["seen"] == NOT_SEEN else row["dgp"] for row in rows
+    ]
+    answer: JsonTable = {
+        "file": str(path),
+        "t_utc": utc_text(panorama.t_utc) if panorama.t_utc else None,
+        "heading_deg": panorama.heading_deg,
+        "sun": None if sun is None else asdict(sun),
+        "melanopic_der": "D65, assumed" if melanopic_ratio(panorama) is None else "colour",
+        "views": rows,
+        "disturbed_share": plain(float(disturbed_share(np.array([graded]))[0])),
+        "warnings": [*warnings, *_picture_texts(picture), *_level_texts(rows, factor)],
+        "covered_share": share,
+    }
+    if view is None:
+        answer["rammg_cdm2"] = rammg(pixels)
+    return answer, sources
 
 
 def _view_rows(
-    maps: Floats,
-    panorama: Panorama,
-    azimuths: np.ndarray,
+    pixels: Floats,
+    picture: Picture,
+    views: Views,
+    sources: Sources,
     sun: SunSource | None,
-    seen_mask: np.ndarray | None,
     lamps: bool,
-) -> list[ViewAnswer]:
-    """Return the figures of each direction.
-
-    maps : luminance [H, W] of the panorama without the sun; seen_mask [H, W], None if all pixels
-    were seen.
-    """
-    heading_deg = panorama.heading_deg
+) -> list[dict[str, Any]]:
+    """Return the figures of each direction. pixels : luminance [H, W] without the sun."""
     rays = None if sun is None else direction(sun.altitude_deg, sun.azimuth_deg)[None]
     disc = None if sun is None else np.array([sun.normal_illuminance_lx])
-    height, width = maps.shape
-    grid = panorama_views(height, width, heading_deg, azimuths)
-    coverage = view_coverage(seen_mask, grid)
-    parts = glare_directions(maps[None], heading_deg, azimuths, rays, disc, views=grid)
-    figures = {name: parts[name] for name in METRICS}
-    figures |= ViewRegions(height, width, heading_deg, azimuths, seen_mask).ratios(maps[None])
-    most = np.zeros(1) if seen_mask is None else brightest_cdm2(maps[None], seen_mask)
-    low, high = unseen_dgp_bounds(coverage, parts["ev_lx"], parts["contrast"], most)
+    coverage = view_coverage(views)
+    parts = glare_directions(pixels[None], views, rays, disc, sources=[sources])
+    bounds = unseen_dgp_bounds(
+        coverage, parts["ev_lx"], parts["contrast"], brightest_cdm2(pixels[None], views)
+    )
     edi, u_edi = melanopic_edi(
-        panorama, maps.ravel(), grid.illuminance, sun, parts["sun_ev_lx"][0], lamps=lamps
+        picture.panorama, pixels.ravel(), views.illuminance, sun, parts["sun_ev_lx"][0], lamps=lamps
     )
-    views = []
-    for i, azimuth in enumerate(azimuths):
+    figures = {name: parts[name][0] for name in METRICS}
+    figures |= {name: ratio[0] for name, ratio in ViewRegions(views).ratios(pixels[None]).items()}
+    figures["melanopic_edi_lx"] = edi
+    figures["u_melanopic_edi_lx"] = np.full_like(edi, np.nan) if u_edi is None else u_edi
+    rows = []
+    for i, azimuth in enumerate(views.azimuths_deg):
         row: dict[str, Any] = {"azimuth_deg": float(azimuth)}
-        row |= {name: plain(values[0, i]) for name, values in figures.items()}
-        row["melanopic_edi_lx"] = float(edi[i])
-        row["u_melanopic_edi_lx"] = None if u_edi is None else plain(u_edi[i])
-        row["verdict"] = verdict(row["dgp"])
-        row |= {"seen": coverage.words[i], "seen_share": float(coverage.seen_share[i])}
-        if coverage.partly[i]:
-            row |= {"dgp_low": float(low[0, i]), "dgp_high": float(high[0, i])}
-            row["verdict"] = bounds_verdict(row["dgp_low"], row["dgp_high"])
-        if not coverage.judged[i]:
-            row |= dict.fromkeys((*figures, "melanopic_edi_lx", "u_melanopic_edi_lx"))
+        row |= {name: plain(values[i]) for name, values in figures.items()}
+        row |= {"verdict": _verdict(row["dgp"]), "seen": coverage.words[i]}
+        row["seen_share"] = float(coverage.seen_share[i])
+        if row["seen"] == PARTLY_SEEN:
+            low, high = (float(bound[0, i]) for bound in bounds)
+            words = dict.fromkeys((_verdict(low), _verdict(high)))
+            row |= {"dgp_low": low, "dgp_high": high, "verdict": " to ".join(words)}
+        if row["seen"] == NOT_SEEN:
             row["verdict"] = NOT_SEEN
-        views.append(cast(ViewAnswer, row))
-    return views
+            row |= dict.fromkeys(figures) if views.is_panorama else {}
+        if picture.view is not None:
+            row["altitude_deg"] = picture.view.altitude_deg
+            row |= {"source_count": len(sources.pixels), "sources": _source_rows(sources)}
+        rows.append(row)
+    return rows
 
 
-def _unseen_text(seen_mask: np.ndarray) -> str:
-    return (
-        f"no lens saw {100 * (~seen_mask).mean():.0f} % of the panorama: view directions that are "
-        "mostly unseen have no result; partly seen ones have two values of DGP, the lowest and the "
-        "highest for an unseen part between black and the brightest 1 % of the seen part"
-    )
+def _verdict(dgp: float) -> str:
+    """Return the grade of a DGP, which must not be NaN."""
+    return next(name for limit, name in VERDICTS if dgp < limit)
+
+
+def _source_rows(sources: Sources) -> list[dict[str, float]]:
+    """Return the figures of the strongest sources of a single view, the strongest first."""
+    figures = {
+        "mean_cdm2": sources.mean_cdm2,
+        "solid_angle_sr": sources.solid_angle_sr,
+        "right_deg": np.degrees(sources.right_rad),
+        "up_deg": np.degrees(sources.up_rad),
+        "ev_lx": sources.ev_lx,
+    }
+    order = np.argsort(sources.contrast[:, 0])[::-1][:SHOWN_SOURCES]
+    return [{name: float(values[i, 0]) for name, values in figures.items()} for i in order]
+
+
+def _add_reference(
+    rows: list[dict[str, Any]],
+    pixels: Floats,
+    picture: Picture,
+    views: Views,
+    sun: SunSource | None,
+) -> None:
+    """Add evalglare's figures to the rows; of a panorama, to those of fully seen directions."""
+    for row in rows:
+        if picture.view is not None:
+            disc = 0.0 if sun is None else disc_pixels(views, pixels.shape, sun)
+            row["reference"] = asdict(reference_glare(pixels + disc, view=picture.view.text))
+        elif row["seen"] == SEEN:
+            heading_deg, azimuth_deg = picture.panorama.heading_deg, row["azimuth_deg"]
+            shown = panorama_to_fisheye(pixels, heading_deg, azimuth_deg, sun=sun)
+            row["reference"] = asdict(reference_glare(shown))
+
+
+def _check_azimuths(azimuth_deg: float, asked: Sequence[float], path: Path) -> None:
+    """Raise InputError for view directions other than the picture's own."""
+    if asked and np.abs(signed_angle_deg(np.asarray(asked) - azimuth_deg)).max() > 1e-3:
+        found = f"--view-azimuth with a picture that has one view direction, {azimuth_deg:.1f} deg"
+        expected = "--view-azimuth only with a panorama"
+        raise InputError(path, found, expected, "remove --view-azimuth")
+
+
+# ----------------------------------------------------------------------------------------------
+# pixels
+
+
+def seen_pixels(panorama: Panorama) -> Mask | None:
+    """Return a mask [H, W], True for pixels that a lens saw; None if all were seen.
+
+    It is also None for a panorama without flags.
+    """
+    if panorama.flags is None:
+        return None
+    outside = (panorama.flags & Flag.OUTSIDE_LENS) > 0
+    return ~outside if outside.any() else None
+
+
+def valid_pixels(panorama: Panorama, path: Path) -> tuple[Floats32, list[str]]:
+    """Return a copy of the luminance [H, W] with unseen and negative pixels set to 0, and warnings.
+
+    Negative pixels are noise: a warning gives their number; without any the list is empty. Raises
+    InputError, which names `path`, if a seen pixel is not finite.
+    """
+    pixels = np.array(panorama.luminance_cdm2, np.float32)
+    seen_mask = seen_pixels(panorama)
+    if seen_mask is not None:
+        pixels[~seen_mask] = 0.0
+    bad = int((~np.isfinite(pixels)).sum())
+    if bad:
+        found = f"{counted(bad, 'pixel')} with an infinite or missing (NaN) luminance"
+        expected = "a finite luminance in cd/m2 in every pixel"
+        raise InputError(path, found, expected, "merge or render the picture again")
+    dark = int((pixels < 0).sum())
+    np.maximum(pixels, 0.0, out=pixels)
+    warning = f"luminance below 0 cd/m2 counts as 0: {counted(dark, 'pixel')}"
+    return pixels, [warning] if dark else []
+
+
+def _scaled_sun(sun: SunSource | None, factor: float) -> SunSource | None:
+    if sun is None:
+        return None
+    return replace(sun, normal_illuminance_lx=sun.normal_illuminance_lx * factor)
 
 
 def take_out_sun(
@@ -307,3 +315,73 @@ def take_out_sun(
         return luminance_cdm2, recorded
     sun = SunSource(disc.altitude_deg, disc.azimuth_deg, disc.normal_lx, 1.0, "picture")
     return without_disc(luminance_cdm2, disc), sun
+
+
+def plain(value: float) -> float | None:
+    """Return `value` as a float, or None if it is NaN or infinite."""
+    return float(value) if np.isfinite(value) else None
+
+
+# ----------------------------------------------------------------------------------------------
+# warnings
+
+
+def _unseen_texts(seen_mask: Mask | None) -> list[str]:
+    if seen_mask is None:
+        return []
+    return [
+        f"no lens saw {100 * (~seen_mask).mean():.0f} % of the panorama: view directions that are "
+        "mostly unseen have no result; partly seen ones have two values of DGP, the lowest and the "
+        "highest for an unseen part between black and the brightest 1 % of the seen part"
+    ]
+
+
+def _cover_texts(share: float) -> list[str]:
+    if share >= FULLY_SEEN_SHARE:
+        return []
+    return [
+        f"the picture covers {100 * share:.0f} % of the hemisphere in front: Ev is a lower "
+        "bound, and DGP counts the part outside the picture as black; a partly seen view has "
+        "bounds of DGP too; use a 180-degree fisheye"
+    ]
+
+
+def _level_texts(rows: Sequence[Mapping[str, Any]], factor: float) -> list[str]:
+    """Return a warning if a view has more light than sun and sky give, or if all views are dark."""
+    highest = max((row["ev_lx"] or 0.0 for row in rows), default=0.0)
+    if highest > MAX_EV_LX:
+        return [
+            f"Ev of {highest:.0f} lx is more than sun and sky give ({MAX_EV_LX:.0f} lx): the "
+            "luminance is not calibrated, or the pixels are in cd/m2 instead of Radiance's "
+            f"W/sr/m2; {_SCALE}"
+        ]
+    if 0.0 < highest < MIN_DGP_EV_LX:
+        known = f"; if the picture is not calibrated, {_SCALE}" if factor == 1.0 else ""
+        return [
+            f"Ev is at most {highest:.3g} lx: below {MIN_DGP_EV_LX:.0f} lx a DGP may be too low"
+            f"{known}"
+        ]
+    return []
+
+
+def _picture_texts(picture: Picture) -> list[str]:
+    """Return the reader's notes, and warnings of a missing direction, darkness and clipping."""
+    panorama, texts = picture.panorama, list(picture.notes)
+    if not picture.directed:
+        texts.append(
+            "the picture's VIEW has no direction (-vd): the glare figures are right, but the "
+            f"azimuth of {panorama.heading_deg:.0f} deg is an assumption; state the view "
+            "with --view"
+        )
+    if not (panorama.luminance_cdm2 > 0).any():
+        texts.append(
+            "the picture has no light: no pixel is above 0 cd/m2, so the glare figures have "
+            "no meaning; check how the picture was written"
+        )
+    clipped = 0 if panorama.flags is None else int((panorama.flags & Flag.CLIPPED_HIGH > 0).sum())
+    if clipped:
+        texts.append(
+            f"clipped in every frame: {counted(clipped, 'pixel')}; the true luminance there, and "
+            "DGP, may be higher; capture shorter exposures as well"
+        )
+    return texts

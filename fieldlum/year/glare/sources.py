@@ -10,15 +10,22 @@ higher for windows with bright and dark panes (docs/validation.md, "Glare").
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats, Mask
+from fieldlum.optics.projection import altitude_azimuth_deg, equirect_pixel
+from fieldlum.year.glare.geometry import Views, position_index
 
 # evalglare's defaults: -b 2000, -Y 50000, -r 0.2 (its search angle is twice this distance).
 SOURCE_CDM2 = 2000.0
 PEAK_CDM2 = 50_000.0
 REACH_RAD = 0.1
+# Rows of a panorama of directions on which bright pixels of other pictures are grouped: 0.25
+# degrees, a twentieth of the distance within which they form one source. Chosen.
+_DIRECTION_ROWS = 720
 
 
 def widen(mask: Mask, radius_rad: float) -> Mask:
@@ -82,22 +89,84 @@ def _join_seam(labels: NDArray[np.int32], count: int) -> NDArray[np.int32]:
     return np.where(labels > 0, joined[labels] + 1, 0).astype(np.int32)
 
 
-def sources_of(luminance_cdm2: Floats) -> list[NDArray[np.int64]]:
-    """Return an array of flat pixel indices for each glare source of a panorama [H, W = 2H], cd/m2.
+@dataclass(frozen=True, slots=True)
+class Sources:
+    """The s glare sources of a picture in d view directions, [s, d] each.
 
-    Pixels above 2000 cd/m2 that are closer than 0.1 rad form one source. Pixels from 50 000 cd/m2
-    on (peaks) form sources of their own, which come last. The list is empty without bright pixels.
+    mean_cdm2 : mean luminance; solid_angle_sr; right_rad, up_rad : coordinates of the centre by
+    `angles_from_view`; ev_lx : vertical illuminance from the source. pixels : flat indices of the
+    pixels of each.
     """
-    bright = luminance_cdm2 > SOURCE_CDM2
-    if not bright.any():
+
+    mean_cdm2: Floats
+    solid_angle_sr: Floats
+    right_rad: Floats
+    up_rad: Floats
+    ev_lx: Floats
+    pixels: list[NDArray[np.int64]]
+
+    @property
+    def contrast(self) -> Floats:
+        """L^2 omega / P^2 of each source, [s, d]: its part of the contrast term of DGP."""
+        index = position_index(self.right_rad, self.up_rad)
+        return self.mean_cdm2**2 * self.solid_angle_sr / index**2
+
+
+def glare_sources(luminance_cdm2: Floats, views: Views) -> Sources:
+    """Return the glare sources of a picture [H, W] with the weights `views`."""
+    pixels = sources_of(luminance_cdm2, None if views.is_panorama else views)
+    chosen = np.concatenate([np.zeros(0, np.int64), *pixels])
+    starts = np.cumsum([0, *map(len, pixels)])[:-1]
+    bright = luminance_cdm2.ravel()[chosen].astype(float)[:, None]
+
+    def total(values: Floats) -> Floats:
+        return np.add.reduceat(values, starts, axis=0, dtype=float)
+
+    omega, right, up = np.moveaxis(views.moments[chosen], 1, 0)  # [n, d] each
+    power, area = np.maximum(total(bright * omega), 1e-30), total(omega)
+    return Sources(
+        power / np.maximum(area, 1e-30),
+        area,
+        total(bright * right) / power,
+        total(bright * up) / power,
+        total(bright * views.illuminance[chosen]),
+        pixels,
+    )
+
+
+def sources_of(luminance_cdm2: Floats, views: Views | None = None) -> list[NDArray[np.int64]]:
+    """Return an array of flat pixel indices for each glare source of a picture [H, W] in cd/m2.
+
+    views : weights of a picture that is no panorama; pixels without a weight are no source. Pixels
+    above 2000 cd/m2 that are closer than 0.1 rad form one source. Pixels from 50 000 cd/m2 on
+    (peaks) form sources of their own, which come last. The list is empty without bright pixels.
+    """
+    bright, shape = luminance_cdm2 > SOURCE_CDM2, luminance_cdm2.shape
+    if views is not None:
+        bright &= views.moments[:, 0, 0].reshape(shape) > 0.0
+    pixels = np.flatnonzero(bright)
+    if len(pixels) == 0:
         return []
-    peaks = luminance_cdm2 >= PEAK_CDM2
-    groups = group_pixels(bright)
+    row, column = np.unravel_index(pixels, shape)
+    if views is not None:  # grouped on a panorama of the directions
+        shape = (_DIRECTION_ROWS, 2 * _DIRECTION_ROWS)
+        right, up, forward = np.moveaxis(views.rays(pixels)[0][:, :, 0], 1, 0)
+        altitude_deg, azimuth_deg = altitude_azimuth_deg(np.stack([right, forward, up], axis=-1))
+        row, column = (
+            np.clip(place.astype(int), 0, size - 1)
+            for place, size in zip(
+                equirect_pixel(altitude_deg, azimuth_deg, *shape, 0.0), shape, strict=True
+            )
+        )
+
+    def groups(chosen: Mask) -> NDArray[np.int32]:
+        mask = np.zeros(shape, bool)
+        mask[row[chosen], column[chosen]] = True
+        return group_pixels(mask)[row, column]
+
+    number = groups(np.ones(len(pixels), bool))
+    peaks = luminance_cdm2.ravel()[pixels] >= PEAK_CDM2
     if peaks.any():
-        groups = np.where(peaks, group_pixels(peaks) + groups.max(), groups)
-    flat = groups.ravel()
-    pixels = np.flatnonzero(flat)
-    order = np.argsort(flat[pixels], kind="stable")
-    pixels = pixels[order]
-    cuts = np.flatnonzero(np.diff(flat[pixels])) + 1
-    return np.split(pixels, cuts)
+        number = np.where(peaks, groups(peaks) + number.max(), number)
+    order = np.argsort(number, kind="stable")
+    return np.split(pixels[order], np.flatnonzero(np.diff(number[order])) + 1)

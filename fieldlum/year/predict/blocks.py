@@ -13,7 +13,7 @@ from fieldlum.core.errors import InputError
 from fieldlum.core.records import Progress, SiteFile, quiet
 from fieldlum.learn.models import Fitted, Prediction, seen_of, trusted_hours
 from fieldlum.learn.models.mirrors import Mirror, MirroredSun, read_mirrors
-from fieldlum.room.scene import iter_sun_patches
+from fieldlum.room.scene import sun_patches
 from fieldlum.session.files.model_config import ModelConfig
 from fieldlum.session.site_toml import site_from_table
 from fieldlum.sky.light import Light
@@ -112,21 +112,13 @@ def room_of(config: ModelConfig, folder: Path) -> ModelRoom:
     """
     height, width, heading = config.height, config.width, config.heading_deg
     if height <= 0 or width <= 0 or heading is None or not config.setup:
-        what = "[setup] of the site" if heading is not None and height > 0 else "size and heading"
-        raise InputError(
-            folder / "config.json",
-            f"no {what} in the file",
-            "the site, size and heading of the model's pictures",
-            "train the model again (fieldlum train)",
-        )
+        expected = "the site, size and heading of the model's pictures"
+        raise InputError(folder / "config.json", "no such keys", expected, "train the model again")
     setup = site_from_table(config.setup, str(folder / "config.json"))
     if wants_patch(config) and setup.room is None:
-        raise InputError(
-            folder,
-            "the model needs sun patches, but its site has no [room]",
-            "a site with [room], or a model without sun patches",
-            "add [room] to the site and train again, or train with --patch none",
-        )
+        found = "the model needs sun patches, but its site has no [room]"
+        remedy = "add [room] to the site and train again, or train with --patch none"
+        raise InputError(folder, found, "a site with [room], or a model without patches", remedy)
     seen_mask = seen_of(folder)
     if seen_mask is not None and seen_mask.shape != (height, width):
         seen_mask = None  # `blocks` rejects the maps of such a model
@@ -149,20 +141,26 @@ def blocks(
     Raises InputError if the size of the maps differs from that in config.json, FloatingPointError
     for luminances that are not finite.
     """
-    count = len(light)
+    count, space = len(light), room.setup.room
     disc = disc_lx(room.sky_view, room.setup, light) if disc is None else disc  # [n]
-    for patch, rows in _patches(room, light):
-        part = light[np.arange(rows.start, rows.stop)]
-        prediction = fitted.predict(part, patch if room.needs_patch else None)
+    for start in range(0, count, BLOCK):
+        rows = slice(start, min(start + BLOCK, count))
+        part, patch = light[rows], None
+        if room.needs_patch and space is not None:
+            patch = sun_patches(
+                space,
+                room.setup,
+                part.shown_sun_direction,
+                part.direct_lx,
+                height=room.height,
+                heading_deg=room.heading_deg,
+            ).luminance_cdm2
+        prediction = fitted.predict(part, patch)
         maps = prediction.luminance_cdm2
         if maps.shape[1:] != (room.height, room.width):
-            raise InputError(
-                "the model",
-                f"predicted maps of {maps.shape[2]} x {maps.shape[1]} pixels",
-                f"{room.width} x {room.height} pixels, as in its config.json",
-                "train the model again: its config.json and its weights are from different "
-                "trainings",
-            )
+            expected = f"{room.width} x {room.height} pixels, as in its config.json"
+            found = f"predicted maps of {maps.shape[2]} x {maps.shape[1]} pixels"
+            raise InputError("the model", found, expected, "train the model again")
         if not np.isfinite(maps).all():
             raise FloatingPointError(
                 f"hours {rows.start} to {rows.stop - 1}: predicted values that are not finite"
@@ -170,23 +168,3 @@ def blocks(
         progress(rows.stop, count, "hours predicted")
         images = tuple(mirror.images(part, room.heading_deg) for mirror in room.mirrors)
         yield HourBlock(rows, part, prediction, disc[rows], images)
-
-
-def _patches(room: ModelRoom, light: Light) -> Iterator[tuple[Floats32 | None, slice]]:
-    """Yield the sun patches (None if the model needs none) and the rows of each block."""
-    count, space = len(light), room.setup.room
-    starts = [slice(start, min(start + BLOCK, count)) for start in range(0, count, BLOCK)]
-    if space is None or not room.needs_patch:
-        yield from ((None, rows) for rows in starts)
-    else:
-        patches = iter_sun_patches(
-            space,
-            room.setup,
-            light.shown_sun_direction,
-            light.direct_lx,
-            height=room.height,
-            heading_deg=room.heading_deg,
-            chunk=BLOCK,
-        )
-        for part, rows in zip(patches, starts, strict=True):
-            yield part.luminance_cdm2, rows

@@ -5,9 +5,12 @@ from __future__ import annotations
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import NoReturn
+
+import numpy as np
 
 from fieldlum.core.errors import InputError
+from fieldlum.optics.images import read_panorama
 from fieldlum.optics.projection import signed_angle_deg
 from fieldlum.session import open_session, sha256
 from fieldlum.session.files.model_config import UsedScene
@@ -54,59 +57,38 @@ def check_session(model_folder: Path, room: ModelRoom, scene: UsedScene | None =
     session = open_session(root)
     setup = session.site_file()
     mine, theirs = room.setup.site, setup.site
-    apart = max(
-        abs(mine.latitude_deg - theirs.latitude_deg), abs(mine.longitude_deg - theirs.longitude_deg)
-    )
-    if apart > 0.01:
-        raise InputError(
-            model_folder,
-            f"a model of the site {mine.name} ({mine.latitude_deg:g}, {mine.longitude_deg:g} deg)",
-            f"a model of this session's site {theirs.name} ({theirs.latitude_deg:g}, "
-            f"{theirs.longitude_deg:g} deg)",
-            "train a model in this session",
+    own, other = (np.array([site.latitude_deg, site.longitude_deg]) for site in (mine, theirs))
+    if np.abs(own - other).max() > 0.01:
+        found, expected = (
+            f"{s.name} ({s.latitude_deg:g}, {s.longitude_deg:g} deg)" for s in (mine, theirs)
         )
+        _refuse(model_folder, f"of the site {found}", expected)
     stated = scene["stated"] if scene else site_table(room.setup)
+    for table in ("camera", "room"):  # both affect every map
+        own, other = stated.get(table) or {}, site_table(setup).get(table) or {}
+        for name in sorted({*own, *other} - {"profile"}):
+            if own.get(name) != other.get(name):
+                found = f"with [{table}] {name} = {own.get(name, 'none')}"
+                _refuse(model_folder, found, str(other.get(name, "none")))
     heading_deg = float(scene["stated_heading_deg"]) if scene else room.heading_deg
-    if changed := _changes(stated, site_table(setup)):
-        raise InputError(
-            model_folder,
-            f"the model was trained with {changed[0]}",
-            f"{changed[1]}, as in {session.toml}",
-            "merge, pair and train again, or use the model that was trained on this session",
-        )
-    pictures = session.panorama_files()[:1]
-    if pictures:
-        from fieldlum.optics.images import read_panorama
-
-        first = read_panorama(pictures[0])
+    for path in session.panorama_files()[:1]:
+        first = read_panorama(path)
         height, width = first.luminance_cdm2.shape
         if (height, width) != (room.height, room.width):
-            raise InputError(
-                model_folder,
-                f"a model with pictures of {room.width} x {room.height} pixels",
-                f"{width} x {height} pixels, as in this session",
-                "train the model again (fieldlum train)",
-            )
+            found = f"with pictures of {room.width} x {room.height} pixels"
+            _refuse(model_folder, found, f"{width} x {height} pixels")
         if abs(signed_angle_deg(first.heading_deg - heading_deg)) > 0.1:
-            raise InputError(
-                model_folder,
-                f"a model with a heading of {heading_deg:g} deg",
-                f"{first.heading_deg:g} deg, as in this session",
-                "train the model again (fieldlum train)",
-            )
+            found = f"with a heading of {heading_deg:g} deg"
+            _refuse(model_folder, found, f"{first.heading_deg:g} deg")
 
 
-def _changes(mine: Mapping[str, Any], theirs: Mapping[str, Any]) -> tuple[str, str] | None:
-    """Return the first difference of camera and room between model and session; None if equal.
-
-    Both affect every map.
-    """
-    for table in ("camera", "room"):
-        a, b = mine.get(table) or {}, theirs.get(table) or {}
-        for name in sorted({*a, *b} - {"profile"}):
-            if a.get(name) != b.get(name):
-                return f"[{table}] {name} = {a.get(name, 'none')}", f"{b.get(name, 'none')}"
-    return None
+def _refuse(model_folder: Path, found: str, expected: str) -> NoReturn:
+    raise InputError(
+        model_folder,
+        f"a model {found}",
+        f"{expected}, as in this session",
+        "merge, pair and train again, or use the model that was trained on this session",
+    )
 
 
 def inputs_of(
@@ -125,9 +107,8 @@ def inputs_of(
     """
     synthetic = str(weather) == SYNTHETIC
     if not synthetic and not weather.is_file():
-        raise InputError(
-            weather, "no such file", "a weather file, or the word synthetic", "check the path"
-        )
+        expected = "a weather file, or the word synthetic"
+        raise InputError(weather, "no such file", expected, "check the path")
     weights, view = model / "weights.npz", model / SKY_VIEW
     return {
         "model": model.resolve().name,

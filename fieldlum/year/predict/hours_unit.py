@@ -3,59 +3,127 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
-from fieldlum.core.arrays import Array, Floats, Floats32
-from fieldlum.core.scheduler import WorkUnit
+from fieldlum.core.arrays import Array, Floats
+from fieldlum.core.records import Progress, quiet
+from fieldlum.core.scheduler import LOCAL, Scheduler, WorkUnit, run_each
 from fieldlum.learn.models import Fitted, load, read_config
 from fieldlum.session import sha256
 from fieldlum.sky.light import Light
+from fieldlum.sky.sky_view.disc_in_view import disc_lx, drawn_discs_lx
+from fieldlum.year.glare.budget import U_DISC
 from fieldlum.year.glare.contrast import ViewRegions
 from fieldlum.year.glare.geometry import Views, panorama_views
-from fieldlum.year.glare.metrics import DiscLight, dgp_with_disc, glare_directions, sun_per_lx
-from fieldlum.year.glare.sources import SOURCE_CDM2
-from fieldlum.year.glare.standards import dgp_uncertainty
-from fieldlum.year.glare.unseen import (
-    ViewCoverage,
-    brightest_cdm2,
-    unseen_dgp_bounds,
-    view_coverage,
+from fieldlum.year.glare.metrics import (
+    DiscLight,
+    dgp_with_disc,
+    glare_directions,
+    map_ev_lx,
+    sun_per_lx,
 )
+from fieldlum.year.glare.sources import SOURCE_CDM2
+from fieldlum.year.glare.standards import DgpUncertainty, dgp_uncertainty, disturbed_share
+from fieldlum.year.glare.unseen import brightest_cdm2, unseen_dgp_bounds, view_coverage
 from fieldlum.year.predict.blocks import BLOCK, HourBlock, ModelRoom, blocks, room_of
 from fieldlum.year.predict.maps import write_maps
-from fieldlum.year.predict.melanopic import MelanopicYear, sun_shares
+from fieldlum.year.predict.melanopic import MelanopicYear
 
-# Relative standard uncertainty of the disc's illuminance, for luminous efficacy and glass together.
-# Not measured.
-U_DISC = 0.05
+NORMAL_95 = 1.96  # standard deviations of a 95 % interval; quantile of the normal distribution
 
 
-def unseen_bounds(
-    block: HourBlock, room: ModelRoom, coverage: ViewCoverage, figures: dict[str, Floats]
-) -> tuple[Floats, Floats]:
-    """Return the least and the largest DGP that unseen parts of the views allow, [k, d] each.
+@dataclass(frozen=True, slots=True)
+class HourFigures:
+    """Figures of n consecutive hours of a year, in d view directions.
 
-    An unseen part gets one luminance between 0 and the larger of the sky's mean luminance and the
-    luminance exceeded in the brightest hundredth of the seen solid angle. For views without unseen
-    pixels both results are the DGP itself. figures: the result of `view_figures`.
+    start: index in the year of the first hour, from 0; hours: columns of hourly.csv without a
+    direction, [n] each, with `occupied` 0; views: those for each direction, [n, d] each, NaN in
+    directions of which lenses saw less than half, and the further keys of `glare_directions`;
+    doubt: what is uncertain about DGP.
     """
-    most = block.light.diffuse_lx / np.pi
-    if room.seen is not None and coverage.partly.any():
-        most = np.maximum(most, brightest_cdm2(block.prediction.luminance_cdm2, room.seen))
-    return unseen_dgp_bounds(coverage, figures["ev_lx"], figures["contrast"], most)
+
+    start: int
+    hours: dict[str, Array]
+    views: dict[str, Floats]
+    doubt: DgpUncertainty
+
+
+def joined(parts: Sequence[HourFigures]) -> HourFigures:
+    """Return the figures of all parts, which may be in any order."""
+    parts = sorted(parts, key=lambda part: part.start)
+    first = parts[0]
+    doubts = [part.doubt for part in parts]
+    return HourFigures(
+        first.start,
+        {name: np.concatenate([part.hours[name] for part in parts]) for name in first.hours},
+        {name: np.concatenate([part.views[name] for part in parts]) for name in first.views},
+        DgpUncertainty(
+            first.doubt.words,
+            np.concatenate([doubt.minimum for doubt in doubts]),
+            np.concatenate([doubt.maximum for doubt in doubts]),
+            np.concatenate([doubt.drawn for doubt in doubts], axis=1),
+            np.concatenate([doubt.u_maps for doubt in doubts]),
+        ),
+    )
+
+
+class HourJudge:
+    """Computes the figures of predicted hours in some view directions of a room."""
+
+    def __init__(self, room: ModelRoom, azimuths_deg: Floats) -> None:
+        """Compute the weights of the views."""
+        size = room.height, room.width, room.heading_deg
+        self.views = panorama_views(*size, azimuths_deg, room.seen)
+        self._coverage, self._regions = view_coverage(self.views), ViewRegions(self.views)
+
+    def figures(
+        self,
+        block: HourBlock,
+        discs_lx: Floats,
+        start: int = 0,
+        melanopic: MelanopicYear | None = None,
+    ) -> HourFigures:
+        """Return all figures of the k hours of a block.
+
+        discs_lx: illuminance of the sun's disc in random draws of its visibility [m, k]; start:
+        index of the first hour; melanopic: colours by the captures, None without any.
+        """
+        views, coverage, predicted = self.views, self._coverage, block.prediction
+        figures = view_figures(block, views, self._regions)
+        u_ev_rel, u_source_rel = relative_uncertainty(block, views, figures)
+        ev_lx, contrast, dgp = figures["ev_lx"], figures["contrast"], figures["dgp"]
+        if melanopic is not None:
+            figures |= melanopic.figures(block.light, figures, u_ev_rel)
+        u_maps = dgp_uncertainty(ev_lx, contrast, u_ev_rel, u_source_rel)
+        # an unseen part has between 0 cd/m2 and the sky's mean or the brightest seen hundredth
+        brightest = block.light.diffuse_lx / np.pi
+        if coverage.unseen_illuminance.any():
+            brightest = np.maximum(brightest, brightest_cdm2(predicted.luminance_cdm2, views))
+        minimum, maximum = unseen_dgp_bounds(coverage, ev_lx, contrast, brightest)
+        per_lx = sun_per_lx(block.light.shown_sun_direction, views)
+        images = drawn_images(block, views, len(discs_lx))
+        drawn = dgp_with_disc(figures, per_lx, discs_lx, images).astype(np.float32)
+        off = drawn - dgp.astype(np.float32)  # [m, k, d]
+        reach = NORMAL_95 * np.nan_to_num(u_maps)
+        low, high = np.percentile(off, (2.5, 97.5), axis=0)
+        figures["dgp_low"] = np.clip(minimum + np.minimum(low, 0.0) - reach, 0.0, 1.0)
+        figures["dgp_high"] = np.clip(maximum + np.maximum(high, 0.0) + reach, 0.0, 1.0)
+        figures["u_dgp"] = np.hypot(u_maps, np.sqrt((off**2).mean(axis=0)))
+        for values in figures.values():
+            values[:, ~coverage.judged] = np.nan
+        hours = hour_figures(block) | {"disturbed_share": disturbed_share(figures["dgp"])}
+        doubt = DgpUncertainty(coverage.words, minimum, maximum, drawn, u_maps)
+        return HourFigures(start, hours, figures, doubt)
 
 
 def hour_figures(block: HourBlock) -> dict[str, Array]:
-    """Return the figures of k hours that have no direction, by column of hourly.csv, [k] each.
-
-    `disturbed_share` is missing, and `occupied` is 0, because they need more than the block.
-    """
-    light, predicted = block.light, block.prediction
+    """Return the figures of k hours that have no direction, by column of hourly.csv, [k] each."""
+    light = block.light
     return {
         "dni_wm2": light.dni_wm2,
         "dhi_wm2": light.dhi_wm2,
@@ -64,31 +132,24 @@ def hour_figures(block: HourBlock) -> dict[str, Array]:
         "disc_lx": block.disc_lx,
         "occupied": np.zeros(len(light)),
         "trusted": block.trusted.astype(float),
-        "expected_log10_mse": predicted.expected_mse,
+        "expected_log10_mse": block.prediction.expected_mse,
     }
 
 
-def view_figures(
-    block: HourBlock, room: ModelRoom, views: Views, regions: ViewRegions
-) -> dict[str, Floats]:
+def view_figures(block: HourBlock, views: Views, regions: ViewRegions) -> dict[str, Floats]:
     """Return the figures of k hours in d view directions, by column of hourly.csv, [k, d] each.
 
-    `dgp_low` and `dgp_high` are missing; `u_dgp` has only the errors of the maps and of the visible
-    disc's illuminance. All further keys of `glare_directions` are included.
+    Those of uncertainty and of measured colour are missing. All further keys of `glare_directions`
+    are included.
     """
     maps = block.prediction.luminance_cdm2
     figures = glare_directions(
         maps,
-        room.heading_deg,
-        views.azimuths_deg,
+        views,
         np.stack([block.light.shown_sun_direction, *(image.towards for image in block.images)]),
         np.stack([block.disc_lx, *(image.shown_lx for image in block.images)]),
-        views=views,
     )
-    figures["u_dgp"] = dgp_uncertainty(
-        figures["ev_lx"], figures["contrast"], *relative_uncertainty(block, views, figures)
-    )
-    figures["melanopic_edi_lx_estimate"] = figures["ev_lx"]
+    figures["melanopic_edi_lx_estimate"] = figures["ev_lx"].copy()
     return figures | regions.ratios(maps)
 
 
@@ -103,12 +164,7 @@ def relative_uncertainty(
     """
     map_ev, map_source = _relative_of_map(block, views)
     share_ev = figures["sun_ev_lx"] / np.maximum(figures["ev_lx"], 1e-6)
-    share = np.divide(
-        figures["sun_contrast"],
-        figures["contrast"],
-        out=np.zeros_like(share_ev),
-        where=figures["contrast"] > 0,
-    )
+    share = figures["sun_contrast"] / np.maximum(figures["contrast"], 1e-30)
     return (
         np.hypot((1.0 - share_ev) * map_ev, share_ev * U_DISC),
         np.hypot((1.0 - share) * map_source, share * U_DISC),
@@ -121,121 +177,13 @@ def _relative_of_map(block: HourBlock, views: Views) -> tuple[Floats, Floats]:
     if predicted.log10_sd is None:
         same = np.log(10.0) * np.sqrt(np.asarray(predicted.expected_mse, float))[:, None]
         return np.broadcast_to(same, shape), np.broadcast_to(same, shape)
-    flat = predicted.luminance_cdm2.reshape(shape[0], -1)
-    spread = np.float32(np.log(10.0)) * predicted.log10_sd.reshape(shape[0], -1)
-    ev = flat @ views.illuminance
-    ev_off = (flat * spread) @ views.illuminance
-    power = np.where(flat > SOURCE_CDM2, flat, np.float32(0.0)) ** 2
-    source, source_off = power @ views.illuminance, (power * spread) @ views.illuminance
-    return (
-        (ev_off / np.maximum(ev, 1e-6)).astype(float),
-        np.divide(source_off, source, out=np.zeros_like(source), where=source > 0).astype(float),
+    spread = np.float32(np.log(10.0)) * predicted.log10_sd
+    maps = predicted.luminance_cdm2
+    ev, power = (
+        map_ev_lx(light * spread, views) / np.maximum(map_ev_lx(light, views), 1e-6)
+        for light in (maps, np.where(maps > SOURCE_CDM2, maps, np.float32(0.0)) ** 2)
     )
-
-
-@dataclass(frozen=True, slots=True)
-class _HoursJob:
-    """The input of a worker, with folders relative to the unit's.
-
-    `maps` is "", a folder or a URL.
-    """
-
-    model: str
-    digest: str  # of the model's files
-    start: int
-    light: Light  # of the block
-    azimuths_deg: tuple[float, ...]
-    disc_lx: Floats  # [n]
-    discs_lx: Floats  # [k, n]
-    maps: str
-    melanopic: MelanopicYear | None
-
-
-@dataclass(frozen=True, slots=True)
-class HourFigures:
-    """Figures of n consecutive hours of a year, in d view directions.
-
-    rows: index in the year of the first hour, from 0, and of the hour after the last; hours: as
-    `hour_figures` returns them, [n] each; views: as `view_figures`, [n, d] each; least, most:
-    bounds of DGP by unseen parts of the view [n, d]; drawn: DGP with the sun's disc as k random
-    draws of its visibility show it [k, n, d].
-    """
-
-    rows: tuple[int, int]
-    hours: dict[str, Array]
-    views: dict[str, Floats]
-    least: Floats
-    most: Floats
-    drawn: Floats32
-
-
-@dataclass(frozen=True, slots=True)
-class _Prepared:
-    fitted: Fitted
-    room: ModelRoom
-    views: Views
-    coverage: ViewCoverage
-    regions: ViewRegions
-
-
-def hour_units(
-    model_folder: Path,
-    light: Light,
-    azimuths_deg: Sequence[float] | Floats,
-    disc_lx: Floats,
-    discs_lx: Floats,
-    maps: str,
-    melanopic: MelanopicYear | None = None,
-) -> list[WorkUnit]:
-    """Return the units of work of a year's n hours, with 64 hours each; the last may be shorter.
-
-    azimuths_deg: view directions, clockwise from true north; disc_lx: illuminance of the sun's
-    disc [n]; discs_lx: in k random draws of its visibility [k, n]; maps: folder or URL of the Zarr
-    store of maps, "" to write none; melanopic: colours by the captures, None without any.
-    """
-    model = model_folder.resolve()
-    local = Path(maps).resolve() if maps and "://" not in maps else None
-    folder = model if local is None else Path(os.path.commonpath([model, local]))
-    name = model.relative_to(folder).as_posix()
-    files = tuple(
-        f"{name}/{file}" for file in ("config.json", "weights.npz") if (model / file).is_file()
-    )
-    digest = " ".join(sha256(folder / file) for file in files)
-    where = maps if local is None else local.relative_to(folder).as_posix()
-    azimuths = tuple(float(a) for a in azimuths_deg)
-    units = []
-    for start in range(0, len(light), BLOCK):
-        rows = slice(start, min(start + BLOCK, len(light)))
-        discs = disc_lx[rows], discs_lx[:, rows]
-        job = _HoursJob(name, digest, start, light[rows], azimuths, *discs, where, melanopic)
-        text = f"hours-{rows.start}-{rows.stop}"
-        units.append(WorkUnit(text, predict_hours, folder, job, files=files))
-    return units
-
-
-def predict_hours(folder: Path, job: _HoursJob) -> HourFigures:
-    """Predict the hours of a unit and compute their glare; write the maps if `job.maps` is set.
-
-    folder: that of the unit, to which the paths in `job` are relative.
-    """
-    ready = _prepared(folder / job.model, job.digest, job.azimuths_deg)
-    room = ready.room
-    (block,) = blocks(ready.fitted, room, job.light, job.disc_lx)
-    figures = view_figures(block, room, ready.views, ready.regions)
-    if job.melanopic is not None:
-        ev_lx = figures["ev_lx"] - figures["sun_ev_lx"]
-        shares = sun_shares(ready.fitted, room, block.light, ready.views, ev_lx)
-        u_ev_rel, _ = relative_uncertainty(block, ready.views, figures)
-        figures |= job.melanopic.figures(block.light, shares, figures, u_ev_rel)
-    least, most = unseen_bounds(block, room, ready.coverage, figures)
-    discs = job.discs_lx
-    per_lx = sun_per_lx(block.light.shown_sun_direction, ready.views)
-    drawn = dgp_with_disc(figures, per_lx, discs, drawn_images(block, ready.views, len(discs)))
-    if job.maps:
-        pictures = block.pictures_cdm2(room.heading_deg)
-        write_maps(job.maps if "://" in job.maps else str(folder / job.maps), job.start, pictures)
-    rows = (job.start, job.start + len(job.light))
-    return HourFigures(rows, hour_figures(block), figures, least, most, drawn.astype(np.float32))
+    return ev, power
 
 
 def drawn_images(block: HourBlock, views: Views, count: int) -> list[DiscLight]:
@@ -251,19 +199,118 @@ def drawn_images(block: HourBlock, views: Views, count: int) -> list[DiscLight]:
     ]
 
 
-@lru_cache(maxsize=1)
-def _prepared(model_folder: Path, digest: str, azimuths_deg: tuple[float, ...]) -> _Prepared:
-    """Load a model and its views once per process.
-
-    `digest` identifies the content of the folder.
-    """
-    room = room_of(read_config(model_folder), model_folder)
-    azimuths = np.array(azimuths_deg)
-    views = panorama_views(room.height, room.width, room.heading_deg, azimuths)
-    return _Prepared(
-        load(model_folder),
-        room,
-        views,
-        view_coverage(room.seen, views),
-        ViewRegions(room.height, room.width, room.heading_deg, azimuths, room.seen),
+def room_figures(
+    fitted: Fitted, room: ModelRoom, light: Light, azimuths_deg: Floats, seed: int = 0
+) -> HourFigures:
+    """Predict the n hours of `light` in this process, and return their figures in d directions."""
+    best_lx, discs_lx = discs_of(room, light, seed)
+    judge = HourJudge(room, azimuths_deg)
+    return joined(
+        [
+            judge.figures(block, discs_lx[:, block.rows], block.rows.start)
+            for block in blocks(fitted, room, light, best_lx)
+        ]
     )
+
+
+def discs_of(room: ModelRoom, light: Light, seed: int) -> tuple[Floats, Floats]:
+    """Return the disc's illuminance normal to the sun, [n] lx, and random draws of it, [k, n]."""
+    rng = np.random.default_rng([seed, 2])
+    view, setup = room.sky_view, room.setup
+    return disc_lx(view, setup, light), drawn_discs_lx(view, setup, light, rng)
+
+
+# ----------------------------------------------------------------------------------------------
+# units of work
+
+
+@dataclass(frozen=True, slots=True)
+class _HoursJob:
+    """The input of a worker, with folders relative to the unit's.
+
+    digest: of the model's files; light, disc_lx [n], discs_lx [k, n]: of the block; maps: "", a
+    folder or a URL.
+    """
+
+    model: str
+    digest: str
+    start: int
+    light: Light
+    azimuths_deg: tuple[float, ...]
+    disc_lx: Floats
+    discs_lx: Floats
+    maps: str
+    melanopic: MelanopicYear | None
+
+
+def measure(
+    model_folder: Path,
+    room: ModelRoom,
+    light: Light,
+    azimuths_deg: Floats,
+    *,
+    maps: str = "",
+    melanopic: MelanopicYear | None = None,
+    seed: int = 0,
+    scheduler: Scheduler = LOCAL,
+    progress: Progress = quiet,
+) -> HourFigures:
+    """Predict every hour of `light`, and return the figures in d view directions.
+
+    maps: folder or URL of the Zarr store of maps, "" to write none; melanopic: colours by the
+    captures, None without any.
+    """
+    parts: list[HourFigures] = []
+    discs = discs_of(room, light, seed)
+    units = list(_units(model_folder, light, azimuths_deg, discs, maps, melanopic))
+    run_each(units, scheduler, lambda outcome: parts.append(outcome.result()), progress)
+    return joined(parts)
+
+
+def _units(
+    model_folder: Path,
+    light: Light,
+    azimuths_deg: Floats,
+    discs: tuple[Floats, Floats],
+    maps: str,
+    melanopic: MelanopicYear | None,
+) -> Iterator[WorkUnit]:
+    """Yield the units of work, with 64 hours each; the last may be shorter."""
+    model = model_folder.resolve()
+    local = Path(maps).resolve() if maps and "://" not in maps else None
+    folder = model if local is None else Path(os.path.commonpath([model, local]))
+    name = model.relative_to(folder).as_posix()
+    files = tuple(
+        f"{name}/{file}" for file in ("config.json", "weights.npz") if (model / file).is_file()
+    )
+    digest = " ".join(sha256(folder / file) for file in files)
+    where = maps if local is None else local.relative_to(folder).as_posix()
+    azimuths = tuple(float(a) for a in azimuths_deg)
+    best_lx, discs_lx = discs
+    for start in range(0, len(light), BLOCK):
+        rows = slice(start, min(start + BLOCK, len(light)))
+        of_sun = best_lx[rows], discs_lx[:, rows]
+        job = _HoursJob(name, digest, start, light[rows], azimuths, *of_sun, where, melanopic)
+        yield WorkUnit(f"hours-{start}-{rows.stop}", predict_hours, folder, job, files=files)
+
+
+def predict_hours(folder: Path, job: _HoursJob) -> HourFigures:
+    """Predict the hours of a unit and compute their glare; write the maps if `job.maps` is set.
+
+    folder: that of the unit, to which the paths in `job` are relative.
+    """
+    fitted, room, judge = _prepared(folder / job.model, job.digest, job.azimuths_deg)
+    (block,) = blocks(fitted, room, job.light, job.disc_lx)
+    if job.maps:
+        pictures = block.pictures_cdm2(room.heading_deg)
+        write_maps(job.maps if "://" in job.maps else str(folder / job.maps), job.start, pictures)
+    return judge.figures(block, job.discs_lx, job.start, job.melanopic)
+
+
+@lru_cache(maxsize=1)
+def _prepared(
+    model_folder: Path, digest: str, azimuths_deg: tuple[float, ...]
+) -> tuple[Fitted, ModelRoom, HourJudge]:
+    """Load a model and its views once per process; `digest` is of the folder's content."""
+    room = room_of(read_config(model_folder), model_folder)
+    return load(model_folder), room, HourJudge(room, np.array(azimuths_deg))

@@ -6,12 +6,11 @@ import shutil
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from fieldlum.core.arrays import Floats, Floats32
-from fieldlum.core.records import JsonTable
 from fieldlum.optics.projection import column_azimuths_deg, row_altitudes_deg
 from fieldlum.session.bucket import BucketStore
 from fieldlum.session.provenance import digest
@@ -19,107 +18,53 @@ from fieldlum.year.predict.annual import rounded, time_coordinate
 from fieldlum.year.predict.blocks import BLOCK, ModelRoom
 
 _NAME = "maps.zarr"
+CHUNK = 8  # hours that must be decompressed to read one hour; not measured
+MAPS = "luminance_cdm2"
 
 
-class BucketMapStore:
-    """A store `maps.zarr` of predicted maps below a URL; it can be opened when it is complete.
+class MapStore:
+    """A Zarr store of predicted maps: luminance_cdm2 (time, y, x), and disc_lx and trusted (time).
 
-    inputs: what the year depends on; the store records its digest. draft: local folder for the
-    coordinates and descriptions before their upload.
+    It is `maps.zarr` in a year's folder, or below the URL of a bucket, which records a digest of
+    `inputs` (what the year depends on). Units of work write maps in parallel into `target`, with
+    `write_maps`. The store can be opened, and replaces an earlier one, after `finish`. disc_lx:
+    illuminance of the visible sun disc on a plane normal to it; trusted: 1 if the map of the hour
+    is trusted, else 0.
     """
 
-    def __init__(self, url: str, inputs: Mapping[str, object], draft: Path) -> None:
-        self._digest = digest(inputs)
-        self._store = BucketStore(f"{url.rstrip('/')}/{_NAME}")
-        self._draft = draft
+    def __init__(self, folder: Path, url: str, inputs: Mapping[str, object]) -> None:
+        """url: of a bucket, "" for the folder. Raises InputError for an unusable URL."""
+        self._path, self._draft = folder / _NAME, folder / f".{_NAME}.tmp"
+        self._bucket = BucketStore(f"{url.rstrip('/')}/{_NAME}") if url else None
+        self._inputs = inputs
+        self.target = self._bucket.target if self._bucket else str(self._draft)
 
-    @property
-    def target(self) -> str:
-        """Return the URL where units write."""
-        return self._store.target
+    def create(self, t_utc: Sequence[datetime], room: ModelRoom) -> None:
+        """Begin a new store: write coordinates, and an array of maps without values.
 
-    def create(self, t_utc: Sequence[datetime], room: ModelRoom, site_name: str) -> None:
-        """Delete an earlier store, and upload the coordinates and an array of maps without values.
-
-        t_utc: middle of each hour. Raises InputError for a URL that cannot be written to.
+        t_utc: middle of each hour. Raises InputError for a bucket that cannot be written to.
         """
-        describe(self._draft, t_utc, room, {"site": site_name})
-        self._store.begin(self._draft)
+        shutil.rmtree(self._draft, ignore_errors=True)
+        describe(self._draft, t_utc, room)
+        if self._bucket:
+            self._bucket.begin(self._draft)
 
     def finish(self, disc_lx: Floats, trusted: Floats) -> None:
-        """Upload `disc_lx` [lx] and `trusted` (0 or 1) of the n hours, then the root's zarr.json.
-
-        This completes the store; the local draft is deleted.
-        """
+        """Write `disc_lx` [lx] and `trusted` (0 or 1) of the n hours, which completes the store."""
         add_hours(self._draft, disc_lx, trusted)
+        if self._bucket is None:
+            shutil.rmtree(self._path, ignore_errors=True)
+            self._draft.rename(self._path)
+            return
         for name in ("disc_lx", "trusted"):
-            self._store.upload(self._draft, name)
-        self._store.finish(self._draft, self._digest)
+            self._bucket.upload(self._draft, name)
+        self._bucket.finish(self._draft, digest(self._inputs))
         shutil.rmtree(self._draft, ignore_errors=True)
 
 
 def is_complete(url: str, inputs: Mapping[str, object]) -> bool:
     """Return whether a complete maps.zarr, computed from these inputs, is below `url`."""
     return BucketStore(f"{url.rstrip('/')}/{_NAME}").is_made_from(digest(inputs))
-
-
-CHUNK = 8  # hours that must be decompressed to read one hour; not measured
-MAPS = "luminance_cdm2"
-
-
-class MapStore(Protocol):
-    """A Zarr store of predicted maps: luminance_cdm2 (time, y, x), and disc_lx and trusted (time).
-
-    Units of work write maps in parallel into `target`, with `write_maps`. The store is complete
-    after `finish`. disc_lx: illuminance of the visible sun disc on a plane normal to it; trusted: 1
-    if the map of the hour is trusted, else 0.
-    """
-
-    @property
-    def target(self) -> str:
-        """Return the path or URL into which units write."""
-        ...
-
-    def create(self, t_utc: Sequence[datetime], room: ModelRoom, site_name: str) -> None:
-        """Begin a new store in `target`: write coordinates, and an array of maps without values.
-
-        t_utc: middle of each hour. What `target` already holds is deleted.
-        """
-        ...
-
-    def finish(self, disc_lx: Floats, trusted: Floats) -> None:
-        """Write `disc_lx` [lx] and `trusted` (0 or 1) of the n hours, which completes the store."""
-        ...
-
-
-class FolderMapStore:
-    """A store of maps in a local folder, which is renamed to `path` when it is complete."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._work = path.with_name(f".{path.name}.tmp")
-
-    @property
-    def target(self) -> str:
-        """Return the temporary folder, `.NAME.tmp` for a store NAME, where units of work write."""
-        return str(self._work)
-
-    def create(self, t_utc: Sequence[datetime], room: ModelRoom, site_name: str) -> None:
-        """Begin a new store in `target`: write coordinates, and an array of maps without values.
-
-        t_utc: middle of each hour. An earlier complete store remains until `finish`.
-        """
-        shutil.rmtree(self._work, ignore_errors=True)
-        describe(self._work, t_utc, room, {"site": site_name})
-
-    def finish(self, disc_lx: Floats, trusted: Floats) -> None:
-        """Write `disc_lx` [lx] and `trusted` (0 or 1) of the n hours, and rename the store.
-
-        An earlier store of the final name is deleted.
-        """
-        add_hours(self._work, disc_lx, trusted)
-        shutil.rmtree(self._path, ignore_errors=True)
-        self._work.rename(self._path)
 
 
 def map_coordinates(
@@ -134,17 +79,17 @@ def map_coordinates(
     }
 
 
-def describe(folder: Path, t_utc: Sequence[datetime], room: ModelRoom, about: JsonTable) -> None:
+def describe(folder: Path, t_utc: Sequence[datetime], room: ModelRoom) -> None:
     """Write a store in `folder`: time, altitude and azimuth, and an array of maps without values.
 
-    The maps are NaN until `write_maps`. t_utc: middle of each hour; about: further attributes.
+    The maps are NaN until `write_maps`. t_utc: middle of each hour.
     """
     import xarray as xr
     import zarr
 
     height, width = room.height, room.width
-    coordinates = map_coordinates(t_utc, height, room.heading_deg)
-    frame = xr.Dataset(coords=coordinates, attrs={"heading_deg": room.heading_deg, **about})
+    about = {"heading_deg": room.heading_deg, "site": room.setup.site.name}
+    frame = xr.Dataset(coords=map_coordinates(t_utc, height, room.heading_deg), attrs=about)
     time = {"time": {"units": "seconds since 1970-01-01", "dtype": "int64"}}
     frame.to_zarr(folder, mode="w", zarr_format=3, consolidated=False, encoding=time)
     group: Any = zarr.open_group(folder, mode="r+", zarr_format=3)
@@ -165,14 +110,11 @@ def add_hours(folder: Path, disc_lx: Floats, trusted: Floats) -> None:
     import xarray as xr
     import zarr
 
-    disc = {
-        "units": "lx",
-        "long_name": "illuminance of the visible disc on a plane normal to it",
-    }
+    text = "illuminance of the visible disc on a plane normal to it"
     flag = {"long_name": "similar light was captured, and the expected error is not large"}
     hours = xr.Dataset(
         {
-            "disc_lx": (("time",), disc_lx, disc),
+            "disc_lx": (("time",), disc_lx, {"units": "lx", "long_name": text}),
             "trusted": (("time",), trusted.astype(np.int8), flag),
         },
         attrs=dict(zarr.open_group(folder, mode="r").attrs),  # to_zarr replaces them

@@ -2,7 +2,9 @@
 
 Sky and sun have their own colours. The ratio of melanopic to photopic light in a view direction is
 that of the sky times its share in the illuminance, plus that of the sun times the rest, times a
-factor of the direction for the colours of glass and walls. The captures give sky, sun and factors.
+factor of the direction for the colours of glass and walls. The captures give sky, sun and factors;
+the sun's share is that of a kernel fit to the captures' vertical illuminance, so that no map is
+predicted for it.
 """
 
 from __future__ import annotations
@@ -13,17 +15,27 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum.core.arrays import Floats
+from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.errors import NotEnoughDataError
-from fieldlum.learn.models import Fitted
 from fieldlum.optics.images import read_panorama
 from fieldlum.optics.photometry.melanopic import melanopic_ratio, sun_ratio
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
-from fieldlum.sky.light import LEAST_LX, Light, light_at
-from fieldlum.year.glare.geometry import Views
-from fieldlum.year.predict.blocks import ModelRoom, blocks
+from fieldlum.sky.light import (
+    LEAST_LX,
+    Facades,
+    Features,
+    Kernel,
+    Light,
+    facades_of,
+    light_at,
+    light_features,
+)
+from fieldlum.year.glare.geometry import panorama_views
+from fieldlum.year.glare.metrics import map_ev_lx
+from fieldlum.year.predict.blocks import ModelRoom
 
-_MOST_CAPTURES = 80  # that are read, which limits the time; chosen
+_MAX_CAPTURES = 80  # that are read, which limits the time; chosen
+_NOISE = 1e-2  # relative variance of a capture, as the transport model's middle one
 # Where captures do not decide: the ratio of an overcast sky, what a clear sky adds, and the sun's
 # over `sun_ratio` (fits to two simulated rooms with a coloured sky), with the weight of _PRIOR
 # captures.
@@ -33,30 +45,49 @@ _U_SUN = 0.07  # relative u of the visible sun's melanopic illuminance; chosen
 
 @dataclass(frozen=True, slots=True)
 class MelanopicYear:
-    """The ratio of melanopic to photopic light by hour and view direction.
+    """The ratio of melanopic to photopic light by hour and view direction, from n captures.
 
-    weights [3] : of an overcast sky, of a sky's clearness, and of the sun; factors [d] : of the
-    view directions; u_rel : relative standard uncertainty, by days held out and by the camera's
-    colour.
+    kernel, captured : covariance between hours, and the captures' features; coefficients [n, d] :
+    kernel(hours, captured) @ coefficients is Ev over the total light outside. weights [3] : of an
+    overcast sky, of a sky's clearness, and of the sun; factors [d] : of the view directions;
+    u_rel : relative standard uncertainty, by days held out and by the camera's colour.
     """
 
+    kernel: Kernel
+    captured: Features
+    coefficients: Floats
     weights: Floats
     factors: Floats
     u_rel: float
 
-    def ratio(self, light: Light, sun_share: Floats) -> Floats:
-        """Return the ratio in n hours, [n, d]; sun_share [n, d] : share of the sun in the light."""
-        return np.einsum("ndk,k,d->nd", _parts(light, sun_share), self.weights, self.factors)
+    def sun_shares(self, light: Light) -> Floats:
+        """Return the share (0 to 1) of the sun in the light that reaches the eye, [n, d].
+
+        It is that of the light in the same hours without their sun, by the same kernel.
+        """
+        shade = _without_sun(light)
+        of_all, of_sky = (
+            np.maximum(self.kernel(light_features(part), self.captured) @ self.coefficients, 0.0)
+            * part.total_lx[:, None]
+            for part in (light, shade)
+        )
+        share = 1.0 - of_sky / np.maximum(of_all, LEAST_LX)
+        return np.clip(share, 0.0, 1.0) * (light.direct_lx > 0.0)[:, None]
+
+    def ratio(self, light: Light) -> Floats:
+        """Return the ratio in n hours, [n, d]."""
+        parts = _parts(light, self.sun_shares(light))
+        return np.einsum("ndk,k,d->nd", parts, self.weights, self.factors)
 
     def figures(
-        self, light: Light, sun_share: Floats, views: dict[str, Floats], u_ev_rel: Floats
+        self, light: Light, views: dict[str, Floats], u_ev_rel: Floats
     ) -> dict[str, Floats]:
         """Return melanopic EDI and its standard uncertainty, by column of hourly.csv, [n, d] each.
 
         views : figures of the hours, with `ev_lx` and `sun_ev_lx`; u_ev_rel [n, d] : relative
         standard uncertainty of `ev_lx`.
         """
-        of_map = (views["ev_lx"] - views["sun_ev_lx"]) * self.ratio(light, sun_share)
+        of_map = (views["ev_lx"] - views["sun_ev_lx"]) * self.ratio(light)
         of_sun = views["sun_ev_lx"] * sun_ratio(light.shown_altitude_deg)[:, None]
         edi = of_map + of_sun
         u = np.hypot(np.hypot(of_map * self.u_rel, of_sun * _U_SUN), edi * u_ev_rel)
@@ -74,23 +105,38 @@ def _parts(light: Light, sun_share: Floats) -> Floats:
 
 
 def fit_year(
-    light: Light, ratio: Floats, sun_share: Floats, days: Sequence[int], u_colour_rel: float
+    light: Light,
+    photopic_lx: Floats,
+    melanopic_lx: Floats,
+    days: Sequence[int],
+    u_colour_rel: float,
+    facades: Facades,
 ) -> MelanopicYear:
-    """Fit the ratio of n captures in d directions.
+    """Fit photopic and melanopic light at the eye in n captures and d directions.
 
-    light : of the captures; ratio, sun_share : [n, d]; days [n] : number of the day of each, for
-    holding days out; u_colour_rel : relative standard uncertainty of the camera's colour.
+    light : of the captures; photopic_lx, melanopic_lx : vertical illuminance without the sun's
+    disc, [n, d]; days [n] : number of the day of each, for holding days out; u_colour_rel :
+    relative standard uncertainty of the camera's colour; facades : of the room.
     """
-    parts, day = _parts(light, sun_share), np.array(days)
-    errors = []
+    day, ratio, errors = np.array(days), melanopic_lx / photopic_lx, []
+
+    def fitted(rows: Mask) -> MelanopicYear:
+        kernel, some = Kernel(facades), light[rows]
+        features = light_features(some)
+        covariance = kernel(features, features) + _NOISE * np.eye(len(some))
+        relative = photopic_lx[rows] / some.total_lx[:, None]
+        coefficients = np.linalg.solve(covariance, relative)
+        year = MelanopicYear(kernel, features, coefficients, _TYPICAL, np.ones(0), 0.0)
+        weights, factors = _solve(_parts(some, year.sun_shares(some)), ratio[rows])
+        return replace(year, weights=weights, factors=factors)
+
     for held in np.unique(day):
         rows = day != held
         if rows.any():
-            weights, factors = _solve(parts[rows], ratio[rows])
-            errors.append(np.einsum("ndk,k,d->nd", parts[~rows], weights, factors) / ratio[~rows])
+            errors.append(fitted(rows).ratio(light[~rows]) / ratio[~rows])
     off = np.concatenate(errors) - 1.0 if errors else np.full((1, 1), 0.1)
     u_rel = float(np.hypot(np.sqrt(np.mean(off**2)), u_colour_rel))
-    return MelanopicYear(*_solve(parts, ratio), u_rel)
+    return replace(fitted(np.ones(len(day), bool)), u_rel=u_rel)
 
 
 def _solve(parts: Floats, ratio: Floats) -> tuple[Floats, Floats]:
@@ -102,26 +148,6 @@ def _solve(parts: Floats, ratio: Floats) -> tuple[Floats, Floats]:
     count = len(ratio)
     off = (ratio / (parts @ weights)).mean(axis=0) - 1.0
     return weights, 1.0 + off * count / (count + _PRIOR)
-
-
-def sun_shares(
-    fitted: Fitted, room: ModelRoom, light: Light, views: Views, ev_lx: Floats
-) -> Floats:
-    """Return the sun's share (0 to 1) in the light of the predicted maps, [n, d].
-
-    The hours are predicted again without the sun, under the same sky. ev_lx [n, d] : vertical
-    illuminance by the maps of `light`, without the disc.
-    """
-    shares = np.zeros(ev_lx.shape)
-    sunny = np.flatnonzero(light.direct_lx > 0.0)
-    if len(sunny) == 0:
-        return shares
-    shade = _without_sun(light[sunny])
-    for block in blocks(fitted, room, shade):
-        rows = sunny[block.rows]
-        maps = block.prediction.luminance_cdm2.reshape(len(rows), -1)
-        shares[rows] = 1.0 - maps @ views.illuminance / np.maximum(ev_lx[rows], LEAST_LX)
-    return np.clip(shares, 0.0, 1.0)
 
 
 def _without_sun(light: Light) -> Light:
@@ -141,29 +167,30 @@ def has_colour(pairs: Path) -> bool:
     return melanopic_ratio(read_panorama(picture)) is not None
 
 
-def year_of_captures(pairs: Path, fitted: Fitted, room: ModelRoom, views: Views) -> MelanopicYear:
-    """Fit the ratio to the pictures of a pairs.csv.
+def year_of_captures(pairs: Path, room: ModelRoom, azimuths_deg: Floats) -> MelanopicYear:
+    """Fit the ratio to the pictures of a pairs.csv, in view directions [d].
 
     Raises NotEnoughDataError if no picture has melanopic colour.
     """
+    views = panorama_views(room.height, room.width, room.heading_deg, azimuths_deg, room.seen)
     usable = [row for row in PairsFile.find(pairs).usable if row.panorama and not row.sun_in_map]
-    step = -(-len(usable) // _MOST_CAPTURES) if usable else 1
+    step = -(-len(usable) // _MAX_CAPTURES) if usable else 1
     rows: list[PairRow] = []
-    ratios, u_rel = [], 0.0
+    photopic, melanopic, u_rel = [], [], 0.0
     for row in usable[::step]:
         picture = read_panorama(pairs.parent / row.panorama)
         colour = melanopic_ratio(picture)
         if colour is None:
             continue
-        light = np.maximum(np.nan_to_num(picture.luminance_cdm2), 0.0).ravel()
-        photopic = np.maximum(light @ views.illuminance, LEAST_LX)
-        ratios.append((light * colour[0].ravel()) @ views.illuminance / photopic)
+        light = np.maximum(np.nan_to_num(picture.luminance_cdm2), 0.0)
+        both = map_ev_lx(np.stack([light, light * colour[0]]), views)
+        photopic.append(np.maximum(both[0], LEAST_LX))
+        melanopic.append(both[1])
         rows, u_rel = [*rows, row], max(u_rel, colour[1])
     if not rows:
         raise NotEnoughDataError(f"{pairs}: no picture has melanopic colour; merge them again")
     dni, dhi = (np.array([getattr(row, name) for row in rows]) for name in ("dni_wm2", "dhi_wm2"))
     light = light_at([row.t_utc for row in rows], room.setup.site, dni, dhi)
-    maps = [block.prediction.luminance_cdm2 for block in blocks(fitted, room, light)]
-    ev_lx = np.concatenate(maps).reshape(len(rows), -1) @ views.illuminance
-    shares = sun_shares(fitted, room, light, views, ev_lx)
-    return fit_year(light, np.array(ratios), shares, [row.t_utc.toordinal() for row in rows], u_rel)
+    days = [row.t_utc.toordinal() for row in rows]
+    facades = facades_of(room.setup.room)
+    return fit_year(light, np.array(photopic), np.array(melanopic), days, u_rel, facades)

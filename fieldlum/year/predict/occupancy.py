@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, time, timedelta
 from pathlib import Path
@@ -11,7 +11,7 @@ from zoneinfo import ZoneInfo
 import numpy as np
 
 from fieldlum.core.arrays import Mask
-from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.core.errors import InputError, NotEnoughDataError, input_errors
 from fieldlum.core.records import Site
 from fieldlum.core.strict_csv import read_table
 from fieldlum.sky.sun import position, standard_date, standard_offset
@@ -78,11 +78,22 @@ def read_occupancy(path: Path) -> Occupancy:
     Raises InputError for a file that cannot be read, or for other content.
     """
     table = read_table(path, HOW, "write a line of column names and its rows")
-    if table.names == ("days", "start", "end"):
-        return _weekly(path, table.rows)
     if "occupied" in table.names:
         return _hourly(path, table.rows, table.names.index("occupied"))
-    raise InputError(path, f"columns {', '.join(table.names)}", HOW, "correct the first line")
+    if table.names != ("days", "start", "end"):
+        found = f"columns {', '.join(table.names)}"
+        raise InputError(path, found, HOW, "correct the first line")
+    periods: list[tuple[int, time, time]] = []
+    for number, (days, *times) in table.rows:
+        expected = "days and times such as mon-fri,08:00,18:00"
+        with input_errors(path, expected, f"correct line {number}", ValueError):
+            start, end = map(_time, times)
+            if not start < end:
+                raise ValueError(f"{times[0]} is not before {times[1]}")
+            periods += [(day, start, end) for day in _days(days)]
+    if not periods:
+        raise InputError(path, "no period in the file", HOW, "write one row for each period")
+    return Occupancy("; ".join(" ".join(row) for _, row in table.rows), tuple(periods))
 
 
 def _time(cell: str) -> time:
@@ -90,60 +101,25 @@ def _time(cell: str) -> time:
     return time.max if cell == "24:00" else time.fromisoformat(cell.zfill(5))
 
 
-def _weekly(path: Path, rows: Sequence[tuple[int, tuple[str, ...]]]) -> Occupancy:
-    periods = []
-    for number, row in rows:
-        try:
-            start, end = (_time(cell) for cell in row[1:])
-            days = _days(row[0])
-        except ValueError as error:
-            raise InputError(
-                path,
-                f"line {number}: {error}",
-                "days and times such as mon-fri,08:00,18:00",
-                "correct that line",
-            ) from None
-        if not start < end:
-            raise InputError(
-                path,
-                f"line {number}: {row[1]} is not before {row[2]}",
-                "a start before the end",
-                "correct the times",
-            )
-        periods += [(day, start, end) for day in days]
-    if not periods:
-        raise InputError(path, "no period in the file", HOW, "write one row for each period")
-    return Occupancy("; ".join(" ".join(row) for _, row in rows), tuple(periods))
-
-
-def _days(text: str) -> list[int]:
-    days: list[int] = []
+def _days(text: str) -> Iterator[int]:
+    """Yield the days of a text such as "mon-fri sun"; raise ValueError for another one."""
     for part in text.lower().split():
         first, dash, last = part.partition("-")
         ends = [name[:3] for name in (first, last if dash else first)]
-        if any(name not in DAYS for name in ends):
+        if not set(ends) <= set(DAYS):
             raise ValueError(f"unknown days '{text}'")
-        a, b = (DAYS.index(name) for name in ends)
-        days += [(a + k) % 7 for k in range((b - a) % 7 + 1)]
-    return days
+        a, b = map(DAYS.index, ends)
+        yield from ((a + k) % 7 for k in range((b - a) % 7 + 1))
 
 
 def _hourly(path: Path, rows: Sequence[tuple[int, tuple[str, ...]]], column: int) -> Occupancy:
     if len(rows) != HOURS_OF_YEAR:
-        raise InputError(
-            path,
-            f"{len(rows)} rows",
-            f"{HOURS_OF_YEAR} rows, for the hours of local standard time from 1 January 00:00",
-            "write a row for each hour, or periods with days,start,end",
-        )
-    hours = np.zeros(HOURS_OF_YEAR, bool)
-    for k, (number, row) in enumerate(rows):
-        cell = row[column]
-        if cell not in ("0", "1"):
-            raise InputError(
-                path, f"line {number}: occupied is '{cell}'", "0 or 1", "correct the value"
-            )
-        hours[k] = cell == "1"
+        raise InputError(path, f"{len(rows)} rows", HOW, "write a row for each hour")
+    for number, row in rows:
+        if row[column] not in ("0", "1"):
+            found = f"line {number}: occupied is '{row[column]}'"
+            raise InputError(path, found, "0 or 1", "correct the value")
+    hours = np.array([row[column] == "1" for _, row in rows])
     return Occupancy(f"{int(hours.sum())} hours from {path.name}", hourly=hours)
 
 

@@ -10,27 +10,24 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.records import Progress, quiet
 from fieldlum.core.room_states import OFF
-from fieldlum.core.scheduler import LOCAL, Scheduler, UnitOutcome, run_each
+from fieldlum.core.scheduler import LOCAL, Scheduler
 from fieldlum.learn.models import Fitted, load, read_config
 from fieldlum.session import Session, check_writable, sha256
 from fieldlum.session.bucket import check_url
-from fieldlum.session.files.hourly_csv import HOUR_COLUMNS, VIEW_COLUMNS, HourlyFile
+from fieldlum.session.files.hourly_csv import COLOUR_COLUMNS, VIEW_COLUMNS, HourlyFile
 from fieldlum.session.files.predict_json import PredictFile
 from fieldlum.session.files.sidecar import newest_sidecar
 from fieldlum.sky.light import Light, light_at
 from fieldlum.sky.sky_view import SkyView
-from fieldlum.sky.sky_view.disc_in_view import disc_lx, drawn_discs_lx
 from fieldlum.sky.sun import standard_date
 from fieldlum.weather import Weather, read_weather
-from fieldlum.year.glare.budget import BUDGET_FILE, write_budgets
-from fieldlum.year.glare.geometry import panorama_views, view_azimuths_deg
+from fieldlum.year.glare.budget import BUDGET_FILE, write_budgets, year_budget
+from fieldlum.year.glare.geometry import view_azimuths_deg
 from fieldlum.year.glare.metrics import METRICS
-from fieldlum.year.glare.standards import GlareDoubt, disturbed_share
-from fieldlum.year.glare.unseen import view_coverage
+from fieldlum.year.glare.standards import dgp_per_scale, protection
 from fieldlum.year.predict.annual import Annual, Pictures, write_pictures
 from fieldlum.year.predict.blocks import ModelRoom, blocks, room_of
 from fieldlum.year.predict.checks import (
@@ -41,15 +38,9 @@ from fieldlum.year.predict.checks import (
     inputs_of,
     session_folder,
 )
-from fieldlum.year.predict.glare_summary import (
-    best_and_worst,
-    budget_of_year,
-    judge,
-    poor,
-    summary_of_year,
-)
-from fieldlum.year.predict.hours_unit import HourFigures, hour_units
-from fieldlum.year.predict.maps import BucketMapStore, FolderMapStore, MapStore
+from fieldlum.year.predict.glare_summary import best_and_worst, poor, summary_of_year
+from fieldlum.year.predict.hours_unit import measure
+from fieldlum.year.predict.maps import MapStore
 from fieldlum.year.predict.melanopic import has_colour, year_of_captures
 from fieldlum.year.predict.occupancy import default_occupancy, occupied_hours, read_occupancy
 
@@ -101,9 +92,6 @@ def telling_pictures(fitted: Fitted, room: ModelRoom, light: Light, annual: Annu
     return Pictures(
         tuple(kind for kind, _ in chosen), rows[at], maps[at], disc[at], room.heading_deg
     )
-
-
-NORMAL_95 = 1.96  # standard deviations of a 95 % interval; quantile of the normal distribution
 
 
 class PredictedYear(NamedTuple):
@@ -172,35 +160,50 @@ def run(
             f"{weather_path}: no hour with irradiance while the sun "
             "is up; check the file's irradiance and time zone"
         )
-    light = with_lamps(light_of(hours), lamps, room.setup.site.timezone)
+    zone = room.setup.site.timezone
+    light = with_lamps(light_of(hours), lamps, zone)
     azimuths = view_azimuths_deg(room.heading_deg, views)
     hours_used, days = occupied_hours(occupancy, weather.t_utc, weather.site)
     delete_earlier_year(folder)
-    annual, doubt, u_of_maps = measure(
+    folder.mkdir(parents=True, exist_ok=True)
+    colours = year_of_captures(coloured, room, azimuths) if coloured else None
+    store = MapStore(folder, maps_to, inputs) if maps or maps_to else None
+    if store:
+        store.create(light.t_utc, room)
+    found = measure(
         model_folder,
         room,
         light,
         azimuths,
-        folder,
-        none_trusted=poor(config),
-        coloured_pairs=coloured,
-        maps=maps,
-        bucket=BucketMapStore(maps_to, inputs, folder / ".maps.zarr.tmp") if maps_to else None,
+        maps=store.target if store else "",
+        melanopic=colours,
         seed=seed,
         scheduler=scheduler,
         progress=progress,
     )
-    zone = room.setup.site.timezone
-    annual.hours["occupied"][:] = occupancy.at(annual.t_utc, zone)
+    found.hours["trusted"] *= not poor(config)
+    if store:
+        store.finish(found.hours["disc_lx"], found.hours["trusted"])
+    used = occupancy.at(light.t_utc, zone)
+    found.hours["occupied"][:] = used
+    empty = {name: np.full(found.doubt.u_maps.shape, np.nan) for name in COLOUR_COLUMNS}
+    columns = {*VIEW_COLUMNS, *(name for name, metric in METRICS.items() if metric.in_year)}
+    figures = {name: v for name, v in (empty | found.views).items() if name in columns}
+    annual = Annual(folder, PredictFile(), light.t_utc, azimuths, found.hours, figures)
+    rng, doubt = np.random.default_rng(seed), found.doubt.hours(used)
+    dgp, ev_lx = figures["dgp"][used], figures["ev_lx"][used]
     u_scale = 0.0 if root is None else scale_u_rel(Session(root))
-    protection = judge(annual, doubt, u_of_maps, hours_used, seed, u_scale)
-    summary = summary_of_year(room, config, weather, inputs, occupancy, annual, protection, days)
+    of_scale = u_scale * dgp_per_scale(dgp, ev_lx)
+    rows = protection(dgp, doubt, hours_used, azimuths, rng, of_scale)
+    summary = summary_of_year(
+        room, config, weather, inputs, occupancy, annual, rows, hours_used, days
+    )
     annual = replace(annual, summary=summary)
-    rows = HourlyFile(annual.t_utc, annual.azimuths_deg, annual.hours, annual.views)
-    rows.write(folder, zone)
+    table = HourlyFile(annual.t_utc, annual.azimuths_deg, annual.hours, annual.views)
+    table.write(folder, zone)
     pictures = telling_pictures(load(model_folder), room, light, annual)
     write_pictures(folder / "pictures.npz", pictures)
-    budgets = budget_of_year(annual, doubt, u_of_maps, hours_used, u_scale)
+    budgets = year_budget(dgp, ev_lx, doubt, hours_used, azimuths, u_scale)
     write_budgets(folder / BUDGET_FILE, ((folder.name, budget) for budget in budgets))
     summary.write(folder)  # the last file, so that a folder with it is complete
     return PredictedYear(annual, new=True)
@@ -238,87 +241,3 @@ def with_lamps(light: Light, lamps: str, timezone: str) -> Light:
 def lamps_text(lamps: str) -> str:
     """Return the text on lamps for predict.json: `lamps` if "" or "off", else its schedule."""
     return lamps if lamps in ("", "off") else read_occupancy(Path(lamps)).text
-
-
-# ----------------------------------------------------------------------------------------------
-# figures
-
-
-def measure(
-    model_folder: Path,
-    room: ModelRoom,
-    light: Light,
-    azimuths_deg: Floats,
-    folder: Path,
-    *,
-    none_trusted: bool = False,
-    coloured_pairs: Path | None = None,
-    maps: bool = False,
-    bucket: BucketMapStore | None = None,
-    seed: int = 0,
-    scheduler: Scheduler = LOCAL,
-    progress: Progress = quiet,
-) -> tuple[Annual, GlareDoubt, Floats]:
-    """Predict every hour, and return the figures, the doubt about unseen parts, and u of the maps.
-
-    The first result has an empty `summary`, `occupied` 0, and NaN in directions of which lenses saw
-    less than half. The second is the range of DGP due to the sun's disc and to unseen parts of
-    views. The third is the standard uncertainty of DGP due to the maps, [n, d]; `u_dgp` of
-    the first includes the disc, too.
-
-    none_trusted: mark no hour as trusted, because `train` warned of the model's single maps.
-    coloured_pairs: pairs.csv of pictures with melanopic colour, None for none. The maps are written
-    to maps.zarr in `folder` with `maps`, or to `bucket`.
-    """
-    count, d = len(light), len(azimuths_deg)
-    grid = panorama_views(room.height, room.width, room.heading_deg, azimuths_deg)
-    coverage = view_coverage(room.seen, grid)
-    melanopic = None
-    if coloured_pairs is not None:
-        melanopic = year_of_captures(coloured_pairs, load(model_folder), room, grid)
-    hours = {name: np.full(count, np.nan) for name in HOUR_COLUMNS}
-    in_year = [name for name, metric in METRICS.items() if metric.in_year]
-    columns = dict.fromkeys((*VIEW_COLUMNS, *in_year))
-    figures = {name: np.full((count, d), np.nan) for name in columns}
-    rng = np.random.default_rng([seed, 2])
-    best_lx = disc_lx(room.sky_view, room.setup, light)  # [n]
-    discs_lx = drawn_discs_lx(room.sky_view, room.setup, light, rng)  # [k, n]
-    drawn = np.empty((len(discs_lx), count, d), np.float32)
-    least, most = np.full((count, d), np.nan), np.full((count, d), np.nan)
-    folder.mkdir(parents=True, exist_ok=True)
-    store: MapStore | None = bucket
-    if store is None and maps:
-        store = FolderMapStore(folder / "maps.zarr")
-    if store is not None:
-        store.create(light.t_utc, room, room.setup.site.name)
-    target = store.target if store else ""
-    units = hour_units(model_folder, light, azimuths_deg, best_lx, discs_lx, target, melanopic)
-
-    def take(outcome: UnitOutcome) -> None:
-        block: HourFigures = outcome.result()
-        rows = slice(*block.rows)
-        for name, values in block.hours.items():
-            hours[name][rows] = values
-        for name in columns.keys() & block.views.keys():
-            figures[name][rows] = block.views[name]
-        least[rows], most[rows], drawn[:, rows] = block.least, block.most, block.drawn
-
-    run_each(units, scheduler, take, progress)
-    if none_trusted:
-        hours["trusted"][:] = 0.0
-    if store is not None:
-        store.finish(hours["disc_lx"], hours["trusted"])
-    u_of_maps = figures["u_dgp"]
-    off = drawn - figures["dgp"].astype(np.float32)  # [k, n, d]
-    reach = NORMAL_95 * np.nan_to_num(u_of_maps)
-    low, high = np.percentile(off, (2.5, 97.5), axis=0)
-    figures["dgp_low"] = np.clip(least + np.minimum(low, 0.0) - reach, 0.0, 1.0)
-    figures["dgp_high"] = np.clip(most + np.maximum(high, 0.0) + reach, 0.0, 1.0)
-    figures["u_dgp"] = np.hypot(u_of_maps, np.sqrt((off**2).mean(axis=0)))
-    for values in figures.values():
-        values[:, ~coverage.judged] = np.nan
-    hours["disturbed_share"] = disturbed_share(figures["dgp"])
-    annual = Annual(
-        folder, PredictFile(), light.t_utc, np.asarray(azimuths_deg, float), hours, figures
-    )
-    return annual, GlareDoubt(coverage.words, least, most, drawn), u_of_maps
