@@ -122,8 +122,7 @@ def protocols() -> list[Protocol]:
     )
 
     def spn1_read(line: bytes) -> Reading:
-        found = spn1.parse_reading(line)
-        return found.total_wm2, found.diffuse_wm2
+        return spn1.parse_reading(line)
 
     def body(g: float, d: float) -> str:
         return f"$G={g:.1f} D={d:.1f} T=24.1"
@@ -173,7 +172,7 @@ def _asked_again(
     """
     left = [came, *(maybe_damaged(whole[-1], before, rng) for _ in range(2))]
     reading, _ = spn1.agreed_reading(lambda: left.pop(0))
-    return (reading.total_wm2, reading.diffuse_wm2), [read(whole[-1])]
+    return reading, [read(whole[-1])]
 
 
 def _heard(

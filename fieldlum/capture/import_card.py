@@ -13,7 +13,7 @@ from pathlib import Path
 
 from fieldlum.capture import match_card
 from fieldlum.capture.bracket import shots, write_capture
-from fieldlum.capture.logger_rows import adopt_rows, logger_table, read_as
+from fieldlum.capture.logger_rows import Adopted, adopt_rows
 from fieldlum.capture.match_card import CardFrame, Group, Match, Offset
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import (
@@ -90,17 +90,13 @@ def run(
     NotEnoughDataError if no bracket matched.
     """
     with sole_user(session, "capture"):
+        adopted = Adopted(0, 0, ())
         if logger is not None:
-            # check before the card is read, so that both are imported or none
-            if logger_utc_offset_s is None:
-                logger_utc_offset_s = utc_offset_s
-            read_as(logger, logger_table(logger, logger_utc_offset_s, columns, sensitivities))
-        report = (
-            Report() if folder is None else _adopt_card(session, folder, utc_offset_s, progress)
-        )
-        if logger is None:
-            return report
-        adopted = adopt_rows(session, logger, logger_utc_offset_s, columns, sensitivities)
+            offset_s = utc_offset_s if logger_utc_offset_s is None else logger_utc_offset_s
+            adopted = adopt_rows(session, logger, offset_s, columns, sensitivities)
+        report = Report()
+        if folder is not None:
+            report = _adopt_card(session, folder, utc_offset_s, progress)
         return replace(
             report,
             rows=adopted.rows,

@@ -60,15 +60,21 @@ def adopt_rows(
     column is a voltage, uV per W/m2. Raises InputError for a file that cannot be read, or if
     another process logs into the session.
     """
-    table = logger_table(path, utc_offset_s, columns, sensitivities)
-    logger_file = read_as(path, table)
+    table: LoggerFileTable = {"file": path.name}
+    if utc_offset_s is not None:
+        table["utc_offset_s"] = utc_offset_s
+    if columns:
+        table["columns"] = dict(columns)
+    if sensitivities:
+        table["sensitivities"] = dict(sensitivities)
+    logger_file = _read_as(path, table)
     before = session.table().get("logger_files", [])
     withdrawn = 0
     with sole_user(session, "log"):
         for other in before:
             if other != table and other["file"] == table["file"]:
                 with suppress(InputError):  # the file cannot be read in the earlier way any more
-                    withdrawn += withdraw(session, read_as(path, other).samples)
+                    withdrawn += withdraw(session, _read_as(path, other).samples)
         added = add_samples(session, logger_file.samples)
     if table not in before:
         update_session(session, {"logger_files": [*before, table]})
@@ -78,24 +84,7 @@ def adopt_rows(
     return Adopted(added, withdrawn, left_out, notes)
 
 
-def logger_table(
-    path: Path,
-    utc_offset_s: float | None,
-    columns: Mapping[str, str] | None,
-    sensitivities: Mapping[str, float] | None,
-) -> LoggerFileTable:
-    """Return how a file is read, in the form that the session stores."""
-    table: LoggerFileTable = {"file": path.name}
-    if utc_offset_s is not None:
-        table["utc_offset_s"] = utc_offset_s
-    if columns:
-        table["columns"] = dict(columns)
-    if sensitivities:
-        table["sensitivities"] = dict(sensitivities)
-    return table
-
-
-def read_as(path: Path, table: LoggerFileTable) -> LoggerFile:
+def _read_as(path: Path, table: LoggerFileTable) -> LoggerFile:
     """Read a logger's file in a stated way. Raises InputError for a file that cannot be read."""
     offset_s = table.get("utc_offset_s")
     offset = None if offset_s is None else timedelta(seconds=offset_s)

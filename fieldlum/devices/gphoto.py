@@ -255,28 +255,17 @@ def serve(pipe: Connection) -> None:
 
     It ends also if the parent closes the pipe or ends.
     """
-    import gphoto2 as gp
-
-    camera: Any = None
+    driver = _Driver()
     while True:
         command, arguments = "close", ()
         with suppress(EOFError, OSError):
             command, arguments = pipe.recv()
         try:
-            if command == "open":
-                camera = _open(gp, *arguments)
-                result: Any = _describe(gp, camera)
-            elif command == "set":
-                result = _set(gp, camera, *arguments)
-            elif command == "expose":
-                result = _expose(gp, camera, *arguments)
-            else:
-                if camera is not None:
-                    with suppress(gp.GPhoto2Error):
-                        camera.exit()
+            result = getattr(driver, command)(*arguments)
+            if command == "close":
                 return
             pipe.send(("ok", result))
-        except gp.GPhoto2Error as error:
+        except driver.gp.GPhoto2Error as error:
             why = _ERRORS.get(error.code, f"{error.string} ({error.code})")
             pipe.send(("error", DeviceError(f"gphoto: {why}")))
         except (OSError, ValueError) as error:
@@ -284,101 +273,113 @@ def serve(pipe: Connection) -> None:
             pipe.send(("error", error if full else DeviceError(f"gphoto: {error}")))
 
 
-def _open(gp: Any, model: str) -> Any:
-    camera = gp.Camera()
-    if model:
-        connected = list(gp.Camera.autodetect())
-        cameras = [entry for entry in connected if model.lower() in entry[0].lower()]
-        if not cameras:
-            names = [name for name, _ in connected] or "none"
-            raise ValueError(f"no camera named {model}; connected: {names}")
-        name, port = cameras[0]
-        abilities, ports = gp.CameraAbilitiesList(), gp.PortInfoList()
-        abilities.load()
-        ports.load()
-        camera.set_abilities(abilities[abilities.lookup_model(name)])
-        camera.set_port_info(ports[ports.lookup_path(port)])
-    camera.init()
-    return camera
+class _Driver:
+    """The commands of the child process; each raises the error of libgphoto2."""
 
+    def __init__(self) -> None:
+        import gphoto2
 
-def _value(gp: Any, camera: Any, *names: str) -> Any:
-    """Return the first of the camera's values with these names that is not empty; else ""."""
-    for name in names:
-        with suppress(gp.GPhoto2Error):
-            if value := camera.get_single_config(name).get_value():
-                return value
-    return ""
+        self.gp: Any = gphoto2
+        self._camera = self.gp.Camera()
 
+    def open(self, model: str) -> dict[str, Any]:
+        """Open the first camera whose name contains `model`; return what it reports.
 
-def _describe(gp: Any, camera: Any) -> dict[str, Any]:
-    """Return what the camera reports: the fields of `CameraInfo`, and its settings.
+        These are the fields of `CameraInfo`, and settings: (widget, choices) by shutter, aperture,
+        iso, for those that a computer can set.
+        """
+        gp, self._camera = self.gp, self.gp.Camera()
+        if model:
+            connected = list(gp.Camera.autodetect())
+            cameras = [entry for entry in connected if model.lower() in entry[0].lower()]
+            if not cameras:
+                names = [name for name, _ in connected] or "none"
+                raise ValueError(f"no camera named {model}; connected: {names}")
+            name, port = cameras[0]
+            abilities, ports = gp.CameraAbilitiesList(), gp.PortInfoList()
+            abilities.load()
+            ports.load()
+            self._camera.set_abilities(abilities[abilities.lookup_model(name)])
+            self._camera.set_port_info(ports[ports.lookup_path(port)])
+        self._camera.init()
+        clock, asked = self._value("datetimeutc", "datetime"), time.time()
+        return {
+            "make": str(self._value("manufacturer")),
+            "model": str(self._value("cameramodel") or self._camera.get_abilities().model),
+            "serial": str(self._value("serialnumber")).lstrip("0"),
+            "firmware": str(self._value("deviceversion")),
+            "lens": str(self._value("lensname")),
+            "battery": str(self._value("batterylevel")),
+            "clock_offset_s": clock - asked if isinstance(clock, int) else None,
+            "settings": self._settings(),
+        }
 
-    settings : (widget, choices) by shutter, aperture, iso, for those that a computer can set.
-    """
-    settings: dict[str, tuple[str, list[str]]] = {}
-    for role, names in _WIDGETS.items():
-        for name in reversed(names):
-            with suppress(gp.GPhoto2Error):
-                widget = camera.get_single_config(name)
-                if not widget.get_readonly():
-                    settings[role] = (name, list(widget.get_choices()))
-    clock, asked = _value(gp, camera, "datetimeutc", "datetime"), time.time()
-    return {
-        "make": str(_value(gp, camera, "manufacturer")),
-        "model": str(_value(gp, camera, "cameramodel") or camera.get_abilities().model),
-        "serial": str(_value(gp, camera, "serialnumber")).lstrip("0"),
-        "firmware": str(_value(gp, camera, "deviceversion")),
-        "lens": str(_value(gp, camera, "lensname")),
-        "battery": str(_value(gp, camera, "batterylevel")),
-        "clock_offset_s": clock - asked if isinstance(clock, int) else None,
-        "settings": settings,
-    }
+    def _value(self, *names: str) -> Any:
+        """Return the first of the camera's values with these names that is not empty; else ""."""
+        for name in names:
+            with suppress(self.gp.GPhoto2Error):
+                if value := self._camera.get_single_config(name).get_value():
+                    return value
+        return ""
+
+    def _settings(self) -> dict[str, tuple[str, list[str]]]:
+        settings: dict[str, tuple[str, list[str]]] = {}
+        for role, names in _WIDGETS.items():
+            for name in reversed(names):
+                with suppress(self.gp.GPhoto2Error):
+                    widget = self._camera.get_single_config(name)
+                    if not widget.get_readonly():
+                        settings[role] = (name, list(widget.get_choices()))
+        return settings
+
+    def set(self, name: str, text: str) -> str:
+        """Set a widget to one of its own choices, and return the value that it then has.
+
+        A text that is not among the choices is never sent to libgphoto2, because it silently
+        replaces some such texts and crashes on others.
+        """
+        widget = self._camera.get_single_config(name)
+        if text not in list(widget.get_choices()):
+            raise ValueError(f"{name}: {text} is not one of the camera's choices")
+        if widget.get_value() != text:
+            widget.set_value(text)
+            _patiently(lambda: self._camera.set_single_config(name, widget))
+        return self._camera.get_single_config(name).get_value()
+
+    def expose(self, target: str, delete: bool, late_ms: int) -> str:
+        """Take a picture, copy it to `target` plus its suffix, and return the path.
+
+        From a pair of raw and JPEG only the raw file is copied. late_ms : time to wait for the
+        second file.
+        """
+        gp, camera = self.gp, self._camera
+        for _ in range(50):  # discard events of earlier pictures
+            if camera.wait_for_event(1)[0] == gp.GP_EVENT_TIMEOUT:
+                break
+        first = _patiently(lambda: camera.capture(gp.GP_CAPTURE_IMAGE))
+        files = [(first.folder, first.name)]
+        kind, data = camera.wait_for_event(late_ms)
+        while kind not in (gp.GP_EVENT_TIMEOUT, gp.GP_EVENT_CAPTURE_COMPLETE) and len(files) < 4:
+            if kind == gp.GP_EVENT_FILE_ADDED and (data.folder, data.name) not in files:
+                files.append((data.folder, data.name))
+            kind, data = camera.wait_for_event(late_ms)
+        folder, name = min(files, key=lambda f: Path(f[1]).suffix.lower() not in RAW_SUFFIXES)
+        shot = camera.file_get(folder, name, gp.GP_FILE_TYPE_NORMAL)
+        # `shot` must exist until this copy is complete
+        body = bytes(memoryview(shot.get_data_and_size()))
+        path = Path(f"{target}{Path(name).suffix.lower()}")
+        store_frame(path, body)
+        if delete:
+            for folder, name in files:
+                camera.file_delete(folder, name)
+        return str(path)
+
+    def close(self) -> None:
+        """Release the camera."""
+        with suppress(self.gp.GPhoto2Error):
+            self._camera.exit()
 
 
 def _patiently(work: Callable[[], Any]) -> Any:
     """Call `work`; call it again while the camera reports that it is busy."""
     return retried(work, lambda error: getattr(error, "code", 0) == _BUSY, 0.5)
-
-
-def _set(gp: Any, camera: Any, name: str, text: str) -> str:
-    """Set a widget to one of its own choices, and return the value that it then has.
-
-    A text that is not among the choices is never sent to libgphoto2, because it silently replaces
-    some such texts and crashes on others.
-    """
-    widget = camera.get_single_config(name)
-    if text not in list(widget.get_choices()):
-        raise ValueError(f"{name}: {text} is not offered; expected one of the camera's choices")
-    if widget.get_value() != text:
-        widget.set_value(text)
-        _patiently(lambda: camera.set_single_config(name, widget))
-    return camera.get_single_config(name).get_value()
-
-
-def _expose(gp: Any, camera: Any, target: str, delete: bool, late_ms: int) -> str:
-    """Take a picture, copy it to `target` plus its suffix, and return the path.
-
-    From a pair of raw and JPEG only the raw file is copied. late_ms : time to wait for the second
-    file.
-    """
-    for _ in range(50):  # discard events of earlier pictures
-        if camera.wait_for_event(1)[0] == gp.GP_EVENT_TIMEOUT:
-            break
-    first = _patiently(lambda: camera.capture(gp.GP_CAPTURE_IMAGE))
-    files = [(first.folder, first.name)]
-    kind, data = camera.wait_for_event(late_ms)
-    while kind not in (gp.GP_EVENT_TIMEOUT, gp.GP_EVENT_CAPTURE_COMPLETE) and len(files) < 4:
-        if kind == gp.GP_EVENT_FILE_ADDED and (data.folder, data.name) not in files:
-            files.append((data.folder, data.name))
-        kind, data = camera.wait_for_event(late_ms)
-    folder, name = min(files, key=lambda f: Path(f[1]).suffix.lower() not in RAW_SUFFIXES)
-    shot = camera.file_get(folder, name, gp.GP_FILE_TYPE_NORMAL)
-    # `shot` must exist until this copy is complete
-    body = bytes(memoryview(shot.get_data_and_size()))
-    path = Path(f"{target}{Path(name).suffix.lower()}")
-    store_frame(path, body)
-    if delete:
-        for folder, name in files:
-            camera.file_delete(folder, name)
-    return str(path)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
 from datetime import datetime
 from itertools import combinations
 
@@ -23,7 +22,7 @@ AWAKE = b"\xaf"
 MAX_WM2 = 2500.0  # beyond the range of the instrument, which ends at 2000 (User Manual)
 # padded to six characters with blanks or zeros
 _SIX = rb"(?=.{6},)( *(?:0|[1-9]\d{0,3})\.\d|0\d{3}\.\d)"
-_READING = re.compile(rb"S?" + _SIX + rb"," + _SIX + rb",([01])\r")  # tttt.t,dddd.d,s
+_READING = re.compile(rb"S?" + _SIX + rb"," + _SIX + rb",[01]\r")  # tttt.t,dddd.d,s
 # Three differences of answers that are a tenth of a second apart [W/m2] (docs/validation.md):
 # the instrument's noise; the largest difference under a steady sky; the largest from the first to
 # the third answer at the edge of a shadow, which the sun's half degree and the cloud's own edge
@@ -39,16 +38,11 @@ _FIRMWARE = re.compile(r"SPN1 +(v[\w.]+.*)")
 _TRIES = 3
 
 
-@dataclass(frozen=True, slots=True)
-class Spn1Reading:
-    """One reading: total and diffuse irradiance, and whether the sun shone."""
-
-    total_wm2: float
-    diffuse_wm2: float
-    sunshine: bool
+Reading = tuple[float, float]
+"""Total and diffuse irradiance [W/m2]."""
 
 
-def parse_reading(reply: bytes) -> Spn1Reading:
+def parse_reading(reply: bytes) -> Reading:
     """Return the reading in ``S 812.4, 104.9,1<CR>``, with or without the echo S.
 
     The numbers are total and diffuse [W/m2] and sunshine. Raises DeviceError for any other bytes,
@@ -61,30 +55,28 @@ def parse_reading(reply: bytes) -> Spn1Reading:
     total, diffuse = float(match[1]), float(match[2])
     if max(total, diffuse) > MAX_WM2:
         raise _unexpected(reply, f"at most {MAX_WM2:g} W/m2")
-    return Spn1Reading(total, diffuse, match[3] == b"1")
+    return total, diffuse
 
 
 def _unexpected(reply: bytes, expected: str) -> DeviceError:
     return DeviceError(f"SPN1 answered {reply[:40]!r}; expected {expected}; check port and cable")
 
 
-def _apart_wm2(a: Spn1Reading, b: Spn1Reading) -> float:
+def _apart_wm2(a: Reading, b: Reading) -> float:
     """Return the larger difference of two readings, in total or in diffuse irradiance [W/m2]."""
-    return max(abs(a.total_wm2 - b.total_wm2), abs(a.diffuse_wm2 - b.diffuse_wm2))
+    return max(abs(x - y) for x, y in zip(a, b, strict=True))
 
 
-def _in_line(a: Spn1Reading, b: Spn1Reading, c: Spn1Reading) -> bool:
+def _in_line(a: Reading, b: Reading, c: Reading) -> bool:
     """Return whether `b`, read between `a` and `c`, is half way between them, to 25 W/m2.
 
     `a` and `c` may differ by at most 200 W/m2. It is so in light that rises or falls steadily.
     """
-    middle = Spn1Reading(
-        (a.total_wm2 + c.total_wm2) / 2.0, (a.diffuse_wm2 + c.diffuse_wm2) / 2.0, b.sunshine
-    )
+    middle = (a[0] + c[0]) / 2.0, (a[1] + c[1]) / 2.0
     return _apart_wm2(a, c) <= MAX_SLOPE_WM2 and _apart_wm2(b, middle) <= AGREE_WM2
 
 
-def agreed_reading(ask: Callable[[], bytes]) -> tuple[Spn1Reading, tuple[bytes, ...]]:
+def agreed_reading(ask: Callable[[], bytes]) -> tuple[Reading, tuple[bytes, ...]]:
     """Return the reading on which answers agree, and all answers as received.
 
     The answers have no checksum. `ask` queries the instrument twice, and a third time if the
@@ -94,7 +86,7 @@ def agreed_reading(ask: Callable[[], bytes]) -> tuple[Spn1Reading, tuple[bytes, 
     if `ask` raises it, for example because the instrument is silent.
     """
     answers: list[bytes] = []
-    valid: list[Spn1Reading] = []
+    valid: list[Reading] = []
     why = ""
     while len(answers) < _TRIES and (valid or len(answers) < _TRIES - 1):
         answers.append(ask())
@@ -122,12 +114,11 @@ def agreed_sample(t_utc: datetime, ask: Callable[[], bytes]) -> IrradianceSample
     diffuse gets a status. `raw` has the distinct answers, joined by " | ". Raises DeviceError if
     neither two valid answers agree nor three are evenly spaced.
     """
-    reading, answers = agreed_reading(ask)
-    is_doubtful = reading.total_wm2 < reading.diffuse_wm2 - NOISE_WM2
-    status = "total below diffuse" if is_doubtful else ""
+    (total, diffuse), answers = agreed_reading(ask)
+    status = "total below diffuse" if total < diffuse - NOISE_WM2 else ""
     texts = (a.decode("ascii", "backslashreplace").strip() for a in dict.fromkeys(answers))
     raw = " | ".join(texts)
-    return IrradianceSample(t_utc, reading.total_wm2, reading.diffuse_wm2, status=status, raw=raw)
+    return IrradianceSample(t_utc, total, diffuse, status=status, raw=raw)
 
 
 def parse_status(reply: bytes) -> tuple[str, str]:

@@ -30,6 +30,7 @@ ADDRESS = "http://192.168.1.1"  # of the camera's own access point
 # measured.
 READOUT_S = 40.0
 POLL_S = 0.3
+_MAX_FILE_BYTES = 200_000_000  # bytes; longer answers are refused
 Reply = dict[str, Any]
 """A JSON object that the camera answered; each value is checked where it is used."""
 _MANUAL = {"captureMode": "image", "exposureProgram": 1, "whiteBalance": "daylight"}
@@ -223,7 +224,10 @@ class ThetaCamera:
         """
         try:
             with urllib.request.urlopen(request, timeout=timeout_s) as response:
-                return response.read()
+                body = response.read(_MAX_FILE_BYTES)
+                if not response.length:  # number of bytes that were not read
+                    return body
+                why = f"the answer is incomplete: {len(body)} bytes"
         except urllib.error.HTTPError as error:
             with error:
                 body = error.read()
@@ -231,7 +235,7 @@ class ThetaCamera:
                 return body
             why = f"HTTP {error.code}"
         except (OSError, ValueError, HTTPException) as error:
-            why = f"no complete answer ({error or type(error).__name__})"
+            why = f"no answer ({error or type(error).__name__})"
         raise DeviceError(
             f"theta: {request.full_url}: {why}; connect the computer to the camera's network, and "
             "check the address in the URI"

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime, timedelta
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
@@ -150,16 +150,6 @@ def _window_factors(view: SceneView) -> tuple[Floats, Floats]:
     return sky, ground
 
 
-@dataclass(frozen=True, slots=True)
-class _Fixed:
-    """What does not change with time: the view, its sunlit points and form factors of windows."""
-
-    view: SceneView
-    points: SunPoints
-    sky_factor: Floats
-    ground_factor: Floats
-
-
 class Office:
     """A `World`: an office under a sky with random clouds, by `seed`.
 
@@ -172,8 +162,8 @@ class Office:
         room = self.setup.room
         self._room = room if room is not None and room.kind == "box" and room.window else OFFICE
         self._seed = seed
-        self._fixed: _Fixed | None = None
         self._scene_of = lru_cache(maxsize=2)(self._scene)
+        self._fixed = cache(self._view)
         self._light_of = lru_cache(maxsize=16)(self._light_at)
 
     def irradiance(self, t_utc: datetime) -> SimulatedLight:
@@ -213,11 +203,14 @@ class Office:
         """Return the panorama at a time; it is computed for the start of the minute."""
         return self._scene_of(t_utc.replace(second=0, microsecond=0))
 
+    def _view(self) -> tuple[SceneView, SunPoints, Floats, Floats]:
+        """Return what does not change with time: view, sunlit points, form factors of windows."""
+        view = look(self._room, _HEIGHT, self.setup.camera.heading_deg, 1)
+        return view, view.sun_points(), *_window_factors(view)
+
     def _scene(self, t_utc: datetime) -> Panorama:
-        if self._fixed is None:
-            view = look(self._room, _HEIGHT, self.setup.camera.heading_deg, 1)
-            self._fixed = _Fixed(view, view.sun_points(), *_window_factors(view))
-        fixed, view, light = self._fixed, self._fixed.view, self.irradiance(t_utc)
+        view, points, sky_factor, ground_factor = self._fixed()
+        light = self.irradiance(t_utc)
         position = sun.position([t_utc], self.setup.site)
         altitude = float(position.apparent_altitude_deg[0])
         azimuth = float(position.azimuth_deg[0])
@@ -226,8 +219,8 @@ class Office:
         diffuse_lx = light.dhi_wm2 * _LM_PER_W_SKY
         zenith = 9.0 / (7.0 * np.pi) * diffuse_lx + 1e-3  # CIE overcast sky
         ground = self._room.reflectance_ground / np.pi * light.ghi_wm2 * 110.0 + 1e-3
-        sunlit = fixed.points.direct(toward) * beam_lx  # [H * W] cd/m2
-        window_lx = np.pi * (fixed.sky_factor * 0.6 * zenith + fixed.ground_factor * ground)
+        sunlit = points.direct(toward) * beam_lx  # [H * W] cd/m2
+        window_lx = np.pi * (sky_factor * 0.6 * zenith + ground_factor * ground)
         inside = ~np.isin(view.box, view.scene.of_kind("ground"))
         # Interreflection: the mean first flux, times the sum of all further reflections.
         room, first = self._room, view.scene.reflectance[view.box] * window_lx
