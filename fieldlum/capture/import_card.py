@@ -6,7 +6,6 @@ import re
 import shutil
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -165,7 +164,7 @@ def _brackets(
     files, others = card_files(folder)
     body = load_camera_profile(setup.camera.profile).camera
     frames, unread = read_card(files, progress, lens_f_number=body.fixed_f_number)
-    frames, other_cameras = of_the_session(frames, setup)
+    frames, other_cameras = of_the_session(frames, body)
     frames, copies = without_edited(frames, (body.width_px, body.height_px))
     left_out = [*other_cameras, *copies, *unread, *others]
     if not frames:
@@ -469,19 +468,15 @@ def _note(paths: Sequence[Path], what: str) -> list[str]:
 
 
 def of_the_session(
-    frames: Sequence[CardFrame], setup: SiteFile
+    frames: Sequence[CardFrame], body: CameraBody
 ) -> tuple[list[CardFrame], list[str]]:
     """Return the frames of the session's camera in one format, and a note on each other camera.
 
-    The session's camera is the one that the profile names, else the one with most frames: frames of
-    two cameras never form a bracket. If there is only one body of a model, frames without a serial
-    number belong to it. If the camera has raw and JPEG frames, those of the profile's kind are
-    returned, and the other ones are skipped without a note.
+    body: of the profile. The session's camera is the one that it names, else the one with most
+    frames: frames of two cameras never form a bracket. If there is only one body of a model, frames
+    without a serial number belong to it. If the camera has raw and JPEG frames, those of the
+    profile's kind are returned, and the other ones are skipped without a note.
     """
-    body = CameraBody("", "raw", 0, 0)
-    # doctor and merge report a missing profile; the frames are imported anyway
-    with suppress(InputError):
-        body = load_camera_profile(setup.camera.profile).camera
     serials: dict[str, set[str]] = {}
     for f in frames:
         serials.setdefault(f.camera, set()).update({f.serial} - {""})
@@ -491,14 +486,14 @@ def of_the_session(
     ours = min(
         count, key=lambda who: (not same_model(who[0], body.model), -count[who]), default=("", "")
     )
+    ending = f"the session's camera is {' '.join(ours).strip()}"
     notes = [
-        f"{number} frames of {' '.join(who).strip()}: the session's camera is "
-        f"{' '.join(ours).strip()}"
+        f"{number} frames of {' '.join(who).strip()}: {ending}"
         for who, number in count.items()
         if who != ours
     ]
     mine = [frame for frame, who in zip(frames, bodies, strict=True) if who == ours]
-    jpeg = [frame for frame in mine if is_jpeg(frame.path)]
-    raw = [frame for frame in mine if not is_jpeg(frame.path)]
-    first, second = (jpeg, raw) if body.kind == "jpeg" else (raw, jpeg)
-    return first or second, notes
+    is_kind = [is_jpeg(frame.path) == (body.kind == "jpeg") for frame in mine]
+    if not any(is_kind):
+        return mine, notes
+    return [frame for frame, is_it in zip(mine, is_kind, strict=True) if is_it], notes

@@ -155,10 +155,13 @@ class SerialPort:
             return self._port.read_until(end, limit)
 
     def read_quiet(self, quiet_s: float, longest_s: float) -> bytes:
-        """Return the bytes received until the line is silent for `quiet_s`, within `longest_s`."""
+        """Return the bytes received until the line is silent for `quiet_s` after some bytes.
+
+        Silence from the start ends after `longest_s`.
+        """
         out, deadline = b"", time.monotonic() + longest_s
         last = time.monotonic()
-        while (now := time.monotonic()) < deadline and now - last < quiet_s:
+        while (now := time.monotonic()) < deadline and not (out and now - last >= quiet_s):
             if data := self.drain():
                 out, last = out + data, now
             else:
