@@ -231,15 +231,8 @@ def test_a_mutated_frame_reads_or_is_refused(tmp_path: Path, data: st.DataObject
 
 
 @pytest.mark.contract
-@pytest.mark.parametrize(
-    ("size", "named"),
-    [
-        (1, "no colour filters (a monochrome sensor)"),
-        (6, "an X-Trans mosaic of 6 x 6 colour filters"),
-        (4, "a mosaic of 4 x 4 colour filters"),
-    ],
-)
-def test_a_mosaic_other_than_bayers_is_named(size: int, named: str) -> None:
+@pytest.mark.parametrize("size", [1, 4, 6])  # monochrome; quad Bayer; X-Trans
+def test_a_mosaic_other_than_bayers_is_named(size: int) -> None:
     import rawpy
 
     from fieldlum.optics.raw import mosaic
@@ -247,4 +240,5 @@ def test_a_mosaic_other_than_bayers_is_named(size: int, named: str) -> None:
     raw = SimpleNamespace(raw_type=rawpy.RawType.Flat, raw_pattern=np.zeros((size, size), int))
     with pytest.raises(InputError) as refused:
         mosaic._pattern(Path("a.raf"), raw)  # pyright: ignore[reportPrivateUsage]
-    assert str(refused.value).startswith(f"a.raf: the raw file has {named}; expected a Bayer")
+    found = f"a.raf: a mosaic of {size} x {size} colour filters; expected a Bayer mosaic"
+    assert str(refused.value).startswith(found)

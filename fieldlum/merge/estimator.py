@@ -21,6 +21,7 @@ from fieldlum.merge.frames import Signal
 
 # a frame with a lower ratio does not fill pixels that other frames lost; not measured
 _READABLE_SNR = 5.0
+_MOTION_SIGMA = 5.0  # one still pixel in two million is beyond; chosen
 _STRIP = 1 << 17  # elements processed at a time, so that they fit in a core's cache; chosen
 
 
@@ -71,32 +72,29 @@ def merge_signals(
     *,
     passes: int = 2,
     u_ratio: float = 0.003,
-    motion_sigma: float = 5.0,
     progress: Progress = quiet,
 ) -> Merged:
     """Merge frames of one `shape`, most exposed first.
 
-    Each strip of rows goes through all passes while it is in a core's cache. passes, u_ratio,
-    motion_sigma: as for `merge_rows`.
+    Each strip of rows goes through all passes while it is in a core's cache. passes, u_ratio:
+    as for `merge_rows`.
     """
     value, variance = np.empty(shape, np.float32), np.empty(shape, np.float32)
     flags = np.empty(shape, np.uint8)
     strips = list(_strips(shape))
     for number, (a, b) in enumerate(strips, start=1):
-        part = merge_rows(rows_of(frames, a, b), passes, u_ratio, motion_sigma)
+        part = merge_rows(rows_of(frames, a, b), passes, u_ratio)
         value[a:b], variance[a:b], flags[a:b] = part.value_cdm2, part.variance, part.flags
         progress(number, len(strips), "strips")
     return Merged(value, variance, flags)
 
 
-def merge_rows(
-    rows: Sequence[Rows], passes: int = 2, u_ratio: float = 0.003, motion_sigma: float = 5.0
-) -> Merged:
+def merge_rows(rows: Sequence[Rows], passes: int = 2, u_ratio: float = 0.003) -> Merged:
     """Merge the same pixels of some frames, most exposed first.
 
     passes: number of weighted passes. u_ratio: relative disagreement of frames that does not count
-    as motion. motion_sigma: where frames disagree by more than this number of standard deviations
-    beyond u_ratio, the pixel gets the flag MOTION and a larger variance.
+    as motion. Where frames disagree by more than five standard deviations beyond it, the pixel gets
+    the flag MOTION and a larger variance.
 
     Values of dark pixels can be negative, through noise. A pixel that every frame loses to
     saturation gets a lower bound and the flag CLIPPED_HIGH. If a frame lost it only because its
@@ -114,7 +112,7 @@ def merge_rows(
     variance = np.divide(1.0, information, out=np.zeros_like(information), where=informed)
     flags = np.zeros(mean.shape, np.uint8)
     if len(rows) > 1:
-        _flag_motion(rows, weights, Merged(mean, variance, flags), u_ratio, motion_sigma)
+        _flag_motion(rows, weights, Merged(mean, variance, flags), u_ratio)
     if any(row.signal.through_nd for row in rows):
         bare = [0.0 if row.signal.through_nd else row.signal.per_cdm2 for row in rows]
         flags[informed & (_sum(weights, bare) < 0.5 * information)] |= np.uint8(Flag.ND)
@@ -153,11 +151,7 @@ def _weight(row: Rows, predicted: Floats32) -> Floats32:
 
 
 def _flag_motion(
-    rows: Sequence[Rows],
-    weights: Sequence[Floats32],
-    merged: Merged,
-    u_ratio: float,
-    motion_sigma: float,
+    rows: Sequence[Rows], weights: Sequence[Floats32], merged: Merged, u_ratio: float
 ) -> None:
     """Flag pixels whose frames disagree: they make the mean at least this uncertain."""
     informed = merged.variance > 0
@@ -172,7 +166,7 @@ def _flag_motion(
     freedom = len(rows) - 1
     tolerated = np.zeros_like(mean)
     np.divide((u_ratio * mean) ** 2 * freedom, merged.variance, out=tolerated, where=informed)
-    moved = informed & (chi2 > motion_sigma**2 + (freedom + tolerated))
+    moved = informed & (chi2 > _MOTION_SIGMA**2 + (freedom + tolerated))
     merged.flags[moved] |= np.uint8(Flag.MOTION)
     merged.variance[moved] *= chi2[moved] / freedom
 

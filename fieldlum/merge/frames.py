@@ -146,11 +146,9 @@ class RawSignal:
         above = part.astype(np.float32)
         above -= self.black
         above = self._linear(above)
-        if part.max(initial=0) < self._any_full:
-            a, b = max(first - 1, 0), min(last + 1, len(self.counts))
-            edges = self.counts[a:first], self.counts[last:b]
-            if all(e.max(initial=0) < self._any_full for e in edges):
-                return above, None
+        around = self.counts[max(first - 1, 0) : last + 1]
+        if around.max(initial=0) < self._any_full:
+            return above, None
         return above, self._near_full(first, last)
 
     def _near_full(self, first: int, last: int) -> Mask:
@@ -353,13 +351,17 @@ class JpegSignal:
         """
         part = self.codes[first:last]
         linear = np.asarray(cv2.LUT(part, self.z_of_code.reshape(1, 256, 3)), np.float32)
-        a, b = max(first - 2, 0), min(last + 2, len(self.codes))
-        if self.codes[a:b].max(initial=0) <= _TOP_CODE:
+        if self.codes[max(first - 2, 0) : last + 2].max(initial=0) <= _TOP_CODE:
             return linear, None
+        return linear, self._near_full(first, last)
+
+    def _near_full(self, first: int, last: int) -> Mask:
+        """Return a mask of pixels that are saturated, or within two pixels of a saturated one."""
+        a, b = max(first - 2, 0), min(last + 2, len(self.codes))
         # 255 where no colour is saturated.
         below = cv2.inRange(self.codes[a:b], (0, 0, 0), (_TOP_CODE,) * 3)
         wide = cv2.erode(below, np.ones((5, 5), np.uint8))[first - a : last - a] == 0
-        return linear, np.repeat(wide[:, :, None], 3, axis=2)
+        return np.repeat(wide[:, :, None], 3, axis=2)
 
     def weight(self, predicted_cdm2: Floats32) -> Floats32:
         """Return per_cdm2 over the variance of z that a luminance has, [rows, W, 3].
@@ -400,11 +402,7 @@ class JpegSignal:
         """
         at = evenly_spread(len(self.codes), rows)
         step = max(1, self.codes.shape[1] // columns)
-        full = np.zeros((len(at), *self.codes.shape[1:]), bool)
-        for row, i in enumerate(at.tolist()):
-            _, mask = self.strip(i, i + 1)
-            if mask is not None:
-                full[row] = mask[0]
+        full = np.concatenate([self._near_full(int(i), int(i) + 1) for i in at])
         per = self._rows(self.per_cdm2)[::step]
         codes = self.codes[at][:, ::step]
         part = replace(self, codes=codes, per_cdm2=per, bright_end=False, dark_end=False)

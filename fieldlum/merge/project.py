@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
@@ -64,39 +64,31 @@ class ProjectedImage:
 
 def _project(sensor: SensorImage, r: Resampler) -> tuple[Floats, Floats, NDArray[np.uint8]]:
     """Return camera RGB [n, 3], its random variance [n, 3] and the flags [n] of one lens."""
-    m = sensor.merged
-    colours = list("RGB") if len(r.matrices) > 1 else [""]
-    values, variance = (
-        np.reshape(a, (-1, 3) if colours == [""] else -1) for a in (m.value_cdm2, m.variance)
-    )
-    valid = None if sensor.good is None else sensor.good.ravel().astype(np.float32)
-    if valid is not None and colours == [""]:
-        valid = valid[:, None]
-    rgb, var = [], []
-    for colour in colours:
-        matrix = r.matrices[colour]
+    m, single = sensor.merged, "" in r.matrices
+    matrices = [r.matrices["" if single else colour] for colour in "RGB"]
+    good = None if sensor.good is None else sensor.good.ravel().astype(np.float32)
+    mask = 1.0 if good is None else good
+    rgb, var, shares = [], [], []
+    for k, matrix in enumerate(matrices):
+        value, variance = (
+            a.reshape(-1, 3)[:, k] if single else a.ravel() for a in (m.value_cdm2, m.variance)
+        )
         square = matrix.copy()
         square.data = matrix.data**2
-        if valid is None:
-            rgb.append(matrix @ values)
-            var.append(square @ variance)
-        else:  # scale the weights of each row without its bad pixels to a sum of 1
-            share = np.maximum(matrix @ valid, 1e-6)
-            rgb.append(matrix @ (values * valid) / share)
-            var.append(square @ (variance * valid) / share**2)
+        # scale the weights of each row without its bad pixels to a sum of 1
+        shares.append(1.0 if good is None else np.maximum(matrix @ good, 1e-6))
+        rgb.append(matrix @ (value * mask) / shares[k])
+        var.append(square @ (variance * mask) / shares[k] ** 2)
     flags = np.zeros(len(r.coverage), np.uint8)  # those of bad pixels may count, which is harmless
-    if valid is not None:  # a pixel without a good sensor pixel of some colour has no value
-        valid_share = np.min([np.ravel(r.matrices[c] @ valid) for c in colours], axis=0)
-        flags[(valid_share < 0.05) & (r.coverage > 0)] |= np.uint8(Flag.FILLED)
-    raised = m.flags if colours != [""] else np.bitwise_or.reduce(m.flags, axis=-1)
+    # a pixel without a good sensor pixel of some colour has no value
+    flags[(np.min(shares, axis=0) < 0.05) & (r.coverage > 0)] |= np.uint8(Flag.FILLED)
+    raised = np.bitwise_or.reduce(m.flags, axis=-1) if single else m.flags
     present = int(np.bitwise_or.reduce(raised, axis=None))
     for flag, minimum in _SHARE.items():
         if present & flag:
             marked = ((raised & flag) > 0).ravel().astype(np.float32)
-            share = np.max([r.matrices[c] @ marked for c in colours], axis=0)
+            share = np.max([matrix @ marked for matrix in r.matrices.values()], axis=0)
             flags[share > minimum] |= np.uint8(flag)
-    if colours == [""]:
-        return np.asarray(rgb[0], np.float64), np.asarray(var[0], np.float64), flags
     return np.stack(rgb, axis=1).astype(np.float64), np.stack(var, axis=1).astype(np.float64), flags
 
 
@@ -106,18 +98,16 @@ def view_through(
     profile: CameraProfile,
     target: Target,
     stray: Floats | None = None,
-    resample: Callable[..., Resampler] = resampler,
 ) -> ProjectedImage:
     """Return what one lens sees of the target grid, corrected for vignetting and stray light.
 
     sensor: merged frames of one heading; lens: one of the profile's. stray: stray light of each
     target pixel [n]; None to compute it from what the target shows, which must be the lens's
-    complete field. resample: `resampler`, or a function like it. Pixels that the lens does not see
-    have coverage 0.
+    complete field. Pixels that the lens does not see have coverage 0.
     """
     geometry = lens_geometry(lens, sensor.turn_deg, (sensor.crop.left, sensor.crop.top))
     cfa = profile.sensor.cfa if profile.camera.kind == "raw" else ""
-    r = resample(target, geometry, (sensor.crop.height, sensor.crop.width), cfa)
+    r = resampler(target, geometry, (sensor.crop.height, sensor.crop.width), cfa)
     rgb, var, flags = _project(sensor, r)
     coefficients, u_edge = vignetting_of(lens, sensor.f_number)
     angle = r.angle_rad.astype(np.float64)
@@ -175,49 +165,36 @@ def blend(views: Sequence[ProjectedImage]) -> ProjectedImage:
     view fades out towards the edge of its lens. A view's pixel with the flag CLIPPED_HIGH, BLOOM or
     MOTION has little weight. Pixels that no view sees get only the flag OUTSIDE_LENS.
     """
-    coverage = np.stack([v.coverage for v in views])
-    luminance = np.stack([v.luminance for v in views])
-    covered = coverage > 0
+    names = ("coverage", "luminance", "variance", "edge", "u_vignetting", "u_ratio", "u_stray")
+    coverage, luminance, variance, edge, u_vignetting, u_ratio, u_stray = (
+        np.stack([getattr(view, name) for view in views]) for name in names
+    )
+    flags = np.stack([view.flags for view in views])
+    seen = coverage.sum(0)
     common = np.divide(
-        (coverage * luminance).sum(0),
-        coverage.sum(0),
-        out=np.zeros(coverage.shape[1]),
-        where=covered.any(0),
+        (coverage * luminance).sum(0), seen, out=np.zeros(len(seen)), where=(coverage > 0).any(0)
     )
-    variance = np.stack([v.variance for v in views])
-    spread = np.stack([v.u_vignetting for v in views]) * common
-    edge = np.stack([v.edge for v in views])
-    weight = np.where(
-        covered, coverage * edge / (variance + spread**2 + (1e-4 * common) ** 2 + 1e-12), 0.0
-    )
-    spoilt = np.stack([(v.flags & _SPOILT) > 0 for v in views])
-    weight = np.where(spoilt, weight * 1e-6, weight)
+    spread2 = variance + (u_vignetting * common) ** 2 + (1e-4 * common) ** 2 + 1e-12
+    weight = np.where(coverage > 0, coverage * edge / spread2, 0.0)
+    weight = np.where((flags & _SPOILT) > 0, weight * 1e-6, weight)
     total = weight.sum(0)
     share = np.divide(weight, total, out=np.zeros_like(weight), where=total > 0)
-    flags = np.zeros(coverage.shape[1], np.uint8)
-    for view, part in zip(views, share, strict=True):
-        flags |= np.where(part > 0.05, view.flags, 0).astype(np.uint8)
-    flags[coverage.sum(0) < 1e-3] = Flag.OUTSIDE_LENS
-    rgb = sum(part[:, None] * view.rgb for view, part in zip(views, share, strict=True))
-    # add linearly, because all lenses share one kernel
-    u_stray = (share * np.stack([v.u_stray for v in views])).sum(0)
+    blended = np.bitwise_or.reduce(np.where(share > 0.05, flags, 0).astype(np.uint8), axis=0)
+    blended[seen < 1e-3] = Flag.OUTSIDE_LENS
     by_lens: dict[Lens | int, Floats] = {}  # one curve for all headings of a lens
-    for i, (view, part) in enumerate(zip(views, share, strict=True)):
+    for i, view in enumerate(views):
         key = i if view.lens is None else view.lens
-        by_lens[key] = by_lens.get(key, 0.0) + part * view.u_vignetting
-    u_vignetting = np.sqrt(sum(u**2 for u in by_lens.values()))
-    # add linearly, because all lenses share one shutter
-    u_ratio = (share * np.stack([v.u_ratio for v in views])).sum(0)
+        by_lens[key] = by_lens.get(key, 0.0) + share[i] * u_vignetting[i]
     return ProjectedImage(
         (share * luminance).sum(0),
         (share**2 * variance).sum(0),
         coverage.max(0),
         edge.max(0),
-        u_vignetting,
-        u_ratio,
-        flags,
-        np.asarray(rgb, np.float64),
-        u_stray,
+        np.sqrt(sum(u**2 for u in by_lens.values())),
+        (share * u_ratio).sum(0),  # linearly, because all lenses share one shutter
+        blended,
+        (share[..., None] * np.stack([view.rgb for view in views])).sum(0),
+        (share * u_stray).sum(0),  # linearly, because all lenses share one kernel
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,69 +99,75 @@ def _range_text(log_deviation: Floats) -> str:
 
 def verdict(report: MergeReport) -> str:
     """Return the verdict as one line: "good: ...", or what to check, separated by semicolons."""
-    notes: list[str] = []
-    residual = report.residual_percent
-    if residual is None:
-        notes.append(
+    notes = [*_exposure_notes(report), *_camera_notes(report), *_view_notes(report)]
+    return "; ".join(notes) or f"good: frames agree within {report.residual_percent:.2f} %"
+
+
+def _exposure_notes(report: MergeReport) -> Iterator[str]:
+    if report.residual_percent is None:
+        yield (
             "no two frames have common well-exposed pixels, so the exposures could not be checked: "
             "plan smaller steps between exposures"
         )
-    elif residual > RESIDUAL_WARN_PERCENT:
-        notes.append(
-            f"neighbouring frames disagree by {residual:.1f} %: the light changed "
-            "or something moved during the bracket, or the response needs "
-            "calibration"
+    elif report.residual_percent > RESIDUAL_WARN_PERCENT:
+        yield (
+            f"neighbouring frames disagree by {report.residual_percent:.1f} %: the light changed "
+            "or something moved during the bracket, or the response needs calibration"
         )
-    notes += [
-        f"fitted exposures differ from the profile by {text} %: the light changed during the "
-        "bracket, or shutter times need calibration (fieldlum calibrate shutter)"
-        for text in report.deviations
-    ]
+    for text in report.deviations:
+        yield (
+            f"fitted exposures differ from the profile by {text} %: the light changed during the "
+            "bracket, or shutter times need calibration (fieldlum calibrate shutter)"
+        )
+
+
+def _camera_notes(report: MergeReport) -> Iterator[str]:
     if report.filter_absent:
-        notes.append(
+        yield (
             f"{', '.join(report.filter_absent)}: as bright as without the filter of its label, so "
             "it counts as a frame without it: put the filter on for these frames, or plan without "
             "--filter"
         )
     if report.orientation_conflict:
-        notes.append(report.orientation_conflict)
+        yield report.orientation_conflict
     if abs(report.black_off_dn) > BLACK_WARN_DN:
-        notes.append(
+        yield (
             f"the files' black level differs from the profile's by {report.black_off_dn:+.1f} DN: "
-            f"check that the profile belongs to this camera"
+            "check that the profile belongs to this camera"
         )
     if report.noise_over_profile > 1.0:
-        notes.append(
+        yield (
             f"shot noise or read noise is {report.noise_over_profile:.1f} times the profile's, and "
             "the uncertainty u uses the larger value: check gain_e_per_dn and read_noise_e of "
             "the profile"
         )
-    notes += [
-        f"the camera turned by {m.turn_deg:.2f} deg ({m.shift_px:.1f} px) between {m.long} "
-        f"and {m.short}: fix the tripod and capture again"
-        for m in report.shifts
-        if m.sure_px > SHIFT_WARN_PX
-    ]
-    notes += [
-        f"the outer {rim.width_deg:.1f} degrees of lens '{rim.lens}' are dark (at its edge "
-        f"{100 * rim.share:.0f} % of the luminance further in): the profile's full_angle_deg and "
-        "radius_px are larger than the lens's image, and luminance is too low there: leave this "
-        f"edge out (fieldlum calibrate lens --trim {rim.width_deg:.1f})"
-        for rim in report.dark_rims
-    ]
-    if clipped := report.clipped_percent or 0.0:
-        notes.append(
+    for turn in (turn for turn in report.shifts if turn.sure_px > SHIFT_WARN_PX):
+        yield (
+            f"the camera turned by {turn.turn_deg:.2f} deg ({turn.shift_px:.1f} px) between "
+            f"{turn.long} and {turn.short}: fix the tripod and capture again"
+        )
+    for rim in report.dark_rims:
+        yield (
+            f"the outer {rim.width_deg:.1f} degrees of lens '{rim.lens}' are dark (at its edge "
+            f"{100 * rim.share:.0f} % of the luminance further in): the profile's full_angle_deg "
+            "and radius_px are larger than the lens's image, and luminance is too low there: leave "
+            f"this edge out (fieldlum calibrate lens --trim {rim.width_deg:.1f})"
+        )
+
+
+def _view_notes(report: MergeReport) -> Iterator[str]:
+    if clipped := report.clipped_percent:
+        yield (
             f"clipped in every frame: {clipped:.2g} % of the view, where luminance is a lower "
             "bound: add shorter exposures"
         )
     if (motion := report.motion_percent or 0.0) > _MOTION_WARN_PERCENT:
-        notes.append(
+        yield (
             f"motion in {motion:.1f} % of the view: people, leaves or clouds moved between frames: "
             "do not use the pixels with the flag motion, or merge again with --drop-moved"
         )
     if (below := report.below_noise_percent or 0.0) > _BELOW_NOISE_WARN_PERCENT:
-        notes.append(
+        yield (
             f"below noise: {below:.1f} % of the view is too dark in every frame: add longer "
             "exposures"
         )
-    return "; ".join(notes) or f"good: frames agree within {residual:.2f} %"

@@ -1,17 +1,8 @@
-"""Summarise many brackets: quality.csv, the drift of the light, contact sheets.
-
-The exposure ratios of a bracket contain two effects: the true shutter times, which are the same in
-every bracket, and the change of the light during the bracket, which is not. The median over
-brackets gives the shutter times. The rest in one bracket, fitted over its seconds, is the drift of
-its light. The pyranometer's change over the same seconds is written next to it. `fieldlum calibrate
-shutter` fits the shutter times themselves.
-"""
+"""Summarise many brackets: quality.csv and contact sheets."""
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Mapping, Sequence
-from datetime import datetime
+from collections.abc import Sequence
 from pathlib import Path
 from zoneinfo import ZoneInfo
 
@@ -20,9 +11,8 @@ from numpy.typing import NDArray
 
 from fieldlum.core.false_colour import RANGE_CDM2, UNSEEN_RGB, coloured, png_of
 from fieldlum.core.records import utc_text
-from fieldlum.merge.quality import RESIDUAL_WARN_PERCENT
 from fieldlum.optics.images import read_panorama
-from fieldlum.session import Session, exposure_text, read_day, replacing
+from fieldlum.session import Session, replacing
 from fieldlum.session.files.quality_csv import QUALITY_COLUMNS, QualityRow, write_quality
 from fieldlum.session.files.sidecar import Sidecar, readable_sidecars
 
@@ -95,100 +85,14 @@ def _thumbnail(path: Path) -> NDArray[np.uint8]:
     return picture
 
 
-# ----------------------------------------------------------------------------------------------
-# quality.csv and the drift of the light
-
-
-# A median over fewer brackets is not used for shutter times. Chosen, not measured.
-MIN_BRACKETS = 5
-# Frames whose correction is less certain than the first value are excluded from the drift; the
-# second value limits the weights [%]. Chosen.
-_MAX_U_PERCENT, _MIN_U_PERCENT = 1.0, 0.02
-# A lower mean global irradiance counts as night, and no change of irradiance is computed [W/m2].
-# Chosen.
-_MIN_GHI_WM2 = 5.0
-
-
-def typical_corrections(sidecars: Sequence[Sidecar]) -> dict[str, float]:
-    """Return the median over brackets of fitted over assumed exposure, by the exposure's text.
-
-    Only brackets whose neighbouring frames agree within 3 % count. An exposure in fewer than five
-    frames of such brackets is omitted.
-    """
-    corrections: dict[str, list[float]] = defaultdict(list)
-    for sidecar in sidecars:
-        residual = sidecar.report.residual_percent
-        if residual is None or abs(residual) > RESIDUAL_WARN_PERCENT:
-            continue
-        for frame in sidecar.report.frames:
-            corrections[exposure_text(frame.exposure)].append(frame.correction)
-    return {
-        exposure: float(np.exp(np.median(np.log(values))))
-        for exposure, values in corrections.items()
-        if len(values) >= MIN_BRACKETS
-    }
-
-
-def drift_percent(sidecar: Sidecar, typical: Mapping[str, float]) -> float | None:
-    """Return the change of the light from the first frame to the last [%], positive if it rose.
-
-    typical: result of `typical_corrections`, which contains the errors of the shutter. Return None
-    if fewer than three frames, or only frames of one time, can be compared.
-    """
-    rows = [
-        (f.t_utc.timestamp(), float(np.log(f.correction / typical[text])), f.u_percent)
-        for f in sidecar.report.frames
-        if f.t_utc
-        and (text := exposure_text(f.exposure)) in typical
-        and f.u_percent < _MAX_U_PERCENT
-    ]
-    if len(rows) < 3:
-        return None
-    seconds, log_light, u_percent = (np.array(column) for column in zip(*rows, strict=True))
-    if np.ptp(seconds) <= 0:
-        return None
-    weight = 1 / np.maximum(u_percent, _MIN_U_PERCENT)
-    slope = np.polyfit(seconds - seconds.mean(), log_light, 1, w=weight)[0]
-    return float(100 * slope * np.ptp(seconds))
-
-
-def ghi_change_percent(session: Session, opened: datetime, closed: datetime) -> float | None:
-    """Return the change of global irradiance from `opened` to `closed`, in % of its mean.
-
-    It is that of a line fitted to the session's samples, positive if the irradiance rose. Return
-    None for fewer than three samples, or a mean below 5 W/m2 (night).
-    """
-    days = {t.strftime("%Y-%m-%d") for t in (opened, closed)}
-    rows = [
-        (s.t_utc.timestamp(), s.ghi_wm2)
-        for day in sorted(days)
-        if (path := session.irradiance / f"{day}.csv").is_file()
-        for s in read_day(path)[0]
-        if opened <= s.t_utc <= closed and s.ghi_wm2 is not None
-    ]
-    if len(rows) < 3:
-        return None
-    seconds, ghi = (np.array(column, float) for column in zip(*rows, strict=True))
-    if ghi.mean() < _MIN_GHI_WM2 or np.ptp(seconds) <= 0:
-        return None
-    slope = np.polyfit(seconds - seconds.mean(), ghi, 1)[0]
-    return float(100 * slope * (closed - opened).total_seconds() / ghi.mean())
-
-
-def read_sidecars(session: Session) -> list[Sidecar]:
-    """Return the readable sidecars of all panoramas that list frames, in order of time."""
-    return [note for note in readable_sidecars(session.sidecar_files()) if note.report.frames]
-
-
 def write_summary(session: Session) -> None:
     """Write contact sheets and quality.csv of all merged brackets.
 
     quality.csv is written last: its date shows that the summary is complete.
     """
-    sidecars = read_sidecars(session)
-    typical = typical_corrections(sidecars)
+    sidecars = [note for note in readable_sidecars(session.sidecar_files()) if note.report.frames]
     write_contact_sheets(session, sidecars)
-    write_quality(session.quality, [_row(session, sidecar, typical) for sidecar in sidecars])
+    write_quality(session.quality, [_row(sidecar) for sidecar in sidecars])
 
 
 def summary_due(session: Session) -> bool:
@@ -202,9 +106,8 @@ def summary_due(session: Session) -> bool:
     return any(path.stat().st_mtime_ns > written_ns for path in session.sidecar_files())
 
 
-def _row(session: Session, sidecar: Sidecar, typical: Mapping[str, float]) -> QualityRow:
+def _row(sidecar: Sidecar) -> QualityRow:
     report, sun = sidecar.report, sidecar.sun
-    times = [frame.t_utc for frame in report.frames if frame.t_utc]
     figures: dict[str, float | None] = {
         name: getattr(report, name) for name in QUALITY_COLUMNS if hasattr(report, name)
     }
@@ -214,8 +117,6 @@ def _row(session: Session, sidecar: Sidecar, typical: Mapping[str, float]) -> Qu
         t_utc=utc_text(sidecar.t_utc) if sidecar.t_utc else "",
         verdict=sidecar.verdict,
         frames=len(report.frames),
-        drift_percent=drift_percent(sidecar, typical),
-        ghi_change_percent=ghi_change_percent(session, min(times), max(times)) if times else None,
         sun_lx=sun.normal_illuminance_lx if sun else None,
         sun_origin=sun.origin if sun else "",
         **figures,

@@ -60,9 +60,12 @@ def shots_of_slot(folder: Path) -> list[Shot]:
     """
     capture = CaptureFile.find(folder / "capture.json")
     if capture is None or not capture.frames:
-        files = frame_files(folder)
+        files = possible_frames(folder)
         for path in files:
             refuse_link(folder, path)
+        if not files:
+            remedy = "capture or import the slot again"
+            raise InputError(folder, "no frames in this folder", "raw or JPEG frames", remedy)
         return shots_of_files(files)
     for frame in capture.frames:
         refuse_link(folder, folder / frame.file)
@@ -92,18 +95,6 @@ def verified(shots: Sequence[Shot]) -> list[Shot]:
     return now
 
 
-def frame_files(folder: Path) -> list[Path]:
-    """Return the files in a slot's folder that can be frames, by name.
-
-    Raises InputError if there is none.
-    """
-    files = possible_frames(folder)
-    if not files:
-        remedy = "capture or import the slot again"
-        raise InputError(folder, "no frames in this folder", "raw or JPEG frames", remedy)
-    return files
-
-
 def shots_of_files(files: Sequence[Path], lens_f_number: float = 0.0) -> list[Shot]:
     """Return frames described by their EXIF.
 
@@ -122,16 +113,12 @@ def shots_of_files(files: Sequence[Path], lens_f_number: float = 0.0) -> list[Sh
             finding = "this frame is listed twice and would count twice"
             raise InputError(path, finding, "each frame once", "remove the repetition")
         resolved.add(real)
-        if (first := _same_content(path, [shot.path for shot in shots])) is not None:
-            finding = f"the same content as {first.name}: this frame would count twice"
+        same = [shot.path for shot in shots if filecmp.cmp(path, shot.path, shallow=False)]
+        if same:
+            finding = f"the same content as {same[0].name}: this frame would count twice"
             raise InputError(path, finding, "each frame once", "leave the copy out")
         shots.append(Shot(path, read_exif(path, lens_f_number=lens_f_number).exposure))
     return shots
-
-
-def _same_content(path: Path, others: Sequence[Path]) -> Path | None:
-    """Return the first of `others` with the same bytes as `path`; None without one."""
-    return next((other for other in others if filecmp.cmp(path, other, shallow=False)), None)
 
 
 def sorted_shots(shots: Sequence[Shot], profile: CameraProfile) -> list[Shot]:

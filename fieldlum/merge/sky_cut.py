@@ -21,14 +21,10 @@ from fieldlum.optics.linear_light import lens_geometry, sensor_pitch_deg
 from fieldlum.optics.profiles import CameraProfile, Lens
 from fieldlum.optics.projection import (
     Equirect,
-    LensGeometry,
-    Resampler,
     equirect_rays,
     lens_pixels,
-    resampler,
     smallest_arc,
 )
-from fieldlum.optics.projection.grids import Target
 from fieldlum.sky.sky_view import LOWEST_ALTITUDE_DEG, SkyGrid, SkyPicture
 
 _TILE_DEG = 2  # divides 180; chosen
@@ -47,11 +43,6 @@ _HEADING_ERRORS_DEG = (-5.0, 0.0, 5.0)  # of a compass near steel (sky_view)
 # what a window shows is brighter than the room. Chosen.
 _MIN_SHARE = 1.25
 _SAMPLES = 3  # places of a tile in each direction at which the panorama is read; chosen
-# Bytes of stored matrices in a process: blocks beyond are computed again for each capture. A raw
-# camera needs 1 MB a block of 36 square degrees. Chosen.
-_MAX_BYTES = 256_000_000
-
-_stored: dict[tuple[Target, LensGeometry, tuple[int, int], str], Resampler] = {}
 
 
 def sky_cut(
@@ -129,7 +120,7 @@ def _block(
         near = _near_part(image, lens, part) if (view.coverage[coarse] > 0).any() else None
         if near is not None:
             stray = None if view.stray is None else view.stray[coarse]
-            fine.append(view_through(near, lens, profile, part, stray, _resampler))
+            fine.append(view_through(near, lens, profile, part, stray))
     if not fine:
         return np.full(part.shape, np.nan), np.zeros(part.shape, bool)
     joined = blend(fine)
@@ -186,23 +177,6 @@ def _coarse_pixels(part: Equirect, target: Equirect) -> Indices:
     return (
         rows.astype(int)[:, None] * 2 * target.height + columns.astype(int) % (2 * target.height)
     ).ravel()
-
-
-def _resampler(
-    target: Target, lens: LensGeometry, sensor_shape: tuple[int, int], cfa: str
-) -> Resampler:
-    """Return `resampler` of a block, stored while there is room.
-
-    Blocks beyond the room do not displace others, because each capture needs all of them in turn.
-    """
-    key = (target, lens, sensor_shape, cfa)
-    if key not in _stored:
-        made = resampler.__wrapped__(*key)
-        matrices = [m for r in _stored.values() for m in r.matrices.values()]
-        if sum(m.data.nbytes + m.indices.nbytes for m in matrices) > _MAX_BYTES:
-            return made
-        _stored[key] = made
-    return _stored[key]
 
 
 def sun_tiles(heading_deg: float, latitude_deg: float) -> Mask:

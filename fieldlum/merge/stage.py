@@ -31,7 +31,7 @@ from fieldlum.optics.raw import unreadable
 from fieldlum.session import Session, check_writable, remove_scraps, replacing_path, sha256
 from fieldlum.session.files.capture_json import CaptureFile
 from fieldlum.session.files.merge_report import MergeReport
-from fieldlum.session.files.sidecar import MeasuredSun, ProfileNote, Sidecar, SidecarSun
+from fieldlum.session.files.sidecar import ProfileNote, Sidecar, SidecarSun
 from fieldlum.session.provenance import digest, made_from
 from fieldlum.sky.sky_view import write_sky_picture
 from fieldlum.version import __version__
@@ -55,7 +55,7 @@ class Verdict:
     slot: str
     state: str
     text: str
-    report: MergeReport | None
+    report: MergeReport | None = None
 
     def table(self) -> JsonTable:
         """Return the object that `merge --json` prints for the slot; quality is {} if it failed."""
@@ -77,11 +77,6 @@ class _MergeJob:
     site: Site
     options: MergeOptions
     force: bool
-
-
-def captured_slots(session: Session) -> list[str]:
-    """Return the names of the slots' folders in raw/, in order of time."""
-    return [folder.name for folder in session.captured_folders()]
 
 
 def _recipe(job: _MergeJob, shots: list[Shot]) -> JsonTable:
@@ -131,16 +126,6 @@ def _merged_before(session: Session, slot: str, recipe: JsonTable) -> Sidecar | 
     return sidecar if sidecar is not None and sidecar.fits(picture) else None
 
 
-def _slot_time(capture: CaptureFile | None, slot: str, shots: list[Shot]) -> datetime:
-    """Return the middle time of capture.json; else that of the frames.
-
-    Else the slot's planned time.
-    """
-    if capture is not None:
-        return capture.t_mid_utc
-    return middle_of(shots) or datetime.fromisoformat(slot)
-
-
 def merge_slot(root: Path, job: _MergeJob) -> Verdict:
     """Merge one bracket of the session in the folder `root`, from frames to files.
 
@@ -159,7 +144,8 @@ def merge_slot(root: Path, job: _MergeJob) -> Verdict:
             return Verdict(job.slot, "kept", before.verdict, before.report)
         shots = verified(shots) if untouched else shots
         capture = CaptureFile.find(session.capture_file(job.slot))
-        t_utc = _slot_time(capture, job.slot, shots)
+        t_of_frames = capture.t_mid_utc if capture is not None else middle_of(shots)
+        t_utc = t_of_frames or datetime.fromisoformat(job.slot)  # else the planned time
         result, lost = _merge_readable(job, shots, expected_sun_deg(t_utc, job.site))
         result = replace(result, panorama=replace(result.panorama, t_utc=t_utc))
         complete = capture is None or capture.complete
@@ -170,11 +156,7 @@ def merge_slot(root: Path, job: _MergeJob) -> Verdict:
     except (FieldlumError, OSError) as error:
         if is_worker_trouble(error):
             raise
-        return _failed(job.slot, str(error))
-
-
-def _failed(slot: str, text: str) -> Verdict:
-    return Verdict(slot, "failed", text, None)
+        return Verdict(job.slot, "failed", str(error))
 
 
 def _merge_readable(
@@ -216,11 +198,9 @@ def _with_session_facts(
     report = structs.replace(
         result.report, vertical_illuminance_lx=illuminance_lx, lost=tuple(lost)
     )
-    text = (
-        result.verdict
-        if complete
-        else (f"incomplete bracket: not all planned frames exist; {result.verdict}")
-    )
+    text = result.verdict
+    if not complete:
+        text = f"incomplete bracket: not all planned frames exist; {text}"
     if lost:
         text = (
             f"merged without {', '.join(lost)}, because the pixels cannot be read: copy "
@@ -239,13 +219,22 @@ def _write(session: Session, job: _MergeJob, result: MergeResult, recipe: JsonTa
         sky.unlink(missing_ok=True)  # of an earlier merge
     else:
         write_sky_picture(sky, replace(result.sky, t_utc=result.panorama.t_utc))
-    p = job.profile
+    p, sun = job.profile, result.panorama.sun
+    sidecar_sun = sun and SidecarSun(
+        sun.altitude_deg,
+        sun.azimuth_deg,
+        sun.normal_illuminance_lx,
+        round(100 * _sun_u_rel(p), 2),
+        sun.origin,
+        sun.origin == CLIPPED_SUN,
+        result.sun,
+    )
     Sidecar(
         job.slot,
         result.panorama.t_utc,
         result.verdict,
         result.report,
-        sun=_sidecar_sun(result.panorama.sun, result.sun, p),
+        sun=sidecar_sun,
         factors={
             "k": p.scale.k,
             "y_from_rgb": p.colour.y_from_rgb,
@@ -260,22 +249,6 @@ def _write(session: Session, job: _MergeJob, result: MergeResult, recipe: JsonTa
         sha256=sha256(picture),
         software={"fieldlum": __version__},
     ).write(session.sidecar(job.slot))
-
-
-def _sidecar_sun(
-    sun: SunSource | None, measured: MeasuredSun | None, profile: CameraProfile
-) -> SidecarSun | None:
-    if sun is None:
-        return None
-    return SidecarSun(
-        sun.altitude_deg,
-        sun.azimuth_deg,
-        sun.normal_illuminance_lx,
-        round(100 * _sun_u_rel(profile), 2),
-        sun.origin,
-        sun.origin == CLIPPED_SUN,
-        measured,
-    )
 
 
 def _sun_u_rel(profile: CameraProfile) -> float:
@@ -301,30 +274,23 @@ def _sun_note(sun: SunSource | None, profile: CameraProfile) -> str:
 def _units(
     session: Session, slots: Iterable[str], options: MergeOptions, force: bool
 ) -> list[WorkUnit]:
+    """Return the merges as units of work; each compares the sha256 of its frames itself."""
     setup = session.site_file()
     path = find_camera_profile(setup.camera.profile)
     profile, profile_sha256 = load_camera_profile(path), sha256(path)
-    heading_deg = setup.camera.heading_deg
-    return [
-        _unit(
-            session,
-            _MergeJob(slot, profile, profile_sha256, heading_deg, setup.site, options, force),
-        )
-        for slot in slots
-    ]
-
-
-def _unit(session: Session, job: _MergeJob) -> WorkUnit:
-    """Return the merge of one bracket as a unit of work; it compares the frames' sha256 itself."""
-    note = session.capture_file(job.slot)
-    files = (note.relative_to(session.root).as_posix(),) if note.is_file() else ()
-    return WorkUnit(job.slot, merge_slot, session.root, job, files=files)
+    heading_deg, units = setup.camera.heading_deg, []
+    for slot in slots:
+        job = _MergeJob(slot, profile, profile_sha256, heading_deg, setup.site, options, force)
+        note = session.capture_file(slot)
+        files = (note.relative_to(session.root).as_posix(),) if note.is_file() else ()
+        units.append(WorkUnit(slot, merge_slot, session.root, job, files=files))
+    return units
 
 
 def _verdict(outcome: UnitOutcome) -> Verdict:
     """Return a unit's verdict: "failed" if its workers failed or the disk is full."""
     if outcome.trouble or isinstance(outcome.error, OSError):
-        return _failed(outcome.unit.name, outcome.trouble or str(outcome.error))
+        return Verdict(outcome.unit.name, "failed", outcome.trouble or str(outcome.error))
     return outcome.result()
 
 
@@ -343,7 +309,7 @@ def run(
     the state "kept". Raises NotEnoughDataError if nothing was captured, InputError if all brackets
     failed.
     """
-    slots = captured_slots(session)
+    slots = [folder.name for folder in session.captured_folders()]
     if not slots:
         raise NotEnoughDataError(
             f"{session.raw}: no captured slots; run fieldlum capture or fieldlum import first"

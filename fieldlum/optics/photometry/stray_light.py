@@ -11,12 +11,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from fieldlum.core.arrays import Floats, Indices
-from fieldlum.optics.projection import wrapped
+from fieldlum.core.arrays import Floats
+from fieldlum.optics.projection import (
+    altitude_azimuth_deg,
+    equirect_pixel,
+    equirect_rays,
+    wrapped,
+)
 
 # Side of a source cell. K is constant below half of it, because nearer light is the lens's blur,
 # not haze. Chosen.
 CELL_DEG = 3.0
+_ROWS = round(180.0 / CELL_DEG)
 # A cell with at least this share of all light acts on each pixel and not on the coarse grid,
 # because near a window or lamp the stray light changes faster than the grid. There are at most 100
 # such cells. Chosen.
@@ -51,8 +57,9 @@ def stray_cdm2(
     way.
     """
     flux = luminance_cdm2 * solid_angle_sr
-    cells, rows, columns = _cells_of(rays)
-    count = rows * columns
+    row, column = _grid_position(rays)
+    cells = np.minimum(row.astype(np.intp), _ROWS - 1) * 2 * _ROWS + column.astype(np.intp)
+    count = 2 * _ROWS**2
     light = np.asarray(np.bincount(cells, flux, count), np.float64)  # [cells]
     weighted = [np.bincount(cells, flux * rays[:, axis], count) for axis in range(3)]
     centre = np.stack(weighted, axis=1).astype(np.float64)  # [cells, 3]
@@ -62,32 +69,15 @@ def stray_cdm2(
     table = _kernel_table(nodes_deg, values_per_sr)
 
     dim = lit & ~bright
-    grid = _field(_grid_rays(rows, columns), centre[dim], light[dim], table)
-    out = _interpolated(grid.reshape(rows, columns), rays)
+    middles = equirect_rays(_ROWS, 2 * _ROWS, 0.0).reshape(-1, 3)
+    grid = _field(middles, centre[dim], light[dim], table)
+    out = _interpolated(grid.reshape(_ROWS, -1), rays)
     return out + _field(rays, centre[bright], light[bright], table)
 
 
-def _cells_of(rays: Floats) -> tuple[Indices, int, int]:
-    """Return the latitude-longitude cell of each ray [n], and the grid's rows and columns."""
-    rows, columns = round(180.0 / CELL_DEG), round(360.0 / CELL_DEG)
-    row, column = _grid_position(rays, rows, columns)
-    row = np.minimum(row.astype(np.intp), rows - 1)
-    return row * columns + np.minimum(column.astype(np.intp), columns - 1), rows, columns
-
-
-def _grid_position(rays: Floats, rows: int, columns: int) -> tuple[Floats, Floats]:
-    """Return the continuous row and column of each ray [n] in a grid, [n] each."""
-    row = np.arccos(np.clip(rays[:, 2], -1.0, 1.0)) / np.pi * rows
-    return row, (np.arctan2(rays[:, 0], rays[:, 1]) / (2 * np.pi) + 0.5) * columns
-
-
-def _grid_rays(rows: int, columns: int) -> Floats:
-    """Return the directions of the cells' middles, [rows * columns, 3]."""
-    down = (np.arange(rows) + 0.5) / rows * np.pi
-    around = ((np.arange(columns) + 0.5) / columns - 0.5) * 2 * np.pi
-    sine = np.sin(down)[:, None]
-    z = np.broadcast_to(np.cos(down)[:, None], (rows, columns))
-    return np.stack([sine * np.sin(around), sine * np.cos(around), z], axis=2).reshape(-1, 3)
+def _grid_position(rays: Floats) -> tuple[Floats, Floats]:
+    """Return the continuous row and column of each ray [n] in the grid of cells, [n] each."""
+    return equirect_pixel(*altitude_azimuth_deg(rays), _ROWS, 2 * _ROWS, 0.0)
 
 
 def _kernel_table(nodes_deg: Floats, values_per_sr: Floats) -> Floats:
@@ -119,7 +109,6 @@ def _interpolated(grid: Floats, rays: Floats) -> Floats:
     """
     from scipy.ndimage import map_coordinates
 
-    rows, columns = grid.shape
-    row, column = _grid_position(rays, rows, columns)
+    row, column = _grid_position(rays)
     places = [row - 0.5, column - 0.5 + 1.0]
     return map_coordinates(wrapped(grid), places, order=1, mode="nearest")

@@ -166,7 +166,8 @@ def _samples_per_pixel(target: Target, lens: LensGeometry, colour: str) -> int:
     return int(np.clip(needed, _MIN_SAMPLES, 24))
 
 
-@lru_cache(maxsize=24)
+# A raw camera needs 1 MB for each block of 36 square degrees of its sky cut. Chosen for 200 blocks.
+@lru_cache(maxsize=224)
 def resampler(
     target: Target, lens: LensGeometry, sensor_shape: tuple[int, int], cfa: str = ""
 ) -> Resampler:

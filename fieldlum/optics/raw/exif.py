@@ -49,10 +49,12 @@ _TIME = re.compile(
 _UTC_OFFSET = re.compile(r"Z|[+-](?:0\d|1[0-4]):?[0-5]\d")  # civil time is within 14 h of UTC
 # Settings are a third of a stop apart: half of it is a rounded value of the same setting. Chosen.
 _SAME_SETTING = 2 ** (1 / 6)
-_EXPOSURE_LIMITS = (  # name, tag of exiftool, example, least and largest possible value; chosen
-    ("exposure time", "ExposureTime", "1/250", 1e-7, 1e5),
-    ("f-number", "FNumber", "5.6", 0.3, 1e3),
-    ("ISO", "ISO", "100", 1.0, 1e7),
+_Quantity = tuple[str, str, str, str, float, float]
+_QUANTITIES: tuple[_Quantity, ...] = (
+    # name, tag of exiftool, example, unit, least and largest possible value; chosen
+    ("exposure time", "ExposureTime", "1/250", " s", 1e-7, 1e5),
+    ("f-number", "FNumber", "5.6", "", 0.3, 1e3),
+    ("ISO", "ISO", "100", "", 1.0, 1e7),
 )
 # First bytes of Panasonic (RW2) and Olympus (ORF) files, and those of a TIFF with the same content.
 TIFF_VARIANTS = {b"IIU\0": b"II*\0", b"IIRO": b"II*\0", b"IIRS": b"II*\0", b"MMOR": b"MM\0*"}
@@ -238,29 +240,21 @@ def info_of(
             in_tags, stated, fallback, (0.0, lens_f_number, 0.0), strict=True
         )
     ]
-    for value, own, limits in zip(values, stated, _EXPOSURE_LIMITS, strict=True):
-        _check_value(path, value, own, *limits)
+    for value, own, quantity in zip(values, stated, _QUANTITIES, strict=True):
+        _check_value(path, value, own, quantity)
     description = text_of(tags, 270)
     filter_name = description.removeprefix("ND=") if description.startswith("ND=") else ""
     exposure = Exposure(values[0], values[1], values[2], filter_name)
     return FrameInfo(exposure, _camera_time(tags), text_of(tags, 271), text_of(tags, 272))
 
 
-def _check_value(
-    path: Path,
-    value: float,
-    stated: float,
-    name: str,
-    tag: str,
-    example: str,
-    low: float,
-    high: float,
-) -> None:
-    """Raise InputError for a value that is 0, outside of low to high, or not the stated one.
+def _check_value(path: Path, value: float, stated: float, quantity: _Quantity) -> None:
+    """Raise InputError for a value that is 0, impossible, or not the stated one.
 
-    stated : by exposures.csv, 0 if it has none. name, tag, example : of the quantity, for errors.
+    stated : by exposures.csv, 0 if it has none.
     """
-    unit = " s" if tag == "ExposureTime" else ""
+    name, tag, example, unit, low, high = quantity
+    found = f"{name} {value:g}{unit} in the EXIF"
     if not value:
         raise InputError(
             path,
@@ -270,16 +264,12 @@ def _check_value(
             "frame's folder",
         )
     if not low <= value <= high:
-        raise InputError(
-            path,
-            f"{name} {value:g}{unit} in the EXIF",
-            f"{low:g} to {high:g}{unit}",
-            f"correct it with: exiftool -{tag}={example} FILE",
-        )
+        remedy = f"correct it with: exiftool -{tag}={example} FILE"
+        raise InputError(path, found, f"{low:g} to {high:g}{unit}", remedy)
     if stated and not 1 / _SAME_SETTING < stated / value < _SAME_SETTING:
         raise InputError(
             path,
-            f"{name} {value:g}{unit} in the EXIF, but {stated:g}{unit} in {EXPOSURES_CSV}",
+            f"{found}, but {stated:g}{unit} in {EXPOSURES_CSV}",
             "the same value, or none in the EXIF",
             f"correct or remove the line in {EXPOSURES_CSV}",
         )

@@ -29,6 +29,7 @@ _DAMAGE = ("data corrupted", "Unexpected end of file")  # messages of LibRaw's d
 _STDERR = threading.Lock()
 _ACTIVE_AREA, _COLOUR_FILTER_ARRAY = 50829, 32803  # tag, and value of Photometric (DNG 1.7)
 _COLOUR_MATRICES = 50722, 50721  # tags ColorMatrix2 and 1
+_BAYER_REMEDY = "use a camera with a Bayer sensor"
 _PANASONIC_OFFSET = 280  # tag RawDataOffset: in newer files StripOffsets is a placeholder
 
 
@@ -210,38 +211,22 @@ def _pattern(path: Path, raw: Any) -> tuple[str, Indices]:
 
     Raises InputError without a Bayer mosaic.
     """
-    if other := _other_than_bayer(raw):
-        raise InputError(
-            path,
-            other,
-            "a Bayer mosaic, with one colour in each pixel",
-            "use a camera with a Bayer sensor",
-        )
+    import rawpy
+
+    shape = (1, 1) if raw.raw_pattern is None else raw.raw_pattern.shape
+    found = f"a mosaic of {shape[0]} x {shape[1]} colour filters"
+    if raw.raw_type != rawpy.RawType.Flat:
+        found = "three colours in each pixel"
+    if found != "a mosaic of 2 x 2 colour filters":
+        raise InputError(path, found, "a Bayer mosaic, of 2 x 2 colour filters", _BAYER_REMEDY)
     index = np.asarray(raw.raw_colors_visible[:2, :2], int)
     letters = raw.color_desc.decode()
     cfa = "".join(letters[i] if i < len(letters) else "?" for i in index.ravel())
     if cfa not in ("RGGB", "BGGR", "GRBG", "GBRG"):
-        raise InputError(
-            path,
-            f"a mosaic of the colour filters {cfa}",
-            "a Bayer mosaic: one red, two green, one blue",
-            "use a camera with a Bayer sensor",
-        )
+        found = f"a mosaic of the colour filters {cfa}"
+        expected = "a Bayer mosaic: one red, two green, one blue"
+        raise InputError(path, found, expected, _BAYER_REMEDY)
     return cfa, index
-
-
-def _other_than_bayer(raw: Any) -> str:
-    """Return what a raw file without a 2 x 2 mosaic has instead; "" with one."""
-    import rawpy
-
-    if raw.raw_type != rawpy.RawType.Flat:
-        return "the raw file has three colours in each pixel"
-    shape = (0, 0) if raw.raw_pattern is None else raw.raw_pattern.shape
-    if max(shape) <= 1:
-        return "the raw file has no colour filters (a monochrome sensor)"
-    name = "an X-Trans mosaic" if shape == (6, 6) else "a mosaic"
-    found = f"the raw file has {name} of {shape[0]} x {shape[1]} colour filters"
-    return "" if shape == (2, 2) else found
 
 
 def _visible_shift(path: Path, raw: Any) -> tuple[int, int]:

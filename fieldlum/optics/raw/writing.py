@@ -15,7 +15,7 @@ from fieldlum.optics.raw.mosaic import channel_positions
 from fieldlum.session import replacing
 
 # Types of TIFF values (TIFF 6.0, section 2), for the tags that Pillow does not know.
-_BYTE, _SHORT, _LONG, _RATIONAL, _SRATIONAL = 1, 3, 4, 5, 10
+_BYTE, _ASCII, _SHORT, _LONG, _RATIONAL, _SRATIONAL = 1, 2, 3, 4, 5, 10
 # XYZ (D65) to linear sRGB, IEC 61966-2-1 in Lindbloom's digits.
 _XYZ_TO_SRGB = (
     (3.2404542, -1.5371385, -0.4985314),
@@ -77,55 +77,61 @@ def write_dng(
     2 x 2 pixels row by row. t_camera : time for the EXIF, None for no time. colour_matrix : [3, 3],
     converts XYZ to camera RGB.
     """
-    from PIL.TiffImagePlugin import IFDRational, ImageFileDirectory_v2
+    from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
-    height, width = counts.shape
     cell = np.empty((2, 2))
     for at, value in zip(channel_positions(cfa), black_dn, strict=True):
         cell[at] = value
-
-    def fractions(values: ArrayLike) -> tuple[Any, ...]:
-        parts = (Fraction(v).limit_denominator(1_000_000) for v in np.ravel(values).tolist())
-        return tuple(IFDRational(part) for part in parts)
-
-    plain = {  # of TIFF 6.0 and EXIF: Pillow knows their types
-        256: width,
-        257: height,
-        258: 16,
-        259: 1,  # uncompressed
-        262: 32803,  # colour filter array
-        271: make,
-        273: 0,  # Pillow adds where its directory ends
-        274: 1,
-        277: 1,
-        278: height,
-        279: counts.size * 2,
-        284: 1,
-        34665: _exif_fields(exposure, t_camera),
-        **({270: f"ND={exposure.nd}"} if exposure.nd else {}),
-        **({272: model} if model else {}),
-    }
-    typed = {  # of DNG 1.4
+    of_dng = {
         254: (_LONG, 0),
         33421: (_SHORT, (2, 2)),
         33422: (_BYTE, bytes("RGB".index(c) for c in cfa)),
         50706: (_BYTE, bytes((1, 4, 0, 0))),
         50707: (_BYTE, bytes((1, 1, 0, 0))),
+        50708: (_ASCII, f"{make} {model or 'camera'}"),
         50713: (_SHORT, (2, 2)),
-        50714: (_RATIONAL, fractions(cell)),
+        50714: (_RATIONAL, _fractions(cell)),
         50717: (_LONG, round(white_dn)),
-        50721: (_SRATIONAL, fractions(colour_matrix)),
-        50728: (_RATIONAL, fractions([1, 1, 1])),
+        50721: (_SRATIONAL, _fractions(colour_matrix)),
+        50728: (_RATIONAL, _fractions([1, 1, 1])),
         50778: (_SHORT, 21),  # D65
     }
     directory = ImageFileDirectory_v2(prefix=b"II")
-    for number, (kind, value) in typed.items():
+    for number, (kind, value) in of_dng.items():
         directory.tagtype[number] = kind
         directory[number] = value
-    directory.update({**plain, 50708: f"{make} {model or 'camera'}"})
+    directory.update(_of_mosaic(*counts.shape))
+    directory.update({271: make, 34665: _exif_fields(exposure, t_camera)})
+    directory.update({270: f"ND={exposure.nd}"} if exposure.nd else {})
+    directory.update({272: model} if model else {})
     with replacing(path) as file:
         directory.save(file)
         file.write(np.ascontiguousarray(counts, "<u2").tobytes())
+
+
+def _of_mosaic(height: int, width: int) -> dict[int, int]:
+    """Return the tags of TIFF 6.0 of uncompressed counts with 16 bits, without orientation."""
+    return {
+        256: width,
+        257: height,
+        258: 16,
+        259: 1,  # uncompressed
+        262: 32803,  # colour filter array
+        273: 0,  # Pillow adds where its directory ends
+        274: 1,
+        277: 1,
+        278: height,
+        279: 2 * height * width,
+        284: 1,
+    }
+
+
+def _fractions(values: ArrayLike) -> tuple[Any, ...]:
+    """Return numbers as Pillow's fractions, to a millionth."""
+    from PIL.TiffImagePlugin import IFDRational
+
+    parts = (Fraction(value).limit_denominator(1_000_000) for value in np.ravel(values).tolist())
+    return tuple(IFDRational(part) for part in parts)
 
 
 def write_jpeg(

@@ -15,8 +15,7 @@ class QualityRow:
     """Figures of one merged bracket; the fields are the columns.
 
     None, an empty cell, means that a figure could not be determined. The figures are those of
-    `MergeReport`, and: verdict: "good", or what to check; drift_percent, ghi_change_percent: change
-    of the light during the bracket; sun_lx: on a plane normal to the sun.
+    `MergeReport`, and: verdict: "good", or what to check; sun_lx: on a plane normal to the sun.
     """
 
     slot: str
@@ -25,8 +24,6 @@ class QualityRow:
     frames: int
     residual_percent: float | None = None
     exposure_span_percent: float | None = None
-    drift_percent: float | None = None
-    ghi_change_percent: float | None = None
     shift_px: float | None = None
     shift_u_px: float | None = None
     motion_percent: float | None = None
