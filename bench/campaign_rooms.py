@@ -56,7 +56,7 @@ def main() -> None:
     stage(path, "status")
     stage(path, "train")
     stage(path, "predict", "--scheduler", asked.scheduler)
-    stage(path, "report", "--table", str(asked.folder / "hours.csv"))
+    stage(path, "report")
 
 
 def stage(path: Path, name: str, *options: str) -> None:

@@ -1,7 +1,7 @@
 """Learning curve and collection periods on a simulated year (the paper's Figures 18 to 22 and Table
 2).
 
-    fieldlum simulate capture_plans/seattle-office.toml --year-sample 4379 --size 92x46 --quality
+    fieldlum simulate capture_plans/seattle-office.toml --count 4379 --size 92x46 --quality
     draft --out YEAR python bench/year_periods.py YEAR/pairs.csv OUT [--model transport]
 
 Writes periods and learning_curve, each as csv and png, and prints them.

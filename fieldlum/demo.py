@@ -8,10 +8,8 @@ with the rendered truth.
 
 from __future__ import annotations
 
-import json
-import math
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import date
 from pathlib import Path
@@ -23,15 +21,12 @@ from fieldlum.core.records import Progress
 from fieldlum.core.scheduler import in_processes
 from fieldlum.optics.profiles import shipped
 from fieldlum.optics.projection import compass_name
-from fieldlum.room.simulate import Troubles
-from fieldlum.session import Session, open_session, replacing
+from fieldlum.session import Session, open_session
+from fieldlum.session.codec import write_object
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.files.scores_json import TrainAnswer
 from fieldlum.session.files.truth_csv import TruthIrradiance
 from fieldlum.session.site_toml import load_site
-from fieldlum.sky.sky_view import SkyView
-from fieldlum.sky.sky_view.view import NAME as SKY_VIEW
-from fieldlum.weather import Weather
 from fieldlum.year.predict import Annual
 
 MODEL = "auto"
@@ -44,31 +39,15 @@ class Preset:
     """Settings of a demo: rows of the maps [px], quality of the truth, minutes of training.
 
     height: rows of the panoramas, which are twice as wide; quality: of the rendered truth;
-    budget_min: of `train`; troubles: a file in capture_plans/, or "" for none.
+    budget_min: of `train`.
     """
 
     height: int
     quality: str
     budget_min: float
-    troubles: str = ""
 
 
-PRESETS = {
-    "quick": Preset(115, "quick", 2.0),
-    "paper": Preset(230, "paper", 30.0),
-    "hard": Preset(58, "draft", 2.0, "troubles/hard.toml"),
-}
-
-# Words of the notes of `train` that name a trouble. No note names the other troubles.
-NAMED_BY = {
-    "clouds": "the skies in the windows differ",
-    "north": "north is wrong",
-    "clock_drift": "clock of the pictures differs",
-    "knock": "camera was turned",
-    "lamps": "a lamp was on, but not marked",
-    "blind": "a moved blind",
-}
-TEST_HOURS = 60  # of the year, with which a model of troubled captures is compared; chosen
+PRESETS = {"quick": Preset(115, "quick", 2.0), "paper": Preset(230, "paper", 30.0)}
 
 Show = Callable[[str], Any]
 """Called with a stage's name; returns a context manager that yields a Progress."""
@@ -135,12 +114,9 @@ def merged_against_truth(session: Session) -> tuple[float, float, int]:
         if not truth_path.is_file():
             continue
         merged, truth = read_panorama(path), read_panorama(truth_path)
-        good = (
-            np.ones(merged.luminance_cdm2.shape, bool)
-            if merged.flags is None
-            else merged.flags == 0
-        )
-        good &= truth.luminance_cdm2 > 0
+        flags = 0 if merged.flags is None else merged.flags
+        good = np.broadcast_to(flags == 0, merged.luminance_cdm2.shape)
+        good = good & (truth.luminance_cdm2 > 0)
         error = np.abs(merged.luminance_cdm2[good] / truth.luminance_cdm2[good] - 1.0)
         medians.append(float(np.median(error)))
         within.append(float((error < 0.05).mean()))
@@ -164,108 +140,32 @@ def irradiance_against_truth(session: Session) -> tuple[float, float]:
     return float(dni), float(dhi)
 
 
-def troubles_named(notes: Iterable[str]) -> list[str]:
-    """Return the names in `NAMED_BY`, in its order, whose words occur in the notes of `train`.
-
-    These are possible causes, also of troubles that were not simulated.
-    """
-    texts = list(notes)
-    return [name for name, words in NAMED_BY.items() if any(words in text for text in texts)]
-
-
-def _troubled_figures(
-    session: Session, model: Path, troubles: Troubles, how: Preset, year: Weather, notes: list[str]
-) -> tuple[tuple[str, str, str], ...]:
-    """Return which troubles were named, and the model's error in hours without passing ones.
-
-    The wrong north is in these hours, because it lasts.
-    """
-    from fieldlum.learn import models
-    from fieldlum.learn.models.data import load_pairs
-    from fieldlum.learn.models.scores import evaluate, summary, truth
-    from fieldlum.room import simulate
-
-    named = [name for name in troubles_named(notes) if name in troubles.names]
-    rest = [name for name in troubles.names if name not in named]
-    folder = session.truth / "test-hours"
-    if (folder / "session.toml").is_file():
-        test = open_session(folder)
-    else:
-        setup = session.site_file()
-        captured = [slot.t_utc for slot in session.slots()]
-        hours = simulate.sample_slots(setup, year, TEST_HOURS, 1, captured)
-        test = simulate.make_session(folder, setup, hours, {"set": "test"})
-    lasting = troubles.only("north") if troubles.north is not None else None
-    simulate.run(
-        test, year, height=how.height, quality=how.quality, troubles=lasting, cache=session.truth
-    )
-    hours = replace(load_pairs(test), sky_view=SkyView.find(model / SKY_VIEW))
-    scores = summary(evaluate(models.load(model), truth(hours)))
-    return (
-        (
-            "its error",
-            f"{scores['log10_mse_weighted']:.2e}",
-            f"log10 MSE in {TEST_HOURS} hours of the year without passing troubles; the model "
-            f"expected {scores['expected_log10_mse']:.2e}",
-        ),
-        (
-            "its DGP",
-            f"{math.sqrt(scores['dgp_mse_own_disc'] or math.nan):.3f}",
-            f"rms error in these hours; {scores['trusted_share']:.0%} of them are trusted",
-        ),
-        ("troubles named", f"{len(named)} of {len(troubles.names)}", ", ".join(named) or "none"),
-        ("not named", f"{len(rest)}", ", ".join(rest) or "none"),
-    )
-
-
 def _figures(
-    session: Session, scores: TrainAnswer, annual: Annual, *, troubled: bool
+    session: Session, scores: TrainAnswer, annual: Annual
 ) -> tuple[tuple[str, str, str], ...]:
-    median, within, maps = merged_against_truth(session)
-    dni, dhi = irradiance_against_truth(session)
     from fieldlum.learn import models
     from fieldlum.year import predict
 
+    median, within, maps = merged_against_truth(session)
+    dni, dhi = irradiance_against_truth(session)
     captures = len(models.read_config(session.models / MODEL).training.slots)
     chosen = next(row for row in scores["models"] if row["name"] == scores["chosen"])
     ends = predict.best_and_worst(annual.summary.protection)
     assert ends is not None  # the demo's lenses see every direction
-    best = ends[0]
+    best, size = ends[0], f"{annual.summary.width} x {annual.summary.height}"
+    fitted = f"fitted in {scores['final_fit_s']:.1f} s to all {captures} captures"
+    of_truth = f"median error against the truth, {maps} brackets"
+    irradiance = f"{dni:.1f}, {dhi:.1f} W/m²"
+    error = f"{chosen['log10_mse_weighted']:.2e}"
+    view = f"{compass_name(best.azimuth_deg)}, {best.azimuth_deg:.0f}°"
     return (
-        (
-            "merged luminance",
-            f"{100 * median:.2f} %",
-            f"median error against the truth, {maps} brackets",
-        ),
+        ("merged luminance", f"{100 * median:.2f} %", of_truth),
         ("", f"{100 * within:.1f} %", "of the unflagged pixels within 5 % of the truth"),
-        (
-            "paired DNI, DHI",
-            f"{dni:.1f}, {dhi:.1f} W/m²",
-            "rms difference from the simulated, troubled instrument, sun above 10°"
-            if troubled
-            else "rms error against the truth, sun above 10°",
-        ),
-        (
-            "model chosen",
-            scores["chosen"],
-            f"fitted in {scores['final_fit_s']:.1f} s to all {captures} captures",
-        ),
-        (
-            "its error",
-            f"{chosen['log10_mse_weighted']:.2e}",
-            "log10 MSE on held-out days"
-            + (", whose pictures have the troubles" if troubled else ", solid-angle weighted"),
-        ),
-        (
-            "a year",
-            f"{len(annual)} hours",
-            f"predicted at {annual.summary.width} x {annual.summary.height}",
-        ),
-        (
-            "best view",
-            f"{compass_name(best.azimuth_deg)}, {best.azimuth_deg:.0f}°",
-            best.sentence,
-        ),
+        ("paired DNI, DHI", irradiance, "rms error against the truth, sun above 10°"),
+        ("model chosen", scores["chosen"], fitted),
+        ("its error", error, "log10 MSE on held-out days, solid-angle weighted"),
+        ("a year", f"{len(annual)} hours", f"predicted at {size}"),
+        ("best view", view, best.sentence),
     )
 
 
@@ -303,42 +203,21 @@ def run(
 
     session = stage("plan", lambda _: prepare(folder))
     year = simulate.weather_for(session.site_file(), weather)
-    troubles = (
-        simulate.load_troubles(shipped("capture_plans") / how.troubles) if how.troubles else None
-    )
-    render = {
-        "height": how.height,
-        "quality": how.quality,
-        "workers": workers,
-        "troubles": None if troubles is None else troubles.seeded(seed - 1),
-    }
+    render = {"height": how.height, "quality": how.quality, "workers": workers}
     stage("render the room", lambda p: simulate.run(session, year, progress=p, **render))
     stage("capture", lambda p: capture(session, seed, p))
-    options = merge.MergeOptions(height=how.height)
-    stage(
-        "merge",
-        lambda p: merge.run(session, options, scheduler=in_processes(workers), progress=p),
-    )
+    options, pool = merge.MergeOptions(height=how.height), in_processes(workers)
+    stage("merge", lambda p: merge.run(session, options, scheduler=pool, progress=p))
     stage("pair", lambda p: (irradiance.run(session, progress=p), pair.run(session, progress=p)))
     model = session.models / MODEL
     learning = {"budget_min": how.budget_min, "seed": seed, "out": model}
     scores = stage("train", lambda p: train.run(load_pairs(session), MODEL, progress=p, **learning))
+    predicting = {"seed": seed, "scheduler": pool}
     annual, _ = stage(
-        "predict a year",
-        lambda p: predict.run(
-            model, weather, seed=seed, scheduler=in_processes(workers), progress=p
-        ),
+        "predict a year", lambda p: predict.run(model, weather, progress=p, **predicting)
     )
     page = stage("report", lambda p: report.run(session, progress=p))
-    figures = _figures(session, scores, annual, troubled=troubles is not None)
-    if troubles is not None:
-        seeded = troubles.seeded(seed - 1)
-        figures += _troubled_figures(session, model, seeded, how, year, scores["notes"])
-    outcome = Outcome(page, seconds, figures)
-    with replacing(folder / "demo.json", "w", encoding="utf-8") as file:
-        json.dump(
-            {"preset": preset, "seconds": seconds, "figures": outcome.figures, "scores": scores},
-            file,
-            indent=1,
-        )
+    outcome = Outcome(page, seconds, _figures(session, scores, annual))
+    table = {"preset": preset, "seconds": seconds, "figures": outcome.figures, "scores": scores}
+    write_object(folder / "demo.json", table)
     return outcome

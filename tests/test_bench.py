@@ -127,7 +127,7 @@ def test_markdown_leaves_empty_columns_out() -> None:
 @pytest.mark.contract
 def test_stress_rows_stand_beside_their_normal_case() -> None:
     spec = parse_specs(["nearest"])[0]
-    rows = stress.run(spec, DATA, TEST, DATA)
+    rows = stress.run(spec, DATA, TEST)
     by_name = {row.regime: row for row in rows}
     assert by_name["normal"].times_normal == 1.0
     for name in (
@@ -147,7 +147,7 @@ def test_transport_does_not_fail_unseen_in_any_regime() -> None:
     """No wild map may pass that the model trusted and expected to be good, whatever was done to
     the captures.
     """
-    rows = stress.run(parse_specs(["transport"])[0], DATA, TEST, DATA)
+    rows = stress.run(parse_specs(["transport"])[0], DATA, TEST)
     assert all(np.isfinite(row.log10_mse_weighted) for row in rows)
     assert {row.regime: row.wild_unflagged for row in rows if row.wild_unflagged} == {}
 

@@ -48,7 +48,7 @@ def test_plan_to_status_without_torch_and_pyradiance(tmp_path: Path) -> None:
     day = ("--set", "month", "--start", "2027-12-21", "--days", "1")
     sim = "sim:office?seed=1"
     for words, code in (
-        (("plan", str(site), *day, "--out", "s", "--ics"), 0),
+        (("plan", str(site), *day, "--out", "s"), 0),
         (("plan", str(site), *day, "--out", "other"), 0),
         (("doctor", "s", "--camera", sim, "--pyranometer", sim), None),
         (("capture", "s", "--camera", sim, "--pyranometer", sim, "--clock", "fast"), 0),

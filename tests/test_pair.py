@@ -317,11 +317,11 @@ def test_a_sun_that_an_earlier_pair_wrote_into_its_panorama_counts_once(tmp_path
 
 @pytest.mark.contract
 def test_pair_keeps_the_pairs_of_a_simulated_session(tmp_path: Path) -> None:
-    """Of 0.1.0, which wrote pairs.csv alone, and of now; simulating again keeps pair's."""
+    """Simulating again keeps pair's."""
     session = make_session(tmp_path / "s", None)
     session.truth.mkdir()
     rows = (PairRow(NOON, "truth/a.exr", 500.0, 50.0, sunpatch="sunpatches/a.exr"),)
-    PairsFile(session.pairs, rows).write()
+    write_simulated_pairs(session, rows)
     pair.run(session)
     truth = PairsFile.read(session.truth_pairs).rows
     assert [(row.panorama, row.sunpatch) for row in truth] == [("a.exr", "../sunpatches/a.exr")]
@@ -389,7 +389,8 @@ def test_a_card_imported_with_two_offsets_is_refused(tmp_path: Path) -> None:
 def test_bad_inputs_are_named(tmp_path: Path) -> None:
     session = make_session(tmp_path / "s", None)
     clean = session.irradiance / "clean.csv"
-    clean.write_text(clean.read_text().replace("281.0", "hello", 1))
+    clean.write_text(clean.read_text().replace(",281,", ",hello,", 1))
+    clean.with_name("clean.csv.sha256").unlink()
     with pytest.raises(InputError, match=r"clean\.csv"):
         pair.run(session)
     clean.unlink()

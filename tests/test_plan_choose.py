@@ -359,7 +359,7 @@ def test_command_best_next_and_replan(tmp_path: Path, weather: Weather) -> None:
         return json.loads(found.stdout)
 
     base = ("--year", "2027", "--weather", file)
-    made = call(site, "--set", "best", "--count", "12", *base, "--out", out, "--ics", "--html")
+    made = call(site, "--set", "best", "--count", "12", *base, "--out", out)
     assert made["slots"] == 12 and made["variance_left_percent"] < 50
     assert (out / "plan.ics").exists() and (out / "plan.html").exists()
     past = call(site, "--set", "month", "--start", start, "--days", "3", "--out", tmp_path / "p")

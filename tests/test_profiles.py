@@ -2,6 +2,7 @@
 same.
 """
 
+import math
 import re
 from importlib.resources import files
 from pathlib import Path
@@ -41,8 +42,9 @@ def _site(tmp_path: Path, text: str) -> Path:
         ({"longitude_deg": 190.0}, "longitude_deg = 190"),
         ({"timezone": "America/Seatle"}, "unknown time zone 'America/Seatle'"),
         ({"lattitude_deg": 1.0}, "unknown key 'lattitude_deg'; did you mean 'latitude_deg'"),
-        ({"latitude_deg": "north"}, "'north'; expected a finite number"),
-        ({"latitude_deg": True}, "expected a finite number"),
+        ({"latitude_deg": "north"}, "latitude_deg = 'north', not a number"),
+        ({"latitude_deg": True}, "latitude_deg = 'True', not a number"),
+        ({"latitude_deg": math.nan}, "expected a finite number"),
         ({"altitude_m": 52000.0}, "altitude_m = 52000; expected -500 to 9000"),
         (
             {"longitude_deg": 122.3},
@@ -61,7 +63,7 @@ def test_a_bad_site_is_refused_with_the_finding(change: dict, said: str) -> None
 
 @pytest.mark.contract
 def test_a_site_without_a_place_says_what_is_missing() -> None:
-    with pytest.raises(InputError, match="no 'latitude_deg'"):
+    with pytest.raises(InputError, match="no entry 'latitude_deg'"):
         site_from_table({"site": {"name": "x", "longitude_deg": 0.0}}, "site.toml")
 
 

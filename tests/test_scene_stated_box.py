@@ -84,10 +84,11 @@ def test_bench_uses_the_choice_of_train_for_all_its_captures(
     given = _stated(captures, room)
     trained, _ = with_judged_box(given, "absolute")
     monkeypatch.setattr(rows, "load_pairs", lambda *_, **__: given)
-    loaded = rows.load(tmp_path / "pairs.csv", ["mean"], pool=tmp_path / "pool.csv")
-    assert loaded.pool is not None and loaded.data.scene is not None
+    monkeypatch.setattr(rows, "without_training_hours", lambda test, *_: test)
+    loaded = rows.load(tmp_path / "pairs.csv", ["mean"], test=tmp_path / "test.csv")
+    assert loaded.test is not None and loaded.data.scene is not None
     assert loaded.data.scene["chosen"] == chosen and loaded.data.notes[-1] == trained.notes[-1]
-    for data in (loaded.data, loaded.pool):
+    for data in (loaded.data, loaded.test):
         if chosen == "none":
             assert data.patch_cdm2 is None
         else:

@@ -1,6 +1,7 @@
 """Units of work: the option's text, lost and hanging processes, and what tasks hold."""
 
 import multiprocessing
+import os
 import pickle
 import sys
 from dataclasses import replace
@@ -24,7 +25,7 @@ from fieldlum.core.scheduler import (
     run_units,
     task_of,
 )
-from fieldlum.session import check_writable, remove_scraps
+from fieldlum.session import check_writable
 
 pytestmark = pytest.mark.contract
 
@@ -127,24 +128,14 @@ def test_a_lost_process_costs_its_unit_alone(tmp_path: Path) -> None:
         outcomes["poison"].result()
 
 
-def test_scraps_of_ended_processes_are_removed(tmp_path: Path) -> None:
-    import os
-    import platform
-
-    host = "".join(c if c.isalnum() else "-" for c in platform.node()) or "host"
-    dead, alive = (
-        tmp_path / f".{host}.999999999.tmp.a.exr",
-        tmp_path / f".{host}.{os.getpid()}.b.tmp",
-    )
-    other = tmp_path / ".another-host.1.tmp.a.exr"
-    for path in (dead, alive, other):
+def test_scraps_of_killed_runs_are_removed_after_a_day(tmp_path: Path) -> None:
+    old, new = tmp_path / ".1234.tmp.a.exr", tmp_path / ".5678.tmp.b.exr"
+    for path in (old, new):
         path.touch()
-    remove_scraps(tmp_path)
-    assert [path.exists() for path in (dead, alive, other)] == [False, True, True]
-    os.utime(other, (0.0, 0.0))
+    os.utime(old, (0.0, 0.0))
     (tmp_path / ".maps.zarr.tmp").mkdir()
     check_writable(tmp_path)  # as each stage does before it writes
-    assert not other.exists() and (tmp_path / ".maps.zarr.tmp").is_dir()
+    assert not old.exists() and new.exists() and (tmp_path / ".maps.zarr.tmp").is_dir()
 
 
 # ----------------------------------------------------------------------------------------------

@@ -226,7 +226,7 @@ def _toml(path: Path) -> Path:
 def test_command_makes_a_session_and_resumes(tmp_path: Path) -> None:
     out = tmp_path / "session"
     command = ["simulate", str(_toml(tmp_path / "site.toml")), "--out", str(out), "--size", "16x8"]
-    command += ["--quality", "draft", "--year-sample", "12", "--json"]
+    command += ["--quality", "draft", "--count", "12", "--json"]
     result = CliRunner().invoke(main, command)
     assert result.exit_code == 0, result.output
     answer = json.loads(result.stdout)

@@ -54,7 +54,7 @@ def test_an_unknown_trouble_is_refused_and_the_known_ones_are_listed(tmp_path: P
     for text, words in (
         ("[lamp]\nsize = 1\n", "did you mean 'lamps'"),
         ("[gremlins]\nsize = 1\n", "known keys"),
-        ("[lamps]\nseed = 1\n", "no 'size'"),
+        ("[lamps]\nseed = 1\n", "no entry 'size'"),
         ("[lamps]\nsize = 1\ncolour = 2\n", "unknown key 'colour'"),
         ("[blind]\nsize = 1.5\n", r"\[blind\] with size = 1.5"),
         ("[lamps]\nsize = -1\n", "0 to 1000"),

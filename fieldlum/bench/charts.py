@@ -1,4 +1,4 @@
-"""Charts of the benchmark: speed against accuracy, and stress."""
+"""The chart of the benchmark: speed against accuracy."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from fieldlum.bench.stress import StressRow
 from fieldlum.core.plot_style import GRID, open_axes
 
 # Liu et al. 2020, Table 1 and section 5: training 30 min, 0.1 s for a map, log10 MSE 9.54e-3.
@@ -39,10 +38,6 @@ def _colour(name: str) -> str:
     return next((colour for key, colour in COLOURS.items() if name.startswith(key)), "#111827")
 
 
-def _known(value: float | None) -> bool:
-    return value is not None and bool(np.isfinite(value))
-
-
 def pareto(points: Sequence[tuple[float, float]]) -> list[int]:
     """Return the indices of the points (x, y) on the Pareto front, by rising x and falling y."""
     order = sorted(range(len(points)), key=lambda k: points[k])
@@ -56,77 +51,36 @@ def pareto(points: Sequence[tuple[float, float]]) -> list[int]:
 def speed_accuracy(path: Path, rows: Sequence[Mapping[str, Any]], machine: str) -> None:
     """Draw each model's log10 MSE (paper mode) over its CPU seconds of training and of one map."""
     figure, axes = _figure(11.0, 4.8, 2)
-    for axis, key, label in zip(
-        axes,
-        ("fit_cpu_s", "predict_cpu_s_per_map"),
-        ("training [s of one core]", "one map [s of one core]"),
-        strict=True,
-    ):
-        usable = [row for row in rows if _known(row.get(key)) and _known(row["paper_log10_mse"])]
-        points = [(row[key], row["paper_log10_mse"]) for row in usable]
-        front = [points[k] for k in pareto(points)]
-        if front:
-            axis.step(
-                *zip(*front, strict=True),
-                where="post",
-                color="#0b6e99",
-                linewidth=1.2,
-                alpha=0.6,
-                label="Pareto front of the measured",
-            )
-        for row, point in zip(usable, points, strict=True):
-            hollow = ":none" in row["name"]
-            axis.plot(
-                *point,
-                "o",
-                markersize=8,
-                color=_colour(row["name"]),
-                markerfacecolor="white" if hollow else _colour(row["name"]),
-            )
-            below = row["name"].startswith("dense")  # so that it does not cover the published point
-            axis.annotate(
-                row["name"],
-                point,
-                xytext=(-8, -14) if below else (7, 5),
-                textcoords="offset points",
-                fontsize=8,
-            )
-        axis.plot(
-            PAPER[key],
-            PAPER["error"],
-            "*",
-            linestyle="none",
-            markersize=14,
-            color="#c2410c",
-            markerfacecolor="white",
-            label=PAPER_LABEL,
-        )
+    labels = {"fit_cpu_s": "training", "predict_cpu_s_per_map": "one map"}
+    for axis, (key, label) in zip(axes, labels.items(), strict=True):
+        _points(axis, [row for row in rows if _is_finite(row, key, "paper_log10_mse")], key)
+        star = {"marker": "*", "linestyle": "none", "markersize": 14, "color": COLOURS["dense"]}
+        axis.plot(PAPER[key], PAPER["error"], markerfacecolor="white", label=PAPER_LABEL, **star)
         for row in rows:
-            if row["name"].startswith("Radiance") and key == "predict_cpu_s_per_map":
-                axis.axvline(
-                    row[key],
-                    color=COLOURS["Radiance"],
-                    linestyle="--",
-                    linewidth=1.2,
-                    label=f"Radiance, one map, measured: {row[key]:.3g} s",
-                )
-        axis.set(xscale="log", yscale="log", xlabel=label, ylabel="log10 MSE, paper mode")
+            if row["name"].startswith("Radiance") and _is_finite(row, key):
+                text = f"Radiance, measured: {row[key]:.3g} s"
+                axis.axvline(row[key], color=COLOURS["Radiance"], linestyle="--", label=text)
+        axis.set(xscale="log", yscale="log", xlabel=f"{label} [s of one core]")
+        axis.set_ylabel("log10 MSE, paper mode")
         axis.legend(fontsize=7, frameon=False, loc="best")
     figure.suptitle(f"Speed and accuracy on {machine}", fontsize=11)
     figure.savefig(path)
 
 
-def stress(path: Path, rows: Sequence[StressRow]) -> None:
-    """Draw each condition's error over the normal error; blue if the tool itself reported it."""
-    figure, axis = _figure(9.0, 0.32 * len(rows) + 1.2)
-    for k, row in enumerate(reversed(rows)):
-        colour = "#0b6e99" if row.told else "#c2410c"
-        axis.plot([1.0, row.times_normal], [k, k], color=colour, linewidth=1.5)
-        axis.plot(row.times_normal, k, "o", color=colour, markersize=7)
-    axis.axvline(1.0, color="#6b7280", linewidth=1)
-    axis.set_yticks(range(len(rows)), [row.regime for row in reversed(rows)], fontsize=8)
-    axis.set(
-        xscale="log",
-        xlabel="error over the normal case (blue: the tool reported it; red: it did not)",
-    )
-    figure.savefig(path)
+def _is_finite(row: Mapping[str, Any], *keys: str) -> bool:
+    return all(row.get(key) is not None and np.isfinite(row[key]) for key in keys)
+
+
+def _points(axis: Any, rows: Sequence[Mapping[str, Any]], key: str) -> None:
+    """Draw the models and their Pareto front; models without sun patches are hollow."""
+    points = [(row[key], row["paper_log10_mse"]) for row in rows]
+    if front := [points[k] for k in pareto(points)]:
+        label = "Pareto front of the measured"
+        axis.step(*zip(*front, strict=True), where="post", color="#0b6e99", alpha=0.6, label=label)
+    for row, point in zip(rows, points, strict=True):
+        name, colour = row["name"], _colour(row["name"])
+        face = "white" if ":none" in name else colour
+        axis.plot(*point, "o", markersize=8, color=colour, markerfacecolor=face)
+        # below the dense network's point, so that it does not cover the published one
+        place = (-8, -14) if name.startswith("dense") else (7, 5)
+        axis.annotate(name, point, xytext=place, textcoords="offset points", fontsize=8)

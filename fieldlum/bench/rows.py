@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NotRequired, cast, get_args
+from typing import cast, get_args
 
 import numpy as np
 
 from fieldlum.core.errors import InputError, NotEnoughDataError
-from fieldlum.core.records import Progress, quiet
+from fieldlum.core.records import JsonTable, Progress, quiet
 from fieldlum.learn import models
 from fieldlum.learn.model_registry import MODELS
 from fieldlum.learn.models import Patch
@@ -21,7 +21,6 @@ from fieldlum.learn.train import patch_mode
 from fieldlum.learn.train.trials import Spent, Trial, day_folds, evaluate_folds, fit_timed
 from fieldlum.room.fit.apply import in_scene
 from fieldlum.room.fit.stated_box import training_captures, with_same_box
-from fieldlum.session.files.scores_json import ScoreFigures
 
 # The errors that every table of the benchmarks has, as named by `models.scores.summary`.
 ERRORS = (
@@ -47,17 +46,6 @@ class Spec:
     name: str
     patch: Patch
     folder: Path | None = None
-
-
-class BenchRow(ScoreFigures):
-    """One row of the score table: model, seed, times [s] (None: not fitted) and errors."""
-
-    name: str
-    fit_s: float | None
-    fit_cpu_s: float | None
-    n_train: int
-    seed: int | None
-    patch: NotRequired[Patch]
 
 
 def parse_specs(texts: Sequence[str]) -> tuple[Spec, ...]:
@@ -91,12 +79,10 @@ class BenchData:
     """The pairs of a benchmark, and the models to compare.
 
     data: hours to train on. test: hours that no model was trained on; None to use held-out days.
-    pool: hours from which seasons are drawn; None for those of `data`.
     """
 
     data: Dataset
     test: Dataset | None
-    pool: Dataset | None
     specs: tuple[Spec, ...]
 
 
@@ -105,7 +91,6 @@ def load(
     models: Sequence[str],
     *,
     test: Path | None = None,
-    pool: Path | None = None,
     site: Path | None = None,
     scene: str = "",
     sky_view: Path | None = None,
@@ -113,29 +98,26 @@ def load(
 ) -> BenchData:
     """Read the pairs with their sun patches or their scene, as `train` learns them.
 
-    pairs, test, pool: sessions or csv files with the hours to train on, to test on, and to draw
-    seasons from. models: names, or folders of trained models. scene: "", "none" or the folder of a
-    scene. sky_view: a sky_view.exr, None for that of the pairs. Without a scene, pairs with few
-    clear hours choose between the stated box and no patch (`training_captures`), also for `test`
-    and `pool`. Test hours that a model was trained on are omitted. Raises InputError for files that
-    cannot be used, NotEnoughDataError if no test hour is left.
+    pairs, test: sessions or csv files with the hours to train on and to test on. models: names, or
+    folders of trained models. scene: "", "none" or the folder of a scene. sky_view: a sky_view.exr,
+    None for that of the pairs. Without a scene, pairs with few clear hours choose between the
+    stated box and no patch (`training_captures`), also for `test`. Test hours that a model was
+    trained on are omitted. Raises InputError for files that cannot be used, NotEnoughDataError if
+    no test hour is left.
     """
     specs = parse_specs(models)
     captures = load_pairs(pairs, site, progress=progress)
     data, _ = training_captures(captures, pairs, scene, "absolute", progress=progress)
     data = with_sky_view(data, sky_view, progress=progress)
 
-    def read(path: Path) -> Dataset:
-        others = load_pairs(path, site, progress=progress)
-        others, _ = in_scene(others, pairs, scene, "absolute", progress=progress)
-        others = with_same_box(others, data, progress=progress)
-        return replace(others, sky_view=data.sky_view)
-
-    test_data, pool_data = (read(path) if path else None for path in (test, pool))
-    if test_data is not None:
-        folders = (spec.folder for spec in specs if spec.folder is not None)
-        test_data = without_training_hours(test_data, data, *folders)
-    return BenchData(data, test_data, pool_data, specs)
+    if test is None:
+        return BenchData(data, None, specs)
+    others = load_pairs(test, site, progress=progress)
+    others, _ = in_scene(others, pairs, scene, "absolute", progress=progress)
+    others = with_same_box(others, data, progress=progress)
+    folders = (spec.folder for spec in specs if spec.folder is not None)
+    fresh = without_training_hours(replace(others, sky_view=data.sky_view), data, *folders)
+    return BenchData(data, fresh, specs)
 
 
 def without_training_hours(test: Dataset, train: Dataset, *folders: Path) -> Dataset:
@@ -162,7 +144,7 @@ def score_row(
     seed: int = 0,
     budget_s: float,
     progress: Progress = quiet,
-) -> tuple[BenchRow, Trial]:
+) -> tuple[JsonTable, Trial]:
     """Fit one model with one seed on `data`; return its score row and the trial.
 
     The test is `test`, or held-out days of `data` if None. A trained model is not fitted again.
@@ -171,12 +153,8 @@ def score_row(
     patch = patch_mode(data, spec.patch)
     if test is None:
         if spec.folder is not None:
-            raise InputError(
-                "--models",
-                f"the trained model {spec.label}, but no test hours",
-                "a csv of hours that the model was not trained on",
-                "add --test TEST.csv",
-            )
+            found = f"the trained model {spec.label}, but no test hours"
+            raise InputError("--models", found, "other hours than it knows", "add --test TEST.csv")
         folds = day_folds(data)
         trial = evaluate_folds(
             spec.name, data, folds, patch=patch, seed=seed, budget_s=budget_s, progress=progress
@@ -184,7 +162,7 @@ def score_row(
     else:
         fitted, spent, count = _fitted(spec, data, patch, seed, budget_s, progress)
         trial = Trial(spec.name, evaluate(fitted, test, progress=progress), *spent, count, 0)
-    row: BenchRow = {
+    row = {
         "name": spec.label,
         "fit_s": trial.fit_s,
         "fit_cpu_s": trial.fit_cpu_s,

@@ -87,14 +87,10 @@ def late(data: Dataset, minutes: float) -> Dataset:
     site, step = data.setup.site, timedelta(minutes=minutes)
     now = sun.position(data.light.t_utc, site)
     then = sun.position([t + step for t in data.light.t_utc], site)
-    return _patched(
-        with_light(
-            data,
-            sun_altitude_deg=data.light.sun_altitude_deg + then.altitude_deg - now.altitude_deg,
-            sun_azimuth_deg=(data.light.sun_azimuth_deg + then.azimuth_deg - now.azimuth_deg)
-            % 360.0,
-        )
-    )
+    light = data.light
+    altitude_deg = light.sun_altitude_deg + then.altitude_deg - now.altitude_deg
+    azimuth_deg = (light.sun_azimuth_deg + then.azimuth_deg - now.azimuth_deg) % 360.0
+    return _patched(with_light(data, sun_altitude_deg=altitude_deg, sun_azimuth_deg=azimuth_deg))
 
 
 def _patched(data: Dataset) -> Dataset:
@@ -109,25 +105,20 @@ def shifted(data: Dataset, pixels: int) -> Dataset:
     return replace(data, patch_cdm2=np.roll(data.patch_cdm2, pixels, axis=2))
 
 
-def noisy_pixels(data: Dataset, share: float, seed: int) -> Dataset:
-    """Return the data with each pixel's luminance times log-normal noise.
+def _noise(shape: tuple[int, ...], share: float, seed: int) -> Floats:
+    """Return log-normal factors; share: standard deviation of their ln."""
+    return np.exp(share * np.random.default_rng(seed).standard_normal(shape))
 
-    share: standard deviation of the ln of the factor; seed: of the noise.
-    """
-    factor = np.exp(
-        share * np.random.default_rng(seed).standard_normal(data.luminance_cdm2.shape, np.float32)
-    )
+
+def noisy_pixels(data: Dataset, share: float, seed: int) -> Dataset:
+    """Return the data with each pixel's luminance times log-normal noise."""
+    factor = _noise(data.luminance_cdm2.shape, share, seed).astype(np.float32)
     return replace(data, luminance_cdm2=data.luminance_cdm2 * factor)
 
 
 def noisy_irradiance(data: Dataset, share: float, seed: int) -> Dataset:
-    """Return the data with the DNI and DHI of each hour times independent log-normal noise.
-
-    share: standard deviation of the ln of the factors; seed: of the noise.
-    """
-    rng, light = np.random.default_rng(seed), data.light
-    dni = light.dni_wm2 * np.exp(share * rng.standard_normal(len(data)))
-    dhi = light.dhi_wm2 * np.exp(share * rng.standard_normal(len(data)))
+    """Return the data with the DNI and DHI of each hour times independent log-normal noise."""
+    dni, dhi = (data.light.dni_wm2, data.light.dhi_wm2) * _noise((2, len(data)), share, seed)
     return with_light(data, dni_wm2=dni, dhi_wm2=dhi)
 
 
@@ -140,8 +131,7 @@ def disagreeing(data: Dataset, share: float, seed: int) -> Dataset:
     light = data.light
     rise = np.maximum(np.sin(np.radians(light.sun_altitude_deg)), 0.02)
     total = light.dni_wm2 * rise + light.dhi_wm2
-    dni = light.dni_wm2 * np.exp(share * np.random.default_rng(seed).standard_normal(len(data)))
-    dni = np.minimum(dni, 0.97 * total / rise)
+    dni = np.minimum(light.dni_wm2 * _noise((len(data),), share, seed), 0.97 * total / rise)
     return with_light(data, dni_wm2=dni, dhi_wm2=np.maximum(total - dni * rise, 1.0))
 
 
@@ -189,19 +179,15 @@ def _months(data: Dataset) -> NDArray[np.int64]:
     return np.array([day.astype(object).month for day in data.days])
 
 
-def cases(data: Dataset, test: Dataset, pool: Dataset) -> Iterator[Case]:
-    """Yield every condition that the data allow, beginning with the normal case.
-
-    Cases of few captures (overcast, December, one or two weeks) take them from `pool`, which must
-    not contain test hours.
-    """
+def cases(data: Dataset, test: Dataset) -> Iterator[Case]:
+    """Yield every condition that the data allow, beginning with the normal case."""
     yield Case("normal", data, test)
     for seed in range(1, SEEDS):
         yield Case(f"another seed ({seed})", data, test, seed=seed)
     low = (test.light.sun_altitude_deg < 10.0) & (test.light.dni_wm2 > 20.0)
     yield from _asked("sun disc in view", data, test, test.disc_lx > 0.0)
     yield from _asked("low sun, under 10 degrees", data, test, low)
-    yield from _seasons(pool, test)
+    yield from _seasons(data, test)
     yield Case("every capture twice", data.take(np.repeat(np.arange(len(data)), 2)), test)
     yield Case("pixel noise 5 %", noisy_pixels(data, 0.05, 1), test)
     yield Case("irradiance noise 5 %", noisy_irradiance(data, 0.05, 2), test)
@@ -222,22 +208,24 @@ def _asked(name: str, data: Dataset, test: Dataset, rows: Mask) -> Iterator[Case
         yield Case(name, data, test.take(rows))
 
 
-def _seasons(pool: Dataset, test: Dataset) -> Iterator[Case]:
-    share, asked, months = _sun_share(pool.light), _months(test), _months(pool)
-    days = pool.days.astype("datetime64[D]").astype(int)
+def _seasons(data: Dataset, test: Dataset) -> Iterator[Case]:
+    """Yield fits to the captures of one sky or season."""
+    share, tested, months = _sun_share(data.light), _months(test), _months(data)
+    days = data.days.astype("datetime64[D]").astype(int)
     first = days[months == 3].min() if (months == 3).any() else days.min()
-    pairs = {
+    every = np.ones(len(test), bool)
+    rows = {
         "overcast captures only, clear test": (
             share < OVERCAST_SHARE,
             _sun_share(test.light) > 0.6,
         ),
-        "December captures only, June test": (months == 12, asked == 6),
-        "one week of captures": ((days >= first) & (days < first + 7), np.ones(len(test), bool)),
-        "two weeks of captures": ((days >= first) & (days < first + 14), np.ones(len(test), bool)),
+        "December captures only, June test": (months == 12, tested == 6),
+        "one week of captures": ((days >= first) & (days < first + 7), every),
+        "two weeks of captures": ((days >= first) & (days < first + 14), every),
     }
-    for name, (teach, check) in pairs.items():
+    for name, (teach, check) in rows.items():
         if teach.sum() >= MIN_HOURS and check.sum() >= MIN_HOURS:
-            yield Case(name, pool.take(teach), test.take(check))
+            yield Case(name, data.take(teach), test.take(check))
 
 
 def _geometry(data: Dataset, test: Dataset) -> Iterator[Case]:
@@ -294,18 +282,17 @@ def run(
     spec: Spec,
     data: Dataset,
     test: Dataset,
-    pool: Dataset,
     *,
     budget_s: float = 60.0,
     progress: Progress = quiet,
 ) -> list[StressRow]:
     """Fit the model under each condition that the data allow; return one row per condition.
 
-    data, test: training and test hours; pool: hours from which captures of one season are taken.
+    data, test: training and test hours.
     """
     rows: list[StressRow] = []
     normal: dict[str, float] = {}
-    for case in cases(data, test, pool):
+    for case in cases(data, test):
         progress(len(rows), 0, case.name)
         train, asked = case.train.thin(HEIGHT), case.test.thin(HEIGHT)
         fitted, spent = fit_timed(
@@ -322,34 +309,31 @@ def run(
 
 
 def _row(label: str, case: Case, scores: Scores, fit_cpu_s: float, warned: bool) -> StressRow:
-    error, expected = scores.mse_weighted, scores.expected_mse
-    bad = error > max(GROSS_MSE, 4.0 * float(np.median(error)))
-    wild = error > GROSS_MSE
-    feared = warned | ~scores.trusted | (np.nan_to_num(expected) > REPORTED_SHARE * error)
-    has_expectation = np.isfinite(expected).all()
-    told = (
-        float(expected.mean()) > REPORTED_SHARE * float(error.mean()) if has_expectation else False
-    )
-    told = (
-        told
-        or warned
-        or (bad.any() and bool((~scores.trusted)[bad].mean() > 0.5))
-        or bool((~scores.trusted).mean() > 0.5)
+    error, expected, doubted = scores.mse_weighted, scores.expected_mse, ~scores.trusted
+    large = error > max(GROSS_MSE, 4.0 * float(np.median(error)))
+    gross = error > GROSS_MSE
+    feared = warned | doubted | (np.nan_to_num(expected) > REPORTED_SHARE * error)
+    has_expectation = bool(np.isfinite(expected).all())
+    is_reported = (
+        warned
+        or (has_expectation and float(expected.mean()) > REPORTED_SHARE * float(error.mean()))
+        or (large.any() and float(doubted[large].mean()) > 0.5)
+        or float(doubted.mean()) > 0.5
     )
     return StressRow(
-        label,
-        case.name,
-        len(case.train),
-        len(scores),
-        fit_cpu_s,
-        float(error.mean()),
-        float(np.median(error)),
-        float(error.max()),
-        float(expected.mean()) if has_expectation else None,
-        float((~scores.trusted).mean()),
-        warned,
-        bool(told),
-        int(wild.sum()),
-        int((wild & ~feared).sum()),
-        case.normal,
+        name=label,
+        regime=case.name,
+        n_train=len(case.train),
+        n_test=len(scores),
+        fit_cpu_s=fit_cpu_s,
+        log10_mse_weighted=float(error.mean()),
+        median=float(np.median(error)),
+        worst=float(error.max()),
+        expected_mse=float(expected.mean()) if has_expectation else None,
+        untrusted_share=float(doubted.mean()),
+        warned=warned,
+        told=bool(is_reported),
+        wild=int(gross.sum()),
+        wild_unflagged=int((gross & ~feared).sum()),
+        beside=case.normal,
     )

@@ -68,6 +68,8 @@ DISK_TROUBLE = {
     errno.ENAMETOOLONG: "choose shorter names",
     errno.ELOOP: "replace the link by its content",
     errno.ENXIO: "remove this pipe, socket or device",
+    errno.ENOLCK: "this disk has no locks: move the session to a disk of this computer",
+    errno.ENOTSUP: "this disk has no locks: move the session to a disk of this computer",
 }
 
 

@@ -14,7 +14,6 @@ import click
 
 from fieldlum.cli import terminal
 from fieldlum.cli.declared import EXISTING_PATH, PATH, declare
-from fieldlum.cli.estimates import estimate_text, frames_s
 from fieldlum.cli.options import SHARED
 
 if TYPE_CHECKING:
@@ -133,13 +132,6 @@ def _part(fit: Callable[..., FittedPart]) -> click.Command:
     return made
 
 
-def _say_time(frames: Paths, profile: CameraProfile, *, boards: bool = False) -> None:
-    """Print the estimated time to read frames, or folders of them, if it is 20 s or more."""
-    folders = [sum(p.is_file() for p in path.iterdir()) if path.is_dir() else 1 for path in frames]
-    needed_s = frames_s(sum(folders), profile.camera.pixels, boards=boards)
-    terminal.say_if(estimate_text(needed_s))
-
-
 def _figures(source: Any, *names: str) -> dict[str, Any]:
     """Return attributes of a result by their names, to print."""
     return {name: getattr(source, name) for name in names}
@@ -243,7 +235,6 @@ def _by_targets(
     notes = []
     if chessboard:
         columns, rows = _board_size(chessboard)
-        _say_time(sources, profile, boards=True)
         corners = {path: lenses.chessboard_corners(path, columns, rows) for path in sources}
         places = [at for at in corners.values() if at is not None]
         notes = [f"no {columns} x {rows} board found in {p}" for p in sources if corners[p] is None]
@@ -289,7 +280,6 @@ def response(profile: Any, sources: Annotated[Paths, "BRACKETS...", EXISTING_PAT
 
     from fieldlum.calibrate import response as responses
 
-    _say_time(sources, profile)
     brackets = responses.brackets_in(sources)
     places = responses.sample(brackets, profile, np.random.default_rng(1))
     fit, law = responses.fit(places), places.law
@@ -334,7 +324,6 @@ def vignette(
     if len(sources) == 1 and sources[0].suffix.lower() == ".csv":
         samples = vignettes.from_table(sources[0], profile, index)
     else:
-        _say_time(sources, profile)
         samples = vignettes.from_uniform(sources, profile, index)
     fit, old = vignettes.fit(samples), profile.lens[samples.lens]
     new = vignettes.with_curve(old, samples.f_number, fit)
@@ -508,7 +497,6 @@ def pixels(
     """
     from fieldlum.calibrate import pixels as finder
 
-    _say_time(sources, profile)
     defects, sensor = finder.find(sources, profile, dark=dark), profile.sensor
     bad_px = tuple(sorted({*sensor.bad_px, *defects.bad_px}))
     figures = {"found": len(defects.bad_px), "new": len(bad_px) - len(sensor.bad_px)}
@@ -539,7 +527,6 @@ def linearity(profile: Any, sources: Annotated[Paths, "FRAMES...", EXISTING_PATH
     """
     from fieldlum.calibrate import linearity as curves
 
-    _say_time(sources, profile)
     folders = [sorted(path.glob("*")) if path.is_dir() else [path] for path in sources]
     files = [file for folder in folders for file in folder if file.is_file()]
     plain = replace(profile, sensor=replace(profile.sensor, linearity=(), exposure_offset_s=0.0))

@@ -57,14 +57,13 @@ def _run(
     rooms = []
     for room in campaign.rooms:
         is_done, text = _run_room(campaign, room, stage, options)
-        rooms.append({"session": room.session, "state": "done" if is_done else "failed"})
-        rooms[-1]["text"] = text
+        state = "done" if is_done else "failed"
+        rooms.append({"session": room.session, "state": state, "text": text})
         if not as_json:
-            click.echo("{session} {state}: {text}".format(**rooms[-1]))
+            click.echo(f"{room.session} {state}: {text}")
     if as_json:
         emit_json({"campaign": campaign.name, "rooms": rooms})
-    failed = sum(room["state"] == "failed" for room in rooms)
-    if failed:
+    if failed := sum(room["state"] == "failed" for room in rooms):
         say(f"{failed} of {len(rooms)} rooms failed")
         raise SystemExit(InputError.exit_code)
 
@@ -77,12 +76,12 @@ def _run_room(
 
     is_done, shown = True, io.StringIO()
     try:
-        for words in _commands(campaign, room, stage, options):
-            made = main.get_command(click.Context(main), words[0])
+        for name, *words in _commands(campaign, room, stage, options):
+            made = main.get_command(click.Context(main), name)
             assert made is not None
             try:
                 with redirect_stdout(shown):
-                    made.main(words[1:], standalone_mode=False)
+                    made.main(words, standalone_mode=False)
             except SystemExit as end:  # for example a bracket that cannot be merged
                 is_done &= not end.code
     except (FieldlumError, OSError, click.ClickException) as error:
@@ -97,79 +96,57 @@ def _commands(
 ) -> list[list[str]]:
     """Return the commands of a stage for one room; none if the room is already planned."""
     folder = campaign.session_folder(room)
-    if stage == "plan":
-        if (folder / "session.toml").is_file():
-            return []
-        if not room.site:
-            raise InputError(
-                folder,
-                "the room has neither a session nor a site file",
-                "a planned session, or a site file to plan one",
-                "add site = SITE.toml to the room in CAMPAIGN.toml",
-            )
-        return [["plan", str(campaign.file(room.site)), "--set", room.set, "--out", str(folder)]]
     if stage == "merge":
         merge = ["merge", str(folder), "--size", room.size, *options]
         return [merge, ["pair", str(folder), *options]]
     if stage == "train":
         budget = ["--budget", f"{room.budget_min:g}", "--seed", str(room.seed)]
-        return [["train", str(folder), "--model", room.model, *budget, *options]]
+        return [["train", str(folder), "--model", room.model, *budget]]
     if stage == "predict":
-        weather = room.weather
-        weather = weather if weather == "synthetic" else str(campaign.file(weather))
+        synthetic = room.weather == "synthetic"
+        weather = room.weather if synthetic else str(campaign.file(room.weather))
         settings = ["--weather", weather, "--views", str(room.views)]
         return [["predict", str(folder / "models" / room.model), *settings, *options]]
-    return [["status", str(folder)]]
+    if stage == "status":
+        return [["status", str(folder)]]
+    if (folder / "session.toml").is_file():
+        return []
+    if not room.site:
+        remedy = "add site = SITE.toml to the room in CAMPAIGN.toml"
+        raise InputError(folder, "neither a session nor a site file", "one of these", remedy)
+    return [["plan", str(campaign.file(room.site)), "--set", room.set, "--out", str(folder)]]
 
 
 for _stage, _text in STAGES.items():
-    _names = {"merge": ("scheduler_text", "force"), "predict": ("scheduler_text", "force")}
-    _parameters = [SHARED[name] for name in (*_names.get(_stage, ()), "as_json")]
+    _names = ("scheduler_text", "force") if _stage in ("merge", "predict") else ()
+    _parameters = [_CAMPAIGN_FILE, *(SHARED[name] for name in (*_names, "as_json"))]
     _help = f"{_text}\n\n\b\nExample:\n  fieldlum campaign {_stage} rooms/CAMPAIGN.toml\n"
-    command.add_command(
-        click.Command(
-            _stage, None, partial(_run, _stage), [_CAMPAIGN_FILE, *_parameters], help=_help
-        )
-    )
+    _callback = partial(_run, _stage)
+    command.add_command(click.Command(_stage, None, _callback, _parameters, help=_help))
 
 
 @command_of("report", command)
 def report_command(
-    campaign_file: Annotated[Path, "CAMPAIGN.toml"],
-    out: Path | None = None,
-    table: Path | None = None,
-    as_json: bool = False,
+    campaign_file: Annotated[Path, "CAMPAIGN.toml"], out: Path | None = None, as_json: bool = False
 ) -> None:
     """Write the overview: glare, failed slots, next steps.
 
     \b
     Example:
-      fieldlum campaign report rooms/CAMPAIGN.toml --table hours.csv
+      fieldlum campaign report rooms/CAMPAIGN.toml
 
     Options:
       --out: Folder of the overview to write. [default: campaign/ next to CAMPAIGN.toml]
-      --table: Also write all hourly figures of all rooms, as FILE.csv.
     """
-    from fieldlum.core.records import counted
-    from fieldlum.report.campaign import read_campaign
-    from fieldlum.report.campaign.overview import write_hours, write_overview
+    from fieldlum.report.campaign import read_campaign, write_overview
 
-    if table is not None and table.suffix.lower() != ".csv":
-        raise click.UsageError(f"--table {table}: suffix '{table.suffix}'; name a .csv file")
-    campaign = read_campaign(campaign_file)
+    campaign, folder = read_campaign(campaign_file), out or campaign_file.parent / "campaign"
     with progress("campaign report") as show:
-        page, rooms = write_overview(
-            campaign, out or campaign_file.parent / "campaign", progress=show
-        )
+        page, rooms = write_overview(campaign, folder, progress=show)
     broken = [room for room in rooms if room.broken]
     for room in broken:
         say(f"skipped: {room.session}: {room.broken}")
-    rows = None
-    if table is not None:
-        rows = write_hours(campaign, table)
-        say(f"{table}: {counted(rows, 'row')}")
     if as_json:
-        names = [room.session for room in broken]
-        emit_json({"page": str(page), "passed_over": names, "table_rows": rows})
+        emit_json({"page": str(page), "passed_over": [room.session for room in broken]})
     else:
         click.echo(str(page))

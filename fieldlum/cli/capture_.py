@@ -26,7 +26,7 @@ def command(
     meter: str | None = None,
     clock: Literal["real", "fast"] = "real",
     grace_s: Annotated[float | None, click.FloatRange(min=0)] = None,
-    log_every_s: Annotated[float, click.FloatRange(min=0.1)] = 5.0,
+    every_s: Annotated[float, click.FloatRange(min=0.1)] = 5.0,
     on_misses: str = "",
     notify: str = "",
     notify_picture: bool = False,
@@ -45,7 +45,7 @@ def command(
       --clock: fast: simulated time.
       --grace S: How late a bracket may start, after which its slot is missed; stored in the
           session. [default: 300]
-      --log-every S: Seconds between irradiance rows.
+      --every S: Seconds between irradiance rows.
       --on-misses COMMAND: Run this command when two slots in a row gave no bracket. Its
           environment has FIELDLUM_SLOT, FIELDLUM_OUTCOME, FIELDLUM_REASON and
           FIELDLUM_SESSION.
@@ -89,7 +89,7 @@ def command(
     options = replace(
         options,
         grace_s=options.grace_s if grace_s is None else grace_s,
-        log_every_s=log_every_s,
+        log_every_s=every_s,
         on_misses=on_misses,
     )
     awake = nullcontext() if clock == "fast" else terminal.awake()

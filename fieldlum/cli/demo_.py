@@ -24,7 +24,7 @@ def _shown(name: str) -> Iterator[Progress]:
 @command_of("demo")
 def command(
     folder: Path = Path("fieldlum-demo"),
-    preset: Literal["quick", "paper", "hard"] = "quick",
+    preset: Literal["quick", "paper"] = "quick",
 ) -> None:
     """Run all stages on simulated captures.
 
@@ -37,9 +37,7 @@ def command(
       fieldlum demo my-demo
 
     Options:
-      --preset: quick: 230 x 115, a short training. paper: 460 x 230, half an hour of
-          training. hard: 116 x 58, with clouds, lamps, a knocked camera and ten more
-          troubles.
+      --preset: quick: 230 x 115, a short training. paper: 460 x 230, half an hour of training.
     """
     from fieldlum.demo import run
 

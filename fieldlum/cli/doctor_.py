@@ -62,10 +62,9 @@ def _drawing(session: Session) -> Path | None:
     from fieldlum.room.scene.drawing import room_svg
     from fieldlum.session import replacing
 
-    drawing = room_svg(session.site_file())
+    drawing, path = room_svg(session.site_file()), session.root / "room.svg"
     if not drawing:
         return None
-    path = session.root / "room.svg"
     try:
         with replacing(path, "w", encoding="utf-8") as file:
             file.write(drawing.replace("currentColor", "black"))

@@ -11,44 +11,11 @@ import click
 
 from fieldlum.cli.declared import FILE_PATH
 from fieldlum.cli.options import command_of
-from fieldlum.cli.terminal import emit_json, print_table, say, write_csv
+from fieldlum.cli.terminal import emit_json, print_table, say
 from fieldlum.core.records import JsonTable
 
 if TYPE_CHECKING:
     from fieldlum.year.glare.budget import Budget
-
-# Columns of --csv, which are a contract: further metrics come at the end.
-_CSV_COLUMNS = (
-    "file",
-    "t_utc",
-    "azimuth_deg",
-    "altitude_deg",
-    "dgp",
-    "dgps",
-    "ev_lx",
-    "ugr",
-    "dgi",
-    "ugp",
-    "cgi",
-    "veiling_cdm2",
-    "veiling_age70_cdm2",
-    "melanopic_edi_lx",
-    "task_cdm2",
-    "window_to_task",
-    "uniformity",
-    "verdict",
-    "covered_share",
-    "source_count",
-    "reference_dgp",
-    "reference_ev_lx",
-    "calibration_factor",
-    "warnings",
-    "seen_share",
-    "dgp_low",
-    "dgp_high",
-    "u_melanopic_edi_lx",
-)
-
 
 _COLUMNS = {
     "azimuth_deg": ("view [°]", ".1f"),
@@ -106,6 +73,7 @@ def command(
         raise click.BadParameter("write degrees, like 180", param_hint="--view-azimuth")
     from fieldlum.core.errors import InputError
     from fieldlum.session import open_session
+    from fieldlum.session.writing import write_csv
     from fieldlum.year.glare.budget import budget_of_file, write_budgets
     from fieldlum.year.glare.single import picture_glare
 
@@ -143,7 +111,7 @@ def command(
         else:
             _table(answer)
     if csv_path is not None:
-        write_csv(csv_path, csv_columns(), rows)
+        write_csv(csv_path, rows)
     if budget_path is not None:
         write_budgets(budget_path, budgets)
     if bad and len(images) > 1:
@@ -152,21 +120,14 @@ def command(
         raise SystemExit(InputError.exit_code)
 
 
-def csv_columns() -> tuple[str, ...]:
-    """Return the columns of --csv."""
-    from fieldlum.year.glare.metrics import METRICS
-
-    return (*_CSV_COLUMNS, *(name for name in METRICS if name not in _CSV_COLUMNS))
-
-
 def csv_rows(answer: JsonTable) -> list[dict[str, object]]:
-    """Return one row for each view direction of a `glare` answer, by column of --csv."""
+    """Return one row of --csv for each view direction of a `glare` answer."""
     of_picture = {**answer, "warnings": "; ".join(answer["warnings"])}
-    rows, columns = [], csv_columns()
+    rows = []
     for view in answer["views"]:
         reference = {f"reference_{key}": v for key, v in (view.get("reference") or {}).items()}
-        cells = {**view, **of_picture, **reference}
-        rows.append({key: cells.get(key) for key in columns})
+        cells = {"file": answer["file"], **view, **of_picture, **reference}
+        rows.append({k: v for k, v in cells.items() if not isinstance(v, dict | list | tuple)})
     return rows
 
 
@@ -181,14 +142,14 @@ def _table(answer: JsonTable) -> None:
         click.echo(
             f"  the sun's disc: {sun['normal_illuminance_lx']:.0f} lx normal to it, {source}"
         )
-    estimate = answer["melanopic_der"] != "colour"
+    is_estimate = answer["melanopic_der"] != "colour"
     rows = []
     for view in answer["views"]:
         bounds = ""
         if "dgp_low" in view and "dgp_high" in view:
             bounds = f", DGP {view['dgp_low']:.3f} to {view['dgp_high']:.3f}"
         rows.append({**view, "text": f"{view['verdict']}{bounds}"})
-    edi = ("m-EDI*" if estimate else "m-EDI", ".0f")
+    edi = ("m-EDI*" if is_estimate else "m-EDI", ".0f")
     print_table(rows, {**_COLUMNS, "melanopic_edi_lx": edi, **_LAST_COLUMNS}, "  ")
     for view in answer["views"]:
         if "reference" in view:
@@ -196,10 +157,8 @@ def _table(answer: JsonTable) -> None:
     share = answer["disturbed_share"]
     if share is not None and len(answer["views"]) > 1:
         click.echo(f"  disturbing (DGP above 0.40) in {100 * share:.0f} % of the seen directions")
-    if estimate:
-        click.echo("  * an estimate: Ev with the spectrum of D65")
-    else:
-        click.echo("  m-EDI by the camera's colour, with its standard uncertainty")
+    colour = "m-EDI by the camera's colour, with its standard uncertainty"
+    click.echo(f"  {'* an estimate: Ev with the spectrum of D65' if is_estimate else colour}")
 
 
 def _reference_line(azimuth_deg: float, answer: Mapping[str, Any]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from contextlib import suppress
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -25,12 +26,10 @@ class _UtcOffset(click.ParamType):
     name = "offset"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        match = re.fullmatch(r"([+-])(\d{1,2}):?(\d{2})(?::?(\d{2}))?", str(value).strip())
-        if not match or int(match[2]) > 14 or int(match[3]) > 59:
-            example = "write, for example, -08:00 (or +05:30:12 with seconds)"
-            self.fail(f"{value} is not a UTC offset: {example}", param, ctx)
-        seconds = int(match[2]) * 3600 + int(match[3]) * 60 + int(match[4] or 0)
-        return float(-seconds if match[1] == "-" else seconds)
+        try:
+            return datetime.strptime(str(value).strip(), "%z").utcoffset().total_seconds()  # type: ignore[union-attr]
+        except ValueError:
+            self.fail(f"{value} is no UTC offset; write, for example, -08:00", param, ctx)
 
 
 def _columns(texts: tuple[str, ...]) -> dict[str, str]:
@@ -49,15 +48,12 @@ def _columns(texts: tuple[str, ...]) -> dict[str, str]:
 def _sensitivities(texts: tuple[str, ...]) -> dict[str, float]:
     stated: dict[str, float] = {}
     for text in texts:
-        quantity, _, number = text.partition("=")
+        match = re.fullmatch(r"([gd]hi_wm2|dni_wm2)=([0-9.eE+-]+)", text)
         with suppress(ValueError):
-            stated[quantity] = float(number)
-        is_known = quantity in ("ghi_wm2", "dhi_wm2", "dni_wm2")
-        if not is_known or not 0.1 <= stated.get(quantity, 0.0) <= 1e4:
-            raise click.UsageError(
-                f"--sensitivity: {text} is not QUANTITY=UV_PER_WM2: write, for example, "
-                "ghi_wm2=8.63"
-            )
+            stated |= {match[1]: float(match[2])} if match else {}
+        if match is None or not 0.1 <= stated.get(match[1], 0.0) <= 1e4:
+            example = "write, for example, ghi_wm2=8.63"
+            raise click.UsageError(f"--sensitivity: {text} is not QUANTITY=UV_PER_WM2: {example}")
     return stated
 
 
@@ -67,7 +63,6 @@ def command(
     folder: Annotated[Path | None, "[FOLDER]"] = None,
     irradiance_file: Path | None = None,
     utc_offset_s: Annotated[float | None, _UtcOffset()] = None,
-    logger_utc_offset_s: Annotated[float | None, _UtcOffset()] = None,
     columns: tuple[str, ...] = (),
     sensitivity_texts: tuple[str, ...] = (),
 ) -> None:
@@ -82,10 +77,8 @@ def command(
 
     Options:
       --irradiance: A logger's file: Campbell TOA5 or CSV.
-      --utc-offset +HH:MM: Camera's and logger's clock minus UTC. [default: from EXIF, or
-          fitted to the plan]
-      --logger-utc-offset +HH:MM: Logger's clock minus UTC, if it differs from the camera's.
-          [default: --utc-offset]
+      --utc-offset +HH:MM: Camera's and logger's clock minus UTC; if they differ, import the card
+          and the file one after the other. [default: from EXIF, or fitted to the plan]
       --column QUANTITY=NAME: Column of the logger for ghi_wm2, dhi_wm2 or dni_wm2, if its
           name is unusual; the other columns are found by their names. A number counts
           columns of a file without names.
@@ -93,16 +86,9 @@ def command(
           logger's column is a voltage.
     """
     if folder is None and irradiance_file is None:
-        raise click.UsageError(
-            "no input: name a card's folder, or a logger's file with --irradiance"
-        )
-    if irradiance_file is None and (
-        logger_utc_offset_s is not None or columns or sensitivity_texts
-    ):
-        raise click.UsageError(
-            "--logger-utc-offset, --column and --sensitivity are for a logger's file: name it with "
-            "--irradiance"
-        )
+        raise click.UsageError("name a card's folder, or a logger's file with --irradiance")
+    if irradiance_file is None and (columns or sensitivity_texts):
+        raise click.UsageError("--column and --sensitivity need a logger's file: --irradiance FILE")
     named, sensitivities = _columns(columns), _sensitivities(sensitivity_texts)
     from fieldlum.capture import import_card
     from fieldlum.core.records import counted
@@ -115,24 +101,21 @@ def command(
             folder,
             logger=irradiance_file,
             utc_offset_s=utc_offset_s,
-            logger_utc_offset_s=logger_utc_offset_s,
             columns=named or None,
             sensitivities=sensitivities or None,
             progress=progress,
         )
     for line in _summary(report):
         terminal.say(line)
-    parts = [
+    line = (
         f"{session.root}: {counted(report.brackets, 'bracket')} with "
         f"{counted(report.frames, 'frame')}, {counted(report.rows, 'row')} of irradiance"
-    ]
+    )
     if report.withdrawn:
-        parts.append(
-            f"rows of an earlier import of this file that were removed: {report.withdrawn}"
-        )
+        line += f"; rows of an earlier import of this file that were removed: {report.withdrawn}"
     if report.known:
-        parts.append(f"{report.known} brackets were already imported")
-    click.echo("; ".join(parts))
+        line += f"; {report.known} brackets were already imported"
+    click.echo(line)
 
 
 def _summary(report: Report) -> list[str]:

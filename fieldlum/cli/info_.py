@@ -28,7 +28,7 @@ def command(files: tuple[Path, ...], part: str = "", json_lines: bool = False) -
       --json: Print one JSON object for each file, one per line.
     """
     bad = 0
-    for path in map(_shipped_profile, files):
+    for path in files:
         try:
             facts = {"file": str(path), **describe(path, part)}
         except InputError as error:
@@ -40,31 +40,17 @@ def command(files: tuple[Path, ...], part: str = "", json_lines: bool = False) -
         if json_lines:
             emit_json(facts)
         else:
-            click.echo(str(path))
+            click.echo(str(facts.pop("file")))
             for name, value in facts.items():
-                if name != "file":
-                    click.echo(f"  {name:24} {_short(value)}")
+                click.echo(f"  {name:24} {_short(value)}")
     if bad:
         raise SystemExit(InputError.exit_code)
 
 
-def _shipped_profile(path: Path) -> Path:
-    """Return the path of a shipped camera profile for its name, else the path unchanged."""
-    from fieldlum.optics.profiles import camera_names, find_camera_profile
-
-    if not path.exists() and path.name == str(path) and path.name in camera_names():
-        return find_camera_profile(path.name)
-    return path
-
-
 def _short(value: object) -> str:
     """Return a value as one readable line, which may be shortened; `--json` has all of it."""
-    if isinstance(value, dict):
-        return ", ".join(value) if value else "none"
-    if isinstance(value, list) and any(isinstance(item, dict) for item in value):
+    if isinstance(value, dict | list) and (len(str(value)) > _LINE or "{" in str(value)):
         return f"{len(value)} entries"
-    if isinstance(value, list):
-        return f"{len(value)}: {', '.join(map(str, value[:3]))}" if value else "none"
     text = str(value)
     return text if len(text) <= _LINE else f"{text[:_LINE]} ..."
 
@@ -75,6 +61,10 @@ def describe(path: Path, part: str = "") -> Facts:
     part: name of the part, layer or stereo view of an .exr; "" for the only one. Raises InputError
     if the file is missing, invalid or of an unknown kind.
     """
+    from fieldlum.optics.profiles import camera_names, find_camera_profile
+
+    if not path.exists() and str(path) in camera_names():
+        path = find_camera_profile(str(path))
     if path.is_dir():
         return _folder(path)
     if not path.is_file():
@@ -91,6 +81,15 @@ def _size(picture: Any) -> str:
     return f"{picture.shape[1]} x {picture.shape[0]}"
 
 
+def _light(luminance_cdm2: Any) -> Facts:
+    """Return median and largest finite luminance."""
+    import numpy as np
+
+    values = luminance_cdm2[np.isfinite(luminance_cdm2)]
+    figures = float(np.median(values)), float(values.max())
+    return {"median_cdm2": round(figures[0], 3), "largest_cdm2": round(figures[1], 1)}
+
+
 def _exr(path: Path, part: str) -> Facts:
     """Return facts about a panorama, or about a picture with the view that `glare` uses."""
     import numpy as np
@@ -103,19 +102,16 @@ def _exr(path: Path, part: str) -> Facts:
     is_panorama = view == "equirect"
     if is_panorama:
         picture = read_panorama_with_sun(path, part=part)
-    values = picture.luminance_cdm2[np.isfinite(picture.luminance_cdm2)]
-    if not values.size:
+    if not np.isfinite(picture.luminance_cdm2).any():
         expected, remedy = "a picture with luminances", "merge or convert it again"
         raise InputError(path, "no finite luminance", expected, remedy)
     flagged = 0.0 if picture.flags is None else 100.0 * float((picture.flags > 0).mean())
-    heading = {"heading_deg": picture.heading_deg} if is_panorama else {"view": view or "missing"}
     return {
         "kind": "panorama" if is_panorama else "EXR picture",
         "size": _size(picture.luminance_cdm2),
-        **heading,
+        **({"heading_deg": picture.heading_deg} if is_panorama else {"view": view or "missing"}),
         "t_utc": utc_text(picture.t_utc) if picture.t_utc else "",
-        "median_cdm2": round(float(np.median(values)), 3),
-        "largest_cdm2": round(float(values.max()), 1),
+        **_light(picture.luminance_cdm2),
         "flagged_percent": round(flagged, 2),
         "sun": str(picture.sun) if picture.sun else "none",
         **picture.attributes,
@@ -123,18 +119,15 @@ def _exr(path: Path, part: str) -> Facts:
 
 
 def _radiance(path: Path) -> Facts:
-    import numpy as np
-
     from fieldlum.optics.images import read_radiance_hdr
 
     image = read_radiance_hdr(path)
-    kind = "panorama" if image.header.heading_deg is not None else "Radiance picture"
+    is_panorama = image.header.heading_deg is not None
     return {
-        "kind": kind,
+        "kind": "panorama" if is_panorama else "Radiance picture",
         "size": _size(image.rgb),
-        "view": image.header.view or ("equirect" if kind == "panorama" else "missing"),
-        "median_cdm2": round(float(np.median(image.luminance_cdm2)), 3),
-        "largest_cdm2": round(float(image.luminance_cdm2.max()), 1),
+        "view": image.header.view or ("equirect" if is_panorama else "missing"),
+        **_light(image.luminance_cdm2),
     }
 
 
@@ -166,13 +159,9 @@ def _toml(path: Path) -> Facts:
     if "setup" in table and "plan" in table:
         name = table["setup"].get("site", {}).get("name", "")
         return {"kind": "session", "name": name, **table["plan"]}
-    raise InputError(
-        path,
-        f"a TOML file with the tables {', '.join(table) or '(none)'}",
-        "[site] (a site), [camera] (a camera profile), [[entry]] (an instrument profile), or "
-        "[setup] and [plan] (a session)",
-        "name such a file",
-    )
+    found = f"a TOML file with the tables {', '.join(table) or '(none)'}"
+    expected = "a site, a camera profile, an instrument profile ([[entry]]) or a session"
+    raise InputError(path, found, expected, "name such a file")
 
 
 def _instrument(path: Path, lines_form: bool) -> Facts:
@@ -184,13 +173,10 @@ def _instrument(path: Path, lines_form: bool) -> Facts:
         facts = {"kind": "instrument profile (lines)", "name": lines.name, "form": lines.form}
         return {**facts, "gives": ", ".join(e.quantity for e in lines.entry)}
     registers = load_register_profile(str(path))
-    return {
-        "kind": "instrument profile (Modbus)",
-        "name": registers.kind,
-        "instruments": f"{registers.maker} {', '.join(registers.models)}",
-        "gives": ", ".join(e.name for e in registers.entry),
-        "source": registers.source,
-    }
+    models = f"{registers.maker} {', '.join(registers.models)}"
+    facts = {"kind": "instrument profile (Modbus)", "name": registers.kind, "instruments": models}
+    gives = ", ".join(e.name for e in registers.entry)
+    return {**facts, "gives": gives, "source": registers.source}
 
 
 def _csv(path: Path) -> Facts:
@@ -235,25 +221,17 @@ def _raw(path: Path) -> Facts:
 
 
 def _folder(path: Path) -> Facts:
+    from fieldlum.session.codec import read_object
+    from fieldlum.session.files.model_config import ModelConfig
+
     if (path / "session.toml").is_file():
         return _toml(path / "session.toml")
-    if (path / "config.json").is_file():
-        from fieldlum.session.files.model_config import ModelConfig
-
-        return {"kind": "model", **ModelConfig.read(path).state}
+    if (model := ModelConfig.find(path)) is not None:
+        return {"kind": "model", **model.state}
     if (path / "predict.json").is_file():
-        return _year(path)
-    raise InputError(
-        path,
-        "this folder is no session, model or predicted year",
-        "a folder with session.toml, config.json or predict.json",
-        "name such a folder, or a file in this one",
-    )
-
-
-def _year(path: Path) -> Facts:
-    from fieldlum.session.codec import read_object
-
-    about = read_object(path / "predict.json", "a predicted year", "run fieldlum predict again")
-    names = ("model", "width", "height", "hours", "first", "last", "weather", "protection")
-    return {"kind": "predicted year", **{name: about.get(name) for name in names}}
+        year = read_object(path / "predict.json", "a predicted year", "run fieldlum predict again")
+        names = ("model", "width", "height", "hours", "first", "last", "weather", "protection")
+        return {"kind": "predicted year", **{name: year.get(name) for name in names}}
+    expected = "a folder with session.toml, config.json or predict.json"
+    found, remedy = "no session, model or predicted year", "name such a folder, or a file in it"
+    raise InputError(path, found, expected, remedy)

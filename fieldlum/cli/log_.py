@@ -10,7 +10,6 @@ import click
 
 from fieldlum.cli import terminal
 from fieldlum.cli.options import command_of
-from fieldlum.core.records import counted
 
 
 @command_of("log")
@@ -18,9 +17,8 @@ def command(
     session_folder: Path,
     pyranometer: str,
     every_s: Annotated[float, click.FloatRange(min=0.1)] = 5.0,
-    rows: Annotated[int | None, click.IntRange(min=1)] = None,
 ) -> None:
-    """Log irradiance without a camera, until Ctrl-C or --rows.
+    """Log irradiance without a camera, until Ctrl-C.
 
     \b
     Example:
@@ -29,7 +27,6 @@ def command(
     Options:
       --pyranometer URI: For example serial:/dev/ttyUSB0?kind=spn1.
       --every S: Seconds between rows.
-      --rows: Stop after this many rows. [default: at Ctrl-C]
     """
     from fieldlum.capture.logger import log
     from fieldlum.devices.clock import RealClock
@@ -39,11 +36,7 @@ def command(
     try:
         with terminal.unattended(), terminal.awake():
             clock = RealClock()
-            written = log(
-                session, pyranometer, clock=clock, every_s=every_s, rows=rows, say=terminal.say
-            )
-        message = counted(written, "row")
+            log(session, pyranometer, clock=clock, every_s=every_s, rows=None, say=terminal.say)
     except KeyboardInterrupt:
-        message = "stopped"
-    with suppress(OSError):  # the terminal may be closed by now
-        click.echo(f"{session.irradiance}: {message}")
+        with suppress(OSError):  # the terminal may be closed by now
+            click.echo(f"{session.irradiance}: stopped")

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Literal
 
 import click
 
-from fieldlum.cli.estimates import estimate_text, merge_s
 from fieldlum.cli.options import (
     DEFAULT_FISHEYE_SIZE,
     DEFAULT_SIZE,
@@ -16,7 +15,7 @@ from fieldlum.cli.options import (
     panorama_height,
     scheduler_of,
 )
-from fieldlum.cli.terminal import emit_json, progress, say, say_if
+from fieldlum.cli.terminal import emit_json, progress, say
 from fieldlum.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -117,9 +116,6 @@ def _merge_session(
     from fieldlum.session import open_session
 
     session = open_session(root)
-    merged = {path.stem for path in session.panorama_files()}
-    owed = [f for f in session.captured_folders() if force or f.name not in merged]
-    say_if(estimate_text(merge_s(owed), scheduler.processes))
     with progress("Merge") as bar:
         verdicts = merge.run(session, options, scheduler=scheduler, force=force, progress=bar)
     if as_json:

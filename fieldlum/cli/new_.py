@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import re
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -20,6 +18,19 @@ T = TypeVar("T")
 # from the end of the wall and the ceiling, so that a width and a height remain possible.
 _MIN_WINDOW_M = 0.05
 _ANGLE = re.compile(r"([+-]?\d+(?:\.\d+)?)\s*°?\s*([NSEWnsew]?)")
+_NOTES = {  # comments in SITE.toml, by key
+    "latitude_deg": "north positive",
+    "longitude_deg": "east positive",
+    "timezone": "IANA name",
+    "profile": "a shipped name (fieldlum info NAME), or a path",
+    "heading_deg": "the panorama's middle, clockwise from true north",
+    "headings": "one fisheye, turned between brackets",
+    "camera_x_m": "from the main window wall's RIGHT end, seen from inside",
+    "camera_y_m": "from the inside of that wall, which the room calls south",
+    "wall_azimuth_deg": "where that wall faces",
+    "left_m": "from the wall's LEFT end, seen from inside",
+    "sill_m": "above the floor",
+}
 
 
 @command_of("new")
@@ -30,9 +41,8 @@ def command(
 ) -> None:
     """Ask about a site and write its SITE.toml, or write a camera profile.
 
-    Place, camera and heading give the full answer; a room is an option. Each answer is checked
-    and stored at once: after an interruption, the same command continues. A described room is
-    drawn as SITE.svg: check the windows and azimuths there. An existing file is not overwritten.
+    Place, camera and heading give the full answer; a room is an option. A described room is drawn
+    as SITE.svg: check the windows and azimuths there. An existing file is not overwritten.
 
     \b
     Example:
@@ -61,28 +71,22 @@ def command(
         return
     if photo is not None:
         raise click.UsageError("--photo describes an own camera: name a profile with --camera")
-    answers = _Answers.read(site_file.with_name(f"{site_file.name}.answers"))
-    click.get_current_context().meta[_ANSWERS] = answers
-    site = _site()
-    setup = SiteFile(site, _camera(site_file.parent))
+    setup = SiteFile(_site(), _camera())
     profile = load_camera_profile(setup.camera.profile)
     blind = coverage_text(profile, setup.camera)
-    for note in (*assumed_texts(setup.camera), uncalibrated_text(profile), blind):
-        if note:
-            click.echo(f"note: {note}")
-    question = "Describe the room by tape measure? Not needed; it can sharpen the maps (y, n)"
-    if _ask(question, _yes, default="n"):
-        setup = _checked_room(site, setup.camera)
+    for note in filter(None, (*assumed_texts(setup.camera), uncalibrated_text(profile), blind)):
+        click.echo(f"note: {note}")
+    question = "Describe the room by tape measure? Not needed; it can sharpen the maps"
+    if click.confirm(question, default=False):
+        setup = _checked_room(setup.site, setup.camera)
     site_file.write_text(site_text(setup), encoding="utf-8")
     load_site(site_file)
-    answers.path.unlink(missing_ok=True)
     click.echo(f"written: {site_file}")
     if drawing := room_svg(setup):
         picture = site_file.with_suffix(".svg")
         picture.write_text(drawing.replace("currentColor", "black"), encoding="utf-8")
         click.echo(f"written: {picture}: check windows, camera and north in it")
-    name = site_file.stem
-    click.echo(f"next: fieldlum plan {site_file} --set 9-day --out {name}-session --ics --html")
+    click.echo(f"next: fieldlum plan {site_file} --set 9-day --out {site_file.stem}-session")
 
 
 # ----------------------------------------------------------------------------------------------
@@ -90,50 +94,29 @@ def command(
 
 
 def _site() -> Site:
-    from fieldlum.session.site_toml import wrong_sign_text
-    from fieldlum.sky.sun import zone_off_sun_h
+    from fieldlum.session.site_toml import site_from_table, wrong_sign_text
 
     name = _ask("Name of the site", _name)
     latitude = _ask("Latitude in degrees (like 47.61, 47.61 N)", _angle(90.0, "NS"))
     longitude = _ask("Longitude in degrees (like -122.33, 122.33 W)", _angle(180.0, "EW"))
 
     def zone(text: str) -> Site:
-        site = Site(name, latitude, longitude, _known_zone(text))
-        off = zone_off_sun_h(site)
+        place = {"name": name, "latitude_deg": latitude, "longitude_deg": longitude}
+        table = {"site": {**place, "timezone": _known_zone(text)}}
+        site = site_from_table(table, "this place").site
         if wrong := wrong_sign_text(site):
             raise ValueError(f"{wrong}; north and east are positive")
-        if abs(off) > 4.0:
-            raise ValueError(
-                f"the clock of this zone differs from the sun at longitude {longitude:g} by "
-                f"{off:+.1f} h; check the sign of the longitude: east is positive, west "
-                "negative"
-            )
         return site
 
-    site = _ask("Time zone, IANA name (like Europe/Rome)", zone, default=_own_zone(longitude))
+    site = _ask("Time zone, IANA name (like Europe/Rome)", zone)
     altitude = _ask("Altitude above the sea in m", _number(-500.0, 9000.0), default="0")
     return Site(name, latitude, longitude, site.timezone, altitude)
 
 
-def _own_profiles(folder: Path) -> list[str]:
-    """Return the paths of the camera profiles in a folder."""
-    from fieldlum.optics.profiles import load_camera_profile
-
-    own = []
-    for path in sorted(folder.glob("*.toml")):
-        try:
-            load_camera_profile(path)
-        except InputError:  # a site, or a profile that cannot be used
-            continue
-        own.append(str(path))
-    return own
-
-
-def _camera(folder: Path) -> CameraSetup:
-    """Ask for the camera; folder: where own profiles are listed from."""
+def _camera() -> CameraSetup:
     from fieldlum.optics.profiles import camera_names, find_camera_profile, load_camera_profile
 
-    names = [*_own_profiles(folder), *camera_names()]
+    names = camera_names()
     click.echo("Cameras with a profile:")
     for k, name in enumerate(names, start=1):
         click.echo(f"  {k}  {name}")
@@ -155,25 +138,19 @@ def _camera(folder: Path) -> CameraSetup:
         load_camera_profile(find_camera_profile(chosen))
         return chosen
 
-    def azimuth(text: str) -> float | None:
-        return None if text == "-" else _number(0.0, 360.0)(text)
+    def azimuths(text: str) -> tuple[float, ...]:
+        parts = [] if text == "-" else text.split(",")
+        return tuple(_number(0.0, 360.0)(part) for part in parts)
 
     chosen = _ask("Camera: a number, a name, the path of your own profile, or none", profile)
-    facing = _ask("Azimuth that the camera faces, clockwise from true north (- unknown)", azimuth)
-    missing = {"heading_deg": facing is None, "profile": not chosen}
-    unknown = [name for name, is_missing in missing.items() if is_missing]
-    heading = CameraSetup().heading_deg if facing is None else facing
+    facing = _ask("Azimuth that the camera faces, clockwise from true north (- unknown)", azimuths)
     height = _ask("Height of the lens above the floor in m", _number(0.05, 50.0), default="1.2")
-
-    def turned(text: str) -> tuple[float, ...]:
-        if not text.strip() or text.strip() == "-":
-            return ()
-        return tuple(_number(0.0, 360.0)(part) for part in text.split(","))
-
-    headings = _ask(
-        "Headings of a turned head, separated by commas (- for a fixed camera)", turned, default="-"
-    )
-    return CameraSetup(chosen, heading, headings, height, tuple(unknown))
+    question = "Headings of a turned head, separated by commas (- for a fixed camera)"
+    headings = _ask(question, azimuths, default="-")
+    missing = {"heading_deg": not facing, "profile": not chosen}
+    unknown = tuple(name for name, is_missing in missing.items() if is_missing)
+    heading = facing[0] if facing else CameraSetup().heading_deg
+    return CameraSetup(chosen, heading, headings, height, unknown)
 
 
 def _checked_room(site: Site, camera: CameraSetup) -> SiteFile:
@@ -244,75 +221,16 @@ def _window(number: int, width: float, depth: float, height: float, azimuth: flo
 # asking
 
 
-_ANSWERS = "fieldlum.cli.new_.answers"  # key in click's context
-
-
-@dataclass
-class _Answers:
-    """Answers of an interrupted dialogue, stored as pairs of question and text."""
-
-    path: Path
-    before: list[list[str]] = field(default_factory=list)
-    stored: list[list[str]] = field(default_factory=list)
-
-    @classmethod
-    def read(cls, path: Path) -> _Answers:
-        """Return the stored answers; none if the file is missing or damaged."""
-        try:
-            before = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError):
-            return cls(path)
-        pairs = isinstance(before, list) and all(
-            isinstance(p, list) and len(p) == 2 and all(isinstance(x, str) for x in p)
-            for p in before
-        )
-        if not pairs:
-            return cls(path)
-        click.echo(f"continuing with the answers in {path}; remove it to begin again")
-        return cls(path, before)
-
-    def next_text(self, question: str) -> str | None:
-        """Return the stored answer to the next question; None, from now on, without one."""
-        if self.before and self.before[0][0] == question:
-            return self.before.pop(0)[1]
-        self.before.clear()
-        return None
-
-    def store(self, question: str, text: str) -> None:
-        """Add an answer to the file; a folder that cannot be written ends the command."""
-        self.stored.append([question, text])
-        content = json.dumps([*self.stored, *self.before], ensure_ascii=False, indent=0)
-        self.path.write_text(content, encoding="utf-8")
-
-
 def _ask(question: str, reader: Callable[[str], T], default: str | None = None) -> T:
     """Ask a question until `reader` accepts the answer; return what `reader` returns."""
-    answers: _Answers | None = click.get_current_context().meta.get(_ANSWERS)
 
     def checked(text: str) -> T:
         try:
-            value = reader(text.strip())
+            return reader(text.strip())
         except (InputError, ValueError) as error:
             raise click.UsageError(str(error)) from None
-        if answers is not None:
-            answers.store(question, text)
-        return value
 
-    if answers is not None and (text := answers.next_text(question)) is not None:
-        try:
-            value = checked(text)
-        except click.UsageError:
-            answers.before.clear()
-        else:
-            click.echo(f"{question}: {text}")
-            return value
     return click.prompt(question, default=default, value_proc=checked)
-
-
-def _yes(text: str) -> bool:
-    if text.lower() not in ("y", "yes", "n", "no"):
-        raise ValueError(f"'{text}': expected y or n")
-    return text.lower().startswith("y")
 
 
 def _name(text: str) -> str:
@@ -338,9 +256,7 @@ def _angle(limit: float, winds: str) -> Callable[[str], float]:
     def reader(text: str) -> float:
         match = _ANGLE.fullmatch(text)
         if match is None or (match[2] and match[2].upper() not in winds):
-            raise ValueError(
-                f"'{text}': expected decimal degrees, also with {winds[0]} or {winds[1]}"
-            )
+            raise ValueError(f"'{text}': expected decimal degrees, also with {' or '.join(winds)}")
         value = float(match[1]) * (-1.0 if match[2].upper() == winds[1] else 1.0)
         return _number(-limit, limit)(str(value))
 
@@ -358,101 +274,22 @@ def _known_zone(text: str) -> str:
     return text
 
 
-def _own_zone(longitude_deg: float) -> str | None:
-    """Return this computer's time zone if it is plausible for the longitude, else None."""
-    from fieldlum.sky.sun import zone_off_sun_h
-
-    try:
-        name = str(Path("/etc/localtime").resolve()).partition("zoneinfo/")[2]
-        zone = _known_zone(name)
-    except (OSError, ValueError):
-        return None
-    plain = zone.removeprefix("Etc/") in ("UTC", "GMT", "UCT", "Zulu")
-    fits = abs(zone_off_sun_h(Site("", 0.0, longitude_deg, zone))) <= 2.0
-    return zone if fits and not plain else None
-
-
-# ----------------------------------------------------------------------------------------------
-# the text of SITE.toml
-
-
 def site_text(setup: SiteFile) -> str:
-    """Return the text of a SITE.toml with site, camera and, if there is one, the box room.
+    """Return the text of a SITE.toml with site, camera and, if there is one, the room.
 
-    It has what `fieldlum new` asks for; `load_site` reads it.
+    `load_site` reads it.
     """
-    site, camera, room = setup.site, setup.camera, setup.room
-    lines = [
-        "# Written by fieldlum new. You can edit it; fieldlum plan checks every key.",
-        "",
-        "[site]",
-        f"name = {_quoted(site.name)}",
-        f"latitude_deg = {site.latitude_deg:.6g} # north positive",
-        f"longitude_deg = {site.longitude_deg:.7g} # east positive",
-        f"altitude_m = {site.altitude_m:g}",
-        f"timezone = {_quoted(site.timezone)} # IANA name",
-        "",
-        "[camera]",
-        *_stated(
-            "profile" not in camera.assumed,
-            f"profile = {_quoted(camera.profile)} # a shipped name (fieldlum info NAME), or a path",
-        ),
-        *_stated(
-            "heading_deg" not in camera.assumed,
-            f"heading_deg = {camera.heading_deg:g} # the panorama's middle, clockwise from true "
-            "north",
-        ),
-    ]
-    if camera.headings:
-        headings = ", ".join(f"{heading:g}" for heading in camera.headings)
-        lines.append(f"headings = [{headings}] # one fisheye, turned between brackets")
-    lines.append(f"height_m = {camera.height_m:g} # of the lens above the floor")
-    if room is not None:
-        lines += _room_lines(room)
-    return "\n".join(lines) + "\n"
+    import tomli_w
 
+    from fieldlum.session.site_toml import site_table
 
-def _stated(is_known: bool, line: str) -> list[str]:
-    """Return a line, or a comment in its place for a value that is not known yet."""
-    return [line] if is_known else [f"# {line.partition(' ')[0]} = ... # not known yet: state it"]
-
-
-def _room_lines(room: Room) -> Sequence[str]:
-    lines = [
-        "",
-        "# By tape measure, along the floor. For sun patches, the sun in view, and simulation.",
-        "[room]",
-        'kind = "box"',
-        f"width_m = {room.width_m:g} # along the main window wall, which the room calls south",
-        f"depth_m = {room.depth_m:g} # perpendicular to it",
-        f"height_m = {room.height_m:g}",
-        f"camera_x_m = {room.camera_x_m:g} # from that wall's RIGHT end as seen from inside",
-        f"camera_y_m = {room.camera_y_m:g} # from the inside of that wall",
-        f"camera_z_m = {room.camera_z_m:g}",
-        f"wall_azimuth_deg = {room.wall_azimuth_deg:g} # where that wall faces",
-    ]
-    for window in room.window:
-        lines += _window_lines(window, room.wall_azimuth_deg)
-    return lines
-
-
-def _window_lines(window: Window, wall_azimuth_deg: float) -> Sequence[str]:
-    from fieldlum.room.scene.drawing import compass_walls
-
-    facing = {wall: name for name, wall in compass_walls(wall_azimuth_deg).items()}[window.wall]
-    return [
-        "",
-        "[[room.window]]",
-        f"wall = {_quoted(window.wall)} # the room's own word; this wall faces {facing}",
-        f"left_m = {window.left_m:g} # from the wall's LEFT end as seen from inside",
-        f"width_m = {window.width_m:g}",
-        f"sill_m = {window.sill_m:g} # above the floor",
-        f"height_m = {window.height_m:g}",
-        f"transmittance = {window.transmittance:g} # 0.8: clear double glazing",
-        f"panes = {window.panes} # side by side, with bars between them",
-    ]
-
-
-def _quoted(text: str) -> str:
-    """Return a TOML basic string: JSON escapes are valid in TOML, except the delete character."""
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+    table = site_table(setup)
+    lines = ["# Written by fieldlum new. You can edit it; fieldlum plan checks every key."]
+    for name in table["camera"].pop("assumed"):
+        del table["camera"][name]
+        lines.append(f"# [camera] {name} = ... # not known yet: state it")
+    del table["pyranometer"]
+    text = "\n".join([*lines, tomli_w.dumps(table)])
+    for key, note in _NOTES.items():
+        text = re.sub(rf"^{key} = .*$", rf"\g<0> # {note}", text, flags=re.MULTILINE)
+    return text

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
-    from fieldlum.optics.profiles import CameraProfile
+    from fieldlum.optics.profiles import CameraProfile, Lens
     from fieldlum.optics.raw import FrameInfo, Mosaic
 
 # Relative standard uncertainties of a profile that nobody calibrated; chosen, as in the shipped
@@ -55,21 +55,18 @@ def started_profile(profile: CameraProfile, start: str) -> CameraProfile:
     """
     from fieldlum.optics.profiles import Provenance
 
-    vague = [
-        replace(
-            lens, vignetting=tuple(replace(v, u_rel=_GUESS_U_VIGNETTING) for v in lens.vignetting)
-        )
-        for lens in profile.lens
-    ]
-    body = replace(profile.camera, date="", note=f"uncalibrated; started from {start}")
-    log = (f"not measured: started from {start}; replace every part by fieldlum calibrate",)
+    def guessed(lens: Lens) -> Lens:
+        vague = tuple(replace(v, u_rel=_GUESS_U_VIGNETTING) for v in lens.vignetting)
+        return replace(lens, vignetting=vague)
+
+    log = f"not measured: started from {start}; replace every part by fieldlum calibrate"
     return replace(
         profile,
-        camera=body,
-        lens=tuple(vague),
+        camera=replace(profile.camera, date="", note=f"uncalibrated; started from {start}"),
+        lens=tuple(map(guessed, profile.lens)),
         colour=replace(profile.colour, u_rel=max(profile.colour.u_rel, _GUESS_U_COLOUR)),
         scale=replace(profile.scale, u_rel=max(profile.scale.u_rel, _GUESS_U_SCALE)),
-        provenance=Provenance(f"started from {start}", log=log),
+        provenance=Provenance(f"started from {start}", log=(log,)),
     )
 
 
@@ -87,33 +84,23 @@ def with_frame(
     from fieldlum.optics.profiles import Sensor
 
     (width, height), exposure = size_px, info.exposure
-    body = replace(
-        profile.camera,
-        kind="jpeg" if mosaic is None else "raw",
-        width_px=width,
-        height_px=height,
-        make=info.make,
-        model=info.model,
-        name=f"{info.model or 'unnamed camera'}, started from {profile.camera.name}",
-    )
-    by = height / profile.camera.height_px
-    across = width / profile.camera.width_px
-    lenses = tuple(
-        replace(
-            lens,
-            centre_px=(lens.centre_px[0] * across, lens.centre_px[1] * by),
-            radius_px=lens.radius_px * by,
-            vignetting=tuple(replace(v, f_number=exposure.f_number) for v in lens.vignetting),
-        )
-        for lens in profile.lens
-    )
+    name = f"{info.model or 'unnamed camera'}, started from {profile.camera.name}"
+    frame = {"width_px": width, "height_px": height, "make": info.make, "model": info.model}
+    kind = "jpeg" if mosaic is None else "raw"
+    by, across = height / profile.camera.height_px, width / profile.camera.width_px
+
+    def scaled(lens: Lens) -> Lens:
+        centre_px = (lens.centre_px[0] * across, lens.centre_px[1] * by)
+        rings = tuple(replace(v, f_number=exposure.f_number) for v in lens.vignetting)
+        return replace(lens, centre_px=centre_px, radius_px=lens.radius_px * by, vignetting=rings)
+
     sensor = profile.sensor
     if mosaic is not None:
         sensor = Sensor(cfa=mosaic.cfa, white_dn=mosaic.white_dn, iso=exposure.iso)
     return replace(
         profile,
-        camera=body,
-        lens=lenses,
+        camera=replace(profile.camera, kind=kind, name=name, **frame),
+        lens=tuple(map(scaled, profile.lens)),
         sensor=sensor,
         bracket=replace(profile.bracket, f_number=exposure.f_number, iso=exposure.iso),
         scale=replace(profile.scale, f_numbers=(exposure.f_number,)),

@@ -20,30 +20,13 @@ Port = Annotated[int, click.IntRange(0, 65535)]
 Year = Annotated[int | None, click.IntRange(1950, 2100)]
 
 
-class _Day(click.DateTime):
-    """A date as YYYY-MM-DD."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return the date at midnight. Raises click.BadParameter for another text."""
-        try:
-            return super().convert(value, param, ctx)
-        except click.BadParameter:
-            self.fail(f"'{value}' is no date; write YYYY-MM-DD, such as 2027-03-20", param, ctx)
-
-
-DAY = _Day(["%Y-%m-%d"])
+DAY = click.DateTime(["%Y-%m-%d"])
 
 DEVICES = {
     "camera": "For example sim:office?seed=1, gphoto: or theta:http://192.168.1.1.",
     "pyranometer": "For example serial:/dev/ttyUSB0?kind=spn1.",
     "meter": "Illuminance meter at the lens, like cl200a:/dev/ttyUSB1.",
 }
-
-
-def _device(name: str, text: str) -> click.Option:
-    return click.Option(
-        [f"--{name}"], metavar="URI", help=f"{text} [default: as in the last capture]"
-    )
 
 
 def flag(parameter: str, name: str, text: str) -> click.Option:
@@ -56,7 +39,12 @@ SHARED: dict[str, click.Parameter] = {
     "pairs": click.Argument(["pairs"], metavar="SESSION|PAIRS.csv", type=PATH),
     "as_json": flag("as_json", "--json", "Print the answer as one JSON object."),
     "force": flag("force", "--force", "Compute again, even if the inputs have not changed."),
-    **{name: _device(name, text) for name, text in DEVICES.items()},
+    **{
+        name: click.Option(
+            [f"--{name}"], metavar="URI", help=f"{text} [default: as in the last capture]"
+        )
+        for name, text in DEVICES.items()
+    },
     "label_shift_min": click.Option(
         ["label_shift_min", "--label-shift"],
         type=click.FloatRange(-720, 720),
@@ -123,17 +111,14 @@ def device_uris(session: Session, *given: str | None) -> tuple[str, ...]:
     """
     from fieldlum.devices.stored import require_permitted
 
-    uris = session.table().get("devices", {}).get("uris", {})
-    answer = []
+    stored = session.table().get("devices", {}).get("uris", {})
     for name, uri in zip(DEVICES, given, strict=True):
-        if uri is None:
-            uri = uris.get(name, "")
-            if uri:
-                require_permitted(uri, session.toml, f"--{name}")
-        else:
+        if uri is not None:
             _permit_device(uri)
-        answer.append(uri)
-    return tuple(answer)
+        elif stored.get(name):
+            require_permitted(stored[name], session.toml, f"--{name}")
+    pairs = zip(DEVICES, given, strict=True)
+    return tuple(stored.get(name, "") if uri is None else uri for name, uri in pairs)
 
 
 def _permit_device(uri: str) -> None:
@@ -174,10 +159,8 @@ def dimensions(size: str) -> tuple[int, int]:
     if not (width.isdecimal() and height.isdecimal()):
         raise click.UsageError(f"--size {size}: write WIDTHxHEIGHT, for example {DEFAULT_SIZE}")
     if not (8 <= int(width) <= _MAX_WIDTH_PX and 8 <= int(height) <= _MAX_WIDTH_PX // 2):
-        raise click.UsageError(
-            f"--size {size}: the width must be 8 to {_MAX_WIDTH_PX}, the height 8 to "
-            f"{_MAX_WIDTH_PX // 2}"
-        )
+        most = f"{_MAX_WIDTH_PX}x{_MAX_WIDTH_PX // 2}"
+        raise click.UsageError(f"--size {size}: expected 8x8 to {most} pixels")
     return int(width), int(height)
 
 
@@ -185,7 +168,6 @@ def panorama_height(size: str) -> int:
     """Parse a panorama's --size WxH to its height [px]. Raises click.UsageError unless W = 2H."""
     width, height = dimensions(size)
     if width != 2 * height:
-        raise click.UsageError(
-            f"--size {size}: a panorama must be twice as wide as high, for example {DEFAULT_SIZE}"
-        )
+        rule = f"a panorama must be twice as wide as high, for example {DEFAULT_SIZE}"
+        raise click.UsageError(f"--size {size}: {rule}")
     return height

@@ -63,12 +63,10 @@ def command(
         )
         for note in view.notes:
             terminal.say(f"note: {note}")
-    for why, count in Counter(p.why for p in pairs if p.why).most_common(5):
-        terminal.say(f"refused {count}: {why}")
-    for caution, count in Counter(
-        c for p in pairs if p.ok for c in p.caution.split("; ") if c
-    ).most_common(5):
-        terminal.say(f"caution {count}: {caution}")
+    cautions = (c for p in pairs if p.ok for c in p.caution.split("; ") if c)
+    for kind, texts in (("refused", (p.why for p in pairs if p.why)), ("caution", cautions)):
+        for text, count in Counter(texts).most_common(5):
+            terminal.say(f"{kind} {count}: {text}")
     if pairs_to:
         _upload(session, pairs_to)
 

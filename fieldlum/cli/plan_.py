@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -31,22 +31,19 @@ def command(
     count: Annotated[int | None, click.IntRange(min=1)] = None,
     weather_file: Path | None = None,
     label_shift_min: float = 0.0,
-    filter_: str | None = None,
     out: Path | None = None,
-    ics: bool = False,
-    html: bool = False,
     next_: bool = False,
     replan: bool = False,
     as_json: bool = False,
 ) -> None:
     """Choose the hours to capture and write the session.
 
-    With a session, --next lists what to capture next, and --replan adds make-up slots for missed
-    hours.
+    Writes plan.csv, a calendar (plan.ics) and one printable sheet per day (plan.html). With a
+    session, --next lists what to capture next, and --replan adds make-up slots for missed hours.
 
     \b
     Example:
-      fieldlum plan office.toml --set 9-day --out office-2027 --ics --html
+      fieldlum plan office.toml --set 9-day --out office-2027
       fieldlum plan office-2027 --next --weather seattle.epw
       fieldlum plan office-2027 --replan
 
@@ -57,91 +54,50 @@ def command(
       --days: Number of days of a month (31), or of the period for even and best (365).
       --count: Number of hours, for even (200) and best (50).
       --weather: Weather year (EPW, TMY3 or CSV), for skies and coverage.
-      --filter NAME: Add frames of the sun through this neutral-density filter of the profile,
-        which a person puts on for them. [default: filter under [camera] in SITE.toml, or none]
       --out: The session folder to write.
-      --ics: Also write plan.ics, one event per day.
-      --html: Also write plan.html, one printable sheet per day.
       --next: Rank the hours of the next two weeks by how much they would improve the model.
       --replan: Add make-up slots for the missed ones.
     """
-    if next_ and replan:
-        raise click.UsageError("--next and --replan exclude each other: use one of them")
-    if (next_ or replan) and (set_ or out):
-        raise click.UsageError("--next and --replan work on a session: omit --set and --out")
-    if next_ and (ics or html):
-        raise click.UsageError("--next writes no files: omit --ics and --html")
-    if (next_ or replan) and (start or year or days or count or filter_ is not None):
-        raise click.UsageError(
-            "--next and --replan keep the session's dates and exposures: omit --start, --year, "
-            "--days, --count and --filter"
-        )
-    if label_shift_min and weather_file is None:
-        raise click.UsageError("--label-shift is for a weather file: name one with --weather")
+    of_session, day = next_ or replan, start.date() if start else None
+    wrong = {
+        "--next and --replan exclude each other": next_ and replan,
+        "--next and --replan work on a session, with its dates: omit --set, --out, --start, "
+        "--year, --days and --count": of_session and (set_ or out or day or year or days or count),
+        "--label-shift is for a weather file: name one with --weather": label_shift_min
+        and weather_file is None,
+        "name --set and --out, for example: fieldlum plan SITE.toml --set 9-day --out "
+        "my-session": not of_session and (set_ is None or out is None),
+        "the best hours depend on the climate: name a weather year with --weather FILE": set_
+        == "best"
+        and weather_file is None,
+        "--start: expected a year from 1950 to 2100": day and not 1950 <= day.year <= 2100,
+        "--start and --year exclude each other: use one of them": day and year,
+        "--count needs --set even or best": count and set_ not in ("even", "best"),
+        "--days needs --set month, even or best": days and set_ not in ("month", "even", "best"),
+    }
+    if text := next((text for text, is_wrong in wrong.items() if is_wrong), ""):
+        raise click.UsageError(text)
     sky = (weather_file, label_shift_min)
     if next_:
         answer, sentences = _coming(target, sky)
     elif replan:
-        answer, sentences = _replanned(target, ics, html, sky)
-    elif set_ is None or out is None:
-        raise click.UsageError(
-            "name --set and --out, for example: fieldlum plan SITE.toml --set 9-day --out "
-            "my-session"
-        )
+        answer, sentences = _replanned(target, sky)
     else:
-        _check(set_, start, year, days, count, weather_file)
-        asked = (set_, start.date() if start else None, year, days, count)
-        answer, sentences = _planned(target, asked, sky, filter_, out, ics, html)
+        assert out is not None
+        answer, sentences = _planned(target, (set_, day, year, days, count), sky, out)
     if as_json:
         terminal.emit_json(answer)
     else:
         click.echo("\n".join(sentences))
 
 
-def _check(
-    set_: str,
-    start: datetime | None,
-    year: int | None,
-    days: int | None,
-    count: int | None,
-    weather_file: Path | None,
-) -> None:
-    """Raise click.UsageError for an option that is missing, impossible or without effect."""
-    if set_ == "best" and weather_file is None:
-        raise click.UsageError(
-            "the best hours depend on the climate: name a weather year with --weather FILE"
-        )
-    if start and not 1950 <= start.year <= 2100:
-        raise click.UsageError(f"--start {start:%Y-%m-%d}: expected a year from 1950 to 2100")
-    if start and year:
-        raise click.UsageError("--start and --year exclude each other: use one of them")
-    if count and set_ not in ("even", "best"):
-        raise click.UsageError(
-            f"--count needs --set even or best; the number of hours of {set_} follows from its days"
-        )
-    if days and set_ in ("9-day", "12-day", "4-day"):
-        raise click.UsageError(f"--days needs --set month, even or best; {set_} has fixed days")
-
-
-def _planned(
-    target: Path,
-    asked: tuple,
-    sky: WeatherFile,
-    filter_: str | None,
-    out: Path,
-    ics: bool,
-    html: bool,
-) -> tuple[dict, list[str]]:
+def _planned(target: Path, asked: tuple, sky: WeatherFile, out: Path) -> tuple[dict, list[str]]:
     from fieldlum import plan
     from fieldlum.session.site_toml import load_site
 
     setup = load_site(target)
-    if filter_ is not None:
-        setup = replace(setup, camera=replace(setup.camera, filter=filter_))
-    set_, start, year, days, count = asked
-    request = plan.Request(
-        set_, plan.today_at(setup.site, datetime.now(UTC)), start, year, days, count
-    )
+    set_, *dates = asked
+    request = plan.Request(set_, plan.today_at(setup.site, datetime.now(UTC)), *dates)
     weather = _weather(sky, setup.site)
     _permit_room(setup)
     with terminal.progress("choosing hours") as progress:
@@ -150,10 +106,8 @@ def _planned(
     for note in made.warnings:
         terminal.say(f"note: {note}")
     sentences = plan.sentences(answer)
-    if ics:
-        plan.write_calendar(session, datetime.now(UTC))
-    if html:
-        plan.write_sheets(session, weather, [*sentences[1:], *made.warnings])
+    plan.write_calendar(session, datetime.now(UTC))
+    plan.write_sheets(session, weather, [*sentences[1:], *made.warnings])
     return asdict(answer), sentences
 
 
@@ -165,8 +119,7 @@ def _permit_room(setup: SiteFile) -> None:
     if setup.room is None or setup.room.kind == "box":
         return
     path = Path(setup.room.file)
-    wanted = what_runs(path)
-    if wanted is None:
+    if (wanted := what_runs(path)) is None:
         return
     terminal.say(f"note: {path} is {described(path)}; permitted, as you plan with it")
     try:
@@ -178,39 +131,33 @@ def _permit_room(setup: SiteFile) -> None:
 def _coming(target: Path, sky: WeatherFile) -> tuple[dict, list[str]]:
     from fieldlum.plan import coming
     from fieldlum.session import open_session
+    from fieldlum.weather import synthetic_weather
 
     session = open_session(target)
-    weather = _weather(sky, session.site_file().site)
+    site = session.site_file().site
+    weather = _weather(sky, site)
     if weather is None:
-        from fieldlum.weather import synthetic_weather
-
-        weather = synthetic_weather(session.site_file().site)
-        terminal.say(
-            "note: no --weather: skies of this place are replaced by clear skies with random clouds"
-        )
+        weather = synthetic_weather(site)
+        terminal.say("note: no --weather: clear skies with random clouds are used")
     with terminal.progress("ranking hours") as progress:
         answer = coming.run(session, weather, datetime.now(UTC), progress)
-    return coming.as_table(answer), coming.sentences(answer, session.site_file().site)
+    return coming.as_table(answer), coming.sentences(answer, site)
 
 
-def _replanned(target: Path, ics: bool, html: bool, sky: WeatherFile) -> tuple[dict, list[str]]:
+def _replanned(target: Path, sky: WeatherFile) -> tuple[dict, list[str]]:
     from fieldlum import plan
     from fieldlum.plan import makeup
     from fieldlum.session import open_session
 
     session = open_session(target)
     answer = makeup.run(session, datetime.now(UTC))
-    if ics or (session.root / "plan.ics").exists():
-        plan.write_calendar(session, datetime.now(UTC))
-    if html or (session.root / "plan.html").exists():
-        plan.write_sheets(session, _weather(sky, session.site_file().site))
+    plan.write_calendar(session, datetime.now(UTC))
+    plan.write_sheets(session, _weather(sky, session.site_file().site))
     return asdict(answer), makeup.sentences(answer)
 
 
 def _weather(sky: WeatherFile, site: Site) -> Weather | None:
-    path, label_shift_min = sky
-    if path is None:
-        return None
     from fieldlum.weather import read_weather
 
-    return read_weather(path, site, label_shift_min=label_shift_min)
+    path, label_shift_min = sky
+    return None if path is None else read_weather(path, site, label_shift_min=label_shift_min)

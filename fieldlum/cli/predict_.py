@@ -7,9 +7,8 @@ from typing import Annotated
 
 import click
 
-from fieldlum.cli.estimates import estimate_text, predict_s
 from fieldlum.cli.options import command_of, scheduler_of
-from fieldlum.cli.terminal import emit_json, progress, say, say_if
+from fieldlum.cli.terminal import emit_json, progress, say
 
 
 @command_of("predict")
@@ -51,14 +50,9 @@ def command(
       --lamps FILE|off: When lamps that are marked in the captures are on: a csv as for
           --occupancy, or off. [default: as in captures without a mark]
     """
-    from fieldlum.learn.models import read_config
     from fieldlum.optics.projection import compass_name
     from fieldlum.year.predict import run
 
-    scheduler = scheduler_of(scheduler_text)
-    config = read_config(model_folder)
-    needed_s = predict_s(config.height * config.width, views)
-    say_if(estimate_text(needed_s, scheduler.processes))
     with progress("predict") as show:
         annual, new = run(
             model_folder,
@@ -72,7 +66,7 @@ def command(
             sky_view=sky_view,
             force=force,
             label_shift_min=label_shift_min,
-            scheduler=scheduler,
+            scheduler=scheduler_of(scheduler_text),
             progress=show,
         )
     summary = annual.summary

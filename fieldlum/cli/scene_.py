@@ -74,22 +74,13 @@ def answer_of(scene: Scene) -> JsonTable:
     """Return the object that `scene fit --json` prints."""
     room = scene.room
     names = ("wall", "left_m", "width_m", "sill_m", "height_m")
-    windows = [{name: getattr(window, name) for name in names} for window in room.window]
+    same = ("north_deg", "clock_min", "u", "chosen", "verdict", "trusted", "expected_log10_mse")
+    misfits = {"misfit_before": "stated", "misfit_after": "fitted", "misfit_none": "none"}
     return {
-        "north_deg": scene.north_deg,
-        "clock_min": scene.clock_min,
+        **{name: getattr(scene, name) for name in (*same, "trusted_share", "hours")},
+        **{name: scene.misfit.get(key) for name, key in misfits.items()},
         "camera_m": [room.camera_x_m, room.camera_y_m, room.camera_z_m],
-        "window": windows,
-        "u": scene.u,
-        "misfit_before": scene.misfit.get("stated"),
-        "misfit_after": scene.misfit.get("fitted"),
-        "misfit_none": scene.misfit.get("none"),
-        "chosen": scene.chosen,
-        "verdict": scene.verdict,
-        "trusted": scene.trusted,
-        "expected_log10_mse": scene.expected_log10_mse,
-        "trusted_share": scene.trusted_share,
-        "hours": scene.hours,
+        "window": [{name: getattr(window, name) for name in names} for window in room.window],
         "notes": list(scene.notes),
     }
 

@@ -11,7 +11,6 @@ import click
 
 from fieldlum.cli import terminal
 from fieldlum.cli.declared import EXISTING_PATH
-from fieldlum.cli.estimates import estimate_text, simulate_s
 from fieldlum.cli.options import (
     DEFAULT_SIZE,
     CaptureSet,
@@ -32,7 +31,7 @@ def command(
     out: Path | None = None,
     set_: CaptureSet = "9-day",
     year: Annotated[int, click.IntRange(1950, 2100)] = 2027,
-    year_sample: Annotated[int | None, click.IntRange(min=1)] = None,
+    count: Annotated[int | None, click.IntRange(min=1)] = None,
     weather_file: Path | None = None,
     size: str = DEFAULT_SIZE,
     quality: Literal["draft", "quick", "paper"] | None = None,
@@ -59,7 +58,7 @@ def command(
       --out: The session folder to write.
       --set: Hours to render.
       --year: Year of the events.
-      --year-sample: Use this many random daylight hours instead of a set.
+      --count: Use this many random daylight hours of the weather year instead of a set.
       --weather: EPW, TMY3 or CSV of the place.
       --size WxH: Size of the panoramas.
       --quality: Quality of the rendering. [default: quick up to 230x115, paper above]
@@ -87,13 +86,10 @@ def command(
     for repair in weather.repairs:
         terminal.say(f"weather: {repair}")
     chosen = quality or ("quick" if height <= 115 else "paper")
-    if session is None and out is not None:
+    if session is None:
+        assert out is not None
         with terminal.progress("planning") as progress:
-            session = _planned(out, setup, weather, (set_, year, year_sample, seed), progress)
-    assert session is not None
-    scheduler = scheduler_of(scheduler_text)
-    needed_s = simulate_s(chosen, 2 * height * height, len(session.slots()))
-    terminal.say_if(estimate_text(needed_s, scheduler.processes))
+            session = _planned(out, setup, weather, (set_, year, count, seed), progress)
     with terminal.progress("simulating") as progress:
         made = simulate.run(
             session,
@@ -103,20 +99,13 @@ def command(
             drift=drift,
             troubles=troubles,
             force=force,
-            scheduler=scheduler,
+            scheduler=scheduler_of(scheduler_text),
             progress=progress,
         )
-    answer = {
-        "session": str(session.root),
-        "rendered": made.rendered,
-        "kept": made.kept,
-        "dark": made.dark,
-        "weather": made.weather,
-        "size": size,
-        "quality": chosen,
-    }
     if as_json:
-        terminal.emit_json(answer)
+        figures = {"rendered": made.rendered, "kept": made.kept, "dark": made.dark}
+        how = {"weather": made.weather, "size": size, "quality": chosen}
+        terminal.emit_json({"session": str(session.root), **figures, **how})
         return
     dark = f", {made.dark} slots without light" if made.dark else ""
     click.echo(
@@ -131,17 +120,15 @@ def command(
 def _planned(
     out: Path, setup: SiteFile, weather: Weather, asked: tuple, progress: Progress
 ) -> Session:
-    """Write a new session of planned slots, or of a `year_sample` of weather hours."""
+    """Write a new session of planned slots, or of `count` daylight hours of the weather."""
     from fieldlum import plan
     from fieldlum.room import simulate
 
-    set_, year, year_sample, seed = asked
-    if year_sample is not None:
-        slots = simulate.sample_slots(setup, weather, year_sample, seed)
-        return simulate.make_session(
-            out, setup, slots, {"set": "year-sample", "count": year_sample, "seed": seed}
-        )
+    set_, year, count, seed = asked
+    if count is not None:
+        slots = simulate.sample_slots(setup, weather, count, seed)
+        about = {"set": "year-sample", "count": count, "seed": seed}
+        return simulate.make_session(out, setup, slots, about)
     today = plan.today_at(setup.site, datetime.now(UTC))
     request = plan.Request(set_, today, None, year, seed=seed)
-    session, _ = plan.run(setup, request, out, weather, progress)
-    return session
+    return plan.run(setup, request, out, weather, progress).session

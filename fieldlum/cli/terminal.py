@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 import signal
 import sys
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import click
 
-from fieldlum.cli.estimates import duration_text
 from fieldlum.core.errors import InputError, install_text
 from fieldlum.core.records import Progress
 
@@ -59,24 +56,10 @@ def print_table(
         click.echo(indent + "  ".join(cells).rstrip())
 
 
-def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, object]]) -> None:
-    """Write `columns` of the rows as a csv with a header; None is an empty cell."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(columns)
-        writer.writerows(["" if row[key] is None else row[key] for key in columns] for row in rows)
-
-
 def say(text: str) -> None:
     """Print a sentence for the user on stderr, without control codes of the terminal."""
     shown = "".join(c if c.isprintable() or c == "\n" else "?" for c in text)
     click.echo(shown, err=True)
-
-
-def say_if(text: str) -> None:
-    """Print a sentence on stderr unless it is empty."""
-    if text:
-        say(text)
 
 
 def seen() -> bool:
@@ -109,11 +92,8 @@ def web_library() -> Iterator[None]:
     except ModuleNotFoundError as error:
         if error.name not in ("starlette", "uvicorn"):
             raise
-        raise InputError(
-            "fieldlum[web]",
-            "the web server is not installed",
-            remedy=install_text("web"),
-        ) from None
+        remedy = install_text("web")
+        raise InputError("fieldlum[web]", "no web server is installed", remedy=remedy) from None
 
 
 @contextmanager
@@ -123,10 +103,7 @@ def awake() -> Iterator[None]:
 
     with kept_awake() as what:
         if not what:
-            say(
-                "note: this command cannot keep the computer awake: run fieldlum doctor for "
-                "the reason"
-            )
+            say("note: cannot keep the computer awake: run fieldlum doctor for the reason")
         yield
 
 
@@ -141,18 +118,14 @@ def _progress_lines(label: str) -> Progress:
 
     def show(finished: int, total: int, text: str) -> None:
         nonlocal last, before, repeats
-        now = time.monotonic()
-        share = finished / total if total > 0 else 0.0
+        now, share = time.monotonic(), finished / max(total, 1)
         repeats, before = repeats or share < before, share
         if now - last < LINE_EVERY_S or total <= 0:
             return
         last = now
-        left_s = (
-            (now - started) * (total - finished) / finished
-            if finished > 0 and not repeats
-            else None
-        )
-        more = f" ({text})" if left_s is None else f", {duration_text(left_s)} left"
+        more = f" ({text})"
+        if finished > 0 and not repeats:
+            more = f", about {(now - started) * (total - finished) / finished / 60:.1f} min left"
         say(f"{label}: {finished} of {total}{more}")
 
     return show
@@ -167,25 +140,16 @@ def progress(label: str) -> Iterator[Progress]:
     if not seen():
         yield _progress_lines(label)
         return
+    from rich import progress as rich_progress
     from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-    from rich.progress import Progress as Bar
 
     columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[text]}"),
+        *rich_progress.Progress.get_default_columns(),
+        rich_progress.MofNCompleteColumn(),
+        rich_progress.TextColumn("{task.fields[text]}"),
     )
-    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
+    screen = Console(stderr=True)
+    with rich_progress.Progress(*columns, console=screen, transient=True) as bar:
         task = bar.add_task(label, total=None, text="")
 
         def show(finished: int, total: int, text: str) -> None:

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import click
 
 from fieldlum.cli.declared import PATH_OR_URL
-from fieldlum.cli.estimates import estimate_text, train_s
 from fieldlum.cli.options import Above0, command_of
-from fieldlum.cli.terminal import emit_json, print_table, progress, say, say_if
+from fieldlum.cli.terminal import emit_json, print_table, progress, say
 from fieldlum.learn.model_registry import MODELS
 
 if TYPE_CHECKING:
@@ -88,8 +87,6 @@ def command(
         )
         data, used = training_captures(data, place, scene, patch, progress=show)
         data = with_sky_view(data, sky_view, progress=show)
-    pixels = data.shape[0] * data.shape[1]
-    say_if(estimate_text(train_s(model, len(data), pixels, budget)))
     with progress("training") as show:
         answer = run(
             data,

@@ -10,7 +10,7 @@ import click
 
 from fieldlum.cli.declared import FILE_PATH
 from fieldlum.cli.options import command_of
-from fieldlum.cli.terminal import say, write_csv
+from fieldlum.cli.terminal import say
 
 
 @command_of("view")
@@ -42,12 +42,12 @@ def command(
     """
     from fieldlum.core.errors import InputError
     from fieldlum.report.view.measured_picture import (
-        COLUMNS,
         MeasuredPicture,
         parse_region,
         read_measured_picture,
         region_statistics,
     )
+    from fieldlum.session.writing import write_csv
 
     files = tuple(map(_latest_panorama, files))
     out = out or files[0].with_name(f"{files[0].stem}-view.html")
@@ -64,20 +64,19 @@ def command(
         except InputError as error:
             say(f"fieldlum view: {error}")
     rows = [region_statistics(region, picture) for picture in pictures for region in regions]
-    if pictures and out.suffix.lower() == ".png":
-        from fieldlum.report.view.page import write_png
+    if pictures:
+        from fieldlum.report.view.page import write_page, write_png
 
-        write_png(out, pictures, regions, isolines)
-    elif pictures:
-        from fieldlum.report.view.page import write_page
-
-        write_page(out, pictures, rows)
+        if out.suffix.lower() == ".png":
+            write_png(out, pictures, regions, isolines)
+        else:
+            write_page(out, pictures, rows)
     for picture in pictures:
         for note in picture.notes:
             say(f"fieldlum view: {picture.name}: {note}")
     _print_rows(rows)
     if csv_path is not None:
-        write_csv(csv_path, COLUMNS, rows)
+        write_csv(csv_path, rows)
     if pictures:
         click.echo(str(out))
     if len(pictures) < len(files):
@@ -94,10 +93,7 @@ def _latest_panorama(path: Path) -> Path:
     panoramas = sorted(open_session(path).panorama_files())
     if not panoramas:
         raise NotEnoughDataError(f"{path}: no panorama to view; run fieldlum merge {path}")
-    say(
-        f"note: {panoramas[-1]} is the latest of {len(panoramas)} panoramas: name others to see "
-        "them"
-    )
+    say(f"note: {panoramas[-1]} is the latest of {len(panoramas)} panoramas")
     return panoramas[-1]
 
 

@@ -1,17 +1,22 @@
-"""Read TOML strictly: an unknown key, a wrong type or a missing value is an error."""
+"""Build records from the plain values of TOML and JSON; read TOML strictly.
+
+An unknown key of a TOML table, a wrong type or a missing value is an error.
+"""
 
 from __future__ import annotations
 
 import math
+import re
 import tomllib
-import types
 import typing
-from dataclasses import MISSING, asdict, fields, is_dataclass
+from dataclasses import asdict, is_dataclass
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, TypeVar
 
-from fieldlum.core.errors import InputError
+import msgspec
+
+from fieldlum.core.errors import InputError, input_errors
 
 T = TypeVar("T")
 TomlTable = dict[str, Any]
@@ -19,6 +24,45 @@ TomlTable = dict[str, Any]
 
 # bytes; the largest file of fieldlum has some kB, but /dev/zero has no end; chosen
 _MAX_BYTES = 4_000_000
+_WORDS = {
+    "float": "a number",
+    "int": "an integer",
+    "bool": "true or false",
+    "str": "text",
+    "object": "a table",
+    "array": "a list",
+}
+
+
+def convert(value: object, kind: type[T], *, strict: bool = False) -> T:
+    """Build a record from plain values, such as those of JSON or TOML.
+
+    strict: a text is no number. Raises ValueError for a missing entry and for a value of another
+    type, with its place.
+    """
+    try:
+        return msgspec.convert(value, kind, strict=strict)
+    except msgspec.ValidationError as error:
+        raise ValueError(_reason(str(error), value)) from None
+
+
+def _reason(text: str, value: Any) -> str:
+    """Return what msgspec reports, in words for a reader who does not know Python."""
+    text, _, place = text.partition(" - at `$")
+    place = place.rstrip("`").lstrip(".")
+    text = re.sub(r"Object missing required field `(.*)`", r"no entry '\1'", text)
+    text = re.sub(r"Expected `(.*?)`, got `.*`", lambda m: f"not {_words(m[1])}", text)
+    if "..." in place:
+        return f"{place.replace('[...]', '')} has a value that is {text}"
+    if place and not text.startswith("no entry"):
+        for index, key in re.findall(r"\[(\d+)\]|([^.\[\]]+)", place):
+            value = value[key or int(index)]
+        return f"{place} = {str(value)[:60]!r}, {text}"
+    return f"{text} in {place}" if place else text
+
+
+def _words(kinds: str) -> str:
+    return " or ".join(_WORDS.get(kind, kind) for kind in kinds.split(" | "))
 
 
 def build(cls: type[T], table: TomlTable, where: str) -> T:
@@ -28,76 +72,32 @@ def build(cls: type[T], table: TomlTable, where: str) -> T:
     table gets the field's default. where: name of the file or table, for errors. Raises InputError
     for an unknown key, a missing key without a default, and a value of another type.
     """
-    by_name = {f.name: f for f in fields(cls)}  # type: ignore[arg-type]
-    hints = typing.get_type_hints(cls)
-    for key in table:
-        if key not in by_name:
-            near = get_close_matches(key, by_name, n=1)
-            hint = (
-                f"did you mean '{near[0]}'?"
-                if near
-                else f"known keys: {', '.join(sorted(by_name))}"
-            )
-            raise InputError(where, f"unknown key '{key}'", remedy=hint)
-    for name, f in by_name.items():
-        if name not in table and f.default is MISSING and f.default_factory is MISSING:
-            raise InputError(
-                where, f"no '{name}'", f"a value for '{name}'", "add this key with its value"
-            )
-    return cls(
-        **{key: _value(hints[key], value, f"{where} [{key}]") for key, value in table.items()}
-    )
+    _refuse(cls, table, where)
+    with input_errors(where, "", "correct the value", ValueError):
+        return convert(table, cls, strict=True)
 
 
-def _value(hint: Any, value: Any, where: str) -> Any:
-    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
-    if origin in (types.UnionType, typing.Union):
-        if value is None and type(None) in arguments:
-            return None
-        return _value(next(a for a in arguments if a is not type(None)), value, where)
-    if hint is typing.Any:
-        return value
-    if origin is Literal:
-        if value not in arguments:
-            expected = "one of " + ", ".join(map(str, arguments))
-            raise InputError(where, f"the value {value!r}", expected, "correct the value")
-        return value
-    if origin is tuple:
-        if not isinstance(value, list | tuple):
-            raise InputError(where, f"the value {value!r}", "a list", "correct the value")
-        inner = arguments[0] if len(arguments) == 2 and arguments[1] is Ellipsis else None
-        if inner is None and len(value) != len(arguments):
-            raise InputError(
-                where,
-                f"{len(value)} values",
-                f"{len(arguments)} values",
-                "correct the number of values in the list",
-            )
-        return tuple(
-            _value(inner or arguments[i], v, f"{where} #{i + 1}") for i, v in enumerate(value)
-        )
-    if origin is dict:
-        if not isinstance(value, dict):
-            raise InputError(where, f"the value {value!r}", "a table", "correct the value")
-        return {str(k): _value(arguments[1], v, f"{where}.{k}") for k, v in value.items()}
-    if is_dataclass(hint):
-        if not isinstance(value, dict):
-            raise InputError(where, f"the value {value!r}", "a table", "correct the value")
-        return build(typing.cast(type, hint), value, where)
-    if hint is float:
-        if (
-            isinstance(value, bool)
-            or not isinstance(value, int | float)
-            or not math.isfinite(value)
-        ):
-            raise InputError(where, f"the value {value!r}", "a finite number", "correct the value")
-        return float(value)
-    if isinstance(hint, type) and (
-        not isinstance(value, hint) or (hint is int and isinstance(value, bool))
-    ):
-        expected = {int: "an integer", str: "text", bool: "true or false"}[hint]
+def _refuse(hint: Any, value: Any, where: str) -> None:
+    """Raise InputError for an unknown key, or a number that is not finite, at any depth."""
+    if isinstance(value, float) and not math.isfinite(value):
+        raise InputError(where, f"the value {value}", "a finite number", "correct the value")
+    if typing.get_origin(hint) is typing.Literal and value not in typing.get_args(hint):
+        expected = f"one of {', '.join(map(str, typing.get_args(hint)))}"
         raise InputError(where, f"the value {value!r}", expected, "correct the value")
-    return value
+    if isinstance(value, list | tuple):
+        for number, inner in enumerate(value, start=1):
+            _refuse(hint, inner, f"{where} #{number}")
+    if not isinstance(value, dict):
+        return
+    kind = next((part for part in (hint, *typing.get_args(hint)) if is_dataclass(part)), None)
+    known = typing.get_type_hints(kind) if kind is not None else dict.fromkeys(value)
+    for key, inner in value.items():
+        if key not in known:
+            near = get_close_matches(key, known, n=1)
+            keys = f"known keys: {', '.join(sorted(known))}"
+            remedy = f"did you mean '{near[0]}'?" if near else keys
+            raise InputError(where, f"unknown key '{key}'", remedy=remedy)
+        _refuse(known[key], inner, f"{where} [{key}]")
 
 
 def read_toml(path: Path) -> TomlTable:
@@ -105,33 +105,24 @@ def read_toml(path: Path) -> TomlTable:
 
     Raises InputError if the file is missing, over 4 MB, not UTF-8, or not TOML.
     """
+    with (
+        input_errors(path, "a readable TOML file", "check the path of the file", OSError),
+        path.open("rb") as file,
+    ):
+        data = file.read(_MAX_BYTES + 1)
+    if len(data) > _MAX_BYTES:
+        found = f"more than {_MAX_BYTES / 1e6:.0f} MB"
+        raise InputError(path, found, "a TOML file", "check the path of the file")
     try:
-        with path.open("rb") as file:
-            data = file.read(_MAX_BYTES + 1)
-        if len(data) > _MAX_BYTES:
-            raise InputError(
-                path,
-                f"more than {_MAX_BYTES / 1e6:.0f} MB",
-                "a TOML file",
-                "check the path of the file",
-            )
         # Editors of Windows write a byte order mark before the text.
         return tomllib.loads(data.decode("utf-8-sig").replace("\r\n", "\n"))
-    except OSError as error:
-        raise InputError(
-            path, error.strerror or str(error), "a readable TOML file", "check the path of the file"
-        ) from None
     except UnicodeDecodeError as error:
-        raise InputError(
-            path,
-            f"byte {error.object[error.start]:#04x}, which is not UTF-8",
-            "TOML in UTF-8",
-            "save it again with the encoding UTF-8",
-        ) from None
+        found = f"byte {error.object[error.start]:#04x}, which is not UTF-8"
+        remedy = "save it again with the encoding UTF-8"
+        raise InputError(path, found, "TOML in UTF-8", remedy) from None
     except tomllib.TOMLDecodeError as error:
-        raise InputError(
-            path, str(error), "TOML", "correct that line: text in quotes, decimals with a point"
-        ) from None
+        remedy = "correct that line: text in quotes, decimals with a point"
+        raise InputError(path, str(error), "TOML", remedy) from None
 
 
 def plain(value: Any) -> Any:
@@ -143,6 +134,4 @@ def plain(value: Any) -> Any:
         return plain(asdict(value))
     if isinstance(value, dict):
         return {k: plain(v) for k, v in value.items() if v is not None}
-    if isinstance(value, list | tuple):
-        return [plain(v) for v in value]
-    return value
+    return [plain(v) for v in value] if isinstance(value, list | tuple) else value

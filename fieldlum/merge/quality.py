@@ -126,7 +126,7 @@ def _camera_notes(report: MergeReport) -> Iterator[str]:
         yield (
             f"{', '.join(report.filter_absent)}: as bright as without the filter of its label, so "
             "it counts as a frame without it: put the filter on for these frames, or plan without "
-            "--filter"
+            "filter in SITE.toml"
         )
     if report.orientation_conflict:
         yield report.orientation_conflict

@@ -24,7 +24,7 @@ from fieldlum.pair.sun_strength import DNI, SKY_VIEW, completed_sun, is_measured
 from fieldlum.session import Session, marks, remove_scraps
 from fieldlum.session.files.capture_json import CaptureFile
 from fieldlum.session.files.clean_csv import CleanIrradiance
-from fieldlum.session.files.pairs_csv import PairRow, PairsFile, keep_simulated_pairs
+from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.session.files.sidecar import Sidecar, warn_if_changed
 from fieldlum.session.files.suns_csv import SunRow, write_suns
 from fieldlum.sky import sun
@@ -221,7 +221,6 @@ def run(
         )
     ]
     pairs = _with_suns(session, setup, pairs, force, scheduler, progress)
-    keep_simulated_pairs(session)
     write_pairs(session.pairs, pairs)
     return pairs
 

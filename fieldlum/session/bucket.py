@@ -7,17 +7,17 @@ an interrupted upload cannot be opened.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-from fieldlum.core.errors import InputError, install_text
+from fieldlum.core.errors import InputError, input_errors, install_text
 from fieldlum.core.records import JsonTable
 
 _ROOT = "zarr.json"  # of the store; without it nothing opens the store (Zarr v3)
 _MADE_FROM = "made_from_sha256"
+_URL = "a URL such as s3://BUCKET/FOLDER"
 _CONTAINER_SCHEMES = ("abfs", "abfss")  # CONTAINER@ACCOUNT is no user (adlfs, hadoop-azure)
 
 
@@ -72,18 +72,10 @@ class BucketStore:
         with self._reached():
             self._fs.pipe_file(f"{self._path}/{_ROOT}", json.dumps(table, indent=2).encode())
 
-    @contextmanager
-    def _reached(self) -> Iterator[None]:
+    def _reached(self) -> AbstractContextManager[None]:
         """Turn what a client library raises into one line; each has exceptions of its own."""
-        try:
-            yield
-        except Exception as error:
-            raise InputError(
-                self.target,
-                f"{type(error).__name__}: {str(error)[:160]}",
-                "a bucket that answers",
-                "check address, bucket and credentials, then run the command again",
-            ) from error
+        remedy = "check address, bucket and credentials, then run the command again"
+        return input_errors(self.target, "a bucket that answers", remedy, Exception)
 
 
 def check_url(url: str, option: str, instead: str) -> None:
@@ -95,28 +87,19 @@ def check_url(url: str, option: str, instead: str) -> None:
     """
     parts = urlsplit(url)
     if parts.scheme in ("", "file", "local") or "::" in url:
-        raise InputError(option, url, "a URL such as s3://BUCKET/FOLDER", instead)
+        raise InputError(option, url, _URL, instead)
     if parts.password or (parts.username and parts.scheme not in _CONTAINER_SCHEMES):
-        raise InputError(
-            option,
-            "a URL with a user or password",
-            "a URL without these",
-            "give them to the client library, for S3 by AWS_ACCESS_KEY_ID or ~/.aws",
-        )
+        remedy = "give them to the client library, for S3 by AWS_ACCESS_KEY_ID or ~/.aws"
+        raise InputError(option, "a URL with a user or password", "a URL without these", remedy)
 
 
 def _file_system(url: str) -> tuple[Any, str]:
     try:
         from fsspec.core import url_to_fs
 
-        return url_to_fs(url)
+        with input_errors(url, _URL, "correct the URL", ValueError):
+            return url_to_fs(url)
     except ImportError as error:
-        raise InputError(
-            url,
-            f"the library for this kind of URL is not installed ({error})",
-            remedy=f"for s3:// {install_text('cloud')}; else install that library",
-        ) from None
-    except ValueError as error:
-        raise InputError(
-            url, str(error)[:120], "a URL such as s3://BUCKET/FOLDER", "correct the URL"
-        ) from None
+        found = f"the library for this kind of URL is not installed ({error})"
+        remedy = f"for s3:// {install_text('cloud')}; else install that library"
+        raise InputError(url, found, remedy=remedy) from None

@@ -8,24 +8,28 @@ wrote it, or an earlier version.
 
 from __future__ import annotations
 
+import csv
 import json
 import math
-import re
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import MISSING, fields
 from datetime import datetime
 from functools import cache
+from io import StringIO
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Self, TypeVar, get_type_hints
 
 import msgspec
+import numpy as np
 
+from fieldlum.core.arrays import Array
 from fieldlum.core.errors import ChangedFileWarning, InputError, input_errors
 from fieldlum.core.records import JsonTable, parse_utc, utc_text
-from fieldlum.core.strict_csv import read_table
-from fieldlum.session.writing import replacing, sha256, write_table
+from fieldlum.core.strict_csv import plain_rows, read_table
+from fieldlum.core.strict_toml import convert
+from fieldlum.session.writing import replacing, sha256
 
 T = TypeVar("T")
 Utc = Annotated[datetime, msgspec.Meta(tz=True)]
@@ -33,48 +37,6 @@ Utc = Annotated[datetime, msgspec.Meta(tz=True)]
 
 # What converting a damaged or foreign file can raise.
 _WRONG = (KeyError, TypeError, ValueError, AttributeError, ArithmeticError)
-_WORDS = {
-    "float": "a number",
-    "int": "an integer",
-    "bool": "true or false",
-    "str": "text",
-    "null": "null",
-    "object": "a table",
-    "array": "a list",
-}
-_CELLS = {bool: "0 or 1", int: "an integer", datetime: "a UTC time such as 2027-03-20T15:30:00Z"}
-_YES, _NO = ("1", "1.0", "true", "yes"), ("0", "0.0", "false", "no")
-
-
-def convert(value: object, kind: type[T], *, strict: bool = False) -> T:
-    """Build a record from plain values, such as those of JSON or TOML.
-
-    strict: a text is no number. Raises ValueError for a missing entry and for a value of another
-    type, with its place.
-    """
-    try:
-        return msgspec.convert(value, kind, strict=strict)
-    except msgspec.ValidationError as error:
-        raise ValueError(_reason(str(error), value)) from None
-
-
-def _reason(text: str, value: Any) -> str:
-    """Return what msgspec reports, in words for a reader who does not know Python."""
-    text, _, place = text.partition(" - at `$")
-    place = place.rstrip("`").lstrip(".")
-    text = re.sub(r"Object missing required field `(.*)`", r"no entry '\1'", text)
-    text = re.sub(r"Expected `(.*?)`, got `.*`", lambda m: f"not {_words(m[1])}", text)
-    if "..." in place:
-        return f"{place.replace('[...]', '')} has a value that is {text}"
-    if place and not text.startswith("no entry"):
-        for index, key in re.findall(r"\[(\d+)\]|([^.\[\]]+)", place):
-            value = value[key or int(index)]
-        return f"{place} = {str(value)[:60]!r}, {text}"
-    return f"{text} in {place}" if place else text
-
-
-def _words(kinds: str) -> str:
-    return " or ".join(_WORDS.get(kind, kind) for kind in kinds.split(" | "))
 
 
 # ----------------------------------------------------------------------------------------------
@@ -153,16 +115,7 @@ class JsonFile(msgspec.Struct, frozen=True):
     @classmethod
     def from_table(cls, table: JsonTable, path: Path) -> Self:
         """Build from a JSON object; null counts as absent. path: for the InputError otherwise."""
-        version = table.get("format", 1)
-        if not isinstance(version, int) or not 1 <= version <= cls.FORMAT:
-            newer = isinstance(version, int) and version > cls.FORMAT
-            remedy = "restore the file, or write it again"
-            raise InputError(
-                path,
-                f"a file of format {version}",
-                f"format 1 to {cls.FORMAT}",
-                "read the file with a newer fieldlum" if newer else remedy,
-            )
+        check_format(path, table.get("format", 1), cls.FORMAT)
         with input_errors(path, cls.EXPECTED, cls.REMEDY, *_WRONG):
             stated = _without_empty_times(cls.upgraded(table, path))
             return convert({k: v for k, v in stated.items() if v is not None}, cls)
@@ -182,6 +135,14 @@ class JsonFile(msgspec.Struct, frozen=True):
         write_object(path, {"format": self.FORMAT, **self.table()}, digest=self.SEALED)
 
 
+def check_format(path: Path, version: object, newest: int) -> None:
+    """Raise InputError unless the format version of a file is 1 to `newest`."""
+    if not isinstance(version, int) or not 1 <= version <= newest:
+        newer = isinstance(version, int) and version > newest
+        remedy = "read it with a newer fieldlum" if newer else "restore the file, or write it again"
+        raise InputError(path, f"a file of format {version}", f"format 1 to {newest}", remedy)
+
+
 def to_json(value: object) -> Any:
     """Return a record as the plain values of JSON; arrays and tuples become lists."""
     return _with_lists(msgspec.to_builtins(value, enc_hook=_plain))
@@ -198,14 +159,8 @@ def read_object(path: Path, expected: str, remedy: str) -> JsonTable:
 
     Raises InputError, with the texts `expected` and `remedy`, for a missing file or other content.
     """
-    try:
+    with input_errors(path, expected, remedy, OSError, ValueError, RecursionError):
         table = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(path, "no such file", expected, remedy) from None
-    except (OSError, ValueError) as error:
-        raise InputError(path, f"{error}", expected, remedy) from None
-    except RecursionError:
-        raise InputError(path, "JSON nested too deeply", expected, remedy) from None
     if not isinstance(table, dict):
         raise InputError(path, f"JSON of type {type(table).__name__}", expected, remedy)
     change_of(path)
@@ -258,58 +213,94 @@ def read_row(kind: type[T], path: Path, line: int, cells: Mapping[str, str], rem
     wrong or missing value and for a number that is not finite.
     """
     values: dict[str, object] = {}
-    for name, hint, has_default in _columns_of(kind):
+    for name, (read, expected), has_default in _columns_of(kind):
         text = cells.get(name, "").strip()
         if not text and has_default:
             continue
         try:
-            values[name] = _value(hint, text)
+            values[name] = read(text)
         except ValueError as error:
-            found = str(error) if hint is datetime else f"{name} is {text[:60]!r}"
-            expected = _CELLS.get(hint, "a finite number")
+            found = str(error) if read is parse_utc else f"{name} is {text[:60]!r}"
             raise InputError(path, f"line {line}: {found}", expected, remedy) from None
     return kind(**values)
 
 
-@cache
-def _columns_of(kind: type[Any]) -> list[tuple[str, Any, bool]]:
-    """Return name, type, and whether there is a default, of each field."""
-    hints = get_type_hints(kind)
-    return [(f.name, hints[f.name], f.default is not MISSING) for f in fields(kind)]
-
-
-def _value(hint: Any, text: str) -> object:
-    if hint is datetime:
-        return parse_utc(text)
-    if hint is bool:
-        word = text.lower()
-        return word in _YES if word in (*_YES, *_NO) else float(text) != 0.0
-    value = msgspec.convert(text, hint, strict=False)
-    if isinstance(value, float) and not math.isfinite(value):
+def _number(text: str) -> float:
+    if not math.isfinite(value := float(text)):
         raise ValueError("not finite")
     return value
 
 
-def write_rows(
-    path: Path,
-    columns: Sequence[str],
-    rows: Iterable[object],
-    digits: Mapping[str, str],
-    *,
-    end: str = "\n",
-) -> None:
-    """Write records as a csv; None and NaN become empty cells.
+def _flag(text: str) -> bool:
+    word = text.lower()
+    return word in ("true", "yes") or (word not in ("false", "no") and float(word) != 0.0)
 
-    columns: names of fields; digits: format of the numbers of a column, such as ".3f"; end: of a
-    line.
+
+_CELLS: dict[Any, tuple[Callable[[str], object], str]] = {
+    str: (str, "text"),
+    int: (int, "an integer"),
+    float: (_number, "a finite number"),
+    bool: (_flag, "0 or 1"),
+    datetime: (parse_utc, "a UTC time such as 2027-03-20T15:30:00Z"),
+}
+
+
+@cache
+def _columns_of(kind: type[Any]) -> list[tuple[str, tuple[Callable[[str], object], str], bool]]:
+    """Return name, reader with what it expects, and whether there is a default, of each field."""
+    hints = get_type_hints(kind)
+    return [(f.name, _CELLS[hints[f.name]], f.default is not MISSING) for f in fields(kind)]
+
+
+def write_rows(
+    path: Path, rows: Iterable[Any], columns: Sequence[str], digits: Mapping[str, str]
+) -> None:
+    """Write records as a csv that gets its name when it is complete; None and NaN become empty.
+
+    columns: names of fields; digits: format of the floats of a column, such as ".3f".
     """
 
     def cell(name: str, value: Any) -> str:
-        if value is None or (isinstance(value, float) and math.isnan(value)):
+        if value is None or value != value:
             return ""
         if isinstance(value, datetime):
             return utc_text(value)
-        return format(int(value) if isinstance(value, bool) else value, digits.get(name, ""))
+        if isinstance(value, float):
+            return format(value, digits.get(name, ""))
+        return str(int(value) if isinstance(value, bool) else value)
 
-    cells = ([cell(name, getattr(row, name)) for name in columns] for row in rows)
-    write_table(path, columns, cells, end=end)
+    with replacing(path, "w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows([cell(name, getattr(row, name)) for name in columns] for row in rows)
+
+
+def read_columns(path: Path, expected: str, remedy: str) -> dict[str, Array]:
+    """Return the columns of a large csv without quotation marks, by name; warn if it changed.
+
+    Texts of t_utc become Unix times [s]. An empty cell is NaN. Raises InputError for a missing
+    file, another number of cells in a line, and a time that cannot be read.
+    """
+    import pandas as pd
+
+    text = plain_rows(path, expected, remedy)
+    with input_errors(path, expected, remedy, ValueError, KeyError):
+        table = pd.read_csv(StringIO(text), keep_default_na=False, na_values=[""])
+        when = pd.to_datetime(table["t_utc"], format="ISO8601", utc=True)
+        table["t_utc"] = when.to_numpy("datetime64[ns]").astype(np.int64) / 1e9
+    change_of(path)
+    return {str(name): table[name].to_numpy() for name in table}
+
+
+def write_columns(path: Path, columns: Mapping[str, Any]) -> None:
+    """Write columns as a csv, with its SHA-256 in NAME.sha256; NaN becomes an empty cell.
+
+    t_utc: Unix times [s]. Numbers have seven significant digits.
+    """
+    import pandas as pd
+
+    when = pd.to_datetime(columns["t_utc"], unit="s", utc=True).round("ms")
+    style = "%Y-%m-%dT%H:%M:%SZ" if (when.microsecond == 0).all() else "%Y-%m-%dT%H:%M:%S.%fZ"
+    table = pd.DataFrame({**columns, "t_utc": when})
+    with sealed(path), replacing(path, "w", newline="", encoding="utf-8") as file:
+        table.to_csv(file, index=False, float_format="%.7g", date_format=style, lineterminator="\n")

@@ -27,17 +27,15 @@ def encode_sample(sample: IrradianceSample) -> bytes:
     A number that is None or not finite becomes an empty cell.
     """
     figures = (sample.ghi_wm2, sample.dhi_wm2, sample.dni_wm2, sample.temperature_c)
-    row = io.StringIO()
-    texts = [
-        text.encode("ascii", "backslashreplace").decode() for text in (sample.status, sample.raw)
-    ]
-    printable = [
-        "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in text) for text in texts
-    ]
     shown = [
         "" if value is None or not math.isfinite(value) else f"{value:.7g}" for value in figures
     ]
-    csv.writer(row, lineterminator="").writerow([utc_text(sample.t_utc), *shown, *printable])
+    texts = [
+        text.encode("unicode_escape", "backslashreplace").decode()
+        for text in (sample.status, sample.raw)
+    ]
+    row = io.StringIO()
+    csv.writer(row, lineterminator="").writerow([utc_text(sample.t_utc), *shown, *texts])
     body = row.getvalue().encode()
     return body + b",%08x\n" % zlib.crc32(body)
 

@@ -11,11 +11,12 @@ from datetime import timedelta
 from pathlib import Path
 from typing import Literal, cast
 
+from filelock import FileLock, Timeout
+
 from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.records import SiteFile, Slot
 from fieldlum.session.codec import convert
-from fieldlum.session.inside import is_plain, open_inside, refuse_links
-from fieldlum.session.lines import NO_LOCKS, lock_now
+from fieldlum.session.inside import is_plain, refuse_links
 from fieldlum.session.plan_file import PLAN_COLUMNS, read_plan, write_plan
 from fieldlum.session.site_toml import site_from_table, site_table
 from fieldlum.session.tables import PlanTable, SessionTable
@@ -245,39 +246,27 @@ def sole_user(session: Session, purpose: Literal["capture", "log"]) -> Iterator[
     """Let only one process at a time add to a session's captures or to its irradiance.
 
     purpose: "capture" (of `capture` and `import`) or "log". The lock ends with the process, even
-    after a crash. Raises InputError if another process has the lock, or if the folder's file system
-    has no locks.
+    after a crash. Raises InputError if another process has the lock, OSError if the folder's file
+    system has no locks.
     """
     path = session.root / f".{purpose}.lock"
-    handle = open_inside(session.root, path, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
-    with os.fdopen(handle, "a") as file:
-        try:
-            lock_now(file.fileno())
-        except OSError as error:
-            if error.errno in NO_LOCKS:  # a network share without locks
-                raise InputError(
-                    session.root,
-                    f"a folder that cannot be locked ({error.strerror})",
-                    "a folder on a disk of this computer",
-                    "move the session to a disk of this computer",
-                ) from None
-            raise InputError(
-                session.root,
-                f"another fieldlum{_process_of(path)} {_LOCKED[purpose]} this session",
-                "one process at a time for this work",
-                "stop the other process first",
-            ) from None
-        with suppress(OSError):  # if the disk is full
-            file.truncate(0)
-            file.write(f"{os.getpid()}\n")
-            file.flush()
-        yield
-
-
-def _process_of(path: Path) -> str:
-    """Return the process that wrote its number into a lock file, as text for a message."""
+    lock = FileLock(path, timeout=0)
     try:
-        number = path.read_text(encoding="utf-8").strip()
-    except (OSError, UnicodeDecodeError):  # on Windows nobody can read a locked file
-        return ""
-    return f" (process {number})" if number.isdigit() else ""
+        lock.acquire()
+    except Timeout:
+        number = 0
+        with suppress(OSError, ValueError):  # on Windows nobody can read a locked file
+            number = int(path.read_text(encoding="utf-8"))
+        other = f"another fieldlum (process {number})" if number else "another fieldlum"
+        raise InputError(
+            session.root,
+            f"{other} {_LOCKED[purpose]} this session",
+            "one process at a time for this work",
+            "stop the other process first",
+        ) from None
+    try:
+        with suppress(OSError):  # if the disk is full
+            path.write_text(f"{os.getpid()}\n", encoding="utf-8")
+        yield
+    finally:
+        lock.release()

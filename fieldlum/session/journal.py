@@ -46,7 +46,8 @@ class Journal:
         self._path, self._flush = session.journal, flush
         self._lock = threading.Lock()
         self._handle = open_inside(session.root, self._path, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
-        with exclusive(self._handle):  # another process may be writing a line
+        self._lock_path = self._path.with_name(".journal.lock")
+        with exclusive(self._lock_path):  # another process may be writing a line
             self.cut_bytes = cut_torn_tail(self._path, lambda line: decode_line(line) is not None)
 
     def append(self, event: str, t_utc: datetime, **fields: Unpack[EventFields]) -> None:
@@ -55,7 +56,7 @@ class Journal:
         Raises OSError on a full disk, after removing a partly written line.
         """
         data = encode_line({"event": event, "t_utc": utc_text(t_utc), **fields})
-        with self._lock, exclusive(self._handle):
+        with self._lock, exclusive(self._lock_path):
             append_complete(self._handle, data, flush=self._flush)
 
     def close(self) -> None:

@@ -5,16 +5,15 @@ Remove an incomplete last line on opening.
 
 from __future__ import annotations
 
-import errno
 import json
 import os
-import sys
-import time
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
+
+from filelock import FileLock
 
 from fieldlum.core.errors import InputError
 from fieldlum.session.inside import open_file
@@ -24,7 +23,6 @@ from fieldlum.session.inside import open_file
 # it. Chosen.
 _MAX_LOCK_S = 0.25
 _LOCK_EVERY_S = 0.002  # pause between two tries to lock [s]; not measured
-NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS)  # of a file system without locks
 # bytes that are searched for the last valid line; an incomplete line is far shorter; chosen
 _TAIL_BYTES = 1 << 20
 
@@ -45,68 +43,20 @@ def decode_line(line: bytes) -> Any:
         return None
 
 
-def lock_now(handle: int) -> None:
-    """Lock an open file for this process, without waiting.
-
-    Raises OSError if another process has the lock, or if the file system has no locks.
-    """
-    if sys.platform == "win32":
-        import msvcrt
-
-        msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
-    else:
-        import fcntl
-
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
-
 @contextmanager
-def exclusive(handle: int) -> Iterator[None]:
-    """Lock an open file against other processes; wait until another process has finished its line.
+def exclusive(path: Path) -> Iterator[None]:
+    """Hold a lock file inside the block, against other processes that append.
 
-    Continue without a lock on a file system that has none, or if another process has the lock for
-    more than 0.25 s: a capture must not wait for a stopped program.
+    Continue without it on a file system that has no locks or is full, or if another process has it
+    for more than 0.25 s: a capture must not wait for a stopped program.
     """
-    if sys.platform == "win32":
-        import msvcrt
-
-        place = os.lseek(handle, 0, os.SEEK_CUR)
-        os.lseek(handle, 0, os.SEEK_SET)
-        held = _held(handle)
-        os.lseek(handle, place, os.SEEK_SET)
-        try:
-            yield
-        finally:
-            if held:
-                os.lseek(handle, 0, os.SEEK_SET)
-                msvcrt.locking(handle, msvcrt.LK_UNLCK, 1)
-            os.lseek(handle, place, os.SEEK_SET)
-        return
-    import fcntl
-
-    _held(handle)
+    lock = FileLock(path, timeout=_MAX_LOCK_S, poll_interval=_LOCK_EVERY_S)
+    with suppress(OSError):  # of which Timeout is one
+        lock.acquire()
     try:
         yield
     finally:
-        with suppress(OSError):
-            fcntl.flock(handle, fcntl.LOCK_UN)
-
-
-def _held(handle: int) -> bool:
-    """Try to lock a file repeatedly for `_MAX_LOCK_S`; return whether it is locked."""
-    end = time.monotonic() + _MAX_LOCK_S
-    while True:
-        try:
-            lock_now(handle)
-            return True
-        except OSError as error:
-            if error.errno in NO_LOCKS:
-                return False
-            if error.errno not in (errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK):
-                raise
-        if time.monotonic() >= end:
-            return False
-        time.sleep(_LOCK_EVERY_S)
+        lock.release()
 
 
 def append_durably(handle: int, data: bytes, *, flush: bool = True) -> None:

@@ -3,42 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass, fields
-from datetime import datetime
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from zoneinfo import ZoneInfo
 
 from fieldlum.core.errors import InputError, input_errors
-from fieldlum.core.records import Exposure, Slot, shutter_text, slot_id, utc_text
+from fieldlum.core.records import Exposure, Slot, parse_utc, shutter_text, utc_text
 from fieldlum.core.strict_csv import read_table
-from fieldlum.session.codec import read_row, write_rows
+from fieldlum.session.writing import write_csv
 
-_DIGITS = {"sun_altitude_deg": ".3f", "sun_azimuth_deg": ".3f"}
-
-
-@dataclass(frozen=True, slots=True)
-class _PlanRow:
-    """One line of plan.csv; t_local only serves people who read the file."""
-
-    slot: str
-    t_utc: datetime
-    t_local: str
-    sun_altitude_deg: float
-    sun_azimuth_deg: float
-    exposures: str = ""
-    tags: str = ""
-
-    def planned(self) -> Slot:
-        """Return the slot. Raises ValueError if its name is not that of its time."""
-        if slot_id(self.t_utc) != self.slot:
-            raise ValueError(f"slot {self.slot} does not match t_utc {utc_text(self.t_utc)}")
-        exposures = (parse_exposure(text) for text in self.exposures.split(";") if text.strip())
-        angles = self.sun_altitude_deg, self.sun_azimuth_deg
-        return Slot(self.t_utc, *angles, tuple(exposures), tuple(self.tags.split()))
-
-
-PLAN_COLUMNS = tuple(field.name for field in fields(_PlanRow))
+PLAN_COLUMNS = (
+    "slot",
+    "t_utc",
+    "t_local",
+    "sun_altitude_deg",
+    "sun_azimuth_deg",
+    "exposures",
+    "tags",
+)
 
 
 def exposure_text(exposure: Exposure) -> str:
@@ -74,19 +56,19 @@ def write_plan(path: Path, slots: Iterable[Slot], timezone: str) -> None:
     timezone: IANA name of the zone of the local times.
     """
     zone = ZoneInfo(timezone)
-    rows = (
-        _PlanRow(
-            slot.id,
-            slot.t_utc,
-            slot.t_utc.astimezone(zone).strftime("%Y-%m-%d %H:%M %Z"),
-            slot.sun_altitude_deg,
-            slot.sun_azimuth_deg,
-            "; ".join(exposure_text(e) for e in slot.exposures),
-            " ".join(slot.tags),
-        )
+    rows = [
+        {
+            "slot": slot.id,
+            "t_utc": utc_text(slot.t_utc),
+            "t_local": slot.t_utc.astimezone(zone).strftime("%Y-%m-%d %H:%M %Z"),
+            "sun_altitude_deg": f"{slot.sun_altitude_deg:.3f}",
+            "sun_azimuth_deg": f"{slot.sun_azimuth_deg:.3f}",
+            "exposures": "; ".join(exposure_text(e) for e in slot.exposures),
+            "tags": " ".join(slot.tags),
+        }
         for slot in slots
-    )
-    write_rows(path, PLAN_COLUMNS, rows, _DIGITS, end="\r\n")
+    ]
+    write_csv(path, rows, PLAN_COLUMNS)
 
 
 def read_plan(path: Path) -> list[Slot]:
@@ -95,16 +77,21 @@ def read_plan(path: Path) -> list[Slot]:
     Raises InputError for a missing file or other content.
     """
     if not path.is_file():
-        raise InputError(
-            path,
-            "no such file",
-            "the plan of a session",
-            "restore it, or plan a new session: fieldlum plan SITE.toml --set 9-day --out FOLDER",
-        )
+        remedy = "restore it, or plan a new session: fieldlum plan SITE.toml --set 9-day --out DIR"
+        raise InputError(path, "no such file", "the plan of a session", remedy)
     expected, remedy = f"columns {', '.join(PLAN_COLUMNS)}", "restore the plan from a copy"
     slots: list[Slot] = []
     for line, cells in read_table(path, expected, remedy, needed=PLAN_COLUMNS).dicts():
-        row = read_row(_PlanRow, path, line, cells, remedy)
         with input_errors(f"{path}: line {line}", expected, remedy, ValueError, ArithmeticError):
-            slots.append(row.planned())
+            slots.append(_slot(cells))
     return slots
+
+
+def _slot(cells: Mapping[str, str]) -> Slot:
+    """Return the slot of a line. Raises ValueError for a wrong cell or a name of another time."""
+    angles_deg = float(cells["sun_altitude_deg"]), float(cells["sun_azimuth_deg"])
+    exposures = tuple(parse_exposure(t) for t in cells["exposures"].split(";") if t.strip())
+    slot = Slot(parse_utc(cells["t_utc"]), *angles_deg, exposures, tuple(cells["tags"].split()))
+    if slot.id != cells["slot"] or not all(map(math.isfinite, angles_deg)):
+        raise ValueError(f"slot {cells['slot']} with t_utc {cells['t_utc']}, angles {angles_deg}")
+    return slot

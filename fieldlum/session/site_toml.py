@@ -17,8 +17,11 @@ from fieldlum.sky import sun
 # Hours between a zone's time and its sun: western China's clocks are 3.1 h ahead, more than others.
 # Chosen.
 _MAX_OFF_SUN_H = 4.0
-
-
+_RANGES = (
+    ("latitude_deg", -90, 90, "south is negative"),
+    ("longitude_deg", -180, 180, "east is positive"),
+    ("altitude_m", -500, 9000, "state metres above the sea"),
+)
 # A place is refused if it is farther from its time zone's city than this, and the other sign of
 # latitude or longitude is at most half as far. No country with one zone on both sides of the
 # equator is that large: Leticia in Colombia is 1090 km from Bogota.
@@ -35,36 +38,19 @@ def site_from_table(table: TomlTable, where: str) -> SiteFile:
     """
     setup = build(SiteFile, table, where)
     site = setup.site
-    if not -90 <= site.latitude_deg <= 90:
-        raise InputError(
-            where,
-            f"latitude_deg = {site.latitude_deg:g}",
-            "-90 to 90 deg",
-            "correct it; south is negative",
-        )
-    if not -180 <= site.longitude_deg <= 180:
-        raise InputError(
-            where,
-            f"longitude_deg = {site.longitude_deg:g}",
-            "-180 to 180 deg",
-            "correct it; east is positive",
-        )
-    if not -500 <= site.altitude_m <= 9000:
-        raise InputError(
-            where,
-            f"altitude_m = {site.altitude_m:g}",
-            "-500 to 9000 m",
-            "state metres above the sea",
-        )
+    for name, low, high, hint in _RANGES:
+        if not low <= (value := getattr(site, name)) <= high:
+            raise InputError(
+                where, f"{name} = {value:g}", f"{low} to {high}", f"correct it; {hint}"
+            )
     try:
         ZoneInfo(site.timezone)
     except (ZoneInfoNotFoundError, ValueError, OSError):
-        raise InputError(
-            where,
+        found, expected = (
             f"unknown time zone '{site.timezone}'",
-            "an IANA name such as America/Los_Angeles",
-            "correct timezone",
-        ) from None
+            "a name like America/Los_Angeles",
+        )
+        raise InputError(where, found, expected, "correct timezone") from None
     if (
         abs(site.latitude_deg) < _MERIDIANS_MEET_DEG
         and abs(off_h := sun.zone_off_sun_h(site)) > _MAX_OFF_SUN_H
@@ -85,21 +71,19 @@ def _zone_places() -> dict[str, tuple[float, float]]:
     places = {}
     text = (files("tzdata") / "zoneinfo" / "zone.tab").read_text(encoding="utf-8")
     for line in text.splitlines():
-        if line.startswith("#") or not (match := _ZONE_PLACE.fullmatch(line.split("\t")[1])):
-            continue
-        lat, lat_min, lon, lon_min = match.groups()
-        places[line.split("\t")[2]] = (
-            float(lat) + math.copysign(float(lat_min) / 60, float(lat[0] + "1")),
-            float(lon) + math.copysign(float(lon_min) / 60, float(lon[0] + "1")),
-        )
+        _, at, zone, *_ = (*line.split("\t"), "", "")
+        if match := _ZONE_PLACE.fullmatch(at):  # no comment
+            lat, lat_min, lon, lon_min = map(float, match.groups())
+            signs = math.copysign(1.0, lat), math.copysign(1.0, lon)
+            places[zone] = lat + signs[0] * lat_min / 60, lon + signs[1] * lon_min / 60
     return places
 
 
 def _distance_km(a: tuple[float, float], b: tuple[float, float]) -> float:
+    """Return the distance of two places [deg] on a sphere, by the haversine formula."""
     (lat_a, lon_a), (lat_b, lon_b) = (map(math.radians, place) for place in (a, b))
-    cosine = math.sin(lat_a) * math.sin(lat_b)
-    cosine += math.cos(lat_a) * math.cos(lat_b) * math.cos(lon_a - lon_b)
-    return 6371.0 * math.acos(max(-1.0, min(1.0, cosine)))
+    across = math.cos(lat_a) * math.cos(lat_b) * math.sin((lon_b - lon_a) / 2) ** 2
+    return 12742.0 * math.asin(math.sqrt(math.sin((lat_b - lat_a) / 2) ** 2 + across))
 
 
 def wrong_sign_text(site: Site) -> str:

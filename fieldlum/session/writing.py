@@ -6,10 +6,10 @@ import csv
 import errno
 import hashlib
 import os
-import platform
 import tempfile
 import time
-from collections.abc import Iterable, Iterator, Sequence
+import uuid
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
@@ -17,6 +17,7 @@ from typing import IO, Any
 from fieldlum.core.errors import InputError, input_errors
 
 OLD_SCRAP_S = 86400.0  # no file takes a day to write; chosen, not measured
+_RUN = uuid.uuid4().hex[:12]  # another one in each process, on any computer
 
 
 @contextmanager
@@ -54,16 +55,14 @@ def check_writable(folder: Path) -> None:
     remove_scraps(folder)
 
 
-def write_table(
-    path: Path, columns: Sequence[str], rows: Iterable[Iterable[object]], *, end: str = "\n"
+def write_csv(
+    path: Path, rows: Sequence[Mapping[str, object]], columns: Sequence[str] = ()
 ) -> None:
-    """Write a csv: a line with the names of the columns, then the rows; end: end of a line.
-
-    The file gets its name only when it is complete, as by `replacing`.
-    """
+    """Write rows as a csv; None is empty. columns: the first ones; other keys of a row follow."""
+    names = list(dict.fromkeys([*columns, *(key for row in rows for key in row)]))
     with replacing(path, "w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator=end)
-        writer.writerow(columns)
+        writer = csv.DictWriter(file, fieldnames=names)
+        writer.writeheader()
         writer.writerows(rows)
 
 
@@ -80,7 +79,7 @@ def replacing_path(path: Path) -> Iterator[Path]:
         FileNotFoundError,  # a file system without folders of ours, such as /proc
     ):
         path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{_host()}.{os.getpid()}.tmp.{path.name}")
+    temporary = path.with_name(f".{_RUN}.tmp.{path.name}")
     temporary.unlink(missing_ok=True)  # a link of this name would lead the writer elsewhere
     try:
         yield temporary
@@ -92,41 +91,17 @@ def replacing_path(path: Path) -> Iterator[Path]:
     sync_folder(path.parent)
 
 
-def _host() -> str:
-    """Return this computer's name, because processes of two computers can have the same number."""
-    return "".join(c if c.isalnum() else "-" for c in platform.node()) or "host"
-
-
 def remove_scraps(folder: Path) -> None:
-    """Remove temporary files of `replacing` whose process ended before it could rename them.
+    """Remove temporary files of `replacing` of killed runs: those that are older than a day.
 
-    Files of a process on another computer are removed after a day, because its state is unknown. A
-    link is never followed.
+    A link is never followed.
     """
     if folder.is_symlink():
         return
     for scrap in folder.glob(".*.tmp*"):
-        if scrap.is_dir():
-            continue
-        host, _, rest = scrap.name[1:].partition(".")
-        number = rest.partition(".")[0]
         with suppress(FileNotFoundError):  # renamed by its process just now
-            if host == _host() and number.isdigit():
-                over = not _process_runs(int(number))
-            else:
-                over = time.time() - scrap.lstat().st_mtime > OLD_SCRAP_S
-            if over:
+            if not scrap.is_dir() and time.time() - scrap.lstat().st_mtime > OLD_SCRAP_S:
                 scrap.unlink()
-
-
-def _process_runs(number: int) -> bool:
-    try:
-        os.kill(number, 0)
-    except ProcessLookupError:
-        return False
-    except OSError:
-        return True
-    return True
 
 
 def sync_folder(folder: Path) -> None:

@@ -164,7 +164,7 @@ def planned_exposures(profile: CameraProfile, setup: CameraSetup) -> tuple[Expos
             profile.camera.name,
             finding,
             f"one of its filters ({', '.join(names) or 'none'}), with nd_shutter_s under [bracket]",
-            "correct --filter or filter under [camera] in SITE.toml, or add [[nd]] to the profile",
+            "correct filter under [camera] in SITE.toml, or add [[nd]] to the profile",
         )
     return bracket_exposures(profile.bracket, setup.filter)
 
@@ -184,5 +184,5 @@ def sun_text(slots: Sequence[Slot]) -> str:
         )
     return (
         f"{text}, which no exposure reaches: the illuminance of its disc is computed from DNI; "
-        "a person at the camera can use a filter instead (plan --filter NAME)"
+        "a person at the camera can use a filter instead (filter in SITE.toml)"
     )

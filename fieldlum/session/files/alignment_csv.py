@@ -49,4 +49,4 @@ def find_alignment(path: Path) -> tuple[AlignmentRow, ...]:
 
 def write_alignment(path: Path, rows: Sequence[AlignmentRow]) -> None:
     """Write all rows, with 4 decimals. Raises OSError if the folder is not writable."""
-    write_rows(path, _COLUMNS, rows, dict.fromkeys(_COLUMNS[2:8], ".4f"))
+    write_rows(path, rows, _COLUMNS, dict.fromkeys(_COLUMNS, ".4f"))

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import csv
-import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 from zoneinfo import ZoneInfo
 
 import numpy as np
 
 from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import input_errors
-from fieldlum.core.records import parse_utc, utc_text
-from fieldlum.core.strict_csv import read_table
-from fieldlum.session.codec import change_of, sealed
-from fieldlum.session.writing import replacing
+from fieldlum.session.codec import check_format, read_columns, write_columns
 
 FORMAT = 1  # of the file; docs/file-formats.md
 NAME = "hourly.csv"
@@ -78,70 +74,45 @@ class HourlyFile:
         NaN. Raises InputError for a missing file, another number of rows or other content.
         """
         path = folder / NAME
-        table = read_table(path, NAME, "write the file with: fieldlum predict")
-        expected, remedy = "what fieldlum predict wrote", "run fieldlum predict again"
-        with input_errors(path, expected, remedy, ValueError, KeyError, IndexError):
-            head, body = table.names, [cells for _, cells in table.rows]
-            if len(body) != count:
-                raise ValueError(f"{len(body)} hours, but {count} in predict.json")
-            times = tuple(parse_utc(row[0]) for row in body)
-            cells = [[float(cell) if cell else np.nan for cell in row[2:]] for row in body]
-            column = dict(zip(head[2:], np.array(cells).T, strict=True))
-            if column.get("format", np.ones(1)).max() > FORMAT:
-                raise ValueError(f"a format over {FORMAT}: read the file with a newer fieldlum")
-            blank = np.full(len(body), np.nan)
-            for name in LATER_HOUR_COLUMNS:
-                column.setdefault(name, blank)
-            for name in LATER_COLUMNS:
-                for a in azimuths_deg:
-                    column.setdefault(_view_column(name, a), blank)
+        expected, remedy = (
+            f"{count} hours that fieldlum predict wrote",
+            "run fieldlum predict again",
+        )
+        column = read_columns(path, expected, remedy)
+        newest = column.get("format", np.ones(1)).max(initial=1)
+        check_format(path, int(newest), FORMAT)
+        with input_errors(path, expected, remedy, ValueError, KeyError):
+            if len(column["t_utc"]) != count:
+                raise ValueError(f"{len(column['t_utc'])} hours")
+            of_views = [f"{name}@{a:g}" for name in LATER_COLUMNS for a in azimuths_deg]
+            later = dict.fromkeys([*LATER_HOUR_COLUMNS, *of_views], np.full(count, np.nan))
+            column = {**later, **column}
+            names = dict.fromkeys([*VIEW_COLUMNS, *_metrics_of(column)])
             views = {
-                name: np.stack([column[_view_column(name, a)] for a in azimuths_deg], axis=1)
-                for name in dict.fromkeys((*VIEW_COLUMNS, *_metrics_of(column)))
+                name: np.stack([column[f"{name}@{a:g}"] for a in azimuths_deg], 1).astype(float)
+                for name in names
             }
-            change_of(path)
-            return cls(times, azimuths_deg, {name: column[name] for name in HOUR_COLUMNS}, views)
+            hours = {name: column[name].astype(float) for name in HOUR_COLUMNS}
+        times = tuple(datetime.fromtimestamp(t, UTC) for t in column["t_utc"])
+        return cls(times, azimuths_deg, hours, views)
 
     def write(self, folder: Path, timezone: str) -> None:
         """Write hourly.csv; its column t_local is in `timezone`, the IANA zone of the site."""
-        zone = ZoneInfo(timezone)
-        columns = {
-            name: VIEW_COLUMNS.get(name, _OTHER_DIGITS)
-            for name in dict.fromkeys((*VIEW_COLUMNS, *self.views))
-            if name not in COLOUR_COLUMNS or np.isfinite(self.views[name]).any()
+        local = [t.astimezone(ZoneInfo(timezone)) for t in self.t_utc]
+        columns: dict[str, Any] = {
+            "t_utc": [t.timestamp() for t in self.t_utc],
+            "t_local": [f"{t:%Y-%m-%d %H:%M}" for t in local],
         }
-        names = [_view_column(name, a) for a in self.azimuths_deg for name in columns]
-        digits = [figure for _ in self.azimuths_deg for figure in columns.values()]
-        # One block for each direction: the columns of a view are next to each other.
-        block = np.stack([self.views[name] for name in columns], axis=2)
-        block = block.reshape(len(self.t_utc), -1)  # [n, d * metrics]
-        path = folder / NAME
-        with (
-            sealed(path),
-            replacing(path, "w", newline="", encoding="utf-8") as file,
-        ):
-            out = csv.writer(file)
-            out.writerow(["t_utc", "t_local", *HOUR_COLUMNS, *names, "format"])
-            for k, t in enumerate(self.t_utc):
-                local = t.astimezone(zone).strftime("%Y-%m-%d %H:%M")
-                light = [
-                    _cell(self.hours[name][k], 6 if name == "expected_log10_mse" else 2)
-                    for name in HOUR_COLUMNS
-                ]
-                views = [_cell(v, d) for v, d in zip(block[k].tolist(), digits, strict=True)]
-                out.writerow([utc_text(t), local, *light, *views, FORMAT])
-
-
-def _view_column(name: str, azimuth_deg: float) -> str:
-    return f"{name}@{azimuth_deg:g}"
+        for name in HOUR_COLUMNS:
+            digits = 6 if name == "expected_log10_mse" else 2
+            columns[name] = np.round(np.asarray(self.hours[name], float), digits)
+        for k, azimuth_deg in enumerate(self.azimuths_deg):
+            for name in dict.fromkeys((*VIEW_COLUMNS, *self.views)):
+                if name not in COLOUR_COLUMNS or np.isfinite(self.views[name]).any():
+                    values = np.round(self.views[name][:, k], VIEW_COLUMNS.get(name, _OTHER_DIGITS))
+                    columns[f"{name}@{azimuth_deg:g}"] = values
+        write_columns(folder / NAME, {**columns, "format": FORMAT})
 
 
 def _metrics_of(columns: Iterable[str]) -> list[str]:
     return [name.partition("@")[0] for name in columns if "@" in name]
-
-
-def _cell(value: float, digits: int) -> str:
-    if not math.isfinite(value):
-        return ""
-    text = f"{value:.{digits}f}"
-    return text.rstrip("0").rstrip(".") if "." in text else text

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NotRequired, TypedDict
+from typing import Any
 
 from msgspec import Struct, field
 
@@ -23,21 +23,14 @@ class TrainingNote(Struct, frozen=True):
     days: tuple[str, ...] = ()
 
 
-class UsedScene(TypedDict):
-    """The fitted scene that a model was trained with.
+UsedScene = dict[str, Any]
+"""The fitted scene that a model was trained with.
 
-    north_deg, clock_min: fitted corrections of the heading [deg] and the clock [min]; chosen: the
-    geometry that was used, "none", "stated" or "fitted"; stated: SITE.toml as a table before the
-    fit; stated_heading_deg: heading of the captures; room_draws: for each parameter of the room,
-    its values in draws from the fit's uncertainty.
-    """
-
-    north_deg: float
-    clock_min: float
-    chosen: str
-    stated: dict[str, Any]
-    stated_heading_deg: float
-    room_draws: NotRequired[dict[str, list[float]]]
+north_deg, clock_min: fitted corrections of the heading [deg] and the clock [min]; chosen: the
+geometry that was used, "none", "stated" or "fitted"; stated: SITE.toml as a table before the fit;
+stated_heading_deg: heading of the captures; room_draws, if any: for each parameter of the room, its
+values in draws from the fit's uncertainty.
+"""
 
 
 class ModelConfig(JsonFile, frozen=True):

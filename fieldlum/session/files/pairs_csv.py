@@ -12,7 +12,7 @@ from pathlib import Path
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import parse_utc
 from fieldlum.core.strict_csv import CsvTable, read_table
-from fieldlum.session.codec import change_of, read_row, sealed, write_rows
+from fieldlum.session.codec import change_of, check_format, read_row, sealed, write_rows
 from fieldlum.session.folder import Session, session_around
 from fieldlum.session.inside import inside, refuse_link
 
@@ -97,14 +97,16 @@ class PairsFile:
         Raises InputError for a missing file, a missing required column, a newer format, or a wrong
         cell, with its line. Warns of a file that changed after `write`.
         """
-        table = _table(path)
+        expected = f"a csv with the columns {', '.join(NEEDED)}, as fieldlum pair writes"
+        table = read_table(path, expected, "name the columns in the first line", needed=NEEDED)
+        newest = _format(table)
         rows = [_row(path, line, cells) for line, cells in table.dicts()]
         _refuse_foreign_pictures(path, rows)
         unknown = [name for name in table.names if name and name not in _KNOWN]
         warnings = [f"{path.name}: unknown column {name} is ignored" for name in unknown]
         if change := change_of(path):
             warnings.append(f"WARNING: {change}")
-        return cls(path, tuple(rows), _format(table), tuple(warnings))
+        return cls(path, tuple(rows), newest, tuple(warnings))
 
     @classmethod
     def find(cls, path: Path) -> PairsFile:
@@ -114,7 +116,7 @@ class PairsFile:
     def write(self) -> None:
         """Write all rows without their state and refraction; NaN becomes an empty cell."""
         with sealed(self.path):
-            write_rows(self.path, PAIR_COLUMNS, self.rows, _DIGITS)
+            write_rows(self.path, self.rows, PAIR_COLUMNS, _DIGITS)
 
 
 def _refuse_foreign_pictures(path: Path, rows: Iterable[PairRow]) -> None:
@@ -134,23 +136,11 @@ def _refuse_foreign_pictures(path: Path, rows: Iterable[PairRow]) -> None:
                 inside(root, name, where, folder.relative_to(root).as_posix())
 
 
-def _table(path: Path) -> CsvTable:
-    """Return the table. Raises InputError for an unreadable file or missing required columns."""
-    if not path.is_file():
-        raise InputError(
-            path, "no such file", "a pairs.csv", "write one with: fieldlum pair SESSION"
-        )
-    expected = f"a csv with the columns {', '.join(NEEDED)}"
-    return read_table(path, expected, "name the columns in the first line", needed=NEEDED)
-
-
 def _format(table: CsvTable) -> int:
     """Return the largest version in the column `format`; 1 if there is no such column."""
     texts = {cells.get("format") or "1" for _, cells in table.dicts()}
-    newest = max((int(text) if text.isdigit() else 1 for text in texts), default=FORMAT)
-    if newest > FORMAT:
-        remedy = "read the file with a newer fieldlum"
-        raise InputError(table.path, f"a csv of format {newest}", f"format 1 to {FORMAT}", remedy)
+    newest = max((int(text) for text in texts if text.isdigit()), default=FORMAT)
+    check_format(table.path, newest, FORMAT)
     return newest
 
 
@@ -187,17 +177,6 @@ def write_simulated_pairs(session: Session, rows: tuple[PairRow, ...]) -> None:
     PairsFile(session.truth_pairs, in_truth).write()
     if not session.pairs.is_file() or _is_simulated(PairsFile.read(session.pairs)):
         PairsFile(session.pairs, rows).write()
-
-
-def keep_simulated_pairs(session: Session) -> None:
-    """Copy pairs.csv to truth/pairs.csv if it is the simulator's and truth/pairs.csv is missing.
-
-    Version 0.1.0 did not write truth/pairs.csv.
-    """
-    if session.truth.is_dir() and not session.truth_pairs.is_file():
-        pairs = PairsFile.find(session.pairs)
-        if pairs.rows and _is_simulated(pairs):
-            write_simulated_pairs(session, pairs.rows)
 
 
 def _is_simulated(pairs: PairsFile) -> bool:

@@ -38,13 +38,11 @@ class QualityRow:
 
 
 QUALITY_COLUMNS = tuple(field.name for field in fields(QualityRow))
-_TEXTS = {"slot", "t_utc", "verdict", "sun_origin"}
 
 
 def write_quality(path: Path, rows: Iterable[QualityRow]) -> None:
     """Write quality.csv: a header and all rows, numbers with four digits."""
-    digits = {name: ".4g" for name in QUALITY_COLUMNS if name not in _TEXTS}
-    write_rows(path, QUALITY_COLUMNS, rows, digits, end="\r\n")
+    write_rows(path, rows, QUALITY_COLUMNS, dict.fromkeys(QUALITY_COLUMNS, ".4g"))
 
 
 def read_quality(path: Path) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:

@@ -2,106 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, NotRequired, TypedDict
+from typing import Any
 
 from msgspec import field
 
 from fieldlum.session.codec import JsonFile
 
+ScoreFigures = dict[str, Any]
+"""Errors of predicted maps; None for a figure that was not computed.
 
-class ScoreFigures(TypedDict):
-    """Errors of predicted maps; None for a figure that was not computed.
+log10_mse: mean squared error of log10 luminance (floor 1 cd/m2), _weighted by solid angle, paper_
+with equal pixels; median, p90, worst: of it over maps; rer: root of the summed squared errors over
+the summed squared truth; dgp: with the true disc, own_disc with that of the room, of fully seen
+directions; judged: trimmed means over the n_judged hours that decide a choice, of the absolute
+error of DGP, of ln Ev, and of log10_mse; bias_log10: mean signed error; in_90_band: share of pixels
+whose truth is within the model's 90 % interval; worst_decile_found: share of the worst tenth of
+hours that the model expects to be worst.
+"""
+ScoreRow = ScoreFigures
+"""One model in `train --json`: ScoreFigures, name, seed and costs.
 
-    log10_mse: mean squared error of log10 luminance (floor 1 cd/m2), _weighted by solid angle,
-    paper_ with equal pixels; median, p90, worst: of it over maps; rer: root of the summed squared
-    errors over the summed squared truth; dgp: with the true disc, own_disc with that of the room,
-    of fully seen directions; judged: trimmed means over the n_judged hours that decide a choice, of
-    the absolute error of DGP, of ln Ev, and of log10_mse;
-    bias_log10: mean signed error; in_90_band: share of pixels whose truth is within the model's 90
-    % interval; worst_decile_found: share of the worst tenth of hours that the model expects to be
-    worst.
-    """
+fit_s, fit_cpu_s: seconds to fit; n_train: number of maps in training; folds: number of tests;
+not_judged_because: reason for missing figures, or None.
+"""
+CurvePoint = dict[str, float]
+"""A fit to some of the captures: their number, held-out log10 MSE and its standard error."""
+CaptureCurve = dict[str, Any]
+"""How many captures would have been enough; empty if there are too few captures.
 
-    log10_mse_weighted: float | None
-    rer_weighted: float | None
-    median: float | None
-    p90: float | None
-    worst: float | None
-    paper_log10_mse: float | None
-    paper_rer: float | None
-    dgp_mse: float | None
-    dgp_mse_own_disc: float | None
-    bias_log10: float | None
-    expected_log10_mse: float | None
-    trusted_share: float | None
-    dgp_mae: float | None
-    dgp_r2: float | None
-    rammg_mse: float | None
-    rammg_mse_cut: float | None
-    n_test: int
-    predict_s_per_map: float | None
-    predict_cpu_s_per_map: float | None
-    untrusted_share: float | None
-    expected_mse: float | None
-    in_90_band: float | None
-    worst_decile_found: float | None
-    judged_dgp_error: float | None
-    judged_ev_error: float | None
-    judged_log10_mse: float | None
-    n_judged: int
-
-
-class ScoreRow(ScoreFigures):
-    """One model in `train --json`; earlier versions wrote fewer keys.
-
-    fit_s, fit_cpu_s: seconds to fit; n_train: number of maps in training; folds: number of tests;
-    not_judged_because: reason for missing figures, or None.
-    """
-
-    name: str
-    fit_s: float
-    fit_cpu_s: float
-    n_train: int
-    seed: int
-    folds: int
-    not_judged_because: str | None
-
-
-class CurvePoint(TypedDict):
-    """A fit to some of the captures: their number, held-out log10 MSE and its standard error."""
-
-    captures: int
-    mse: float
-    se: float
-
-
-class CaptureCurve(TypedDict, total=False):
-    """How many captures would have been enough; without keys if there are too few captures.
-
-    enough: the fewest captures within one standard error of the best; added_nothing: the slots
-    beyond them.
-    """
-
-    curve: list[CurvePoint]
-    enough: int
-    added_nothing: list[str]
-
-
-class TrainAnswer(TypedDict):
-    """The object that `train --json` prints; scores.json has it without `kept`."""
-
-    models: list[ScoreRow]
-    chosen: str
-    reason: str
-    parameters: int
-    final_fit_s: float
-    captures: CaptureCurve
-    year: NotRequired[Mapping[str, float] | None]
-    notes: list[str]
-    inputs: NotRequired[Mapping[str, object]]
-    model_sha256: NotRequired[str]
-    kept: NotRequired[bool]
+curve: points; enough: the fewest captures within one standard error of the best; added_nothing: the
+slots beyond them.
+"""
+TrainAnswer = dict[str, Any]
+"""The object that `train --json` prints: the keys of `ScoresFile`, and whether it was `kept`."""
 
 
 class ScoresFile(JsonFile, frozen=True):

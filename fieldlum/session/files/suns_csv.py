@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-from fieldlum.core.errors import InputError
 from fieldlum.core.records import SunSource
-from fieldlum.session.codec import read_rows, write_rows
+from fieldlum.session.codec import check_format, read_rows, write_rows
 
 FORMAT = 1  # of the file; docs/file-formats.md
 
@@ -33,18 +32,13 @@ class SunRow:
     @property
     def source(self) -> SunSource:
         """The sun as a `SunSource`."""
-        return SunSource(
-            self.altitude_deg,
-            self.azimuth_deg,
-            self.normal_illuminance_lx,
-            self.visible_fraction,
-            self.origin,
-        )
+        lx, share = self.normal_illuminance_lx, self.visible_fraction
+        return SunSource(self.altitude_deg, self.azimuth_deg, lx, share, self.origin)
 
 
 def write_suns(path: Path, rows: list[SunRow]) -> None:
     """Write suns.csv: a header and all rows."""
-    write_rows(path, [field.name for field in fields(SunRow)], rows, {})
+    write_rows(path, rows, [field.name for field in fields(SunRow)], {})
 
 
 def read_suns(path: Path) -> dict[str, SunRow]:
@@ -54,9 +48,6 @@ def read_suns(path: Path) -> dict[str, SunRow]:
     """
     if not path.is_file():
         return {}
-    expected = f"a suns.csv of format 1 to {FORMAT}, written by pair"
-    rows = read_rows(SunRow, path, expected, "run fieldlum pair again")
-    if newer := [row.format for row in rows if row.format > FORMAT]:
-        remedy = "read the file with a newer fieldlum"
-        raise InputError(path, f"a csv of format {newer[0]}", expected, remedy)
+    rows = read_rows(SunRow, path, "a suns.csv written by pair", "run fieldlum pair again")
+    check_format(path, max((row.format for row in rows), default=FORMAT), FORMAT)
     return {row.panorama: row for row in rows}

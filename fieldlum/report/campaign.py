@@ -1,32 +1,109 @@
-"""Write one page and one table about all rooms of a campaign."""
+"""A campaign: the sessions that CAMPAIGN.toml lists, and one page of all their rooms.
+
+A room that cannot be read is named on the page.
+"""
 
 from __future__ import annotations
 
-import csv
 import json
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from fieldlum.core.errors import FieldlumError
-from fieldlum.core.records import Progress, counted, quiet, utc_text
-from fieldlum.report.campaign.campaign_file import CampaignFile, CampaignRoom
+from fieldlum.core.errors import FieldlumError, InputError
+from fieldlum.core.records import Progress, counted, quiet
+from fieldlum.core.strict_toml import build, read_toml
 from fieldlum.report.page import Page, Section, Table, named, render
 from fieldlum.session import Session, open_session, replacing
 from fieldlum.session.codec import to_json
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.files.predict_json import DirectionYear, PredictFile, SkyToCapture
 from fieldlum.version import __version__
-from fieldlum.year.predict import Annual, best_and_worst, read_annual
+from fieldlum.year.predict import best_and_worst, read_annual
 
-GLARE_DGP = "0.40"  # disturbing, EN 17037
+_GLARE_DGP = "0.40"  # disturbing, EN 17037
 _NEXT = 3  # hours that are named for each room; chosen
-# failed slots that are named for each reason, so that a row has one or two lines; chosen
-_SLOTS = 6
+_SLOTS = 6  # failed slots that are named for each reason, so that a row has one or two lines
+
+
+@dataclass(frozen=True, slots=True)
+class CampaignRoom:
+    """One room of a campaign. Paths are relative to CAMPAIGN.toml.
+
+    A value that is absent or "" is that of [common], else the default. session: its folder. site
+    and set: from which `plan` creates a missing session. model, seed, budget_min [minutes]: for
+    `train`. weather and views (number of view directions): for `predict`. size: WIDTHxHEIGHT for
+    `merge`.
+    """
+
+    session: str
+    site: str = ""
+    set: str = "9-day"
+    model: str = "auto"
+    seed: int = 0
+    budget_min: float = 10.0
+    weather: str = "synthetic"
+    views: int = 10
+    size: str = "460x230"
+
+
+@dataclass(frozen=True, slots=True)
+class _Tables:
+    """The tables of a CAMPAIGN.toml as they are stated."""
+
+    name: str = ""
+    common: dict[str, Any] = field(default_factory=dict)
+    room: tuple[dict[str, Any], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class CampaignFile:
+    """The content of a CAMPAIGN.toml: its name, and its rooms with the values of [common]."""
+
+    path: Path
+    name: str
+    rooms: tuple[CampaignRoom, ...]
+
+    def session_folder(self, room: CampaignRoom) -> Path:
+        """Return the path of a room's session, resolved from the folder of the campaign file."""
+        return self.file(room.session)
+
+    def file(self, name: str) -> Path:
+        """Return the path `name`, resolved from the folder of the campaign file."""
+        return self.path.parent / name
+
+
+def read_campaign(path: Path) -> CampaignFile:
+    """Read a CAMPAIGN.toml; without the key `name` the file's name is used.
+
+    Raises InputError for a missing file or one that is no TOML, for unknown keys or values of a
+    wrong type, without a room, for a room without a session, for a session named twice, and unless
+    budget_min and views are above 0.
+    """
+    tables = build(_Tables, read_toml(path), str(path))
+    rooms: list[CampaignRoom] = []
+    for number, stated in enumerate(tables.room, start=1):
+        where = f"{path} [[room]] {number}"
+        values = {k: v for part in (tables.common, stated) for k, v in part.items() if v != ""}
+        room = build(CampaignRoom, values, where)
+        for key in ("budget_min", "views"):
+            if (value := getattr(room, key)) <= 0:
+                raise InputError(where, f"{key} = {value:g}", "a number above 0", "correct it")
+        if room.session in {other.session for other in rooms}:
+            found = f"session {room.session} occurs twice"
+            raise InputError(where, found, "each session once", "remove one of its tables")
+        rooms.append(room)
+    if not rooms:
+        expected = "a table [[room]] with session = FOLDER for each room"
+        raise InputError(path, "no [[room]]", expected, "add a table [[room]] for each room")
+    return CampaignFile(path, tables.name or path.stem, tuple(rooms))
+
+
+# ----------------------------------------------------------------------------------------------
+# overview
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,9 +112,9 @@ class RoomOverview:
 
     broken: why the room could not be read, "" if it could. captured, planned: numbers of slots.
     to_do: slots that can still be captured. usable: rows of pairs.csv that training uses. failed:
-    (slot, reason) of slots without a usable panorama. year: the predicted year's summary. worst,
-    best: directions with the highest and lowest DGP in 5 % of the hours, as the room's own report
-    names them; a partly seen direction counts with the upper end of its interval.
+    (slot, reason) of slots without a usable panorama. worst, best: directions with the highest and
+    lowest DGP in 5 % of the hours, as the room's own report names them; a partly seen direction
+    counts with the upper end of its interval.
     """
 
     session: str
@@ -67,10 +144,9 @@ def _read(session: Session, room: CampaignRoom) -> RoomOverview:
     from fieldlum.capture.status import status
     from fieldlum.session.ledger import slots_ahead
 
-    stages = status(session)
-    pairs = PairsFile.find(session.pairs)
-    years = [folder for folder in session.annual_folders() if folder.name == room.model]
-    year = read_annual(years[0]).summary if years else PredictFile()
+    stages, pairs = status(session), PairsFile.find(session.pairs)
+    folder = session.annual / room.model
+    year = read_annual(folder).summary if folder in session.annual_folders() else PredictFile()
     best, worst = best_and_worst(year.protection) or (None, None)
     return RoomOverview(
         room.session,
@@ -90,22 +166,14 @@ def _failed(session: Session, pairs: PairsFile) -> tuple[tuple[str, str], ...]:
     """Return (slot, reason) of slots missed, aborted, not merged or rejected by `fieldlum pair`."""
     from fieldlum.session.ledger import read_ledger
 
-    reasons = {
-        name: state.outcome
-        for name, state in read_ledger(session).slots.items()
-        if state.outcome in ("missed", "aborted")
-    }
     merged = {path.stem for path in session.panorama_files()}
-    for folder in session.captured_folders():
-        if folder.name not in merged:
-            reasons.setdefault(folder.name, "captured, not merged")
-    for row in pairs.refused:
-        reasons.setdefault(Path(row.panorama).stem or "?", row.why or "rejected by pair")
+    captured = [folder.name for folder in session.captured_folders()]
+    reasons = {Path(row.panorama).stem or "?": row.why or "rejected" for row in pairs.refused}
+    reasons |= {name: "captured, not merged" for name in captured if name not in merged}
+    for name, state in read_ledger(session).slots.items():
+        if state.outcome in ("missed", "aborted"):
+            reasons[name] = state.outcome
     return tuple(sorted(reasons.items()))
-
-
-# ----------------------------------------------------------------------------------------------
-# the page
 
 
 def write_overview(
@@ -154,30 +222,29 @@ def _page(campaign: CampaignFile, rooms: Sequence[RoomOverview]) -> Page:
     )
 
 
-def _chip(row: DirectionYear) -> dict[str, str]:
-    return {"kind": row.glare_class if row.certain else "open", "text": row.glare_class}
+def _section(
+    key: str, title: str, text: str, head: Sequence[str], rows: Sequence[Any], *, words: bool
+) -> Section:
+    table = Table(tuple(head), tuple(rows), words=words)
+    return Section(key, title, text if rows else f"{text} None.", (), (table,) if rows else ())
 
 
 def _glare(rooms: Sequence[RoomOverview]) -> Section:
+    def chip(row: DirectionYear) -> dict[str, str]:
+        return {"kind": row.glare_class if row.certain else "open", "text": row.glare_class}
+
     body: list[tuple[float, tuple[Any, ...]]] = []
     for room in rooms:
         worst, best = room.worst, room.best
         if worst is None or best is None:
             continue
         exceeded = -1.0 if worst.dgp_exceeded is None else worst.dgp_exceeded
-        hours = f"{worst.hours_over[GLARE_DGP]} of {room.occupied_hours}"
-        direction, other = named(worst.azimuth_deg), named(best.azimuth_deg)
-        row = (room.session, direction, _chip(worst), f"{exceeded:.2f}", hours, other, _chip(best))
+        hours = f"{worst.hours_over[_GLARE_DGP]} of {room.occupied_hours}"
+        of_worst = named(worst.azimuth_deg), chip(worst), f"{exceeded:.2f}", hours
+        row = (room.session, *of_worst, named(best.azimuth_deg), chip(best))
         body.append((exceeded, row))
-    head = (
-        "room",
-        "worst direction",
-        "class",
-        "DGP in 5 % of hours",
-        f"hours above {GLARE_DGP}",
-        "best direction",
-        "class",
-    )
+    over = f"hours above {_GLARE_DGP}"
+    head = ("room", "worst direction", "class", "DGP in 5 % of hours", over, "best direction", "")
     without = [room.session for room in rooms if room.worst is None and not room.broken]
     text = (
         "Rooms with a predicted year, the worst first. A class in grey is not certain yet: the "
@@ -185,25 +252,22 @@ def _glare(rooms: Sequence[RoomOverview]) -> Section:
     )
     if without:
         text += f" Without a predicted year: {', '.join(without)}."
-    ordered = tuple(row for _, row in sorted(body, key=lambda item: -item[0]))
-    return Section("glare", "Which room has glare", text, (), (Table(head, ordered),))
+    ordered = [row for _, row in sorted(body, key=lambda item: -item[0])]
+    return _section("glare", "Which room has glare", text, head, ordered, words=False)
 
 
 def _failures(rooms: Sequence[RoomOverview]) -> Section:
     body = []
     for room in rooms:
-        reasons: dict[str, list[str]] = {}
+        reasons: dict[str, list[str]] = defaultdict(list)
         for slot, why in room.failed:
-            reasons.setdefault(why, []).append(slot)
+            reasons[why].append(slot)
         for why, slots in reasons.items():
             more = f" and {len(slots) - _SLOTS} more" if len(slots) > _SLOTS else ""
             body.append((room.session, why, f"{len(slots)}", ", ".join(slots[:_SLOTS]) + more))
-    text = (
-        "Slots that were missed or aborted, captured but not merged, or rejected by fieldlum pair."
-    )
-    text += "" if body else " No slot failed."
-    table = Table(("room", "reason", "slots", "which"), tuple(body), words=True)
-    return Section("failed", "Which slots failed", text, (), (table,) if body else ())
+    text = "Slots that were missed, aborted, not merged, or rejected by fieldlum pair."
+    head = ("room", "reason", "slots", "which")
+    return _section("failed", "Which slots failed", text, head, body, words=True)
 
 
 def _next(rooms: Sequence[RoomOverview]) -> Section:
@@ -217,51 +281,7 @@ def _next(rooms: Sequence[RoomOverview]) -> Section:
             body.append((room.session, f"{room.to_do}", hours or "nothing is open"))
     text = (
         "For each room, the number of slots that can still be captured, and examples of hours "
-        "whose capture would help to decide the glare class of a view direction where it is "
-        "still uncertain."
+        "whose capture would help to decide the glare class of a view direction that is uncertain."
     )
-    text += "" if body else " Nothing is open."
-    table = Table(("room", "slots to do", "hours like these"), tuple(body), words=True)
-    return Section("next", "What to capture next", text, (), (table,) if body else ())
-
-
-# ----------------------------------------------------------------------------------------------
-# the table of all hours
-
-
-def write_hours(campaign: CampaignFile, path: Path) -> int:
-    """Write a csv row for each room, hour and view direction; return the number of rows.
-
-    Rooms without a readable predicted year have no rows; without any year the file is empty.
-    """
-    count = 0
-    with replacing(path, "w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        for name, annual in _years(campaign):
-            hours, views, azimuths = annual.hours, annual.views, annual.azimuths_deg
-            if not count:
-                writer.writerow(["room", "t_utc", "azimuth_deg", *hours, *views])
-            for k in range(len(annual)):
-                head = [name, utc_text(annual.t_utc[k])]
-                of_hour = [_cell(values[k]) for values in hours.values()]
-                for j, azimuth_deg in enumerate(azimuths):
-                    of_view = [_cell(values[k, j]) for values in views.values()]
-                    writer.writerow([*head, _cell(azimuth_deg), *of_hour, *of_view])
-            count += len(annual) * len(azimuths)
-    return count
-
-
-def _years(campaign: CampaignFile) -> Iterator[tuple[str, Annual]]:
-    """Yield (session, predicted year) of each room with a readable year of its model."""
-    for room in campaign.rooms:
-        try:
-            session = open_session(campaign.session_folder(room))
-            folder = session.annual / room.model
-            if (folder / "predict.json").is_file():
-                yield room.session, read_annual(folder)
-        except (FieldlumError, OSError):
-            continue
-
-
-def _cell(value: float) -> str:
-    return f"{value:.7g}" if np.isfinite(value) else ""
+    head = ("room", "slots to do", "hours like these")
+    return _section("next", "What to capture next", text, head, body, words=True)
