@@ -22,6 +22,7 @@ from fieldlum.cli.options import (
 if TYPE_CHECKING:
     from fieldlum.core.records import Progress, SiteFile
     from fieldlum.session import Session
+    from fieldlum.session.tables import PlanTable
     from fieldlum.weather import Weather
 
 
@@ -127,7 +128,7 @@ def _planned(
     set_, year, count, seed = asked
     if count is not None:
         slots = simulate.sample_slots(setup, weather, count, seed)
-        about = {"set": "year-sample", "count": count, "seed": seed}
+        about: PlanTable = {"set": "year-sample", "count": count, "seed": seed}
         return simulate.make_session(out, setup, slots, about)
     today = plan.today_at(setup.site, datetime.now(UTC))
     request = plan.Request(set_, today, None, year, seed=seed)

@@ -46,11 +46,8 @@ def site_from_table(table: TomlTable, where: str) -> SiteFile:
     try:
         ZoneInfo(site.timezone)
     except (ZoneInfoNotFoundError, ValueError, OSError):
-        found, expected = (
-            f"unknown time zone '{site.timezone}'",
-            "a name like America/Los_Angeles",
-        )
-        raise InputError(where, found, expected, "correct timezone") from None
+        found = f"unknown time zone '{site.timezone}'"
+        raise InputError(where, found, "a name like Europe/Rome", "correct timezone") from None
     if (
         abs(site.latitude_deg) < _MERIDIANS_MEET_DEG
         and abs(off_h := sun.zone_off_sun_h(site)) > _MAX_OFF_SUN_H
