@@ -169,7 +169,7 @@ def refuse_what_is_not_offered(
     if any(state.outcome == "done" for state in states.values()):
         return
     empty = [slot.id for slot in slots if not slot.exposures]
-    if len(empty) == len(slots) and empty:  # hours of `simulate --year-sample` are not a plan
+    if len(empty) == len(slots) and empty:  # hours of `simulate --count` are not a plan
         found = f"no slot of the plan has an exposure (first slot: {empty[0]})"
         raise NotEnoughDataError(f"{found}; plan a new session with fieldlum plan")
     if refused := not_offered(camera, dict.fromkeys(e for slot in slots for e in slot.exposures)):
