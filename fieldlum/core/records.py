@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.core.arrays import Floats
+from fieldlum.core.arrays import Floats, Floats32
 
 Progress = Callable[[int, int, str], None]
 "Called as progress(done, total, text) by any work that takes over two seconds."
@@ -331,3 +331,11 @@ class Panorama:
     sun: SunSource | None = None
     rgb: Floats | None = None  # such that 179 * (.265 .670 .065) gives the luminance
     attributes: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def seen_cdm2(self) -> Floats32:
+        """Luminance [H, W] as a copy, NaN where no lens saw."""
+        values = np.array(self.luminance_cdm2, np.float32)
+        if self.flags is not None:
+            values[(self.flags & Flag.OUTSIDE_LENS) > 0] = np.nan
+        return values

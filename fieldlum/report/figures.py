@@ -55,7 +55,7 @@ def picture_grid(
     width_in: of one picture in inches. NaN is white. The axes are in pixels from the top left.
     """
     rows, columns = -(-len(maps) // columns), min(columns, len(maps))
-    height_in = width_in * max(image.shape[0] / image.shape[1] for image in maps) + 0.3
+    height_in = width_in * max(image.shape[0] / image.shape[1] for image in maps) + 0.4
     with styled():
         figure = Figure((width_in * columns, height_in * rows + 0.6), layout="constrained")
         cells = list(figure.subplots(rows, columns, squeeze=False).flat)

@@ -8,10 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum.core.arrays import Floats32
 from fieldlum.core.errors import InputError
 from fieldlum.core.false_colour import colour_table, coloured, luminance_ends, png_of, shared_scale
-from fieldlum.core.records import Flag
 from fieldlum.optics.images import read_panorama
 
 MAX_WIDTH = 1840  # four times a panorama of 460; bounds the memory; chosen
@@ -34,7 +32,7 @@ def scale_of(paths: Iterable[Path]) -> tuple[float, float]:
 
 @lru_cache(maxsize=1024)
 def _ends(path: Path, stamp: int) -> tuple[float, float] | None:
-    return luminance_ends(_seen(path))
+    return luminance_ends(read_panorama(path).seen_cdm2)
 
 
 def picture_png(path: Path, width: int, low: float, high: float) -> bytes:
@@ -50,7 +48,7 @@ def picture_png(path: Path, width: int, low: float, high: float) -> bytes:
 def _png(path: Path, stamp: int, width: int, low: float, high: float) -> bytes:
     import cv2
 
-    values = _seen(path)  # [H, W]
+    values = read_panorama(path).seen_cdm2  # [H, W]
     if values.shape[1] > width:
         height = max(1, round(values.shape[0] * width / values.shape[1]))
         shrunk = cv2.resize(values, (width, height), interpolation=cv2.INTER_AREA)
@@ -61,11 +59,3 @@ def _png(path: Path, stamp: int, width: int, low: float, high: float) -> bytes:
 def scale_png() -> bytes:
     """Return the colours of the scale from low to high as a PNG of 256 x 1 pixels."""
     return png_of(colour_table()[None])
-
-
-def _seen(path: Path) -> Floats32:
-    panorama = read_panorama(path)
-    values = np.array(panorama.luminance_cdm2, np.float32)
-    if panorama.flags is not None:
-        values[(panorama.flags & Flag.OUTSIDE_LENS) > 0] = np.nan
-    return values

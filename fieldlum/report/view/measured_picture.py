@@ -9,7 +9,6 @@ import numpy as np
 
 from fieldlum.core.arrays import Floats, Floats32, Mask
 from fieldlum.core.false_colour import luminance_ends
-from fieldlum.core.records import Flag
 from fieldlum.optics.projection import direction, equirect_rays, equirect_solid_angles
 from fieldlum.year.glare.picture_view import PictureView, picture_centres, picture_rays
 from fieldlum.year.glare.pictures import Picture, read_picture
@@ -161,9 +160,7 @@ def read_measured_picture(path: Path, part: str = "") -> MeasuredPicture:
     """
     picture = read_picture(path, part=part)
     panorama = picture.panorama
-    luminance = np.array(panorama.luminance_cdm2, np.float32)
-    if panorama.flags is not None:
-        luminance[(panorama.flags & Flag.OUTSIDE_LENS) > 0] = np.nan
+    luminance = panorama.seen_cdm2
     azimuths_deg = (panorama.heading_deg,) if picture.view is None else ()
     answer, sources = judged(picture, path, azimuths_deg)
     row = answer["views"][0]

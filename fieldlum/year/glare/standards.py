@@ -69,13 +69,17 @@ class DgpUncertainty:
 
     def hours(self, rows: Mask) -> DgpUncertainty:
         """Return the uncertainty of the hours for which the mask `rows` [n] is True."""
-        return DgpUncertainty(
-            self.words,
-            self.minimum[rows],
-            self.maximum[rows],
-            self.drawn[:, rows],
-            self.u_maps[rows],
-        )
+        return DgpUncertainty(self.words, *(part[..., rows, :] for part in self._arrays))
+
+    @classmethod
+    def joined(cls, parts: Sequence[DgpUncertainty]) -> DgpUncertainty:
+        """Return the uncertainty of the hours of all parts, in their order."""
+        arrays = zip(*(part._arrays for part in parts), strict=True)
+        return cls(parts[0].words, *(np.concatenate(each, axis=-2) for each in arrays))
+
+    @property
+    def _arrays(self) -> tuple[Floats, Floats, Floats32, Floats]:
+        return self.minimum, self.maximum, self.drawn, self.u_maps
 
 
 def class_of(dgp_exceeded: float) -> str:

@@ -57,18 +57,11 @@ def joined(parts: Sequence[HourFigures]) -> HourFigures:
     """Return the figures of all parts, which may be in any order."""
     parts = sorted(parts, key=lambda part: part.start)
     first = parts[0]
-    doubts = [part.doubt for part in parts]
     return HourFigures(
         first.start,
         {name: np.concatenate([part.hours[name] for part in parts]) for name in first.hours},
         {name: np.concatenate([part.views[name] for part in parts]) for name in first.views},
-        DgpUncertainty(
-            first.doubt.words,
-            np.concatenate([doubt.minimum for doubt in doubts]),
-            np.concatenate([doubt.maximum for doubt in doubts]),
-            np.concatenate([doubt.drawn for doubt in doubts], axis=1),
-            np.concatenate([doubt.u_maps for doubt in doubts]),
-        ),
+        DgpUncertainty.joined([part.doubt for part in parts]),
     )
 
 
