@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats32, Mask
-from fieldlum.core.records import Flag, Progress, quiet
+from fieldlum.core.records import Flag
 from fieldlum.merge.frames import Signal
 
 # a frame with a lower ratio does not fill pixels that other frames lost; not measured
@@ -72,7 +72,6 @@ def merge_signals(
     *,
     passes: int = 2,
     u_ratio: float = 0.003,
-    progress: Progress = quiet,
 ) -> Merged:
     """Merge frames of one `shape`, most exposed first.
 
@@ -81,11 +80,9 @@ def merge_signals(
     """
     value, variance = np.empty(shape, np.float32), np.empty(shape, np.float32)
     flags = np.empty(shape, np.uint8)
-    strips = list(_strips(shape))
-    for number, (a, b) in enumerate(strips, start=1):
+    for a, b in _strips(shape):
         part = merge_rows(rows_of(frames, a, b), passes, u_ratio)
         value[a:b], variance[a:b], flags[a:b] = part.value_cdm2, part.variance, part.flags
-        progress(number, len(strips), "strips")
     return Merged(value, variance, flags)
 
 

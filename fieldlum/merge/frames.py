@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Array, Floats, Floats32, Indices, Mask
 from fieldlum.core.errors import InputError
+from fieldlum.core.records import Progress, quiet
 from fieldlum.merge.shift import Small, reduced
 from fieldlum.merge.shots import Shot
 from fieldlum.optics.linear_light import (
@@ -445,6 +446,7 @@ def read_frames(
     crop: Crop,
     plateau_dn: Mapping[float, Plateau],
     budget_bytes: int = FRAMES_BYTES,
+    progress: Progress = quiet,
 ) -> list[Signal]:
     """Read the frames of a bracket, most exposed first.
 
@@ -462,6 +464,7 @@ def read_frames(
             jpeg = load_jpeg(shot, profile, crop, (i == 0, i == len(shots) - 1))
             budget_bytes -= jpeg.codes.nbytes
             signals.append(jpeg if budget_bytes >= 0 else replace(jpeg, codes=_on_disk(jpeg.codes)))
+        progress(i + 1, len(shots), "frames")
     return signals
 
 

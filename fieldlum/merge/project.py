@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,33 +64,38 @@ class ProjectedImage:
 
 
 def _project(sensor: SensorImage, r: Resampler) -> tuple[Floats, Floats, NDArray[np.uint8]]:
-    """Return camera RGB [n, 3], its random variance [n, 3] and the flags [n] of one lens."""
-    m, single = sensor.merged, "" in r.matrices
-    matrices = [r.matrices["" if single else colour] for colour in "RGB"]
-    good = None if sensor.good is None else sensor.good.ravel().astype(np.float32)
-    mask = 1.0 if good is None else good
-    rgb, var, shares = [], [], []
-    for k, matrix in enumerate(matrices):
-        value, variance = (
-            a.reshape(-1, 3)[:, k] if single else a.ravel() for a in (m.value_cdm2, m.variance)
-        )
-        square = matrix.copy()
-        square.data = matrix.data**2
-        # scale the weights of each row without its bad pixels to a sum of 1
-        shares.append(1.0 if good is None else np.maximum(matrix @ good, 1e-6))
-        rgb.append(matrix @ (value * mask) / shares[k])
-        var.append(square @ (variance * mask) / shares[k] ** 2)
+    """Return camera RGB [n, 3], its random variance [n, 3] and the flags [n] of one lens.
+
+    Only the sensor pixels of the matrices are read, so that a small target costs little.
+    """
+    m, width = sensor.merged, 3 if "" in r.matrices else 1
+    value, variance, of_sensor = (a.reshape(-1, width) for a in (m.value_cdm2, m.variance, m.flags))
+    rgb, var = [], []
     flags = np.zeros(len(r.coverage), np.uint8)  # those of bad pixels may count, which is harmless
-    # a pixel without a good sensor pixel of some colour has no value
-    flags[(np.min(shares, axis=0) < 0.05) & (r.coverage > 0)] |= np.uint8(Flag.FILLED)
-    raised = np.bitwise_or.reduce(m.flags, axis=-1) if single else m.flags
-    present = int(np.bitwise_or.reduce(raised, axis=None))
-    for flag, minimum in _SHARE.items():
-        if present & flag:
-            marked = ((raised & flag) > 0).ravel().astype(np.float32)
-            share = np.max([matrix @ marked for matrix in r.matrices.values()], axis=0)
-            flags[share > minimum] |= np.uint8(flag)
-    return np.stack(rgb, axis=1).astype(np.float64), np.stack(var, axis=1).astype(np.float64), flags
+    for matrix in (r.matrices[colour] for colour in ("RGB" if width == 1 else ("",))):
+        own, square = matrix, matrix.copy()
+        share: Floats | float = 1.0
+        if sensor.good is not None:  # scale the weights of each row without its bad pixels to 1
+            own = matrix.copy()
+            own.data = matrix.data * sensor.good.ravel()[matrix.indices]
+            share = np.maximum(_row_sums(own, own.data), 1e-6).astype(np.float32)[:, None]
+            # a pixel without a good sensor pixel of some colour has no value
+            flags[(share[:, 0] < 0.05) & (r.coverage > 0)] |= np.uint8(Flag.FILLED)
+        square.data = own.data**2
+        rgb.append(own @ value / share)
+        var.append(square @ variance / share**2)
+        raised = np.bitwise_or.reduce(of_sensor[matrix.indices], axis=1)
+        present = int(np.bitwise_or.reduce(raised, initial=0))
+        for flag, minimum in _SHARE.items():
+            if present & flag:
+                marked = _row_sums(matrix, matrix.data * ((raised & flag) > 0))
+                flags[marked > minimum] |= np.uint8(flag)
+    return np.hstack(rgb).astype(np.float64), np.hstack(var).astype(np.float64), flags
+
+
+def _row_sums(matrix: Any, data: Floats) -> Floats:
+    """Return the sum over each row of a sparse matrix, with `data` for its entries."""
+    return np.diff(np.concatenate(([0.0], np.cumsum(data, dtype=np.float64)))[matrix.indptr])
 
 
 def view_through(

@@ -352,13 +352,13 @@ def merge_sensor(
     law = stated_law(shots, profile)
     plateau_dn, black_off_dn = saturation_and_black(shots, profile)
     read_with = replace(profile, shutter_law=law.law)
-    frames = read_frames(shots, read_with, crop, plateau_dn, budget_bytes)
+    frames = read_frames(shots, read_with, crop, plateau_dn, budget_bytes, progress)
     lenses = [lens_geometry(lens, corner_px=(crop.left, crop.top)) for lens in profile.lens]
     turns = shifts([f.small() for f in frames], lenses, [s.path.name for s in shots])
     frames, exposures, noise = exposures_of(frames, shots, profile, law, options.fits(profile))
     height, width = crop.height, crop.width
     shape = (height // 2, 2, width) if profile.camera.kind == "raw" else (height, width, 3)
-    merged = merge_signals(frames, shape, u_ratio=exposures.tolerance, progress=progress)
+    merged = merge_signals(frames, shape, u_ratio=exposures.tolerance)
     dropped: tuple[float, ...] = ()
     if options.drop_moved:
         merged, dropped = leave_out_moved(frames, merged, exposures.tolerance)

@@ -132,15 +132,12 @@ def _pyramid(small: Small) -> list[tuple[Floats32, Mask]]:
         light, seen_mask = levels[-1]
         size = (light.shape[1] // 2, light.shape[0] // 2)
         part = np.s_[: 2 * size[1], : 2 * size[0]]
-        weight = cv2.resize(seen_mask[part].astype(np.float32), size, interpolation=cv2.INTER_AREA)
-        mean = cv2.resize(
-            np.where(seen_mask, light, 0.0)[part].astype(np.float32),
-            size,
-            interpolation=cv2.INTER_AREA,
+        weight, total = (
+            cv2.resize(v[part].astype(np.float32), size, interpolation=cv2.INTER_AREA)
+            for v in (seen_mask, np.where(seen_mask, light, 0.0))
         )
-        levels.append(
-            (np.divide(mean, weight, out=np.zeros_like(mean), where=weight > 0), weight > 0.99)
-        )
+        mean = np.divide(total, weight, out=np.zeros_like(total), where=weight > 0)
+        levels.append((mean, weight > 0.99))
     return levels
 
 

@@ -7,22 +7,18 @@ are as bright as a sky are resampled from the same merged sensor as the panorama
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 
 import numpy as np
 
-from fieldlum.core.arrays import Array, Floats, Indices, Mask
+from fieldlum.core.arrays import Floats, Indices, Mask
 from fieldlum.core.records import Flag
-from fieldlum.merge.estimator import Merged
-from fieldlum.merge.frames import Crop
 from fieldlum.merge.project import ProjectedImage, blend, view_through
 from fieldlum.merge.sensor import SensorImage
-from fieldlum.optics.linear_light import lens_geometry, sensor_pitch_deg
-from fieldlum.optics.profiles import CameraProfile, Lens
+from fieldlum.optics.linear_light import sensor_pitch_deg
+from fieldlum.optics.profiles import CameraProfile
 from fieldlum.optics.projection import (
     Equirect,
     equirect_rays,
-    lens_pixels,
     smallest_arc,
 )
 from fieldlum.sky.sky_view import LOWEST_ALTITUDE_DEG, SkyGrid, SkyPicture
@@ -30,8 +26,6 @@ from fieldlum.sky.sky_view import LOWEST_ALTITUDE_DEG, SkyGrid, SkyPicture
 _TILE_DEG = 2  # divides 180; chosen
 # Pixels along a block of tiles: decides speed only. A block's matrices have 1 MB at most. Chosen.
 _BLOCK_PX = 60
-_EDGE_STEPS = 13  # places of a block in each direction that bound it on the sensor; chosen
-_MARGIN_PX = 8  # around them: resampling reaches two pixels, and the lens curves between; chosen
 # Finest pixel. The sun's disc has 22 such pixels; finer ones would need four times the space.
 # Chosen.
 _FINEST_DEG = 0.1
@@ -117,10 +111,9 @@ def _block(
     fine = []
     pairs = [(image, lens) for image in images for lens in profile.lens]
     for (image, lens), view in zip(pairs, views, strict=True):
-        near = _near_part(image, lens, part) if (view.coverage[coarse] > 0).any() else None
-        if near is not None:
+        if (view.coverage[coarse] > 0).any():
             stray = None if view.stray is None else view.stray[coarse]
-            fine.append(view_through(near, lens, profile, part, stray))
+            fine.append(view_through(image, lens, profile, part, stray))
     if not fine:
         return np.full(part.shape, np.nan), np.zeros(part.shape, bool)
     joined = blend(fine)
@@ -128,43 +121,6 @@ def _block(
     light = np.where(unusable, np.nan, joined.luminance)
     clipped = (joined.flags & (Flag.CLIPPED_HIGH | Flag.BLOOM)) > 0
     return light.reshape(part.shape), clipped.reshape(part.shape)
-
-
-def _near_part(image: SensorImage, lens: Lens, part: Equirect) -> SensorImage | None:
-    """Return the rectangle of the sensor that shows a part of the sphere; None if it does not."""
-    crop = image.crop
-    geometry = lens_geometry(lens, image.turn_deg, (crop.left, crop.top))
-    rows, columns = (np.linspace(0.0, count, _EDGE_STEPS) for count in part.shape)
-    x, y, angle = lens_pixels(geometry, part.rays(rows, columns))
-    inside = angle < 1.2 * geometry.half_angle_rad  # polynomials fall again beyond
-    if not inside.any():
-        return None
-    left, right = _even_range(x[inside], crop.width)
-    top, bottom = _even_range(y[inside], crop.height)
-    if right - left < 2 or bottom - top < 2:
-        return None
-    merged, shape = image.merged, (crop.height, crop.width)
-    cut = np.s_[top:bottom, left:right]
-
-    def window(values: Array) -> Array:
-        """Return a rectangle of the sensor, in the shape of the merged frames."""
-        if values.shape[-1] == 3:
-            return values[cut]
-        return values.reshape(shape)[cut].reshape((bottom - top) // 2, 2, right - left)
-
-    return replace(
-        image,
-        merged=Merged(*(window(v) for v in (merged.value_cdm2, merged.variance, merged.flags))),
-        crop=Crop(crop.top + top, crop.left + left, bottom - top, right - left),
-        good=None if image.good is None else image.good[cut],
-    )
-
-
-def _even_range(place_px: Floats, size_px: int) -> tuple[int, int]:
-    """Return the even first and last pixel around some places, within the sensor."""
-    first = max(int(place_px.min()) - _MARGIN_PX, 0) // 2 * 2
-    last = min(int(place_px.max()) + _MARGIN_PX, size_px) // 2 * 2
-    return first, max(first, last)
 
 
 def _coarse_pixels(part: Equirect, target: Equirect) -> Indices:

@@ -7,7 +7,6 @@ Both kinds of turn use it: within a bracket (`merge.shift`) and between captures
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -53,43 +52,23 @@ def fit_turn(
     """
     scale = np.sqrt((design**2).mean(axis=0)) + 1e-30
     base = np.ones(len(target)) if weights is None else weights
-    robust, solved = base, None
+    robust = used = base
+    columns, values, inverse = design / scale, target, np.eye(len(scale))
+    unknowns, rest = np.zeros(len(scale)), target
     for _ in range(_ROUNDS):
-        solved = _solve(design / scale, target, robust, contrasts)
-        if solved is None:
+        used = robust
+        if contrasts is not None:
+            columns = np.stack([contrasts.removed(c, used) for c in (design / scale).T], axis=1)
+            values = contrasts.removed(target, used)
+        normal = columns.T @ (used[:, None] * columns)
+        if np.linalg.cond(normal) > _MAX_CONDITION:
             return None
-        size = np.abs(solved.rest) * np.sqrt(base)
+        inverse = np.linalg.inv(normal)
+        unknowns = inverse @ (columns.T @ (used * values))
+        rest = values - columns @ unknowns
+        size = np.abs(rest) * np.sqrt(base)
         sigma = MAD_TO_SIGMA * float(np.median(size)) + 1e-30
         robust = base * cauchy_weights(size, 2.0 * sigma)
-    assert solved is not None
-    scores = np.stack([np.bincount(block, solved.pull * c) for c in solved.columns.T])
-    half = solved.inverse @ scores / scale[:, None]  # [k, blocks]
-    return solved.unknowns / scale, half @ half.T
-
-
-class _Solved(NamedTuple):
-    """A solution: unknowns [k], residuals [m], and these times their weights (pull) [m].
-
-    columns [m, k] : of the design, without contrasts; inverse [k, k] : of the normal matrix.
-    """
-
-    unknowns: Floats
-    rest: Floats
-    pull: Floats
-    columns: Floats
-    inverse: Floats
-
-
-def _solve(
-    columns: Floats, values: Floats, weights: Floats, contrasts: Contrasts | None
-) -> _Solved | None:
-    if contrasts is not None:
-        columns = np.stack([contrasts.removed(c, weights) for c in columns.T], axis=1)
-        values = contrasts.removed(values, weights)
-    normal = columns.T @ (weights[:, None] * columns)
-    if np.linalg.cond(normal) > _MAX_CONDITION:
-        return None
-    inverse = np.linalg.inv(normal)
-    unknowns = inverse @ (columns.T @ (weights * values))
-    rest = values - columns @ unknowns
-    return _Solved(unknowns, rest, weights * rest, columns, inverse)
+    scores = np.stack([np.bincount(block, used * rest * c) for c in columns.T])
+    half = inverse @ scores / scale[:, None]  # [k, blocks]
+    return unknowns / scale, half @ half.T

@@ -253,25 +253,17 @@ class CameraProfile:
 # values that no camera can have
 
 
-_CORRECT = "correct this value in the profile"
-_Problem = tuple[str, str, str]  # what was found, what is expected, what to do
+_Problem = tuple[str, ...]  # what was found, what is expected; what to do, if not to correct it
 
 
 def check_camera(profile: CameraProfile, where: str) -> None:
     """Raise InputError for values that no camera can have; where: the profile, for the error."""
     if not profile.lens:
         raise InputError(where, "no [[lens]]", "at least one lens", "add a table [[lens]]")
-    checks = (
-        _range_problems,
-        _share_problems,
-        _lens_problems,
-        _sensor_problems,
-        _colour_problems,
-        _stray_problems,
-    )
-    problems = chain.from_iterable(check(profile) for check in checks)
-    for finding, expected, remedy in problems:
-        raise InputError(where, finding, expected, remedy)
+    checks = (_range_problems, _lens_problems, _sensor_problems, _table_problems)
+    for finding, expected, *remedy in chain.from_iterable(check(profile) for check in checks):
+        correct = remedy[0] if remedy else "correct this value in the profile"
+        raise InputError(where, finding, expected, correct)
 
 
 def _range_problems(p: CameraProfile) -> Iterator[_Problem]:
@@ -291,45 +283,30 @@ def _range_problems(p: CameraProfile) -> Iterator[_Problem]:
         "scale.f_numbers": p.scale.f_numbers,
         "nd.factor_rgb": (f for x in p.nd for f in x.factor_rgb),
     }
-    for key, values in positive.items():
-        for value in values:
-            if not 0 < value < 1e12:
-                yield f"{key} = {value:g}", "a number above 0", _CORRECT
+    for key, value in ((key, value) for key, values in positive.items() for value in values):
+        if not 0 < value < 1e12:
+            yield f"{key} = {value:g}", "a number above 0"
     if min(p.sensor.read_noise_e, p.bracket.seconds_per_frame, p.bracket.megabytes_per_frame) < 0:
-        names = "read_noise_e, seconds_per_frame or megabytes_per_frame"
-        yield f"{names} below 0", "0 or more", _CORRECT
-
-
-def _share_problems(p: CameraProfile) -> Iterator[_Problem]:
+        yield "read_noise_e, seconds_per_frame or megabytes_per_frame below 0", "0 or more"
     parts = (p.colour, p.scale, p.response, p.stray, *p.shutter, *p.nd)
     shares = [*(part.u_rel for part in parts), *(v.u_rel for x in p.lens for v in x.vignetting)]
     shares += [p.colour.melanopic_u_rel, p.sensor.linearity_u_rel, p.glare_floor_rel]
     for value in shares:
         if not 0 <= value < 1:
             expected = "u_rel and glare_floor_rel from 0 to below 1"
-            yield f"u_rel or glare_floor_rel = {value:g}", expected, _CORRECT
-
-
-def _stray_problems(p: CameraProfile) -> Iterator[_Problem]:
-    angles, values = p.stray.angle_deg, p.stray.per_sr
-    rising = all(a < b for a, b in pairwise(angles))
-    if len(angles) != len(values) or not rising or not all(0 < a <= 180 for a in angles):
-        finding = f"[stray] angle_deg = {list(angles)} with {len(values)} values of per_sr"
-        yield finding, "rising angles from 0 to 180, and a value for each", _CORRECT
-    if not all(a >= b for a, b in pairwise(values)) or min(values, default=0.0) < 0:
-        yield f"[stray] per_sr = {list(values)}", "values of 0 or more that do not rise", _CORRECT
+            yield f"u_rel or glare_floor_rel = {value:g}", expected
 
 
 def _sensor_problems(p: CameraProfile) -> Iterator[_Problem]:
     black, saturation = p.sensor.black_dn, p.sensor.saturation_dn
     if max(p.camera.width_px, p.camera.height_px) > 100_000:
-        yield "a sensor with over 100 000 pixels a side", "a possible camera", _CORRECT
+        yield "a sensor with over 100 000 pixels a side", "a possible camera"
     if len(black) != 4 or len(saturation) != 4:
         counts = f"{len(black)} values of black_dn, {len(saturation)} of saturation_dn"
-        yield f"[sensor] has {counts}", "four values of each: R, G1, G2, B", _CORRECT
+        yield f"[sensor] has {counts}", "four values of each: R, G1, G2, B"
     if not max(black) < min(*saturation, p.sensor.white_dn):
         finding = f"[sensor] black_dn = {max(black):g} is not below saturation_dn and white_dn"
-        yield finding, "a black level below saturation_dn and white_dn", _CORRECT
+        yield finding, "a black level below saturation_dn and white_dn"
     if not rises(p.sensor.linearity):
         finding = f"sensor.linearity = {', '.join(f'{a:g}' for a in p.sensor.linearity)}"
         remedy = "calibrate it again: fieldlum calibrate linearity"
@@ -340,16 +317,24 @@ def _sensor_problems(p: CameraProfile) -> Iterator[_Problem]:
         yield finding, "an offset in seconds, smaller than 0.01", remedy
 
 
-def _colour_problems(p: CameraProfile) -> Iterator[_Problem]:
+def _table_problems(p: CameraProfile) -> Iterator[_Problem]:
+    """Yield tables of colour, response and stray light whose values do not belong together."""
     radiance, melanopic = len(p.colour.rgb_to_radiance), len(p.colour.melanopic_from_rgb)
     if radiance not in (0, 9):
-        yield f"colour.rgb_to_radiance has {radiance} values", "9 values, or none", _CORRECT
+        yield f"colour.rgb_to_radiance has {radiance} values", "9 values, or none"
     if melanopic not in (0, 3) or (melanopic and not radiance):
         finding = f"colour.melanopic_from_rgb has {melanopic} values, rgb_to_radiance {radiance}"
-        yield finding, "3 values next to 9 of rgb_to_radiance, or none", _CORRECT
+        yield finding, "3 values next to 9 of rgb_to_radiance, or none"
     low, high = p.response.low_code, p.response.high_code
     if not 0 <= low < high <= 255:
-        yield f"response.low_code {low}, high_code {high}", "0 <= low < high <= 255", _CORRECT
+        yield f"response.low_code {low}, high_code {high}", "0 <= low < high <= 255"
+    angles, values = p.stray.angle_deg, p.stray.per_sr
+    rising = all(a < b for a, b in pairwise(angles))
+    if len(angles) != len(values) or not rising or not all(0 < a <= 180 for a in angles):
+        finding = f"[stray] angle_deg = {list(angles)} with {len(values)} values of per_sr"
+        yield finding, "rising angles from 0 to 180, and a value for each"
+    if not all(a >= b for a, b in pairwise(values)) or min(values, default=0.0) < 0:
+        yield f"[stray] per_sr = {list(values)}", "values of 0 or more that do not rise"
 
 
 def _lens_problems(p: CameraProfile) -> Iterator[_Problem]:
@@ -357,7 +342,7 @@ def _lens_problems(p: CameraProfile) -> Iterator[_Problem]:
     remedy = "fit it again: fieldlum calibrate lens"
     for lens in p.lens:
         if lens.full_angle_deg > 300:
-            yield "a lens with over 300 degrees", "a possible camera", _CORRECT
+            yield "a lens with over 300 degrees", "a possible camera"
         if lens.mapping != "polynomial":
             continue
         coefficients = ", ".join(f"{c:g}" for c in lens.coefficients) or "no coefficients"

@@ -1,6 +1,6 @@
 """Grids of a result: equirectangular panoramas and equidistant fisheyes."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -88,16 +88,13 @@ class Fisheye:
     def geometry(self) -> LensGeometry:
         """The equidistant lens of this picture, in the pose of `pose`."""
         half = self.size / 2
-        p = self.pose
-        return LensGeometry(
-            (half, half),
-            half,
-            self.full_angle_deg,
-            "equidistant",
-            (),
-            p.azimuth_deg,
-            p.tilt_deg,
-            p.roll_deg,
+        return replace(
+            self.pose,
+            centre_px=(half, half),
+            radius_px=half,
+            full_angle_deg=self.full_angle_deg,
+            mapping="equidistant",
+            coefficients=(),
         )
 
     def view(self, heading_deg: float) -> str:

@@ -8,21 +8,8 @@ from fieldlum.core.errors import InputError
 from fieldlum.optics.raw.jpeg import read_jpeg
 from fieldlum.optics.raw.mosaic import read_mosaic
 
-RAW_SUFFIXES = (
-    ".dng",
-    ".cr2",
-    ".cr3",
-    ".crw",
-    ".nef",
-    ".nrw",
-    ".arw",
-    ".raf",
-    ".rw2",
-    ".orf",
-    ".pef",
-    ".srw",
-    ".raw",
-)
+_RAW = ".dng .cr2 .cr3 .crw .nef .nrw .arw .raf .rw2 .orf .pef .srw .raw"
+RAW_SUFFIXES = tuple(_RAW.split())
 _JPEG_SUFFIXES = (".jpg", ".jpeg")
 _NO_FRAMES = {".json", ".toml", ".csv", ".txt", ".xmp", ".tmp", ".part"}
 
