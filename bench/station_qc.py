@@ -1,4 +1,4 @@
-"""Quality control of irradiance on a real station: marks per month, steps, DIRINT's error.
+"""Quality control of irradiance on a real station: marks per month, DIRINT's error.
 
     python bench/station_qc.py FOLDER [--latitude 55.79 --longitude 12.52 --altitude 50]
 
@@ -20,7 +20,7 @@ import numpy as np
 from fieldlum.core.arrays import Floats
 from fieldlum.core.records import Site
 from fieldlum.pair.irradiance import check, derive, sky_geometry
-from fieldlum.pair.irradiance.consistency import doubts, sensitivity_steps
+from fieldlum.pair.irradiance.consistency import doubts
 from fieldlum.pair.irradiance.series import Mark, Series
 from fieldlum.sky import sun
 
@@ -33,7 +33,6 @@ COMPARED = (
     Mark.STUCK,
     Mark.SPIKE,
     Mark.K_INDEX,
-    Mark.TRACKER,
     Mark.HORIZON,
 )
 
@@ -82,14 +81,6 @@ def episodes(name: str, raw: Series, site: Site) -> list[str]:
             f"{100 * float(shaded[rows].mean()):.0f} |"
         )
     return out
-
-
-def steps_row(name: str, raw: Series, site: Site) -> str:
-    altitude, _ = sky_geometry(raw.t_unix_s, site)
-    found = sensitivity_steps(raw.t_unix_s, raw.ghi_wm2, raw.dhi_wm2, raw.dni_wm2, altitude)
-    steps = ", ".join(f"{day:%Y-%m-%d}: {100 * change:+.1f} %" for day, change in found.steps)
-    smallest = "-" if found.smallest is None else f"{100 * found.smallest:.1f} %"
-    return f"| {name} | {found.days} | {steps or 'none'} | {smallest} |"
 
 
 def hourly(t_unix_s: Floats, value: Floats) -> Floats:
@@ -142,9 +133,7 @@ def main() -> None:
     print("|---|---|---|---|---|")
     for name, raw in months.items():
         print(*episodes(name, raw, site), sep="\n")
-    print("\n| month | days with steady sun | steps | smallest step found |\n|---|---|---|---|")
-    for name, raw in months.items():
-        print(steps_row(name, raw, site))
+
     print("\n| month | minutes | RMSE by minute | bias | RMSE by hour | bias |")
     print("|---|---|---|---|---|---|")
     for name, raw in months.items():

@@ -487,4 +487,3 @@ def test_the_share_of_rows_that_close_is_printed() -> None:
     assert told.closure_pass is not None and told.closure_pass < 0.8
     shown = f"is true in only {round(100 * told.closure_pass)} % of the rows"
     assert any(shown in text for text in told.warnings)
-    assert told.smallest_step is None, "75 minutes of sun are too few for a day's ratio"

@@ -1,6 +1,4 @@
-"""Consistency of three components: what lasts is flagged, broken clouds and open horizons are not,
-and a step of the sensitivity is dated.
-"""
+"""Consistency of three components: what lasts is flagged, broken clouds are not."""
 
 from __future__ import annotations
 
@@ -10,14 +8,10 @@ import pytest
 from fieldlum.pair.irradiance.consistency import (
     closure_fails,
     k_index_fails,
-    sensitivity_steps,
     shaded_horizon,
-    tracker_off,
 )
-from fieldlum.sky import sun
 
 DAY = np.arange(0.0, 86400.0, 60.0)
-DAYS = 14
 ALTITUDE = 60.0 * np.sin(2.0 * np.pi * (DAY / 86400.0 - 0.25))
 AZIMUTH = DAY / 86400.0 * 360.0
 TOP = np.full(len(DAY), 1361.0)
@@ -53,12 +47,10 @@ def test_indices_of_a_clear_day_pass_and_exchanged_components_fail() -> None:
 
 @pytest.mark.analytic
 def test_a_tracker_that_points_elsewhere_is_flagged_and_an_overcast_sky_is_not() -> None:
-    ghi, dhi, dni = clear_day()
-    clear = sun.Irradiance(ghi, dni, dhi)
-    nothing = np.zeros_like(dni)
-    assert tracker_off(DAY, ghi, nothing, ALTITUDE, clear)[ALTITUDE > 15.0].all()
-    assert not tracker_off(DAY, 0.4 * ghi, nothing, ALTITUDE, clear).any()
-    assert not tracker_off(DAY, ghi, dni, ALTITUDE, clear).any()
+    ghi, _, dni = clear_day()
+    nothing, high = np.zeros_like(dni), ALTITUDE > 30.0
+    assert k_index_fails(DAY, ghi, ghi, nothing, ALTITUDE, TOP)[high].all()
+    assert not k_index_fails(DAY, 0.4 * ghi, 0.4 * ghi, nothing, ALTITUDE, TOP).any()
 
 
 @pytest.mark.analytic
@@ -76,28 +68,3 @@ def test_a_hill_is_found_from_days_that_agree() -> None:
     gaps = np.where(np.arange(len(t)) % 50 == 0, np.nan, 0.0)  # a reading in fifty is missing
     gappy = shaded_horizon(t, np.where(hill, 0.0, clear) + gaps, altitude, azimuth, clear)
     assert gappy[inside].mean() > 0.9 and not gappy[~hill].any()
-
-
-@pytest.mark.analytic
-@pytest.mark.parametrize("step", [-0.02, 0.0, 0.015])
-def test_a_change_of_sensitivity_is_dated(step: float) -> None:
-    ghi, dhi, dni = clear_day()
-    rng = np.random.default_rng(3)
-    drift = 1.0 + 0.003 * rng.normal(size=DAYS)  # closure of good stations from day to day
-    factor = drift * np.where(np.arange(DAYS) >= 6, 1.0 + step, 1.0)
-    t = (np.arange(DAYS)[:, None] * 86400.0 + DAY).ravel()
-    found = sensitivity_steps(
-        t,
-        (factor[:, None] * ghi).ravel(),
-        np.tile(dhi, DAYS),
-        np.tile(dni, DAYS),
-        np.tile(ALTITUDE, DAYS),
-    )
-    if step:
-        assert [day.day for day, _ in found.steps] == [7]
-        # the mean of eight days against six, each 0.3 %: 0.16 %, three times that
-        assert found.steps[0][1] == pytest.approx(step, abs=0.005)
-    else:
-        assert not found.steps
-    assert found.smallest is not None
-    assert 0.001 < found.smallest < 0.02

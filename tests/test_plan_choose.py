@@ -18,7 +18,7 @@ from fieldlum.core.records import CameraSetup, Exposure, Room, Site, SiteFile, W
 from fieldlum.optics.profiles import save_profile
 from fieldlum.plan import choose, coming, makeup
 from fieldlum.plan import sheet as calendar
-from fieldlum.plan.coverage import band_directions, coverage, irradiance_figure, sun_figure
+from fieldlum.plan.coverage import band_directions, coverage
 from fieldlum.plan.days import DaylightHours, daylight_hours, set_days, span
 from fieldlum.session import Journal, create_session, open_session
 from fieldlum.session.site_toml import site_table
@@ -121,8 +121,8 @@ def test_coverage_grows_with_the_set(weather: Weather) -> None:
 def test_figures_draw_anywhere(latitude: float, weather: Weather) -> None:
     site = Site("x", latitude, 0.0)
     hours = daylight_hours(span(date(2027, 3, 20), 2), site)
-    assert sun_figure(hours, site).axes
-    assert irradiance_figure(_set("4-day"), SEATTLE, weather).axes
+    assert calendar.sky_chart(2027, hours, site, band=True).endswith("</svg>")
+    assert calendar.irradiance_figure(_set("4-day"), SEATTLE, weather).axes
 
 
 # ----------------------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum.core.errors import FieldlumError, InputError, NotEnoughDataError
+from fieldlum.core.errors import FieldlumError, InputError, NotEnoughDataError, input_errors
 from fieldlum.core.records import Flag, Progress, Site, SiteFile, parse_utc, quiet, utc_text
 from fieldlum.core.scheduler import LOCAL, Scheduler
 from fieldlum.optics.images import read_panorama
@@ -89,61 +89,51 @@ class Pair:
 def taken_brackets(session: Session) -> list[Taken]:
     """Return every panorama in order of time, with the interval of its capture.json.
 
-    Without a capture.json the interval is half a minute.
+    Without a capture.json the interval is half a minute. Brackets that share frames are marked: a
+    card was imported twice with two clock offsets, and at least one of the two slots is wrong.
     """
-    return _doubles_named([_taken(session, path) for path in session.panorama_files()])
+    brackets = [_taken(session, path) for path in session.panorama_files()]
+    slots_of: dict[str, list[str]] = {}
+    for taken in brackets:
+        for frame in taken.frames:
+            slots_of.setdefault(frame, []).append(taken.slot)
+    others = [next((s for f in t.frames for s in slots_of[f] if s != t.slot), "") for t in brackets]
+    return [replace(taken, double_of=other) for taken, other in zip(brackets, others, strict=True)]
 
 
 def _taken(session: Session, path: Path) -> Taken:
     slot = path.stem
     capture = CaptureFile.find(session.capture_file(slot))
     sidecar = Sidecar.find(session.sidecar(slot))
-    if capture is not None:
-        opened, closed = capture.t_open_utc, capture.t_close_utc
-    else:
-        middle = sidecar.t_utc if sidecar is not None else None
-        middle = middle or _slot_time(path)
+    sun_u_percent = sidecar.sun.u_mosaic_percent if sidecar and sidecar.sun else 0.0
+    lost = bool(sidecar and sidecar.report.lost)
+    if capture is None:
+        middle = (sidecar.t_utc if sidecar is not None else None) or _slot_time(path)
         opened, closed = middle - timedelta(seconds=15), middle + timedelta(seconds=15)
+        return Taken(slot, path, opened, closed, complete=not lost, sun_u_percent=sun_u_percent)
     return Taken(
         slot,
         path,
-        opened,
-        closed,
-        meter_lx=capture.illuminance_lx if capture else None,
-        complete=(capture is None or capture.complete) and not (sidecar and sidecar.report.lost),
-        frames=frozenset(f.sha256 for f in capture.frames if f.sha256) if capture else frozenset(),
-        sun_u_percent=sidecar.sun.u_mosaic_percent if sidecar and sidecar.sun else 0.0,
+        capture.t_open_utc,
+        capture.t_close_utc,
+        capture.illuminance_lx,
+        capture.complete and not lost,
+        frozenset(f.sha256 for f in capture.frames if f.sha256),
+        sun_u_percent=sun_u_percent,
     )
 
 
 def _slot_time(path: Path) -> datetime:
-    try:
+    expected = "a name such as 20270320T153000Z"
+    remedy = "merge the bracket again, or move the panorama out of panoramas/"
+    with input_errors(path, expected, remedy, ValueError):
         return parse_utc(path.stem)
-    except ValueError as error:
-        raise InputError(
-            path,
-            f"the file's name is no slot ({error})",
-            "a name such as 20270320T153000Z",
-            "merge the bracket again, or move the panorama out of panoramas/",
-        ) from None
-
-
-def _doubles_named(brackets: list[Taken]) -> list[Taken]:
-    """Mark brackets that share frames, because a card was imported twice with two clock offsets.
-
-    At least one of the two slots is wrong.
-    """
-    at: dict[str, list[str]] = {}
-    for taken in brackets:
-        for frame in taken.frames:
-            at.setdefault(frame, []).append(taken.slot)
-    others = [next((s for f in t.frames for s in at[f] if s != t.slot), "") for t in brackets]
-    return [replace(taken, double_of=other) for taken, other in zip(brackets, others, strict=True)]
 
 
 def judge(taken: Taken, light: Outside, altitude_deg: float, azimuth_deg: float) -> Pair:
     """Return the row of pairs.csv for a bracket, with the first reason not to use it, if any."""
     why = light.why
+    top_wm2 = sun.extraterrestrial_wm2([taken.t_utc])[0]
     if taken.double_of:
         why = (
             f"the same frames as slot {taken.double_of}: a card was imported with two clock "
@@ -152,24 +142,17 @@ def judge(taken: Taken, light: Outside, altitude_deg: float, azimuth_deg: float)
         )
     elif not why and altitude_deg < 0.0:
         why = "the sun is below the horizon"
-    elif not why and sun.too_weak(
-        light.ghi_wm2, altitude_deg, sun.extraterrestrial_wm2([taken.t_utc])[0]
-    ):
-        why = (
-            "less light than the darkest overcast sky: the instrument was covered or "
-            "faulty, or values are in kW/m2"
-        )
-    missing_frames = "" if taken.complete else "bracket incomplete"
-    poor = f"the sun covers few pixels: its illuminance is uncertain by {taken.sun_u_percent:.0f} %"
-    poor = poor if taken.sun_u_percent >= POOR_SUN_PERCENT else ""
-    return Pair(
-        taken,
-        light,
-        altitude_deg,
-        azimuth_deg,
-        why=why,
-        caution=_joined(missing_frames, poor, light.caution),
+    elif not why and sun.too_weak(light.ghi_wm2, altitude_deg, top_wm2):
+        why = "less light than the darkest overcast sky: a covered instrument, or values in kW/m2"
+    u_percent = taken.sun_u_percent
+    caution = _joined(
+        "" if taken.complete else "bracket incomplete",
+        f"the sun covers few pixels: its illuminance is uncertain by {u_percent:.0f} %"
+        if u_percent >= POOR_SUN_PERCENT
+        else "",
+        light.caution,
     )
+    return Pair(taken, light, altitude_deg, azimuth_deg, why=why, caution=caution)
 
 
 def _joined(*texts: str) -> str:
@@ -180,15 +163,15 @@ def check_night(path: Path, log: CleanIrradiance, site: Site) -> None:
     """Raise InputError for over 5 minutes of light with the sun well down: wrong clock or place."""
     lit = lit_at_night(log.t_unix_s, log.ghi_wm2, site)
     if len(lit) > NIGHT_MINUTES:
-        raise InputError(
-            path,
+        finding = (
             f"irradiance was logged in {len(lit)} minutes with the sun well below the horizon, "
-            "first at "
-            f"{utc_text(lit[0])}",
-            "no light at night",
-            "check the logger's clock (fieldlum import --utc-offset) and the sign of the site's "
-            "longitude",
+            f"first at {utc_text(lit[0])}"
         )
+        remedy = (
+            "check the logger's clock (fieldlum import --utc-offset) and the sign of the site's "
+            "longitude"
+        )
+        raise InputError(path, finding, "no light at night", remedy)
 
 
 def run(
@@ -214,14 +197,13 @@ def run(
     setup, log = session.site_file(), CleanIrradiance.read(session.clean_irradiance)
     check_night(session.clean_irradiance, log, setup.site)
     places = sun.position([b.t_utc for b in brackets], setup.site)
+    angles = np.stack([places.altitude_deg, places.azimuth_deg], axis=1).tolist()
     pairs = [
-        judge(b, outside(log, b.t_open_utc, b.t_close_utc), float(altitude), float(azimuth))
-        for b, altitude, azimuth in zip(
-            brackets, places.altitude_deg, places.azimuth_deg, strict=True
-        )
+        judge(b, outside(log, b.t_open_utc, b.t_close_utc), *at)
+        for b, at in zip(brackets, angles, strict=True)
     ]
     pairs = _with_suns(session, setup, pairs, force, scheduler, progress)
-    write_pairs(session.pairs, pairs)
+    PairsFile(session.pairs, tuple(_row(session, pair) for pair in pairs)).write()
     return pairs
 
 
@@ -252,28 +234,24 @@ def _with_suns(
     suns: list[SunRow] = []
     for k, (pair, picture, patch) in enumerate(zip(usable, shown, patches, strict=True)):
         source, caution = picture.sun, picture.caution
+        if source is not None and not is_measured(source):
+            origin = SKY_VIEW if by_view[k] else DNI
+            share, beam_lx = float(shares[k]), float(light.direct_lx[k])
+            source, more = completed_sun(source, beam_lx, share, origin)
+            caution = _joined(caution, more)
         if source is not None:
-            if not is_measured(source):
-                origin = SKY_VIEW if by_view[k] else DNI
-                beam_lx, share = float(light.direct_lx[k]), float(shares[k])
-                source, more = completed_sun(source, beam_lx, share, origin)
-                caution = _joined(caution, more)
-            name = pair.taken.panorama.relative_to(session.root).as_posix()
-            suns.append(
-                SunRow(
-                    name,
-                    source.altitude_deg,
-                    source.azimuth_deg,
-                    source.normal_illuminance_lx,
-                    source.visible_fraction,
-                    source.origin,
-                    picture.recorded_lx,
-                )
-            )
+            at = source.altitude_deg, source.azimuth_deg, source.normal_illuminance_lx
+            own = source.visible_fraction, source.origin, picture.recorded_lx
+            suns.append(SunRow(_name(session, pair), *at, *own))
         caution = _joined(pair.caution, caution)
         completed[pair.taken.slot] = replace(pair, sunpatch=patch, caution=caution)
     write_suns(session.suns, suns)
     return [completed.get(p.taken.slot, p) for p in pairs]
+
+
+def _name(session: Session, pair: Pair) -> str:
+    """Return the path of a pair's panorama in the session."""
+    return pair.taken.panorama.relative_to(session.root).as_posix()
 
 
 def _light(session: Session, pairs: Sequence[Pair]) -> Light:
@@ -303,16 +281,12 @@ def _shown(taken: Taken, full_normal_lx: float) -> Shown:
     return Shown(taken.slot, sun, recorded_lx, caution, seen, panorama.heading_deg)
 
 
-def write_pairs(path: Path, pairs: Sequence[Pair]) -> None:
-    """Write pairs.csv atomically; an unknown figure is an empty cell."""
-    PairsFile(path, tuple(_row(path, pair) for pair in pairs)).write()
-
-
-def _row(path: Path, pair: Pair) -> PairRow:
+def _row(session: Session, pair: Pair) -> PairRow:
+    """Return the row of pairs.csv; an unknown figure is an empty cell."""
     light = pair.light
     return PairRow(
         pair.taken.t_utc,
-        pair.taken.panorama.relative_to(path.parent).as_posix(),
+        _name(session, pair),
         light.dni_wm2,
         light.dhi_wm2,
         light.ghi_wm2,

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from fieldlum.core.arrays import Floats
-from fieldlum.core.records import Panorama, Progress, Room, SiteFile, utc_text
+from fieldlum.core.records import Panorama, Progress, SiteFile, utc_text
 from fieldlum.core.scheduler import LOCAL, Scheduler, UnitOutcome, WorkUnit, run_each
 from fieldlum.core.strict_toml import plain
 from fieldlum.optics.images import read_panorama, write_panorama
@@ -25,6 +25,17 @@ from fieldlum.sky import sun
 # chosen
 SLOTS_A_UNIT = 16
 Item = tuple[str, Path, datetime]  # slot, its panorama, its time
+
+
+class _Patch(NamedTuple):
+    """One patch: the sun as the picture shows it, and the digest of what it depends on."""
+
+    slot: str
+    t_utc: datetime
+    altitude_deg: float
+    azimuth_deg: float
+    full_normal_lx: float
+    recipe: str
 
 
 def write_patches(
@@ -45,103 +56,50 @@ def write_patches(
     if setup.room is None or not items:
         return [""] * len(items)
     first = read_panorama(items[0][1])
-    height, heading = first.luminance_cdm2.shape[0], first.heading_deg
+    size = first.luminance_cdm2.shape[0], first.heading_deg
     places = sun.position([t for _, _, t in items], setup.site)
     shown_deg = sun.shown_altitude_deg(places.altitude_deg)
-    angles = list(zip(shown_deg.tolist(), places.azimuth_deg.tolist(), strict=True))
-    recipes = [
-        _recipe(setup.room, setup, height, heading, *at, float(lx))
-        for at, lx in zip(angles, full_normal_lx, strict=True)
-    ]
-    owed = [
-        i
-        for i, ((slot, _, _), recipe) in enumerate(zip(items, recipes, strict=True))
-        if force
-        or made_from(session.sunpatch_sidecar(slot), recipe, [session.sunpatch(slot)]) is None
-    ]
-    jobs = [
-        _PatchJob(
-            tuple(items[i][0] for i in rows),
-            tuple(items[i][2] for i in rows),
-            tuple(angles[i] for i in rows),
-            tuple(float(full_normal_lx[i]) for i in rows),
-            tuple(recipes[i] for i in rows),
-            height,
-            heading,
+    known = [plain(setup.room), plain(setup.camera), *size, patch_rays(size[0])]
+    missing = []
+    for (slot, _, t_utc), altitude, azimuth, lx in zip(
+        items, shown_deg.tolist(), places.azimuth_deg.tolist(), full_normal_lx.tolist(), strict=True
+    ):
+        recipe = digest([*known, round(altitude, 4), round(azimuth, 4), f"{lx:.5g}"])
+        stored = made_from(session.sunpatch_sidecar(slot), recipe, [session.sunpatch(slot)])
+        if force or stored is None:
+            missing.append(_Patch(slot, t_utc, altitude, azimuth, lx, recipe))
+    jobs = [missing[k : k + SLOTS_A_UNIT] for k in range(0, len(missing), SLOTS_A_UNIT)]
+    units = [
+        WorkUnit(
+            f"sun-patches-{job[0].slot}",
+            trace_patches,
+            session.root,
+            (job, size),
+            (session.toml.name,),
         )
-        for rows in (owed[k : k + SLOTS_A_UNIT] for k in range(0, len(owed), SLOTS_A_UNIT))
+        for job in jobs
     ]
-    units = [_unit(session, job) for job in jobs]
     run_each(units, scheduler, UnitOutcome.result, progress)
     return [session.sunpatch(slot).relative_to(session.root).as_posix() for slot, _, _ in items]
 
 
-def _recipe(
-    room: Room,
-    setup: SiteFile,
-    height: int,
-    heading: float,
-    altitude: float,
-    azimuth: float,
-    normal_lx: float,
-) -> str:
-    """Return the digest of everything that a patch depends on."""
-    text = [
-        plain(room),
-        plain(setup.camera),
-        height,
-        patch_rays(height),
-        heading,
-        round(altitude, 4),
-        round(azimuth, 4),
-        f"{normal_lx:.5g}",
-    ]
-    return digest(text)
+def trace_patches(root: Path, argument: tuple[Sequence[_Patch], tuple[int, float]]) -> None:
+    """Write the sun patches of one unit of work; the room is that of session.toml.
 
-
-@dataclass(frozen=True, slots=True)
-class _PatchJob:
-    """Some slots of one session; the worker reads the room from session.toml."""
-
-    slots: tuple[str, ...]
-    t_utc: tuple[datetime, ...]
-    angles_deg: tuple[tuple[float, float], ...]  # shown altitude, azimuth
-    full_normal_lx: tuple[float, ...]
-    recipes: tuple[str, ...]
-    height: int
-    heading_deg: float
-
-
-def trace_patches(root: Path, job: _PatchJob) -> None:
-    """Write the sun patches of one unit of work. Raises InputError for an impossible room."""
+    argument : the patches, and height [px] and heading [deg] of the panoramas. Raises InputError
+    for an impossible room.
+    """
+    job, (height, heading_deg) = argument
     session = Session(root)
     setup = session.site_file()
     assert setup.room is not None
-    altitude_deg, azimuth_deg = np.array(job.angles_deg).T
-    finished = 0
-    for part in iter_sun_patches(
-        setup.room,
-        setup,
-        sun.direction(altitude_deg, azimuth_deg),
-        np.array(job.full_normal_lx),
-        height=job.height,
-        heading_deg=job.heading_deg,
-    ):
-        for k in range(len(part.luminance_cdm2)):
-            patch = Panorama(part.luminance_cdm2[k], job.heading_deg, t_utc=job.t_utc[finished])
-            _write(session, job.slots[finished], patch, job.recipes[finished])
-            finished += 1
-
-
-def _unit(session: Session, job: _PatchJob) -> WorkUnit:
-    name = f"sun-patches-{job.slots[0]}"
-    return WorkUnit(name, trace_patches, session.root, job, files=(session.toml.name,))
-
-
-def _write(session: Session, slot: str, patch: Panorama, recipe: str) -> None:
-    picture = session.sunpatch(slot)
-    with replacing_path(picture) as path:
-        write_panorama(path, patch)
-    when = utc_text(patch.t_utc) if patch.t_utc else ""
-    note = {"slot": slot, "t_utc": when, "inputs": recipe}
-    write_object(session.sunpatch_sidecar(slot), note)
+    suns = sun.direction([p.altitude_deg for p in job], [p.azimuth_deg for p in job])
+    full_normal_lx = np.array([p.full_normal_lx for p in job])
+    shape = {"height": height, "heading_deg": heading_deg}
+    parts = iter_sun_patches(setup.room, setup, suns, full_normal_lx, **shape)
+    pictures = (picture for part in parts for picture in part.luminance_cdm2)
+    for patch, picture in zip(job, pictures, strict=True):
+        with replacing_path(session.sunpatch(patch.slot)) as path:
+            write_panorama(path, Panorama(picture, heading_deg, t_utc=patch.t_utc))
+        note = {"slot": patch.slot, "t_utc": utc_text(patch.t_utc), "inputs": patch.recipe}
+        write_object(session.sunpatch_sidecar(patch.slot), note)

@@ -135,33 +135,33 @@ def make_plan(
     chosen = _chosen(request, hours, weather, task, progress)
     if not len(chosen):
         raise NotEnoughDataError(
-            "the weather file has no daylight on the days of the plan, "
-            f"{days[0]} to {days[-1]}, so the plan would be empty; choose its dates with --start "
-            "or --year, or another weather file"
+            f"the weather file has no daylight on the days of the plan, {days[0]} to {days[-1]}; "
+            "choose its dates with --start or --year, or another weather file"
         )
     profile = load_camera_profile(setup.camera.profile)
     exposures = planned_exposures(profile, setup.camera)
     slots = make_slots(chosen, setup, exposures)
-    blind = coverage_text(profile, setup.camera)
-    variance_left = (
-        choose.variance_left(task, choose.features_at(chosen, task)[1]) if task else None
+    left = _variance_left(task, chosen) if task else None
+    months = None
+    if task and left and request.set == "month":
+        months = _months(task, len(days), days[0].year, left)
+    warnings = (
+        *assumed_texts(setup.camera),
+        uncalibrated_text(profile),
+        coverage_text(profile, setup.camera),
+        sun_text(slots),
+        *plan_warnings(days, chosen, site, request),
+        _NO_WINDOW if is_windowless(setup.room) else "",
+        *(weather.repairs if weather else ()),
     )
     return Plan(
         slots,
         tuple(days),
         *_cost_of(profile.bracket, exposures, setup),
         coverage(chosen, site, weather),
-        variance_left,
-        _months(task, len(days), days[0].year, variance_left)
-        if task and variance_left and request.set == "month"
-        else None,
-        (
-            *assumed_texts(setup.camera),
-            *(text for text in (uncalibrated_text(profile), blind, sun_text(slots)) if text),
-            *plan_warnings(days, chosen, site, request),
-            *([_NO_WINDOW] if is_windowless(setup.room) else []),
-            *(weather.repairs if weather else ()),
-        ),
+        left,
+        months,
+        tuple(text for text in warnings if text),
     )
 
 
@@ -173,26 +173,27 @@ def _chosen(
     progress: Progress,
 ) -> DaylightHours:
     if request.set == "even":
-        return hours[
-            choose.even(
-                hours, weather, request.count or EVEN_COUNT, np.random.default_rng(request.seed)
-            )
-        ]
-    if request.set == "best":
-        if task is None:
-            raise NotEnoughDataError(
-                "the best hours depend on the climate; state a weather year with --weather FILE"
-            )
-        return hours[choose.best(hours, task, request.count or BEST_COUNT, progress)]
-    return hours
+        rng, count = np.random.default_rng(request.seed), request.count or EVEN_COUNT
+        return hours[choose.even(hours, weather, count, rng)]
+    if request.set != "best":
+        return hours
+    if task is None:
+        raise NotEnoughDataError(
+            "the best hours depend on the climate; state a weather year with --weather FILE"
+        )
+    return hours[choose.best(hours, task, request.count or BEST_COUNT, progress)]
+
+
+def _variance_left(task: choose.Learning, hours: DaylightHours) -> float:
+    return choose.variance_left(task, choose.features_at(hours, task)[1])
 
 
 def _months(task: choose.Learning, days: int, year: int, variance_left: float) -> Months:
-    windows = [daylight_hours(window, task.site) for window in choose.month_windows(year, days)]
-    costs = [choose.variance_left(task, choose.features_at(hours, task)[1]) for hours in windows]
-    least = min(*costs, variance_left)
-    best = f"{date(year, int(np.argmin(costs)) + 1, 1):%B}"
-    return Months(best, variance_left / least, tuple(cost / least for cost in costs))
+    windows = choose.month_windows(year, days)
+    left = [_variance_left(task, daylight_hours(window, task.site)) for window in windows]
+    best = f"{date(year, int(np.argmin(left)) + 1, 1):%B}"
+    minimum = min(*left, variance_left)
+    return Months(best, variance_left / minimum, tuple(value / minimum for value in left))
 
 
 # ----------------------------------------------------------------------------------------------
@@ -209,30 +210,16 @@ def make_slots(
     camera). Raises InputError for an impossible box room.
     """
     zone = setup.site.timezone
-    tags = {
-        day: season_tag(day, setup.site)
-        for day in {sun.standard_date(t, zone) for t in hours.t_utc}
-    }
-    enters, in_view = _at_the_window(hours, setup)
+    days = [sun.standard_date(t, zone) for t in hours.t_utc]
+    seasons = {day: season_tag(day, setup.site) for day in set(days)}
+    low = hours.altitude_deg < sun.LOW_SUN_DEG
     slots = []
-    for i, (t, altitude, azimuth) in enumerate(
-        zip(hours.t_utc, hours.altitude_deg, hours.azimuth_deg, strict=True)
-    ):
-        possible = (
-            tags[sun.standard_date(t, zone)],
-            "low-sun" if altitude < sun.LOW_SUN_DEG else "",
-            "sun-enters" if enters[i] else "",
-            "sun-in-view" if in_view[i] else "",
-        )
-        slots.append(
-            Slot(
-                t,
-                float(altitude),
-                float(azimuth),
-                tuple(exposures),
-                tuple(tag for tag in possible if tag),
-            )
-        )
+    for i, marks in enumerate(zip(low, *_at_the_window(hours, setup), strict=True)):
+        names = zip(("low-sun", "sun-enters", "sun-in-view"), marks, strict=True)
+        tags = (seasons[days[i]], *(name for name, is_so in names if is_so))
+        angles = float(hours.altitude_deg[i]), float(hours.azimuth_deg[i])
+        tags = tuple(tag for tag in tags if tag)
+        slots.append(Slot(hours.t_utc[i], *angles, tuple(exposures), tags))
     return tuple(sorted(slots, key=lambda slot: slot.t_utc))
 
 
@@ -309,9 +296,6 @@ def _planned_cost(session: Session) -> tuple[float, float, int]:
     plan = session.table().get("plan", {})
     if "seconds_per_slot" in plan and "megabytes_per_slot" in plan and "revision" in plan:
         return plan["seconds_per_slot"], plan["megabytes_per_slot"], plan["revision"]
-    raise InputError(
-        session.toml,
-        "[plan] is missing or incomplete",
-        "the session.toml of a planned session",
-        "plan again with: fieldlum plan SITE.toml",
-    )
+    expected = "the session.toml of a planned session"
+    remedy = "plan again with: fieldlum plan SITE.toml"
+    raise InputError(session.toml, "[plan] is missing or incomplete", expected, remedy)

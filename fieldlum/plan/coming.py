@@ -5,14 +5,14 @@ The ranking also shows whether more captures pay.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime, timedelta
 from zoneinfo import ZoneInfo
 
 import numpy as np
 
 from fieldlum.core.arrays import Floats
-from fieldlum.core.errors import InputError, NotEnoughDataError, reason_of
+from fieldlum.core.errors import NotEnoughDataError, input_errors
 from fieldlum.core.records import JsonTable, Progress, Site, quiet, slot_id, utc_text
 from fieldlum.plan import choose
 from fieldlum.plan.days import DaylightHours, daylight_hours, span
@@ -42,10 +42,11 @@ class ComingHour:
     planned: whether the hour is a slot of the plan.
     """
 
+    slot: str
     t_utc: datetime
     sun_altitude_deg: float
     sun_azimuth_deg: float
-    reduction_percent: float  # of the remaining variance, expected over the skies of the season
+    reduction_percent: float
     planned: bool
 
 
@@ -53,18 +54,22 @@ class ComingHour:
 class RankedHours:
     """Coming hours, the most useful first, and whether 25 more captures would pay.
 
-    model: trained model of the kernel, "" for none; captured: number of captures;
-    variance_left_percent: share of the prior variance over the year that they leave;
-    next_batch_percent: share of that variance which the best 25 hours of the year would remove;
-    pays: whether this is at least 10 %.
+    model: trained model of the kernel, None for an untrained kernel of the facades; captured:
+    number of captures; variance_left_percent: share of the prior variance over the year that they
+    leave; next_batch_percent: share of that variance which the best 25 hours of the year would
+    remove; pays: whether this is at least 10 %.
     """
 
-    model: str  # trained model of the kernel; "" for an untrained kernel of the facades
+    model: str | None
     captured: int
-    variance_left_percent: float  # of the prior variance, over the year
-    hours: tuple[ComingHour, ...]  # best first
-    next_batch_percent: float  # of the remaining variance, by the best BATCH hours of the year
-    pays: bool
+    variance_left_percent: float
+    hours: tuple[ComingHour, ...]
+    next_batch_percent: float
+
+    @property
+    def pays(self) -> bool:
+        """Whether a batch of captures would reduce the remaining variance by at least 10 %."""
+        return self.next_batch_percent >= 100 * WORTH
 
 
 def trained_kernel(session: Session) -> tuple[Kernel, str] | None:
@@ -74,32 +79,23 @@ def trained_kernel(session: Session) -> tuple[Kernel, str] | None:
     InputError for a model folder with wrong content.
     """
     folders = [path for path in session.model_folders() if (path / "weights.npz").is_file()]
-    for folder in sorted(
-        folders, key=lambda path: (path / "config.json").stat().st_mtime, reverse=True
-    ):
+    site = session.site_file().site
+    here = {"latitude_deg": site.latitude_deg, "longitude_deg": site.longitude_deg}
+    for folder in sorted(folders, key=lambda p: -(p / "config.json").stat().st_mtime):
         config = ModelConfig.read(folder)
-        if config.model != "transport" or not _of_this_place(config, session.site_file().site):
+        there = config.setup.get("site", {})
+        off = (abs(float(there.get(name, value)) - value) for name, value in here.items())
+        if config.model != "transport" or max(off) >= SAME_PLACE_DEG:
             continue
-        try:
-            with np.load(folder / "weights.npz", allow_pickle=False) as arrays:
-                facades = Facades(
-                    np.array(arrays["facade_azimuths"]), np.array(arrays["facade_weights"])
-                )
+        kinds = (OSError, ValueError, KeyError, TypeError)
+        remedy = "train the model again (fieldlum train)"
+        with (
+            input_errors(folder, "a transport model", remedy, *kinds),
+            np.load(folder / "weights.npz", allow_pickle=False) as arrays,
+        ):
+            facades = Facades(*(np.array(arrays[f"facade_{n}"]) for n in ("azimuths", "weights")))
             return Kernel(facades, **config.state["transport"]["kernel"]), folder.name
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            raise InputError(
-                folder,
-                f"a model that cannot be read ({reason_of(error)})",
-                "a transport model",
-                "train the model again (fieldlum train)",
-            ) from None
     return None
-
-
-def _of_this_place(config: ModelConfig, site: Site) -> bool:
-    place = config.setup.get("site", {})
-    pairs = (("latitude_deg", site.latitude_deg), ("longitude_deg", site.longitude_deg))
-    return all(abs(float(place.get(name, here)) - here) < SAME_PLACE_DEG for name, here in pairs)
 
 
 def captured_features(session: Session, task: choose.Learning) -> Features:
@@ -108,10 +104,10 @@ def captured_features(session: Session, task: choose.Learning) -> Features:
     A capture with a usable row in pairs.csv has its measured irradiance. One without has the
     irradiance of the weather year, and is omitted if that has none then.
     """
-    times, dni, dhi = _paired(session)
-    paired_ids = {slot_id(t) for t in times}
-    captured = captured_ids(session) - paired_ids
-    others = [slot.t_utc for slot in session.slots() if slot.id in captured]
+    rows = PairsFile.find(session.pairs).usable
+    times, dni, dhi = ([getattr(r, n) for r in rows] for n in ("t_utc", "dni_wm2", "dhi_wm2"))
+    unpaired = captured_ids(session) - {slot_id(t) for t in times}
+    others = [slot.t_utc for slot in session.slots() if slot.id in unpaired]
     if others:
         typical = task.weather.at(others)
         is_known = np.isfinite(typical.dni_wm2 + typical.dhi_wm2)
@@ -119,11 +115,6 @@ def captured_features(session: Session, task: choose.Learning) -> Features:
         dni = [*dni, *typical.dni_wm2[is_known]]
         dhi = [*dhi, *typical.dhi_wm2[is_known]]
     return light_features(light_at(times, task.site, np.array(dni, float), np.array(dhi, float)))
-
-
-def _paired(session: Session) -> tuple[list[datetime], list[float], list[float]]:
-    rows = PairsFile.find(session.pairs).usable
-    return [r.t_utc for r in rows], [r.dni_wm2 for r in rows], [r.dhi_wm2 for r in rows]
 
 
 def _reductions(
@@ -182,18 +173,13 @@ def run(
             f"polar night at {setup.site.name}: no daylight in the coming {AHEAD_DAYS} days; run "
             f"this command again later"
         )
-    drop = _reductions(task, captured, hours, progress)
+    drop = 100.0 * _reductions(task, captured, hours, progress)
     planned = {slot.id for slot in session.slots()}
-    best = [
-        ComingHour(
-            hours.t_utc[i],
-            float(hours.altitude_deg[i]),
-            float(hours.azimuth_deg[i]),
-            100 * float(drop[i]),
-            slot_id(hours.t_utc[i]) in planned,
-        )
-        for i in np.argsort(-drop)[:SHOWN]
-    ]
+    best = []
+    for i in np.argsort(-drop)[:SHOWN].tolist():
+        t_utc, slot = hours.t_utc[i], slot_id(hours.t_utc[i])
+        angles = float(hours.altitude_deg[i]), float(hours.azimuth_deg[i])
+        best.append(ComingHour(slot, t_utc, *angles, float(drop[i]), slot in planned))
     more = greedy_hours(
         task.kernel,
         task.year,
@@ -203,56 +189,34 @@ def run(
         noise=choose.NOISE,
         progress=lambda finished, total, text: progress(SKIES + finished, SKIES + total, text),
     ).variance
-    gained = float(1.0 - more[-1] / more[0])
-    model = trained[1] if trained else ""
-    return RankedHours(
-        model, len(captured), 100 * float(more[0]), tuple(best), 100 * gained, gained >= WORTH
-    )
+    left, gained = 100 * float(more[0]), 100 * float(1.0 - more[-1] / more[0])
+    return RankedHours(trained[1] if trained else None, len(captured), left, tuple(best), gained)
 
 
 def as_table(answer: RankedHours) -> JsonTable:
-    """Return the ranking as plain values for `--json`; an empty model name becomes None."""
-    return {
-        "model": answer.model or None,
-        "captured": answer.captured,
-        "variance_left_percent": answer.variance_left_percent,
-        "next_batch": {
-            "captures": BATCH,
-            "reduction_percent": answer.next_batch_percent,
-            "pays": answer.pays,
-        },
-        "hours": [
-            {
-                "slot": slot_id(hour.t_utc),
-                "t_utc": utc_text(hour.t_utc),
-                "sun_altitude_deg": round(hour.sun_altitude_deg, 2),
-                "sun_azimuth_deg": round(hour.sun_azimuth_deg, 2),
-                "reduction_percent": hour.reduction_percent,
-                "planned": hour.planned,
-            }
-            for hour in answer.hours
-        ],
-    }
+    """Return the ranking as plain values for `--json`."""
+    table = asdict(answer)
+    reduction_percent = table.pop("next_batch_percent")
+    batch = {"captures": BATCH, "reduction_percent": reduction_percent, "pays": answer.pays}
+    for hour in table["hours"]:
+        hour["t_utc"] = utc_text(hour["t_utc"])
+        hour |= {n: round(hour[n], 2) for n in ("sun_altitude_deg", "sun_azimuth_deg")}
+    return table | {"next_batch": batch}
 
 
 def sentences(answer: RankedHours, site: Site) -> list[str]:
     """Return the ranking as lines to print, with the hours in the local time of `site`."""
-    zone = ZoneInfo(site.timezone)
-    share_left = (
-        f"{answer.variance_left_percent:.2g} %" if answer.variance_left_percent < 99.5 else "all"
-    )
-    texts = [
-        f"{answer.captured} captures leave {share_left} of the model's variance over the year"
-        + (f" (model {answer.model})" if answer.model else "")
-    ]
+    zone, left = ZoneInfo(site.timezone), answer.variance_left_percent
+    share_left = f"{left:.2g} %" if left < 99.5 else "all"
+    model = f" (model {answer.model})" if answer.model else ""
+    of_year = f"{share_left} of the model's variance over the year{model}"
+    texts = [f"{answer.captured} captures leave {of_year}"]
     for hour in answer.hours:
-        when = f"{hour.t_utc.astimezone(zone):%a %Y-%m-%d %H:%M %Z}"
-        where = (
-            f"sun altitude {hour.sun_altitude_deg:3.0f}, azimuth {hour.sun_azimuth_deg:3.0f} deg"
+        angles = f"altitude {hour.sun_altitude_deg:3.0f}, azimuth {hour.sun_azimuth_deg:3.0f} deg"
+        texts.append(
+            f"  {hour.t_utc.astimezone(zone):%a %Y-%m-%d %H:%M %Z}  sun {angles}  reduces this "
+            f"variance by {hour.reduction_percent:5.1f} %{'  (planned)' if hour.planned else ''}"
         )
-        planned = "  (planned)" if hour.planned else ""
-        share = f"{hour.reduction_percent:5.1f} %"
-        texts.append(f"  {when}  {where}  reduces this variance by {share}{planned}")
     verdict = "more captures are useful" if answer.pays else "more captures add little"
     texts.append(
         f"the best {BATCH} hours of a year would reduce this variance by "

@@ -142,12 +142,6 @@ def season_tag(day: date, site: Site) -> str:
     return ""
 
 
-def dark_days(days: Iterable[date], hours: DaylightHours, site: Site) -> list[date]:
-    """Return those of `days` on which none of `hours` is, in time order."""
-    lit = {sun.standard_date(t, site.timezone) for t in hours.t_utc}
-    return [day for day in sorted(set(days)) if day not in lit]
-
-
 def today_at(site: Site, now_utc: datetime) -> date:
     """Return the local standard date of `site` at the moment `now_utc`."""
     return sun.standard_date(now_utc.astimezone(UTC), site.timezone)

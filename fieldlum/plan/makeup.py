@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, date, datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,7 @@ import numpy as np
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Site, SiteFile, Slot, slot_id
 from fieldlum.plan import make_slots
-from fieldlum.plan.coverage import coverage
+from fieldlum.plan.coverage import sun_band_percent
 from fieldlum.plan.days import DaylightHours, hours_of, span
 from fieldlum.session import Session, replacing, sha256, update_session, write_plan
 from fieldlum.session.ledger import read_ledger
@@ -40,42 +40,29 @@ def add_extra(session: Session, now_utc: datetime) -> Slot:
     slots, setup = session.slots(), session.site_file()
     seconds = float(session.table().get("plan", {}).get("seconds_per_slot", 60.0))
     busy = timedelta(seconds=seconds) + MARGIN
+    where = sun.position([at], setup.site)
+    altitude_deg = float(where.altitude_deg[0])
+    again = "request it again after that bracket"
     for slot in (slot for slot in slots if slot.t_utc >= now_utc):
         if EXTRA in slot.tags:
-            raise InputError(
-                session.plan,
-                f"an extra bracket is already planned, at {slot.id}",
-                "one extra bracket at a time",
-                "request it again after that bracket",
-            )
+            finding = f"an extra bracket is already planned, at {slot.id}"
+            raise InputError(session.plan, finding, "one extra bracket at a time", again)
         if at - busy < slot.t_utc < at + busy:
-            raise InputError(
-                session.plan,
-                f"the extra bracket would be too close to the planned bracket {slot.id}",
-                f"{busy.total_seconds():.0f} s before and after it without a planned bracket",
-                "request it again after that bracket",
-            )
+            finding = f"the extra bracket would be too close to the planned bracket {slot.id}"
+            expected = f"{busy.total_seconds():.0f} s before and after it without a planned bracket"
+            raise InputError(session.plan, finding, expected, again)
     if not slots:
-        raise InputError(
-            session.plan,
-            "no slot, so the exposures of an extra bracket are unknown",
-            "a plan with slots",
-            "plan a new session: fieldlum plan SITE.toml --set 9-day --out FOLDER",
-        )
-    where = sun.position([at], setup.site)
-    altitude = float(where.altitude_deg[0])
-    if altitude <= 0:
-        raise InputError(
-            session.plan,
-            f"the sun is {-altitude:.0f} deg below the horizon",
-            "daylight",
-            "add an extra bracket by day",
-        )
+        finding = "no slot, so the exposures of an extra bracket are unknown"
+        remedy = "plan a new session: fieldlum plan SITE.toml --set 9-day --out FOLDER"
+        raise InputError(session.plan, finding, "a plan with slots", remedy)
+    if altitude_deg <= 0:
+        finding = f"the sun is {-altitude_deg:.0f} deg below the horizon"
+        raise InputError(session.plan, finding, "daylight", "add an extra bracket by day")
     like = max((s for s in slots if s.t_utc <= at), key=lambda s: s.t_utc, default=slots[0])
-    hour = DaylightHours((at,), np.array([altitude]), where.azimuth_deg)
+    hour = DaylightHours((at,), where.altitude_deg, where.azimuth_deg)
     (slot,) = make_slots(hour, setup, like.exposures)
-    extra = Slot(at, altitude, slot.sun_azimuth_deg, slot.exposures, (*slot.tags, EXTRA))
-    add_slots(session, [extra])
+    extra = replace(slot, tags=(*slot.tags, EXTRA))
+    _store_and_write(session, [*slots, extra], _resumed(session), setup)
     return extra
 
 
@@ -110,12 +97,12 @@ class MakeUpPlan:
     "with" the make-ups; revision: of the plan, 0 for the first.
     """
 
-    missed: int  # number of past slots without a capture, neither their own nor of a make-up
+    missed: int
     made_up: tuple[MakeUp, ...]
-    lost: tuple[str, ...]  # missed slots that no future hour can repeat
-    already: int  # number of missed slots with a make-up in the future
-    recovered: int  # missed slots whose make-up was captured
-    sun_band_percent: dict[str, float]  # as planned; without the missed slots; with make-ups
+    lost: tuple[str, ...]
+    already: int
+    recovered: int
+    sun_band_percent: dict[str, float]
     revision: int
 
 
@@ -145,51 +132,42 @@ def make_up(
     """
     site, taken = setup.site, {slot.id for slot in planned}
     days = span(sun.standard_date(now_utc, site.timezone) + timedelta(days=1), 370)
-    declination = sun.declination_deg([_noon(day, site) for day in days])
+    noon = timedelta(hours=12)
+    midnights = [sun.standard_midnight(day, site.timezone) for day in days]
+    declination = sun.declination_deg([midnight + noon for midnight in midnights])
     added: list[Slot] = []
     pairs: list[MakeUp] = []
     lost: list[Slot] = []
     for slot in missed:
-        wanted = sun.declination_deg([_noon(sun.standard_date(slot.t_utc, site.timezone), site)])[0]
-        same = np.flatnonzero(np.abs(declination - wanted) <= SAME_DECLINATION_DEG)
-        times = [_same_hour(slot.t_utc, days[i], site) for i in same]
+        day = sun.standard_date(slot.t_utc, site.timezone)
+        midnight = sun.standard_midnight(day, site.timezone)
+        off = np.abs(declination - sun.declination_deg([midnight + noon])[0])
+        same = np.flatnonzero(off <= SAME_DECLINATION_DEG).tolist()
+        times = [midnights[i] + (slot.t_utc - midnight) for i in same]
         free = _first_free(slot, times, taken, site)
         if free is None:
             lost.append(slot)
             continue
-        new, off = free
+        new, off_deg = free
         taken.add(new.id)
         added.append(new)
-        pairs.append(MakeUp(slot.id, new.id, round(off, 1)))
+        pairs.append(MakeUp(slot.id, new.id, round(off_deg, 1)))
     return added, pairs, lost
-
-
-def _noon(day: date, site: Site) -> datetime:
-    return sun.standard_midnight(day, site.timezone) + timedelta(hours=12)
-
-
-def _same_hour(t_utc: datetime, day: date, site: Site) -> datetime:
-    at = sun.standard_time(t_utc, site.timezone)
-    return sun.standard_midnight(day, site.timezone) + timedelta(
-        hours=at.hour, minutes=at.minute, seconds=at.second
-    )
 
 
 def _first_free(
     slot: Slot, times: Sequence[datetime], taken: set[str], site: Site
 ) -> tuple[Slot, float] | None:
+    """Return the first free slot with the sun near that of a missed slot, and the angle [deg]."""
     at = sun.position(times, site)
     old = sun.direction(slot.sun_altitude_deg, slot.sun_azimuth_deg)
     cosine = sun.direction(at.altitude_deg, at.azimuth_deg) @ old
-    for i, t in enumerate(times):
-        off = float(np.degrees(np.arccos(np.clip(cosine[i], -1, 1))))
-        if slot_id(t) not in taken and at.altitude_deg[i] > 0 and off <= MOST_OFF_DEG:
+    off = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+    for i in np.flatnonzero((at.altitude_deg > 0) & (off <= MOST_OFF_DEG)).tolist():
+        if slot_id(times[i]) not in taken:
             tags = (*(tag for tag in slot.tags if not tag.startswith(MAKEUP)), MAKEUP + slot.id)
-            position = {
-                "sun_altitude_deg": float(at.altitude_deg[i]),
-                "sun_azimuth_deg": float(at.azimuth_deg[i]),
-            }
-            return replace(slot, t_utc=t, **position, tags=tags), off
+            altitude, azimuth = float(at.altitude_deg[i]), float(at.azimuth_deg[i])
+            return Slot(times[i], altitude, azimuth, slot.exposures, tags), float(off[i])
     return None
 
 
@@ -202,48 +180,28 @@ def run(session: Session, now_utc: datetime) -> MakeUpPlan:
     now_utc = now_utc.astimezone(UTC)
     about = _resumed(session)
     setup, slots, captured = session.site_file(), session.slots(), captured_ids(session)
-    grace = session.grace
-    makeups = made_up_for(slots)
-    makeup_ids = {makeup.id for several in makeups.values() for makeup in several}
-    missed = [
-        slot for slot in missed_slots(slots, captured, now_utc, grace) if slot.id not in makeup_ids
-    ]
-    recovered = [
-        slot for slot in missed if any(makeup.id in captured for makeup in makeups.get(slot.id, ()))
-    ]
-    missed = [slot for slot in missed if slot not in recovered]
-    owed = [
-        slot
-        for slot in missed
-        if all(makeup.t_utc + grace < now_utc for makeup in makeups.get(slot.id, ()))
-    ]
-    added, pairs, lost = make_up(owed, slots, setup, now_utc)
+    grace, makeups = session.grace, made_up_for(slots)
+    added_before = {makeup.id for several in makeups.values() for makeup in several}
+    past = [s for s in missed_slots(slots, captured, now_utc, grace) if s.id not in added_before]
+    missed = [s for s in past if not any(m.id in captured for m in makeups.get(s.id, ()))]
+    due = [s for s in missed if all(m.t_utc + grace < now_utc for m in makeups.get(s.id, ()))]
+    added, pairs, lost = make_up(due, slots, setup, now_utc)
     if added:
         about = _store_and_write(session, [*slots, *added], about, setup)
     remaining = [slot for slot in slots if slot.id in captured or slot.t_utc + grace >= now_utc]
     versions = {"planned": slots, "without": remaining, "with": [*remaining, *added]}
-    band = {
-        name: round(coverage(hours_of(some), setup.site).sun_band_percent, 1)
-        for name, some in versions.items()
-    }
     return MakeUpPlan(
-        len(missed),
-        tuple(pairs),
-        tuple(slot.id for slot in lost),
-        len(missed) - len(owed),
-        len(recovered),
-        band,
-        about.get("revision", 0),
+        missed=len(missed),
+        made_up=tuple(pairs),
+        lost=tuple(slot.id for slot in lost),
+        already=len(missed) - len(due),
+        recovered=len(past) - len(missed),
+        sun_band_percent={
+            name: round(sun_band_percent(hours_of(some), setup.site), 1)
+            for name, some in versions.items()
+        },
+        revision=about.get("revision", 0),
     )
-
-
-def add_slots(session: Session, slots: Sequence[Slot]) -> None:
-    """Add slots to plan.csv, in time order; no slot is removed.
-
-    The earlier plan is stored as plan.N.csv, with N its revision (0 for the first).
-    """
-    about = _resumed(session)
-    _store_and_write(session, [*session.slots(), *slots], about, session.site_file())
 
 
 def _store_and_write(
@@ -286,25 +244,22 @@ def sentences(answer: MakeUpPlan) -> list[str]:
     again = f"; {answer.recovered} missed slots have been made up for" if answer.recovered else ""
     if not answer.missed:
         return [f"no slot is missing; the plan is unchanged{again}"]
-    band = answer.sun_band_percent
     texts = [
         f"{answer.missed} slots missed, {answer.already} of them already have a make-up slot{again}"
     ]
     if answer.made_up:
         days = sorted({pair.slot[:8] for pair in answer.made_up})
-        dates = [f"{d[:4]}-{d[4:6]}-{d[6:]}" for d in days[:6]]
-        shown = ", ".join(dates) + (" ..." if len(days) > 6 else "")
-        off = max(pair.sun_off_deg for pair in answer.made_up)
+        shown = ", ".join(f"{d[:4]}-{d[4:6]}-{d[6:]}" for d in days[:6])
+        shown += " ..." if len(days) > 6 else ""
+        off_deg = max(pair.sun_off_deg for pair in answer.made_up)
         texts.append(
             f"{len(answer.made_up)} make-up slots added on {len(days)} days: {shown}; in each of "
-            "them "
-            f"the sun is within {off:g} deg of its position in the missed slot"
+            f"them the sun is within {off_deg:g} deg of its position in the missed slot"
         )
     if answer.lost:
-        texts.append(
-            f"{len(answer.lost)} missed slots have no make-up within a year: "
-            f"{', '.join(answer.lost[:4])}"
-        )
+        lost = f"{len(answer.lost)} missed slots have no make-up within a year"
+        texts.append(f"{lost}: {', '.join(answer.lost[:4])}")
+    band = answer.sun_band_percent
     texts.append(
         f"share of the year's sun band covered: {band['planned']:.0f} % as planned, "
         f"{band['without']:.0f} % without the missed slots, {band['with']:.0f} % with make-up slots"

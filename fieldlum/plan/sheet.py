@@ -9,23 +9,38 @@ import hashlib
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import date, datetime, timedelta
+from datetime import UTC, date, datetime, timedelta
+from html import escape
 from io import StringIO
 from itertools import groupby
+from typing import TYPE_CHECKING
 from zoneinfo import ZoneInfo
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from fieldlum.core.arrays import Floats
-from fieldlum.core.records import Site, SiteFile, Slot, utc_text
+from fieldlum.core.plot_style import AMBER, INK, PALE, RED, SAND, open_axes
+from fieldlum.core.records import CameraSetup, Site, SiteFile, Slot, utc_text
 from fieldlum.optics.profiles import assumed_texts
-from fieldlum.plan.coverage import day_arc, irradiance_figure, sun_figure
-from fieldlum.plan.days import SEASON_TAGS, hours_of
+from fieldlum.optics.projection import altitude_azimuth_deg
+from fieldlum.plan.coverage import (
+    DHI_CELL_WM2,
+    DNI_CELL_WM2,
+    NEAR_DEG,
+    band_directions,
+    coverage,
+    near_planned,
+    sun_band_percent,
+)
+from fieldlum.plan.days import SEASON_TAGS, DaylightHours, hours_of, season_date
 from fieldlum.room.scene.drawing import room_svg
 from fieldlum.session import exposure_text
 from fieldlum.sky import sun
 from fieldlum.weather import Weather
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 ALARM_BEFORE = timedelta(minutes=20)  # time to set up the camera; chosen, not measured
 
@@ -50,57 +65,48 @@ def ics(
     minutes before the first. made_utc: time of writing; sequence: how often the plan was changed. A
     calendar replaces an event of the same day, because it has the same UID.
     """
-    from icalendar import Calendar
+    from icalendar import Alarm, Calendar, Event
 
+    where = f"{site.name}|{site.latitude_deg:.4f}|{site.longitude_deg:.4f}"
+    place, zone = hashlib.sha256(where.encode()).hexdigest()[:12], ZoneInfo(site.timezone)
+    last_s = timedelta(seconds=max(round(seconds_per_slot), 60))
     calendar = Calendar()
-    calendar.add("prodid", "-//fieldlum//capture plan//EN")
-    calendar.add("version", "2.0")
-    calendar.add("x-wr-calname", f"fieldlum {site.name}")
-    place = hashlib.sha256(
-        f"{site.name}|{site.latitude_deg:.4f}|{site.longitude_deg:.4f}".encode()
-    ).hexdigest()[:12]
+    for name, value in (
+        ("prodid", "-//fieldlum//capture plan//EN"),
+        ("version", "2.0"),
+        ("x-wr-calname", f"fieldlum {site.name}"),
+    ):
+        calendar.add(name, value)
     for day, group in by_day(slots, site):
-        calendar.add_component(
-            _event(day, group, site, seconds_per_slot, made_utc, sequence, place)
-        )
+        event, alarm = Event(), Alarm()
+        for name, value in (
+            ("uid", f"{day:%Y%m%d}-{place}@fieldlum"),
+            ("dtstamp", made_utc),
+            ("sequence", sequence),
+            ("dtstart", group[0].t_utc),
+            ("dtend", group[-1].t_utc + last_s),
+            ("summary", f"Capture {site.name}: {len(group)} brackets"),
+            ("description", "\n".join(_event_line(slot, zone) for slot in group)),
+            ("location", f"{site.name} ({site.latitude_deg:g}, {site.longitude_deg:g})"),
+        ):
+            event.add(name, value)
+        alarm.add("action", "DISPLAY")
+        alarm.add("description", f"First bracket at {group[0].t_utc.astimezone(zone):%H:%M}")
+        alarm.add("trigger", -ALARM_BEFORE)
+        event.add_component(alarm)
+        calendar.add_component(event)
     return calendar.to_ical()
 
 
-def _event(
-    day: date,
-    slots: list[Slot],
-    site: Site,
-    seconds: float,
-    made_utc: datetime,
-    sequence: int,
-    place: str,
-):
-    from icalendar import Alarm, Event
-
-    zone = ZoneInfo(site.timezone)
-    event = Event()
-    event.add("uid", f"{day:%Y%m%d}-{place}@fieldlum")
-    event.add("dtstamp", made_utc)
-    event.add("sequence", sequence)
-    event.add("dtstart", slots[0].t_utc)
-    event.add("dtend", slots[-1].t_utc + timedelta(seconds=max(round(seconds), 60)))
-    event.add("summary", f"Capture {site.name}: {len(slots)} brackets")
-    lines = [
+def _event_line(slot: Slot, zone: ZoneInfo) -> str:
+    tags = f"; {' '.join(slot.tags)}" if slot.tags else ""
+    return (
         f"{slot.t_utc.astimezone(zone):%H:%M %Z} ({utc_text(slot.t_utc)}) sun "
-        f"{slot.sun_altitude_deg:.0f} deg high, "
-        f"azimuth {slot.sun_azimuth_deg:.0f}" + (f"; {' '.join(slot.tags)}" if slot.tags else "")
-        for slot in slots
-    ]
-    event.add("description", "\n".join(lines))
-    event.add("location", f"{site.name} ({site.latitude_deg:g}, {site.longitude_deg:g})")
-    alarm = Alarm()
-    alarm.add("action", "DISPLAY")
-    alarm.add("description", f"First bracket at {slots[0].t_utc.astimezone(zone):%H:%M}")
-    alarm.add("trigger", -ALARM_BEFORE)
-    event.add_component(alarm)
-    return event
+        f"{slot.sun_altitude_deg:.0f} deg high, azimuth {slot.sun_azimuth_deg:.0f}{tags}"
+    )
 
 
+_BAND_DECLINATIONS = 16  # of the drawn sun band: dots that touch; chosen
 SIZE_PX = 300.0  # of the sky chart; chosen for a third of a page
 RADIUS_PX = 122.0  # of its horizon; chosen
 # minutes after the planned time within which a bracket may start; the default of `fieldlum capture
@@ -151,79 +157,101 @@ def html(
 
 def _figures(slots: Sequence[Slot], setup: SiteFile, weather: Weather | None) -> list[str]:
     """Return the drawing of the room and the coverage plots as inline SVG."""
-    hours = hours_of(slots)
-    figures = [sun_figure(hours, setup.site)]
+    hours, site = hours_of(slots), setup.site
+    title = (
+        f"{site.name}: {len(hours)} captures reach {sun_band_percent(hours, site):.0f} % of the "
+        f"year's sun band (dark: within {NEAR_DEG:g} deg of a captured sun)"
+    )
+    year = hours.t_utc[0].year if len(hours) else datetime.now(UTC).year
+    texts = [room_svg(setup), f"<p>{escape(title)}</p>{sky_chart(year, hours, site, band=True)}"]
     if weather is not None:
-        figures.append(irradiance_figure(hours, setup.site, weather))
-    texts = []
-    for figure in figures:
         buffer = StringIO()
+        figure = irradiance_figure(hours, site, weather)
         with warnings.catch_warnings():
             # The site's name may have letters that the font lacks.
             warnings.filterwarnings("ignore", message="Glyph .* missing from font")
             figure.savefig(buffer, format="svg", dpi=110, metadata={"Date": None})
         texts.append(buffer.getvalue()[buffer.getvalue().index("<svg") :])
-    drawing = room_svg(setup)
-    return [drawing, *texts] if drawing else texts
+    return [text for text in texts if text]
+
+
+def irradiance_figure(hours: DaylightHours, site: Site, weather: Weather) -> Figure:
+    """Draw how often the weather year has each direct and diffuse irradiance, with planned hours.
+
+    As Figures 16 and 17 of Liu, Colburn and Inanici (2020). The planned hours have the irradiance
+    that the weather year has then.
+    """
+    from matplotlib.colors import LogNorm
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.2, 3.8), layout="constrained")
+    axes = figure.add_subplot()
+    lit = (sun.position(weather.t_utc, site).altitude_deg > 0) & (weather.dhi_wm2 > 0)
+    dni, dhi = weather.dni_wm2[lit], weather.dhi_wm2[lit]
+    top = max(float(dhi.max()), 500) + 25
+    bins = np.arange(0, 1150, DNI_CELL_WM2 / 2), np.arange(0, top, DHI_CELL_WM2 / 2)
+    *_, picture = axes.hist2d(dni, dhi, bins=bins, norm=LogNorm(), cmap="YlOrBr", rasterized=True)
+    figure.colorbar(picture, ax=axes, label="hours per year in a cell")
+    planned = weather.at(hours.t_utc)
+    label = "planned, with the weather year's light"
+    axes.scatter(planned.dni_wm2, planned.dhi_wm2, s=9, color=INK, linewidths=0, label=label)
+    axes.set(xlabel="direct normal [W/m2]", ylabel="diffuse horizontal [W/m2]")
+    share = coverage(hours, site, weather).irradiance_percent
+    title = f"{site.name}: {share:.0f} % of the year's daylight hours have skies like the plan's"
+    axes.set_title(title, fontsize=10, loc="left")
+    axes.legend(frameon=False, fontsize=8, loc="upper right")
+    open_axes(axes)
+    return figure
 
 
 def _sheet(
     number: int, day: date, slots: list[Slot], setup: SiteFile, cost: Cost, so_far: int
 ) -> dict[str, object]:
-    site, zone = setup.site, ZoneInfo(setup.site.timezone)
-    today = sun.rise_transit_set([day], site)[0]
-    changes = sun.clock_changes(day, day, site.timezone)
-    exposures = slots[0].exposures
+    zone = ZoneInfo(setup.site.timezone)
+    tags = sorted({tag for slot in slots for tag in slot.tags if tag in SEASON_TAGS})
+    exposures, each_s = slots[0].exposures, cost.seconds_per_slot
+    known_size = "profile" not in setup.camera.assumed
+    gigabytes = [count * cost.megabytes_per_slot / 1000 for count in (len(slots), so_far)]
     return {
         "number": number,
         "date": f"{day:%A %d %B %Y}".replace(" 0", " "),
-        "season": " ".join(
-            sorted({tag.replace("-", " ") for s in slots for tag in s.tags if tag in SEASON_TAGS})
-        ).capitalize(),
-        "rise_and_set": _rise_and_set(today, zone),
+        "season": " ".join(tags).replace("-", " ").capitalize(),
+        "rise_and_set": _rise_and_set(sun.rise_transit_set([day], setup.site)[0], zone),
         "clock_change": [
             f"{change.total_seconds() / 3600:+g} h at {t.astimezone(zone):%H:%M %Z}"
-            for t, change in changes
+            for t, change in sun.clock_changes(day, day, setup.site.timezone)
         ],
-        "rows": [
-            {
-                "local": f"{slot.t_utc.astimezone(zone):%H:%M}",
-                "zone": f"{slot.t_utc.astimezone(zone):%Z}",
-                "weekday": ""
-                if (local := slot.t_utc.astimezone(zone)).date() == day
-                else f"{local:%a %d}",
-                "utc": f"{slot.t_utc:%H:%M}",
-                "altitude": f"{slot.sun_altitude_deg:.0f}",
-                "azimuth": f"{slot.sun_azimuth_deg:.0f}",
-                "tags": [tag.replace("-", " ") for tag in slot.tags if tag not in SEASON_TAGS],
-            }
-            for slot in slots
-        ],
+        "rows": [_row(slot, slot.t_utc.astimezone(zone), day) for slot in slots],
         "exposures": [exposure_text(exposure).replace(" ", " s ", 1) for exposure in exposures],
         "same_exposures": all(slot.exposures == exposures for slot in slots),
-        "each": f"{cost.seconds_per_slot:.0f} s"
-        if cost.seconds_per_slot < 90
-        else f"{cost.seconds_per_slot / 60:.1f} min",
-        "size_is_known": "profile" not in setup.camera.assumed,
-        "gigabytes": f"{len(slots) * cost.megabytes_per_slot / 1000:.1f}",
-        "gigabytes_so_far": f"{so_far * cost.megabytes_per_slot / 1000:.1f}",
-        "sun_path": sun_path_svg(day, slots, setup),
+        "each": f"{each_s:.0f} s" if each_s < 90 else f"{each_s / 60:.1f} min",
+        "size_is_known": known_size,
+        "gigabytes": f"{gigabytes[0]:.1f}",
+        "gigabytes_so_far": f"{gigabytes[1]:.1f}",
+        "sun_path": sky_chart(day.year, hours_of(slots), setup.site, day=day, camera=setup.camera),
+    }
+
+
+def _row(slot: Slot, local: datetime, day: date) -> dict[str, object]:
+    return {
+        "local": f"{local:%H:%M}",
+        "zone": f"{local:%Z}",
+        "weekday": "" if local.date() == day else f"{local:%a %d}",
+        "utc": f"{slot.t_utc:%H:%M}",
+        "altitude": f"{slot.sun_altitude_deg:.0f}",
+        "azimuth": f"{slot.sun_azimuth_deg:.0f}",
+        "tags": [tag.replace("-", " ") for tag in slot.tags if tag not in SEASON_TAGS],
     }
 
 
 def _rise_and_set(today: sun.DayOfSun, zone: ZoneInfo) -> str:
-    if not today.rise and not today.set:
-        return "The sun neither rises nor sets today"
-    times = (
-        f"{name} {t.astimezone(zone):%H:%M}"
-        for name, t in (("Sunrise", today.rise), ("sunset", today.set))
-        if t
-    )
-    return ", ".join(times)
+    times = {"Sunrise": today.rise, "sunset": today.set}
+    shown = [f"{name} {t.astimezone(zone):%H:%M}" for name, t in times.items() if t]
+    return ", ".join(shown) or "The sun neither rises nor sets today"
 
 
 # ----------------------------------------------------------------------------------------------
-# sun path
+# sky chart
 
 
 def _xy(altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> Floats:
@@ -233,73 +261,74 @@ def _xy(altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> Floats:
     return SIZE_PX / 2 + np.stack([r * np.sin(azimuth), -r * np.cos(azimuth)], axis=-1)
 
 
-def _path(altitude_deg: ArrayLike, azimuth_deg: ArrayLike, style: str) -> str:
-    """Return an SVG line through the points, with a gap at each NaN; "" without points."""
-    finite = np.isfinite(altitude_deg)
-    begins = finite & ~np.concatenate(([False], finite[:-1]))
-    words = (
-        f"{'M' if first else 'L'}{x:.1f} {y:.1f}"
-        for (x, y), first, is_finite in zip(
-            _xy(altitude_deg, azimuth_deg), begins, finite, strict=True
-        )
-        if is_finite
+def _circle(at: Floats, radius: float, style: str) -> str:
+    return f'<circle cx="{at[0]:.1f}" cy="{at[1]:.1f}" r="{radius:.1f}" {style}/>'
+
+
+def _text(at: Floats, text: str, colour: str, size: int = 9) -> str:
+    return (
+        f'<text x="{at[0]:.1f}" y="{at[1]:.1f}" font-size="{size}" fill="{colour}" '
+        f'text-anchor="middle" font-family="sans-serif">{text}</text>'
     )
-    line = "".join(words)
+
+
+def _day_path(day: date, site: Site, style: str) -> str:
+    """Return an SVG line of the sun on a day of local standard time; "" if it does not rise."""
+    start = sun.standard_midnight(day, site.timezone)
+    at = sun.position([start + timedelta(minutes=10 * k) for k in range(145)], site)
+    up = at.altitude_deg > 0
+    begins = up & ~np.concatenate(([False], up[:-1]))
+    points = zip(_xy(at.altitude_deg, at.azimuth_deg)[up], begins[up], strict=True)
+    line = "".join(f"{'M' if first else 'L'}{x:.1f} {y:.1f}" for (x, y), first in points)
     return f'<path d="{line}" fill="none" {style}/>' if line else ""
 
 
-def sun_path_svg(day: date, slots: Sequence[Slot], setup: SiteFile) -> str:
-    """Return an SVG sky chart (north up, east right) of the sun's path on `day`.
+def sky_chart(
+    year: int,
+    hours: DaylightHours,
+    site: Site,
+    *,
+    day: date | None = None,
+    camera: CameraSetup | None = None,
+    band: bool = False,
+) -> str:
+    """Return an SVG sky chart (north up, east right) of planned suns and the paths of the seasons.
 
-    It also has the paths of the solstices and the equinox, the slots, and the camera's headings.
+    day: a path of its own, with the hour of each planned sun; camera: wedges in the directions of
+    its headings; band: the year's sun band, where a planned sun is near in another colour (Figure
+    15 of Liu, Colburn and Inanici 2020). A chart of azimuth against altitude would fail in the
+    tropics, where the sun passes the zenith on either side.
     """
-    site, middle = setup.site, SIZE_PX / 2
-    parts = [
-        f'<circle cx="{middle}" cy="{middle}" r="{RADIUS_PX:.1f}" fill="#fdf8ec" stroke="#b9c3cd"/>'
-    ]
-    for altitude in (30, 60):
-        radius = RADIUS_PX * (1 - altitude / 90)
-        parts.append(
-            f'<circle cx="{middle}" cy="{middle}" r="{radius:.1f}" fill="none" stroke="#dde3e8"/>'
-        )
-        parts.append(_text(middle + 3, middle - radius - 2, f"{altitude}", "#8a96a3", "start"))
-    parts.append(_looking(setup))
-    for which in (0, 1, 3):
-        arc = day_arc(sun.standard_date(sun.season(day.year, which), site.timezone), site)
-        parts.append(_path(arc[1], arc[0], 'stroke="#e0b45c" stroke-width="1"'))
-    azimuth, altitude_deg = day_arc(day, site)
-    parts.append(_path(altitude_deg, azimuth, 'stroke="#c4441c" stroke-width="2"'))
-    for slot in slots:
-        x, y = _xy(slot.sun_altitude_deg, slot.sun_azimuth_deg)
-        local = slot.t_utc.astimezone(ZoneInfo(site.timezone))
-        parts.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.4" fill="#c4441c"/>')
-        parts.append(_text(x, y - 6, f"{local:%H}", "#1d2733", "middle"))
+    middle, grey = np.full(2, SIZE_PX / 2), "#8a96a3"
+    parts = [_circle(middle, RADIUS_PX, 'fill="#fdf8ec" stroke="#b9c3cd"')]
+    directions = band_directions(site, _BAND_DECLINATIONS) if band else np.zeros((0, 3))
+    altitude, azimuth = altitude_azimuth_deg(directions)
+    reached = near_planned(directions, hours)
+    for at, is_near in zip(_xy(altitude, azimuth), reached, strict=True):
+        parts.append(_circle(at, 2.2, f'fill="{AMBER if is_near else SAND}"'))
+    for level in (30, 60):
+        radius = RADIUS_PX * (1 - level / 90)
+        parts.append(_circle(middle, radius, f'fill="none" stroke="{PALE}" stroke-width="0.5"'))
+        parts.append(_text(middle - [-9.0, radius + 2], f"{level}", grey))
+    if camera is not None and "heading_deg" not in camera.assumed:
+        for heading in camera.headings or (camera.heading_deg,):
+            wedge = _xy([1, 9, 9], [heading, heading - 3, heading + 3])
+            points = " ".join(f"{x:.1f},{y:.1f}" for x, y in wedge)
+            title = "<title>view direction</title>"
+            parts.append(f'<polygon points="{points}" fill="#1f5fa8">{title}</polygon>')
+    seasons = [season_date(year, which, site) for which in (0, 1, 3)]
+    parts += [_day_path(date, site, 'stroke="#e0b45c"') for date in seasons]
+    parts.append(_day_path(day, site, f'stroke="{RED}" stroke-width="2"') if day else "")
+    zone = ZoneInfo(site.timezone)
+    for t_utc, at in zip(hours.t_utc, _xy(hours.altitude_deg, hours.azimuth_deg), strict=True):
+        parts.append(_circle(at, 3.4 if day else 1.2, f'fill="{RED}"'))
+        if day:
+            parts.append(_text(at - [0.0, 6.0], f"{t_utc.astimezone(zone):%H}", INK))
     for text, azimuth_deg in (("N", 0), ("E", 90), ("S", 180), ("W", 270)):
-        x, y = _xy(-9.0, azimuth_deg)
-        parts.append(_text(x, y + 4, text, "#1d2733", "middle", 12))
-    label = f"Sun path of {day} with {len(slots)} planned captures"
+        parts.append(_text(_xy(-9.0, azimuth_deg) - [0.0, -4.0], text, INK, 12))
+    label = f"Sun path of {day or year} with {len(hours)} planned captures"
+    size = f"{SIZE_PX:.0f}"
     return (
-        f'<svg viewBox="0 0 {SIZE_PX:.0f} {SIZE_PX:.0f}" role="img" aria-label="{label}" '
+        f'<svg viewBox="0 0 {size} {size}" role="img" aria-label="{label}" '
         f'xmlns="http://www.w3.org/2000/svg">{"".join(parts)}</svg>'
-    )
-
-
-def _looking(setup: SiteFile) -> str:
-    """Return thin wedges in the directions of the camera's headings, as SVG."""
-    parts = []
-    if "heading_deg" in setup.camera.assumed:
-        return ""
-    for heading in setup.camera.headings or (setup.camera.heading_deg,):
-        tip, left, right = _xy([1, 9, 9], [heading, heading - 3, heading + 3])
-        points = " ".join(f"{x:.1f},{y:.1f}" for x, y in (tip, left, right))
-        parts.append(
-            f'<polygon points="{points}" fill="#1f5fa8"><title>view direction</title></polygon>'
-        )
-    return "".join(parts)
-
-
-def _text(x: float, y: float, text: str, colour: str, anchor: str, size: int = 9) -> str:
-    return (
-        f'<text x="{x:.1f}" y="{y:.1f}" font-size="{size}" fill="{colour}" text-anchor="{anchor}" '
-        f'font-family="sans-serif">{text}</text>'
     )

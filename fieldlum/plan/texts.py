@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import date, datetime
+from datetime import date
 from zoneinfo import ZoneInfo
 
 from fieldlum.core.records import Site, Slot, counted
 from fieldlum.plan.coverage import Coverage
-from fieldlum.plan.days import DaylightHours, dark_days, hours_of
+from fieldlum.plan.days import DaylightHours, hours_of
 from fieldlum.session import Session
 from fieldlum.session.tables import PlanTable
 from fieldlum.sky import sun
@@ -42,9 +43,9 @@ class Months:
     by_month: that of each calendar month over the least, January first.
     """
 
-    best: str  # name of the best month
-    times_best: float  # error of the planned month over that of the best
-    by_month: tuple[float, ...]  # January first, each relative to the best
+    best: str
+    times_best: float
+    by_month: tuple[float, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,14 +58,12 @@ class Plan:
     """
 
     slots: tuple[Slot, ...]
-    days: tuple[date, ...]  # all days of the set, including days without daylight
+    days: tuple[date, ...]
     seconds_per_slot: float
     megabytes_per_slot: float
     coverage: Coverage
-    # Share of the model's prior variance over the year that the captures leave; None without
-    # weather.
     variance_left: float | None
-    months: Months | None  # for a month with weather
+    months: Months | None
     warnings: tuple[str, ...]
 
     @property
@@ -74,15 +73,8 @@ class Plan:
 
     def about(self, request: Request) -> PlanTable:
         """Return the table [plan] of session.toml, with the options that are set and revision 0."""
-        asked: PlanTable = {"set": request.set}
-        if request.start is not None:
-            asked["start"] = request.start
-        if request.year is not None:
-            asked["year"] = request.year
-        if request.count is not None:
-            asked["count"] = request.count
-        return {
-            **asked,
+        table: PlanTable = {
+            "set": request.set,
             "revision": 0,
             "slots": len(self.slots),
             "first": self.days[0],
@@ -91,6 +83,10 @@ class Plan:
             "megabytes_per_slot": self.megabytes_per_slot,
             "sun_band_percent": round(self.coverage.sun_band_percent, 1),
         }
+        for name in ("start", "year", "count"):
+            if (value := getattr(request, name)) is not None:
+                table[name] = value
+        return table
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,25 +126,29 @@ def plan_warnings(
     time zone of a distant site, and a plan that begins in the past.
     """
     texts: list[str] = []
-    all_year = request.set in ("even", "best")
-    dark = [] if all_year else dark_days(days, hours, site)
-    if dark:
-        texts.append(f"polar night: no slot on {len(dark)} of {len(days)} days ({_from_to(dark)})")
-    if midnight := [] if all_year else [d for d, n in _per_day(hours, site).items() if n == 24]:
-        texts.append(
-            f"midnight sun: a slot in every hour of {len(midnight)} of {len(days)} days "
-            f"({_from_to(midnight)})"
-        )
+    count, zone = Counter(sun.standard_date(t, site.timezone) for t in hours.t_utc), site.timezone
+    if request.set not in ("even", "best"):
+        dark, midnight = ([d for d in days if count[d] == n] for n in (0, 24))
+        if dark:
+            texts.append(f"polar night: no slot on {len(dark)} of {len(days)} days{_runs(dark)}")
+        if midnight:
+            of_all = f"{len(midnight)} of {len(days)} days{_runs(midnight)}"
+            texts.append(f"midnight sun: a slot in every hour of {of_all}")
     if request.count and len(hours) < request.count:
         texts.append(
             f"--count {request.count}: the plan has only {len(hours)} slots, because no more hours "
             "of its days are suitable"
         )
-    texts += clock_texts(days, site)
-    if site.timezone == "UTC" and abs(site.longitude_deg) > 30:
+    for moment, change in sun.clock_changes(days[0], days[-1], zone):
+        if sun.standard_date(moment, zone) in set(days):
+            change_h = change.total_seconds() / 3600
+            way = f"{'forward' if change_h > 0 else 'back'} by {abs(change_h):g} h"
+            day = f"{moment.astimezone(ZoneInfo(zone)):%Y-%m-%d}"
+            texts.append(f"clocks go {way} on {day}; slots stay at hh:30 of standard time")
+    if zone == "UTC" and abs(site.longitude_deg) > 30:
         texts.append(
-            f"timezone is UTC at longitude {site.longitude_deg:g}: days and hours of the plan "
-            f"are those of UTC, not of the site"
+            f"timezone is UTC at longitude {site.longitude_deg:g}: days and hours of the plan are "
+            "those of UTC, not of the site"
         )
     if days[0] < request.today:
         texts.append(
@@ -157,70 +157,42 @@ def plan_warnings(
     return texts
 
 
-def _from_to(days: Sequence[date]) -> str:
-    """Return runs of consecutive days, by their first and last day."""
+def _runs(days: Sequence[date]) -> str:
+    """Return runs of consecutive days, by their first and last day, in brackets."""
     runs: list[list[date]] = []
     for day in sorted(days):
-        if runs and (day - runs[-1][-1]).days == 1:
-            runs[-1].append(day)
-        else:
-            runs.append([day])
-    return ", ".join(f"{run[0]}" if len(run) == 1 else f"{run[0]} to {run[-1]}" for run in runs)
-
-
-def _per_day(hours: DaylightHours, site: Site) -> dict[date, int]:
-    count: dict[date, int] = {}
-    for t in hours.t_utc:
-        day = sun.standard_date(t, site.timezone)
-        count[day] = count.get(day, 0) + 1
-    return count
-
-
-def clock_texts(days: Sequence[date], site: Site) -> list[str]:
-    """Return one sentence for every daylight-saving change on one of `days` (in time order)."""
-    texts, zone = [], ZoneInfo(site.timezone)
-    for moment, change in sun.clock_changes(days[0], days[-1], site.timezone):
-        if sun.standard_date(moment, site.timezone) in set(days):
-            hours = change.total_seconds() / 3600
-            texts.append(
-                f"clocks go {'forward' if hours > 0 else 'back'} by {abs(hours):g} h on "
-                f"{moment.astimezone(zone):%Y-%m-%d}; slots stay at hh:30 of standard time"
-            )
-    return texts
+        if not runs or (day - runs[-1][-1]).days > 1:
+            runs.append([])
+        runs[-1].append(day)
+    return f" ({', '.join(' to '.join(map(str, dict.fromkeys((r[0], r[-1])))) for r in runs)})"
 
 
 def summary(session: Session, plan: Plan) -> PlanSummary:
     """Return counts, dates, cost, coverage and warnings of a plan, as `plan --json` prints."""
     slots, setup = plan.slots, session.site_file()
     site, turns = setup.site, max(len(setup.camera.headings), 1)
-    tags = sorted({tag for slot in slots for tag in slot.tags})
+    transit = sun.rise_transit_set([sun.standard_date(slots[0].t_utc, site.timezone)], site)[
+        0
+    ].transit
+    noon = transit.astimezone(ZoneInfo(site.timezone)) if transit else None
     return PlanSummary(
         session=str(session.root),
         slots=len(slots),
-        days=len(_per_day(plan.hours, site)),
+        days=len({sun.standard_date(slot.t_utc, site.timezone) for slot in slots}),
         first=slots[0].id,
         last=slots[-1].id,
-        solar_noon=_solar_noon(slots[0].t_utc, site),
+        # it reveals a longitude with a wrong sign
+        solar_noon=f"{noon:%H:%M %Z}" if noon else "",
         frames=turns * sum(len(slot.exposures) for slot in slots),
         seconds_per_slot=plan.seconds_per_slot,
         megabytes=round(plan.megabytes_per_slot * len(slots), 1),
         size_is_known="profile" not in setup.camera.assumed,
-        tags={tag: sum(tag in slot.tags for slot in slots) for tag in tags},
+        tags=dict(sorted(Counter(tag for slot in slots for tag in slot.tags).items())),
         coverage=plan.coverage,
         variance_left_percent=None if plan.variance_left is None else 100 * plan.variance_left,
         month=plan.months,
         warnings=plan.warnings,
     )
-
-
-def _solar_noon(t_utc: datetime, site: Site) -> str:
-    """Return the local time of solar noon on a slot's day.
-
-    It reveals a longitude with a wrong sign.
-    """
-    day = sun.standard_date(t_utc, site.timezone)
-    transit = sun.rise_transit_set([day], site)[0].transit
-    return "" if transit is None else f"{transit.astimezone(ZoneInfo(site.timezone)):%H:%M %Z}"
 
 
 def sentences(summary: PlanSummary) -> list[str]:
@@ -237,8 +209,7 @@ def sentences(summary: PlanSummary) -> list[str]:
     if "sun-enters" in tags:
         texts.append(
             f"if the sky is clear, the sun shines through a window in {tags['sun-enters']} slots, "
-            "and "
-            f"the camera sees the sun itself in {tags.get('sun-in-view', 0)} slots"
+            f"and the camera sees the sun itself in {tags.get('sun-in-view', 0)} slots"
         )
     if summary.variance_left_percent is not None:
         texts.append(
@@ -248,9 +219,8 @@ def sentences(summary: PlanSummary) -> list[str]:
         )
     if summary.month is not None:
         texts.append(
-            "the expected squared error of a model from this month is "
-            f"{summary.month.times_best:.2f} "
-            f"times that of the best month, {summary.month.best}"
+            f"the expected squared error of a model from this month is "
+            f"{summary.month.times_best:.2f} times that of the best month, {summary.month.best}"
         )
     return texts
 

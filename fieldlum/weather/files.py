@@ -109,14 +109,10 @@ def _check_place(path: Path, place: Site | None, site: Site) -> list[str]:
     if away <= NEAR_KM:
         return []
     if away > FAR_KM:
-        raise InputError(
-            path,
-            f"weather of {place.name} ({place.latitude_deg:g}, {place.longitude_deg:g} deg), "
-            "which is "
-            f"{away:.0f} km from the site",
-            f"at most {FAR_KM:g} km",
-            "use the file of a nearer station, or correct the site's coordinates",
-        )
+        where = f"{place.name} ({place.latitude_deg:g}, {place.longitude_deg:g} deg)"
+        found = f"weather of {where}, which is {away:.0f} km from the site"
+        remedy = "use the file of a nearer station, or correct the site's coordinates"
+        raise InputError(path, found, f"at most {FAR_KM:g} km", remedy)
     return [f"the weather station {place.name} is {away:.0f} km from the site"]
 
 
@@ -149,20 +145,14 @@ def _in_order(path: Path, rows: list[WeatherRow]) -> list[WeatherRow]:
     """
     rows = sorted(rows, key=lambda row: row.when)
     for a, b in pairwise(rows):
+        lines = f"lines {a.line} and {b.line}"
         if a.when == b.when:
-            raise InputError(
-                path,
-                f"lines {a.line} and {b.line} are of the same hour",
-                "every hour once",
-                "remove one of the lines",
-            )
+            found, expected = f"{lines} are of the same hour", "every hour once"
+            raise InputError(path, found, expected, "remove one of the lines")
         if b.when - a.when > LONGEST_GAP:
-            raise InputError(
-                path,
-                f"lines {a.line} and {b.line}: {a.when:%Y-%m-%d} is followed by {b.when:%Y-%m-%d}",
-                f"at most {LONGEST_GAP.days} days between two rows",
-                "correct the dates",
-            )
+            found = f"{lines}: {a.when:%Y-%m-%d} is followed by {b.when:%Y-%m-%d}"
+            expected = f"at most {LONGEST_GAP.days} days between two rows"
+            raise InputError(path, found, expected, "correct the dates")
     return rows
 
 

@@ -123,17 +123,13 @@ def _number(path: Path, line: int, name: str, text: str) -> float:
     try:
         value = float(text)
     except ValueError:
-        commas = "a number with a decimal point, in W/m2"
-        raise _bad_row(path, f"line {line}: {name} is '{text}'", commas) from None
+        expected = "a number with a decimal point, in W/m2"
+        raise _bad_row(path, f"line {line}: {name} is '{text}'", expected) from None
     if value in _MISSING:
         return math.nan
     if not LOWEST_WM2 <= value <= HIGHEST_WM2:
-        raise InputError(
-            path,
-            f"line {line}: {name} is {text} W/m2",
-            f"{LOWEST_WM2:g} to {HIGHEST_WM2:g} W/m2",
-            "correct or empty that cell",
-        )
+        found, expected = f"line {line}: {name} is {text}", f"{LOWEST_WM2:g} to {HIGHEST_WM2:g}"
+        raise InputError(path, f"{found} W/m2", f"{expected} W/m2", "correct or empty that cell")
     return value
 
 
@@ -145,28 +141,17 @@ def _columns(
     Raises InputError if one is missing, or if several columns have the same quantity.
     """
     columns: dict[str, int] = {}
+    letters = [re.sub("[^a-z]", "", split_heading(name)[0].lower()) for name in names]
     for quantity, keys in headings.items():
-        at = [
-            k
-            for k, name in enumerate(names)
-            if re.sub("[^a-z]", "", split_heading(name)[0].lower()) in keys
-        ]
+        at = [k for k, text in enumerate(letters) if text in keys]
         if len(at) > 1:
-            raise InputError(
-                path,
-                f"several columns of {quantity.upper()}: {', '.join(names[k] for k in at)}",
-                "one column",
-                "rename or remove the others",
-            )
-        if at:
-            columns[quantity] = at[0]
-        elif quantity != "ghi":
-            raise InputError(
-                path,
-                f"no column of {quantity.upper()} in W/m2 among {', '.join(names)[:120]}",
-                "columns of direct normal (DNI) and diffuse horizontal (DHI) irradiance in W/m2",
-                "download the file again with these columns",
-            )
+            found = f"several columns of {quantity.upper()}: {', '.join(names[k] for k in at)}"
+            raise InputError(path, found, "one column", "rename or remove the others")
+        if not at and quantity != "ghi":
+            found = f"no column of {quantity.upper()} in W/m2 among {', '.join(names)[:120]}"
+            expected = "direct normal (DNI) and diffuse horizontal (DHI) irradiance in W/m2"
+            raise InputError(path, found, expected, "download it again with these columns")
+        columns |= {quantity: at[0]} if at else {}
     return columns
 
 
@@ -214,20 +199,14 @@ def _place(
         latitude, longitude, altitude, zone = (float(cell) for cell in cells)
         place, clock = Site(name, latitude, longitude, "UTC", altitude), timedelta(hours=zone)
     except (TypeError, ValueError):
-        raise InputError(
-            path,
-            f"latitude, longitude, altitude and zone {', '.join(map(str, cells)) or 'missing'}",
-            expected,
-            "correct the header, or download the file again",
-        ) from None
-    hours = clock.total_seconds() / 3600
-    if local and abs(hours - longitude / 15) > _LARGEST_ZONE_OFFSET_H:
-        raise InputError(
-            path,
-            f"time zone UTC{hours:+g} at longitude {longitude:g} deg",
-            f"about UTC{longitude / 15:+.0f}",
-            "correct the header (east is positive)",
-        )
+        stated = ", ".join(map(str, cells)) or "missing"
+        found = f"latitude, longitude, altitude and zone {stated}"
+        remedy = "correct the header, or download the file again"
+        raise InputError(path, found, expected, remedy) from None
+    if local and abs(zone - longitude / 15) > _LARGEST_ZONE_OFFSET_H:
+        found = f"time zone UTC{zone:+g} at longitude {longitude:g} deg"
+        remedy = "correct the header (east is positive)"
+        raise InputError(path, found, f"about UTC{longitude / 15:+.0f}", remedy)
     return place, clock
 
 
@@ -250,11 +229,8 @@ def _moment(path: Path, line: int, date: Sequence[str], hour: str, minute: str =
         if not 0 <= hours <= 24:
             raise ValueError(f"hour {hours:g} is outside 0 to 24")
     except (ValueError, OverflowError) as error:
-        raise _bad_row(
-            path,
-            f"line {line}: no such time {'-'.join(date)} hour {hour} ({error})",
-            "a date of the calendar and an hour of 0 to 24",
-        ) from None
+        found = f"line {line}: no such time {'-'.join(date)} hour {hour} ({error})"
+        raise _bad_row(path, found, "a date of the calendar and an hour of 0 to 24") from None
     return start + timedelta(seconds=round(hours * 3600))
 
 
@@ -301,12 +277,8 @@ def _read_epw(path: Path, lines: list[str], site: Site) -> WeatherTable:
     place, clock = _header_place(path, lines, (6, 7, 9, 8), expected)
     found = split_rows(path, numbered(lines[8:], 9))
     if found and len(found[0][1]) < 16:
-        raise InputError(
-            path,
-            f"line {found[0][0]}: {len(found[0][1])} cells",
-            "at least 16 cells",
-            "the file is cut: download it again",
-        )
+        cells = f"line {found[0][0]}: {len(found[0][1])} cells"
+        raise InputError(path, cells, "at least 16 cells", "the file is cut: download it again")
 
     def start(line: int, cells: Sequence[str]) -> datetime:
         return _moment(path, line, cells[:3], cells[3]) - timedelta(hours=1)
@@ -331,44 +303,28 @@ def _moved(hours: float) -> str:
 
 
 def _read_tmy3(path: Path, lines: list[str], site: Site) -> WeatherTable:
-    """Return the rows of a TMY3 file: a header line, column names, then one row for each hour.
+    """Return the rows of a TMY3 or SolarAnywhere file: a header line, names, a row for each hour.
 
-    Labels are the ends of hours, 01:00 to 24:00; the sun of a row is that of 30 minutes before.
+    Labels of TMY3 are the ends of hours, 01:00 to 24:00; the sun of a row is that of 30 minutes
+    before. SolarAnywhere has date and time in one column, with labels of either end.
     """
     expected = "USAF,name,state,zone,latitude,longitude,altitude"
     place, clock = _header_place(path, lines, (4, 5, 6, 3), expected)
     names, found = _below(path, lines, 1)
-    stated = _american(path)
-    rows = _rows(path, found, _columns(path, names), lambda line, c: stated(line, c) - _HALF, names)
-    return WeatherTable(rows, True, f"{path.name} ({place.name})", place, clock)
-
-
-def _read_solaranywhere(path: Path, lines: list[str], site: Site) -> WeatherTable:
-    """Return the rows of a SolarAnywhere file, a TMY3 header with times in one column."""
-    expected = "id,name,state,zone,latitude,longitude,altitude"
-    place, clock = _header_place(path, lines, (4, 5, 6, 3), expected)
-    names, found = _below(path, lines, 1)
-    when, at = _american(path), names.index("ObservationTime(LST)")
-    rows = _rows(
-        path,
-        found,
-        _columns(path, names),
-        lambda line, cells: when(line, cells[at].split(" ")),
-        names,
-    )
-    typical = _is_typical(rows) or "Type: Typical" in lines[0]
-    return _best_label(WeatherTable(rows, typical, f"{path.name} ({place.name})", place, clock))
-
-
-def _american(path: Path) -> Callable[[int, Sequence[str]], datetime]:
-    """Return a reader of the cells MM/DD/YYYY and HH:MM."""
+    one_column = "ObservationTime(LST)" in names
+    at = names.index("ObservationTime(LST)") if one_column else 0
 
     def when(line: int, cells: Sequence[str]) -> datetime:
-        month, day, year = (*cells[0].split("/"), "", "")[:3]
-        hour, _, minute = (cells[1] if len(cells) > 1 else "").partition(":")
-        return _moment(path, line, (year, month, day), hour, minute)
+        stamp = cells[at].split(" ") if one_column else cells[:2]
+        month, day, year = (*stamp[0].split("/"), "", "")[:3]
+        hour, _, minute = "".join(stamp[1:2]).partition(":")
+        label = _moment(path, line, (year, month, day), hour, minute)
+        return label if one_column else label - _HALF
 
-    return when
+    rows = _rows(path, found, _columns(path, names), when, names)
+    typical = not one_column or _is_typical(rows) or "Type: Typical" in lines[0]
+    table = WeatherTable(rows, typical, f"{path.name} ({place.name})", place, clock)
+    return _best_label(table) if one_column else table
 
 
 def _read_sam(path: Path, lines: list[str], site: Site) -> WeatherTable:
@@ -385,9 +341,8 @@ def _read_sam(path: Path, lines: list[str], site: Site) -> WeatherTable:
     names, found = _below(path, lines, 2)
     stamp = ("Year", "Month", "Day", "Hour")
     if missing := [name for name in stamp if name not in names]:
-        raise InputError(
-            path, f"no column {missing[0]}", "columns " + ", ".join(stamp), "download it again"
-        )
+        expected = "columns " + ", ".join(stamp)
+        raise InputError(path, f"no column {missing[0]}", expected, "download it again")
     at = [names.index(name) for name in stamp]
     minutes = names.index("Minute") if "Minute" in names else None
 
@@ -410,13 +365,11 @@ def _read_tmy2(path: Path, lines: list[str], site: Site) -> WeatherTable:
     """
     from pvlib.iotools import read_tmy2
 
+    width = len(lines[1].rstrip()) if len(lines) > 1 else 0
     for number, line in enumerate(lines[2:], start=3):
-        if len(line.rstrip()) != len(lines[1].rstrip()):
-            raise _bad_row(
-                path,
-                f"line {number}: {len(line.rstrip())} characters",
-                f"{len(lines[1].rstrip())} characters, as in line 2",
-            )
+        if len(line.rstrip()) != width:
+            found = f"line {number}: {len(line.rstrip())} characters"
+            raise _bad_row(path, found, f"{width} characters, as in line 2")
     data: Any
     meta: Any
     try:
@@ -424,17 +377,11 @@ def _read_tmy2(path: Path, lines: list[str], site: Site) -> WeatherTable:
     except (KeyError, ValueError, IndexError, TypeError, AttributeError) as error:
         shown = str(error).splitlines()[0][:100] if str(error) else type(error).__name__
         raise InputError(path, shown, "a TMY2 file", "download it again as hourly data") from None
-    place, clock = _place(
-        path,
-        [meta[key] for key in ("latitude", "longitude", "altitude", "TZ")],
-        "a place in line 1",
-        str(meta["City"]).strip(),
-    )
+    where = [meta[key] for key in ("latitude", "longitude", "altitude", "TZ")]
+    place, clock = _place(path, where, "a place in line 1", str(meta["City"]).strip())
     starts = [t.replace(tzinfo=UTC) for t in data.index.to_pydatetime()]
-    cells = [
-        (line, (repr(float(a)), repr(float(b)), repr(float(c))))
-        for line, (a, b, c) in enumerate(data[["DNI", "DHI", "GHI"]].to_numpy(float), start=2)
-    ]
+    values = data[["DNI", "DHI", "GHI"]].to_numpy(float).tolist()
+    cells = [(line, tuple(map(repr, row))) for line, row in enumerate(values, start=2)]
     columns = {"dni": 0, "dhi": 1, "ghi": 2}
     rows = _rows(path, cells, columns, lambda line, _: starts[line - 2])
     return WeatherTable(rows, True, f"{path.name} ({place.name})", place, clock, _HALF)
@@ -498,21 +445,17 @@ def _pvgis(
     place, _ = _place(path, stated, "a place in the header", name, local=False)
     in_plane = "Gb(i)" in names
     if in_plane and slope.replace(".", "").strip("0"):
-        raise InputError(
-            path,
-            f"irradiance of a plane with slope {slope} deg",
-            "a horizontal plane (slope 0 deg)",
-            "download the series with slope 0 and its radiation components",
-        )
+        found_slope = f"irradiance of a plane with slope {slope} deg"
+        remedy = "download the series with slope 0 and its radiation components"
+        raise InputError(path, found_slope, "a horizontal plane (slope 0 deg)", remedy)
     at = next((k for k, name in enumerate(names) if name.startswith("time")), 0)
 
     def when(line: int, cells: Sequence[str]) -> datetime:
         try:
             return datetime.strptime(cells[at], "%Y%m%d:%H%M").replace(tzinfo=UTC)
         except ValueError:
-            raise _bad_row(
-                path, f"line {line}: time '{cells[at]}'", "a time such as 20230101:0010"
-            ) from None
+            expected = "a time such as 20230101:0010"
+            raise _bad_row(path, f"line {line}: time '{cells[at]}'", expected) from None
 
     columns = _columns(path, names, _IN_PLANE if in_plane else _HEADINGS)
     rows = _rows(path, found, columns, when, names)
@@ -559,19 +502,15 @@ def _read_csv(path: Path, lines: list[str], site: Site) -> WeatherTable:
         for k, name in enumerate(names)
         if is_wm2(split_heading(name)[1])
     }
-    missing = [
-        name for name in (("t_utc",) if dated else ("month", "day", "hour")) if name not in names
-    ]
+    stamp = ("t_utc",) if dated else ("month", "day", "hour")
+    missing = [name for name in stamp if name not in names]
     missing += [f"{name}_wm2" for name in ("dni", "dhi") if name not in quantities]
     if missing:
-        raise InputError(
-            path,
-            f"no column {', '.join(missing)}",
-            "columns t_utc (or month, day, hour), dni_wm2, dhi_wm2",
-            "name the columns in the first row",
-        )
+        expected = "columns t_utc (or month, day, hour), dni_wm2, dhi_wm2"
+        remedy = "name the columns in the first row"
+        raise InputError(path, f"no column {', '.join(missing)}", expected, remedy)
     found = split_rows(path, table[1:], len(names))
-    at = [names.index(name) for name in (("t_utc",) if dated else ("month", "day", "hour"))]
+    at = [names.index(name) for name in stamp]
     # Hour 24 of 28 February belongs to 29 February only in a file with that day.
     leap = not dated and any((c[at[0]].lstrip("0"), c[at[1]]) == ("2", "29") for _, c in found)
 
@@ -582,9 +521,8 @@ def _read_csv(path: Path, lines: list[str], site: Site) -> WeatherTable:
         try:
             return read_time(cells[at[0]], utc=True).astimezone(UTC)
         except (ValueError, OverflowError) as error:
-            raise _bad_row(
-                path, f"line {line}: {error}", "a UTC time such as 2027-03-20T15:30:00Z"
-            ) from None
+            expected = "a UTC time such as 2027-03-20T15:30:00Z"
+            raise _bad_row(path, f"line {line}: {error}", expected) from None
 
     rows = _rows(path, found, quantities, when, names)
     return WeatherTable(rows, not dated, path.name, place, clock=timedelta() if dated else clock)
@@ -631,7 +569,12 @@ FORMATS = (
     Format(lambda file: file.first.startswith("Latitude (decimal degrees)"), _read_pvgis_csv),
     Format(lambda file: file.first.startswith("{"), _read_pvgis_json),
     Format(lambda file: file.first.startswith("Source,"), _read_sam),
-    Format(lambda file: "ObservationTime(LST)" in file.second, _read_solaranywhere),
-    Format(lambda file: file.second.lstrip('"').startswith("Date (MM/DD/YYYY)"), _read_tmy3),
+    Format(
+        lambda file: (
+            "ObservationTime(LST)" in file.second
+            or file.second.lstrip('"').startswith("Date (MM/DD/YYYY)")
+        ),
+        _read_tmy3,
+    ),
     Format(lambda file: True, _read_csv),  # the last one: its errors explain the columns
 )

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum.core.arrays import Floats, Mask
+from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Site
 from fieldlum.sky import sun
@@ -147,33 +147,77 @@ def check_sense(path: Path, weather: Weather, station: Site, ghi_wm2: Floats) ->
     up = altitude > sun.CLEAR_SUN_DEG
     if not up.any():
         return []
-    sine = np.maximum(np.sin(np.radians(altitude)), 0.0)
-    total = weather.dhi_wm2 + weather.dni_wm2 * sine
-    _check_level(path, weather, station, total)
+    total = weather.dhi_wm2 + weather.dni_wm2 * np.maximum(np.sin(np.radians(altitude)), 0.0)
+    share = float(total.sum() / max(sun.clearsky(weather.t_utc, station).ghi_wm2.sum(), 1.0))
+    if not LEAST_OF_CLEAR <= share <= MOST_OF_CLEAR:
+        raise InputError(
+            path,
+            f"the sum of irradiance is {share:.2g} times that of cloudless skies at {station.name}",
+            f"{LEAST_OF_CLEAR:g} to {MOST_OF_CLEAR:g} times",
+            f"check whether values are in kW or kJ; {_CORRECT_COLUMNS}",
+        )
     # Before the columns: with labels an hour off, low suns look like overcast hours with much DNI.
     doubt = _check_labels(path, weather, station)
-    top = sun.extraterrestrial_wm2(weather.t_utc)
-    overcast = up & (total < OVERCAST_CLEARNESS * top * sine) & (total > 10.0)
-    try:
-        _check_limits(path, weather, altitude, top, up)
-        _check_overcast(path, weather, total, overcast)
-        _check_direct(path, weather)
-        _check_closure(path, ghi_wm2, total, up & (ghi_wm2 > 50.0))
-    except InputError as error:
+    if (wrong := _wrong_column(weather, altitude, total, ghi_wm2)) is not None:
+        found, expected, cause = wrong
         if doubt:
-            raise _another_place(path, f"{doubt}; {error.found}") from None
+            raise _another_place(path, f"{doubt}; {found}")
         # Half an hour beside its sun, clear light at low altitudes looks like wrong columns.
         shift = label_shift_min(weather, station)
         if shift is None or abs(shift) <= MOST_SHIFT_MIN:
-            raise
+            remedy = f"check whether {cause}; {_CORRECT_COLUMNS}"
+            raise InputError(path, found, expected, remedy)
         raise InputError(
             path,
             f"direct light of mornings and afternoons agrees only with all row times moved by "
             f"{shift:+.0f} min",
             "times at the middle of their hours",
             _label_remedy(30 * round(shift / 30)),
-        ) from None
+        )
     return [f"WARNING: {doubt}; check that the file is of this place"] if doubt else []
+
+
+def _wrong_column(
+    weather: Weather, altitude: Floats, total: Floats, ghi_wm2: Floats
+) -> tuple[str, str, str] | None:
+    """Return what shows that a column has another component, what is expected, and the cause.
+
+    total : DHI + DNI sin(altitude), [n]. None if nothing shows it.
+    """
+    up, dni, dhi = altitude > sun.CLEAR_SUN_DEG, weather.dni_wm2, weather.dhi_wm2
+    top = sun.extraterrestrial_wm2(weather.t_utc)
+    limits = sun.bsrn_limits(altitude, top, extreme=True)
+    over = {
+        "DNI": float((dni > limits.dni_wm2[1])[up].mean()),
+        "DHI": float((dhi > limits.dhi_wm2[1])[up].mean()),
+    }
+    name = max(over, key=lambda name: over[name])
+    if over[name] > MOST_EXTREME:
+        found = f"{name} is above the limit of any sky in {100 * over[name]:.0f} % of the daylight"
+        cause = f"the column of {name} has another component"
+        return f"{found} hours", f"at most {100 * MOST_EXTREME:g} %", cause
+    clearness = total / (top * np.maximum(np.sin(np.radians(altitude)), 1e-9))
+    overcast = up & (clearness < OVERCAST_CLEARNESS) & (total > 10.0)
+    share = float(np.median(dhi[overcast] / total[overcast])) if overcast.any() else 1.0
+    if overcast.sum() >= LEAST_OVERCAST_HOURS and share < LEAST_DIFFUSE:
+        found = f"only {100 * share:.0f} % of the irradiance of overcast hours is diffuse (median)"
+        return found, f"over {100 * LEAST_DIFFUSE:g} %", "the column of DNI has global or diffuse"
+    lit = dhi > 20.0
+    ratio = dni[lit] / dhi[lit] - 1.0
+    below = float((ratio < -_SAME_WITHIN).mean()) if lit.any() else 1.0
+    equal = float((abs(ratio) <= _SAME_WITHIN).mean()) if lit.any() else 0.0
+    if lit.sum() >= LEAST_OVERCAST_HOURS and below < LEAST_BELOW and equal > MOST_EQUAL:
+        found = f"DNI equals DHI in {100 * equal:.0f} % of the daylight hours, and is below it in"
+        expected = "overcast hours with less direct than diffuse irradiance"
+        return f"{found} {100 * below:.1f} %", expected, "the column of DNI has global"
+    tested = up & (ghi_wm2 > 50.0)
+    open_share = np.abs(1.0 - total[tested] / ghi_wm2[tested])
+    off = float(np.median(open_share)) if tested.any() else 0.0
+    if off > MOST_OPEN:
+        found = f"GHI differs from DHI + DNI sin(altitude) by {100 * off:.0f} % (median)"
+        cause = "a column has another component, or direct on a horizontal plane"
+        return found, f"at most {100 * MOST_OPEN:g} %", cause
+    return None
 
 
 def check_hourly(path: Path, times: Sequence[datetime]) -> None:
@@ -242,78 +286,6 @@ def _share_at_night(weather: Weather, station: Site, hours: int) -> float:
     light = weather.dni_wm2 + weather.dhi_wm2
     night = sun.position(moved, station).altitude_deg < NIGHT_BELOW_DEG
     return float(light[night].sum() / max(light.sum(), 1.0))
-
-
-def _check_level(path: Path, weather: Weather, station: Site, total: Floats) -> None:
-    share = float(total.sum() / max(sun.clearsky(weather.t_utc, station).ghi_wm2.sum(), 1.0))
-    if not LEAST_OF_CLEAR <= share <= MOST_OF_CLEAR:
-        raise InputError(
-            path,
-            f"the sum of irradiance is {share:.2g} times that of cloudless skies at {station.name}",
-            f"{LEAST_OF_CLEAR:g} to {MOST_OF_CLEAR:g} times",
-            f"check whether values are in kW or kJ; {_CORRECT_COLUMNS}",
-        )
-
-
-def _check_limits(path: Path, weather: Weather, altitude: Floats, top: Floats, up: Mask) -> None:
-    limits = sun.bsrn_limits(altitude, top, extreme=True)
-    over = {
-        "DNI": float((weather.dni_wm2 > limits.dni_wm2[1])[up].mean()),
-        "DHI": float((weather.dhi_wm2 > limits.dhi_wm2[1])[up].mean()),
-    }
-    name = max(over, key=lambda name: over[name])
-    if over[name] > MOST_EXTREME:
-        raise InputError(
-            path,
-            f"{name} is above the limit of any sky in {100 * over[name]:.0f} % of the daylight "
-            "hours",
-            f"at most {100 * MOST_EXTREME:g} %",
-            f"check whether the column of {name} has another component; {_CORRECT_COLUMNS}",
-        )
-
-
-def _check_overcast(path: Path, weather: Weather, total: Floats, overcast: Mask) -> None:
-    if overcast.sum() < LEAST_OVERCAST_HOURS:
-        return
-    share = float(np.median(weather.dhi_wm2[overcast] / total[overcast]))
-    if share < LEAST_DIFFUSE:
-        raise InputError(
-            path,
-            f"only {100 * share:.0f} % of the irradiance of overcast hours is diffuse (median)",
-            f"over {100 * LEAST_DIFFUSE:g} %",
-            f"check whether the column of DNI has global or diffuse; {_CORRECT_COLUMNS}",
-        )
-
-
-def _check_direct(path: Path, weather: Weather) -> None:
-    """Raise InputError if the column of DNI has global irradiance, whatever the climate."""
-    lit = weather.dhi_wm2 > 20.0
-    if lit.sum() < LEAST_OVERCAST_HOURS:
-        return
-    over = weather.dni_wm2[lit] / weather.dhi_wm2[lit] - 1.0
-    below, equal = float((over < -_SAME_WITHIN).mean()), float((abs(over) <= _SAME_WITHIN).mean())
-    if below < LEAST_BELOW and equal > MOST_EQUAL:
-        raise InputError(
-            path,
-            f"DNI equals DHI in {100 * equal:.0f} % of the daylight hours, and is below it in "
-            f"{100 * below:.1f} %",
-            "overcast hours with less direct than diffuse irradiance",
-            f"check whether the column of DNI has global; {_CORRECT_COLUMNS}",
-        )
-
-
-def _check_closure(path: Path, ghi_wm2: Floats, total: Floats, tested: Mask) -> None:
-    if not tested.any():
-        return
-    off = float(np.median(np.abs(ghi_wm2 - total)[tested] / ghi_wm2[tested]))
-    if off > MOST_OPEN:
-        raise InputError(
-            path,
-            f"GHI differs from DHI + DNI sin(altitude) by {100 * off:.0f} % (median)",
-            f"at most {100 * MOST_OPEN:g} %",
-            "check whether a column has another component, or direct on a horizontal plane; "
-            f"{_CORRECT_COLUMNS}",
-        )
 
 
 def _check_labels(path: Path, weather: Weather, station: Site) -> str:

@@ -1,16 +1,14 @@
 """Check whether three components, a clear sky and earlier days agree.
 
-The checks are closure, k-indices, a tracker that points elsewhere, a shaded horizon, and a changed
-sensitivity. pvlib has none of these. pvanalytics has QCRad's limits and closure, but without the
-average that broken clouds require. Limits of k-indices and the tracker test: Forstinger et al.
-2021, Expert quality control of solar radiation ground data sets (ISES SWC 2021; IEA PVPS Task 16).
+The checks are closure, k-indices and a shaded horizon. pvlib has none of these. pvanalytics has
+QCRad's limits and closure, but without the average that broken clouds require. Limits of k-indices:
+Forstinger et al. 2021, Expert quality control of solar radiation ground data sets (ISES SWC 2021;
+IEA PVPS Task 16).
 """
 
 from __future__ import annotations
 
-import itertools
-from dataclasses import dataclass
-from datetime import UTC, date, datetime
+from datetime import UTC, datetime
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,10 +36,6 @@ _KN_TOP_WM2, _KN_PER_M = 1100.0, 0.03
 # measured.
 _K_LASTS_S = 900.0
 
-# With Forstinger's 0.2 for global and 5 degrees, bright overcast hours would be marked; the monthly
-# turbidity gives a clear sky's global within 18 %. Chosen.
-_TRACKER_GHI, _TRACKER_DNI, _TRACKER_ALTITUDE_DEG = 0.1, 0.95, 10.0
-
 _HORIZON_DEG = 20.0  # higher obstructions are visible in the scene; not measured
 _BIN_AZIMUTH_DEG, _BIN_ALTITUDE_DEG = 4.0, 1.0  # chosen
 _BLOCKED, _FREE = 0.05, 0.5  # of the clear sky's DNI; not measured
@@ -50,45 +44,18 @@ _FREE_WITHIN_S = 2700.0  # seconds before or after within which the sun must be 
 # chosen
 _BLOCKED_DAYS = 4
 
-_STEP_ALTITUDE_DEG, _STEP_DNI_WM2 = 20.0, 300.0  # chosen
-# relative deviation of DNI from its mean, and seconds of that mean; chosen
-_STEADY, _STEADY_WINDOW_S = 0.05, 600.0
-_DAY_STEADY_S = 1800.0  # least seconds of steady sun on a day whose median is used; not measured
-# A day's scatter is (1 + this / steady seconds)^0.5 times that of an endless clear day: an hour of
-# steady sun between clouds scatters by 1.3 %, seven hours scatter by 0.5 % (three months at
-# Lyngby). Measured with the data of docs/validation.md.
-_FULL_DAY_S = 28800.0
-# Least step, in multiples of the day-to-day scatter; without a step, 2 % of 20-day records reach
-# it. Chosen.
-_STEP_SIGMA = 4.0
-_STEP_DAYS = 3  # least number of days on each side; chosen, not measured
-# least scatter of daily medians: no instrument repeats better from day to day; chosen
-_LEAST_SCATTER = 0.001
 
+def lasting(t_unix_s: Floats, marked: Rows, window_s: float, tested: Rows | None = None) -> Rows:
+    """Return a mask [n] of the marked rows in whose window at least half of the rows are marked.
 
-def window_mean(
-    t_unix_s: Floats, value: Floats, window_s: float
-) -> tuple[Floats, NDArray[np.int64]]:
-    """Return the mean of the finite values within window_s / 2 of each row, and their number, [n].
-
-    t_unix_s must ascend. The mean is NaN without a finite value.
+    window_s : around each row; tested [n] : the rows that count, None for all. t_unix_s
+    must ascend.
     """
-    good = np.isfinite(value)
-    total = np.r_[0.0, np.cumsum(np.where(good, value, 0.0))]
-    count = np.r_[0, np.cumsum(good)]
+    counts = np.ones(len(marked), bool) if tested is None else tested
     first = np.searchsorted(t_unix_s, t_unix_s - window_s / 2, side="left")
     last = np.searchsorted(t_unix_s, t_unix_s + window_s / 2, side="right")
-    rows = count[last] - count[first]
-    mean = np.divide(
-        total[last] - total[first], rows, out=np.full(len(rows), np.nan), where=rows > 0
-    )
-    return mean, rows.astype(np.int64)
-
-
-def lasting(t_unix_s: Floats, marked: Rows, window_s: float) -> Rows:
-    """Return a mask [n] of the marked rows in whose window at least half of the rows are marked."""
-    share, _ = window_mean(t_unix_s, marked.astype(float), window_s)
-    return marked & (share >= 0.5)
+    total, rows = np.r_[0, np.cumsum(marked)], np.r_[0, np.cumsum(counts)]
+    return marked & (2 * (total[last] - total[first]) >= rows[last] - rows[first])
 
 
 def closure_fails(
@@ -106,11 +73,7 @@ def closure_fails(
     testable = np.isfinite(ratio) & (altitude > -3.0)
     with np.errstate(invalid="ignore"):
         fails = testable & (np.abs(ratio - 1.0) > allowed)
-    share, _ = window_mean(
-        t_unix_s, np.where(testable, fails.astype(float), np.nan), CLOSURE_WINDOW_S
-    )
-    with np.errstate(invalid="ignore"):
-        return fails & (share >= 0.5)
+    return lasting(t_unix_s, fails, CLOSURE_WINDOW_S, testable)
 
 
 def k_index_fails(
@@ -138,21 +101,6 @@ def k_index_fails(
         fails |= kn > (_KN_TOP_WM2 + _KN_PER_M * altitude_m) / top
         fails |= (kt > _KT_MOST) | (kd > most_kd) | (clear & (kd > _KD_CLEAR))
     return lasting(t_unix_s, np.asarray(tested & fails), _K_LASTS_S)
-
-
-def tracker_off(
-    t_unix_s: Floats, ghi: Floats, dni: Floats, altitude: Floats, clear: sun.Irradiance
-) -> Rows:
-    """Return a mask [n] of rows with a clear sky's global but almost no direct for half an hour.
-
-    The tracker points elsewhere, or the pyrheliometer is covered. clear: of a clear sky, [n].
-    """
-    with np.errstate(invalid="ignore", divide="ignore"):
-        near = np.abs(clear.ghi_wm2 - ghi) / (clear.ghi_wm2 + ghi) < _TRACKER_GHI
-        none = (clear.dni_wm2 - dni) / (clear.dni_wm2 + dni) > _TRACKER_DNI
-    up = altitude > _TRACKER_ALTITUDE_DEG
-    off = up & near & none & (clear.ghi_wm2 > _K_LEAST_WM2)
-    return lasting(t_unix_s, np.asarray(off), CLOSURE_WINDOW_S)
 
 
 def shaded_horizon(
@@ -188,111 +136,8 @@ def shaded_horizon(
     return out
 
 
-@dataclass(frozen=True, slots=True)
-class SensitivitySteps:
-    """Days on which the ratio of global to diffuse + direct changed.
-
-    steps: day and relative change. smallest: the smallest change that would be detected in the
-    middle of the record. days: number of days compared.
-    """
-
-    steps: tuple[tuple[date, float], ...]
-    smallest: float | None
-    days: int
-
-
-def sensitivity_steps(
-    t_unix_s: Floats, ghi: Floats, dhi: Floats, dni: Floats, altitude: Floats
-) -> SensitivitySteps:
-    """Find days on which one of three instruments changed its sensitivity, or was exchanged.
-
-    t_unix_s [n] s; ghi, dhi, dni [n] W/m2; altitude of the sun [n] deg. The value of a day is the
-    median closure ratio while the direct sun was steady. Closure cannot show which of the three
-    instruments changed. Fewer than six such days give no result.
-    """
-    ratio = sun.closure_ratio(ghi, dhi, dni, altitude)
-    mean, _ = window_mean(t_unix_s, dni, _STEADY_WINDOW_S)
-    with np.errstate(invalid="ignore"):
-        steady = (np.abs(dni - mean) < _STEADY * mean) & (dni > _STEP_DNI_WM2)
-        steady &= (altitude > _STEP_ALTITUDE_DEG) & np.isfinite(ratio)
-    rows = np.flatnonzero(steady)
-    if not len(rows):
-        return SensitivitySteps((), None, 0)
-    period_s = max(float(np.median(np.diff(t_unix_s))), 1.0)
-    day = np.floor(t_unix_s[rows] / DAY_S).astype(np.int64)
-    present, count = np.unique(day, return_counts=True)
-    enough = count * period_s >= _DAY_STEADY_S
-    if not enough.any():
-        return SensitivitySteps((), None, 0)
-    present, steady_s = present[enough], count[enough] * period_s
-    value = np.array([float(np.median(ratio[rows[day == d]])) for d in present])
-    spread = np.sqrt(1.0 + _FULL_DAY_S / steady_s)
-    cuts = _cuts(value, spread, 0)
-    parts = list(itertools.pairwise([0, *cuts, len(value)]))
-    levels = [_level(value[a:b], spread[a:b])[0] for a, b in parts]
-    steps = tuple(
-        (datetime.fromtimestamp(float(present[cut]) * DAY_S, UTC).date(), after / before - 1.0)
-        for cut, (before, after) in zip(cuts, itertools.pairwise(levels), strict=True)
-    )
-    return SensitivitySteps(steps, _smallest(value, spread, parts, levels), len(value))
-
-
-def _level(value: Floats, spread: Floats) -> tuple[float, float]:
-    """Return the weighted mean of daily values, and its standard error in clear-day scatters."""
-    weight = spread**-2
-    return float(np.sum(weight * value) / np.sum(weight)), float(np.sum(weight) ** -0.5)
-
-
-def _scatter(value: Floats, spread: Floats) -> float:
-    """Return the scatter of a clear day's value, estimated from neighbouring differences.
-
-    A step has little effect on it.
-    """
-    differences = np.abs(np.diff(value)) / np.hypot(spread[1:], spread[:-1])
-    return max(float(np.median(differences)) * 1.4826, _LEAST_SCATTER)
-
-
-def _cuts(value: Floats, spread: Floats, offset: int) -> list[int]:
-    """Return the indices at which the level changes, largest contrast first.
-
-    After each change, both parts are searched again.
-    """
-    n = len(value)
-    if n < 2 * _STEP_DAYS:
-        return []
-    sigma = _scatter(value, spread)
-    at = range(_STEP_DAYS, n - _STEP_DAYS + 1)
-    score = [_contrast(value, spread, k) / sigma for k in at]
-    best = int(np.argmax(score))
-    if score[best] < _STEP_SIGMA:
-        return []
-    k = at[best]
-    before = _cuts(value[:k], spread[:k], offset)
-    return [*before, offset + k, *_cuts(value[k:], spread[k:], offset + k)]
-
-
-def _contrast(value: Floats, spread: Floats, k: int) -> float:
-    """Return the difference of the levels before index k and from k on, in unit standard errors."""
-    before, u_before = _level(value[:k], spread[:k])
-    after, u_after = _level(value[k:], spread[k:])
-    return abs(after - before) / float(np.hypot(u_before, u_after))
-
-
-def _smallest(
-    value: Floats, spread: Floats, parts: list[tuple[int, int]], levels: list[float]
-) -> float | None:
-    """Return the smallest relative step in the middle of the record that would be detected."""
-    if len(value) < 2 * _STEP_DAYS:
-        return None
-    middle = len(value) // 2
-    _, u_before = _level(value[:middle], spread[:middle])
-    _, u_after = _level(value[middle:], spread[middle:])
-    rest = np.concatenate([value[a:b] - m for (a, b), m in zip(parts, levels, strict=True)])
-    return float(_STEP_SIGMA * _scatter(rest, spread) * np.hypot(u_before, u_after))
-
-
 def doubts(series: Series, altitude: Floats, top: Floats, site: Site) -> NDArray[np.int64]:
-    """Return marks [n] of rows with impossible k-indices, a lost tracker or a shaded horizon.
+    """Return marks [n] of rows with impossible k-indices or a shaded horizon.
 
     No value is deleted. altitude, top [n]: from `sky_geometry`.
     """
@@ -304,20 +149,18 @@ def doubts(series: Series, altitude: Floats, top: Floats, site: Site) -> NDArray
     marks[impossible] |= Mark.K_INDEX
     if not np.isfinite(dni[complete]).any():
         return marks
-    azimuth, clear = _clear_sky(t, site)
+    azimuth, clear_dni = _clear_sky(t, site)
     dni = np.where(complete, dni, np.nan)
-    marks[tracker_off(t, ghi, dni, altitude, clear)] |= Mark.TRACKER
-    marks[shaded_horizon(t, dni, altitude, azimuth, clear.dni_wm2)] |= Mark.HORIZON
+    marks[shaded_horizon(t, dni, altitude, azimuth, clear_dni)] |= Mark.HORIZON
     return marks
 
 
-def _clear_sky(t_unix_s: Floats, site: Site) -> tuple[Floats, sun.Irradiance]:
-    """Return azimuth [n] deg and clear-sky irradiance [n] W/m2, from a five-minute grid."""
+def _clear_sky(t_unix_s: Floats, site: Site) -> tuple[Floats, Floats]:
+    """Return azimuth [n] deg and DNI of a clear sky [n] W/m2, from a five-minute grid."""
     step = np.floor(t_unix_s / _CLEAR_GRID_S)
     grid = _CLEAR_GRID_S * np.unique(np.r_[step, step + 1.0])
     times = [datetime.fromtimestamp(t, UTC) for t in grid]
     turn = np.radians(sun.position(times, site).azimuth_deg)
     north, east = (np.interp(t_unix_s, grid, f(turn)) for f in (np.cos, np.sin))
-    clear = sun.clearsky(times, site)
-    parts = [np.interp(t_unix_s, grid, part) for part in clear]
-    return np.degrees(np.arctan2(east, north)) % 360.0, sun.Irradiance(*parts)
+    clear_dni = np.interp(t_unix_s, grid, sun.clearsky(times, site).dni_wm2)
+    return np.degrees(np.arctan2(east, north)) % 360.0, clear_dni

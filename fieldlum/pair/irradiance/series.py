@@ -33,7 +33,6 @@ class Mark(IntFlag):
     DOUBLE = 2048  # another row of the same time has other values; the first one is used
     # clearness, diffuse share or beam transmittance that is impossible for that long
     K_INDEX = 4096
-    TRACKER = 8192  # a clear sky's global without direct sun, because the tracker points elsewhere
     HORIZON = 16384  # a part of the low sky where the sun is always hidden
 
 

@@ -154,50 +154,28 @@ RISE_ALTITUDE_DEG = -0.8333
 def rise_transit_set(days: Sequence[date], site: Site) -> list[DayOfSun]:
     """Return rise, transit and set of each local standard day, in the order of `days`.
 
-    Computed by pvlib's SPA, refined with `position`.
-
-    A polar night or a midnight sun has neither rise nor set. pvlib alone is wrong by up to a day's
-    drift (85 s at Sydney's equinox) far from Greenwich, and by minutes where the sun touches the
-    horizon.
+    A polar night or a midnight sun has neither rise nor set. Crossings of the rise altitude and of
+    the meridian are interpolated in positions every two minutes. pvlib's own times are wrong by up
+    to a day's drift (85 s at Sydney's equinox) far from Greenwich, and by minutes where the sun
+    touches the horizon.
     """
-    import pandas as pd
-    from pvlib.solarposition import sun_rise_set_transit_spa
-
-    if not days:
-        return []
-    # pvlib assigns events to calendar days of the longitude. A zone across the date line has other
-    # days, so the days before and after are computed too.
-    calendar_days = sorted({day + timedelta(days=k) for day in days for k in (-1, 0, 1)})
-    index = pd.DatetimeIndex([pd.Timestamp(day) for day in calendar_days]).tz_localize("UTC")
-    table = sun_rise_set_transit_spa(index, site.latitude_deg, site.longitude_deg)
-    columns = [
-        pd.to_datetime(table[name].dropna(), utc=True).dt.floor("s")
-        for name in ("sunrise", "transit", "sunset")
-    ]
-    rise, transit, down = ([t.to_pydatetime() for t in column] for column in columns)
-    events = (_refined(rise, site), transit, _refined(down, site))
-    starts = [standard_midnight(day, site.timezone) for day in days]
-    return [DayOfSun(*(_within_a_day(moments, start) for moments in events)) for start in starts]
+    events = []
+    for day in days:
+        start = standard_midnight(day, site.timezone)
+        times = [start + timedelta(minutes=2 * k) for k in range(721)]
+        at = position(times, site)
+        above = at.altitude_deg - RISE_ALTITUDE_DEG
+        west = -np.sin(np.radians(at.azimuth_deg)) * np.cos(np.radians(at.altitude_deg))
+        crossings = (_rising_through_0(value, times) for value in (above, west, -above))
+        events.append(DayOfSun(*crossings))
+    return events
 
 
-def _within_a_day(moments: Sequence[datetime], start: datetime) -> datetime | None:
-    return next((t for t in moments if start <= t < start + timedelta(days=1)), None)
-
-
-def _refined(moments: Sequence[datetime], site: Site) -> list[datetime]:
-    """Return times after three Newton steps to the rise altitude, each at most ten minutes."""
-    refined = list(moments)
-    for _ in range(3 if refined else 0):
-        before, after = (
-            position([t + timedelta(seconds=s) for t in refined], site).altitude_deg
-            for s in (-60, 60)
-        )
-        rate = (after - before) / 120.0
-        wanted = (RISE_ALTITUDE_DEG - (before + after) / 2) / np.where(
-            np.abs(rate) > 1e-6, rate, 1e-6
-        )
-        steps = np.clip(wanted, -600, 600)
-        refined = [
-            t + timedelta(seconds=round(float(s))) for t, s in zip(refined, steps, strict=True)
-        ]
-    return refined
+def _rising_through_0(value: Floats, times: Sequence[datetime]) -> datetime | None:
+    """Return the first time at which a sampled value passes from below 0 to above, to a second."""
+    at = np.flatnonzero((value[:-1] < 0.0) & (value[1:] >= 0.0))
+    if not at.size:
+        return None
+    k = int(at[0])
+    moment = times[k] + (times[k + 1] - times[k]) * float(value[k] / (value[k] - value[k + 1]))
+    return (moment + timedelta(milliseconds=500)).replace(microsecond=0)
