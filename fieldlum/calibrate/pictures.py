@@ -228,14 +228,11 @@ def of_shutter(fit: shutter.ShutterFit) -> Figure:
     return _drawn(f"shutter: {len(fit.times)} times from {max(fit.brackets)} brackets", *panels)
 
 
-def of_pixels(defects: pixels.PixelDefects, width_px: int, height_px: int) -> Figure:
-    """Draw the bad pixels on the sensor, and over a picture."""
-    title = f"bad pixels: {len(defects.bad_px)}, the same in {defects.views} views"
-    x, y = np.array(defects.bad_px, float).reshape(-1, 2).T
-    settings = {"xlim": (0, width_px), "ylim": (height_px, 0), "aspect": "equal"}
+def of_pixels(defects: pixels.PixelDefects) -> Figure:
+    """Draw the bad pixels over a dark frame."""
     places = [Place(defects.frames[0], x + 0.5, y + 0.5) for x, y in defects.bad_px]
-    panel = Panel([(x, y, DOTS)], {**settings, "xlabel": "column", "ylabel": "row"})
-    return _drawn(title, panel, places=places)
+    title = f"bad pixels: {len(places)} in {len(defects.frames)} dark frames"
+    return _drawn(title, places=places) if places else _drawn(title, Panel([], {}))
 
 
 def of_linearity(levels: linearity.Levels, fit: linearity.LinearityFit) -> Figure:

@@ -87,7 +87,7 @@ def command() -> None:
       fieldlum calibrate colour spots.csv --camera mine.toml --out mine.toml
       fieldlum calibrate scale readings.csv --camera mine.toml --out mine.toml
       fieldlum calibrate shutter SESSION --camera mine.toml --out mine.toml
-      fieldlum calibrate pixels cap-on-*.dng --dark --camera mine.toml --out mine.toml
+      fieldlum calibrate pixels cap-on-*.dng --camera mine.toml --out mine.toml
     """
 
 
@@ -476,40 +476,25 @@ def shutter(profile: Any, sources: Annotated[Paths, "SESSION...", EXISTING_PATH]
 
 
 @_part
-def pixels(
-    profile: Any,
-    sources: Annotated[Paths, "FRAME|FOLDER...", EXISTING_PATH],
-    dark: bool = False,
-) -> FittedPart:
-    """List hot, dead and stuck pixels in the profile (raw cameras).
+def pixels(profile: Any, sources: Annotated[Paths, "FRAME|FOLDER...", EXISTING_PATH]) -> FittedPart:
+    """List hot and stuck pixels in the profile (raw cameras).
 
-    SOURCES are folders with the frames of three or more views; turn the camera between them, so
-    that only defects of the sensor stay in place. Or take two or more long frames with the cap
-    on (--dark); these do not show dead pixels. Pixels that the profile already lists remain
+    Take two or more long frames with the cap on. Pixels that the profile already lists remain
     listed.
 
     \b
     Example:
-      fieldlum calibrate pixels north south west --camera mine.toml --out mine.toml
-
-    Options:
-      --dark: The frames were taken with the cap on.
+      fieldlum calibrate pixels dark-*.dng --camera mine.toml --out mine.toml
     """
     from fieldlum.calibrate import pixels as finder
 
-    defects, sensor = finder.find(sources, profile, dark=dark), profile.sensor
+    defects, sensor = finder.find(sources, profile), profile.sensor
     bad_px = tuple(sorted({*sensor.bad_px, *defects.bad_px}))
     figures = {"found": len(defects.bad_px), "new": len(bad_px) - len(sensor.bad_px)}
-    figures |= _figures(defects, "views", "by_chance")
-    size = profile.camera.width_px, profile.camera.height_px
-    return FittedPart(
-        {"sensor": replace(sensor, bad_px=bad_px)},
-        [defects.line],
-        defects.frames,
-        figures,
-        ("of_pixels", defects, *size),
-        only_json=_figures(defects, "bad_px"),
-    )
+    figures |= {"views": len(defects.frames), "by_chance": defects.by_chance}
+    changed, draw = {"sensor": replace(sensor, bad_px=bad_px)}, ("of_pixels", defects)
+    own = {"bad_px": defects.bad_px}
+    return FittedPart(changed, [defects.line], defects.frames, figures, draw, only_json=own)
 
 
 @_part

@@ -171,9 +171,8 @@ def summary(session: Session, plan: Plan) -> PlanSummary:
     """Return counts, dates, cost, coverage and warnings of a plan, as `plan --json` prints."""
     slots, setup = plan.slots, session.site_file()
     site, turns = setup.site, max(len(setup.camera.headings), 1)
-    transit = sun.rise_transit_set([sun.standard_date(slots[0].t_utc, site.timezone)], site)[
-        0
-    ].transit
+    first_day = sun.standard_date(slots[0].t_utc, site.timezone)
+    transit = sun.rise_transit_set([first_day], site)[0].transit
     noon = transit.astimezone(ZoneInfo(site.timezone)) if transit else None
     return PlanSummary(
         session=str(session.root),

@@ -1,0 +1,425 @@
+"""Sun position, seasons and components of sunlight, computed by pvlib. Naive times are refused."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from datetime import UTC, date, datetime, time, timedelta
+from functools import lru_cache
+from typing import TYPE_CHECKING, NamedTuple
+from zoneinfo import ZoneInfo
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fieldlum.core.arrays import Floats, Mask
+from fieldlum.core.records import Site
+from fieldlum.optics.projection import direction as direction  # callers read sun.direction
+from fieldlum.optics.projection import signed_angle_deg
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+# ----------------------------------------------------------------------------------------------
+# position
+
+# 2 pi (1 - cos 0.2665 deg): the mean disc, as in Radiance's gendaylit.
+SUN_SOLID_ANGLE_SR = 6.797e-5
+# Conditions of the standard atmosphere, hPa and deg C; 20 degrees or 2 km more change refraction by
+# 7 % and 22 %, a hundredth of a degree with the sun at 10 degrees.
+_STANDARD_PRESSURE_HPA, _STANDARD_TEMPERATURE_C = 1013.25, 12.0
+_HORIZON_REFRACTION_DEG = (
+    0.5667  # pvlib's default; 0.27 degrees (the disc) below it nothing is seen
+)
+
+
+class SunPosition(NamedTuple):
+    """Sun positions, arrays [n] in deg.
+
+    altitude_deg: without refraction; apparent_altitude_deg: with refraction, as in pictures;
+    azimuth_deg: clockwise from north, in [0, 360).
+    """
+
+    altitude_deg: Floats
+    apparent_altitude_deg: Floats
+    azimuth_deg: Floats
+
+
+def pandas_index(times_utc: Sequence[datetime], who: str) -> pd.DatetimeIndex:
+    """Return times as a pandas index in UTC.
+
+    Raises ValueError for naive times, with `who` as the caller's name.
+    """
+    import pandas as pd
+
+    if any(t.tzinfo is None for t in times_utc):
+        raise ValueError(f"naive time given to sun.{who}; add a time zone")
+    return pd.DatetimeIndex(pd.to_datetime(list(times_utc), utc=True))
+
+
+def position(times_utc: Sequence[datetime], site: Site) -> SunPosition:
+    """Return the sun position by NREL's SPA (Reda and Andreas 2004, through pvlib).
+
+    Arrays are in the order of times_utc, empty without times. Raises ValueError for naive times.
+    """
+    from pvlib.solarposition import get_solarposition
+
+    index = pandas_index(times_utc, "position")
+    if len(index) == 0:
+        return SunPosition(np.empty(0), np.empty(0), np.empty(0))
+    table = get_solarposition(
+        index, site.latitude_deg, site.longitude_deg, site.altitude_m, method="nrel_numpy"
+    )
+    return SunPosition(
+        np.asarray(table["elevation"], float),
+        np.asarray(table["apparent_elevation"], float),
+        np.asarray(table["azimuth"], float) % 360.0,
+    )
+
+
+def shown_altitude_deg(altitude_deg: ArrayLike) -> Floats:
+    """Return the altitude at which a picture shows the sun, from the true one, [n] deg.
+
+    Refraction by SPA's formula (Bennett 1982, Reda and Andreas 2004) at standard pressure and 12 C:
+    0.16 degrees at 5 degrees, 0.09 at 10; none for a sun that is below the visible horizon.
+    """
+    from pvlib import spa
+
+    altitude = np.asarray(altitude_deg, float)
+    visible = altitude >= -(0.26667 + _HORIZON_REFRACTION_DEG)
+    raised = spa.atmospheric_refraction_correction(
+        _STANDARD_PRESSURE_HPA,
+        _STANDARD_TEMPERATURE_C,
+        np.where(visible, altitude, 0.0),
+        _HORIZON_REFRACTION_DEG,
+    )
+    return altitude + np.where(visible, raised, 0.0)
+
+
+# ----------------------------------------------------------------------------------------------
+# local days, seasons, rise and set
+
+
+@lru_cache(maxsize=256)
+def standard_offset(timezone: str, year: int) -> timedelta:
+    """Return the UTC offset of local standard time: the smallest on the 15th of the year's months.
+
+    The "dst" field of the time zone data is not used: for Ireland it marks winter as the exception.
+    """
+    zone = ZoneInfo(timezone)
+    offsets = [
+        datetime(year, month, 15, 12, tzinfo=zone).utcoffset() or timedelta()
+        for month in range(1, 13)
+    ]
+    return min(offsets)
+
+
+def zone_off_sun_h(site: Site) -> float:
+    """Return local standard time minus the mean solar time of the longitude, -12 to 12 h.
+
+    The result is 0 for UTC, which is no place's own time zone.
+    """
+    if site.timezone.removeprefix("Etc/") in ("UTC", "GMT", "UCT", "Zulu"):
+        return 0.0
+    standard = standard_offset(site.timezone, 2027)
+    return (standard.total_seconds() / 3600 - site.longitude_deg / 15 + 12) % 24 - 12
+
+
+def standard_time(t_utc: datetime, timezone: str) -> datetime:
+    """Return a moment as local standard time, without summer time, naive, for labels and dates.
+
+    Raises ValueError for a naive time.
+    """
+    if t_utc.tzinfo is None:
+        raise ValueError(f"naive time {t_utc}: add a time zone")
+    moment = t_utc.astimezone(UTC)
+    return (moment + standard_offset(timezone, moment.year)).replace(tzinfo=None)
+
+
+def standard_date(t_utc: datetime, timezone: str) -> date:
+    """Return the date of a moment in local standard time. Raises ValueError for a naive time."""
+    return standard_time(t_utc, timezone).date()
+
+
+def standard_midnight(day: date, timezone: str) -> datetime:
+    """Return the start of a local standard day, in UTC."""
+    return datetime.combine(day, time(), tzinfo=UTC) - standard_offset(timezone, day.year)
+
+
+def clock_changes(first: date, last: date, timezone: str) -> list[tuple[datetime, timedelta]]:
+    """Return the clock changes from standard midnight at the start of `first` to the end of `last`.
+
+    Each is (moment in UTC, new minus old UTC offset), in order; found to the half hour.
+    """
+    zone = ZoneInfo(timezone)
+    start, changes = standard_midnight(first, timezone), []
+    hours = ((last - first).days + 1) * 24
+    before = start.astimezone(zone).utcoffset() or timedelta()
+    # Every change of the last fifty years was on a half hour of UTC.
+    for hour in range(1, hours * 2 + 1):
+        moment = start + timedelta(minutes=30 * hour)
+        now = moment.astimezone(zone).utcoffset() or timedelta()
+        if now != before:
+            changes.append((moment, now - before))
+        before = now
+    return changes
+
+
+def _apparent_longitude_deg(unix_s: float) -> float:
+    """Return the apparent geocentric ecliptic longitude of the sun, in deg.
+
+    By the steps of Reda and Andreas 2004 (pvlib.spa).
+    """
+    from pvlib import spa
+
+    ut = np.atleast_1d(unix_s)
+    moment = datetime.fromtimestamp(unix_s, UTC)
+    jde = spa.julian_ephemeris_day(
+        spa.julian_day(ut), spa.calculate_deltat(moment.year, moment.month)
+    )
+    jce = spa.julian_ephemeris_century(jde)
+    jme = spa.julian_ephemeris_millennium(jce)
+    nutation = np.zeros((2, 1))  # filled in place: longitude, obliquity
+    spa.longitude_obliquity_nutation(
+        jce,
+        spa.mean_elongation(jce),
+        spa.mean_anomaly_sun(jce),
+        spa.mean_anomaly_moon(jce),
+        spa.moon_argument_latitude(jce),
+        spa.moon_ascending_longitude(jce),
+        nutation,
+    )
+    aberration = spa.aberration_correction(spa.heliocentric_radius_vector(jme))
+    theta = spa.geocentric_longitude(spa.heliocentric_longitude(jme))
+    return float(spa.apparent_sun_longitude(theta, nutation[0], aberration)[0])
+
+
+@lru_cache(maxsize=128)
+def season(year: int, which: int) -> datetime:
+    """Return the moment at which the sun's apparent longitude is ``90 deg * which``.
+
+    which : 0 March equinox, 1 June solstice, 2 September equinox, 3 December solstice; named by
+    month, because "spring" is another season south of the equator. To the second in UTC; within a
+    minute of the almanac's tables from 1950 to 2050.
+    """
+    month, target = (3, 6, 9, 12)[which], 90.0 * which
+    moment = datetime(year, month, 21, tzinfo=UTC).timestamp()
+    # Newton with the mean rate of the longitude: each step reduces the error about thirtyfold.
+    for _ in range(8):
+        behind = float(signed_angle_deg(target - _apparent_longitude_deg(moment)))
+        moment += behind / 360.0 * 365.2422 * 86400.0
+    return datetime.fromtimestamp(round(moment), UTC)
+
+
+def declination_deg(times_utc: Sequence[datetime]) -> Floats:
+    """Return the sun's declination, north positive, [n], in deg, correct to about 0.01 deg.
+
+    Raises ValueError for naive times. It is computed as the true altitude of the sun at the pole.
+    """
+    return position(times_utc, Site("pole", 90.0, 0.0)).altitude_deg
+
+
+class DayOfSun(NamedTuple):
+    """Rise, transit and set of a local standard day, in UTC; None: it does not happen.
+
+    Rise and set are those of the upper limb, with refraction.
+    """
+
+    rise: datetime | None
+    transit: datetime | None
+    set: datetime | None
+
+
+# True altitude of the centre at rise and set: 34' of refraction and 16' of radius. Definition of
+# the US Naval Observatory.
+RISE_ALTITUDE_DEG = -0.8333
+
+
+def rise_transit_set(days: Sequence[date], site: Site) -> list[DayOfSun]:
+    """Return rise, transit and set of each local standard day, in the order of `days`.
+
+    A polar night or a midnight sun has neither rise nor set. Crossings of the rise altitude and of
+    the meridian are interpolated in positions every two minutes. pvlib's own times are wrong by up
+    to a day's drift (85 s at Sydney's equinox) far from Greenwich, and by minutes where the sun
+    touches the horizon.
+    """
+    events = []
+    for day in days:
+        start = standard_midnight(day, site.timezone)
+        times = [start + timedelta(minutes=2 * k) for k in range(721)]
+        at = position(times, site)
+        above = at.altitude_deg - RISE_ALTITUDE_DEG
+        west = -np.sin(np.radians(at.azimuth_deg)) * np.cos(np.radians(at.altitude_deg))
+        crossings = (_rising_through_0(value, times) for value in (above, west, -above))
+        events.append(DayOfSun(*crossings))
+    return events
+
+
+def _rising_through_0(value: Floats, times: Sequence[datetime]) -> datetime | None:
+    """Return the first time at which a sampled value passes from below 0 to above, to a second."""
+    at = np.flatnonzero((value[:-1] < 0.0) & (value[1:] >= 0.0))
+    if not at.size:
+        return None
+    k = int(at[0])
+    moment = times[k] + (times[k + 1] - times[k]) * float(value[k] / (value[k] - value[k + 1]))
+    return (moment + timedelta(milliseconds=500)).replace(microsecond=0)
+
+
+# ----------------------------------------------------------------------------------------------
+# components of sunlight
+
+# Below this altitude a horizontal error of 10 W/m2 is over 100 W/m2 of DNI: mark such values.
+# Chosen.
+LOW_SUN_DEG = 5.0
+# Above this altitude shares and ratios of horizontal readings can be tested. Chosen, not measured.
+CLEAR_SUN_DEG = 10.0
+# Global over extraterrestrial light, at least; the darkest storm transmits ten times as much, a
+# file in kW has a thousandth. Chosen, not measured.
+LEAST_CLEARNESS = 0.005
+
+
+@contextmanager
+def _old_names() -> Iterator[None]:
+    """Ignore a warning: pvlib 0.16 uses `dayofyear` of pandas 3.1, which has a new name."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="DatetimeIndex.dayofyear is deprecated")
+        yield
+
+
+def extraterrestrial_wm2(times_utc: Sequence[datetime]) -> Floats:
+    """Return the irradiance on a plane normal to the sun above the atmosphere, [n], in W/m2.
+
+    Spencer 1971, through pvlib. Raises ValueError for naive times.
+    """
+    from pvlib.irradiance import get_extra_radiation
+
+    with _old_names():
+        return np.asarray(
+            get_extra_radiation(pandas_index(times_utc, "extraterrestrial_wm2")), float
+        )
+
+
+class Irradiance(NamedTuple):
+    """Global horizontal, direct normal, diffuse horizontal irradiance [n] W/m2; NaN: unknown."""
+
+    ghi_wm2: Floats
+    dni_wm2: Floats
+    dhi_wm2: Floats
+
+
+def clearsky(times_utc: Sequence[datetime], site: Site) -> Irradiance:
+    """Return the irradiance of a cloudless sky, [n] each, in W/m2.
+
+    Ineichen and Perez 2002 with pvlib's monthly turbidity, which needs no network. Raises
+    ValueError for naive times.
+    """
+    from pvlib.location import Location
+
+    place = Location(site.latitude_deg, site.longitude_deg, "UTC", site.altitude_m)
+    with _old_names():
+        table = place.get_clearsky(pandas_index(times_utc, "clearsky"), model="ineichen")
+    return Irradiance(*(np.asarray(table[name], float) for name in ("ghi", "dni", "dhi")))
+
+
+def dirint_dni(ghi_wm2: ArrayLike, times_utc: Sequence[datetime], site: Site) -> Floats:
+    """Return DNI from a regular series of global irradiance by DIRINT, [n], in W/m2.
+
+    Perez et al. 1992, through pvlib: the best of pvlib's decompositions on BSRN Payerne, June 2016,
+    with RMSE 92 W/m2 (38 %) by the minute and 70 (30 %) by the hour. It uses neighbours: the series
+    must be complete, sorted and evenly spaced. Zero with the sun under 3 degrees; NaN where the
+    global is NaN. Raises ValueError for naive times.
+    """
+    from pvlib.atmosphere import alt2pres
+    from pvlib.irradiance import dirint
+
+    ghi = np.asarray(ghi_wm2, float)
+    zenith = 90.0 - position(times_utc, site).altitude_deg
+    with np.errstate(divide="ignore", invalid="ignore"), _old_names():
+        computed = dirint(
+            np.maximum(ghi, 0.0),
+            zenith,
+            pandas_index(times_utc, "dirint_dni"),
+            pressure=alt2pres(site.altitude_m),
+        )
+    dni = np.nan_to_num(np.asarray(computed, float), nan=0.0)
+    # The beam never exceeds what the global allows, nor the irradiance above the atmosphere.
+    ceiling = np.maximum(ghi, 0.0) / np.maximum(np.cos(np.radians(zenith)), np.sin(np.radians(1.0)))
+    dni = np.minimum(dni, np.minimum(np.nan_to_num(ceiling), extraterrestrial_wm2(times_utc)))
+    return np.where(np.isnan(ghi), np.nan, np.where(zenith > 87.0, 0.0, dni))
+
+
+def dhi_by_closure(ghi_wm2: ArrayLike, dni_wm2: ArrayLike, altitude_deg: ArrayLike) -> Floats:
+    """Return diffuse = global - DNI sin(altitude), never negative, [n], in W/m2.
+
+    With the sun below the horizon it is the global.
+    """
+    beam = np.asarray(dni_wm2, float) * np.maximum(np.sin(np.radians(altitude_deg)), 0.0)
+    return np.maximum(np.asarray(ghi_wm2, float) - beam, 0.0)
+
+
+def dni_by_closure(ghi_wm2: ArrayLike, dhi_wm2: ArrayLike, altitude_deg: ArrayLike) -> Floats:
+    """Return DNI = (global - diffuse) / sin(altitude), [n], in W/m2.
+
+    Noise can make it negative: values are not clipped, so that a mean has no bias. Zero at
+    altitudes up to 2 degrees, where it cannot be determined.
+    """
+    altitude = np.asarray(altitude_deg, float)
+    sine = np.sin(np.radians(np.maximum(altitude, 2.0)))
+    beam = np.asarray(ghi_wm2, float) - np.asarray(dhi_wm2, float)
+    return np.where(altitude > 2.0, beam / sine, 0.0)
+
+
+class Limits(NamedTuple):
+    """Lowest (one number) and highest plausible value [n] of each component, in W/m2."""
+
+    ghi_wm2: tuple[float, Floats]
+    dhi_wm2: tuple[float, Floats]
+    dni_wm2: tuple[float, Floats]
+
+
+def bsrn_limits(
+    altitude_deg: ArrayLike, extraterrestrial: ArrayLike, *, extreme: bool = False
+) -> Limits:
+    """Return BSRN's limits of irradiance: the physically possible ones, or the extremely rare ones.
+
+    Source: Long and Dutton 2002 (QCRad). Each of GHI, DHI and DNI has a lowest and a highest value.
+    altitude_deg : [n], below 0 counts as 0; extraterrestrial : [n] on a plane normal to the sun,
+    W/m2. extreme : return the narrower limits, which are exceeded extremely rarely.
+    """
+    mu = np.maximum(np.sin(np.radians(altitude_deg)), 0.0)
+    sa = np.asarray(extraterrestrial, float)
+    if extreme:
+        return Limits(
+            (-2.0, 1.2 * sa * mu**1.2 + 50.0),
+            (-2.0, 0.75 * sa * mu**1.2 + 30.0),
+            (-2.0, 0.95 * sa * mu**0.2 + 10.0),
+        )
+    return Limits(
+        (-4.0, 1.5 * sa * mu**1.2 + 100.0),
+        (-4.0, 0.95 * sa * mu**1.2 + 50.0),
+        (-4.0, sa + 0.0 * mu),
+    )
+
+
+def too_weak(ghi_wm2: ArrayLike, altitude_deg: ArrayLike, extraterrestrial: ArrayLike) -> Mask:
+    """Return True where global is under 0.5 % of extraterrestrial sin(altitude), [n].
+
+    False for a sun up to 10 degrees. Where True, the instrument is covered or dead, or the unit is
+    kW/m2.
+    """
+    altitude = np.asarray(altitude_deg, float)
+    top = np.asarray(extraterrestrial, float) * np.sin(np.radians(np.maximum(altitude, 0.0)))
+    return (altitude > CLEAR_SUN_DEG) & (np.asarray(ghi_wm2, float) < LEAST_CLEARNESS * top)
+
+
+def closure_ratio(
+    ghi_wm2: ArrayLike, dhi_wm2: ArrayLike, dni_wm2: ArrayLike, altitude_deg: ArrayLike
+) -> Floats:
+    """Return global over (diffuse + DNI sin altitude), [n].
+
+    NaN (not testable) where that sum is not over 50 W/m2. Irradiances in W/m2.
+    """
+    beam = np.asarray(dni_wm2, float) * np.maximum(np.sin(np.radians(altitude_deg)), 0.0)
+    total = np.asarray(dhi_wm2, float) + beam
+    return np.divide(ghi_wm2, total, out=np.full(total.shape, np.nan), where=total > 50.0)
