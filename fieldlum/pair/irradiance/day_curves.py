@@ -29,6 +29,8 @@ def draw_days(session: Session, *, force: bool = False) -> Path | None:
 
     Return None if clean.csv has no row.
     """
+    from matplotlib.figure import Figure
+
     path, source = session.irradiance / "days.png", session.clean_irradiance
     if not force and path.is_file() and path.stat().st_mtime >= source.stat().st_mtime:
         return path
@@ -37,11 +39,9 @@ def draw_days(session: Session, *, force: bool = False) -> Path | None:
     if len(clean.t_unix_s) == 0:
         return None
     bins = np.unique(np.floor(clean.t_unix_s / BIN_S)) * BIN_S
-    dates = np.array([datetime.fromtimestamp(t, zone).date().toordinal() for t in bins])
+    days = np.unique([datetime.fromtimestamp(t, zone).date().toordinal() for t in bins])
     captured = {parse_utc(folder.name).astimezone(zone) for folder in session.captured_folders()}
-    shown = chosen_days(np.unique(dates), {t.date().toordinal() for t in captured})
-    from matplotlib.figure import Figure
-
+    shown = chosen_days(days, {t.date().toordinal() for t in captured})
     rows = -(-len(shown) // COLUMNS)
     figure = Figure(figsize=(3.6 * COLUMNS, 1.9 * rows + 0.5), layout="constrained")
     grid = figure.subplots(rows, COLUMNS, squeeze=False, sharex=True, sharey=True).ravel()
@@ -49,8 +49,7 @@ def draw_days(session: Session, *, force: bool = False) -> Path | None:
         _draw_day(axes, day, clean, site, [t for t in captured if t.date().toordinal() == day])
     for axes in grid[len(shown) :]:
         axes.set_axis_off()
-    not_shown = len(np.unique(dates)) - len(shown)
-    more = f"; {not_shown} more days are not shown" if not_shown else ""
+    more = f"; {len(days) - len(shown)} more days are not shown" if len(days) > len(shown) else ""
     figure.suptitle(
         f"{site.name}: GHI (orange), DNI (blue), DHI (green), clear-sky GHI (dashed) in W/m²; red: "
         f"flagged; lines: brackets; hours of {site.timezone}{more}",
@@ -74,28 +73,23 @@ def _draw_day(
     axes: Any, day: int, clean: CleanIrradiance, site: Site, captured: list[datetime]
 ) -> None:
     """Draw one local day."""
-    zone = ZoneInfo(site.timezone)
     date = datetime.fromordinal(day)
-    start = date.replace(tzinfo=zone).timestamp()
-    first, last = np.searchsorted(clean.t_unix_s, [start, start + 25 * 3600])
-    rows = slice(int(first), int(last))
-    hours = (clean.t_unix_s[rows] - start) / 3600.0
-    edges = np.floor(hours * 3600.0 / BIN_S).astype(np.int64)
+    start = date.replace(tzinfo=ZoneInfo(site.timezone)).timestamp()
+    rows = slice(*np.searchsorted(clean.t_unix_s, [start, start + 25 * 3600]).tolist())
+    bins = np.floor((clean.t_unix_s[rows] - start) / BIN_S).astype(np.int64)
     for name, colour in _CURVES:
-        x, y = _means(edges, getattr(clean, f"{name}_wm2")[rows])
+        x, y = _means(bins, getattr(clean, f"{name}_wm2")[rows])
         axes.plot(x, y, color=colour, lw=0.9, marker=".", ms=2)
-    steps = np.arange(0.0, 24.01, 0.25)
-    times = [datetime.fromtimestamp(start + 3600.0 * h, UTC) for h in steps]
-    axes.plot(steps, sun.clearsky(times, site).ghi_wm2, color=PALE, lw=0.8, ls="--")
-    bad = np.array([bool(set(flags.split()) - {"low-sun", "gap"}) for flags in clean.flags[rows]])
-    if bad.any():
-        marked = np.unique(edges[bad]) * BIN_S / 3600.0
-        axes.plot(marked, np.zeros(len(marked)), "|", color=RED)
+    hours = np.arange(0.0, 24.01, 0.25)
+    times = [datetime.fromtimestamp(start + 3600.0 * h, UTC) for h in hours]
+    axes.plot(hours, sun.clearsky(times, site).ghi_wm2, color=PALE, lw=0.8, ls="--")
+    bad = [bool(set(flags.split()) - {"low-sun", "gap"}) for flags in clean.flags[rows]]
+    marked = np.unique(bins[np.array(bad, bool)]) * BIN_S / 3600.0
+    axes.plot(marked, np.zeros(len(marked)), "|", color=RED)
     for t in captured:
         axes.axvline((t.timestamp() - start) / 3600.0, color=PALE, lw=0.6, zorder=0)
     axes.set_title(f"{date:%a %Y-%m-%d}", fontsize=8, pad=2)
-    axes.set_xlim(0, 24)
-    axes.set_xticks([0, 6, 12, 18, 24])
+    axes.set(xlim=(0, 24), xticks=[0, 6, 12, 18, 24])
     open_axes(axes)
 
 
