@@ -15,12 +15,12 @@ from click.testing import CliRunner
 from fieldlum.cli import main
 from fieldlum.core.records import Panorama
 from fieldlum.optics.images import write_panorama, write_radiance_hdr
-from fieldlum.report.view.measured_picture import (
+from fieldlum.report.view import (
     parse_region,
     read_measured_picture,
     region_statistics,
+    write_page,
 )
-from fieldlum.report.view.page import write_page
 
 VIEW = "-vta -vd 0 -1 0 -vu 0 0 1 -vh 180 -vv 180"
 BROWSER = (

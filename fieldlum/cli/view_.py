@@ -41,7 +41,7 @@ def command(
       --isolines: Draw lines at 1, 10, 100 ... cd/m2 into the PNG.
     """
     from fieldlum.core.errors import InputError
-    from fieldlum.report.view.measured_picture import (
+    from fieldlum.report.view import (
         MeasuredPicture,
         parse_region,
         read_measured_picture,
@@ -65,7 +65,7 @@ def command(
             say(f"fieldlum view: {error}")
     rows = [region_statistics(region, picture) for picture in pictures for region in regions]
     if pictures:
-        from fieldlum.report.view.page import write_page, write_png
+        from fieldlum.report.view import write_page, write_png
 
         if out.suffix.lower() == ".png":
             write_png(out, pictures, regions, isolines)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -143,12 +143,10 @@ def judged(
         )
         pixels, sun = take_out_sun(pixels, panorama.heading_deg, sun)
         views = panorama_views(height, width, panorama.heading_deg, azimuths, seen_mask)
-        warnings = [*_unseen_texts(seen_mask), *warnings]
     else:
         _check_azimuths(view.azimuth_deg, azimuths_deg, path)
         views = picture_views(view, height, width, seen_mask)
         share = min(1.0, float(views.moments[:, 0].sum(dtype=float)) / (2.0 * np.pi))
-        warnings += _cover_texts(share)
     sources = glare_sources(pixels, views)
     rows = _view_rows(pixels, picture, views, sources, sun, lamps)
     if reference:
@@ -164,7 +162,11 @@ def judged(
         "melanopic_der": "D65, assumed" if melanopic_ratio(panorama) is None else "colour",
         "views": rows,
         "disturbed_share": plain(float(disturbed_share(np.array([graded]))[0])),
-        "warnings": [*warnings, *_picture_texts(picture), *_level_texts(rows, factor)],
+        "warnings": [
+            *_picture_texts(picture, seen_mask),
+            *warnings,
+            *_figure_texts(rows, share, factor),
+        ],
         "covered_share": share,
     }
     if view is None:
@@ -326,62 +328,53 @@ def plain(value: float) -> float | None:
 # warnings
 
 
-def _unseen_texts(seen_mask: Mask | None) -> list[str]:
-    if seen_mask is None:
-        return []
-    return [
-        f"no lens saw {100 * (~seen_mask).mean():.0f} % of the panorama: view directions that are "
-        "mostly unseen have no result; partly seen ones have two values of DGP, the lowest and the "
-        "highest for an unseen part between black and the brightest 1 % of the seen part"
-    ]
-
-
-def _cover_texts(share: float) -> list[str]:
-    if share >= FULLY_SEEN_SHARE:
-        return []
-    return [
-        f"the picture covers {100 * share:.0f} % of the hemisphere in front: Ev is a lower "
-        "bound, and DGP counts the part outside the picture as black; a partly seen view has "
-        "bounds of DGP too; use a 180-degree fisheye"
-    ]
-
-
-def _level_texts(rows: Sequence[Mapping[str, Any]], factor: float) -> list[str]:
-    """Return a warning if a view has more light than sun and sky give, or if all views are dark."""
-    highest = max((row["ev_lx"] or 0.0 for row in rows), default=0.0)
-    if highest > MAX_EV_LX:
-        return [
-            f"Ev of {highest:.0f} lx is more than sun and sky give ({MAX_EV_LX:.0f} lx): the "
-            "luminance is not calibrated, or the pixels are in cd/m2 instead of Radiance's "
-            f"W/sr/m2; {_SCALE}"
-        ]
-    if 0.0 < highest < MIN_DGP_EV_LX:
-        known = f"; if the picture is not calibrated, {_SCALE}" if factor == 1.0 else ""
-        return [
-            f"Ev is at most {highest:.3g} lx: below {MIN_DGP_EV_LX:.0f} lx a DGP may be too low"
-            f"{known}"
-        ]
-    return []
-
-
-def _picture_texts(picture: Picture) -> list[str]:
-    """Return the reader's notes, and warnings of a missing direction, darkness and clipping."""
-    panorama, texts = picture.panorama, list(picture.notes)
+def _picture_texts(picture: Picture, seen_mask: Mask | None) -> Iterator[str]:
+    """Yield the reader's notes, and warnings of unseen, dark and clipped pixels."""
+    panorama = picture.panorama
+    if picture.view is None and seen_mask is not None:
+        yield (
+            f"no lens saw {100 * (~seen_mask).mean():.0f} % of the panorama: view directions that "
+            "are mostly unseen have no result; partly seen ones have the lowest and the highest DGP "
+            "for an unseen part between black and the brightest 1 % of the seen part"
+        )
+    yield from picture.notes
     if not picture.directed:
-        texts.append(
+        yield (
             "the picture's VIEW has no direction (-vd): the glare figures are right, but the "
             f"azimuth of {panorama.heading_deg:.0f} deg is an assumption; state the view "
             "with --view"
         )
     if not (panorama.luminance_cdm2 > 0).any():
-        texts.append(
+        yield (
             "the picture has no light: no pixel is above 0 cd/m2, so the glare figures have "
             "no meaning; check how the picture was written"
         )
     clipped = 0 if panorama.flags is None else int((panorama.flags & Flag.CLIPPED_HIGH > 0).sum())
     if clipped:
-        texts.append(
+        yield (
             f"clipped in every frame: {counted(clipped, 'pixel')}; the true luminance there, and "
             "DGP, may be higher; capture shorter exposures as well"
         )
-    return texts
+
+
+def _figure_texts(rows: Sequence[Mapping[str, Any]], share: float, factor: float) -> Iterator[str]:
+    """Yield warnings of a small picture, more light than sun and sky give, and darkness."""
+    if share < FULLY_SEEN_SHARE:
+        yield (
+            f"the picture covers {100 * share:.0f} % of the hemisphere in front: Ev is a lower "
+            "bound, and DGP counts the part outside the picture as black; a partly seen view has "
+            "bounds of DGP too; use a 180-degree fisheye"
+        )
+    highest = max((row["ev_lx"] or 0.0 for row in rows), default=0.0)
+    if highest > MAX_EV_LX:
+        yield (
+            f"Ev of {highest:.0f} lx is more than sun and sky give ({MAX_EV_LX:.0f} lx): the "
+            "luminance is not calibrated, or the pixels are in cd/m2 instead of Radiance's "
+            f"W/sr/m2; {_SCALE}"
+        )
+    elif 0.0 < highest < MIN_DGP_EV_LX:
+        known = f"; if the picture is not calibrated, {_SCALE}" if factor == 1.0 else ""
+        yield (
+            f"Ev is at most {highest:.3g} lx: below {MIN_DGP_EV_LX:.0f} lx a DGP may be too low"
+            f"{known}"
+        )

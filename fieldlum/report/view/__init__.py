@@ -1,1 +1,0 @@
-"""Show luminance pictures: false-colour PNG, regions, and an offline page."""
