@@ -334,7 +334,7 @@ def _picture_texts(picture: Picture, seen_mask: Mask | None) -> Iterator[str]:
     if picture.view is None and seen_mask is not None:
         yield (
             f"no lens saw {100 * (~seen_mask).mean():.0f} % of the panorama: view directions that "
-            "are mostly unseen have no result; partly seen ones have the lowest and the highest DGP "
+            "are mostly unseen have no result; partly seen ones have the lowest and highest DGP "
             "for an unseen part between black and the brightest 1 % of the seen part"
         )
     yield from picture.notes
