@@ -14,9 +14,9 @@ from fieldlum.core.records import Exposure
 from fieldlum.merge.estimator import Rows
 from fieldlum.merge.frames import RawSignal
 from fieldlum.merge.project import ProjectedImage, blend
-from fieldlum.merge.ratios import ratio_curve, unexplained
+from fieldlum.merge.ratios import fit_ratios, ratio_curve, unexplained
 from fieldlum.merge.shots import U_REPEAT, exposure_covariance
-from fieldlum.optics.photometry import PairRatio, fit_ratios
+from fieldlum.optics.photometry import PairRatio
 from fieldlum.optics.profiles import (
     Bracket,
     CameraBody,

@@ -13,14 +13,13 @@ from msgspec import structs
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure, Flag
 from fieldlum.merge import MergeOptions, Shot, merge_frames, merge_sensor, shots_of_files
-from fieldlum.merge.frame_checks import orientation_conflict
 from fieldlum.merge.jpeg_noise import footprint_px
 from fieldlum.merge.project import u_of_edges
-from fieldlum.merge.quality import verdict
-from fieldlum.merge.ratios import beyond, free_fit
+from fieldlum.merge.quality import orientation_conflict, verdict
+from fieldlum.merge.ratios import beyond, fit_ratios, free_fit
 from fieldlum.merge.sensor import Findings, SensorImage, any_beyond_prior
 from fieldlum.merge.shots import U_ISO, exposure_covariance, sorted_shots
-from fieldlum.optics.photometry import PairRatio, fit_ratios, snap_shutter_s, z_per_cdm2
+from fieldlum.optics.photometry import PairRatio, snap_shutter_s, z_per_cdm2
 from fieldlum.optics.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor
 from fieldlum.optics.projection import Equirect
 from fieldlum.optics.projection.grids import Fisheye

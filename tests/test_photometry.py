@@ -8,15 +8,14 @@ from hypothesis import strategies as st
 from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import Exposure, SunSource
 from fieldlum.devices import nearest
+from fieldlum.merge.ratios import fit_ratios, pair_ratio
 from fieldlum.optics.photometry import (
     check_vignetting,
     dark_floor,
-    fit_ratios,
     fit_response,
     illuminance_lx,
     illuminance_verdict,
     monotone,
-    pair_ratio,
     polynomial_table,
     prior_u_log,
     response_table,

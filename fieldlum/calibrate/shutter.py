@@ -39,7 +39,7 @@ MIN_BRACKETS = 5  # with a pair of times; chosen so that a median is robust
 MAX_SPREAD = 0.02
 _NOISY = 0.01  # relative u of one bracket's pair; less certain pairs do not count; chosen
 _FLOOR = 2e-4  # smallest relative u of a time; chosen, not measured
-_LINEAR = 5e-4  # relative u of a pair's ratio by linearity, as in photometry.ratios; not measured
+_LINEAR = 5e-4  # relative u of a pair's ratio by linearity, as in merge.ratios; not measured
 
 Pair = tuple[float, float]  # nominal times of the longer and the shorter frame [s]
 

@@ -29,12 +29,13 @@ from fieldlum.optics.linear_light import (
     nd_factors,
     response_tables,
 )
-from fieldlum.optics.photometry import linearity_factor
+from fieldlum.optics.photometry import linearity_factor, saturation_plateau
 from fieldlum.optics.profiles import CameraProfile
 from fieldlum.optics.raw import channel_positions, read_jpeg, read_mosaic
 
 Plateau = tuple[float | None, ...]  # of R, G1, G2, B [DN]
 NO_PLATEAU: Plateau = (None, None, None, None)
+_LOOKED_AT = 6_000_000  # pixels that are examined for saturation, to limit the time; chosen
 # of the saturation: brighter pixels do not predict; noise is added to the limit; chosen
 _GATE = 0.97
 _FULL = 0.99  # of the saturation: a count above it is treated as saturated; chosen
@@ -435,6 +436,35 @@ def load_jpeg(
         *ends,
         bool(shot.exposure.nd),
     )
+
+
+def saturation_and_black(
+    shots: Sequence[Shot], profile: CameraProfile
+) -> tuple[dict[float, Plateau], float]:
+    """Measure saturation and black level in the most exposed frame of each ISO.
+
+    shots: of one heading, longest exposure first. Return the counts at which R, G1, G2 and B
+    saturate by ISO, black included, None for a colour that does not saturate in the frame; and the
+    files' black level minus the profile's [DN], for the colour with the largest difference, 0 if
+    the profile has none. For a JPEG camera there are none. One colour can saturate at lower counts
+    than the others. The counts depend on the ISO: at a low ISO the full well limits, at a high ISO
+    the converter.
+    """
+    plateau_dn: dict[float, Plateau] = {}
+    off = 0.0
+    for shot in shots if profile.camera.kind == "raw" else ():
+        if shot.exposure.iso in plateau_dn:
+            continue
+        mosaic = read_mosaic(shot.path, lens_f_number=shot.exposure.f_number)
+        step = 2 * max(1, mosaic.counts.size // _LOOKED_AT)
+        plateau_dn[shot.exposure.iso] = tuple(
+            saturation_plateau(mosaic.counts[row::step, column::2], mosaic.white_dn)
+            for row, column in channel_positions(mosaic.cfa)
+        )
+        if any(profile.sensor.black_dn):
+            differences = np.subtract(mosaic.black_dn, profile.sensor.black_dn).tolist()
+            off = max([off, *differences], key=abs)
+    return plateau_dn, off
 
 
 Signal = RawSignal | JpegSignal

@@ -9,10 +9,12 @@ from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats
 from fieldlum.core.records import Flag
-from fieldlum.merge.frame_checks import orientation_conflict
 from fieldlum.merge.sensor import Findings, any_beyond_prior
+from fieldlum.merge.shots import Shot
 from fieldlum.optics.profiles import CameraProfile
+from fieldlum.optics.projection import signed_angle_deg
 from fieldlum.optics.projection.grids import Target
+from fieldlum.optics.raw import roll_deg_of, white_balance_is_fixed
 from fieldlum.session.files.merge_report import DarkRim, FrameQuality, MergeReport
 
 # Limits of the verdict, chosen with simulated and real brackets (docs/merge.md, "Verdicts").
@@ -20,6 +22,53 @@ RESIDUAL_WARN_PERCENT = 3.0
 SHIFT_WARN_PX = 1.0  # beyond three standard errors
 BLACK_WARN_DN = 1.0
 _MOTION_WARN_PERCENT, _BELOW_NOISE_WARN_PERCENT = 2.0, 5.0
+# A frame whose EXIF roll differs from the profile's by more than the first value counts as turned;
+# a lens within the second value of the horizon counts as level. Not measured.
+_HELD_DEG, _LEVEL_DEG = 60.0, 45.0
+
+
+def orientation_conflict(shots: Sequence[Shot], profile: CameraProfile) -> str:
+    """Return a text for the verdict if the frames' EXIF roll is wrong; "" if it is not.
+
+    The roll is wrong if it changes within the bracket, or differs by over 60 degrees from the
+    profile's: a camera on its side gives a rotated map, and no other figure of the merge shows
+    that. Cameras with several lenses, lenses tilted by over 45 degrees, and frames without EXIF
+    orientation are not checked.
+    """
+    lens = profile.lens[0]
+    # Cameras with two fisheyes have no upright position, and the EXIF roll is unreliable when the
+    # camera points up.
+    if len(profile.lens) > 1 or abs(lens.tilt_deg) > _LEVEL_DEG:
+        return ""
+    rolls_deg = {roll for shot in shots if (roll := roll_deg_of(shot.path)) is not None}
+    if len(rolls_deg) > 1:
+        return (
+            "the camera was turned within the bracket: its EXIF has the roll angles "
+            f"{_degrees(rolls_deg)}; capture the bracket again with a fixed camera"
+        )
+    off = float(signed_angle_deg(rolls_deg.pop() - lens.roll_deg)) if rolls_deg else 0.0
+    if abs(off) <= _HELD_DEG:
+        return ""
+    return (
+        f"by EXIF, the camera was held {abs(off):.0f} deg off the profile's roll of "
+        f"{lens.roll_deg:g} deg: hold it as in the calibration, or correct roll_deg of the profile"
+    )
+
+
+def floating_white_balance(shots: Sequence[Shot], profile: CameraProfile) -> str:
+    """Return the first JPEG frame without a fixed white balance; "" if there is none.
+
+    Its colours are unknown. Only frames of a profile with a melanopic weight are examined; raw
+    counts have no white balance.
+    """
+    if profile.camera.kind == "raw" or not profile.colour.melanopic_from_rgb:
+        return ""
+    names = (shot.path.name for shot in shots if not white_balance_is_fixed(shot.path))
+    return next(names, "")
+
+
+def _degrees(values: set[float]) -> str:
+    return " and ".join(f"{value:g}" for value in sorted(values)) + " deg"
 
 
 def report_of(

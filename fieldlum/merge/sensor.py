@@ -14,7 +14,6 @@ from fieldlum.core.arrays import Floats, Indices, Mask
 from fieldlum.core.records import Flag, Progress, quiet
 from fieldlum.core.statistics import robust_sigma
 from fieldlum.merge.estimator import Merged, Rows, merge_signals
-from fieldlum.merge.frame_checks import saturation_and_black
 from fieldlum.merge.frames import (
     FRAMES_BYTES,
     Crop,
@@ -23,6 +22,7 @@ from fieldlum.merge.frames import (
     Signal,
     lens_crop,
     read_frames,
+    saturation_and_black,
     scaled,
 )
 from fieldlum.merge.jpeg_noise import footprint_px, with_seen_noise
@@ -30,8 +30,10 @@ from fieldlum.merge.motion import leave_out_moved
 from fieldlum.merge.options import MergeOptions
 from fieldlum.merge.ratios import (
     RatioCurve,
+    RatioFit,
     beyond,
     bracket_pairs,
+    fit_ratios,
     free_fit,
     light_ratio,
     neighbours,
@@ -42,7 +44,7 @@ from fieldlum.merge.ratios import (
 from fieldlum.merge.shift import shifts
 from fieldlum.merge.shots import Shot, exposure_covariance, sorted_shots, stated_law, times_by_law
 from fieldlum.optics.linear_light import lens_geometry, nd_factors
-from fieldlum.optics.photometry import PairRatio, RatioFit, ShutterLaw, fit_ratios, law_of_frames
+from fieldlum.optics.photometry import PairRatio, ShutterLaw, law_of_frames
 from fieldlum.optics.profiles import CameraProfile
 from fieldlum.session.files.merge_report import NeighbourQuality, ShiftQuality
 
@@ -51,7 +53,7 @@ from fieldlum.session.files.merge_report import NeighbourQuality, ShiftQuality
 
 
 # Smaller relative differences between frames never count as motion. The value equals the prior
-# uncertainty of a mechanical shutter time (photometry/ratios.py, PRIOR_LONG). Chosen.
+# uncertainty of a mechanical shutter time (photometry/exposure.py, PRIOR_LONG). Chosen.
 _MIN_TOLERANCE = 0.003
 _TOLERANCE_SIGMA = 3.0  # standard deviations of the frames' typical disagreement; chosen
 # The verdict reports an exposure's deviation if it exceeds both: 2 %, and three times its prior u.

@@ -1,7 +1,20 @@
 """Compute with exposures and luminances: shutter times, responses, exposure ratios, vignetting."""
 
+from fieldlum.optics.photometry.curves import (
+    check_vignetting,
+    dark_floor,
+    fit_response,
+    linearity_factor,
+    monotone,
+    polynomial_table,
+    response_table,
+    rises,
+    srgb_table,
+    vignetting_at,
+)
 from fieldlum.optics.photometry.exposure import (
     SAME_SETTING_EV,
+    prior_u_log,
     same_exposure,
     saturation_plateau,
     snap_shutter_s,
@@ -12,30 +25,14 @@ from fieldlum.optics.photometry.illuminance import (
     illuminance_verdict,
     vertical_illuminance_lx,
 )
-from fieldlum.optics.photometry.linearity import linearity_factor, rises
-from fieldlum.optics.photometry.ratios import (
-    PairRatio,
-    RatioFit,
-    fit_ratios,
-    pair_ratio,
-    prior_u_log,
-)
-from fieldlum.optics.photometry.response import (
-    dark_floor,
-    fit_response,
-    monotone,
-    polynomial_table,
-    response_table,
-    srgb_table,
-)
 from fieldlum.optics.photometry.shutter_law import (
     AUTO,
     EXACT,
     LAWS,
+    PairRatio,
     ShutterLaw,
     law_of_frames,
     law_of_labels,
     time_under,
     times_under,
 )
-from fieldlum.optics.photometry.vignetting import check_vignetting, vignetting_at

@@ -5,6 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.core.arrays import Floats
 from fieldlum.core.records import Exposure
 
 # L = STONITS N^2 / (t S) cd/m2 at z = 1, f-number N, time t [s], ISO S: the empirical constant of
@@ -18,6 +19,14 @@ _OFF_GRID = 0.07
 _SPIKE_RATIO = 10
 _SPIKE_SHARE = 2e-4  # minimum share of all pixels in a spike; chosen, not measured
 _HOT_SHARE = 2e-5  # share of pixels that may be above the spike (hot pixels); chosen, not measured
+
+
+# Relative standard uncertainty of a snapped shutter time, from SHORT_S on and below it: mechanical
+# shutters are less accurate at short times. Chosen so that measured ratios outweigh them: errors of
+# up to 3.9 % are found (docs/validation.md). Not measured on real cameras.
+PRIOR_LONG = 0.003
+PRIOR_SHORT = 0.03
+SHORT_S = 1 / 1000
 
 
 # Settings of cameras are a third of a stop apart: two values within the half of it are the same
@@ -61,6 +70,14 @@ def snap_shutter_s(nominal_s: float) -> float:
     grids = (round(exact * 3) / 3, round(exact * 2) / 2)
     snapped = 2.0 ** min(grids, key=lambda power: abs(power - exact))
     return snapped if abs(snapped / nominal_s - 1) <= _OFF_GRID else nominal_s
+
+
+def prior_u_log(shutter_s: Floats) -> Floats:
+    """Return the relative standard uncertainty of shutter times that were not measured, [n].
+
+    0.003 from 1/1000 s on, 0.03 for shorter times. shutter_s : [n], s.
+    """
+    return np.where(np.asarray(shutter_s) < SHORT_S, PRIOR_SHORT, PRIOR_LONG)
 
 
 def saturation_plateau(counts: NDArray[np.integer], white_dn: float) -> float | None:

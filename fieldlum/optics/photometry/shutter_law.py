@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike
 
 from fieldlum.core.arrays import Floats, Mask
 from fieldlum.optics.photometry.exposure import snap_shutter_s
-from fieldlum.optics.photometry.ratios import PairRatio
 
 THIRD_STOPS, HALF_STOPS, EXACT, AUTO = "third-stops", "half-stops", "exact", "auto"
 LAWS = (THIRD_STOPS, HALF_STOPS, EXACT)
@@ -30,6 +29,22 @@ _TELLS_APART = 0.02
 # A law is chosen if the measured ratios are nearer to its expectation than to that of the other
 # law.
 _NEAR = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class PairRatio:
+    """The measured exposure ratio of two frames.
+
+    long, short: indices of the frames, from 0. log_ratio: ln(true / assumed exposure) of frame
+    `short` minus that of frame `long`; u_log: standard uncertainty of log_ratio; pixels: number of
+    pixels used.
+    """
+
+    long: int
+    short: int
+    log_ratio: float
+    u_log: float
+    pixels: int
 
 
 @dataclass(frozen=True, slots=True)

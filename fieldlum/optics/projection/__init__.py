@@ -32,11 +32,12 @@ from fieldlum.optics.projection.panorama import (
     equirect_pixel,
     equirect_rays,
     equirect_solid_angles,
+    rotation,
     row_altitudes_deg,
     row_solid_angles,
     signed_angle_deg,
     smallest_arc,
+    turned,
     wrapped,
 )
-from fieldlum.optics.projection.pose import rotation, turned
 from fieldlum.optics.projection.resample import Resampler, resampler

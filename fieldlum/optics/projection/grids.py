@@ -6,8 +6,7 @@ import numpy as np
 
 from fieldlum.core.arrays import Floats
 from fieldlum.optics.projection.lens import LensGeometry, lens_rays
-from fieldlum.optics.projection.panorama import direction, row_solid_angles
-from fieldlum.optics.projection.pose import turned
+from fieldlum.optics.projection.panorama import direction, row_solid_angles, turned
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,11 +1,72 @@
-"""Convert JPEG codes to linear z in [0, 1]: tables of 256 values, and their fit to a bracket."""
+"""Curves of a camera: response of JPEG codes, linearity of a sensor, vignetting of a lens.
+
+Codes become linear z in [0, 1] by tables of 256 values, which are fitted to a bracket. A sensor's
+deviation from linearity is a polynomial over the full scale. Vignetting is V(r) = sum c_k r^k with
+r = angle / half of the full angle, and V(0) = 1.
+"""
 
 from collections.abc import Sequence
+from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fieldlum.core.arrays import Floats
+
+T = TypeVar("T", bound=np.floating)
+
+
+def linearity_factor(share: NDArray[T], coefficients: Sequence[float]) -> NDArray[T]:
+    """Return the factor that makes counts proportional to light: 1 + a1 x + a2 x^2 + ...
+
+    coefficients: a1 first; empty gives 1. share: x, counts above black over those of the
+    full scale, any shape, limited to 0 to 1. The factor at x = 0 and below is 1.
+    """
+    x = np.clip(share, 0.0, 1.0)
+    factor: NDArray[T] = np.zeros_like(x)
+    for a in reversed(coefficients):
+        factor = np.asarray((factor + a) * x, x.dtype)
+    return np.asarray(factor + 1.0, x.dtype)
+
+
+def rises(coefficients: Sequence[float]) -> bool:
+    """Return whether counts corrected by `linearity_factor` increase strictly with raw counts.
+
+    coefficients: a1 first. 201 points from 0 to full scale are tested.
+    """
+    x = np.linspace(0.0, 1.0, 201)
+    return bool((np.diff(x * linearity_factor(x, coefficients)) > 0).all())
+
+
+def vignetting_at(coefficients: tuple[float, ...], radius: ArrayLike) -> Floats:
+    """Return the vignetting V = sum c_k radius^k, in the shape of `radius`.
+
+    coefficients : c_0 first; none give 1. radius : angle from the axis over half of the full angle,
+    limited to 0 to 1.
+    """
+    r = np.clip(np.asarray(radius, float), 0.0, 1.0)
+    return np.asarray(
+        np.polynomial.polynomial.polyval(r, np.asarray(coefficients or (1.0,), float)), np.float64
+    )
+
+
+def check_vignetting(coefficients: tuple[float, ...]) -> str:
+    """Return what is wrong with a vignetting curve V(r), or "".
+
+    V must be finite, V(0) within 0.01 of 1, 0 < V <= 1.05, and V at most 1 at the edge. A curve
+    that rises towards the edge is a common error of sign: it darkens where it should brighten.
+    """
+    v = vignetting_at(coefficients, np.linspace(0, 1, 201))
+    if not np.isfinite(v).all() or abs(v[0] - 1) > 0.01:
+        return f"the vignetting V on the axis is {v[0]:.3g}, not 1"
+    if v.min() <= 0 or v.max() > 1.05:
+        return f"the vignetting V runs from {v.min():.3g} to {v.max():.3g}, not within 0 to 1.05"
+    if v[-1] > 1.0:
+        return (
+            f"the vignetting V rises to {v[-1]:.3g} at the edge: a sign is wrong, or V is the "
+            "correction instead of the loss"
+        )
+    return ""
 
 
 def srgb_table() -> Floats:
