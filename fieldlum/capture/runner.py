@@ -189,9 +189,10 @@ class _Runner:
         open_cam: Callable[[], Camera],
     ) -> None:
         self.session, self.clock, self.options, self.watch = session, clock, options, watch
-        self.checks, self.setup, self.slots = checks, session.site_file(), session.slots()
+        self.checks, self.setup = checks, session.site_file()
         self._plan_stamp = 0
-        self._plan_stamp = self._stamp()
+        self._plan_stamp = self._stamp()  # before the plan is read, so that no change is missed
+        self.slots = session.slots()
         before = read_ledger(session)
         self.states = before.slots
         if before.last_utc is not None:
