@@ -116,8 +116,9 @@ class Recorder:
         with self._lock:
             if not self.full:
                 self.full = True
-                self._reserve.unlink(missing_ok=True)
-                self.tell("disk-full", bytes_free=self._free_bytes())
+                with suppress(OSError):
+                    self._reserve.unlink(missing_ok=True)
+                    self.tell("disk-full", bytes_free=self._free_bytes())
 
     def refill(self) -> None:
         """Restore the reserve file and write what waits in memory; called before each bracket."""
@@ -144,34 +145,22 @@ class Recorder:
         self.rows += 1
 
     def _flush(self, waiting: deque[T], write: Callable[[T], None]) -> bool:
-        """Write what waits in memory; return False if some of it cannot be written now."""
-        while waiting:
-            item = waiting[0]
-            if not self._write(lambda item=item: write(item)):
-                return False
-            waiting.popleft()
-        return True
+        """Write what waits in memory; return False if some of it cannot be written now.
 
-    def _write(self, write: Callable[[], None]) -> bool:
-        """Call `write`; after a failure, delete the reserve or reopen the files, and try once more.
-
-        Return False if this fails too.
+        After a failure, delete the reserve or reopen the files, and try once more.
         """
-        for _ in range(2):
+        is_first_failure = True
+        while waiting:
             try:
-                write()
-                return True
+                write(waiting[0])
+                waiting.popleft()
             except OSError as error:
-                if not disk_is_full(error):
-                    self._reopen(error)
-                    continue
-                if self.full:
+                is_full = disk_is_full(error)
+                if not is_first_failure or (is_full and self.full):
                     return False
-                self.full = True
-                with suppress(OSError):
-                    self._reserve.unlink(missing_ok=True)
-                    self.journal.append("disk-full", self._now(), bytes_free=self._free_bytes())
-        return False
+                is_first_failure = False
+                self.make_room() if is_full else self._reopen(error)
+        return True
 
     def _reopen(self, error: OSError) -> None:
         """Reopen the files, which become invalid if the disk was away or its folder was moved."""
