@@ -8,9 +8,8 @@ from faulty_clock import FaultyClock
 from msgspec import Meta, Struct
 
 from fieldlum.core.errors import DeviceError
-from fieldlum.devices import open_camera
+from fieldlum.devices import open_camera, parse_uri
 from fieldlum.devices.clock import FastClock, RealClock
-from fieldlum.devices.uri import parse_uri
 
 START = datetime(2027, 3, 20, 15, 0, tzinfo=UTC)
 

@@ -15,7 +15,7 @@ from pty_instrument import PtyInstrument
 from fieldlum.core.errors import DeviceError
 from fieldlum.devices import open_pyranometer
 from fieldlum.devices.clock import FastClock
-from fieldlum.devices.simulated.spn1 import SimulatedSpn1
+from fieldlum.devices.simulated import SimulatedSpn1
 from fieldlum.devices.simulated.world import SimulatedLight
 from fieldlum.devices.spn1 import Spn1, parse_reading, parse_status
 

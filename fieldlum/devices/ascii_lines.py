@@ -25,11 +25,10 @@ from msgspec import Meta, Struct
 
 from fieldlum.core.errors import DeviceError, InputError
 from fieldlum.core.records import IrradianceSample
-from fieldlum.devices import FORM_ALONE, InstrumentInfo, Pyranometer
+from fieldlum.devices import FORM_ALONE, DeviceUri, InstrumentInfo, Pyranometer
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.modbus import MAX_WM2, MIN_WM2, read_profile
 from fieldlum.devices.serial_port import SerialLine, SerialPort
-from fieldlum.devices.uri import DeviceUri
 from fieldlum.optics.profiles import shipped
 from fieldlum.session import Session
 

@@ -16,10 +16,9 @@ from typing import Literal
 from msgspec import Struct
 
 from fieldlum.core.errors import DeviceError
-from fieldlum.devices import IlluminanceReading, InstrumentInfo, retried
+from fieldlum.devices import DeviceUri, IlluminanceReading, InstrumentInfo, retried
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.serial_port import SerialLine, SerialPort, closed_on_error
-from fieldlum.devices.uri import DeviceUri
 
 # Commands and frame marks of CS-A32T.
 PC_MODE = b"00541   "

@@ -21,10 +21,9 @@ from msgspec import Struct
 
 from fieldlum.core.errors import DeviceError, install_text
 from fieldlum.core.records import Exposure
-from fieldlum.devices import CameraInfo, nearest, refuse_turning, retried, store_frame
+from fieldlum.devices import CameraInfo, DeviceUri, nearest, refuse_turning, retried, store_frame
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.serial_port import closed_on_error
-from fieldlum.devices.uri import DeviceUri
 from fieldlum.optics.raw import RAW_SUFFIXES
 from fieldlum.session import Session, disk_is_full
 

@@ -24,10 +24,9 @@ from msgspec import Meta, Struct
 from fieldlum.core.errors import DeviceError, InputError
 from fieldlum.core.records import IrradianceSample
 from fieldlum.core.strict_toml import build, read_toml
-from fieldlum.devices import InstrumentInfo
+from fieldlum.devices import DeviceUri, InstrumentInfo
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.serial_port import SerialLine, SerialPort, closed_on_error, device_errors
-from fieldlum.devices.uri import DeviceUri
 from fieldlum.optics.profiles import shipped
 from fieldlum.session import Session
 

@@ -15,9 +15,8 @@ from msgspec import Struct
 
 from fieldlum.core.errors import DeviceError, InputError
 from fieldlum.core.records import Exposure
-from fieldlum.devices import CameraInfo
+from fieldlum.devices import CameraInfo, DeviceUri
 from fieldlum.devices.clock import Clock
-from fieldlum.devices.uri import DeviceUri
 from fieldlum.optics.photometry import same_exposure
 from fieldlum.optics.raw import FrameInfo, read_exif
 from fieldlum.session import Session

@@ -25,9 +25,8 @@ from msgspec import Meta, Struct, field, json
 
 from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import Exposure, shutter_text
-from fieldlum.devices import CameraInfo, refuse_turning
+from fieldlum.devices import CameraInfo, DeviceUri, refuse_turning
 from fieldlum.devices.clock import Clock
-from fieldlum.devices.uri import DeviceUri
 from fieldlum.optics.photometry import SAME_SETTING_EV
 from fieldlum.session import Session
 

@@ -12,7 +12,7 @@ import shutil
 from pathlib import Path
 
 from fieldlum.core.errors import DeviceError, InputError
-from fieldlum.devices.uri import parse_uri
+from fieldlum.devices import parse_uri
 from fieldlum.session import sha256
 from fieldlum.session.permits import Subject, is_permitted, subject
 

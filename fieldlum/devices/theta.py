@@ -20,9 +20,8 @@ from msgspec import Struct, json
 
 from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import Exposure
-from fieldlum.devices import CameraInfo, nearest, refuse_turning, store_frame
+from fieldlum.devices import CameraInfo, DeviceUri, nearest, refuse_turning, store_frame
 from fieldlum.devices.clock import Clock
-from fieldlum.devices.uri import DeviceUri
 from fieldlum.session import Session
 
 ADDRESS = "http://192.168.1.1"  # of the camera's own access point
