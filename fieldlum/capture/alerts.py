@@ -20,7 +20,6 @@ from zoneinfo import ZoneInfo
 
 from fieldlum.capture.live import Live
 from fieldlum.capture.notify import Heartbeat, Message, Outbox, Post
-from fieldlum.capture.recorder import Recorder
 from fieldlum.core.records import parse_utc
 from fieldlum.session import Session
 from fieldlum.session.inside import link_on_the_way
@@ -34,6 +33,7 @@ LOW_DISK_DAYS = 3.0  # days of captures; leaves a weekend to bring a disk; chose
 # a single missed slot can be due to a slow bracket before it; chosen, not measured
 MISSES_IN_A_ROW = 2
 QUIET = timedelta(hours=6)
+Tell = Callable[..., object]
 _HOOK_TIMEOUT_S = 300.0  # the time until the next slot is usually longer; not measured
 
 
@@ -161,42 +161,25 @@ def _minutes(duration: timedelta) -> str:
     return f"{duration.total_seconds() / 60.0:.0f} minutes"
 
 
-@dataclass(slots=True)
-class MissedHook:
-    """Counts slots in a row without a bracket; runs `command`, if not empty, after the second.
+def run_hook(command: str, folder: Path, slot: str, state: SlotState, tell: Tell) -> None:
+    """Run the user's command for missed slots in the background, and journal a failure of it.
 
-    command: run by the shell in `folder`; recorder: receives events about it.
+    It is run by the shell in the session's folder. Environment variables FIELDLUM_SLOT, _OUTCOME,
+    _REASON and _SESSION describe the last slot.
     """
+    about = {
+        "FIELDLUM_SLOT": slot,
+        "FIELDLUM_OUTCOME": state.outcome,
+        "FIELDLUM_REASON": state.why,
+        "FIELDLUM_SESSION": str(folder.resolve()),
+    }
 
-    command: str
-    folder: Path
-    recorder: Recorder
-    _misses: int = 0
-
-    def count(self, slot: str, state: SlotState) -> None:
-        """Count slots in a row that were not done; at the second, run the command in a thread.
-
-        Environment variables FIELDLUM_SLOT, _OUTCOME, _REASON and _SESSION describe the slot.
-        """
-        self._misses = 0 if state.outcome == "done" else self._misses + 1
-        if self._misses != MISSES_IN_A_ROW or not self.command:
-            return
-        self.recorder.tell("hook", command=self.command)
-        about = {
-            "FIELDLUM_SLOT": slot,
-            "FIELDLUM_OUTCOME": state.outcome,
-            "FIELDLUM_REASON": state.why,
-            "FIELDLUM_SESSION": str(self.folder.resolve()),
-        }
-        threading.Thread(target=self._run, args=(about,), daemon=True).start()
-
-    def _run(self, about: dict[str, str]) -> None:
-        """Run the user's command, and journal a failure of it."""
+    def run() -> None:
         try:
             code = subprocess.run(
-                self.command,
+                command,
                 shell=True,
-                cwd=self.folder,
+                cwd=folder,
                 env={**os.environ, **about},
                 timeout=_HOOK_TIMEOUT_S,
                 stdin=subprocess.DEVNULL,
@@ -206,7 +189,10 @@ class MissedHook:
         except (OSError, subprocess.SubprocessError) as error:
             why = type(error).__name__
         if why:
-            self.recorder.tell("hook-failed", why=why)
+            tell("hook-failed", why=why)
+
+    tell("hook", command=command)
+    threading.Thread(target=run, daemon=True).start()
 
 
 OUTBOX = "outbox.jsonl"

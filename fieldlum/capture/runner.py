@@ -12,7 +12,7 @@ from functools import partial
 from shutil import disk_usage
 from typing import Any
 
-from fieldlum.capture.alerts import MissedHook
+from fieldlum.capture.alerts import MISSES_IN_A_ROW, run_hook
 from fieldlum.capture.bracket import NO_CHECKS, BracketCapture, FrameChecks, shots
 from fieldlum.capture.live import Live, Watch
 from fieldlum.capture.logger import Logger
@@ -203,7 +203,6 @@ class _Runner:
         self.recorder = Recorder(
             session, clock.now, options.reserve_bytes, flush=options.flush, listen=listen
         )
-        self.hook = MissedHook(options.on_misses, session.root, self.recorder)
         self.camera = self._keeper("camera", open_cam)
         self.logger: Logger | None = None
         self.meter: Keeper[IlluminanceMeter] | None = None
@@ -211,7 +210,7 @@ class _Runner:
         begun = [slot for slot in self.slots if self.states.get(slot.id, SlotState()).frames]
         if begun:
             self._learn_sizes(begun[-1], self.states[begun[-1].id])
-        self._watched = True
+        self._watched, self._misses = True, 0
         self._state, self._next, self._paused_slot = "waiting", "", ""
 
     def _keeper(self, name: str, open_device: Callable[[], Any]) -> Keeper[Any]:
@@ -283,7 +282,9 @@ class _Runner:
             else:
                 state = self._take(bracket, late_s)
             self.states[slot.id] = state
-            self.hook.count(slot.id, state)
+            self._misses = 0 if state.outcome == "done" else self._misses + 1
+            if self._misses == MISSES_IN_A_ROW and (command := self.options.on_misses):
+                run_hook(command, self.session.root, slot.id, state, self.recorder.tell)
             following = self._next_to_do()
             self._state, self._next = "waiting", following.id if following else ""
             self._show()
