@@ -17,7 +17,7 @@ from places import SEATTLE
 
 from fieldlum.capture import import_card
 from fieldlum.capture.import_card import of_the_session
-from fieldlum.capture.match_card import CardFrame, Group, Offset, clock_parts, doubt, in_order
+from fieldlum.capture.match_card import CardFrame, Group, Offset, clock_parts, doubt
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import CameraSetup, Exposure, SiteFile, Slot
 from fieldlum.optics.profiles import load_camera_profile, save_profile
@@ -292,14 +292,6 @@ def test_a_bracket_that_is_not_whole_is_taken_over_and_told(tmp_path: Path) -> N
     assert "ND=nd5); frames of 1/250 s may have been taken with or without" in filtered
     notes = [(session.raw / slot.id / "capture.json").read_text() for slot in plan]
     assert [i for i, note in enumerate(notes) if '"complete": false' in note] == [3, 5]
-
-
-@pytest.mark.contract
-def test_names_that_wrap_within_a_second_keep_their_order() -> None:
-    names = ("DSC_9998", "DSC_9999", "DSC_0001", "DSC_0002")
-    frames = [CardFrame(Path(f"{name}.NEF"), LADDER[0], NOON) for name in names]
-    later = CardFrame(Path("DSC_0000.NEF"), LADDER[0], NOON + timedelta(seconds=1))
-    assert in_order([later, *frames[::-1]]) == [*frames, later]
 
 
 @pytest.mark.contract

@@ -6,12 +6,11 @@ which the clock was set during a campaign are detected too.
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
-from itertools import groupby, pairwise
+from itertools import pairwise
 from pathlib import Path
 from zoneinfo import ZoneInfo
 
@@ -32,7 +31,6 @@ _PAUSE_FACTOR = 10.0
 _TURN_FACTOR = 6.0
 CAMPAIGN_S = 5 * 86400.0  # a gap of more days separates campaigns; chosen
 _QUARTER_S = 900.0  # civil clocks differ by multiples of a quarter of an hour (IANA tz database)
-_HALF_COUNT = 5000  # cameras number their files up to 9999 (DCF 2.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,25 +88,6 @@ class Match:
     offset: Offset
 
 
-def in_order(frames: Sequence[CardFrame]) -> list[CardFrame]:
-    """Return frames ordered by the camera's time, and within one second by file number.
-
-    Number 9999 is followed by 0001 or 0000.
-    """
-    ordered: list[CardFrame] = []
-    for _, same in groupby(sorted(frames, key=lambda f: f.t_camera), key=lambda f: f.t_camera):
-        found = [(re.search(r"(\d{4})$", f.path.stem), f.path.name, f) for f in same]
-        numbered = [(int(match[1]) if match else 0, name, f) for match, name, f in found]
-        highest = max(number for number, _, _ in numbered)
-
-        def place(entry: tuple[int, str, CardFrame], highest: int = highest) -> tuple[int, str]:
-            wraps = highest - entry[0] > _HALF_COUNT
-            return entry[0] + (2 * _HALF_COUNT if wraps else 0), entry[1]
-
-        ordered += [frame for _, _, frame in sorted(numbered, key=place)]
-    return ordered
-
-
 def group_frames(
     frames: Sequence[CardFrame], pattern: Sequence[Exposure] = (), headings: int = 1
 ) -> list[Group]:
@@ -122,7 +101,8 @@ def group_frames(
     which EXIF does not record) is expected twice. headings: number of headings of a turned head;
     each exposure is expected once for each.
     """
-    ordered = in_order(frames)
+    # within a second by the camera's file number, the last four digits of the name
+    ordered = sorted(frames, key=lambda f: (f.t_camera, f.path.stem[-4:], f.path.name))
     gaps_s = [
         (b.t_camera - a.t_camera).total_seconds() - a.exposure.shutter_s
         for a, b in pairwise(ordered)
