@@ -273,6 +273,7 @@ def test_a_folder_in_a_bucket_is_refused(model: Path, weather: Path) -> None:
 def test_half_a_table_is_refused(model: Path, weather: Path, tmp_path: Path) -> None:
     run(model, weather, out=tmp_path)
     lines = (tmp_path / "hourly.csv").read_text().splitlines()
+    (tmp_path / "hourly.csv.sha256").unlink()  # else a changed file is a warning
     for kept in (lines[:10], []):
         (tmp_path / "hourly.csv").write_text("\n".join(kept))
         with pytest.raises(InputError, match="fieldlum predict"):
@@ -610,9 +611,8 @@ def test_the_command(model: Path, weather: Path, tmp_path: Path) -> None:
     broken.write_text("month,day,hour,dni_wm2,dhi_wm2\n6,21,12.5,much,100\n")
     failed = CliRunner().invoke(main, ["predict", str(model), "--weather", str(broken)])
     assert failed.exit_code == 3
-    first, *others = failed.stderr.splitlines()
-    assert first.startswith("this takes about") and len(others) == 1
-    assert "b.csv: line 2: dni_wm2 is 'much'" in others[0]
+    (line,) = failed.stderr.splitlines()
+    assert "b.csv: line 2: dni_wm2 is 'much'" in line
     assert (
         CliRunner().invoke(main, ["predict", str(tmp_path), "--weather", str(weather)]).exit_code
         == 3
