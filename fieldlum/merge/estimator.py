@@ -67,11 +67,7 @@ def _strips(shape: tuple[int, ...]) -> Iterator[tuple[int, int]]:
 
 
 def merge_signals(
-    frames: Sequence[Signal],
-    shape: tuple[int, ...],
-    *,
-    passes: int = 2,
-    u_ratio: float = 0.003,
+    frames: Sequence[Signal], shape: tuple[int, ...], *, passes: int = 2, u_ratio: float = 0.003
 ) -> Merged:
     """Merge frames of one `shape`, most exposed first.
 

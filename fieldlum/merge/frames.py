@@ -72,14 +72,11 @@ def lens_crop(profile: CameraProfile) -> Crop:
     Raises InputError if all lens circles are outside the sensor.
     """
     body = profile.camera
-    top, left, bottom, right = body.height_px, body.width_px, 0, 0
-    for lens in profile.lens:
-        (x, y), r = lens.centre_px, lens.radius_px + 3
-        top, bottom = min(top, int(y - r)), max(bottom, int(np.ceil(y + r)))
-        left, right = min(left, int(x - r)), max(right, int(np.ceil(x + r)))
-    top, left = max(top, 0) // 2 * 2, max(left, 0) // 2 * 2
-    bottom = min(bottom + bottom % 2, body.height_px // 2 * 2)
-    right = min(right + right % 2, body.width_px // 2 * 2)
+    centres = np.array([lens.centre_px for lens in profile.lens])  # [lenses, 2]
+    reach = np.array([[lens.radius_px + 3] for lens in profile.lens])
+    left, top = np.maximum((centres - reach).min(axis=0), 0).astype(int) // 2 * 2
+    ends = -(-np.ceil((centres + reach).max(axis=0)).astype(int) // 2) * 2
+    right, bottom = np.minimum(ends, np.array([body.width_px, body.height_px]) // 2 * 2)
     if bottom - top < 2 or right - left < 2:
         raise InputError(
             body.name,
@@ -87,7 +84,7 @@ def lens_crop(profile: CameraProfile) -> Crop:
             "lens circles on the sensor",
             "correct centre_px and radius_px of [[lens]] in the profile",
         )
-    return Crop(top, left, bottom - top, right - left)
+    return Crop(int(top), int(left), int(bottom - top), int(right - left))
 
 
 @dataclass(frozen=True)
@@ -412,10 +409,7 @@ class JpegSignal:
 
 
 def load_jpeg(
-    shot: Shot,
-    profile: CameraProfile,
-    crop: Crop,
-    ends: tuple[bool, bool] = (False, False),
+    shot: Shot, profile: CameraProfile, crop: Crop, ends: tuple[bool, bool] = (False, False)
 ) -> JpegSignal:
     """Read a JPEG frame, cropped, as a linear signal.
 

@@ -16,11 +16,7 @@ from fieldlum.merge.project import ProjectedImage, blend, view_through
 from fieldlum.merge.sensor import SensorImage
 from fieldlum.optics.linear_light import sensor_pitch_deg
 from fieldlum.optics.profiles import CameraProfile
-from fieldlum.optics.projection import (
-    Equirect,
-    equirect_rays,
-    smallest_arc,
-)
+from fieldlum.optics.projection import Equirect, equirect_rays, smallest_arc
 from fieldlum.sky.sky_view import LOWEST_ALTITUDE_DEG, SkyGrid, SkyPicture
 
 _TILE_DEG = 2  # divides 180; chosen

@@ -34,21 +34,13 @@ SHORT_S = 1 / 1000
 SAME_SETTING_EV = 1 / 6
 
 
-def ev_between(a: Exposure, b: Exposure) -> tuple[float, float, float]:
-    """Return the absolute differences [EV] of two exposures in shutter, aperture and ISO."""
-    return (
-        abs(math.log2(a.shutter_s / b.shutter_s)),
-        abs(2.0 * math.log2(a.f_number / b.f_number)),
-        abs(math.log2(a.iso / b.iso)),
-    )
-
-
 def same_exposure(a: Exposure, b: Exposure) -> bool:
     """Return whether shutter, aperture and ISO each differ by at most 1/6 EV.
 
     Filters are not compared, because cameras do not record them.
     """
-    return max(ev_between(a, b)) <= SAME_SETTING_EV
+    ratios = a.shutter_s / b.shutter_s, (a.f_number / b.f_number) ** 2, a.iso / b.iso
+    return all(abs(math.log2(ratio)) <= SAME_SETTING_EV for ratio in ratios)
 
 
 def z_per_cdm2(shutter_s: float, f_number: float, iso: float, k: float = 1.0) -> float:

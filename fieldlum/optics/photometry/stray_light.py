@@ -12,12 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from fieldlum.core.arrays import Floats
-from fieldlum.optics.projection import (
-    altitude_azimuth_deg,
-    equirect_pixel,
-    equirect_rays,
-    wrapped,
-)
+from fieldlum.optics.projection import altitude_azimuth_deg, equirect_pixel, equirect_rays, wrapped
 
 # Side of a source cell. K is constant below half of it, because nearer light is the lens's blur,
 # not haze. Chosen.

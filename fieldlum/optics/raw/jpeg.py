@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import warnings
 from contextlib import suppress
-from dataclasses import dataclass
-from datetime import datetime
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.core.errors import InputError
-from fieldlum.core.records import Exposure
-from fieldlum.optics.raw.exif import info_of, tags_of
+from fieldlum.optics.raw.exif import FrameInfo, info_of, tags_of
 
 # Largest frame without a profile that states more: 0.5 GB of codes. Chosen: phones have 108
 # million pixels.
@@ -21,19 +19,13 @@ MAX_PIXELS = 160_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class JpegFrame:
-    """A JPEG frame as the camera wrote it.
+class JpegFrame(FrameInfo):
+    """A JPEG frame as the camera wrote it, with what its EXIF states.
 
-    codes: values from 0 to 255 [h, w, 3], red first, not turned by the orientation tag; exposure:
-    by the EXIF; t_camera: time by the camera's own clock, naive unless the EXIF states its offset
-    from UTC; None if not recorded; make, model: of the camera, "" if not recorded.
+    codes: values from 0 to 255 [h, w, 3], red first, not turned by the orientation tag.
     """
 
-    codes: NDArray[np.uint8]
-    exposure: Exposure
-    t_camera: datetime | None = None
-    make: str = ""
-    model: str = ""
+    codes: NDArray[np.uint8] = field(kw_only=True)
 
 
 def read_jpeg(path: Path, *, camera_pixels: int = 0) -> JpegFrame:
@@ -46,7 +38,7 @@ def read_jpeg(path: Path, *, camera_pixels: int = 0) -> JpegFrame:
     tags = tags_of(path)
     codes = _codes(path, max(MAX_PIXELS, camera_pixels))  # a cut file may lack its EXIF as well
     info = info_of(path, tags)
-    return JpegFrame(codes, info.exposure, info.t_camera, info.make, info.model)
+    return JpegFrame(info.exposure, info.t_camera, info.make, info.model, codes=codes)
 
 
 def jpeg_size(path: Path) -> tuple[int, int]:

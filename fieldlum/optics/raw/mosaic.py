@@ -11,7 +11,6 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,6 @@ from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats, Indices
 from fieldlum.core.errors import InputError
-from fieldlum.core.records import Exposure
 from fieldlum.optics.raw.exif import TIFF_VARIANTS, FrameInfo, Tags, info_of, numbers, tags_of
 
 # A larger mosaic is a damaged header; the largest sensors in use have 150 million pixels. Chosen.
@@ -33,26 +31,20 @@ _BAYER_REMEDY = "use a camera with a Bayer sensor"
 _PANASONIC_OFFSET = 280  # tag RawDataOffset: in newer files StripOffsets is a placeholder
 
 
-@dataclass(frozen=True, slots=True)
-class Mosaic:
-    """One raw frame.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mosaic(FrameInfo):
+    """One raw frame, with what its EXIF states.
 
     counts: raw counts [h, w], black level included; cfa: colours of the top left 2 x 2 pixels row
     by row, such as "RGGB"; black_dn: black level for R, G1, G2, B, with G1 the green in the rows of
-    red; white_dn: white level in the file, often above the true saturation; exposure: by the EXIF;
-    t_camera: the camera's own clock, naive unless the file states its offset from UTC, None if not
-    recorded; make, model: of the camera, "" if not recorded; colour_matrix: [3, 3], converts XYZ to
-    camera RGB; None if neither the file nor LibRaw has it.
+    red; white_dn: white level in the file, often above the true saturation; colour_matrix: [3, 3],
+    converts XYZ to camera RGB; None if neither the file nor LibRaw has it.
     """
 
     counts: NDArray[np.uint16]
     cfa: str
-    black_dn: tuple[float, float, float, float]
+    black_dn: tuple[float, ...]
     white_dn: float
-    exposure: Exposure
-    t_camera: datetime | None = None
-    make: str = ""
-    model: str = ""
     colour_matrix: Floats | None = None
 
 
@@ -286,15 +278,15 @@ def read_mosaic(path: Path, *, lens_f_number: float = 0.0) -> Mosaic:
                 "a black level below the white level",
             )
         return Mosaic(
-            counts.astype(np.uint16),
-            cfa,
-            (black_dn[0], black_dn[1], black_dn[2], black_dn[3]),
-            white_dn,
-            info.exposure,
-            info.t_camera,
-            info.make,
-            info.model,
-            _colour_matrix(raw, tags),
+            exposure=info.exposure,
+            t_camera=info.t_camera,
+            make=info.make,
+            model=info.model,
+            counts=counts.astype(np.uint16),
+            cfa=cfa,
+            black_dn=black_dn,
+            white_dn=white_dn,
+            colour_matrix=_colour_matrix(raw, tags),
         )
 
 
