@@ -96,7 +96,7 @@ def _run(*words: object) -> str:
 
 def _at(truth: CameraProfile, azimuth: float, altitude: float) -> tuple[float, float]:
     """Where a person would click: the middle of a disc on the sensor."""
-    x, y, _ = lens_pixels(truth.lens[0].geometry, direction(altitude, azimuth))
+    x, y, _ = lens_pixels(truth.lens[0], direction(altitude, azimuth))
     return float(x), float(y)
 
 
@@ -156,10 +156,10 @@ def raw_camera(out: Path) -> list[tuple[str, str, str]]:
         out / "calibrate-lens.png",
     )
     found = load_camera_profile(mine).lens[0]
-    seen = lens_pixels(lens.geometry, equirect_rays(60, 120, 0.0).reshape(-1, 3))
+    seen = lens_pixels(lens, equirect_rays(60, 120, 0.0).reshape(-1, 3))
     inside = seen[2] < np.radians(93)
     # the same sensor places through both lenses
-    mine_rays = lens_rays(found.geometry, seen[0][inside], seen[1][inside])
+    mine_rays = lens_rays(found, seen[0][inside], seen[1][inside])
     true_rays = equirect_rays(60, 120, 0.0).reshape(-1, 3)[inside]
     off = np.degrees(np.arccos(np.clip((mine_rays * true_rays).sum(axis=1), -1, 1)))
     rows.append(

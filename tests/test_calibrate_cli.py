@@ -76,7 +76,7 @@ def test_lens_then_vignette_then_scale(tmp_path: Path, mine: Path) -> None:
     lines = ["x_px,y_px,azimuth_deg,altitude_deg"]
     for azimuth in range(-80, 81, 32):
         for altitude in (-50, -15, 15, 50):
-            x, y, _ = lens_pixels(TRUTH.lens[0].geometry, direction(altitude, azimuth))
+            x, y, _ = lens_pixels(TRUTH.lens[0], direction(altitude, azimuth))
             lines.append(f"{x:.2f},{y:.2f},{azimuth},{altitude}")
     (tmp_path / "targets.csv").write_text("\n".join(lines))
     mapping = _call("lens", tmp_path / "targets.csv", *keep, "--picture", tmp_path / "l.svg")
@@ -127,7 +127,7 @@ def test_colour_by_spots(tmp_path: Path, mine: Path) -> None:
     for i, azimuth in enumerate((-40, -20, 0, 20, 40)):
         value = 60.0 * (i + 1)
         luminance[rays @ direction(0, 180 + azimuth) > np.cos(np.radians(5))] = value
-        x, y, _ = lens_pixels(TRUTH.lens[0].geometry, direction(0, azimuth))
+        x, y, _ = lens_pixels(TRUTH.lens[0], direction(0, azimuth))
         lines.append(f"spots.dng,{x:.1f},{y:.1f},5,{value}")
     _shoot(luminance, tmp_path / "spots")
     (tmp_path / "spots.csv").write_text("\n".join(lines))

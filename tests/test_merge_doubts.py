@@ -255,7 +255,7 @@ def test_a_camera_on_its_side_is_told(tmp_path: Path) -> None:
 
 
 @pytest.mark.analytic
-@pytest.mark.parametrize("target", [Equirect(24), Fisheye(48, 180.0, PROFILE.lens[0].geometry)])
+@pytest.mark.parametrize("target", [Equirect(24), Fisheye(48, 180.0, PROFILE.lens[0])])
 def test_edges_leak_and_slopes_do_not(target: Equirect | Fisheye) -> None:
     height, width = target.shape
     seen = np.ones((height, width), bool)
@@ -265,7 +265,7 @@ def test_edges_leak_and_slopes_do_not(target: Equirect | Fisheye) -> None:
     )
     window = np.full((height, width), 100.0)
     window[:, width // 2 :] = 8000.0
-    share = min(0.35 / footprint_px(PROFILE.lens[0].geometry, target), 0.5) / np.sqrt(3)
+    share = min(0.35 / footprint_px(PROFILE.lens[0], target), 0.5) / np.sqrt(3)
     u = u_of_edges(window, seen, target, PROFILE)[12, width // 2 - 3 : width // 2 + 3]
     assert u == pytest.approx([0.0, 0.0, 7900 * share, 7900 * share, 0.0, 0.0], rel=0.01)
     seen[:, width // 2 :] = False  # beyond the lens there is no light known to leak

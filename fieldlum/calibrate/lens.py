@@ -214,7 +214,7 @@ def _doubts(
         for i in np.flatnonzero(~near)
     ]
     texts = [f"left out because no lens explains them: {'; '.join(far)}"] if far else []
-    turn = new.geometry.axes() @ before.geometry.axes().T
+    turn = new.axes() @ before.axes().T
     turned_deg = float(np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1))))
     if turned_deg > TURNED_DEG:
         texts.append(
@@ -231,7 +231,7 @@ def _posed(targets: Targets, lens: Lens) -> Lens:
     This lets the fit succeed for a turned camera. The pose is the rotation from measured to true
     directions. Raises InputError if only mirrored directions fit, which means that a sign is wrong.
     """
-    directions = lens_rays(_level(lens).geometry, targets.x_px, targets.y_px)
+    directions = lens_rays(_level(lens), targets.x_px, targets.y_px)
     (miss, turn), (mirrored, _) = (
         _turn(directions * (sign, 1.0, 1.0), targets.rays) for sign in (1.0, -1.0)
     )
@@ -537,7 +537,7 @@ def trimmed(lens: Lens, width_deg: float) -> Lens:
     if width_deg <= 0.0 or half_deg <= 0.0:
         raise ValueError(f"the image circle of {lens.full_angle_deg:g} degrees, {width_deg:g} less")
     share = half_deg / (lens.full_angle_deg / 2.0)
-    radius = float(radius_of_angle(lens.geometry, np.radians(half_deg)))  # of the old one
+    radius = float(radius_of_angle(lens, np.radians(half_deg)))  # of the old one
     coefficients = tuple(c * share ** (k + 1) / radius for k, c in enumerate(lens.coefficients))
     vignetting = tuple(
         replace(v, coefficients=tuple(c * share**k for k, c in enumerate(v.coefficients)))

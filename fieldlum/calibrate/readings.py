@@ -219,7 +219,7 @@ def nearest_lens(profile: CameraProfile, x_px: float, y_px: float) -> int:
 
     The distance from the centre counts relative to the circle's radius.
     """
-    return int(np.argmin([relative_radius(lens.geometry, x_px, y_px) for lens in profile.lens]))
+    return int(np.argmin([relative_radius(lens, x_px, y_px) for lens in profile.lens]))
 
 
 def relative_angle(lens: Lens, x_px: float, y_px: float) -> float:
@@ -227,9 +227,8 @@ def relative_angle(lens: Lens, x_px: float, y_px: float) -> float:
 
     x_px, y_px : on the sensor. 0 on the axis, 1 at the edge of the image circle.
     """
-    geometry = lens.geometry
-    radius = relative_radius(geometry, x_px, y_px)
-    return float(angle_of_radius(geometry, radius) / geometry.half_angle_rad)
+    radius = relative_radius(lens, x_px, y_px)
+    return float(angle_of_radius(lens, radius) / lens.half_angle_rad)
 
 
 def transmission(profile: CameraProfile, f_number: float, x_px: float, y_px: float) -> float:

@@ -139,7 +139,7 @@ def from_uniform(paths: Sequence[Path], profile: CameraProfile, lens: int = 0) -
     gives its own readings. Raises InputError for frames of several apertures, or if all pixels are
     saturated or dark.
     """
-    geometry, rings = profile.lens[lens].geometry, []
+    geometry, rings = profile.lens[lens], []
     weights, f_numbers = np.array(profile.colour.y_from_rgb), {}
     for path in paths:
         frame = linear_frame(path, profile)

@@ -32,7 +32,7 @@ class MergeOptions:
         if self.projection == "equirect":
             return Equirect(self.height)
         lens = profile.lens[0]
-        return Fisheye(self.height, lens.full_angle_deg, lens.geometry)
+        return Fisheye(self.height, lens.full_angle_deg, lens)
 
     def fits(self, profile: CameraProfile) -> bool:
         """Return whether exposure ratios are estimated from this camera's frames."""

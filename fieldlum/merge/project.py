@@ -283,7 +283,7 @@ def u_of_edges(light: Floats, seen_mask: Mask, target: Target, profile: CameraPr
     gains and losses cancel, so the second difference is used. Next to pixels that no lens sees the
     leak is unknown and counts as zero.
     """
-    width_px = min(footprint_px(lens.geometry, target) for lens in profile.lens)
+    width_px = min(footprint_px(lens, target) for lens in profile.lens)
     share = min(_LEAK_PX[profile.camera.kind] / width_px, 0.5) / np.sqrt(3.0)
     down = _second_difference(light, seen_mask)
     if not isinstance(target, Equirect):

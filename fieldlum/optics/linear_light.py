@@ -212,7 +212,7 @@ def lens_geometry(
     """
     x, y = lens.centre_px
     return replace(
-        lens.geometry,
+        lens,
         centre_px=(x - corner_px[0], y - corner_px[1]),
         azimuth_deg=float(signed_angle_deg(lens.azimuth_deg + turn_deg)),
     )

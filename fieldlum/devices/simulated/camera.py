@@ -260,10 +260,9 @@ class SimulatedCamera:
         out = np.ones(self._shape, np.float32)
         rows, columns = np.mgrid[0.5 : self._shape[0], 0.5 : self._shape[1]]
         for lens in self._profile.lens:
-            geometry = lens.geometry
-            distance = relative_radius(geometry, columns, rows)
-            angle = optics.angle_of_radius(geometry, np.minimum(distance, 1.0))
-            relative = angle / geometry.half_angle_rad
+            distance = relative_radius(lens, columns, rows)
+            angle = optics.angle_of_radius(lens, np.minimum(distance, 1.0))
+            relative = angle / lens.half_angle_rad
             curve, _ = vignetting_of(lens, f_number)
             inside = distance <= 1.0
             out[inside] = vignetting_at(curve, relative)[inside]

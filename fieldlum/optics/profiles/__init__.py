@@ -41,14 +41,15 @@ def coverage_text(profile: CameraProfile, setup: CameraSetup) -> str:
 
     If the heading and its opposite would see all directions, the text names these two.
     """
-    lenses = [lens.geometry for lens in profile.lens]
     headings = setup.headings or (setup.heading_deg,)
     turns = [heading - setup.heading_deg for heading in headings]
-    text = judged_text(seen_by_lenses(lenses, turns), setup.heading_deg)
+    text = judged_text(seen_by_lenses(profile.lens, turns), setup.heading_deg)
     if not text:
         return ""
     opposite = [setup.heading_deg % 360.0, (setup.heading_deg + 180.0) % 360.0]
-    shares_seen = seen_by_lenses(lenses, [heading - setup.heading_deg for heading in opposite])
+    shares_seen = seen_by_lenses(
+        profile.lens, [heading - setup.heading_deg for heading in opposite]
+    )
     if judged_text(shares_seen, setup.heading_deg):
         return f"{text}; use a lens that sees more, or turn the camera to several headings"
     named = ", ".join(f"{heading:g}" for heading in opposite)

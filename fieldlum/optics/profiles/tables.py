@@ -103,40 +103,14 @@ class Vignetting:
 
 
 @dataclass(frozen=True, slots=True)
-class Lens:
-    """One lens on the sensor.
+class Lens(LensGeometry):
+    """One lens on the sensor: its geometry on the complete sensor, its name and vignetting.
 
-    Pixel coordinates: (0, 0) is the top left corner of the sensor's top left pixel. centre_px:
-    of the image circle, x to the right, y down; radius_px: of the image circle at
-    full_angle_deg / 2. coefficients: c_k of a polynomial mapping, r / radius_px = sum c_k
-    (angle / half angle)^(k + 1). azimuth_deg: of the optical axis relative to the camera's
-    heading, clockwise; tilt_deg: up; roll_deg: clockwise as seen from behind the camera.
+    azimuth_deg: of the optical axis relative to the camera's heading, clockwise.
     """
 
-    centre_px: tuple[float, float]
-    radius_px: float
-    full_angle_deg: float
-    mapping: Literal["equidistant", "equisolid", "polynomial"] = "equisolid"
-    coefficients: tuple[float, ...] = ()
     name: str = "lens"
-    azimuth_deg: float = 0.0
-    tilt_deg: float = 0.0
-    roll_deg: float = 0.0
     vignetting: tuple[Vignetting, ...] = ()
-
-    @property
-    def geometry(self) -> LensGeometry:
-        """Geometry of the lens on the complete sensor, relative to the camera's heading."""
-        return LensGeometry(
-            self.centre_px,
-            self.radius_px,
-            self.full_angle_deg,
-            self.mapping,
-            self.coefficients,
-            self.azimuth_deg,
-            self.tilt_deg,
-            self.roll_deg,
-        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -348,7 +322,7 @@ def _lens_problems(p: CameraProfile) -> Iterator[_Problem]:
         coefficients = ", ".join(f"{c:g}" for c in lens.coefficients) or "no coefficients"
         finding = f"lens '{lens.name}': polynomial of {coefficients}"
         try:
-            angle_of_radius(lens.geometry, 1.0)
+            angle_of_radius(lens, 1.0)
         except ValueError as error:
             yield f"{finding} ({error})", "a polynomial that rises up to the edge", remedy
         if abs(sum(lens.coefficients) - 1.0) > 0.02:
