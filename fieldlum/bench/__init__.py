@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import platform
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -94,7 +93,7 @@ def run(
     store(out, "scores", rows, lambda path: charts.speed_accuracy(path, rows, machine()))
     parts = [f"## Scores\n\n{markdown(rows)}\nChosen: {chosen.name}. {chosen.reason}.\n"]
     if with_stress and loaded.specs:
-        cells = [asdict(regime) for regime in _stress(loaded, progress)]
+        cells = _stress(loaded, progress)
         write_csv(out / "stress.csv", cells)
         parts.append(f"## Stress\n\n{markdown(cells)}")
     hours = f"{len(test)} hours of {test.source}" if test else "held-out days"
@@ -104,7 +103,7 @@ def run(
     return {"models": rows, "chosen": chosen.name, "reason": chosen.reason}
 
 
-def _stress(loaded: BenchData, progress: Progress) -> list[stress.StressRow]:
+def _stress(loaded: BenchData, progress: Progress) -> list[JsonTable]:
     """Run the stress tests of the first transport model, else of the first model."""
     specs, data, test = loaded.specs, loaded.data, loaded.test
     spec = next((spec for spec in specs if spec.name == "transport"), specs[0])

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from fieldlum.bench.rows import Spec
 from fieldlum.core.arrays import Floats, Mask
-from fieldlum.core.records import Progress, quiet
+from fieldlum.core.records import JsonTable, Progress, quiet
 from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.scores import Scores, evaluate, truth
 from fieldlum.learn.train import patch_mode
@@ -247,37 +247,6 @@ def _geometry(data: Dataset, test: Dataset) -> Iterator[Case]:
 # results
 
 
-@dataclass(frozen=True, slots=True)
-class StressRow:
-    """The result of one condition; the fields are the columns of stress.csv.
-
-    name: model and options; regime: name of the condition; n_train, n_test: numbers of hours.
-    log10_mse_weighted, median, worst: mean, median and largest error of the test hours.
-    expected_mse: mean error that the model expected, None if it expects none. untrusted_share: of
-    the test hours. warned: whether the fit warned. Other columns, in order: whether the tool
-    reported the error in any way; the number of hours with gross errors, and of those without any
-    warning, distrust or large expected error; the regime of the normal case; the mean error over
-    that of the normal case.
-    """
-
-    name: str
-    regime: str
-    n_train: int
-    n_test: int
-    fit_cpu_s: float
-    log10_mse_weighted: float
-    median: float
-    worst: float
-    expected_mse: float | None
-    untrusted_share: float
-    warned: bool
-    told: bool
-    wild: int
-    wild_unflagged: int
-    beside: str
-    times_normal: float = 1.0
-
-
 def run(
     spec: Spec,
     data: Dataset,
@@ -285,30 +254,37 @@ def run(
     *,
     budget_s: float = 60.0,
     progress: Progress = quiet,
-) -> list[StressRow]:
+) -> list[JsonTable]:
     """Fit the model under each condition that the data allow; return one row per condition.
 
-    data, test: training and test hours.
+    data, test: training and test hours. Columns: name: model and options; regime: name of the
+    condition; n_train, n_test: numbers of hours; log10_mse_weighted, median, worst: mean, median
+    and largest error of the test hours; expected_mse: mean error that the model expected, None if
+    it expects none; untrusted_share: of the test hours; warned: whether the fit warned; reported:
+    whether the tool reported the error in any way; gross, gross_unflagged: number of hours with
+    gross errors, and of those without any warning, distrust or large expected error; times_normal:
+    the mean error over that of the normal case.
     """
-    rows: list[StressRow] = []
+    rows: list[JsonTable] = []
     normal: dict[str, float] = {}
     for case in cases(data, test):
         progress(len(rows), 0, case.name)
-        train, asked = case.train.thin(HEIGHT), case.test.thin(HEIGHT)
+        train, tested = case.train.thin(HEIGHT), case.test.thin(HEIGHT)
         fitted, spent = fit_timed(
             spec.name, train, patch=patch_mode(train, spec.patch), seed=case.seed, budget_s=budget_s
         )
         fitted, wrong = settle(fitted, case.train, scan(case.train, patch_mode(train, spec.patch)))
         warned = bool(doubts(fitted, train) or wrong)
-        scores = evaluate(fitted, truth(asked, glare=False))
-        row = _row(spec.label, case, scores, spent.cpu_s, warned)
-        error = row.log10_mse_weighted
-        normal.setdefault(case.name, error)
-        rows.append(replace(row, times_normal=error / normal[case.normal]))
+        row = _row(evaluate(fitted, truth(tested, glare=False)), warned)
+        about = {"name": spec.label, "regime": case.name, "n_train": len(train)}
+        error = normal.setdefault(case.name, row["log10_mse_weighted"])
+        times = {"fit_cpu_s": spent.cpu_s, "times_normal": error / normal[case.normal]}
+        rows.append(about | row | times)
     return rows
 
 
-def _row(label: str, case: Case, scores: Scores, fit_cpu_s: float, warned: bool) -> StressRow:
+def _row(scores: Scores, warned: bool) -> JsonTable:
+    """Return the columns of a condition that follow from its scores."""
     error, expected, doubted = scores.mse_weighted, scores.expected_mse, ~scores.trusted
     large = error > max(GROSS_MSE, 4.0 * float(np.median(error)))
     gross = error > GROSS_MSE
@@ -320,20 +296,15 @@ def _row(label: str, case: Case, scores: Scores, fit_cpu_s: float, warned: bool)
         or (large.any() and float(doubted[large].mean()) > 0.5)
         or float(doubted.mean()) > 0.5
     )
-    return StressRow(
-        name=label,
-        regime=case.name,
-        n_train=len(case.train),
-        n_test=len(scores),
-        fit_cpu_s=fit_cpu_s,
-        log10_mse_weighted=float(error.mean()),
-        median=float(np.median(error)),
-        worst=float(error.max()),
-        expected_mse=float(expected.mean()) if has_expectation else None,
-        untrusted_share=float(doubted.mean()),
-        warned=warned,
-        told=bool(is_reported),
-        wild=int(gross.sum()),
-        wild_unflagged=int((gross & ~feared).sum()),
-        beside=case.normal,
-    )
+    return {
+        "n_test": len(scores),
+        "log10_mse_weighted": float(error.mean()),
+        "median": float(np.median(error)),
+        "worst": float(error.max()),
+        "expected_mse": float(expected.mean()) if has_expectation else None,
+        "untrusted_share": float(doubted.mean()),
+        "warned": warned,
+        "reported": bool(is_reported),
+        "gross": int(gross.sum()),
+        "gross_unflagged": int((gross & ~feared).sum()),
+    }
