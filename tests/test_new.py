@@ -187,7 +187,10 @@ def test_each_stage_is_followed_by_its_next_command() -> None:
         {"capture": {"owed": 3, "frames": 9, "done": 3}},
         {"merge": {"owed": 3}},
         {"merge": {"owed": 0}, "pair": {"owed": 3, "done": 0, "usable": 0}},
-        {"pair": {"owed": 0, "done": 3, "usable": 3}, "capture": {"owed": 0, "frames": 9, "done": 3}},
+        {
+            "pair": {"owed": 0, "done": 3, "usable": 3},
+            "capture": {"owed": 0, "frames": 9, "done": 3},
+        },
         {"train": {"models": [{"name": "auto"}]}},
         {"predict": {"years": ["auto"]}},
         {"report": {"done": True}},
