@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -61,61 +62,46 @@ def command(
       --drop-moved: Exclude frames from pixels where something moved through the picture.
     """
     from fieldlum.merge import MergeOptions
+    from fieldlum.session import open_session
 
-    if session is None:
+    if session is None or (frames and (not camera or out is None)):
         raise click.UsageError("name a SESSION, or --frames FILE... --camera PROFILE --out OUT")
     if frames:
-        if not camera or out is None:
-            raise click.UsageError("--frames needs --camera PROFILE and --out OUT.exr or OUT.hdr")
-        options = _file_options(size, projection, fit, drop_moved)
+        assert camera and out is not None
+        options = MergeOptions(_file_height(size, projection), projection, fit, drop_moved)
         _merge_files([session, *more], camera, out, options, heading, as_json)
         return
-    if more:
-        raise click.UsageError(
-            f"name one SESSION, not {1 + len(more)} paths; to merge files use --frames"
-        )
-    if camera or out or projection != "equirect":
-        raise click.UsageError("--camera, --out and --projection need --frames")
-    scheduler = scheduler_of(scheduler_text)
-    height = panorama_height(size) if size else _present_height(session)
+    if more or camera or out or projection != "equirect":
+        raise click.UsageError("several files, --camera, --out and --projection need --frames")
+    height = panorama_height(size) if size else _present_height(open_session(session))
     options = MergeOptions(height, fit=fit, drop_moved=drop_moved)
-    _merge_session(session, options, scheduler, force, as_json)
+    _merge_session(open_session(session), options, scheduler_of(scheduler_text), force, as_json)
 
 
-def _present_height(root: Path) -> int:
+def _present_height(session: Session) -> int:
     """Return the height of the session's panoramas, so that later brackets get the same size."""
-    from fieldlum.session import open_session
     from fieldlum.session.files.sidecar import newest_sidecar
 
-    before = newest_sidecar(open_session(root))
+    before = newest_sidecar(session)
     height = None if before is None else before.inputs.get("height")
     return height if isinstance(height, int) else panorama_height(DEFAULT_SIZE)
 
 
-def _file_options(
-    size: str | None, projection: str, fit: bool | None, drop_moved: bool
-) -> MergeOptions:
-    from fieldlum.merge import MergeOptions
-
+def _file_height(size: str | None, projection: str) -> int:
     if projection == "equirect":
-        height = panorama_height(size or DEFAULT_SIZE)
-    else:
-        width, height = dimensions(size or DEFAULT_FISHEYE_SIZE)
-        if width != height:
-            raise click.UsageError(
-                f"--size {size}: a fisheye picture must be square, for "
-                f"example {DEFAULT_FISHEYE_SIZE}"
-            )
-    return MergeOptions(height, projection, fit, drop_moved)
+        return panorama_height(size or DEFAULT_SIZE)
+    width, height = dimensions(size or DEFAULT_FISHEYE_SIZE)
+    if width != height:
+        rule = f"a fisheye picture must be square, for example {DEFAULT_FISHEYE_SIZE}"
+        raise click.UsageError(f"--size {size}: {rule}")
+    return height
 
 
 def _merge_session(
-    root: Path, options: MergeOptions, scheduler: Scheduler, force: bool, as_json: bool
+    session: Session, options: MergeOptions, scheduler: Scheduler, force: bool, as_json: bool
 ) -> None:
     from fieldlum import merge
-    from fieldlum.session import open_session
 
-    session = open_session(root)
     with progress("Merge") as bar:
         verdicts = merge.run(session, options, scheduler=scheduler, force=force, progress=bar)
     if as_json:
@@ -129,10 +115,8 @@ def _merge_session(
 def _print_verdicts(session: Session, verdicts: list[Verdict]) -> None:
     for v in verdicts:
         click.echo(f"{v.slot} {v.state}: {v.text}")
-    counts = {
-        state: sum(v.state == state for v in verdicts) for state in ("merged", "kept", "failed")
-    }
-    say(", ".join(f"{n} {state}" for state, n in counts.items() if n))
+    counts = Counter(v.state for v in verdicts)
+    say(", ".join(f"{n} {state}" for state, n in counts.items()))
     if (sheet := session.panoramas / "contact-1.png").is_file():
         say(f"look at {sheet}")
 
