@@ -276,12 +276,8 @@ def files_to_picture(
     cannot be merged, or if `out` ends neither in .exr nor in .hdr.
     """
     if out.suffix.lower() not in (".exr", ".hdr"):
-        raise InputError(
-            out,
-            f"the file has the suffix '{out.suffix}'",
-            ".exr or .hdr",
-            "name --out with one of these suffixes",
-        )
+        remedy = "name --out with one of these suffixes"
+        raise InputError(out, f"the file has the suffix '{out.suffix}'", ".exr or .hdr", remedy)
     options = options or MergeOptions()
     result = merge_frames(files, profile, options, heading_deg=heading_deg, progress=progress)
     panorama = result.panorama

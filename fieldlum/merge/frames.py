@@ -78,12 +78,9 @@ def lens_crop(profile: CameraProfile) -> Crop:
     ends = -(-np.ceil((centres + reach).max(axis=0)).astype(int) // 2) * 2
     right, bottom = np.minimum(ends, np.array([body.width_px, body.height_px]) // 2 * 2)
     if bottom - top < 2 or right - left < 2:
-        raise InputError(
-            body.name,
-            "no lens circle of the profile is on the sensor",
-            "lens circles on the sensor",
-            "correct centre_px and radius_px of [[lens]] in the profile",
-        )
+        finding = "no lens circle of the profile is on the sensor"
+        remedy = "correct centre_px and radius_px of [[lens]] in the profile"
+        raise InputError(body.name, finding, "lens circles on the sensor", remedy)
     return Crop(int(top), int(left), int(bottom - top), int(right - left))
 
 
@@ -242,12 +239,9 @@ def load_raw(shot: Shot, profile: CameraProfile, crop: Crop, plateau: Plateau) -
     sensor, body = profile.sensor, profile.camera
     check_frame(shot.path, mosaic.counts.shape, mosaic.model, profile)
     if mosaic.cfa != sensor.cfa:
-        raise InputError(
-            shot.path,
-            f"the colour filter pattern {mosaic.cfa}",
-            f"{sensor.cfa}, as in {body.name}",
-            "use the profile of the camera that took it",
-        )
+        expected = f"{sensor.cfa}, as in {body.name}"
+        remedy = "use the profile of the camera that took it"
+        raise InputError(shot.path, f"the colour filter pattern {mosaic.cfa}", expected, remedy)
     part = mosaic.counts[crop.top : crop.top + crop.height, crop.left : crop.left + crop.width]
     counts = np.ascontiguousarray(part).reshape(crop.height // 2, 2, crop.width)
     black = black_dn(mosaic, profile)

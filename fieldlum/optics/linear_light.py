@@ -44,12 +44,9 @@ def check_frame(path: Path, shape: tuple[int, ...], model: str, profile: CameraP
     """
     body = profile.camera
     if shape[:2] != (body.height_px, body.width_px):
-        raise InputError(
-            path,
-            f"a frame of {shape[1]} x {shape[0]} pixels",
-            f"{body.width_px} x {body.height_px} pixels, the size of {body.name}",
-            "use a profile of this camera (--camera)",
-        )
+        expected = f"{body.width_px} x {body.height_px} pixels, the size of {body.name}"
+        remedy = "use a profile of this camera (--camera)"
+        raise InputError(path, f"a frame of {shape[1]} x {shape[0]} pixels", expected, remedy)
     if model and body.model and not same_model(model, body.model):
         raise InputError(
             path,
@@ -162,12 +159,9 @@ def vignetting_of(lens: Lens, f_number: float) -> tuple[tuple[float, ...], float
     nearest = min(lens.vignetting, key=lambda v: abs(np.log(v.f_number / f_number)))
     if abs(2 * np.log2(nearest.f_number / f_number)) > _SAME_APERTURE_STOPS:
         measured = ", ".join(f"f/{v.f_number:g}" for v in lens.vignetting)
-        raise InputError(
-            lens.name,
-            f"no vignetting curve for f/{f_number:g}",
-            f"one of the calibrated apertures {measured}",
-            "calibrate this aperture: fieldlum calibrate vignette",
-        )
+        expected = f"one of the calibrated apertures {measured}"
+        remedy = "calibrate this aperture: fieldlum calibrate vignette"
+        raise InputError(lens.name, f"no vignetting curve for f/{f_number:g}", expected, remedy)
     wrong = check_vignetting(nearest.coefficients)
     if wrong:
         raise InputError(
@@ -188,12 +182,9 @@ def response_tables(profile: CameraProfile) -> Floats:
     try:
         tables = [response_table(r.kind, curve) for curve in (r.red, r.green, r.blue)]
     except ValueError as error:
-        raise InputError(
-            profile.camera.name,
-            f"[response]: {error}",
-            "a valid response",
-            "calibrate it again: fieldlum calibrate response",
-        ) from None
+        expected = "a valid response"
+        remedy = "calibrate it again: fieldlum calibrate response"
+        raise InputError(profile.camera.name, f"[response]: {error}", expected, remedy) from None
     return np.stack(tables, axis=1)
 
 

@@ -251,12 +251,9 @@ def _luminance(
         stated = header.get("chromaticities")
         weights = luminance_weights(BT709_CHROMATICITIES if stated is None else tuple(stated))
     except (TypeError, ValueError) as error:
-        raise InputError(
-            path,
-            f"attribute chromaticities ({error})",
-            "x and y of R, G, B and white",
-            "write the picture again with a correct attribute, or without it",
-        ) from None
+        expected = "x and y of R, G, B and white"
+        remedy = "write the picture again with a correct attribute, or without it"
+        raise InputError(path, f"attribute chromaticities ({error})", expected, remedy) from None
     luminance = np.zeros_like(channels["R"])
     for name, weight in zip("RGB", weights * scale, strict=True):
         luminance += channels[name] * np.float32(weight)

@@ -150,21 +150,15 @@ def _decoded(file: BinaryIO, header: RadianceHeader, path: Path) -> Floats32:
     result = subprocess.run(command, input=plain + file.read(), capture_output=True, check=False)
     count = len(result.stdout) // (12 * width)
     if count < scanlines:
-        raise InputError(
-            path,
-            f"the pixels are damaged, or end after scanline {count} of {scanlines}",
-            f"{scanlines} scanlines of Radiance pixels",
-            "copy the file again, because it is cut short",
-        )
+        finding = f"the pixels are damaged, or end after scanline {count} of {scanlines}"
+        remedy = "copy the file again, because it is cut short"
+        raise InputError(path, finding, f"{scanlines} scanlines of Radiance pixels", remedy)
     values = np.frombuffer(result.stdout, np.float32, 3 * scanlines * width)
     largest, brightest = float(values.max()), _MAX_RADIANCE * float(header.exposure.min())
     if not largest <= brightest:
-        raise InputError(
-            path,
-            f"a pixel value of {largest:.3g}",
-            f"at most {brightest:.3g}",
-            "copy the file again, because it is damaged",
-        )
+        expected = f"at most {brightest:.3g}"
+        remedy = "copy the file again, because it is damaged"
+        raise InputError(path, f"a pixel value of {largest:.3g}", expected, remedy)
     return values.reshape(scanlines, width, 3)
 
 
@@ -221,20 +215,14 @@ def _resolution(line: bytes, path: Path) -> tuple[tuple[str, str], tuple[int, in
     """Return the axes and their counts in the line before the pixels."""
     match = _RESOLUTION.fullmatch(line)
     if match is None or match[2] == match[5]:
-        raise InputError(
-            path,
-            f"resolution line {line[:40].decode('latin-1').strip()!r}",
-            "two axes and their pixels, such as -Y 800 +X 800",
-            "copy the file again, because it is damaged",
-        )
+        finding = f"resolution line {line[:40].decode('latin-1').strip()!r}"
+        remedy = "copy the file again, because it is damaged"
+        raise InputError(path, finding, "two axes and their pixels, such as -Y 800 +X 800", remedy)
     counts = (int(match[3]), int(match[6]))
     if not 0 < counts[0] * counts[1] <= MAX_PIXELS:
-        raise InputError(
-            path,
-            f"{counts[1]} x {counts[0]} pixels",
-            f"1 to {MAX_PIXELS:,} pixels",
-            "reduce it with Radiance's pfilt -1 -x 4000 -y 4000, or copy the file again",
-        )
+        expected = f"1 to {MAX_PIXELS:,} pixels"
+        remedy = "reduce it with Radiance's pfilt -1 -x 4000 -y 4000, or copy the file again"
+        raise InputError(path, f"{counts[1]} x {counts[0]} pixels", expected, remedy)
     return ((match[1] + match[2]).decode(), (match[4] + match[5]).decode()), counts
 
 
@@ -275,12 +263,9 @@ def _chromaticities(lines: Sequence[str], path: Path) -> tuple[float, ...]:
             raise ValueError(f"{len(values)} numbers")
         luminance_weights(values)
     except ValueError as error:
-        raise InputError(
-            path,
-            f"PRIMARIES= {stated[-1].strip()[:60]!r} ({error})",
-            "x and y of red, green, blue and white",
-            "correct the header line, or remove it for Radiance's own primaries",
-        ) from None
+        finding = f"PRIMARIES= {stated[-1].strip()[:60]!r} ({error})"
+        remedy = "correct the header line, or remove it for Radiance's own primaries"
+        raise InputError(path, finding, "x and y of red, green, blue and white", remedy) from None
     return values
 
 

@@ -267,12 +267,9 @@ def _check_value(path: Path, value: float, stated: float, quantity: _Quantity) -
         remedy = f"correct it with: exiftool -{tag}={example} FILE"
         raise InputError(path, found, f"{low:g} to {high:g}{unit}", remedy)
     if stated and not 1 / _SAME_SETTING < stated / value < _SAME_SETTING:
-        raise InputError(
-            path,
-            f"{found}, but {stated:g}{unit} in {EXPOSURES_CSV}",
-            "the same value, or none in the EXIF",
-            f"correct or remove the line in {EXPOSURES_CSV}",
-        )
+        finding = f"{found}, but {stated:g}{unit} in {EXPOSURES_CSV}"
+        expected = "the same value, or none in the EXIF"
+        raise InputError(path, finding, expected, f"correct or remove the line in {EXPOSURES_CSV}")
 
 
 def roll_deg_of(path: Path) -> float | None:

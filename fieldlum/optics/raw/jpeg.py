@@ -76,9 +76,5 @@ def _codes(path: Path, max_pixels: int) -> NDArray[np.uint8]:
         raise InputError(
             path, finding, "a complete JPEG", "copy the file from the card again"
         ) from None
-    raise InputError(
-        path,
-        f"{width} x {height} pixels",
-        f"at most {max_pixels:,} pixels",
-        "state width_px and height_px of the camera in its profile, or copy the file again",
-    )
+    remedy = "state width_px and height_px of the camera in its profile, or copy the file again"
+    raise InputError(path, f"{width} x {height} pixels", f"at most {max_pixels:,} pixels", remedy)

@@ -135,12 +135,8 @@ def opened(path: Path) -> Any:
 
     with path.open("rb") as file:
         if file.read(3) == b"\xff\xd8\xff":
-            raise InputError(
-                path,
-                "the file's content is a JPEG",
-                "a camera raw",
-                "give the file the suffix .jpg",
-            )
+            remedy = "give the file the suffix .jpg"
+            raise InputError(path, "the file's content is a JPEG", "a camera raw", remedy)
     _check_strips(path)
     try:
         with _damage_messages() as damage:
