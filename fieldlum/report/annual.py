@@ -10,7 +10,7 @@ import numpy as np
 from fieldlum.core.arrays import Floats32
 from fieldlum.core.records import SunSource
 from fieldlum.optics.projection import NOT_SEEN, PARTLY_SEEN
-from fieldlum.report.figures import exceedance_svg, picture_grid, png, polar_svg
+from fieldlum.report.figures import picture_grid, png, polar_svg
 from fieldlum.report.page import (
     DGP,
     EV,
@@ -149,26 +149,7 @@ def directions_section(annual: Annual) -> Section:
         )
     notes = " ".join(map(sentence, annual.summary.notes[1:]))
     text = f"Occupied hours: {annual.summary.occupancy.text}. {notes}"
-    return Section("directions", "Where to sit", text, _exceedance(annual), tuple(tables))
-
-
-def _exceedance(annual: Annual) -> tuple[Row, ...]:
-    ends = best_and_worst(annual.summary.protection)
-    if ends is None:
-        return ()
-    best, worst = ends
-    curve = exceedance_svg(
-        annual.views["dgp"][annual.occupied][:, annual.judged],
-        annual.summary.occupancy.hours,
-        annual.azimuths_deg[annual.judged],
-        (("worst", worst.azimuth_deg), ("best", best.azimuth_deg)),
-    )
-    alt = "Exceedance curves of DGP for each direction over the occupied hours."
-    caption = (
-        "Share of the occupied hours in which a DGP is exceeded; each grey line is a view "
-        "direction."
-    )
-    return (Row((Figure(curve, alt, caption),)),)
+    return Section("directions", "Where to sit", text, tables=tuple(tables))
 
 
 # ----------------------------------------------------------------------------------------------

@@ -16,7 +16,6 @@ from matplotlib.figure import Figure
 from fieldlum.core.arrays import Floats, Floats32
 from fieldlum.core.false_colour import COLOUR_MAP, RANGE_CDM2
 from fieldlum.core.plot_style import BLUE, GREEN, INK, PALE, RED, styled
-from fieldlum.optics.projection import compass_name
 from fieldlum.year.glare.standards import CLASSES
 
 POLAR_RANGE = (0.15, 0.6)  # of DGP; points above it are drawn at the rim; chosen
@@ -167,34 +166,6 @@ def polar_svg(
         axes.set_xticks(np.radians(np.arange(0, 360, 45)), "N NE E SE S SW W NW".split())  # noqa: SIM905
         axes.grid(color=PALE, lw=0.5)
         axes.spines["polar"].set_visible(False)
-        return _svg(figure)
-
-
-def exceedance_svg(
-    dgp: Floats, occupied_hours: int, azimuths_deg: Floats, ends: Sequence[tuple[str, float]]
-) -> str:
-    """Plot the share of occupied hours in which each DGP is exceeded, one line for each direction.
-
-    dgp: [n, d] of the hours with daylight; dark hours count as hours without glare, as in EN 17037.
-    ends: name and azimuth of the worst and the best direction [deg]. Return the SVG as text.
-    """
-    share = 100.0 * np.arange(1, len(dgp) + 1) / max(occupied_hours, 1)
-    ranked = np.sort(dgp, axis=0)[::-1]
-    with styled():
-        figure = Figure(figsize=(5.6, 3.4))
-        axes = figure.add_subplot()
-        for name, limit in CLASSES:
-            axes.axhline(limit, color=CLASS_COLOURS[name], lw=1, ls="--")
-            axes.text(30.2, limit, name, va="center", fontsize=8, color=CLASS_COLOURS[name])
-        axes.plot(share, ranked, color=PALE, lw=1)
-        for (text, azimuth), colour in zip(ends, (CAPTURED, PREDICTED), strict=True):
-            i = int(np.argmin(np.abs(azimuths_deg - azimuth)))
-            label = f"{text}: {compass_name(azimuths_deg[i])} {azimuths_deg[i]:.0f}°"
-            axes.plot(share, ranked[:, i], color=colour, lw=2, label=label)
-        axes.axvline(5, color=INK, lw=0.8)
-        axes.set(xlabel="share of occupied hours, %", ylabel="DGP exceeded")
-        axes.set(xlim=(0, 30), ylim=(0.15, None))
-        axes.legend(loc="upper right")
         return _svg(figure)
 
 

@@ -60,16 +60,17 @@ def view_coverage(views: Views) -> ViewCoverage:
     position index of its centre, which may be smaller than that of its pixels.
     """
     seen = np.zeros_like(views.hemisphere)
-    for first in range(0, len(views.moments), _BLOCK):
+    seen[0] = views.illuminance.sum(axis=0, dtype=float)
+    share = np.minimum(seen[0] / views.hemisphere[0], 1.0)
+    incomplete = share < _COMPLETE_SHARE
+    for first in range(0, len(views.moments) if incomplete.any() else 0, _BLOCK):
         rows = slice(first, first + _BLOCK)
         part = views.moments[rows].astype(float)  # [n, 3, d]
         area = np.maximum(part[:, 0], 1e-30)
         index = position_index(part[:, 1] / area, part[:, 2] / area)
-        seen[0] += views.illuminance[rows].sum(axis=0, dtype=float)
         seen[1:4] += part.sum(axis=0)
         seen[4] += (part[:, 0] / index**2).sum(axis=0)
-    share = np.minimum(seen[0] / views.hemisphere[0], 1.0)
-    unseen = (views.hemisphere - seen) * (share < _COMPLETE_SHARE)
+    unseen = (views.hemisphere - seen) * incomplete
     illuminance, area, right, up, apart = unseen
     area = np.maximum(area, 1e-30)
     # the centre is at most 90 degrees from the line of sight
