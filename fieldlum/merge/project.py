@@ -126,25 +126,18 @@ def view_through(
     edge = np.clip((geometry.half_angle_rad - angle) / TAPER_RAD, 0.01, 1.0)
     u_vignetting = u_edge * np.clip((1.0 - v) / worst, 0.0, 1.0)
     coverage = r.coverage.astype(np.float64)
-    light, u_stray = rgb @ weights, np.zeros(len(rgb))
-    if profile.stray.angle_deg:
-        if stray is None:
-            stray = _stray_of_lens(light, coverage > 0, profile, target)
-        remaining = np.maximum(light - stray, 0.0)
+    light = rgb @ weights
+    if not profile.stray.angle_deg:
+        stray = None
+    elif stray is None:
+        stray = _stray_of_lens(light, coverage > 0, profile, target)
+    remaining = light if stray is None else np.maximum(light - stray, 0.0)
+    if stray is not None:
         rgb = rgb * (remaining / np.maximum(light, 1e-12))[:, None]
-        light, u_stray = remaining, profile.stray.u_rel * stray
+    u_stray = np.zeros(len(rgb)) if stray is None else profile.stray.u_rel * stray
+    variance = var @ weights**2
     return ProjectedImage(
-        light,
-        var @ weights**2,
-        coverage,
-        edge,
-        u_vignetting,
-        u_ratio,
-        flags,
-        rgb,
-        u_stray,
-        lens,
-        stray if profile.stray.angle_deg else None,
+        remaining, variance, coverage, edge, u_vignetting, u_ratio, flags, rgb, u_stray, lens, stray
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,12 +85,6 @@ def report_of(
     lenses that are dark at the edge. Shares of the view are in % of the solid angle that a lens
     sees; residual_percent is the largest of all neighbouring frames, None without any.
     """
-    solid = target.solid_angles()
-    seen_sr = solid * ((flags & Flag.OUTSIDE_LENS) == 0)
-
-    def share(flag: Flag) -> float:
-        return float(100 * (seen_sr * ((flags & flag) > 0)).sum() / max(seen_sr.sum(), 1e-12))
-
     pairs = [n for part in parts for n in part.exposures.neighbours]
     turns = [turn for part in parts for turn in part.turns]
     surest = max(turns, key=lambda turn: turn.sure_px, default=None)
@@ -101,11 +96,7 @@ def report_of(
         shifts=tuple(turns),
         shift_px=surest.shift_px if surest else None,
         shift_u_px=surest.u_px if surest else None,
-        clipped_percent=share(Flag.CLIPPED_HIGH),
-        bloom_percent=share(Flag.BLOOM),
-        motion_percent=share(Flag.MOTION),
-        below_noise_percent=share(Flag.BELOW_NOISE),
-        outside_percent=float(100 * (1 - seen_sr.sum() / max(solid.sum(), 1e-12))),
+        **_shares_percent(flags, target),
         exposure_span_percent=float(100 * max(np.ptp(p.exposures.log_deviation) for p in parts)),
         deviations=tuple(
             _range_text(p.exposures.log_deviation)
@@ -121,6 +112,24 @@ def report_of(
         dark_rims=tuple(rims),
         filter_absent=tuple(name for part in parts for name in part.absent),
     )
+
+
+def _shares_percent(flags: NDArray[np.integer], target: Target) -> dict[str, Any]:
+    """Return shares of the solid angle: flagged of what a lens sees, and not seen of all, in %."""
+    solid = target.solid_angles()
+    seen_sr = solid * ((flags & Flag.OUTSIDE_LENS) == 0)
+    named = {
+        "clipped_percent": Flag.CLIPPED_HIGH,
+        "bloom_percent": Flag.BLOOM,
+        "motion_percent": Flag.MOTION,
+        "below_noise_percent": Flag.BELOW_NOISE,
+    }
+    total = max(seen_sr.sum(), 1e-12)
+    shares = {
+        name: float(100 * (seen_sr * ((flags & flag) > 0)).sum() / total)
+        for name, flag in named.items()
+    }
+    return {**shares, "outside_percent": float(100 * (1 - seen_sr.sum() / max(solid.sum(), 1e-12)))}
 
 
 def _frames(part: Findings) -> list[FrameQuality]:

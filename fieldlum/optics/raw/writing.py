@@ -100,10 +100,9 @@ def write_dng(
     for number, (kind, value) in of_dng.items():
         directory.tagtype[number] = kind
         directory[number] = value
-    directory.update(_of_mosaic(*counts.shape))
-    directory.update({271: make, 34665: _exif_fields(exposure, t_camera)})
-    directory.update({270: f"ND={exposure.nd}"} if exposure.nd else {})
-    directory.update({272: model} if model else {})
+    texts = {270: exposure.nd and f"ND={exposure.nd}", 271: make, 272: model}
+    directory.update({number: text for number, text in texts.items() if text})
+    directory.update({**_of_mosaic(*counts.shape), 34665: _exif_fields(exposure, t_camera)})
     with replacing(path) as file:
         directory.save(file)
         file.write(np.ascontiguousarray(counts, "<u2").tobytes())
