@@ -317,7 +317,7 @@ def test_before_the_first_slot_it_counts_down(tmp_path: Path) -> None:
         assert Snapshots(plain, lambda at=at: at).moment() == (quiet, 0)
     assert state["next"]["t_utc"] == utc_text(T0)
     assert state["latest"] is None and state["irradiance"] is None
-    assert state["counts"] == {"owed": 3}
+    assert state["counts"] == {"to do": 3}
 
 
 @pytest.mark.property

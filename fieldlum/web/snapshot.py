@@ -210,7 +210,7 @@ class Snapshots:
         """Return the present state: next slot, counts, newest picture, devices, events, checks."""
         with self._lock:
             journal, slots, now, rehearsal, states, merged = self._present()
-            ahead = [slot for slot in slots if states[slot.id] in ("owed", "running")]
+            ahead = [slot for slot in slots if states[slot.id] in ("to do", "running")]
             counts = list(states.values())
             sample = self._irradiance.latest(now)
             return {
@@ -240,7 +240,7 @@ class Snapshots:
         """Return whether there is time to compute, and how many slots are done."""
         with self._lock:
             journal, slots, now, rehearsal, states, _ = self._present()
-            ahead = [slot.t_utc for slot in slots if states[slot.id] == "owed"]
+            ahead = [slot.t_utc for slot in slots if states[slot.id] == "to do"]
             running = is_running(journal)
             captured = sum(state.outcome == "done" for state in journal.ledger.slots.values())
             far = not ahead or (ahead[0] - now).total_seconds() > QUIET_BEFORE_S
@@ -250,7 +250,7 @@ class Snapshots:
     def calendar(self) -> JsonTable:
         """Return the local days of the plan with the state of each slot, and their coverage.
 
-        The states are done, missed, aborted, made up (by another slot), running and owed. Coverage:
+        The states are done, missed, aborted, made up (by another slot), running and to do. Coverage:
         shares of the sun's positions in a year that plan and captures reach [%].
         """
         with self._lock:
@@ -314,7 +314,7 @@ class Snapshots:
         return (last if rehearsal and last is not None else now), rehearsal
 
     def _states(self, slots: list[Slot], journal: JournalFollower, now: datetime) -> dict[str, str]:
-        """Return done, missed, aborted, "made up", running or owed for each slot."""
+        """Return done, missed, aborted, "made up", running or "to do" for each slot."""
         grace = self._session.grace
         states: dict[str, str] = {}
         for slot in slots:
@@ -324,7 +324,7 @@ class Snapshots:
             elif outcome == "started" and journal.opened is not None:
                 states[slot.id] = "running"
             else:
-                states[slot.id] = "owed" if slot.t_utc + grace >= now else "missed"
+                states[slot.id] = "to do" if slot.t_utc + grace >= now else "missed"
         for missed, instead in made_up_for(slots).items():
             if states.get(missed) != "done" and any(states[s.id] == "done" for s in instead):
                 states[missed] = "made up"

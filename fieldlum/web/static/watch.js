@@ -7,7 +7,7 @@ const POLL_MS = 5000,
   HIDDEN_POLL_MS = 60000,
   DAY_MS = 60000,
   STALE_S = 600;
-const SIGNS = {done: "●", "made up": "◐", owed: "○", missed: "✕", aborted: "▲", running: "◉"};
+const SIGNS = {done: "●", "made up": "◐", "to do": "○", missed: "✕", aborted: "▲", running: "◉"};
 const SVG = "http://www.w3.org/2000/svg";
 const view = {
   state: null,
