@@ -250,7 +250,7 @@ class Snapshots:
     def calendar(self) -> JsonTable:
         """Return the local days of the plan with the state of each slot, and their coverage.
 
-        The states are done, missed, aborted, made up (by another slot), running and to do. Coverage:
+        The states are done, missed, aborted, made up (by another slot), running, to do. Coverage:
         shares of the sun's positions in a year that plan and captures reach [%].
         """
         with self._lock:
