@@ -28,7 +28,7 @@ VERDICT_MODULES = (
     "scene_fit/fit",
     "glare/",
     "predict/glare_summary",
-    "irradiance/verdict",
+    "pair/irradiance",
     "doctor/",
     "capture/verify",
     "plan/texts",

@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from fieldlum.calibrate import chart
-from fieldlum.calibrate.chart import grids
+from fieldlum.calibrate import colour as chart
+from fieldlum.calibrate.colour import grids
 from fieldlum.calibrate.readings import LinearFrame
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure

@@ -10,7 +10,6 @@ from calibration_frames import LENS, PROFILE, SIZE, TRUE_V, raw_frame, relative_
 from fieldlum.calibrate import (
     colour,
 )
-from fieldlum.calibrate.chart import _SRGB
 from fieldlum.calibrate.readings import LinearFrame, linear_frame, transmission
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Exposure
@@ -62,7 +61,7 @@ def test_colour_keeps_a_right_prior() -> None:
 def _chart_frame(path: Path, seed: int = 1) -> tuple[Path, list[float]]:
     """A chart of known luminance: its colours, scaled so that a . rgb is the chart's own Y."""
     rng, a = np.random.default_rng(seed), np.array([0.30, 0.60, 0.10])
-    rgb = srgb_table()[_SRGB]
+    rgb = srgb_table()[colour._SRGB]
     rgb *= (np.array(colour.CHART_Y) / (rgb @ a))[:, None] * 3.0
     picture = np.full((SIZE, SIZE, 3), 20.0)
     left, top, cell = 60, 80, 20
