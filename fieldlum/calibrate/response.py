@@ -58,6 +58,12 @@ _ROUNDS, _SETTLED = 12, 2e-4  # the response adapts to the steps; ends below thi
 # leaves a power of the exposure free (Grossberg and Nayar 2003): the labels do.
 
 
+_DOUBT = (
+    "CAUTION: the fitted light of the same places differs by {:.0f} % between frames: check that "
+    "camera and light did not change, and take the bracket again"
+)
+
+
 @dataclass(frozen=True, slots=True)
 class Steps:
     """The exposures of a bracket by its overlap, and how much single steps contradict the labels.
@@ -376,11 +382,7 @@ def fit(places: Places) -> ResponseFit:
         for c, t in enumerate(tables)
     ]
     if choice.rms > DOUBTFUL:
-        doubt = (
-            f"CAUTION: the fitted light of the same places differs by {100 * choice.rms:.0f} % "
-            "between frames: check that camera and light did not change, and take the bracket again"
-        )
-        choice = replace(choice, line=f"{choice.line}. {doubt}")
+        choice = replace(choice, line=f"{choice.line}. {_DOUBT.format(100 * choice.rms)}")
     red, green, blue = (tuple(np.round(table, 7).tolist()) for table in tables)
     response = Response("table", red, green, blue)
     if isinstance(model, str):

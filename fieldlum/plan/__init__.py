@@ -124,27 +124,20 @@ def make_plan(
     """
     site = setup.site
     days = set_days(request.set, site, request.today, request.start, request.year, request.days)
+    from_to = f"from {days[0]} to {days[-1]}"
+    night = f"polar night: the sun does not rise at {site.name} ({site.latitude_deg:g} deg)"
     hours = daylight_hours(days, site)
-    if not len(hours):
-        raise NotEnoughDataError(
-            f"polar night: the sun does not rise at {site.name} ({site.latitude_deg:g} deg) "
-            f"from {days[0]} to {days[-1]}, so the plan would be empty; choose another "
-            "--start or --set"
-        )
+    _refuse_empty(hours, f"{night} {from_to}", "choose another --start or --set")
     task = choose.learning(site, setup.room, weather) if weather is not None else None
     chosen = _chosen(request, hours, weather, task, progress)
-    if not len(chosen):
-        raise NotEnoughDataError(
-            f"the weather file has no daylight on the days of the plan, {days[0]} to {days[-1]}; "
-            "choose its dates with --start or --year, or another weather file"
-        )
+    remedy = "choose its dates with --start or --year, or another weather file"
+    _refuse_empty(chosen, f"the weather file has no daylight {from_to}", remedy)
     profile = load_camera_profile(setup.camera.profile)
     exposures = planned_exposures(profile, setup.camera)
     slots = make_slots(chosen, setup, exposures)
     left = _variance_left(task, chosen) if task else None
-    months = None
-    if task and left and request.set == "month":
-        months = _months(task, len(days), days[0].year, left)
+    is_month = request.set == "month"
+    months = _months(task, len(days), days[0].year, left) if task and left and is_month else None
     warnings = (
         *assumed_texts(setup.camera),
         uncalibrated_text(profile),
@@ -163,6 +156,12 @@ def make_plan(
         months,
         tuple(text for text in warnings if text),
     )
+
+
+def _refuse_empty(hours: DaylightHours, finding: str, remedy: str) -> None:
+    """Raise NotEnoughDataError if there are no hours."""
+    if not len(hours):
+        raise NotEnoughDataError(f"{finding}, so the plan would be empty; {remedy}")
 
 
 def _chosen(

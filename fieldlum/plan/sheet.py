@@ -283,6 +283,18 @@ def _day_path(day: date, site: Site, style: str) -> str:
     return f'<path d="{line}" fill="none" {style}/>' if line else ""
 
 
+def _view_directions(camera: CameraSetup) -> list[str]:
+    """Return thin wedges in the directions of the camera's headings, as SVG."""
+    wedges = []
+    headings = camera.headings or (camera.heading_deg,)
+    for heading in () if "heading_deg" in camera.assumed else headings:
+        corners = _xy([1, 9, 9], [heading, heading - 3, heading + 3])
+        points = " ".join(f"{x:.1f},{y:.1f}" for x, y in corners)
+        title = "<title>view direction</title>"
+        wedges.append(f'<polygon points="{points}" fill="#1f5fa8">{title}</polygon>')
+    return wedges
+
+
 def sky_chart(
     year: int,
     hours: DaylightHours,
@@ -310,12 +322,7 @@ def sky_chart(
         radius = RADIUS_PX * (1 - level / 90)
         parts.append(_circle(middle, radius, f'fill="none" stroke="{PALE}" stroke-width="0.5"'))
         parts.append(_text(middle - [-9.0, radius + 2], f"{level}", grey))
-    if camera is not None and "heading_deg" not in camera.assumed:
-        for heading in camera.headings or (camera.heading_deg,):
-            wedge = _xy([1, 9, 9], [heading, heading - 3, heading + 3])
-            points = " ".join(f"{x:.1f},{y:.1f}" for x, y in wedge)
-            title = "<title>view direction</title>"
-            parts.append(f'<polygon points="{points}" fill="#1f5fa8">{title}</polygon>')
+    parts += _view_directions(camera) if camera else []
     seasons = [season_date(year, which, site) for which in (0, 1, 3)]
     parts += [_day_path(date, site, 'stroke="#e0b45c"') for date in seasons]
     parts.append(_day_path(day, site, f'stroke="{RED}" stroke-width="2"') if day else "")

@@ -312,10 +312,8 @@ def _of_log(
             "ventilate the instrument, and check its zero in the dark"
         )
     if closure is not None and closure < 0.8:
-        yield (
-            f"global = diffuse + direct is true in only {100 * closure:.0f} % of the rows: check "
-            "the clock and the tilt of the instruments"
-        )
+        share = f"global = diffuse + direct is true in only {100 * closure:.0f} % of the rows"
+        yield f"{share}: check the clock and the tilt of the instruments"
     if off_s is not None and abs(off_s) > CLOCK_WARN_S:
         yield (
             f"the middle of the logged daylight is {off_s / 60:+.0f} min from solar noon: check "
