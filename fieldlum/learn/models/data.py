@@ -50,7 +50,8 @@ class Dataset:
     its mean (0 if unknown) [n]; source: path or URL of the pairs; notes: sentences for the user;
     counts: weight of each value in training [n, H, W], None if all are 1; scene: what was used of a
     fitted scene, None without one; sky_view: where the camera sees the sky, None if it was not
-    estimated (`with_sky_view`); doubted: True for hours whose irradiance `pair` marked [n], None
+    estimated (`with_sky_view`); disc_deg: altitude and azimuth of the disc in the map [n, 2], NaN
+    or None where not measured; doubted: True for hours whose irradiance `pair` marked [n], None
     without any.
     """
 
@@ -69,6 +70,7 @@ class Dataset:
     counts: NDArray[np.float16] | None = None
     scene: UsedScene | None = None
     sky_view: SkyView | None = field(default=None, metadata={"digest": False})
+    disc_deg: Floats | None = field(default=None, metadata={"digest": False})
     doubted: Mask | None = field(default=None, metadata={"later": True})
 
     def __len__(self) -> int:
@@ -102,6 +104,7 @@ class Dataset:
             luminance_cdm2=self.luminance_cdm2[rows],
             patch_cdm2=None if self.patch_cdm2 is None else self.patch_cdm2[rows],
             disc_lx=self.disc_lx[rows],
+            disc_deg=None if self.disc_deg is None else self.disc_deg[rows],
             days=self.days[rows],
             slots=tuple(self.slots[i] for i in rows),
             steadiness=self.steadiness[rows],
@@ -284,6 +287,7 @@ def _assemble(
         luminance_cdm2=pictures.maps,
         patch_cdm2=pictures.patches,
         disc_lx=pictures.disc_lx,
+        disc_deg=pictures.disc_deg,
         heading_deg=heading,
         days=days,
         slots=_slots(rows, times),

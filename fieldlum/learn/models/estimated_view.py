@@ -10,7 +10,9 @@ import numpy as np
 from fieldlum.core.records import Panorama, Progress, quiet
 from fieldlum.learn.models.data import Dataset
 from fieldlum.sky.sky_view import Captured, SkyPicture, SkyView, cut_panorama, sky_view_of
-from fieldlum.sky.sky_view.measured_discs import NO_DISCS
+from fieldlum.sky.sky_view.measured_discs import NO_DISCS, MeasuredDiscs
+
+_PIXEL_SIGMA = 1 / np.sqrt(12.0)  # standard deviation of a place within a pixel
 
 
 def with_sky_view(
@@ -32,5 +34,15 @@ def with_sky_view(
         return cut_panorama(Panorama(shown, data.heading_deg, t_utc=light.t_utc[k]))
 
     captured = Captured(light, read, data.disc_lx / np.maximum(light.direct_lx, 1.0))
-    view = sky_view_of(captured, NO_DISCS, data.setup.site, data.heading_deg, progress=progress)
+    site, discs = data.setup.site, _discs(data)
+    view = sky_view_of(captured, discs, site, data.heading_deg, progress=progress)
     return replace(data, sky_view=view)
+
+
+def _discs(data: Dataset) -> MeasuredDiscs:
+    """Return the discs' places in the maps, which are known to a pixel."""
+    if data.disc_deg is None or not (rows := np.flatnonzero(np.isfinite(data.disc_deg[:, 0]))).size:
+        return NO_DISCS
+    altitude, azimuth = data.disc_deg[rows].T
+    sigma = np.full(len(rows), 180.0 / data.shape[0] * _PIXEL_SIGMA)
+    return MeasuredDiscs(altitude, azimuth, sigma, tuple(data.light.t_utc[k] for k in rows))

@@ -17,7 +17,7 @@ from fieldlum.optics.images import PANORAMA_LINE, read_panorama
 from fieldlum.optics.projection import signed_angle_deg
 from fieldlum.session.files.pairs_csv import PairRow
 from fieldlum.session.panorama_sun import read_panorama_with_sun, suns_of
-from fieldlum.sky.sun_disc import split_disc
+from fieldlum.sky.sun_disc import find_disc, without_disc
 
 _MERGE_ALIKE = "render or merge all brackets at one size and heading, then run fieldlum pair again"
 _PAIR_AGAIN = "run fieldlum pair again, because the sun patches belong to other pictures"
@@ -36,7 +36,8 @@ class PairPictures:
 
     maps: captured luminance [n, H, W] cd/m2; patches: luminance of the direct sun alone [n, H, W]
     cd/m2, None without pictures of sun patches; disc_lx: illuminance by the sun's disc on a plane
-    normal to it [n]; has_value: mask [n, H, W], True at measured pixels; counts: weights of the
+    normal to it [n]; disc_deg: its altitude and azimuth in map or patch [n, 2], NaN where not
+    measured; has_value: mask [n, H, W], True at measured pixels; counts: weights of the
     pixels in training, [H, W] or None for 1, one entry for each row; heading_deg: azimuth of the
     middle of all maps; bounds: number of maps whose sun is clipped, so that its illuminance is only
     a lower bound.
@@ -45,6 +46,7 @@ class PairPictures:
     maps: Floats32
     patches: Floats32 | None
     disc_lx: Floats
+    disc_deg: Floats
     has_value: Mask
     counts: list[NDArray[np.float16] | None]
     heading_deg: float
@@ -53,17 +55,22 @@ class PairPictures:
     def take_disc_out(
         self, k: int, at: tuple[float, float], shown: tuple[float, float], dni_wm2: float
     ) -> None:
-        """Remove the sun's disc from map k and patch k, and store its illuminance in disc_lx[k].
+        """Remove the sun's disc from map k and patch k; store its illuminance and its place.
 
         at: altitude and azimuth of the sun [deg], where the patch shows it; shown: altitude and
         azimuth at which the picture of a turned camera shows it [deg]; dni_wm2: direct normal
         irradiance. With sun patches, the illuminance is that in the patch, which has no sky around
         the disc.
         """
-        self.maps[k], self.disc_lx[k] = split_disc(self.maps[k], self.heading_deg, shown, dni_wm2)
-        if self.patches is not None:
-            patch, self.disc_lx[k] = split_disc(self.patches[k], self.heading_deg, at, dni_wm2)
-            self.patches[k] = patch
+        for pictures, place in ((self.maps, shown), (self.patches, at)):
+            if pictures is None:
+                continue
+            disc = find_disc(pictures[k], self.heading_deg, near_deg=place, dni_wm2=dni_wm2)
+            self.disc_lx[k] = 0.0 if disc is None else disc.normal_lx
+            if disc is not None:
+                pictures[k] = without_disc(pictures[k], disc)
+                turn = float(signed_angle_deg(disc.azimuth_deg - place[1]))
+                self.disc_deg[k] = at[0] + disc.altitude_deg - place[0], at[1] + turn
 
 
 def read_pictures(
@@ -107,7 +114,8 @@ def read_pictures(
             if patch.sun and not panorama.sun and not row.sun_in_map:
                 disc[k] = patch.sun.normal_illuminance_lx
     progress(len(rows), len(rows), "")
-    return PairPictures(maps, patches, disc, masks, counts, heading, bounds)
+    places = np.full((len(rows), 2), np.nan)
+    return PairPictures(maps, patches, disc, places, masks, counts, heading, bounds)
 
 
 def _heading(panorama: Panorama, path: Path, setup: SiteFile) -> float:

@@ -27,6 +27,7 @@ from fieldlum.sky.sky_view.ratio import (
     sky_reference,
     unmixed,
 )
+from fieldlum.sky.sky_view.sky_heading import heading_by_sky
 from fieldlum.sky.sky_view.view import SkyView
 
 # Sunlight inside a room also follows the sky a little: interior surfaces reach 1.2 % of the sky's
@@ -50,6 +51,9 @@ LEAST_CAPTURES = 6  # fewer do not separate the sky from other light; chosen
 _MOST_VALUES = 60_000_000  # captures times directions in memory: 240 MB; chosen
 # What merge left out as too dark is between 0 and `SkyPicture.dark_cdm2`; its mean. Chosen.
 _DARK_SHARE = 0.5
+_TROPIC_DEG = 23.44  # the sun's largest declination
+_HEADING_KNOWN_DEG = 0.3  # by discs; the sky alone is not better. Chosen.
+_INSIDE_DEG, _HEADING_DIRECTIONS = 0.5, 400  # of open sky, for the heading; chosen
 _DISC_LX = 1000.0  # beam whose disc cannot be missed in a picture; chosen
 _SHOWN = 0.01  # share of the beam that counts as a disc in a check; chosen
 
@@ -90,12 +94,13 @@ def estimate(
     shut: Callable[[Floats], Mask] | None = None,
     progress: Progress = quiet,
     pose: CameraPose | None = None,
+    latitude_deg: float | None = None,
 ) -> SkyView:
     """Return the sky view of captures of one state of the room.
 
     shut: returns, for directions [p, 3], whether a lens saw them; where a lens saw a direction, but
-    no sky picture has it, merge found it too dark for the sky. Raises NotEnoughDataError without a
-    capture with light.
+    no sky picture has it, merge found it too dark for the sky. latitude_deg: of the room; the sun
+    never stands in some directions. Raises NotEnoughDataError without a capture with light.
     """
     lit = np.flatnonzero(captured.light.diffuse_lx > _DISC_LX)
     if not len(lit):
@@ -103,9 +108,12 @@ def estimate(
     used = captured.take(lit.tolist())
     stack = _stack(used, shut, progress)
     pose = pose or CameraPose(axis_deg=stack.grid.heading_deg)
-    view, scatters = _decided(stack, used.light[stack.rows], pose)
-    view = replace(view, pose=pose, notes=view.notes + pose.notes)
-    return _checked(view, captured, scatters)
+    light = used.light[stack.rows]
+    decided = _decided(stack, light, pose, latitude_deg)
+    turned = _turned(stack, light, decided)
+    if turned is not pose:
+        decided = _decided(stack, light, turned, latitude_deg)
+    return _checked(decided, captured)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -199,8 +207,21 @@ def _placed(picture: SkyPicture, grid: SkyGrid) -> Floats32:
 # decisions
 
 
-def _decided(stack: _Stack, light: Light, pose: CameraPose) -> tuple[SkyView, Mask]:
-    """Return openness, transmittance and bounds in each direction, and what scatters, [h, w]."""
+@dataclass(frozen=True, slots=True)
+class _Decided:
+    """A sky view before the discs in captures, and directions that it does not decide [h, w].
+
+    sky: follows the sky; bright: follows neither the sky nor other light; scatters: a curtain.
+    """
+
+    view: SkyView
+    sky: Mask
+    bright: Mask
+    scatters: Mask
+
+
+def _decided(stack: _Stack, light: Light, pose: CameraPose, latitude_deg: float | None) -> _Decided:
+    """Return openness, transmittance and bounds in each direction."""
     rays = pose.true_directions(stack.grid.rays()[stack.kept])
     reference = sky_reference(stack.luminance_cdm2, light, rays)
     seen = follow(stack.luminance_cdm2, light, rays, reference)
@@ -221,7 +242,7 @@ def _decided(stack: _Stack, light: Light, pose: CameraPose) -> tuple[SkyView, Ma
         )
     openness[openness < _LEAST_OPEN] = 0.0
     low, high = _bounds(openness, u, mixed, pane, stack.grid.step_deg)
-    apart = ~sky & ~mixed
+    apart = ~sky & ~mixed & (stack.placed(_sun_can_stand(rays, latitude_deg, pose)) > 0.0)
     scatters = apart & (stack.placed(seen.glow) > _SCATTER_GLOW) & (relative > _SCATTER_SHARE)
     bright = apart & (relative > _BRIGHT_SHARE) & (spread < FOLLOWS_NOT)
     bright |= np.isnan(relative) & (ratio > _BRIGHT_RATIO)
@@ -233,8 +254,40 @@ def _decided(stack: _Stack, light: Light, pose: CameraPose) -> tuple[SkyView, Ma
     channels = openness, u, count, np.where(stack.dark, 0.0, pane), low, high
     blind = np.isnan(ratio) & ~stack.dark
     arrays = (np.where(blind, np.nan, values).astype(np.float32) for values in channels)
-    notes = _notes(stack.grid, sky, bright, scatters, len(light))
-    return SkyView(stack.grid, *arrays, captures=len(light), notes=notes), scatters
+    view = SkyView(stack.grid, *arrays, captures=len(light), pose=pose)
+    return _Decided(view, sky, bright, scatters)
+
+
+def _sun_can_stand(rays: Floats, latitude_deg: float | None, pose: CameraPose) -> Mask:
+    """Return where the sun passes on some day of the year, of directions [p, 3]; True if unknown.
+
+    It stays within the tropics' declination; the camera's heading and level have uncertainties.
+    """
+    if latitude_deg is None:
+        return np.ones(len(rays), bool)
+    latitude = np.radians(latitude_deg)
+    pole = np.array([0.0, np.cos(latitude), np.sin(latitude)])
+    declination = np.arcsin(np.clip(rays @ pole, -1.0, 1.0))
+    margin_deg = 0.5 + 2.0 * float(np.hypot(pose.heading_sd_deg, pose.level_sd_deg))
+    return np.abs(declination) < np.radians(_TROPIC_DEG + margin_deg)
+
+
+def _turned(stack: _Stack, light: Light, decided: _Decided) -> CameraPose:
+    """Return the pose with the heading by the open sky, if discs do not give it better."""
+    from scipy.ndimage import binary_erosion
+
+    pose = decided.view.pose
+    if pose.heading_sd_deg < _HEADING_KNOWN_DEG:
+        return pose
+    pixels = int(np.ceil(_INSIDE_DEG / stack.grid.step_deg))
+    square = np.ones((3, 3))
+    open_sky = stack.kept & (decided.view.openness >= _OPEN)
+    at = np.flatnonzero(binary_erosion(open_sky, square, iterations=pixels))
+    at = at[:: max(1, len(at) // _HEADING_DIRECTIONS)]
+    luminance = stack.luminance_cdm2[:, stack.columns(at)]
+    rays = pose.true_directions(stack.grid.rays().reshape(-1, 3)[at])
+    found = heading_by_sky(luminance, light, rays, pose.axis_deg)
+    return pose if found is None else pose.with_heading(*found)
 
 
 def _near(sky: Mask) -> Mask:
@@ -272,16 +325,15 @@ def _bounds(
     return least * pane * (1.0 - 2.0 * SCALE_SD), high
 
 
-def _notes(
-    grid: SkyGrid, sky: Mask, bright: Mask, scatters: Mask, captures: int
-) -> tuple[str, ...]:
+def _notes(decided: _Decided) -> tuple[str, ...]:
+    sky, scatters, captures = decided.sky, decided.scatters, decided.view.captures
     notes = []
     if captures < LEAST_CAPTURES:
         notes.append(
             f"{captures} captures do not show where the sky is (at least {LEAST_CAPTURES}): the "
             "sun's disc has bounds only; capture overcast and clear hours"
         )
-    if not sky.any() and bright.any():
+    if not sky.any() and decided.bright.any():
         notes.append(
             "no direction follows the sky clearly, although some are as bright as sky behind "
             "glass: whether the sun is seen there is not known; capture overcast hours, or an hour "
@@ -289,7 +341,7 @@ def _notes(
         )
     elif not sky.any():
         notes.append("the camera sees no sky: no hour shows the sun's disc")
-    weight = np.cos(np.radians(grid.altitudes_deg))[:, None]
+    weight = np.cos(np.radians(decided.view.grid.altitudes_deg))[:, None]
     share = (scatters * weight).sum() / max(((sky | scatters) * weight).sum(), 1e-9)
     if share > 0.05:
         notes.append(
@@ -304,12 +356,13 @@ def _notes(
 # captured discs
 
 
-def _checked(view: SkyView, captured: Captured, scatters: Mask) -> SkyView:
+def _checked(decided: _Decided, captured: Captured) -> SkyView:
     """Return the view, corrected where captures show a disc or none; contradictions are named."""
     light, share = captured.light, captured.disc_share
+    view, scatters = decided.view, decided.scatters
     strong = np.flatnonzero((light.direct_lx > _DISC_LX) & ~np.isnan(share))
     if not len(strong):
-        return view
+        return replace(view, notes=_notes(decided) + view.pose.notes)
     some, measured = light[strong], share[strong]
     disc_deg = 0.2665 + 0.5 * view.grid.step_deg
     near = _near_shares(view, some, disc_deg + view.pose.heading_sd_deg)
@@ -344,7 +397,8 @@ def _checked(view: SkyView, captured: Captured, scatters: Mask) -> SkyView:
         f"{len(named)} captures contradict the sky view, which was corrected there: "
         f"{', '.join(named[:3])}; check the heading and the clock",
     )
-    return replace(view, **arrays, notes=view.notes + (note if named else ()))
+    notes = _notes(replace(decided, scatters=scatters & ~without)) + view.pose.notes
+    return replace(view, **arrays, notes=notes + (note if named else ()))
 
 
 def _panes_without_disc(view: SkyView, scatters: Mask, suns: Floats, measured: Floats) -> Mask:

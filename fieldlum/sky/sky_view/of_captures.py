@@ -32,4 +32,5 @@ def sky_view_of(
     times = np.array([t.timestamp() for t in light.t_utc])
     nearest = [int(np.abs(times - t.timestamp()).argmin()) for t in discs.t_utc]
     pose = pose_of_discs(discs, site, heading_deg, captured.disc_share[nearest])
-    return estimate(captured.take(usual_rows(light.states, len(light))), in_lens, progress, pose)
+    usual = captured.take(usual_rows(light.states, len(light)))
+    return estimate(usual, in_lens, progress, pose, site.latitude_deg)

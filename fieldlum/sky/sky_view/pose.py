@@ -6,7 +6,7 @@ them open, which the covariance and a sentence describe. Without a disc the pose
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -32,6 +32,7 @@ _PARTLY_HIDDEN_SHARE = (
 # Fewer than three discs cannot tell a reflection from a wrong pose: beyond this many standard
 # uncertainties of the stated pose they are not used.
 _CONTRADICTION = 3.5
+_SITE = "heading_deg in SITE.toml"
 _OPEN_DEG = 0.1  # a combination less certain than this is stated; half of the disc's radius
 _SHOWN_SHARE = 0.3  # of a combination's largest part, below which a part is not named
 
@@ -81,6 +82,25 @@ class CameraPose:
         """Return draws of the four values, [count, 4]."""
         covariance = np.asarray(self.covariance, float)
         return rng.multivariate_normal(self.values, covariance, count, method="eigh")
+
+    def with_heading(self, by_deg: float, u_deg: float) -> CameraPose:
+        """Return the pose with a measured correction to its heading; what is correlated follows.
+
+        A correction beyond what both uncertainties explain is named, and not used.
+        """
+        covariance = np.asarray(self.covariance, float)
+        variance = float(covariance[0, 0]) + u_deg**2
+        text = f"{by_deg:+.1f} +- {u_deg:.1f} degrees by the sky's brightness about the sun"
+        if abs(by_deg) > _CONTRADICTION * np.sqrt(variance):
+            return replace(self, notes=(*self.notes, f"heading {text}: not used; check {_SITE}"))
+        gain = covariance[:, 0] / variance  # [4]: Kalman
+        after = covariance - np.outer(gain, covariance[0])
+        heading, tilt, roll, scale = (float(v) for v in self.values + gain * by_deg)
+        rows = tuple(tuple(float(v) for v in row) for row in after)
+        note = f"heading {text}; used: {heading:+.1f} +- {np.sqrt(after[0, 0]):.1f}"
+        return CameraPose(
+            heading, tilt, roll, scale, rows, self.axis_deg, self.discs, (*self.notes, note)
+        )
 
     def in_pictures(self, suns: Floats, values: Floats | None = None) -> Floats:
         """Return where the pictures show true directions [n, 3], in the stated pose, [n, 3].

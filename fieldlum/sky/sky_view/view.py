@@ -27,6 +27,8 @@ CHANNELS = ("openness", "u", "count", "transmittance", "low", "high")
 # Sharp edges of coarse pictures are drawn at this size: half of the disc. Chosen.
 _FINE_DEG = 0.13
 _SHUT, _OPEN = 0.2, 0.8  # neighbours of an edge between no sky and open sky; chosen
+_OPEN_PIXEL = 0.95  # openness of a pixel that has no edge: known to 0.05; chosen
+_EDGE_ROUNDS = 6  # of shortening; chosen
 _LENS_PIXEL_DEG = 1.0  # larger pixels are not a lens's own; chosen
 _EDGE_DOUBT = (0.75, 0.25)  # interpolated openness where an edge is at the latest, and at the least
 FRAME = "true north"  # of the grid's azimuths
@@ -210,15 +212,21 @@ def _fine_edges(values: list[Floats32], openness: Floats32, factor: int) -> list
     """Return best, low and high enlarged by `factor`, with sharp edges between open sky and none.
 
     A lens blurs an edge over two pixels; where exactly it is, is known to half of that. Pixels of
-    a degree are means of a lens's pixels.
+    a degree are means of a lens's pixels: the shortest edges give each its openness.
     """
-    from scipy.ndimage import maximum_filter, minimum_filter
+    from scipy.ndimage import binary_opening, maximum_filter, minimum_filter
 
-    size = 3 if factor * _FINE_DEG > _LENS_PIXEL_DEG else 5
     shown = np.nan_to_num(openness)
+    coarse = factor * _FINE_DEG > _LENS_PIXEL_DEG
+    size = 3 if coarse else 5
     most, least = maximum_filter(shown, size), minimum_filter(shown, size)
-    edge = _enlarged((most > _OPEN) & (least < _SHUT), factor)
-    smooth = _interpolated(shown, factor)
+    if coarse:
+        mixed = (shown > 0.0) & (shown < _OPEN_PIXEL)
+        texture = np.asarray(binary_opening(mixed, np.ones((3, 3))), bool)
+        edge, smooth = _enlarged((most > 0.0) & ~texture, factor), _shortest_edges(shown, factor)
+    else:
+        edge = _enlarged((most > _OPEN) & (least < _SHUT), factor)
+        smooth = _interpolated(shown, factor)
     outside = _enlarged(np.isnan(openness), factor)
     maps = []
     for value, half in zip(values, (0.5, *_EDGE_DOUBT), strict=True):
@@ -227,6 +235,30 @@ def _fine_edges(values: list[Floats32], openness: Floats32, factor: int) -> list
         fine = np.where(edge, sharp, _enlarged(np.nan_to_num(value), factor))
         maps.append(np.where(outside, np.nan, fine))
     return maps
+
+
+def _shortest_edges(openness: Floats, factor: int) -> Floats:
+    """Return a fine map that is above one half in the open share of each pixel, with short edges.
+
+    Motion by mean curvature (Merriman, Bence, Osher 1994) with the area of each pixel kept: blur,
+    then in each pixel the brightest parts, as many as its openness, are open.
+    """
+    from scipy.ndimage import gaussian_filter
+
+    (height, width), n = openness.shape, factor**2
+    mixed = np.nonzero((openness > 0.0) & (openness < _OPEN_PIXEL))
+    count = np.round(openness[mixed] * n)[:, None]
+    smooth = sharp = _interpolated(openness, factor)
+    pixels = np.repeat((openness >= _OPEN_PIXEL)[..., None], n, axis=-1).astype(np.float32)
+    for _ in range(_EDGE_ROUNDS):
+        parts = smooth.reshape(height, factor, width, factor).swapaxes(1, 2)[mixed].reshape(-1, n)
+        rank = np.argsort(np.argsort(-parts, axis=1, kind="stable"), axis=1)
+        pixels[mixed] = rank < count
+        sharp = pixels.reshape(height, width, factor, factor).swapaxes(1, 2)
+        sharp = sharp.reshape(height * factor, width * factor)
+        smooth = gaussian_filter(sharp, 0.5 * factor, mode="nearest", truncate=3.0)
+    # where best is open or shut, low and high follow it
+    return np.where(sharp > 0.5, np.maximum(smooth, 0.5), np.minimum(smooth, 0.499))
 
 
 def _enlarged(values: np.ndarray, factor: int) -> np.ndarray:

@@ -1,0 +1,95 @@
+"""Find the camera's heading by the sky alone: its luminance is symmetric about the sun.
+
+Each standard sky has the same luminance to the left and to the right of the sun. The open sky in a
+window is compared with Perez's sky in each sunny hour; what is left after a level, a stronger or
+weaker gradation and a slope in altitude shows how far the sky is turned. Clouds are not symmetric,
+but differ from hour to hour.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fieldlum.core.arrays import Floats, Floats32
+from fieldlum.optics.projection import rotation
+from fieldlum.sky.light import Light
+
+_SUNNY_LX = 5000.0  # beam of an hour that is used; chosen
+_NEAR_SUN_DEG = 10.0  # not used: flare, and Perez's steep gradation
+_LEAST_HOURS, _LEAST_DIRECTIONS = 5, 10  # of the estimate, and of an hour in it; chosen
+_ROUNDS, _STEP_DEG = 10, 0.1
+_MOST_STEP_DEG = 3.0
+_HUBER = 1.5  # standard uncertainties, beyond which an hour counts less
+# Errors in rooms of other renderers (docs/sky-view.md) are 1.3 times the estimate's own; at least
+# 0.2 degrees, because the sun moves so far in the seconds of a bracket. Chosen.
+_TIMES, _LEAST_U_DEG = 1.5, 0.2
+_NORMAL_MEDIAN = 0.455  # of chi squared with one degree of freedom
+
+
+def heading_by_sky(
+    luminance: Floats32, light: Light, rays: Floats, axis_deg: float
+) -> tuple[float, float] | None:
+    """Return the heading's correction and its standard uncertainty in degrees; None if unknown.
+
+    luminance: of p directions of open sky in n hours [n, p] cd/m2, NaN if unusable; rays [p, 3]:
+    their true directions by the heading so far; axis_deg: azimuth of the lens's axis. At least five
+    sunny hours with ten directions are needed.
+    """
+    sunny = np.flatnonzero(light.direct_lx > _SUNNY_LX)
+    if len(sunny) < _LEAST_HOURS or len(rays) < _LEAST_DIRECTIONS:
+        return None
+    some, days = light[sunny], np.array([t.toordinal() for t in light.t_utc])[sunny]
+    heading, u = 0.0, np.inf
+    for _ in range(_ROUNDS):
+        turned = [rays @ rotation(h, 0.0, 0.0, axis_deg).T for h in (heading, heading + _STEP_DEG)]
+        level = np.nanmedian(_log_ratio(luminance, light, turned[0]), axis=0)
+        off, ahead = (_log_ratio(luminance[sunny], some, to) - level for to in turned)
+        turns, variances = _turns(off, (off - ahead) / _STEP_DEG, some, turned[0])
+        known = np.isfinite(turns)
+        if known.sum() < _LEAST_HOURS:
+            return None
+        step, u = _mean(turns[known], variances[known], days[known])
+        heading += float(np.clip(step, -_MOST_STEP_DEG, _MOST_STEP_DEG))
+        if abs(step) < 0.1 * u:
+            break
+    return heading, float(np.hypot(_TIMES * u, _LEAST_U_DEG))
+
+
+def _log_ratio(luminance: Floats32, light: Light, rays: Floats) -> Floats:
+    return np.log(np.maximum(luminance, 1e-2)) - np.log(np.maximum(light.sky_at(rays), 1e-3))
+
+
+def _turns(off: Floats, slope: Floats, light: Light, rays: Floats) -> tuple[Floats, Floats]:
+    """Return the turn [n] that explains each hour's `off` [n, p], and its variance; NaN if none."""
+    altitude = np.arcsin(np.clip(rays[:, 2], -1.0, 1.0))
+    usable = light.shown_sun_direction @ rays.T < np.cos(np.radians(_NEAR_SUN_DEG))
+    usable &= np.isfinite(off)
+    sky = np.log(np.maximum(light.sky_at(rays), 1e-3))
+    turns, variances = np.full(len(off), np.nan), np.full(len(off), np.nan)
+    for k, at in enumerate(usable):
+        if at.sum() < _LEAST_DIRECTIONS:
+            continue
+        symmetric = np.stack([np.ones(at.sum()), sky[k, at], altitude[at]], axis=1)
+        basis, _ = np.linalg.qr(symmetric - [0.0, *symmetric[:, 1:].mean(axis=0)])
+        y, x = (v - basis @ (basis.T @ v) for v in (off[k, at], slope[k, at]))
+        size = float(x @ x)
+        if size > 1e-9:
+            turns[k] = x @ y / size
+            left = y - turns[k] * x
+            variances[k] = (left @ left / len(y) + 1e-4) / size
+    return turns, variances
+
+
+def _mean(turns: Floats, variances: Floats, days: np.ndarray) -> tuple[float, float]:
+    """Return the robust mean of hours, and its uncertainty: by their scatter, or between days."""
+    mean, weight = float(np.median(turns)), 1.0 / variances
+    for _ in range(30):
+        # Neighbouring directions have the same clouds: an hour is less certain by a common factor.
+        factor = max(1.0, float(np.median((turns - mean) ** 2 / variances)) / _NORMAL_MEDIAN)
+        sigmas = np.abs(turns - mean) / np.sqrt(factor * variances)
+        weight = np.minimum(1.0, _HUBER / np.maximum(sigmas, 1e-9)) / (factor * variances)
+        mean = float((weight * turns).sum() / weight.sum())
+    others = days[None, :] != np.unique(days)[:, None]  # [days, n]: the jackknife leaves out a day
+    without = (others @ (weight * turns)) / np.maximum(others @ weight, 1e-12)
+    between = (len(without) - 1) * float(without.var())
+    return mean, float(np.sqrt(max(1.0 / weight.sum(), between)))
