@@ -14,6 +14,7 @@ import pytest
 from fieldlum.core.arrays import Floats, Indices
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Room, Site, SiteFile, Window
+from fieldlum.optics.projection import rotation
 from fieldlum.sky.light import Light, light_at
 from fieldlum.sky.sky_view import (
     Captured,
@@ -64,7 +65,10 @@ def _shade() -> Floats:
 
 
 def _view(
-    pictures: Floats, disc_share: Floats | None = None, rows: Indices | None = None
+    pictures: Floats,
+    disc_share: Floats | None = None,
+    rows: Indices | None = None,
+    latitude_deg: float | None = None,
 ) -> SkyView:
     shares = np.full(len(LIGHT), np.nan) if disc_share is None else disc_share
     clipped = np.zeros((32, 32), bool)
@@ -73,7 +77,8 @@ def _view(
         return SkyPicture(pictures[k].astype(np.float32), clipped, GRID, LIGHT.t_utc[k])
 
     captured = Captured(LIGHT, read, shares)
-    return estimate(captured if rows is None else captured.take(rows.tolist()))
+    taken = captured if rows is None else captured.take(rows.tolist())
+    return estimate(taken, latitude_deg=latitude_deg)
 
 
 def _pictures(openness: Floats, tau: float | Floats = 0.8, foreground: Floats | None = None):
@@ -142,6 +147,42 @@ def test_a_curtain_has_bounds_until_captures_show_its_disc() -> None:
     assert behind.sum() >= 3
     settled = _view(_pictures(openness, foreground=front), np.where(behind, 0.0, np.nan))
     assert np.median(settled.high[cloth]) == 0.0
+    assert "glazing scatters" in view.notes[0] and "glazing" not in str(settled.notes)
+    # south of the tropic the sun passes north: what glows in the south is a sunlit ceiling
+    far = _view(_pictures(openness, foreground=front), latitude_deg=-60.0)
+    assert (far.high[cloth] == 0.0).all() and "glazing" not in str(far.notes)
+
+
+@pytest.mark.property
+def test_the_sky_is_symmetric_about_the_sun_and_shows_the_heading() -> None:
+    """A heading that is 4 degrees wrong is found from the gradation of the sky, without a disc."""
+    openness, rays = np.zeros((32, 32)), RAYS.reshape(-1, 3)
+    openness[2:30, 4:28] = 1.0
+    turned = LIGHT.sky_at(rays @ rotation(4.0, 0.0, 0.0, 180.0).T).reshape(SKY.shape)
+    view = _view(_pictures(openness) * turned / SKY)
+    assert view.pose.heading_deg == pytest.approx(4.0, abs=2.0 * view.pose.heading_sd_deg)
+    assert view.pose.heading_sd_deg < 0.7 and "brightness about the sun" in str(view.notes)
+    same = _view(_pictures(openness))
+    assert abs(same.pose.heading_deg) < 2.0 * same.pose.heading_sd_deg < 1.4
+
+
+@pytest.mark.analytic
+def test_edges_and_bars_of_coarse_pictures_are_where_openness_puts_them() -> None:
+    """In pixels of 3 degrees: an edge at 0.4 of a pixel, and a bar of 1 degree between two."""
+    openness = np.ones((12, 12), np.float32)
+    openness[:, :2], openness[:, 2] = 0.0, 0.6  # open from column 2.4
+    openness[:, 6], openness[:, 7] = 0.75, 0.92  # a bar from column 6.75 to 7.08
+    full, grid = np.full_like(openness, 0.8), SkyGrid(36.0, -18.0, 3.0, 180.0, 12, 12)
+    through = openness * full
+    view = SkyView(grid, openness, 0 * full, full, full, 0 * full, full)
+    sharp, size = view.sharp, view.sharp.grid.width // 12
+    mean = sharp.best.reshape(12, size, 12, size).mean(axis=(1, 3))
+    assert mean[1:-1, :] == pytest.approx(through[1:-1, :], abs=0.04)
+    for column, share in ((2.2, 0.0), (2.6, 0.8), (5.9, 0.8), (6.5, 0.8), (6.9, 0.0), (7.4, 0.8)):
+        light = _at(view, 6.5, column)
+        got = disc_of_hours(view, light)
+        assert got.best_lx / light.direct_lx == pytest.approx(share, abs=0.1), column
+        assert got.low_lx <= got.best_lx <= got.high_lx
 
 
 @pytest.mark.analytic

@@ -12,12 +12,14 @@ from places import SEATTLE
 
 from fieldlum.core.arrays import Floats
 from fieldlum.core.records import Panorama
+from fieldlum.learn.models.pair_pictures import PairPictures
 from fieldlum.merge.disc import take_out_disc
 from fieldlum.optics.projection import altitude_azimuth_deg, rotation
 from fieldlum.sky import sun
 from fieldlum.sky.sky_view.measured_discs import MeasuredDiscs
 from fieldlum.sky.sky_view.pose import STATED_SD, CameraPose, open_combination, pose_of_discs
 from fieldlum.sky.sky_view.sun_discs import scaled
+from fieldlum.sky.sun_disc import add_source
 
 TIMES = tuple(
     datetime(2027, 3, 20, 17, 30, tzinfo=UTC) + timedelta(hours=1.2 * k) for k in range(6)
@@ -127,3 +129,19 @@ def test_merge_finds_a_strong_disc_5_degrees_away() -> None:
     there, azimuth_deg = seen_from(70_000.0)
     assert there and azimuth_deg == pytest.approx(186.5, abs=0.5)
     assert not seen_from(15_000.0)[0]  # the mirror image in a facade
+
+
+@pytest.mark.analytic
+def test_a_disc_in_a_map_keeps_its_place_for_the_pose() -> None:
+    """To half a pixel of 3 degrees; in a turned camera's map relative to where the sun is shown."""
+    maps = np.full((2, 60, 120), 2e3, np.float32)
+    for shown, at in ((150.0, 150.0), (151.0, 147.0)):
+        place = np.array([31.0, 31.0]), np.array([shown, shown])
+        lit = add_source(maps, place, np.full(2, 3e4), 180.0)
+        places = np.full((2, 2), np.nan)
+        pictures = PairPictures(lit, None, np.zeros(2), places, lit > 0.0, [None, None], 180.0, 0)
+        pictures.take_disc_out(0, (31.0, at), (31.0, shown), 600.0)
+        assert pictures.disc_deg[0] == pytest.approx((31.0, at), abs=1.5)
+        assert np.isnan(pictures.disc_deg[1]).all()
+        assert pictures.disc_lx[0] == pytest.approx(3e4, rel=0.02)
+        assert lit[0].max() < 3e3
