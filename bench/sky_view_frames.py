@@ -205,7 +205,10 @@ def judge(made: Case, merges: list[MergeResult], with_discs: bool, axis_deg: flo
         tuple(light.t_utc[k] for k, _ in measured),
     )
     pose = pose_of_discs(discs, made.setup.site, axis_deg, shares[[k for k, _ in measured]])
-    view = estimate(captured, lambda rays: in_lens(rays, axis_deg), pose=pose)
+    latitude_deg = made.setup.site.latitude_deg
+    view = estimate(
+        captured, lambda rays: in_lens(rays, axis_deg), pose=pose, latitude_deg=latitude_deg
+    )
     disc = disc_of_hours(view, made.light)
     sunny = np.flatnonzero(made.light.direct_lx > 1000.0)
     own = disc.best_lx[sunny] / made.light.direct_lx[sunny]
@@ -219,7 +222,7 @@ def judge(made: Case, merges: list[MergeResult], with_discs: bool, axis_deg: flo
     shown, there = own > 0.02, true > 0.02
     rms = float(np.sqrt(np.mean((own - true)[partly] ** 2))) if partly.any() else float("nan")
     dgp, wrong = glare(made, sunny, own)
-    off = f"{pose.heading_deg:+.2f}+-{pose.heading_sd_deg:.2f}"
+    off = f"{view.pose.heading_deg:+.2f}+-{view.pose.heading_sd_deg:.2f}"
     return (
         f"discs {len(measured)}, heading {off}, shown {(shown & there).sum()}/{there.sum()}, "
         f"phantom {(shown & ~there).sum()}/{(~there).sum()}, "

@@ -272,6 +272,10 @@ def _assemble(
     view = SkyView.find(path.parent / SKY_VIEW)
     if view is not None and is_outdated(Session(path.parent), view):
         notes.append(f"WARNING: {SKY_VIEW} is of earlier pictures: run fieldlum pair again")
+    if view is None and Session(path.parent).toml.is_file():
+        notes.append(
+            f"no {SKY_VIEW}: the coarse maps decide the sun's disc; run fieldlum pair again"
+        )
     times = [row.t_utc for row in rows]
     doubted = np.array([is_doubted(row.why) for row in rows])
     data = Dataset(

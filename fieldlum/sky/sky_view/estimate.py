@@ -286,8 +286,8 @@ def _turned(stack: _Stack, light: Light, decided: _Decided) -> CameraPose:
     at = at[:: max(1, len(at) // _HEADING_DIRECTIONS)]
     luminance = stack.luminance_cdm2[:, stack.columns(at)]
     rays = pose.true_directions(stack.grid.rays().reshape(-1, 3)[at])
-    found = heading_by_sky(luminance, light, rays, pose.axis_deg)
-    return pose if found is None else pose.with_heading(*found)
+    correction = heading_by_sky(luminance, light, rays, pose.axis_deg)
+    return pose if correction is None else pose.with_heading(*correction)
 
 
 def _near(sky: Mask) -> Mask:

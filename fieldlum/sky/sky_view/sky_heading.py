@@ -45,10 +45,10 @@ def heading_by_sky(
         level = np.nanmedian(_log_ratio(luminance, light, turned[0]), axis=0)
         off, ahead = (_log_ratio(luminance[sunny], some, to) - level for to in turned)
         turns, variances = _turns(off, (off - ahead) / _STEP_DEG, some, turned[0])
-        known = np.isfinite(turns)
-        if known.sum() < _LEAST_HOURS:
+        usable = np.isfinite(turns)
+        if usable.sum() < _LEAST_HOURS:
             return None
-        step, u = _mean(turns[known], variances[known], days[known])
+        step, u = _mean(turns[usable], variances[usable], days[usable])
         heading += float(np.clip(step, -_MOST_STEP_DEG, _MOST_STEP_DEG))
         if abs(step) < 0.1 * u:
             break
