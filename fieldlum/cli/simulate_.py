@@ -36,7 +36,6 @@ def command(
     weather_file: Path | None = None,
     size: str = DEFAULT_SIZE,
     quality: Literal["draft", "quick", "paper"] | None = None,
-    drift: bool = False,
     troubles_file: Path | None = None,
     seed: int = 1,
     scheduler_text: str = "local",
@@ -63,7 +62,6 @@ def command(
       --weather: EPW, TMY3 or CSV of the place.
       --size WxH: Size of the panoramas.
       --quality: Quality of the rendering. [default: quick up to 230x115, paper above]
-      --drift: Let the light change within the hour.
       --troubles: TOML file of troubles: clouds, lamps, a knocked camera ...
           (docs/simulation.md).
       --seed: Seed of random hours and synthetic weather.
@@ -97,7 +95,6 @@ def command(
             weather,
             height=height,
             quality=chosen,
-            drift=drift,
             troubles=troubles,
             force=force,
             scheduler=scheduler_of(scheduler_text),

@@ -95,7 +95,6 @@ def run(
     *,
     height: int = 230,
     quality: str = "paper",
-    drift: bool = False,
     troubles: Troubles | None = None,
     force: bool = False,
     cache: Path | None = None,
@@ -105,10 +104,9 @@ def run(
 ) -> Simulated:
     """Render the truth of every slot of a session's plan and write its pairs.
 
-    Slots that were rendered before in the same way are kept, unless `force`. drift : irradiance
-    changes within the hour instead of having its mean; troubles : differences from the stated
-    session; cache : folder of the Radiance coefficients, by default the session's truth/. Raises
-    InputError for a room that cannot be rendered.
+    Slots that were rendered before in the same way are kept, unless `force`. troubles :
+    differences from the stated session; cache : folder of the Radiance coefficients, by default the
+    session's truth/. Raises InputError for a room that cannot be rendered.
     """
     setup, slots = session.site_file(), session.slots()
     for folder in (session.root, session.truth, session.truth / "sunpatches"):
@@ -140,7 +138,7 @@ def run(
         troubles=wrong,
     )
     run_each(units, scheduler, UnitOutcome.result, progress)
-    _write_irradiance(session, weather, slots, drift, wrong)
+    _write_irradiance(session, weather, slots, wrong)
     dni, dhi = measured_irradiance(
         light.t_utc, light.dni_wm2, light.dhi_wm2, light.sun_altitude_deg, wrong
     )
@@ -208,7 +206,7 @@ def _done(session: Session, slot: Slot) -> bool:
 
 
 def _write_irradiance(
-    session: Session, weather: Weather, slots: Sequence[Slot], drift: bool, troubles: Troubles
+    session: Session, weather: Weather, slots: Sequence[Slot], troubles: Troubles
 ) -> None:
     """Write truth/irradiance.csv over the planned days.
 
@@ -220,11 +218,7 @@ def _write_irradiance(
         start = sun.standard_midnight(day, weather.site.timezone)
         for hour in range(24):
             begin = start + timedelta(hours=hour)
-            times += (
-                [begin + timedelta(minutes=30)]
-                if drift
-                else [begin, begin + timedelta(minutes=59, seconds=59)]
-            )
+            times += [begin, begin + timedelta(minutes=59, seconds=59)]
     light = weather.at(times)
     ghi_wm2, dni_wm2, dhi_wm2 = (
         np.nan_to_num(v) for v in (light.ghi_wm2, light.dni_wm2, light.dhi_wm2)
