@@ -23,11 +23,10 @@ from fieldlum.learn.models.data import Dataset, load_pairs
 from fieldlum.learn.models.estimated_view import with_sky_view
 from fieldlum.sky.sky_view import SkyView, disc_of_hours
 from fieldlum.sky.sky_view.disc_in_view import drawn_discs_lx
-from fieldlum.year.glare import glare_directions
-from fieldlum.year.glare.geometry import panorama_views, view_azimuths_deg
+from fieldlum.year.glare import glare_directions, panorama_views, view_azimuths_deg
 
 sys.path.insert(0, str(Path(__file__).parent / "outside_rooms"))
-from make_case import write_case
+from make_case import write_case  # pyright: ignore[reportMissingImports]
 
 SHOWN, SUNNY_WM2 = 0.02, 60.0
 
@@ -42,8 +41,7 @@ def dgp_error(test: Dataset, own_lx: np.ndarray) -> float:
     views = panorama_views(*test.shape, test.heading_deg, azimuths)
     suns, maps = some.light.shown_sun_direction, some.luminance_cdm2
     dgp = [
-        glare_directions(maps, test.heading_deg, azimuths, suns, disc, views=views)["dgp"]
-        for disc in (some.disc_lx, own_lx[rows])
+        glare_directions(maps, views, suns, disc)["dgp"] for disc in (some.disc_lx, own_lx[rows])
     ]
     return float(((dgp[1] - dgp[0]) ** 2).mean(axis=1).sum() / len(test))
 

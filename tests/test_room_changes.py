@@ -9,6 +9,7 @@ from learning_room import dataset
 from test_transport import log_mse
 
 from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.models.hour_weights import is_badly_measured
 from fieldlum.learn.train.outliers import find_changes, find_lamp, process_of, without_changes
 from fieldlum.learn.transport.model import fit
 
@@ -214,3 +215,16 @@ def test_three_days_do_not_show_which_is_the_exception() -> None:
 def test_a_lamp_that_is_always_on_is_no_change() -> None:
     maps = CLEAN.luminance_cdm2 + np.float32(150.0)
     assert find_changes(replace(CLEAN, luminance_cdm2=maps), with_patch=True) is None
+
+
+@pytest.mark.slow
+@pytest.mark.property
+def test_a_capture_in_faint_light_contradicts_nothing() -> None:
+    """Its irradiance is within the errors of two readings; a bright capture is named."""
+    faint = is_badly_measured(CLEAN)
+    level = np.where(faint, -1.0, CLEAN.light.dhi_wm2)
+    for row, names in ((int(np.flatnonzero(faint)[0]), 0), (int(np.argmax(level)), 1)):
+        maps = CLEAN.luminance_cdm2.copy()
+        maps[row] *= 8.0
+        data, notes = without_changes(replace(CLEAN, luminance_cdm2=maps), with_patch=True)
+        assert len(notes) == names and len(data) == len(CLEAN) - names

@@ -19,7 +19,7 @@ import numpy as np
 
 from fieldlum.core.arrays import Array, Floats, Indices, Mask
 from fieldlum.learn.models.data import Dataset
-from fieldlum.learn.models.hour_weights import UNSURE
+from fieldlum.learn.models.hour_weights import UNSURE, is_badly_measured
 from fieldlum.learn.transport.arrays import MIN_CDM2, pixel_scale, training_arrays_of
 from fieldlum.learn.transport.window_sky import seen_sky
 from fieldlum.sky import sun
@@ -573,12 +573,16 @@ def _worst_unit(
 def without_changes(data: Dataset, *, with_patch: bool) -> tuple[Dataset, list[str]]:
     """Return the captures without those of a changed room, and a warning for each change.
 
-    Captures with an unmarked lamp and captures that contradict the others are omitted. with_patch:
-    use the sun patches of `data`.
+    Captures with an unmarked lamp and captures that contradict the others are omitted; single ones
+    only if their irradiance was measured well. with_patch: use the sun patches of `data`.
     """
     changes = find_changes(data, with_patch=with_patch)
     if changes is None:
         return data, []
+    complete = np.isin(data.days, np.array(changes.complete_days, data.days.dtype))
+    clear = complete | ~is_badly_measured(data)  # single captures of faint light stay in use
+    rows = changes.unexplained
+    changes = replace(changes, unexplained=rows[clear[rows]])
     changed = np.union1d(changes.lamp, changes.unexplained)
     notes = _warnings(data, changes)
     return data.take(np.setdiff1d(np.arange(len(data)), changed)), notes
