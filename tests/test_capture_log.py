@@ -12,9 +12,9 @@ from typing import Any
 import pytest
 from tiny_field import FAST, LADDER, Field, TinyCamera, TinyPyranometer
 
+from fieldlum.capture.disk_writer import Recorder
 from fieldlum.capture.logger import log
 from fieldlum.capture.logger_rows import adopt_rows
-from fieldlum.capture.recorder import Recorder
 from fieldlum.capture.runner import Options, run
 from fieldlum.capture.utc_clock import SteadyClock
 from fieldlum.core.errors import DeviceError, InputError
@@ -158,9 +158,9 @@ def test_a_meter_reads_before_and_after_and_may_fail(rig: Field) -> None:
 def test_a_defect_within_the_log_is_told_once_and_ends_nothing(
     rig: Field, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    from fieldlum.capture.disk_writer import Recorder
     from fieldlum.capture.logger import Logger
     from fieldlum.capture.reconnect import Keeper
-    from fieldlum.capture.recorder import Recorder
 
     steady = SteadyClock(rig.clock, lambda: False)
     recorder = Recorder(rig.session, steady.now, 4096, flush=False)

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from pathlib import Path
 
+from fieldlum.capture.disk_writer import Recorder
 from fieldlum.capture.reconnect import FIRST_PAUSE_S, MAX_PAUSE_S, Keeper, error_text, plain_info
-from fieldlum.capture.recorder import Recorder
 from fieldlum.capture.utc_clock import SteadyClock
 from fieldlum.capture.verify import as_taken
 from fieldlum.core.errors import DeviceError

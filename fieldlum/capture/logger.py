@@ -7,8 +7,8 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 
+from fieldlum.capture.disk_writer import Recorder
 from fieldlum.capture.reconnect import Keeper, error_text, plain_info
-from fieldlum.capture.recorder import Recorder
 from fieldlum.capture.utc_clock import SteadyClock
 from fieldlum.core.records import IrradianceSample
 from fieldlum.devices import Pyranometer, Streaming, open_pyranometer

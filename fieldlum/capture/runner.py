@@ -14,10 +14,10 @@ from typing import Any
 
 from fieldlum.capture.alerts import MISSES_IN_A_ROW, run_hook
 from fieldlum.capture.bracket import NO_CHECKS, BracketCapture, FrameChecks, shots
+from fieldlum.capture.disk_writer import RESERVE_BYTES, Listen, Recorder
 from fieldlum.capture.live import Live, Watch
 from fieldlum.capture.logger import Logger
 from fieldlum.capture.reconnect import Keeper, error_text, plain_info
-from fieldlum.capture.recorder import RESERVE_BYTES, Listen, Recorder
 from fieldlum.capture.utc_clock import SteadyClock, boot_id
 from fieldlum.core.errors import DeviceError, InputError, NotEnoughDataError
 from fieldlum.core.records import Slot, parse_utc

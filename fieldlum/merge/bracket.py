@@ -47,7 +47,9 @@ _TAPER_DEG = float(np.degrees(TAPER_RAD))
 
 
 def dark_rims(views: Sequence[ProjectedImage]) -> tuple[DarkRim, ...]:
-    """Return the dark rims of the lenses: at most one for each lens, none for a bright edge.
+    """Return how wide and dark the edge of each lens's image is, for lenses whose edge is dark.
+
+    At most one rim for each lens.
 
     views: of one lens at one heading each. Only pixels that a single view sees are tested, because
     `blend` gives the edge of a lens little weight elsewhere. Of several headings of a lens, the

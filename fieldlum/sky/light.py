@@ -232,9 +232,13 @@ class Features:
 
 
 def light_features(light: Light) -> Features:
-    """Return the features `sky`, `beam` and `direction` of each time, without those of a room."""
-    root = np.sqrt(reinhart_patches().solid_angles_sr).astype(np.float32)
-    sky = light.sky_cdm2 * root / light.total_lx.astype(np.float32)[:, None]
+    """Return the features `sky` [n, 2305], `beam` [n] and `direction` [n, 3], without a room's.
+
+    Luminances of patches are multiplied by the root of their solid angle, so that products of two
+    hours are integrals over the sky.
+    """
+    root_solid_angle = np.sqrt(reinhart_patches().solid_angles_sr).astype(np.float32)
+    sky = light.sky_cdm2 * root_solid_angle / light.total_lx.astype(np.float32)[:, None]
     return Features(sky, light.direct_lx / light.total_lx, light.sun_direction)
 
 

@@ -46,7 +46,10 @@ class SimulatedLight(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class DetailedPanorama(Panorama):
-    """A panorama with a finer picture of a part of it; where that is NaN, the panorama counts."""
+    """A panorama with a finer picture of a part of it.
+
+    detail: luminance in cd/m2 [h, w]; where it is NaN, the panorama counts. None for no detail.
+    """
 
     detail: SkyPicture | None = None
 

@@ -61,7 +61,9 @@ def how_many(
         if left_s <= next_s:
             return None
         progress(k, len(SHARES), "learning curve")
-        some = [type(fold)(_first(small, fold.teach, share), fold.check) for fold in folds]
+        some = [
+            type(fold)(_most_informative(small, fold.teach, share), fold.check) for fold in folds
+        ]
         trial = evaluate_folds("transport", small, some, patch=patch, seed=seed, glare=False)
         errors = trial.scores.errors
         tested.append(errors)
@@ -76,7 +78,7 @@ def how_many(
     return {"curve": curve, "enough": enough, "added_nothing": [data.slots[i] for i in behind]}
 
 
-def _first(data: Dataset, teach: np.ndarray, share: float) -> np.ndarray:
+def _most_informative(data: Dataset, training: np.ndarray, share: float) -> np.ndarray:
     """Return the most informative part of the training rows."""
-    count = max(4, round(share * len(teach)))
-    return np.sort(teach[order_of_use(data.take(teach))[:count]])
+    count = max(4, round(share * len(training)))
+    return np.sort(training[order_of_use(data.take(training))[:count]])

@@ -65,7 +65,11 @@ class Kind:
 
 
 def _place(guess: Guess) -> Floats:
-    """Return numbers that differ if the last elements of two guesses are at different places, m."""
+    """Return coordinates of a guess's last solid and bar [m].
+
+    Their largest difference is the distance of two guesses' last elements; bars of another window,
+    or an upright and a level one, count as far (1000 and 100 m).
+    """
     solid, bar = guess.solids[-1:], guess.bars[-1:]
     middles = [np.add(s.low_m, s.high_m)[:2] / 2.0 for s in solid]
     spans = [np.array([1e3 * b.window, 1e2 * b.upright, b.span_m[0]]) for b in bar]

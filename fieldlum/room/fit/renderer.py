@@ -129,10 +129,11 @@ def unit_patches(
     weight = np.full(len(pixel), 1.0 / sub**2) if tone is None else tone / float(sub**2)
     low = np.array([solid.low_m for solid in guess.solids]).reshape(-1, 3)
     high = np.array([solid.high_m for solid in guess.solids]).reshape(-1, 3)
+    # 0 to 2: normal towards larger x, y, z; 3 to 5: towards smaller; -1: never lit (a ceiling)
     face = np.where(ends.sign > 0, ends.axis, ends.axis + 3).astype(np.int8)
     face[(face == 5) | (ends.surface == OUTSIDE)] = -1
-    raised = ends.position_m.astype(np.float32)
-    raised[np.arange(len(raised)), ends.axis] += ends.sign * np.float32(2.0 * EPSILON_M)
+    above_face = ends.position_m.astype(np.float32)  # so that a face does not shade itself
+    above_face[np.arange(len(above_face)), ends.axis] += ends.sign * np.float32(2.0 * EPSILON_M)
     suns = suns_room.astype(float)
     for number, rect in enumerate(guess.windows):
         axis, side = WALLS[rect.wall]
@@ -141,7 +142,7 @@ def unit_patches(
         opening = np.array([axis, outward, inner, outer, *rect.u_m, *rect.z_m])
         bars = [(b.upright, *b.span_m, *b.depth_m) for b in guess.bars if b.window == number]
         add_through(
-            opening, np.array(bars, float).reshape(-1, 5), low, high, raised, face,
+            opening, np.array(bars, float).reshape(-1, 5), low, high, above_face, face,
             ends.spread_m, weight, pixel, suns, _glass(rect.transmittance, suns[:, axis]), total,
         )  # fmt: skip
     return total

@@ -349,7 +349,7 @@ def _wall_of(xy: Floats, distances: Sequence[float]) -> str:
 
 
 def _on_wall(
-    ray: Floats, wall: str, size: Sequence[float], camera: Sequence[float]
+    ray: Floats, wall: str, size: Floats | Sequence[float], camera: Sequence[float]
 ) -> tuple[float, float]:
     """Return where a ray meets a wall: from its left end, seen from inside, and from the floor [m].
 

@@ -144,16 +144,17 @@ def _heading(setup: SiteFile | None, heading_deg: float | None) -> float:
 
 
 def disc_visibility(scene: BoxScene, toward: Floats) -> tuple[Floats, Floats]:
-    """Return the share of the disc that the camera sees, and the glass's transmittance, [n] each.
+    """Return the share of the disc that the camera sees, and its glass's transmittance, [n] each.
 
     Both are 0 for a hidden disc. toward : [n, 3] directions to the sun in room axes.
     """
-    visible, through = np.zeros(len(toward)), np.zeros(len(toward))
+    visible, passed = np.zeros(len(toward)), np.zeros(len(toward))
     for k, sun in enumerate(toward):
         for opening, free in _seen_through(scene, sun):
             visible[k] += free.mean()
-            through[k] = float(glass_optics(opening.transmittance, sun[opening.axis])[0])
-    return visible, through
+            glass = float(glass_optics(opening.transmittance, sun[opening.axis])[0])
+            passed[k] += free.mean() * glass
+    return visible, passed / np.maximum(visible, 1e-12)
 
 
 def visible_disc(scene: BoxScene, sun: Floats) -> Mask:
@@ -178,9 +179,9 @@ def _seen_through(scene: BoxScene, sun: Floats) -> Iterator[tuple[Opening, Mask]
 
 
 def _may_see(o: Opening, eye: Floats, sun: Floats) -> bool:
-    at = (o.outer_m - eye[o.axis]) / sun[o.axis]
-    u, z = eye[o.along] + at * sun[o.along], eye[2] + at * sun[2]
-    margin = 0.01 * at
+    distance_m = (o.outer_m - eye[o.axis]) / sun[o.axis]
+    u, z = eye[o.along] + distance_m * sun[o.along], eye[2] + distance_m * sun[2]
+    margin = 0.01 * distance_m  # the disc has a radius of 0.0047
     return o.u_m[0] - margin < u < o.u_m[1] + margin and o.z_m[0] - margin < z < o.z_m[1] + margin
 
 

@@ -21,7 +21,7 @@ from fieldlum.core.records import Progress, SiteFile, Slot, quiet
 from fieldlum.core.scheduler import LOCAL, Scheduler, UnitOutcome, run_each
 from fieldlum.optics.linear_light import sensor_pitch_deg
 from fieldlum.optics.profiles import load_camera_profile
-from fieldlum.room.simulate.slot_units import truth_units
+from fieldlum.room.simulate.slot_work import truth_units
 from fieldlum.room.simulate.troubles import Troubles, load_troubles, measured_irradiance, true_light
 from fieldlum.room.simulate.truth import SimulatedRoom, simulated_room
 from fieldlum.session import Session, create_session, remove_scraps, update_session

@@ -89,7 +89,10 @@ class Troubles:
 
     @property
     def key(self) -> str:
-        """A hash that changes with any size or seed; "" without troubles."""
+        """A hash of the size and seed of each trouble, which tells stored pictures of others apart.
+
+        "" without troubles.
+        """
         text = json.dumps(asdict(self), sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16] if self.names else ""
 

@@ -149,11 +149,12 @@ def view_figures(block: HourBlock, views: Views, regions: ViewRegions) -> dict[s
 def relative_uncertainty(
     block: HourBlock, views: Views, figures: dict[str, Floats]
 ) -> tuple[Floats, Floats]:
-    """Return the relative standard uncertainty of Ev and of the sources' luminance, [k, d] each.
+    """Return the relative standard uncertainties of Ev and of the sources' luminance.
 
-    They are NaN where the model does not state its error. Errors of the pixels of one picture count
-    as fully correlated, because a model is often too bright or too dark on a complete wall. The
-    disc has 5 %. figures: the result of `glare_directions`.
+    Both are [k, d], of k hours in d directions. They are NaN where the model does not state its
+    error. Errors of the pixels of one picture count as fully correlated, because a model is often
+    too bright or too dark on a complete wall. The disc has 5 %. figures: the result of
+    `glare_directions`.
     """
     map_ev, map_source = _relative_of_map(block, views)
     share_ev = figures["sun_ev_lx"] / np.maximum(figures["ev_lx"], 1e-6)
