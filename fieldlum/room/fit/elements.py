@@ -20,12 +20,14 @@ from fieldlum.room.scene.geometry import WALLS
 # Facades: a farther and higher one gives nearly the same shade, so that a factor of two in distance
 # is fine enough; the angle of elevation decides which suns it hides. Its thickness hardly changes
 # the shade; it reaches beyond every sun that enters. Canopies: gap above the window, depth,
-# thickness, overhang to either side. No patch shows their albedo. All chosen, not measured.
+# thickness, overhang to either side. Screens (blinds, lintels): share of the window's height. No
+# patch shows their albedo. All chosen, not measured.
 FACADE_DISTANCES_M = (2.0, 5.0, 12.0, 30.0)
 FACADE_ELEVATIONS_DEG = (6.0, 10.0, 14.0, 18.0, 24.0, 30.0, 40.0)
 FACADE_THICKNESS_M, REACH_M = 2.0, 40.0
 CANOPY_GAPS_M, CANOPY_DEPTHS_M = (0.05, 0.3), (0.4, 0.8, 1.3, 2.0)
 CANOPY_THICKNESS_M, CANOPY_OVERHANG_M = 0.1, 1.5
+SCREEN_SHARES = (0.25, 0.5, 0.75)
 ALBEDO = 0.4  # of anything that is added; chosen
 # Bars: width, spacing and half depth, chosen.
 BAR_M, BAR_SPACING_M, BAR_HALF_DEPTH_M = 0.06, 0.06, 0.06
@@ -77,7 +79,7 @@ def _place(guess: Guess) -> Floats:
 
 
 def _shades(guess: Guess) -> Iterator[Guess]:
-    """Yield guesses with a facade opposite, or a canopy above, one of the windows."""
+    """Yield guesses with a facade opposite, a screen in or a canopy above one of the windows."""
     for rect in guess.windows:
         middle_u, middle_z = (float(np.mean(span)) for span in (rect.u_m, rect.z_m))
         low, high = middle_u - REACH_M, middle_u + REACH_M
@@ -86,6 +88,10 @@ def _shades(guess: Guess) -> Iterator[Guess]:
             top = middle_z + out * float(np.tan(np.radians(tilt)))
             yield outside(guess, rect, along, (out, out + FACADE_THICKNESS_M), (0.0, top))
         along = (rect.u_m[0] - CANOPY_OVERHANG_M, rect.u_m[1] + CANOPY_OVERHANG_M)
+        within = (0.3 * guess.thickness_m, 0.7 * guess.thickness_m)
+        for share in SCREEN_SHARES:
+            low_m = rect.z_m[1] - share * (rect.z_m[1] - rect.z_m[0])
+            yield outside(guess, rect, along, within, (low_m, rect.z_m[1]))
         for gap, depth in product(CANOPY_GAPS_M, CANOPY_DEPTHS_M):
             z = rect.z_m[1] + gap
             out_m = (guess.thickness_m, guess.thickness_m + depth)

@@ -95,12 +95,12 @@ class SceneEvidence:
             rows=self.rows[index],
         )
 
-    def coarse(self) -> SceneEvidence:
-        """Return the evidence of about 1 000 pixels, evenly from all.
+    def coarse(self, pixels: int = COARSE_PIXELS) -> SceneEvidence:
+        """Return the evidence of about this many pixels, evenly from all.
 
-        With under 1 500 it is unchanged.
+        With under 1.5 times as many it is unchanged.
         """
-        every = max(1, round(len(self.pixels) / COARSE_PIXELS))
+        every = max(1, round(len(self.pixels) / pixels))
         keep = np.arange(0, len(self.pixels), every)
         place = np.full(len(self.pixels), -1)
         place[keep] = np.arange(len(keep))
@@ -219,7 +219,6 @@ def gather(
     room: Room,
     *,
     pixels: int = PIXELS,
-    seed: int = 0,
     min_hours: int = MIN_SUNNY_HOURS,
 ) -> SceneEvidence:
     """Collect sunny hours, sampled pixels and the light without direct sun from captures.
@@ -238,7 +237,7 @@ def gather(
             f"window, but at least {min_hours} are needed: capture clear hours; until then train "
             f"uses the stated [room] or no sun patch, and states why"
         )
-    chosen, weights = _draw_pixels(data, guess, rows, pixels, np.random.default_rng(seed))
+    chosen, weights = _draw_pixels(data, guess, rows, pixels)
     rays, pixel = _rays_of(data, chosen, SUB)
     seen = np.maximum(data.luminance_cdm2.reshape(len(data), -1)[:, chosen], LEAST_CDM2)
     evidence = SceneEvidence(
@@ -282,9 +281,7 @@ def _clock_table(data: Dataset, rows: NDArray[np.intp]) -> Array:
     return np.stack(table)
 
 
-def _draw_pixels(
-    data: Dataset, guess: Guess, rows: Indices, count: int, rng: np.random.Generator
-) -> tuple[Indices, Floats]:
+def _draw_pixels(data: Dataset, guess: Guess, rows: Indices, count: int) -> tuple[Indices, Floats]:
     """Return evenly drawn pixels and their weights.
 
     rows: captures with direct sun; count: of the pixels, of which a few can coincide. They
@@ -305,7 +302,7 @@ def _draw_pixels(
     boost = np.where(peaks, 4.0, 1.0)
     chance = omega * boost
     count = min(count, int((chance > 0.0).sum()))
-    at = (np.arange(count) + rng.random()) / count  # evenly: two draws differ little
+    at = (np.arange(count) + 0.5) / count
     chosen = np.unique(np.searchsorted(np.cumsum(chance) / chance.sum(), at))
     return chosen, 1.0 / boost[chosen]
 

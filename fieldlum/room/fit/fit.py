@@ -26,6 +26,7 @@ from fieldlum.room.fit.parameters import (
     CLOCK_SD_MIN,
     SUN_DEG_PER_MIN,
     all_parameters,
+    glass_parameters,
     room_parameters,
     stated_albedo,
 )
@@ -47,9 +48,9 @@ OPEN_WALL_DEG = 0.5  # chosen: a window's edge 3 m from the camera is 3 cm off
 # Clocks from which searches start if their uncertainty is over a minute: slightly beyond the
 # prior's 5 minutes; chosen.
 START_CLOCKS_MIN, OPEN_CLOCK_MIN = (-6.0, 0.0, 6.0), 1.0
-# Proposals of a kind that are searched, and those of them that held-out hours are asked about;
-# chosen, for time.
-_SEARCHED, _TRIALS = 5, 2
+# Pixels at which proposals of a kind are ranked; proposals that are searched, and those of them
+# that held-out hours are asked about; chosen, for time.
+_RANKED_PIXELS, _SEARCHED, _TRIALS = 300, 5, 2
 # Share by which an element must lower the cost of held-out hours: it exceeds rounding. The sun may
 # light an object in no held-out hour: with `UNSEEN_GAIN` in the others these need only not
 # contradict. Chosen.
@@ -113,7 +114,6 @@ def fit_scene(
     pose: PosePrior | None = None,
     clock_sd_min: float = CLOCK_SD_MIN,
     pixels: int = PIXELS,
-    seed: int = 0,
     find_changes: Callable[..., Any] | None = None,
     progress: Progress = quiet,
 ) -> SceneFit:
@@ -129,7 +129,7 @@ def fit_scene(
 
     def searched(captures: Dataset) -> SceneSearch:
         progress(0, 100, "light below the patches")
-        found = SceneSearch(captures, room, pose, clock_sd_min, pixels, seed)
+        found = SceneSearch(captures, room, pose, clock_sd_min, pixels)
         found.run(lambda done, text: progress(done, 100, text))
         return found
 
@@ -144,7 +144,7 @@ def fit_scene(
             except NotEnoughDataError:
                 changed = changed[:0]
         progress(90, 100, "uncertainties")
-        u, draws = found.spread(seed)
+        u, draws = found.spread()
     progress(100, 100, "")
     guess, parameters = found.guess, found.parameters
     return SceneFit(
@@ -156,7 +156,7 @@ def fit_scene(
         before={p.name: p.measured(found.start) for p in parameters},
         after={p.name: p.measured(guess) for p in parameters},
         u=u,
-        misfits=found.misfits(),
+        misfits=found.held_out,
         hours=len(found.evidence),
         notes=(*_notes(u, found.evidence), *_changed_notes(len(changed), len(data))),
         room_draws=draws,
@@ -174,15 +174,14 @@ class SceneSearch:
         pose: PosePrior | None = None,
         clock_sd_min: float = CLOCK_SD_MIN,
         pixels: int = PIXELS,
-        seed: int = 0,
     ) -> None:
         self.data, self.room, self.pose = data, room, pose
-        self.evidence = gather(data, room, pixels=pixels, seed=seed)
+        self.evidence = gather(data, room, pixels=pixels)
         kept_out = _kept_out(data, room, self.evidence)
         self.fit_hours, self.kept_out = np.flatnonzero(~kept_out), np.flatnonzero(kept_out)
         self.start = self.guess = guess_of(room, data.heading_deg)
         self.view = window_view(data, self.start)
-        self.parameters = room_parameters(self.start, clock_sd_min)
+        self.parameters = room_parameters(self.start, clock_sd_min) + glass_parameters(self.start)
         clock_u_min = clock_sd_min if pose is None else pose.u_clock_min
         self.clocks_min = START_CLOCKS_MIN if clock_u_min > OPEN_CLOCK_MIN else (None,)
         self.albedo = self.evidence.albedos(self.start, stated_albedo(room))
@@ -215,6 +214,8 @@ class SceneSearch:
         self._prune(kinds)
         step(80, "all together")
         self._settle()
+        self.held_out = self._misfits()
+        self.fit_hours = np.arange(len(self.evidence))
         self._settle()
         return self.guess
 
@@ -245,7 +246,8 @@ class SceneSearch:
         """Return the guess with an element more, or None if none pays."""
         cost = self.cost(coarse=True)
         proposals = list(kind.propose(self.guess))
-        costs = np.array([cost(proposal) for proposal in proposals])
+        rough = replace(cost, evidence=cost.evidence.coarse(_RANKED_PIXELS))
+        costs = np.array([rough(proposal) for proposal in proposals])
         found = [
             search(cost, trial, kind.parameters(trial), LEVELS[:2])
             for trial in kind.best(proposals, costs, _SEARCHED)
@@ -286,7 +288,7 @@ class SceneSearch:
         """Return the albedos of west, east, south, north, floor, ceiling, solids, [6 + solids]."""
         return np.concatenate([self.albedo[:SHELL], [s.albedo for s in self.guess.solids]])
 
-    def misfits(self) -> Misfits:
+    def _misfits(self) -> Misfits:
         """Return the misfits of held-out hours with three geometries.
 
         The stated box gets albedos of its own from these hours.
@@ -298,7 +300,7 @@ class SceneSearch:
         patches = (np.zeros_like(of_fitted), of_stated, of_fitted)
         return Misfits(*(evidence.misfit(patch) for patch in patches))
 
-    def spread(self, seed: int) -> tuple[dict[str, float], dict[str, tuple[float, ...]]]:
+    def spread(self) -> tuple[dict[str, float], dict[str, tuple[float, ...]]]:
         """Return the standard uncertainty of each parameter, and the numbers of likely rooms."""
         hours = np.arange(len(self.evidence))
         noise = covariance(self.cost(hours), self.guess, self.parameters)
@@ -307,7 +309,7 @@ class SceneSearch:
         wider = np.clip(stated / own, 1.0, MODEL_ERROR)
         noise *= wider[:, None] * wider
         u = (wider * own).tolist()
-        drawn = np.random.default_rng(seed).multivariate_normal(
+        drawn = np.random.default_rng(0).multivariate_normal(
             np.zeros(len(u)), noise, DRAWS, method="eigh"
         )
         rooms = [

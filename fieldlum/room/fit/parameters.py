@@ -16,6 +16,7 @@ from fieldlum.room.scene.geometry import WALLS
 # Standard deviations of values measured with a tape measure and a compass (docs/scene.md).
 NORTH_SD_DEG, CLOCK_SD_MIN, LEVEL_SD_DEG = 2.0, 5.0, 0.3
 LENGTH_SD_SHARE, EDGE_SD_M, CAMERA_SD_M, THICKNESS_SD_M = 0.02, 0.05, 0.05, 0.05
+GLASS_SD = 0.2  # chosen: tinted and coated panes have 0.3 to 0.7, and look clear
 POSE_NAMES = ("north_deg", "tilt_deg", "roll_deg", "clock_min")
 CLOCK_REACH_MIN = 19.0  # of the table of suns in `evidence`
 # The mean sun's 360 degrees in 24 hours, by definition: a late clock and a turned north have
@@ -102,6 +103,13 @@ def room_parameters(guess: Guess, clock_sd_min: float = CLOCK_SD_MIN) -> list[Pa
             for end in (0, 1)
         ),
     ]
+
+
+def glass_parameters(guess: Guess) -> list[Parameter]:
+    """Return the transmittances of several windows; that of one cannot be told from albedos."""
+    paths = [("windows", k, "transmittance") for k in range(len(guess.windows))]
+    several = paths if len(paths) > 1 else []
+    return [Parameter(f"window {p[1] + 1} glass", p, 0.1, GLASS_SD, 0.05, 0.92) for p in several]
 
 
 def bar_parameters(number: int) -> list[Parameter]:

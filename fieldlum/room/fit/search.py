@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from fieldlum.room.fit.window_view import WindowView
 
 # Of the stated misfit: what one standard deviation of one number must pay, with `PRIOR_HOURS` sunny
-# hours or more: nine days have 25 to 60. With a third of it the search of a room with a canopy
-# moved the clock by 13 minutes (bench/scene_rooms.py).
-PRIOR_SHARE, PRIOR_HOURS = 0.0015, 30
+# hours or more: nine days have 25 to 60. With a quarter of it a room with a blind moved the clock
+# by 10 minutes and north by 2 degrees, because boxes lack what rooms have (docs/validation.md).
+PRIOR_SHARE, PRIOR_HOURS = 0.006, 30
 # Chosen: shares of the parameters' steps over which derivatives are taken, one after the other;
 # rounds with each; longest move, in such steps; share of the cost below which a gain is noise.
 LEVELS = (1.0, 0.4, 0.15)
@@ -86,7 +86,7 @@ class SceneCost:
         """
         by_disc = POSE_NAMES if self.pose is not None else ()
         off = [
-            (p.read(guess) - p.read(self.start)) / p.sd
+            (p.measured(guess) - p.measured(self.start)) / p.sd
             for p in self.parameters
             if p.name not in by_disc
         ]

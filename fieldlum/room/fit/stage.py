@@ -51,7 +51,6 @@ def run(
     out: Path,
     *,
     clock_sd_min: float = CLOCK_SD_MIN,
-    seed: int = 0,
     find_changes: Callable[..., Any] | None = None,
     progress: Progress = quiet,
 ) -> SceneResult:
@@ -83,26 +82,23 @@ def run(
             room,
             pose=pose and prior_of(pose),
             clock_sd_min=clock_sd_min,
-            seed=seed,
             find_changes=find_changes,
             progress=progress,
         )
     except NotEnoughDataError as error:
         raise NotEnoughDataError(f"{error}; {note}" if note else str(error)) from None
-    scene = judged_scene(data, fit, seed=seed, progress=progress)
+    scene = judged_scene(data, fit, progress=progress)
     if note:
         scene = replace(scene, notes=(note, *scene.notes))
     if pose is not None:
         scene = replace(scene, notes=(pose_note(pose, len(discs)), *scene.notes))
     files = [write_scene(out, scene)]
     used = fit.used(data)
-    files += draw(out, used, fit, gather(used, room, seed=seed))
+    files += draw(out, used, fit, gather(used, room))
     return SceneResult(scene, tuple(files))
 
 
-def judged_scene(
-    data: Dataset, fit: SceneFit, *, seed: int = 0, progress: Progress = quiet
-) -> Scene:
+def judged_scene(data: Dataset, fit: SceneFit, *, progress: Progress = quiet) -> Scene:
     """Return the fit as a scene, with the geometry that `judge_fit` chooses.
 
     If the sunny hours have fewer than three blocks of sun directions (`outside_hours`), the misfit
@@ -112,7 +108,7 @@ def judged_scene(
     """
     data, mean = fit.used(data), fit.misfits.mean()
     try:
-        verdict = judge_fit(data, fit, seed=seed, progress=progress)
+        verdict = judge_fit(data, fit, progress=progress)
     except NotEnoughDataError as error:
         verdict = choose_geometry([GeometryScore(k, np.nan, m) for k, m in mean.items()])
         scene = scene_of(fit, cast("Chosen", verdict.chosen), verdict.reason)
@@ -136,15 +132,12 @@ def judged_scene(
     )
 
 
-def judge_fit(
-    data: Dataset, fit: SceneFit, *, seed: int = 0, progress: Progress = quiet
-) -> SceneVerdict:
+def judge_fit(data: Dataset, fit: SceneFit, *, progress: Progress = quiet) -> SceneVerdict:
     """Choose between no patch, the stated box and the fitted scene; return the choice with reasons.
 
     Misfits of held-out hours, and the error that a transport model with each geometry expects over
-    a year, decide (`choose_geometry`). seed: of the drawn pixels and hours. Raises
-    NotEnoughDataError if the sunny hours have fewer than three blocks of sun directions
-    (`outside_hours`).
+    a year, decide (`choose_geometry`). Raises NotEnoughDataError if the sunny hours have fewer than
+    three blocks of sun directions (`outside_hours`).
     """
     from fieldlum.learn.transport import fit as fit_transport
 
@@ -161,4 +154,4 @@ def judge_fit(
         GeometryCandidate("stated", boxed, mean["stated"]),
         GeometryCandidate("fitted", fitted, mean["fitted"]),
     ]
-    return judge(candidates, fit_model, seed=seed, progress=progress)
+    return judge(candidates, fit_model, progress=progress)

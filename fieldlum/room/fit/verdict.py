@@ -115,19 +115,18 @@ def judge(
     candidates: Sequence[GeometryCandidate],
     fit: FitTransport,
     *,
-    seed: int = 0,
     progress: Progress = quiet,
 ) -> SceneVerdict:
     """Choose among candidates of the same hours, as `choose_geometry`; simplest candidate first.
 
     fit: returns a transport model of captures with patch mode "absolute" or "none"; 250 pixels and
-    hours of a year, drawn by `seed`, give the expected errors. Raises NotEnoughDataError if the
+    drawn hours of a year give the expected errors. Raises NotEnoughDataError if the
     sunny hours have fewer than three blocks of sun directions (`outside_hours`).
     """
     first = candidates[0].data
     room = next((c.data.setup.room for c in candidates if c.data.setup.room is not None), None)
     outside_hours(first, room)  # raises NotEnoughDataError for too few directions
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     pixels, light = _draw(first, rng), light_of_year(first, rng)
     scores = []
     for k, candidate in enumerate(candidates):
