@@ -32,9 +32,6 @@ _SUN_ERROR_SHARE = 0.7
 # share of the room's light that must follow the sun in front of the stated windows; chosen
 _SUN_SHARE = 0.05
 _FLOOR_CDM2 = 0.1  # chosen: a luminance below that of a room by day
-_REMEDY = (
-    "nothing was written, and train uses the stated [room], or no sun patches with --patch none"
-)
 
 
 def check_captures(data: Dataset, room: Room) -> None:
@@ -50,7 +47,8 @@ def check_captures(data: Dataset, room: Room) -> None:
             data.source or "the captures",
             turned_windows,
             "windows at the places stated in [room]",
-            f"check heading_deg, wall_azimuth_deg and the windows' walls; {_REMEDY}",
+            "check heading_deg, wall_azimuth_deg and the windows' walls; nothing was written, and "
+            "train uses the stated [room], or no sun patches with --patch none",
         )
 
 

@@ -183,13 +183,9 @@ def _of_last_solid(guess: Guess) -> list[Parameter]:
     return solid_parameters(guess, len(guess.solids) - 1)
 
 
-def _of_last_bar(guess: Guess) -> list[Parameter]:
-    return bar_parameters(len(guess.bars) - 1)
-
-
 # Gains are chosen, not varied. A bar shades few pixels; a solid that only explains noise gains
 # less; a wrong facade moves north, clock and edges.
 SHADES = Kind("shade outside", _shades, _of_last_solid, 0.02, 2, 0.0)
-BARS = Kind("bars", _barred, _of_last_bar, 0.002, 6, 0.15)
+BARS = Kind("bars", _barred, lambda guess: bar_parameters(len(guess.bars) - 1), 0.002, 6, 0.15)
 FURNITURE = Kind("furniture", _furnished, _of_last_solid, 0.01, 8, 0.45)
 KINDS = (SHADES, BARS, FURNITURE)

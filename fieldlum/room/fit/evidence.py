@@ -302,7 +302,7 @@ def _draw_pixels(data: Dataset, guess: Guess, rows: Indices, count: int) -> tupl
     boost = np.where(peaks, 4.0, 1.0)
     chance = omega * boost
     count = min(count, int((chance > 0.0).sum()))
-    at = (np.arange(count) + 0.5) / count
+    at = (np.arange(count) + np.random.default_rng(0).random()) / count
     chosen = np.unique(np.searchsorted(np.cumsum(chance) / chance.sum(), at))
     return chosen, 1.0 / boost[chosen]
 

@@ -328,7 +328,7 @@ def scene_of(fit: SceneFit, chosen: Chosen, verdict: str) -> Scene:
     Its room is the fitted one for every choice, with the azimuth relative to true north: the fitted
     azimuth plus the correction of north. chosen: "none", "stated" or "fitted"; verdict: the reason.
     """
-    azimuth_deg = (fit.guess.wall_azimuth_deg + fit.guess.north_deg) % 360.0
+    azimuth_deg = true_room(fit.guess, fit.stated).wall_azimuth_deg
     return Scene(
         north_deg=fit.guess.north_deg,
         clock_min=fit.guess.clock_min,
