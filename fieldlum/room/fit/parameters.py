@@ -106,7 +106,7 @@ def room_parameters(guess: Guess, clock_sd_min: float = CLOCK_SD_MIN) -> list[Pa
 
 
 def glass_parameters(guess: Guess) -> list[Parameter]:
-    """Return the transmittances of several windows; that of one cannot be told from albedos."""
+    """Return the transmittances of several windows; one cannot be separated from albedos."""
     paths = [("windows", k, "transmittance") for k in range(len(guess.windows))]
     several = paths if len(paths) > 1 else []
     return [Parameter(f"window {p[1] + 1} glass", p, 0.1, GLASS_SD, 0.05, 0.92) for p in several]
