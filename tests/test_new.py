@@ -229,6 +229,28 @@ def test_a_camera_is_found_by_words(tmp_path: Path) -> None:
 
 
 @pytest.mark.contract
+def test_an_interrupted_dialogue_offers_its_answers(tmp_path: Path) -> None:
+    path = tmp_path / "office.toml"
+    shown = CliRunner().invoke(main, ["new", str(path)], _answers("theta z1"))
+    assert shown.exit_code == 1 and not path.exists()
+    kept = "\n" * 6
+    shown = CliRunner().invoke(main, ["new", str(path)], f"{kept}30\n1.5\n-\nn\n")
+    assert shown.exit_code == 0 and "has your answers so far" in shown.output, shown.output
+    setup = load_site(path)
+    assert (setup.site.name, setup.camera.heading_deg) == ("office", 30.0)
+    assert setup.camera.profile == "ricoh-theta-z1-uncalibrated"
+    assert [file.name for file in tmp_path.iterdir()] == ["office.toml"]
+
+
+@pytest.mark.contract
+def test_a_damaged_file_of_answers_is_no_obstacle(tmp_path: Path) -> None:
+    (tmp_path / "a.toml.answers").write_text('[1, ["Name of the site"], {"a": 2}]')
+    answers = "office\n47\n-122\nAmerica/Los_Angeles\n0\nnone\n-\n\n-\nn\n"
+    shown = CliRunner().invoke(main, ["new", str(tmp_path / "a.toml")], answers)
+    assert shown.exit_code == 0, shown.output
+
+
+@pytest.mark.contract
 def test_a_wrong_sign_of_the_latitude_is_asked_again(tmp_path: Path) -> None:
     answers = "office\n33.9\n18.4\nAfrica/Johannesburg\nAfrica/Tripoli\n0\nnone\n-\n\n-\nn\n"
     shown = CliRunner().invoke(main, ["new", str(tmp_path / "s.toml")], answers)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
@@ -50,7 +52,8 @@ def command(
     """Ask about a site and write its SITE.toml, or write a camera profile.
 
     Place, camera and heading give the full answer; a room is an option. A described room is drawn
-    as SITE.svg: check the windows and azimuths there. An existing file is not overwritten.
+    as SITE.svg: check the windows and azimuths there. An existing file is not overwritten. After an
+    interruption the same command offers the answers so far.
 
     \b
     Example:
@@ -77,6 +80,8 @@ def command(
         return
     if photo is not None:
         raise click.UsageError("--photo describes an own camera: name a profile with --camera")
+    answers = _Answers(site_file.with_name(f"{site_file.name}.answers"))
+    click.get_current_context().meta[_ANSWERS] = answers
     setup = SiteFile(_site(), _camera())
     profile = load_camera_profile(setup.camera.profile)
     blind = coverage_text(profile, setup.camera)
@@ -87,6 +92,7 @@ def command(
         setup = _checked_room(setup.site, setup.camera)
     site_file.write_text(site_text(setup), encoding="utf-8")
     load_site(site_file)
+    answers.path.unlink(missing_ok=True)
     click.echo(f"written: {site_file}")
     if drawing := room_svg(setup):
         picture = site_file.with_suffix(".svg")
@@ -227,16 +233,48 @@ def _window(number: int, width: float, depth: float, height: float, azimuth: flo
 # asking
 
 
+_ANSWERS = "fieldlum.cli.new_.answers"  # key in click's context
+
+
+class _Answers:
+    """The (question, answer) pairs of a dialogue in a file, offered again after an interruption."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self._given = path, list[tuple[str, str]]()
+        self._before: list[Any] = []
+        with suppress(OSError, ValueError):
+            self._before = list(json.loads(path.read_text(encoding="utf-8")))
+            click.echo(f"{path} has your answers so far: press Enter to keep one")
+
+    def offered(self, question: str) -> str | None:
+        """Return the earlier answer to the next question; None without one."""
+        match self._before[len(self._given) : len(self._given) + 1]:
+            case [[str(asked), str(text)]] if asked == question:
+                return text
+        return None
+
+    def store(self, question: str, text: str) -> None:
+        """Add an answer to the file; later answers of the interrupted dialogue stay in it."""
+        self._given.append((question, text))
+        content = [*self._given, *self._before[len(self._given) :]]
+        self.path.write_text(json.dumps(content, ensure_ascii=False), encoding="utf-8")
+
+
 def _ask(question: str, reader: Callable[[str], T], default: str | None = None) -> T:
     """Ask a question until `reader` accepts the answer; return what `reader` returns."""
+    answers: _Answers | None = click.get_current_context().meta.get(_ANSWERS)
 
     def checked(text: str) -> T:
         try:
-            return reader(text.strip())
+            value = reader(text.strip())
         except (InputError, ValueError) as error:
             raise click.UsageError(str(error)) from None
+        if answers:
+            answers.store(question, text)
+        return value
 
-    return click.prompt(question, default=default, value_proc=checked)
+    offered = answers.offered(question) if answers else None
+    return click.prompt(question, default=offered or default, value_proc=checked)
 
 
 def _name(text: str) -> str:
