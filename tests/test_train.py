@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 from learning_room import dataset, room, write_pairs
 
-from fieldlum.cli import main, train_
+from fieldlum.cli import main
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.records import quiet
 from fieldlum.learn import models, train
@@ -165,44 +165,34 @@ def test_held_out_errors_are_those_of_a_fit_without_the_day() -> None:
 
 @pytest.mark.slow
 @pytest.mark.contract
-def test_a_short_budget_still_trains_the_network(tmp_path: Path) -> None:
-    few = DATA.take(range(0, len(DATA), 6))  # two updates are a pass, on the slowest processor too
-    answer = run(few, "dense", budget_min=0.03, out=tmp_path, captures=False)
+def test_a_short_budget_still_trains_the_network(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    few = DATA.take(range(0, len(DATA), 6))
+    monkeypatch.setattr(dense_training.Trainer, "pixels_per_s", lambda *_: 1e5)  # under any load
+    # by a clock that stands still, so that only the network itself takes time
+    answer = run(few, "dense", budget_min=5.0, out=tmp_path, captures=False, clock=lambda: 0.0)
     row = next(row for row in answer["models"] if row["name"] == "dense")
-    judged = row["not_judged_because"] is None  # a processor under load may not reach one pass
-    assert judged == (row["log10_mse_weighted"] is not None)
+    assert row["log10_mse_weighted"] > 0.0
     assert not list(tmp_path.glob("checkpoint*"))
     assert models.load(tmp_path).name == "dense"
 
 
-@pytest.mark.slow
 @pytest.mark.property
-@pytest.mark.numeric
-def test_a_network_that_saw_less_than_every_pixel_once_is_not_judged(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    answer = run(DATA, "dense", budget_min=1e-5, out=tmp_path, captures=False)
-    row = next(row for row in answer["models"] if row["name"] == "dense")
-    assert row["not_judged_because"].startswith("not judged: no time")
-    assert set(row) >= KEYS and row["log10_mse_weighted"] is None and row["worst"] is None
-    assert any("not judged" in note for note in answer["notes"])
-    train_._show(answer)
-    shown = [line for line in capsys.readouterr().out.splitlines() if line.startswith("dense")]
-    assert len(shown) == 1 and "not judged" in shown[0] and "e+0" not in shown[0]
-
-
-@pytest.mark.contract
 @pytest.mark.parametrize(("passes", "begins"), [(0.9, False), (20.0, True)])
-def test_a_network_without_time_for_a_pass_ends_at_once(
+def test_a_network_without_time_for_a_pass_is_not_trained(
     monkeypatch: pytest.MonkeyPatch, passes: float, begins: bool
 ) -> None:
     few = DATA.take(range(0, len(DATA), 6))
     teach, _ = validation_split(len(few), 0)
-    per_s = passes * len(teach) * few.luminance_cdm2[0].size / 600.0
+    per_s = passes * len(teach) * few.luminance_cdm2[0].size / 590.0
     monkeypatch.setattr(dense_training.Trainer, "pixels_per_s", lambda *_: per_s)
-    fitted = dense_training.fit(few, budget_s=600.0, min_passes=1.0, stop_after_epochs=1)
-    assert (fitted.training["steps"] > 1) == begins
-    assert begins or fitted.training["pixels_seen_per_pixel"] < 1.0
+    if begins:
+        fitted = dense_training.fit(few, budget_s=600.0, stop_after_epochs=1)
+        assert fitted.training["steps"] > 0
+        return
+    with pytest.raises(NotEnoughDataError, match="raise --budget"):
+        dense_training.fit(few, budget_s=600.0)
 
 
 @pytest.mark.property

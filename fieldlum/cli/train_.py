@@ -114,11 +114,8 @@ def command(
 
 def _show(answer: TrainAnswer) -> None:
     """Print the scores on which the choice is based."""
-    print_table([row for row in answer["models"] if not row["not_judged_because"]], _COLUMNS)
+    print_table(answer["models"], _COLUMNS)
     click.echo("* over judged hours, without the 5 % with the largest errors")
-    for row in answer["models"]:
-        if row["not_judged_because"]:
-            click.echo(f"{row['name']}: {row['not_judged_because']}")
     click.echo(f"chosen: {answer['chosen']}: {answer['reason']}")
     click.echo(f"parameters: {answer['parameters']:,}")
     captures = answer["captures"]

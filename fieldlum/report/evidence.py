@@ -93,8 +93,6 @@ def _score_table(scores: ScoresFile | None) -> tuple[Table, ...]:
 
     def cell(row: dict[str, Any], key: str) -> Any:
         value = row.get(key)
-        if key == "judged_dgp_error" and row.get("not_judged_because"):
-            return "too little time to judge"
         if key == "name" and value == chosen:
             return {"kind": "high", "text": f"{value} (chosen)"}
         if isinstance(value, float):

@@ -6,12 +6,11 @@ Models without a variance trust hours whose light is in the `Domain` of the capt
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypedDict
 
 import numpy as np
 
 from fieldlum.core.arrays import Floats, Floats32, Mask
-from fieldlum.core.records import Progress, quiet
+from fieldlum.core.records import JsonTable, Progress, quiet
 from fieldlum.learn.models import Fitted, ModelState, Patch, Prediction
 from fieldlum.learn.models.data import Dataset
 from fieldlum.sky.light import Light
@@ -24,14 +23,6 @@ SUNNY_WM2 = 60.0
 # About 50 minutes of the sun's path, or three weeks of its declination near an equinox. Chosen.
 SUN_GAP_DEG = 12.0
 RANGE_SLACK = 0.15  # of the captured range of diffuse irradiance; not measured
-
-
-class DomainTable(TypedDict):
-    """The domain in config.json; the keys are the fields of `Domain`."""
-
-    sun_directions: list[list[float]]
-    dhi_wm2: list[float]
-    dni_wm2: list[float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +61,7 @@ class Domain:
         nearest = (light.sun_direction @ self.sun_directions.T).max(axis=1)
         return nearest >= np.cos(np.radians(SUN_GAP_DEG))
 
-    def state(self) -> DomainTable:
+    def state(self) -> JsonTable:
         """Return the domain as an object that JSON can store."""
         return {
             "sun_directions": np.round(self.sun_directions, 5).tolist(),
@@ -79,7 +70,7 @@ class Domain:
         }
 
     @staticmethod
-    def from_state(state: DomainTable) -> Domain:
+    def from_state(state: JsonTable) -> Domain:
         """Return the domain that the method `state` described.
 
         Raises KeyError, TypeError or ValueError for other content.

@@ -23,7 +23,7 @@ from torch import Tensor
 from torch import distributed as dist
 
 from fieldlum.core.arrays import Floats32
-from fieldlum.core.errors import InputError
+from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Progress, quiet
 from fieldlum.learn.models import Patch
 from fieldlum.learn.models.baselines import captured
@@ -282,11 +282,11 @@ def rate_of(plan: TrainingPlan, run: Run, budget_s: float | None) -> float:
     return run.rate * warm * 0.5 * (1.0 + math.cos(math.pi * share))
 
 
-def affordable_plan(trainer: Trainer, budget_s: float | None, min_passes: float) -> TrainingPlan:
+def affordable_plan(trainer: Trainer, budget_s: float | None) -> TrainingPlan:
     """Return as many updates as the time allows, and at most 90 passes over the training pixels.
 
-    budget_s: available time, None for no limit. If it does not allow `min_passes`, the plan is a
-    single update.
+    budget_s: available time, None for no limit. Raises NotEnoughDataError if it does not allow one
+    pass: errors would depend on the processor's speed.
     """
     count, largest = len(trainer.pixels), trainer.micro
     pixels = float(PASSES * count)
@@ -295,8 +295,11 @@ def affordable_plan(trainer: Trainer, budget_s: float | None, min_passes: float)
     batch = int(np.clip(pixels / STEPS, MIN_BATCH, largest))
     if budget_s is not None and batch < largest:  # smaller batches are slower
         pixels = min(pixels, trainer.pixels_per_s(batch) * budget_s)
-    steps = max(EPOCHS, int(pixels / batch))
-    return TrainingPlan(steps if pixels >= min_passes * count else 1, batch)
+    if pixels < count:
+        raise NotEnoughDataError(
+            "no time to train the network on every pixel of the captures once; raise --budget"
+        )
+    return TrainingPlan(max(EPOCHS, int(pixels / batch)), batch)
 
 
 def fit(
@@ -305,7 +308,6 @@ def fit(
     patch: Patch = "absolute",
     seed: int = 0,
     budget_s: float | None = None,
-    min_passes: float = 0.0,
     plan: TrainingPlan | None = None,
     checkpoint: Path | None = None,
     stop_after_epochs: int | None = None,
@@ -316,11 +318,11 @@ def fit(
     """Train the network on `data`; return it with the weights of the least validation loss.
 
     patch: with "none" sun patches are not an input; seed: of all random numbers; budget_s: time
-    limit [s]; plan: length, None for `affordable_plan` with min_passes. checkpoint: path, written
+    limit [s]; plan: length, None for `affordable_plan`. checkpoint: path, written
     after each epoch; an existing one is continued, with its plan; None for none.
     stop_after_epochs: number of epochs after which this call ends early, as an interruption would.
     bfloat16: compute products in this precision; None does so where it is fast. form: fields of
-    `Shape`. Raises InputError for a checkpoint that cannot be used.
+    `Shape`. Raises InputError for a checkpoint that cannot be used, and as `affordable_plan`.
     """
     start_s, start_cpu_s = time.monotonic(), time.process_time()
     device = pick_device()
@@ -339,7 +341,7 @@ def fit(
     if plan is None:
         spent_s = agreed(time.monotonic() - start_s, device)
         left_s = None if budget_s is None else max(budget_s - spent_s, 0.0)
-        plan = affordable_plan(trainer, left_s, min_passes)
+        plan = affordable_plan(trainer, left_s)
     run, mark = Run(), data_digest(data.digest(), patch, seed)
     best = trainer.weights()
     if checkpoint is not None and checkpoint.is_file():

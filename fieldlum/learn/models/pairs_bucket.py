@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from fieldlum.core.arrays import Array
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import JsonTable, slot_id
 from fieldlum.learn.models.data import Dataset
@@ -26,17 +25,9 @@ NAME = "pairs.zarr"
 FORMAT = 1
 _WRITE_AGAIN = "write it again with: fieldlum pair SESSION --pairs-to URL"
 _SHARD = 16  # captures in an object: 7 MB of luminance at 460 x 230; not measured
-_HOURS = {
-    "dni_wm2": "direct normal irradiance, W m-2",
-    "dhi_wm2": "diffuse horizontal irradiance, W m-2",
-    "sun_altitude_deg": "true altitude of the sun",
-    "sun_azimuth_deg": "azimuth of the sun, clockwise from north",
-}
-_PICTURES = {
-    "luminance_cdm2": "luminance without the sun's disc, cd m-2",
-    "patch_cdm2": "luminance of the direct sun alone, cd m-2",
-    "counts": "weights of the pixels in training",
-}
+_LIGHT = ("dni_wm2", "dhi_wm2", "sun_altitude_deg", "sun_azimuth_deg")  # fields of `Light`
+_HOURS = ("disc_lx", "steadiness")  # fields of `Dataset`, as the others
+_PICTURES = ("luminance_cdm2", "patch_cdm2", "counts")
 
 
 def store_of(url: str) -> BucketStore:
@@ -98,32 +89,20 @@ def read_pairs(url: str) -> Dataset:
 def _write_store(data: Dataset, folder: Path) -> None:
     import xarray as xr
 
-    light = data.light
-    height, width = data.shape
-    pictures = {name: getattr(data, name) for name in _PICTURES}
-    hours = {name: getattr(light, name) for name in _HOURS} | {
-        "disc_lx": data.disc_lx,
-        "steadiness": data.steadiness,
-        "day": data.days.astype("datetime64[D]").astype(np.int64),
-        **({} if data.doubted is None else {"doubted": data.doubted.astype(np.int8)}),
-    }
+    light, dims = data.light, ("time", "y", "x")
+    arrays = {name: getattr(light, name) for name in _LIGHT}
+    arrays |= {name: getattr(data, name) for name in (*_HOURS, *_PICTURES)}
+    arrays["day"] = data.days.astype("datetime64[D]").astype(np.int64)  # since 1970
+    arrays["doubted"] = None if data.doubted is None else data.doubted.astype(np.int8)
     frame = xr.Dataset(
-        {
-            **{name: (("time",), values) for name, values in hours.items()},
-            **{
-                name: (("time", "y", "x"), values)
-                for name, values in pictures.items()
-                if values is not None
-            },
-            "seen": (("y", "x"), data.seen.astype(np.int8)),
-        },
+        {name: (dims[: v.ndim], v) for name, v in arrays.items() if v is not None},
         coords={
             "time": ("time", np.array([t.replace(tzinfo=None) for t in light.t_utc], "M8[us]")),
-            "y": ("y", row_altitudes_deg(height), {"units": "degree", "long_name": "altitude"}),
+            "y": ("y", row_altitudes_deg(data.shape[0]), {"long_name": "altitude, degrees"}),
             "x": (
                 "x",
-                column_azimuths_deg(width, data.heading_deg),
-                {"units": "degree", "long_name": "azimuth"},
+                column_azimuths_deg(data.shape[1], data.heading_deg),
+                {"long_name": "azimuth, degrees"},
             ),
         },
         attrs={
@@ -135,16 +114,16 @@ def _write_store(data: Dataset, folder: Path) -> None:
             "refraction": light.refraction,
         },
     )
-    for name, text in {**_HOURS, **_PICTURES, "day": "local date, days since 1970-01-01"}.items():
-        if name in frame:
-            frame[name].attrs["long_name"] = text
-    shards: dict[str, dict[str, Any]] = {
-        name: {"chunks": (1, height, width), "shards": (_SHARD, height, width)}
+    frame["seen"] = dims[1:], data.seen.astype(np.int8)
+    pictures: dict[str, dict[str, Any]] = {
+        name: {"chunks": (1, *data.shape), "shards": (_SHARD, *data.shape)}
         for name in _PICTURES
         if name in frame
     }
     time = {"time": {"units": "microseconds since 1970-01-01", "dtype": "int64"}}
-    frame.to_zarr(folder, mode="w", zarr_format=3, consolidated=False, encoding={**time, **shards})
+    frame.to_zarr(
+        folder, mode="w", zarr_format=3, consolidated=False, encoding={**time, **pictures}
+    )
 
 
 def _read_store(url: str, about: JsonTable) -> Dataset:
@@ -152,36 +131,21 @@ def _read_store(url: str, about: JsonTable) -> Dataset:
 
     with xr.open_zarr(url, consolidated=False, zarr_format=3) as opened:
         frame = opened.load()
-
-    def array(name: str) -> Array:
-        return frame[name].to_numpy()
-
-    times = tuple(t.replace(tzinfo=UTC) for t in frame["time"].to_numpy().astype("M8[us]").tolist())
-    states = about["states"]
-    light = Light(
-        times,
-        array("dni_wm2"),
-        array("dhi_wm2"),
-        array("sun_altitude_deg"),
-        array("sun_azimuth_deg"),
-        states=None if states is None else tuple(states),
-        refraction=about["refraction"],
-    )
-    maps, patch, counts = (array(name) if name in frame else None for name in _PICTURES)
-    assert maps is not None
+    arrays: dict[str, Any] = {str(name): frame[name].to_numpy() for name in frame.variables}
+    times = tuple(t.replace(tzinfo=UTC) for t in arrays["time"].astype("M8[us]").tolist())
+    states = None if about["states"] is None else tuple(about["states"])
+    light = {name: arrays[name] for name in _LIGHT}
+    doubted = arrays.get("doubted")
+    same: dict[str, Any] = {name: arrays.get(name) for name in (*_HOURS, *_PICTURES)}
     return Dataset(
-        light=light,
-        luminance_cdm2=maps,
-        patch_cdm2=patch,
-        disc_lx=array("disc_lx"),
+        Light(times, **light, states=states, refraction=about["refraction"]),
+        **same,
         heading_deg=about["heading_deg"],
-        days=array("day").astype("M8[D]"),
+        days=arrays["day"].astype("M8[D]"),
         slots=tuple(slot_id(t) for t in times),
         setup=site_from_table(about["setup"], url),
-        seen=array("seen").astype(bool),
-        steadiness=array("steadiness"),
+        seen=arrays["seen"].astype(bool),
         source=url,
         notes=tuple(about["notes"]),
-        counts=counts,
-        doubted=array("doubted").astype(bool) if "doubted" in frame else None,
+        doubted=None if doubted is None else doubted.astype(bool),
     )

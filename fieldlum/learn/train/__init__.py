@@ -9,10 +9,10 @@ import json
 import math
 import os
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -54,28 +54,22 @@ SCORES, MODEL_FILES = "scores.json", ("config.json", "weights.npz")
 # share of the time of slow models that their held-out days get; the stored model gets the rest; not
 # measured
 FOLD_SHARE = 0.5
-# With less than one pass over the training pixels, the network's errors depend on the processor's
-# speed (0.44 in log10 MSE without bfloat16 units, worse than the mean map), not on how well the
-# model suits a room. Chosen.
-MIN_PASSES_TO_JUDGE = 1.0
 _NO_TIME = "not judged: the budget was used up; raise --budget"
-_TOO_SHORT = "not judged: no time to train on every pixel of the captures once; raise --budget"
 
 
 @dataclass(frozen=True, slots=True)
 class Result:
     """A trained model, and how it was chosen.
 
-    fitted: the model, fitted to all of `data`; trials: tests on held-out days; not_judged: trials
-    that were too short for their scores to count; choice: name of the model and the reason; fit_s:
-    time of the final fit, by the wall clock [s]; data: the captures of the training, without those
-    of a changed room; notes: texts for the user, warnings included; year: error to expect over a
-    year, None if unknown (`year_of`); mirrors: plane mirrors that show the sun in captures.
+    fitted: the model, fitted to all of `data`; trials: tests on held-out days; choice: name of the
+    model and the reason; fit_s: time of the final fit, by the wall clock [s]; data: the captures of
+    the training, without those of a changed room; notes: texts for the user, warnings included;
+    year: error to expect over a year, None if unknown (`year_of`); mirrors: plane mirrors that show
+    the sun in captures.
     """
 
     fitted: Fitted
     trials: tuple[Trial, ...]
-    not_judged: tuple[Trial, ...]
     choice: ModelSelection
     fit_s: float
     data: Dataset
@@ -85,31 +79,17 @@ class Result:
 
     @property
     def held_out(self) -> HeldOutMaps | None:
-        """Held-out maps of the chosen model; None if its trial was too short to be judged."""
+        """Held-out maps of the chosen model."""
         return next((t.scores.maps for t in self.trials if t.name == self.choice.name), None)
 
     def table(self, seed: int) -> list[ScoreRow]:
         """Return a row for each trial, as in `train --json` (docs/design.md, Command line)."""
-        rows = [_row(trial, seed, summary(trial.scores)) for trial in self.trials]
-        for trial in self.not_judged:
-            blank = dict.fromkeys(summary(trial.scores)) | {"n_test": 0, "n_judged": 0}
-            rows.append(_row(trial, seed, blank) | {"not_judged_because": _TOO_SHORT})  # pyright: ignore
-        return rows
-
-
-def _row(trial: Trial, seed: int, figures: Mapping[str, Any]) -> ScoreRow:
-    """Return the row of a trial in `train --json`."""
-    row = {
-        "name": trial.name,
-        "fit_s": trial.fit_s,
-        "fit_cpu_s": trial.fit_cpu_s,
-        "n_train": trial.n_train,
-        "seed": seed,
-        "folds": trial.folds,
-        **figures,
-        "not_judged_because": None,
-    }
-    return cast(ScoreRow, row)
+        own = ("name", "fit_s", "fit_cpu_s", "n_train", "folds")
+        more = {"seed": seed, "not_judged_because": None}
+        return [
+            {name: getattr(trial, name) for name in own} | summary(trial.scores) | more
+            for trial in self.trials
+        ]
 
 
 def patch_mode(data: Dataset, patch: Patch) -> Patch:
@@ -163,7 +143,6 @@ def fit_and_score(
                     seed=seed,
                     budget_s=limit,
                     keep_maps=True,
-                    min_passes=MIN_PASSES_TO_JUDGE,
                     clock=budget.clock,
                     left_s=None if name in baselines() else lambda: budget.left_s,
                     progress=_watched(name, budget, progress),
@@ -175,9 +154,6 @@ def fit_and_score(
             if model == name:
                 raise
             left_out.append(f"{name} was not tried: {error}")
-    not_judged = tuple(trial for trial in trials if _is_too_short(trial))
-    trials = [trial for trial in trials if not _is_too_short(trial)]
-    left_out += [f"{trial.name}: {_TOO_SHORT}" for trial in not_judged]
     choice = choose_model(trials) if model == "auto" else ModelSelection(model, "requested")
     more: dict[str, Any] = {"patch": patch, "seed": seed}
     try:
@@ -201,9 +177,7 @@ def fit_and_score(
         year = year_of(fitted, data, patch, seed, budget.watched(progress))
     except OutOfTime:
         year, notes = None, (*notes, "the error of a year was not computed: the budget was used up")
-    return Result(
-        fitted, tuple(trials), not_judged, choice, spent.wall_s, data, notes, year, mirrors
-    )
+    return Result(fitted, tuple(trials), choice, spent.wall_s, data, notes, year, mirrors)
 
 
 def year_of(
@@ -247,10 +221,6 @@ def _stored_fit(
 
 
 _NO_CURVE = "no learning curve, because the time budget was used up; raise --budget"
-
-
-def _is_too_short(trial: Trial) -> bool:
-    return trial.passes is not None and trial.passes < MIN_PASSES_TO_JUDGE
 
 
 def usable_captures(
@@ -349,7 +319,7 @@ def run(
     }
     text = json.dumps(answer, default=lambda value: value.tolist())
     # JSON has no NaN
-    answer = cast(TrainAnswer, json.loads(text, parse_constant=lambda _: None))
+    answer = json.loads(text, parse_constant=lambda _: None)
     if int(os.environ.get("RANK", "0")) == 0:  # of the processes of torchrun
         # this file is written last: it shows that the model is complete
         (out / SCORES).unlink(missing_ok=True)
@@ -380,7 +350,7 @@ def trained_before(folder: Path, inputs: Mapping[str, object]) -> TrainAnswer | 
     table = made_from(folder / SCORES, inputs, [folder / name for name in MODEL_FILES])
     if table is None or table.get("model_sha256") != _model_sha256(folder):
         return None
-    return cast(TrainAnswer, ScoresFile.read(folder).table())
+    return ScoresFile.read(folder).table()
 
 
 def _model_sha256(folder: Path) -> str:

@@ -131,8 +131,7 @@ class Trial:
 
     name: of the model; scores: of the held-out captures of all folds; fit_s, fit_cpu_s: mean time
     of a fold's fit, by the wall clock and of computing [s]; n_train: mean number of training
-    captures of a fold; folds: number of folds, 0 if tested on separate hours; passes: how often
-    training saw each pixel, least of the folds, None for a model in closed form.
+    captures of a fold; folds: number of folds, 0 if tested on separate hours.
     """
 
     name: str
@@ -141,12 +140,6 @@ class Trial:
     fit_cpu_s: float
     n_train: int
     folds: int
-    passes: float | None = None
-
-
-def passes_over_data(fitted: Fitted) -> float | None:
-    """Return how often, on average, training saw each pixel; None for a model in closed form."""
-    return getattr(fitted, "training", {}).get("pixels_seen_per_pixel")
 
 
 class Spent(NamedTuple):
@@ -190,7 +183,6 @@ def evaluate_folds(
     budget_s: float | None = None,
     glare: bool = True,
     keep_maps: bool = False,
-    min_passes: float = 0.0,
     clock: Callable[[], float] = time.monotonic,
     left_s: Callable[[], float] | None = None,
     progress: Progress = quiet,
@@ -202,16 +194,10 @@ def evaluate_folds(
     slow model divides it among the folds. A quick model skips the remaining folds if the next one
     would exceed it, but runs two, or one if `left_s()` [s] is too short for another one and for the
     fit of the stored model. glare, keep_maps: as in `truth` and `evaluate`.
-    min_passes: a network that saw each training pixel less often than this is compared with one
-    hour of each fold only, because its scores will not count; a slow model gets it as an option, so
-    that its training can end at once.
     """
     parts: list[Scores] = []
-    passes: list[float] = []
     wall_s, cpu_s, taught = 0.0, 0.0, 0
     share = budget_s / len(folds) if budget_s else None
-    if MODELS[name].slow:
-        more["min_passes"] = min_passes
     started = clock()
     for fold in folds:
         if budget_s is not None and not MODELS[name].slow and parts:
@@ -231,19 +217,14 @@ def evaluate_folds(
             progress=progress,
             **more,
         )
-        count = passes_over_data(fitted)
-        judged = count is None or count >= min_passes
-        test = truth(data.take(fold.check if judged else fold.check[:1]), glare=glare)
+        test = truth(data.take(fold.check), glare=glare)
         scores = evaluate(fitted, test, keep_maps=keep_maps, progress=progress)
         if scores.maps is not None:
             scores.maps = replace(scores.maps, season_deg=_season_deg(scores, data, fold))
         parts.append(scores)
-        if count is not None:
-            passes.append(count)
         wall_s, cpu_s, taught = wall_s + spent.wall_s, cpu_s + spent.cpu_s, taught + len(fold.teach)
     n = len(parts)
-    least = min(passes, default=None)
-    return Trial(name, join(parts), wall_s / n, cpu_s / n, round(taught / n), n, least)
+    return Trial(name, join(parts), wall_s / n, cpu_s / n, round(taught / n), n)
 
 
 def _season_deg(scores: Scores, data: Dataset, fold: Fold) -> Floats:

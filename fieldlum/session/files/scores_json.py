@@ -23,7 +23,7 @@ ScoreRow = ScoreFigures
 """One model in `train --json`: ScoreFigures, name, seed and costs.
 
 fit_s, fit_cpu_s: seconds to fit; n_train: number of maps in training; folds: number of tests;
-not_judged_because: reason for missing figures, or None.
+not_judged_because: None; earlier versions had a reason for missing figures.
 """
 CurvePoint = dict[str, float]
 """A fit to some of the captures: their number, held-out log10 MSE and its standard error."""
