@@ -406,12 +406,12 @@ def test_an_offset_never_moves_times_that_say_utc(tmp_path: Path, head: str) -> 
 
 
 @pytest.mark.contract
-def test_a_logger_without_a_card_has_an_offset_of_its_own(tmp_path: Path) -> None:
+def test_card_and_logger_have_offsets_of_their_own(tmp_path: Path) -> None:
     slot = Slot(datetime(2027, 3, 20, 16, 30, tzinfo=UTC), 30.0, 180.0, (Exposure(0.01, 5.6),))
     session = create_session(tmp_path / "s", SiteFile(Site("x", 47.6, -122.3)), [slot], {})
     path = str(toa5(tmp_path / "a.dat", '"GHI_Avg","Dif_Avg","Plane"', '"W/m^2","W/m²","W m-2"'))
-    asked = ["import", str(session.root), "--irradiance", path, "--utc-offset", "-08:00"]
-    done = CliRunner().invoke(main, asked)
+    asked = ["import", str(session.root), "--irradiance", path, "--utc-offset", "+02:00"]
+    done = CliRunner().invoke(main, [*asked, "--logger-utc-offset", "-08:00"])
     assert done.exit_code == 0, done.output
     assert "not used: Plane" in done.output
     samples, _ = read_day(day_files(session)[0])

@@ -73,6 +73,7 @@ def run(
     *,
     logger: Path | None = None,
     utc_offset_s: float | None = None,
+    logger_utc_offset_s: float | None = None,
     columns: Mapping[str, str] | None = None,
     sensitivities: Mapping[str, float] | None = None,
     progress: Progress = quiet,
@@ -81,7 +82,8 @@ def run(
 
     Add a logger's rows to the day files. An import can be repeated. The card and the logger's file
     are never changed. utc_offset_s: clocks of camera and logger minus UTC [s]; None reads the
-    camera's from EXIF or fits it to the plan. columns: the logger's column name for each quantity,
+    camera's from EXIF or fits it to the plan. logger_utc_offset_s: the logger's, if it is another.
+    columns: the logger's column name for each quantity,
     if it is unusual; sensitivities: of pyranometers whose column is a voltage, uV per W/m2. Raises
     InputError for a folder without frames, an ambiguous clock, an invalid logger's file, or while a
     capture runs; NotEnoughDataError if no bracket matched.
@@ -89,7 +91,8 @@ def run(
     with sole_user(session, "capture"):
         adopted = Adopted(0, 0, ())
         if logger is not None:
-            adopted = adopt_rows(session, logger, utc_offset_s, columns, sensitivities)
+            offset_s = utc_offset_s if logger_utc_offset_s is None else logger_utc_offset_s
+            adopted = adopt_rows(session, logger, offset_s, columns, sensitivities)
         report = Report()
         if folder is not None:
             report = _adopt_card(session, folder, utc_offset_s, progress)

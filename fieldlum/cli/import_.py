@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from contextlib import suppress
-from datetime import datetime
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -20,16 +20,21 @@ if TYPE_CHECKING:
 _SHOWN = 20  # lines of each kind; fits a terminal; chosen
 
 
+_MAX_OFFSET = timedelta(hours=14)  # of the islands of Kiribati, the largest in use
+
+
 class _UtcOffset(click.ParamType):
     """A UTC offset such as -08:00, or +05:30:12 with seconds, in seconds."""
 
     name = "offset"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        try:
-            return datetime.strptime(str(value).strip(), "%z").utcoffset().total_seconds()  # type: ignore[union-attr]
-        except ValueError:
+        offset = None
+        with suppress(ValueError):
+            offset = datetime.strptime(str(value).strip(), "%z").utcoffset()
+        if offset is None or abs(offset) > _MAX_OFFSET:
             self.fail(f"{value} is no UTC offset; write, for example, -08:00", param, ctx)
+        return offset.total_seconds()
 
 
 def _columns(texts: tuple[str, ...]) -> dict[str, str]:
@@ -63,6 +68,7 @@ def command(
     folder: Annotated[Path | None, "[FOLDER]"] = None,
     irradiance_file: Path | None = None,
     utc_offset_s: Annotated[float | None, _UtcOffset()] = None,
+    logger_utc_offset_s: Annotated[float | None, _UtcOffset()] = None,
     columns: tuple[str, ...] = (),
     sensitivity_texts: tuple[str, ...] = (),
 ) -> None:
@@ -77,8 +83,10 @@ def command(
 
     Options:
       --irradiance: A logger's file: Campbell TOA5 or CSV.
-      --utc-offset +HH:MM: Camera's and logger's clock minus UTC; if they differ, import the card
-          and the file one after the other. [default: from EXIF, or fitted to the plan]
+      --utc-offset +HH:MM: Camera's and logger's clock minus UTC. [default: from EXIF, or
+          fitted to the plan]
+      --logger-utc-offset +HH:MM: Logger's clock minus UTC, if it differs from the camera's.
+          [default: --utc-offset]
       --column QUANTITY=NAME: Column of the logger for ghi_wm2, dhi_wm2 or dni_wm2, if its
           name is unusual; the other columns are found by their names. A number counts
           columns of a file without names.
@@ -101,6 +109,7 @@ def command(
             folder,
             logger=irradiance_file,
             utc_offset_s=utc_offset_s,
+            logger_utc_offset_s=logger_utc_offset_s,
             columns=named or None,
             sensitivities=sensitivities or None,
             progress=progress,
