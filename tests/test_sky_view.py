@@ -235,6 +235,16 @@ def test_the_disc_is_a_mean_and_the_heading_doubts_its_edge() -> None:
     assert (drawn == 0.0).any() and (drawn > 0.79).any()
     sure = drawn_shares(_edge_view(0.0), near, np.random.default_rng(0), 64)[:, 0]
     assert (sure > 0.75).all()
+    weak = Light(
+        near.t_utc,
+        np.array([1.5]),
+        near.dhi_wm2,
+        near.sun_altitude_deg,
+        near.sun_azimuth_deg,
+        refraction=False,
+    )
+    disc = disc_of_hours(view, weak)  # within the readings' errors: no picture shows such a disc
+    assert disc.best_lx[0] == 0.0 and disc.high_lx[0] > 0.0
     turned = replace(view, pose=CameraPose(heading_deg=2.0))  # true heading is 2 degrees more
     assert disc_of_hours(turned, near).best_lx[0] == 0.0
 

@@ -9,12 +9,14 @@ import numpy as np
 from fieldlum.core.arrays import Floats, Mask
 from fieldlum.sky.light import Light
 from fieldlum.sky.sky_view.view import SharpView, SkyView
-from fieldlum.sky.sun_disc import SUN_RADIUS_RAD
+from fieldlum.sky.sun import SUN_SOLID_ANGLE_SR
+from fieldlum.sky.sun_disc import LEAST_DISC_CDM2, SUN_RADIUS_RAD
 
 DRAWS = 64  # of the pose and the view for an interval: 2.5 % of them is more than one; chosen
 _RINGS = (1, 6, 12, 18)  # points of equal area in the disc: at its centre, and on three rings
 # A share of the beam below it is shown as no disc; a beam of 100 klx then has 20 lx. Chosen.
 LEAST_SHARE = 2e-4
+_LEAST_LX = LEAST_DISC_CDM2 * SUN_SOLID_ANGLE_SR  # 68 lx: less is no disc in a picture either
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,8 +37,9 @@ def disc_of_hours(view: SkyView, light: Light) -> DiscOfHours:
     """Return the disc of the n hours of `light` by the sky view."""
     suns = view.pose.in_pictures(light.shown_sun_direction)
     best, low, high = _over_disc(view.sharp, suns)  # [n] each
+    best_lx = np.nan_to_num(best) * light.direct_lx
     return DiscOfHours(
-        np.nan_to_num(best) * light.direct_lx,
+        np.where(best_lx < _LEAST_LX, 0.0, best_lx),
         np.nan_to_num(low) * light.direct_lx,
         np.nan_to_num(high) * light.direct_lx,
         np.isnan(best) & (light.direct_lx > 0.0),
