@@ -158,7 +158,7 @@ def fit_and_score(
     more: dict[str, Any] = {"patch": patch, "seed": seed}
     try:
         fitted, spent = _stored_fit(choice.name, data, budget, checkpoint, progress, **more)
-    except OutOfTime:
+    except (OutOfTime, NotEnoughDataError):  # the network refuses a time without one pass
         name, before = choice.name, "within the time of --budget"
         if model != "auto":
             text = f"{data.source}: {name} was not fitted {before}; raise --budget"
