@@ -12,7 +12,16 @@ from places import SEATTLE
 from fieldlum.cli import main
 from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError
-from fieldlum.core.records import CameraSetup, Obstruction, Room, SiteFile, Slot, Window, slot_id
+from fieldlum.core.records import (
+    CameraSetup,
+    Obstruction,
+    Panorama,
+    Room,
+    SiteFile,
+    Slot,
+    Window,
+    slot_id,
+)
 from fieldlum.optics.images import read_panorama, write_panorama, write_radiance_hdr
 from fieldlum.report.compare import compare, read_model_hours, surface_names
 from fieldlum.room import simulate
@@ -107,6 +116,10 @@ def test_export_writes_what_other_programs_read(
     )
     assert ran.exit_code == 0, ran.output
     maps = sorted((tmp_path / "maps").iterdir())
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "room.rad").write_text("void plastic wall 0 0 5 .5 .5 .5 0 0")
+    mine = ["export", str(session.root), "--out", str(tmp_path / "mine")]
+    assert "room.rad: a file that export did not" in CliRunner().invoke(main, mine).output
     assert len(maps) == 4 and maps[0].name == f"{slot_id(TIMES[0])}-170.hdr"
     (view,) = picture_glare(maps[0])["views"]
     panorama = read_panorama(session.panoramas / f"{slot_id(TIMES[0])}.exr")
@@ -174,3 +187,66 @@ def test_pictures_of_other_slots_are_refused(tmp_path: Path) -> None:
     write_radiance_hdr(tmp_path / "model" / "noon.hdr", np.ones((8, 16)), heading_deg=0.0)
     with pytest.raises(InputError, match="none named as a capture"):
         compare(session, tmp_path / "model", tmp_path / "out")
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("month,day,hour,dgp\n1,1,24,0.3", "hour 24; expected"),
+        ("month,day,hour,dgp\n2,29,12,0.3", "line 2: month 2, day 29"),
+        ("month,day,hour,dgp\n13,1,12,0.3", "month 13"),
+        ("month,day,hour,dgp\n0,1,12,0.3", "month 0"),
+        ("month,day,hour,dgp\n,1,12,0.3", "month nan"),
+        ("hoy,dgp\n8760,0.3", "hour of the year 8760"),
+        ("hoy,dgp\n,0.3", "hour of the year nan"),
+        ("hoy,dgp\n-1,0.3", "hour of the year -1"),
+        ("hoy,dgp\n12,0.3\n12.5,0.4", "2 values in hour 12"),
+        ("hoy,dgp\n12,30\n13,45", "divide percent by 100"),
+        ("hoy,dgp\n12,-999", "DGP of -999"),
+        ("hoy,dgp@south\n12,0.3", "a view such as dgp@180"),
+        ("hoy,dgp@nan\n12,0.3", "a view such as dgp@180"),
+        ("hoy,dgp@180,dgp@540\n12,0.3,0.4", "two columns of dgp"),
+        ("hoy,dgp\n12,", "no value in daylight hours"),
+    ],
+)
+def test_a_table_that_cannot_be_right_is_refused(tmp_path: Path, text: str, found: str) -> None:
+    session = create_session(tmp_path / "office", SETUP, [], {})
+    table = tmp_path / "other.csv"
+    table.write_text(text)
+    with pytest.raises(InputError) as error:
+        compare(session, table, tmp_path / "out", [180.0], _year())
+    assert found in str(error.value)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.contract
+def test_dgp_above_1_counts_as_1_as_in_the_predicted_year(tmp_path: Path) -> None:
+    table = tmp_path / "other.csv"
+    table.write_text("hoy,dgp\n12,0.3\n13,0.4\n14,1.7\n")
+    assert read_model_hours(table, [180.0]).figures["dgp"][:, 0].tolist() == [0.3, 0.4, 1.0]
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize("command", ["compare", "export"])
+def test_a_view_that_is_no_number_is_a_usage_error(tmp_path: Path, command: str) -> None:
+    more = [str(tmp_path)] if command == "compare" else []
+    ran = CliRunner().invoke(main, [command, str(tmp_path), *more, "--view-azimuth", "nan"])
+    assert ran.exit_code == 2 and "not a finite number" in ran.output, ran.output
+
+
+@pytest.mark.contract
+def test_a_turned_picture_blames_no_wall_and_a_slot_has_one_picture(tmp_path: Path) -> None:
+    session = create_session(tmp_path / "office", replace(SETUP, room=None), [], {})
+    session.panoramas.mkdir(exist_ok=True)
+    light = np.geomspace(10.0, 3000.0, 48) * np.ones((24, 1))
+    capture = Panorama(light.astype(np.float32), 180.0)
+    write_panorama(session.panoramas / f"{slot_id(START)}.exr", capture)
+    model = tmp_path / "model"
+    model.mkdir()
+    write_radiance_hdr(model / f"{slot_id(START)}.hdr", light, heading_deg=90.0)
+    text = " ".join(compare(session, model, tmp_path / "out").text)
+    assert "check VIEW, north" in text and "reflectance" not in text, text
+    write_panorama(model / f"{slot_id(START)}.exr", capture)
+    with pytest.raises(InputError, match="a second picture"):
+        compare(session, model, tmp_path / "out")

@@ -69,6 +69,76 @@ def test_a_packed_session_has_metadata_and_checksums_and_no_addresses(session: S
 
 
 @pytest.mark.contract
+def test_an_archive_never_replaces_a_file_nor_contains_itself(session: Session) -> None:
+    (session.root.parent / "out.zip").write_text("precious")
+    ran = pack(session)
+    assert ran.exit_code == 3 and "out.zip: it exists" in ran.output, ran.output
+    assert (session.root.parent / "out.zip").read_text() == "precious"
+    (session.root.parent / "out.zip").unlink()
+    (session.root.parent / "out.zip").symlink_to(session.raw / "new.zip")
+    assert "a place in the packed folders" in pack(session).output
+
+
+@pytest.mark.contract
+def test_a_coarse_position_is_coarse_in_every_file(session: Session) -> None:
+    year = session.root / "annual" / "auto"
+    year.mkdir(parents=True)
+    (year / "predict.json").write_text('{"latitude_deg": 47.61234, "longitude_deg": -122.31234}')
+    ran = pack(session, "--coarse-position")
+    assert "positions of the sun in the tables" in ran.output, ran.output
+    with zipfile.ZipFile(session.root.parent / "out.zip") as archive:
+        packed = json.loads(archive.read("office/annual/auto/predict.json"))
+    assert packed == {"latitude_deg": 47.61, "longitude_deg": -122.31}
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize(
+    ("tag", "value", "found"),
+    [(0x013B, "Jo Roe", "owner"), (0xC62F, "123", "serial"), (0x8825, None, "position")],
+)
+def test_private_exif_of_a_raw_frame_is_refused(
+    session: Session, tag: int, value: str | None, found: str
+) -> None:
+    exif = Image.Exif()
+    if value is None:
+        exif.get_ifd(tag)[2] = (47.0, 36.0, 0.0)
+    else:
+        exif[tag] = value
+    # Pillow cannot open the pixels of a raw file: its tags are read all the same.
+    (session.raw / ID / "01.dng").write_bytes(exif.tobytes()[6:])
+    assert found in pack(session).output
+
+
+@pytest.mark.contract
+def test_a_gps_version_is_no_position_and_an_unreadable_frame_is_named(session: Session) -> None:
+    exif = Image.Exif()
+    exif.get_ifd(0x8825)[0] = b"\2\3\0\0"
+    Image.new("RGB", (8, 8)).save(session.raw / ID / "00.jpg", exif=exif)
+    (session.raw / ID / "01.cr3").write_bytes(b"\0\0\0\x18ftypcrx ")
+    ran = pack(session)
+    assert ran.exit_code == 0 and "EXIF of 1 frame such as 01.cr3" in ran.output, ran.output
+
+
+@pytest.mark.contract
+def test_a_session_named_by_a_dot_is_packed_below_its_name(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(session.root)
+    about = ["--title", "Office", "--author", "Daylight Group", "--people", "none"]
+    ran = CliRunner().invoke(main, ["pack", ".", "../dot.zip", *about, "--licence", "CC0-1.0"])
+    assert ran.exit_code == 0, ran.output
+    with zipfile.ZipFile("../dot.zip") as archive:
+        assert all(name.startswith("office/") for name in archive.namelist())
+        assert '- name: "Daylight Group"' in archive.read("office/CITATION.cff").decode()
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize("more", [["--title", " "], ["--licence", "CC BY"], ["--author", ""]])
+def test_an_empty_statement_is_a_usage_error(session: Session, more: list[str]) -> None:
+    assert pack(session, *more).exit_code == 2
+
+
+@pytest.mark.contract
 def test_a_frame_with_a_position_is_refused(session: Session) -> None:
     frame(session, gps=True)
     ran = pack(session)

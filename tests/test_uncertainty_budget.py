@@ -115,3 +115,41 @@ def test_glare_writes_the_budget_as_csv(tmp_path: Path) -> None:
         parts = [r for r in rows if r["figure"] == figure and r["source"] != "combined"]
         assert sum(float(r["contribution"]) ** 2 for r in parts) == pytest.approx(u**2, rel=2e-3)
         assert sum(float(r["share_percent"]) for r in parts) == pytest.approx(100, rel=1e-2)
+
+
+@pytest.mark.contract
+def test_a_budget_without_uncertain_pixels_is_refused_and_the_others_are_written(
+    tmp_path: Path,
+) -> None:
+    plain, path, out = tmp_path / "plain.exr", tmp_path / "room.exr", tmp_path / "budget.csv"
+    write_panorama(plain, replace(room(), u_cdm2=None, attributes={}))
+    write_panorama(path, room())
+    arguments = ["glare", str(plain), str(path), "--view-azimuth", "180", "--budget", str(out)]
+    ran = CliRunner().invoke(main, arguments)
+    assert ran.exit_code == 3 and "no uncertainty of its pixels" in ran.output, ran.output
+    files = {row["file"] for row in csv.DictReader(out.read_text().splitlines())}
+    assert files == {str(path)}
+    assert CliRunner().invoke(main, [*arguments, "--calibrate-ev", "900"]).exit_code == 2
+
+
+@pytest.mark.contract
+def test_a_budget_replaces_no_other_file(tmp_path: Path) -> None:
+    path, out = tmp_path / "room.exr", tmp_path / "pairs.csv"
+    write_panorama(path, room())
+    out.write_text("t_utc,panorama\n")
+    ran = CliRunner().invoke(
+        main, ["glare", str(path), "--view-azimuth", "180", "--budget", str(out)]
+    )
+    assert ran.exit_code == 3 and "pairs.csv: another file" in ran.output, ran.output
+    assert out.read_text() == "t_utc,panorama\n"
+
+
+@pytest.mark.analytic
+def test_a_sun_in_the_pixels_is_judged_as_glare_judges_it() -> None:
+    light = np.kron(room().luminance_cdm2, np.ones((4, 4), np.float32))
+    u = 0.05 * light
+    light[32, 127:129] = 2e7
+    scene = replace(room(), luminance_cdm2=light, u_cdm2=u)
+    (view,) = panorama_glare(scene, [180.0])["views"]
+    assert budget(scene, "DGP").estimate == pytest.approx(view["dgp"], abs=1e-6)
+    assert "illuminance of the sun's disc" in {s.name for s in budget(scene, "Ev").sources}

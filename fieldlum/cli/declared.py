@@ -16,6 +16,7 @@ parameter without a line is a shared option, by its name (`options.SHARED`), or 
 from __future__ import annotations
 
 import inspect
+import math
 import re
 import types
 import typing
@@ -91,6 +92,14 @@ def declare(
     return click.Command(name, callback=function, params=parameters, help=text)
 
 
+def _finite(ctx: click.Context, param: click.Parameter, value: Any) -> Any:
+    """Refuse NaN and infinity, which click reads as numbers."""
+    for number in value if isinstance(value, tuple) else (value,):
+        if isinstance(number, float) and not math.isfinite(number):
+            raise click.BadParameter(f"{number} is not a finite number", ctx, param)
+    return value
+
+
 def _parameter(parameter: inspect.Parameter, hint: Any, entry: _Entry | None) -> click.Parameter:
     """Return the click option of a line of `Options:`, or the argument of a parameter without."""
     extras: tuple[Any, ...] = ()
@@ -123,6 +132,8 @@ def _parameter(parameter: inspect.Parameter, hint: Any, entry: _Entry | None) ->
         settings |= {"count": True, "type": None}
     if base is bool:
         settings |= {"is_flag": True}
+    if base is float:
+        settings["callback"] = _finite
     is_empty = parameter.default is False or parameter.default in (None, "", ())
     settings["show_default"] = not (is_required or is_empty or "count" in extras)
     declarations = [parameter.name, entry.names]

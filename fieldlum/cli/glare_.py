@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -69,8 +68,10 @@ def command(
       --reference: Also run evalglare and show its result.
       --lamps: Electric light is on: melanopic EDI is less certain.
     """
-    if not all(math.isfinite(azimuth) for azimuth in view_azimuths):
-        raise click.BadParameter("write degrees, like 180", param_hint="--view-azimuth")
+    if budget_path is not None and (view_options or part or calibrate_ev_lx is not None):
+        raise click.UsageError(
+            "--budget is of a picture as stored: no --view, --part, --calibrate-ev"
+        )
     from fieldlum.core.errors import InputError
     from fieldlum.session import open_session
     from fieldlum.session.writing import write_csv
@@ -105,14 +106,18 @@ def command(
         rows += csv_rows(answer)
         if budget_path is not None:
             seen = [view["azimuth_deg"] for view in answer["views"] if view["dgp"] is not None]
-            budgets += [(str(path), row) for row in budget_of_file(path, seen)]
+            try:
+                budgets += [(str(path), row) for row in budget_of_file(path, seen)]
+            except InputError as error:
+                say(f"fieldlum glare: {error}")
+                bad += 1
         if json_lines:
             emit_json(answer)
         else:
             _table(answer)
     if csv_path is not None:
         write_csv(csv_path, rows)
-    if budget_path is not None:
+    if budget_path is not None and budgets:
         write_budgets(budget_path, budgets)
     if bad and len(images) > 1:
         say(f"fieldlum glare: {bad} of {len(images)} pictures could not be judged")

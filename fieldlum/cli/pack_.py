@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Annotated
 
@@ -42,6 +43,10 @@ def command(
     from fieldlum.report.publish import Statement, pack
     from fieldlum.session import open_session
 
+    if not all(text.strip() for text in (title, *authors, people)):
+        raise click.UsageError("--title, --author and --people: write a text")
+    if not re.fullmatch(r"[A-Za-z0-9.+-]+", licence):
+        raise click.BadParameter("write an SPDX identifier, like CC-BY-4.0", param_hint="--licence")
     statement = Statement(title, authors, licence, people)
     with progress("packing") as shown:
         notes = pack(

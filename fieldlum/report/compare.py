@@ -52,9 +52,13 @@ _SUN_MARGIN_DEG = 2.0  # around the sun, where one of the pictures has the disc;
 # A camera is right to 5 %, a Radiance rendering of a known room to about 10 % (Mardaljevic 1995).
 _ALIKE_REL = 0.10
 _ODD = 3.0  # a surface whose difference is this many times that of the others is named; chosen
+# Surfaces this many times apart in the median, or one of them that many times, are not materials
+# but another view: a reflectance of 0.9 is six times one of 0.15. Chosen.
+_UNLIKE, _NO_MATERIAL = 1.5, 6.0
 _LEAST_SR = 0.005  # of a surface; about 4 degrees wide; chosen
 _SAME_PLANE_M = 0.02  # a point this close to a wall's plane is on the wall, not in a reveal; chosen
 _GLASS_SHARE = 0.05  # of a pixel that counts as window; chosen
+_HOURS = 8760
 _HOUR_NAMES = ("ann_hour", "hoy", "hour of year", "hour_of_year")
 _FIGURES = {  # columns of other programs, in lower case, for the figures of hourly.csv
     "dgp": "dgp",
@@ -124,7 +128,6 @@ def compare(
     clockwise from true north. annual: the predicted year; None: without one. Raises InputError for
     a result that cannot be read, or that shares no picture and no hour with the session.
     """
-    out.mkdir(parents=True, exist_ok=True)
     if model.is_dir() and not (model / SUN_UP_HOURS).is_file():
         return _compare_pictures(session, model, out, progress)
     hours = read_model_hours(model, azimuths_deg)
@@ -173,6 +176,10 @@ def _compare_pictures(session: Session, model: Path, out: Path, progress: Progre
             f"{len(pictures)} pictures, none named as a capture of {session.root}",
             "pictures named by slots, such as 20270320T193000Z.hdr",
             "name each picture by the slot whose sun and sky it has (fieldlum status lists them)",
+        )
+    if twice := [path for k, path in enumerate(shared[1:]) if path.stem == shared[k].stem]:
+        raise InputError(
+            twice[0], f"a second picture of {twice[0].stem}", "one for each slot", "remove one"
         )
     room = session.site_file().room
     names: dict[tuple[int, float], Array] = {}
@@ -272,7 +279,7 @@ def _of_surfaces(
                 "surface": name,
                 "measured_cdm2": round(measured, 2),
                 "model_cdm2": round(model, 2),
-                "ratio": round(model / max(measured, 1e-6), 4),
+                "ratio": max(round(model / max(measured, 1e-6), 4), 1e-4),
             }
         )
     return rows
@@ -304,7 +311,13 @@ def _where(surfaces: Sequence[Surface]) -> list[str]:
     odd = max(parts, key=lambda s: abs(np.log(s.ratio / usual)))
     others = [abs(np.log(s.ratio / usual)) for s in parts if s is not odd]
     excess = abs(np.log(odd.ratio / usual))
-    if excess > np.log1p(_ALIKE_REL) and excess > _ODD * max(float(np.median(others)), 1e-3):
+    if float(np.median(others)) > np.log(_UNLIKE) or excess > np.log(_NO_MATERIAL):
+        times = np.exp(max(excess, float(np.median(others))))
+        text.append(
+            f"Surfaces differ from each other by up to {times:.1f} times, more than materials "
+            "explain: check VIEW, north (y axis), viewpoint and sun of the pictures first."
+        )
+    elif excess > np.log1p(_ALIKE_REL) and excess > _ODD * max(float(np.median(others)), 1e-3):
         word = "high" if odd.ratio > usual else "low"
         text.append(
             f"{odd.name}: the model is {_off(odd.ratio)}, other surfaces {_off(usual)}: its "
@@ -404,8 +417,12 @@ def read_model_hours(path: Path, azimuths_deg: Sequence[float]) -> ModelHours:
         word, _, place = name.partition("@")
         figure = _FIGURES.get(word.split("[")[0].split("(")[0].strip())
         if figure is not None:
-            azimuth = float(place) if place else _sole(azimuths_deg, path)
-            found.setdefault(figure, {})[azimuth] = _numbers(table, k)
+            azimuth = _azimuth(place, path) if place else _sole(azimuths_deg, path)
+            by_azimuth = found.setdefault(figure, {})
+            if azimuth in by_azimuth:
+                twice = f"two columns of {figure} facing {azimuth:g} deg"
+                raise InputError(path, twice, "one", "remove one")
+            by_azimuth[azimuth] = _values(path, figure, _numbers(table, k))
     if not found:
         raise InputError(
             path, f"columns {', '.join(table.names)[:80]}", "a column dgp or ev", "rename it"
@@ -417,6 +434,28 @@ def read_model_hours(path: Path, azimuths_deg: Sequence[float]) -> ModelHours:
         np.array(azimuths),
         {name: np.stack([of.get(a, blank) for a in azimuths], 1) for name, of in found.items()},
     )
+
+
+def _azimuth(text: str, path: Path) -> float:
+    with input_errors(path, "a view such as dgp@180", "correct that name", ValueError):
+        if not np.isfinite(azimuth := float(text)):
+            raise ValueError(f"a view to {text} deg")
+        return azimuth % 360.0
+
+
+def _values(path: Path, figure: str, values: Floats) -> Floats:
+    """Return a model's figures; DGP above 1 counts as 1, as in the predicted year."""
+    known = values[np.isfinite(values)]
+    name = {"dgp": "DGP", "ev_lx": "Ev"}[figure]
+    if (known < 0).any():
+        found = f"{name} of {known.min():g}"
+        raise InputError(path, found, "0 or more", "write nothing for an hour without a value")
+    if figure != "dgp":
+        return values
+    if len(known) and np.median(known) > 1.0:
+        found = f"DGP of {np.median(known):g} in the median"
+        raise InputError(path, found, "0 to 1", "divide percent by 100")
+    return np.minimum(values, 1.0)
 
 
 def _sole(azimuths_deg: Sequence[float], path: Path) -> float:
@@ -434,7 +473,7 @@ def _hours_of(table: CsvTable, columns: dict[str, int]) -> Array:
     """Return the hour of the year at which each row's hour starts, [n]."""
     name = next((name for name in _HOUR_NAMES if name in columns), None)
     if name is not None:
-        return np.floor(_numbers(table, columns[name])).astype(int)
+        return _whole_hours(table.path, _numbers(table, columns[name]))
     if not {"month", "day", "hour"} <= columns.keys():
         raise InputError(
             table.path,
@@ -443,8 +482,39 @@ def _hours_of(table: CsvTable, columns: dict[str, int]) -> Array:
             "export them, in standard time",
         )
     month, day, hour = (_numbers(table, columns[k]) for k in ("month", "day", "hour"))
-    first = np.cumsum([0, 31, 28, 31, 30, 31, 30, 31, 31, 30, 31, 30])
-    return ((first[month.astype(int) - 1] + day - 1) * 24 + np.floor(hour)).astype(int)
+    days = np.array([31, 28, 31, 30, 31, 30, 31, 31, 30, 31, 30, 31])
+    index = np.where((month >= 1) & (month <= 12), month, 1).astype(int) - 1
+    ok = (index + 1 == month) & (day >= 1) & (day <= days[index]) & (day % 1 == 0)
+    ok &= (hour >= 0) & (hour < 24)
+    if not ok.all():
+        (line, _), k = table.rows[int(np.argmin(ok))], int(np.argmin(ok))
+        raise InputError(
+            table.path,
+            f"line {line}: month {month[k]:g}, day {day[k]:g}, hour {hour[k]:g}",
+            "days of a year without 29 February, hours 0 to 23 at which each hour begins",
+            "leave out other days; subtract 1 from hours 1 to 24",
+        )
+    first = np.cumsum(days) - days
+    return _whole_hours(table.path, (first[index] + day - 1) * 24 + hour)
+
+
+def _whole_hours(path: Path, hours: Floats) -> Array:
+    """Return the hour in which each time is, once each, in a year of 365 days from 0."""
+    start = np.floor(hours)
+    outside = ~((start >= 0) & (start < _HOURS))
+    if outside.any():
+        raise InputError(
+            path,
+            f"hour of the year {hours[outside][0]:g}",
+            f"0 to {_HOURS - 1} at which each hour begins, in a year of 365 days",
+            "correct the hours; subtract 1 from hours 1 to 8760",
+        )
+    unique, count = np.unique(start, return_counts=True)
+    if (count > 1).any():
+        twice = unique[count > 1][0]
+        found = f"{count.max()} values in hour {twice:g} of the year"
+        raise InputError(path, found, "one row an hour", "export one view, hour by hour")
+    return start.astype(int)
 
 
 def _numbers(table: CsvTable, column: int) -> Floats:
@@ -475,7 +545,8 @@ def _read_honeybee(folder: Path, azimuths_deg: Sequence[float]) -> ModelHours:
         )
     figure = "dgp" if files[0].suffix == ".dgp" else "ev_lx"
     azimuths = np.asarray(azimuths_deg, float) % 360.0
-    return ModelHours(np.floor(hours).astype(int), azimuths, {figure: values.T})
+    by_hour = _values(files[0], figure, values.T)
+    return ModelHours(_whole_hours(folder / SUN_UP_HOURS, hours), azimuths, {figure: by_hour})
 
 
 def _compare_hours(
@@ -505,6 +576,8 @@ def _compare_hours(
             hours = model.hour_of_year[theirs][ok]
             shared.append(_Shared(azimuth, figure, hours, measured[ok], modelled[ok]))
     shared = [part for part in shared if len(part.hour_of_year)]
+    if not shared:
+        raise InputError(path, "no value in daylight hours", "numbers in dgp or ev", "export them")
     table, picture = out / "compare.csv", out / "compare.png"
     _write_rows(table, [row for part in shared for row in part.rows()])
     _draw_hours(picture, shared)

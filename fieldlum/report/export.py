@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fieldlum.core.errors import InputError
 from fieldlum.core.records import Progress, Room, quiet
 from fieldlum.optics.images import write_radiance_hdr
 from fieldlum.optics.projection import direction
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 _FISHEYE_PX = 800  # evalglare's documentation recommends at least this; its -vta pictures
+_NORTH = "# y points to azimuth"  # begins a room.rad of `export`
 _PAIR_COLUMNS = ("dni_wm2", "dhi_wm2", "sun_altitude_deg", "sun_azimuth_deg")
 
 
@@ -55,13 +57,14 @@ def export(
         progress(number, len(panoramas), "maps")
         panorama = read_panorama_with_sun(path)
         light, _ = valid_pixels(panorama, path)
-        for azimuth in azimuths_deg or (panorama.heading_deg,):
+        asked = azimuths_deg or (panorama.heading_deg,)
+        for azimuth in dict.fromkeys(round(a % 360.0, 1) % 360.0 for a in asked):
             picture = panorama_to_fisheye(
                 light, panorama.heading_deg, azimuth, size=_FISHEYE_PX, sun=panorama.sun
             )
             toward = " ".join(f"{value:.6f}" for value in direction(0.0, azimuth))
             view = f"{FISHEYE_VIEW} -vp 0 0 0 -vd {toward} -vu 0 0 1"
-            target = out / "maps" / f"{path.stem}-{azimuth:.0f}.hdr"
+            target = out / "maps" / f"{path.stem}-{azimuth:g}.hdr"
             with replacing_path(target) as temporary:
                 write_radiance_hdr(temporary, picture, view=view)
             files.append(target)
@@ -93,7 +96,11 @@ def _room(session: Session, out: Path) -> list[Path]:
     if room is None or room.kind != "box":
         return []
     path = out / "room.rad"
-    north = f"# y points to azimuth {(room.wall_azimuth_deg + 180) % 360:g} deg from true north\n"
+    if path.is_file() and not path.read_bytes().startswith(_NORTH.encode()):
+        raise InputError(
+            path, "a file that export did not write", "another folder", "choose another --out"
+        )
+    north = f"{_NORTH} {(room.wall_azimuth_deg + 180) % 360:g} deg from true north\n"
     with replacing(path, "w", encoding="utf-8") as file:
         file.write(north + rad_text(build(room)))
     return [path]

@@ -11,18 +11,19 @@ import json
 import re
 import tomllib
 import zipfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
 from typing import Any
 
 import tomli_w
-from PIL import Image, UnidentifiedImageError
 
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Flag, Progress, counted, quiet
 from fieldlum.optics.images import read_panorama
+from fieldlum.optics.raw import RAW_SUFFIXES
+from fieldlum.optics.raw.exif import tags_of, text_of
 from fieldlum.session import Session, replacing_path
 from fieldlum.version import __version__
 
@@ -33,8 +34,12 @@ _FILES = ("plan.csv", "journal.jsonl", "pairs.csv", "pairs.alignment.csv", "suns
 _HOME_PATH = re.compile(rb"/home/|/Users/|[A-Z]:[\\]+Users")  # in a text: a person's folder
 _LEFT_OUT = re.compile(r"(^|/)\.|\.tmp$|\.torn$|\.sha256$|^outbox")
 _HOME_TABLES = ("imported", "logger_files")  # have folders of this computer
-_GPS, _OWNER, _SERIAL = 0x8825, 0xA430, 0xA431  # EXIF 2.32: GPS IFD, CameraOwnerName, BodySerial
-_EXIF_IFD = 0x8769
+_JPEG = (".jpg", ".jpeg")
+_FRAMES = (*_JPEG, ".tif", ".tiff", ".png", ".heic", *RAW_SUFFIXES)
+# EXIF 2.32: GPS IFD and its version, which cameras write without a position; CameraOwnerName and
+# Artist; BodySerialNumber, LensSerialNumber, and CameraSerialNumber of DNG 1.4
+_GPS, _GPS_VERSION, _OWNER, _SERIAL = 0x8825, 0, (0xA430, 0x013B), (0xA431, 0xA435, 0xC62F)
+_PLACE = re.compile(r'(l(?:at|ong)itude_deg"?\s*[:=]\s*)(-?[\d.]+(?:[eE][-+]?\d+)?)')
 _MOVED_SHARE = 0.02  # of the view: something as large as a person 3 m away moved; chosen
 _POSITION_DIGITS = 2  # decimals of a coarse position: 1.1 km, 0.01 degrees of the sun
 
@@ -66,17 +71,25 @@ def pack(
     coarse_position: round latitude and longitude to 0.01 degrees, about a kilometre. Raises
     InputError for frames whose EXIF has a position, an owner's name or a serial number.
     """
+    _check_place(session, out)
     files = sorted(_files(session))
-    private = [text for path in files if (text := _private_exif(path))]
+    stated = [(path, _private_exif(path)) for path in files]
+    private = [text for _, text in stated if text]
     if private:
         raise InputError(
             session.root,
             f"{counted(len(private), 'frame')} with private EXIF, such as {private[0]}",
             "frames without position, owner and serial number",
-            "remove them in a copy: exiftool -gps:all= -OwnerName= -SerialNumber= -r COPY/raw "
+            "remove them in a copy: exiftool -gps:all= -OwnerName= -Artist= -SerialNumber= "
+            "-LensSerialNumber= -CameraSerialNumber= -r COPY/raw "
             "(merge it again, because checksums change)",
         )
     notes = _notes(session)
+    if unread := [path.name for path, text in stated if text is None]:
+        found = counted(len(unread), "frame")
+        notes.insert(0, f"EXIF of {found} such as {unread[0]} cannot be read: look with exiftool")
+    if coarse_position:
+        notes.insert(0, "times and positions of the sun in the tables still give the exact place")
     texts = {
         "session.toml": _session_toml(session, coarse_position),
         "DATASHEET.md": _data_sheet(session, statement, notes, len(files)),
@@ -84,18 +97,34 @@ def pack(
         "datacite.json": json.dumps(_datacite(session, statement), indent=1, ensure_ascii=False),
     }
     digests = {name: hashlib.sha256(text.encode()).hexdigest() for name, text in texts.items()}
+    top = session.root.resolve().name  # of ".", too
     with replacing_path(out) as draft, zipfile.ZipFile(draft, "w", zipfile.ZIP_STORED) as archive:
         for name, text in texts.items():
-            archive.writestr(f"{session.root.name}/{name}", text)
+            archive.writestr(f"{top}/{name}", text)
         for number, path in enumerate(files):
             progress(number, len(files), "files")
             name = path.relative_to(session.root).as_posix()
             data = path.read_bytes()
+            if coarse_position and path.suffix in (".json", ".toml"):
+                data = _coarse(data.decode("utf-8", "surrogateescape")).encode(
+                    "utf-8", "surrogateescape"
+                )
             digests[name] = hashlib.sha256(data).hexdigest()
-            archive.writestr(f"{session.root.name}/{name}", data)
+            archive.writestr(f"{top}/{name}", data)
         manifest = "".join(f"{digest}  {name}\n" for name, digest in sorted(digests.items()))
-        archive.writestr(f"{session.root.name}/MANIFEST.sha256", manifest)
+        archive.writestr(f"{top}/MANIFEST.sha256", manifest)
     return notes
+
+
+def _check_place(session: Session, out: Path) -> None:
+    """Raise InputError for an archive that exists, or that the next archive would contain."""
+    if out.exists():
+        raise InputError(out, "it exists", "a new file", "remove it, or choose another name")
+    folders = {(session.root / name).resolve() for name in _FOLDERS}
+    if folders & set(out.resolve().parents):
+        raise InputError(
+            out, "a place in the packed folders", "another folder", "write it beside the session"
+        )
 
 
 def _files(session: Session) -> Iterator[Path]:
@@ -109,31 +138,41 @@ def _files(session: Session) -> Iterator[Path]:
                 yield path
 
 
-def _private_exif(path: Path) -> str:
-    """Return what a frame's EXIF states of its place, owner or camera; "" for nothing."""
-    if path.suffix.lower() not in (".jpg", ".jpeg", ".dng", ".tif", ".tiff"):
+def _private_exif(path: Path) -> str | None:
+    """Return what a frame's EXIF states of its place, owner or camera; "" for nothing.
+
+    None: the EXIF cannot be read.
+    """
+    if path.suffix.lower() not in _FRAMES:
         return ""
     try:
-        with Image.open(path) as picture:
-            exif = picture.getexif()
-    except (OSError, UnidentifiedImageError):
-        return ""
-    inner = exif.get_ifd(_EXIF_IFD)
-    found = ["a position"] if exif.get_ifd(_GPS) else []
-    found += ["an owner's name"] if str(inner.get(_OWNER, "")).strip("\0 ") else []
-    found += ["a serial number"] if str(inner.get(_SERIAL, "")).strip("\0 ") else []
+        tags = tags_of(path)
+    except InputError:
+        return None
+    if not tags and path.suffix.lower() not in _JPEG:
+        return None
+    found = ["a position"] if _is_place(tags.get(_GPS)) else []
+    found += ["an owner's name"] if any(text_of(tags, tag) for tag in _OWNER) else []
+    found += ["a serial number"] if any(text_of(tags, tag) for tag in _SERIAL) else []
     return f"{path.name} ({', '.join(found)})" if found else ""
+
+
+def _is_place(gps: Mapping[int, Any] | int | None) -> bool:
+    """Return whether a GPS directory (a number: one that cannot be read) may have a position."""
+    return bool(set(gps) - {_GPS_VERSION}) if isinstance(gps, Mapping) else gps is not None
 
 
 def _session_toml(session: Session, coarse_position: bool) -> str:
     table: dict[str, Any] = tomllib.loads(session.toml.read_text(encoding="utf-8"))
     table = {name: part for name, part in table.items() if name not in _HOME_TABLES}
     table.get("devices", {}).pop("uris", None)  # addresses
-    if coarse_position:
-        site = table["setup"]["site"]
-        for name in ("latitude_deg", "longitude_deg"):
-            site[name] = round(site[name], _POSITION_DIGITS)
-    return tomli_w.dumps(table)
+    text = tomli_w.dumps(table)
+    return _coarse(text) if coarse_position else text
+
+
+def _coarse(text: str) -> str:
+    """Return a TOML or JSON text with rounded latitudes and longitudes."""
+    return _PLACE.sub(lambda m: f"{m[1]}{round(float(m[2]), _POSITION_DIGITS)}", text)
 
 
 def _notes(session: Session) -> list[str]:
@@ -185,8 +224,12 @@ def _data_sheet(session: Session, s: Statement, notes: Sequence[str], count: int
 def _citation(s: Statement) -> str:
     authors = ""
     for author in s.authors:
-        family, _, given = (json.dumps(part.strip()) for part in author.partition(","))
-        authors += f"  - family-names: {family}\n    given-names: {given}\n"
+        family, _, given = (part.strip() for part in author.partition(","))
+        if given:
+            names = f"family-names: {json.dumps(family)}\n    given-names: {json.dumps(given)}"
+        else:
+            names = f"name: {json.dumps(family)}"
+        authors += f"  - {names}\n"
     return (
         "cff-version: 1.2.0\nmessage: Please cite this data set.\ntype: dataset\n"
         f"title: {json.dumps(s.title)}\nlicense: {s.licence}\nauthors:\n{authors}"

@@ -130,8 +130,8 @@ def _positive(cell: str, path: Path, line: int) -> float:
 def tags_of(path: Path) -> dict[int, Any]:
     """Return the EXIF tags of a frame: those of its Exif directory, and those of the main one.
 
-    There are none in a file that is neither a JPEG nor like a TIFF. Raises InputError for a file
-    that is missing, empty or unreadable.
+    The GPS directory is a dict of its own tags. There are none in a file that is neither a JPEG nor
+    like a TIFF. Raises InputError for a file that is missing, empty or unreadable.
     """
     from PIL import ExifTags
 
@@ -149,6 +149,8 @@ def tags_of(path: Path) -> dict[int, Any]:
                 for number in directory:
                     with suppress(Exception):  # a broken tag costs no other
                         tags[number] = directory[number]
+            if ExifTags.IFD.GPSInfo in tags:
+                tags[ExifTags.IFD.GPSInfo] = dict(exif.get_ifd(ExifTags.IFD.GPSInfo))
     return tags
 
 

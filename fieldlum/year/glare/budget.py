@@ -27,7 +27,7 @@ from fieldlum.sky.sky_view.pose import STATED_SD
 from fieldlum.year.glare.geometry import panorama_views
 from fieldlum.year.glare.metrics import glare_directions
 from fieldlum.year.glare.pictures import read_picture
-from fieldlum.year.glare.single import seen_pixels, valid_pixels
+from fieldlum.year.glare.single import seen_pixels, take_out_sun, valid_pixels
 from fieldlum.year.glare.standards import (
     DgpUncertainty,
     dgp_per_scale,
@@ -133,11 +133,16 @@ def picture_budget(
     panorama: with its sun; path: names it in errors. u_heading_deg: standard uncertainty of its
     heading. A picture without `u_percent` (of an earlier version or another program) has one source
     for the complete uncertainty of its pixels, which then counts as shared by all of them. Raises
-    InputError for pixels that are not finite.
+    InputError for pixels that are not finite, or without uncertainty.
     """
     azimuths = np.asarray(azimuths_deg, float)
     light, _ = valid_pixels(panorama, path)
-    scene = _Scene(panorama, light, panorama.sun)
+    if panorama.u_cdm2 is None:
+        raise InputError(
+            path, "no uncertainty of its pixels", "a panorama by merge", "omit --budget"
+        )
+    light, sun = take_out_sun(light, panorama.heading_deg, panorama.sun)
+    scene = _Scene(panorama, light, sun)
     at = scene.figures(azimuths, light, 1.0)
     return _budgets(at, azimuths, list(_contributions(scene, azimuths, u_heading_deg)))
 
@@ -211,6 +216,8 @@ COLUMNS = (
 
 def write_budgets(path: Path, budgets: Iterable[tuple[str, Budget]]) -> None:
     """Write (file, budget) pairs as CSV: a row for each source, then one for the combined u."""
+    if path.is_file() and not path.read_bytes().startswith(",".join(COLUMNS[:3]).encode()):
+        raise InputError(path, "another file", "a new one, or a budget", "choose another name")
     with replacing(path, "w", newline="", encoding="utf-8") as file:
         out = csv.writer(file)
         out.writerow(COLUMNS)
@@ -229,7 +236,7 @@ def _contributions(
 ) -> Iterable[tuple[Source, dict[str, Floats]]]:
     """Yield each source, and what it adds to u of each figure, [d] each."""
     panorama, light = scene.panorama, scene.luminance_cdm2
-    u = np.nan_to_num(panorama.u_cdm2) if panorama.u_cdm2 is not None else np.zeros_like(light)
+    u = np.zeros_like(light) if panorama.u_cdm2 is None else np.nan_to_num(panorama.u_cdm2)
     seen = seen_pixels(panorama)
     u = u if seen is None else np.where(seen, u, 0.0)
     stated = dict(word.split("=") for word in panorama.attributes.get(U_PERCENT, "").split())
