@@ -123,7 +123,7 @@ def _check_place(session: Session, out: Path) -> None:
     folders = {(session.root / name).resolve() for name in _FOLDERS}
     if folders & set(out.resolve().parents):
         raise InputError(
-            out, "a place in the packed folders", "another folder", "write it beside the session"
+            out, "a place in the packed folders", "another folder", "write it next to the session"
         )
 
 
