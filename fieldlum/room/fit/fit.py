@@ -158,7 +158,7 @@ def fit_scene(
         u=u,
         misfits=found.held_out,
         hours=len(found.evidence),
-        notes=(*_notes(u, found.evidence), *_changed_notes(len(changed), len(data))),
+        notes=tuple(_notes(u, found.evidence, len(changed), len(data))),
         room_draws=draws,
         changed=changed,
     )
@@ -396,17 +396,8 @@ def _with_albedo(room: Room, albedo: Floats) -> Room:
     )
 
 
-def _changed_notes(changed: int, captures: int) -> list[str]:
-    """Return a note on captures of a changed room, if there are any."""
-    if not changed:
-        return []
-    return [
-        f"in {changed} of {captures} captures a lamp was on, or the light contradicts the other "
-        "days: the fit does not use them; see the warnings of train"
-    ]
-
-
-def _notes(u: dict[str, float], evidence: SceneEvidence) -> list[str]:
+def _notes(u: dict[str, float], evidence: SceneEvidence, changed: int, count: int) -> list[str]:
+    """Return sentences for the user; changed: number of the `count` captures that are left out."""
     notes = []
     if u["north_deg"] > 0.2 and u["clock_min"] > 0.8:
         notes.append(
@@ -422,5 +413,10 @@ def _notes(u: dict[str, float], evidence: SceneEvidence) -> list[str]:
         notes.append(
             "sunny hours on fewer than three days: the uncertainties do not "
             "include differences between days; capture more days"
+        )
+    if changed:
+        notes.append(
+            f"in {changed} of {count} captures a lamp was on, or the light contradicts the "
+            "other days: the fit does not use them; see the warnings of train"
         )
     return notes
