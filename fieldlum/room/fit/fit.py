@@ -301,9 +301,8 @@ class SceneSearch:
         return Misfits(*(evidence.misfit(patch) for patch in patches))
 
     def spread(self) -> tuple[dict[str, float], dict[str, tuple[float, ...]]]:
-        """Return the standard uncertainty of each parameter, and the numbers of likely rooms."""
-        hours = np.arange(len(self.evidence))
-        noise = covariance(self.cost(hours), self.guess, self.parameters)
+        """Return standard uncertainties by parameter, and numbers of likely rooms, after `run`."""
+        noise = covariance(self.cost(), self.guess, self.parameters)
         own = np.sqrt(np.diag(noise))
         stated = np.array([p.sd / p.step for p in self.parameters])
         wider = np.clip(stated / own, 1.0, MODEL_ERROR)
