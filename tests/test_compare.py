@@ -143,7 +143,8 @@ def _year(hours: int = 200) -> Annual:
     times = tuple(start + timedelta(hours=9 + k // 8 * 24 + k % 8) for k in range(hours))
     dgp: Floats = np.linspace(0.2, 0.5, 2 * hours).reshape(hours, 2)
     views: dict[str, Floats] = {"dgp": dgp, "ev_lx": dgp * 5000}
-    return Annual(Path(), PredictFile(), times, np.array([0.0, 180.0]), {}, views)
+    summary = PredictFile(inputs={"weather": "seattle.epw"})
+    return Annual(Path(), summary, times, np.array([0.0, 180.0]), {}, views)
 
 
 @pytest.mark.contract
@@ -164,6 +165,7 @@ def test_a_table_of_hours_is_compared_with_the_predicted_year(tmp_path: Path) ->
     table.write_text("\n".join(text))
     result = compare(session, table, tmp_path / "out", [180.0], year)
     (view,) = result.directions
+    assert "the weather of seattle.epw" in result.text[-1]
     assert view.hours == 200 and view.azimuth_deg == 180.0
     assert view.model - view.measured == pytest.approx(0.02, abs=1e-3)
     assert view.over is not None and view.model_over is not None and view.model_over > view.over

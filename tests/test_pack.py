@@ -144,3 +144,17 @@ def test_a_frame_with_a_position_is_refused(session: Session) -> None:
     ran = pack(session)
     assert ran.exit_code == 3 and "00.jpg (a position)" in ran.output, ran.output
     assert not (session.root.parent / "out.zip").exists()
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize("command", ["pack", "export"])
+def test_a_session_without_results_is_refused(tmp_path: Path, command: str) -> None:
+    site = SiteFile(SEATTLE, CameraSetup(heading_deg=180.0))
+    empty = create_session(tmp_path / "empty", site, [Slot(NOON, 30.0, 180.0, ())], {})
+    ran = (
+        CliRunner().invoke(main, ["export", str(empty.root)])
+        if command == "export"
+        else pack(empty)
+    )
+    assert ran.exit_code == 3 and "empty: no" in ran.output, ran.output
+    assert not (empty.root / "export").exists()

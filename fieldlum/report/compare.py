@@ -582,6 +582,8 @@ def _compare_hours(
     _write_rows(table, [row for part in shared for row in part.rows()])
     _draw_hours(picture, shared)
     text = [sentence for part in shared for sentence in part.text()]
+    if weather := annual.summary.inputs.get("weather"):
+        text.append(f"The year has the weather of {weather}: the model needs the same.")
     directions = tuple(part.direction() for part in shared)
     return Comparison((), directions, tuple(text), (table, picture))
 

@@ -44,6 +44,9 @@ def export(
     room, else the stated one, in room axes. pairs.nc, year.nc: netCDF 3 with units. Raises
     InputError for a damaged file.
     """
+    panoramas = session.panorama_files()
+    if not panoramas and not session.annual_folders():
+        raise InputError(session.root, "no merged map and no year", "results", "run fieldlum merge")
     out.mkdir(parents=True, exist_ok=True)
     files = [
         *_sky(session, out),
@@ -51,7 +54,6 @@ def export(
         *_pairs(session, out),
         *_year(session, out),
     ]
-    panoramas = session.panorama_files()
     (out / "maps").mkdir(exist_ok=True)
     for number, path in enumerate(panoramas):
         progress(number, len(panoramas), "maps")

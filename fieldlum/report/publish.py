@@ -72,6 +72,8 @@ def pack(
     InputError for frames whose EXIF has a position, an owner's name or a serial number.
     """
     _check_place(session, out)
+    if not session.captured_folders() and not session.panorama_files():
+        raise InputError(session.root, "no captures", "data to publish", "pack it when it has some")
     files = sorted(_files(session))
     stated = [(path, _private_exif(path)) for path in files]
     private = [text for _, text in stated if text]
