@@ -28,7 +28,7 @@ from fieldlum.core.records import CameraSetup, Site, SiteFile
 from fieldlum.learn.models import trusted_hours
 from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.mirror_labels import split_images
-from fieldlum.learn.train.trials import fit_timed, passes_over_data
+from fieldlum.learn.train.trials import fit_timed
 from fieldlum.sky.sun_disc import add_disc
 from fieldlum.year.glare.geometry import panorama_views
 from fieldlum.year.glare.metrics import glare_directions
@@ -160,7 +160,7 @@ def score_view(
             asked = replace(reference, ev_lx=reference.ev_lx[unseen], dgp=reference.dgp[unseen])
             cells = errors(asked, ev[unseen], dgp[unseen])
             cells = f"{cells} | {of_trusted(asked, dgp[unseen], trusted[unseen])}"
-            epochs = passes_over_data(fitted)
+            epochs = getattr(fitted, "training", {}).get("pixels_seen_per_pixel")
             label = model if epochs is None else f"{model}, {epochs:.1f} epochs"
             print(f"| {name} | {label} | {which} | {len(rows)} | {cells} |", flush=True)
 

@@ -116,7 +116,7 @@ def _print_verdicts(session: Session, verdicts: list[Verdict]) -> None:
     for v in verdicts:
         click.echo(f"{v.slot} {v.state}: {v.text}")
     counts = Counter(v.state for v in verdicts)
-    say(", ".join(f"{n} {state}" for state, n in counts.items()))
+    say(", ".join(f"{counts[s]} {s}" for s in ("merged", "kept", "failed") if counts[s]))
     if (sheet := session.panoramas / "contact-1.png").is_file():
         say(f"look at {sheet}")
 
