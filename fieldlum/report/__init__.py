@@ -101,7 +101,7 @@ def _budget_section(year: Annual) -> list[Section]:
         "occupied hours. Another year's weather, and a blind that moves, are not in it. budget.csv "
         "has types, sensitivities and shares (GUM)."
     )
-    tables = (Table(("facing", *sources), rows, folded=True),)
+    tables = (Table(("facing", *sources), rows, "By direction", folded=True),)
     return [Section("budget", "Uncertainty budget", text, tables=tables)]
 
 
