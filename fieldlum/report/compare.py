@@ -210,7 +210,7 @@ def _labels(room: Room | None, height: int, heading_deg: float) -> Array:
     if room is not None and room.kind == "box":
         return surface_names(room, height, heading_deg)
     altitude, azimuth = altitude_azimuth_deg(equirect_rays(height, 2 * height, heading_deg))
-    sectors = np.array("N NE E SE S SW W NW".split(), object)  # noqa: SIM905
+    sectors = np.array(["N", "NE", "E", "SE", "S", "SW", "W", "NW"], object)
     named = sectors[np.round(azimuth / 45.0).astype(int) % 8]
     return np.where(altitude > 45.0, "above", np.where(altitude < -45.0, "below", named))
 

@@ -163,7 +163,9 @@ def polar_svg(
         axes.plot(angle, shown(dgp_exceeded), **style)
         axes.set_ylim(floor, top)
         axes.set_yticks(limits, [f"{limit:.2f}" for limit in limits], fontsize=8)
-        axes.set_xticks(np.radians(np.arange(0, 360, 45)), "N NE E SE S SW W NW".split())  # noqa: SIM905
+        axes.set_xticks(
+            np.radians(np.arange(0, 360, 45)), ["N", "NE", "E", "SE", "S", "SW", "W", "NW"]
+        )
         axes.grid(color=PALE, lw=0.5)
         axes.spines["polar"].set_visible(False)
         return _svg(figure)
