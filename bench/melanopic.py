@@ -122,7 +122,9 @@ def calibrated(
     rgb = 50.0 * rgb / rgb.max() * (1 + 0.01 * rng.normal(size=rgb.shape))
     profile = load_camera_profile("sim-fisheye")
     labels = tuple(str(i) for i in range(24))
-    colours = colour.Colours(rgb, colour.CHART_Y, np.full(24, 0.03), labels, (Path("chart"),))
+    colours = colour.Colours(
+        rgb, colour.chart_xyz()[:, 1], np.full(24, 0.03), labels, (Path("chart"),)
+    )
     y = colour.fit(colours, profile).y_from_rgb
     if matrix is None:
         xyz = colour.xyz_from_chart(rgb, y, cct_k)

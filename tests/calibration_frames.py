@@ -49,3 +49,15 @@ def raw_frame(
     counts = np.clip(np.rint(electrons / 4.0 + 512), 0, 15800).astype(np.uint16)
     write_dng(path, counts, cfa="RGGB", black_dn=(512,) * 4, white_dn=16383, exposure=exposure)
     return path
+
+
+# The maker's sRGB codes of a chart's patches (X-Rite, ColorChecker Classic).
+CHART_SRGB = np.loadtxt(
+    """
+    115 82 68 194 150 130 98 122 157 87 108 67 133 128 177 103 189 170
+    214 126 44 80 91 166 193 90 99 94 60 108 157 188 64 224 163 46
+    56 61 150 70 148 73 175 54 60 231 199 31 187 86 149 8 133 161
+    243 243 242 200 200 200 160 160 160 122 122 121 85 85 85 52 52 52
+    """.splitlines(),
+    int,
+).reshape(24, 3)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from calibration_frames import LENS, PROFILE, SIZE, TRUE_V, raw_frame, relative_angles
+from calibration_frames import CHART_SRGB, LENS, PROFILE, SIZE, TRUE_V, raw_frame, relative_angles
 
 from fieldlum.calibrate import (
     colour,
@@ -61,8 +61,8 @@ def test_colour_keeps_a_right_prior() -> None:
 def _chart_frame(path: Path, seed: int = 1) -> tuple[Path, list[float]]:
     """A chart of known luminance: its colours, scaled so that a . rgb is the chart's own Y."""
     rng, a = np.random.default_rng(seed), np.array([0.30, 0.60, 0.10])
-    rgb = srgb_table()[colour._SRGB]
-    rgb *= (np.array(colour.CHART_Y) / (rgb @ a))[:, None] * 3.0
+    rgb = srgb_table()[CHART_SRGB]
+    rgb *= (colour.chart_xyz()[:, 1] / (rgb @ a))[:, None] * 3.0
     picture = np.full((SIZE, SIZE, 3), 20.0)
     left, top, cell = 60, 80, 20
     for i in range(24):

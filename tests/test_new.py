@@ -126,11 +126,13 @@ def test_the_text_reads_back_as_the_same_site(tmp_path: Path) -> None:
 
 
 @pytest.mark.contract
-def test_every_edge_of_a_window_leaves_a_possible_size() -> None:
+def test_every_edge_of_a_window_leaves_a_possible_size(tmp_path: Path) -> None:
     """An edge at the end of the wall and a sill at the ceiling are asked again at once."""
+    room = Room(width_m=4.0, depth_m=5.0, height_m=3.0, wall_azimuth_deg=0.0)
+    path = tmp_path / "s.toml"
     answers = ("south", "n", "4", "3.9", "0.05", "3", "2.9", "0.05", "0.8", "1")
     asked = click.Command(
-        "window", callback=lambda: click.echo(new_._window(1, 4.0, 5.0, 3.0, 0.0))
+        "window", callback=lambda: click.echo(new_.window_of(new_.Dialogue(path), 1, room))
     )
     shown = CliRunner().invoke(asked, input="\n".join(answers) + "\n")
     assert shown.exit_code == 0 and "4: expected 0 to 3.9" in shown.output
@@ -232,7 +234,9 @@ def test_a_camera_is_found_by_words(tmp_path: Path) -> None:
 def test_an_interrupted_dialogue_offers_its_answers(tmp_path: Path) -> None:
     path = tmp_path / "office.toml"
     shown = CliRunner().invoke(main, ["new", str(path)], _answers("theta z1"))
-    assert shown.exit_code == 1 and not path.exists()
+    assert shown.exit_code == 3 and not path.exists()
+    assert "office.toml: no answer to 'Azimuth that the camera faces" in shown.output
+    assert "Aborted" not in shown.output
     kept = "\n" * 6
     shown = CliRunner().invoke(main, ["new", str(path)], f"{kept}30\n1.5\n-\nn\n")
     assert shown.exit_code == 0 and "has your answers so far" in shown.output, shown.output

@@ -133,15 +133,20 @@ def test_a_budget_without_uncertain_pixels_is_refused_and_the_others_are_written
 
 
 @pytest.mark.contract
-def test_a_budget_replaces_no_other_file(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("command", "option"), [("glare", "--budget"), ("glare", "--csv"), ("view", "--csv")]
+)
+def test_no_existing_file_is_replaced_without_force(
+    tmp_path: Path, command: str, option: str
+) -> None:
     path, out = tmp_path / "room.exr", tmp_path / "pairs.csv"
     write_panorama(path, room())
     out.write_text("t_utc,panorama\n")
-    ran = CliRunner().invoke(
-        main, ["glare", str(path), "--view-azimuth", "180", "--budget", str(out)]
-    )
-    assert ran.exit_code == 3 and "pairs.csv: another file" in ran.output, ran.output
+    ran = CliRunner().invoke(main, [command, str(path), option, str(out)])
+    assert ran.exit_code == 3 and "pairs.csv: the file exists already" in ran.output, ran.output
     assert out.read_text() == "t_utc,panorama\n"
+    ran = CliRunner().invoke(main, [command, str(path), option, str(out), "--force"])
+    assert ran.exit_code == 0 and out.read_text() != "t_utc,panorama\n", ran.output
 
 
 @pytest.mark.analytic

@@ -72,7 +72,7 @@ def test_the_command_writes_png_page_and_csv(fisheye: Path, tmp_path: Path) -> N
     table = tmp_path / "r.csv"
     for name in ("v.png", "v.html"):
         options = ["--out", str(tmp_path / name), "--region", "cone:180,0,20", "--csv", str(table)]
-        files = [str(fisheye), str(panorama)]
+        files = [str(fisheye), str(panorama), *(["--force"] if table.exists() else [])]
         done = CliRunner().invoke(main, ["view", *files, *options])
         assert done.exit_code == 0, done.output
         assert (tmp_path / name).stat().st_size > 5000

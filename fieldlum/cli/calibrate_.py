@@ -361,7 +361,8 @@ def colour(
             raise click.UsageError("--cct needs a frame of a chart instead of a table")
         colours = fits.from_table(sources, profile)
     else:
-        colours = fits.from_chart(sources, profile, _numbers(corners, 8) if corners else ())
+        stated = _numbers(corners, 8) if corners else ()
+        colours = fits.from_chart(sources, profile, stated, cct_k or 6500.0)
     fit, notes = fits.fit(colours, profile), []
     if sources.suffix.lower() == ".csv" and abs(fit.scale - 1) > 0.03:
         notes.append(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import click
 
 from fieldlum.cli.declared import FILE_PATH
-from fieldlum.cli.options import command_of
+from fieldlum.cli.options import command_of, new_file
 from fieldlum.cli.terminal import emit_json, print_table, say
 from fieldlum.core.records import JsonTable
 
@@ -43,6 +43,7 @@ def command(
     json_lines: bool = False,
     reference: bool = False,
     lamps: bool = False,
+    force: bool = False,
 ) -> None:
     """Compute glare of pictures (.exr, .hdr) or of a session's captures.
 
@@ -72,6 +73,8 @@ def command(
         raise click.UsageError(
             "--budget is of a picture as stored: no --view, --part, --calibrate-ev"
         )
+    for path in (csv_path, budget_path):
+        new_file(path, force)
     from fieldlum.core.errors import InputError
     from fieldlum.session import open_session
     from fieldlum.session.writing import write_csv

@@ -13,6 +13,7 @@ from fieldlum.cli.options import (
     DEFAULT_SIZE,
     command_of,
     dimensions,
+    new_file,
     panorama_height,
     scheduler_of,
 )
@@ -68,6 +69,7 @@ def command(
         raise click.UsageError("name a SESSION, or --frames FILE... --camera PROFILE --out OUT")
     if frames:
         assert camera and out is not None
+        new_file(out, force)
         options = MergeOptions(_file_height(size, projection), projection, fit, drop_moved)
         _merge_files([session, *more], camera, out, options, heading, as_json)
         return

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -18,16 +18,33 @@ from fieldlum.core.records import CameraSetup, Room, Site, SiteFile, Window
 
 if TYPE_CHECKING:
     from fieldlum.optics.profiles import CameraProfile, Lens
-    from fieldlum.optics.raw import FrameInfo, Mosaic
 
 T = TypeVar("T")
-# Smallest width and height of a window; chosen. The left edge and the sill stay twice this length
-# from the end of the wall and the ceiling, so that a width and a height remain possible.
-_MIN_WINDOW_M = 0.05
+_EDGE_M = 0.05  # smallest width and height of a window, so that a size remains possible; chosen
+_LEFT = "from the wall's left end, seen from inside"
+# Question, smallest and largest answer of each key, and a default if there is one. A limit may
+# follow from earlier answers, and for a window also from the length of its wall and the ceiling.
+_ROOM: Mapping[str, tuple[Any, ...]] = {
+    "width_m": ("Width along that wall", 0.3, 200.0),
+    "depth_m": ("Depth away from it", 0.3, 200.0),
+    "height_m": ("Height", 1.0, 100.0),
+    "wall_azimuth_deg": ("Azimuth that this wall faces (0: north, 180: south)", 0.0, 360.0),
+    "left_m": (f"Camera: {_LEFT}", 0.0, lambda a: a["width_m"]),
+    "camera_y_m": ("Camera: distance from that wall", 0.0, lambda a: a["depth_m"]),
+    "windows": ("How many windows", 0.0, 20.0, "1"),
+}
+_WINDOW: Mapping[str, tuple[Any, ...]] = {
+    "left_m": (f"left edge {_LEFT}", 0.0, lambda a: a["wall_m"] - 2 * _EDGE_M),
+    "width_m": ("width", _EDGE_M, lambda a: a["wall_m"] - a["left_m"]),
+    "sill_m": ("sill above the floor", 0.0, lambda a: a["ceiling_m"] - 2 * _EDGE_M, "0.9"),
+    "height_m": ("height", _EDGE_M, lambda a: a["ceiling_m"] - a["sill_m"]),
+    "transmittance": ("transmittance of the glass", 0.01, 0.92, "0.8"),
+    "panes": ("panes side by side", 1.0, 50.0, "1"),
+}
 _ANGLE = re.compile(r"([+-]?\d+(?:\.\d+)?)\s*°?\s*([NSEWnsew]?)")
-# Relative standard uncertainties of a profile that nobody calibrated; chosen, as in the shipped
+# Relative standard uncertainties of a profile that nobody calibrated, as in the shipped
 # uncalibrated profiles.
-_GUESS_U_VIGNETTING, _GUESS_U_COLOUR, _GUESS_U_SCALE = 0.15, 0.2, 0.5
+_GUESSES = {"scale": 0.5, "colour": 0.2, "vignetting": 0.15}
 _NOTES = {  # comments in SITE.toml, by key
     "latitude_deg": "north positive",
     "longitude_deg": "east positive",
@@ -80,21 +97,21 @@ def command(
         return
     if photo is not None:
         raise click.UsageError("--photo describes an own camera: name a profile with --camera")
-    answers = _Answers(site_file.with_name(f"{site_file.name}.answers"))
-    click.get_current_context().meta[_ANSWERS] = answers
-    setup = SiteFile(_site(), _camera())
+    dialogue = Dialogue(site_file)
+    setup = SiteFile(_site(dialogue), _camera(dialogue))
     profile = load_camera_profile(setup.camera.profile)
     blind = coverage_text(profile, setup.camera)
     for note in filter(None, (*assumed_texts(setup.camera), uncalibrated_text(profile), blind)):
         click.echo(f"note: {note}")
-    question = "Describe the room by tape measure? Not needed; it can sharpen the maps"
-    if click.confirm(question, default=False):
-        setup = _checked_room(setup.site, setup.camera)
+    question = "Describe the room by tape measure (y or n)? Not needed; it can sharpen the maps"
+    if dialogue.ask(question, lambda text: text.lower() in ("y", "yes"), "n"):
+        setup = replace(setup, room=room_of(dialogue, setup.camera))
+    drawing = room_svg(setup)
     site_file.write_text(site_text(setup), encoding="utf-8")
     load_site(site_file)
-    answers.path.unlink(missing_ok=True)
+    dialogue.path.unlink(missing_ok=True)
     click.echo(f"written: {site_file}")
-    if drawing := room_svg(setup):
+    if drawing:
         picture = site_file.with_suffix(".svg")
         picture.write_text(drawing.replace("currentColor", "black"), encoding="utf-8")
         click.echo(f"written: {picture}: check windows, camera and north in it")
@@ -102,179 +119,52 @@ def command(
 
 
 # ----------------------------------------------------------------------------------------------
-# parts
-
-
-def _site() -> Site:
-    from fieldlum.session.site_toml import site_from_table, wrong_sign_text
-
-    name = _ask("Name of the site", _name)
-    latitude = _ask("Latitude in degrees (like 47.61, 47.61 N)", _angle(90.0, "NS"))
-    longitude = _ask("Longitude in degrees (like -122.33, 122.33 W)", _angle(180.0, "EW"))
-
-    def zone(text: str) -> Site:
-        place = {"name": name, "latitude_deg": latitude, "longitude_deg": longitude}
-        table = {"site": {**place, "timezone": _known_zone(text)}}
-        site = site_from_table(table, "this place").site
-        if wrong := wrong_sign_text(site):
-            raise ValueError(f"{wrong}; north and east are positive")
-        return site
-
-    site = _ask("Time zone, IANA name (like Europe/Rome)", zone)
-    altitude = _ask("Altitude above the sea in m", _number(-500.0, 9000.0), default="0")
-    return Site(name, latitude, longitude, site.timezone, altitude)
-
-
-def _camera() -> CameraSetup:
-    from fieldlum.optics.profiles import camera_names, find_camera_profile, load_camera_profile
-
-    names = camera_names()
-    click.echo("Cameras with a profile:")
-    for k, name in enumerate(names, start=1):
-        click.echo(f"  {k}  {name}")
-    click.echo("Another camera: fieldlum new CAMERA.toml --camera SIMILAR --photo FRAME")
-
-    def profile(text: str) -> str:
-        if text.lower() in ("none", "none yet"):
-            return ""
-        words = text.lower().split()
-        similar = [name for name in names if all(word in name.lower() for word in words)]
-        chosen = names[int(text) - 1] if text.isdigit() and 0 < int(text) <= len(names) else text
-        if chosen not in names and len(similar) == 1:
-            chosen = similar[0]
-        if not Path(chosen).is_file() and chosen not in names:
-            which = f"; is it {' or '.join(similar)}?" if similar and words else ""
-            raise ValueError(
-                f"'{text}' is no number, name or path of a profile{which}; without one answer none"
-            )
-        load_camera_profile(find_camera_profile(chosen))
-        return chosen
-
-    def azimuths(text: str) -> tuple[float, ...]:
-        parts = [] if text == "-" else text.split(",")
-        return tuple(_number(0.0, 360.0)(part) for part in parts)
-
-    chosen = _ask("Camera: a number, a name, the path of your own profile, or none", profile)
-    facing = _ask("Azimuth that the camera faces, clockwise from true north (- unknown)", azimuths)
-    height = _ask("Height of the lens above the floor in m", _number(0.05, 50.0), default="1.2")
-    question = "Headings of a turned head, separated by commas (- for a fixed camera)"
-    headings = _ask(question, azimuths, default="-")
-    missing = {"heading_deg": not facing, "profile": not chosen}
-    unknown = tuple(name for name, is_missing in missing.items() if is_missing)
-    heading = facing[0] if facing else CameraSetup().heading_deg
-    return CameraSetup(chosen, heading, headings, height, unknown)
-
-
-def _checked_room(site: Site, camera: CameraSetup) -> SiteFile:
-    """Ask about the room until a room is possible; return the site with it."""
-    from fieldlum.room.scene.geometry import build
-
-    while True:
-        setup = SiteFile(site, camera, _room(camera))
-        assert setup.room is not None
-        try:
-            build(setup.room)
-            return setup
-        except InputError as error:
-            click.echo(f"This room is not possible: {error}. Please answer again.")
-
-
-def _room(camera: CameraSetup) -> Room:
-    click.echo("All lengths in m. The first wall is the one with the main windows.")
-    length = _number(0.3, 200.0)
-    width = _ask("Width along that wall", length)
-    depth = _ask("Depth away from it", length)
-    height = _ask("Height", _number(1.0, 100.0))
-    azimuth = _ask("Azimuth that this wall faces (0: north, 180: south)", _number(0.0, 360.0))
-    from_left = _ask("Camera: from the wall's left end, seen from inside", _number(0.0, width))
-    from_wall = _ask("Camera: distance from that wall", _number(0.0, depth))
-    count = int(_ask("How many windows", _number(0, 20), default="1"))
-    windows = tuple(_window(k + 1, width, depth, height, azimuth) for k in range(count))
-    # camera_x_m counts from the other end, because x grows to the right as seen from outside
-    return Room(
-        width_m=width,
-        depth_m=depth,
-        height_m=height,
-        camera_x_m=round(width - from_left, 4),
-        camera_y_m=from_wall,
-        camera_z_m=camera.height_m,
-        wall_azimuth_deg=azimuth,
-        window=windows,
-    )
-
-
-def _window(number: int, width: float, depth: float, height: float, azimuth: float) -> Window:
-    """Ask for a window; azimuth: that the main wall faces, by which walls get compass names."""
-    from fieldlum.room.scene.drawing import compass_walls
-
-    walls = compass_walls(azimuth)
-
-    def wall(text: str) -> Any:
-        if text.upper() not in walls:
-            raise ValueError(f"expected {', '.join(walls)}: the direction that the wall faces")
-        return walls[text.upper()]
-
-    main = next(iter(walls))
-    name = _ask(f"Window {number}: wall that faces ({', '.join(walls)})", wall, default=main)
-    length = width if name in ("south", "north") else depth
-    left_m = _ask(
-        "  left edge from the wall's left end, seen from inside",
-        _number(0.0, length - 2 * _MIN_WINDOW_M),
-    )
-    wide = _ask("  width", _number(_MIN_WINDOW_M, round(length - left_m, 6)))
-    sill = _ask("  sill above the floor", _number(0.0, height - 2 * _MIN_WINDOW_M), default="0.9")
-    high = _ask("  height", _number(_MIN_WINDOW_M, round(height - sill, 6)))
-    glass = _ask("  transmittance of the glass", _number(0.01, 0.92), default="0.8")
-    panes = int(_ask("  panes side by side", _number(1, 50), default="1"))
-    return Window(name, left_m, wide, sill, high, glass, panes)
-
-
-# ----------------------------------------------------------------------------------------------
 # asking
 
 
-_ANSWERS = "fieldlum.cli.new_.answers"  # key in click's context
+class Dialogue:
+    """Questions at a terminal; their answers are in a file, offered again after an interruption."""
 
+    def __init__(self, site_file: Path) -> None:
+        self.site_file, self.path = site_file, site_file.with_name(f"{site_file.name}.answers")
+        self.answers: dict[str, str] = {}
+        with suppress(OSError, ValueError, TypeError):
+            self.answers = dict(json.loads(self.path.read_text(encoding="utf-8")))
+            click.echo(f"{self.path} has your answers so far: press Enter to keep one")
 
-class _Answers:
-    """The (question, answer) pairs of a dialogue in a file, offered again after an interruption."""
+    def ask(self, question: str, reader: Callable[[str], T], default: str | None = None) -> T:
+        """Ask a question until `reader` accepts the answer; return what `reader` returns.
 
-    def __init__(self, path: Path) -> None:
-        self.path, self._given = path, list[tuple[str, str]]()
-        self._before: list[Any] = []
-        with suppress(OSError, ValueError):
-            self._before = list(json.loads(path.read_text(encoding="utf-8")))
-            click.echo(f"{path} has your answers so far: press Enter to keep one")
+        Raises InputError if the input ends before the answer.
+        """
 
-    def offered(self, question: str) -> str | None:
-        """Return the earlier answer to the next question; None without one."""
-        match self._before[len(self._given) : len(self._given) + 1]:
-            case [[str(asked), str(text)]] if asked == question:
-                return text
-        return None
+        def checked(text: str) -> T:
+            try:
+                value = reader(text.strip())
+            except (InputError, ValueError) as error:
+                raise click.UsageError(str(error)) from None
+            self.answers[question] = text
+            self.path.write_text(json.dumps(self.answers, ensure_ascii=False), encoding="utf-8")
+            return value
 
-    def store(self, question: str, text: str) -> None:
-        """Add an answer to the file; later answers of the interrupted dialogue stay in it."""
-        self._given.append((question, text))
-        content = [*self._given, *self._before[len(self._given) :]]
-        self.path.write_text(json.dumps(content, ensure_ascii=False), encoding="utf-8")
-
-
-def _ask(question: str, reader: Callable[[str], T], default: str | None = None) -> T:
-    """Ask a question until `reader` accepts the answer; return what `reader` returns."""
-    answers: _Answers | None = click.get_current_context().meta.get(_ANSWERS)
-
-    def checked(text: str) -> T:
+        offered = self.answers.get(question, default)
         try:
-            value = reader(text.strip())
-        except (InputError, ValueError) as error:
-            raise click.UsageError(str(error)) from None
-        if answers:
-            answers.store(question, text)
-        return value
+            return click.prompt(question, default=offered, value_proc=checked)
+        except click.Abort as error:  # the end of the input, or Ctrl-C
+            if isinstance(error.__context__, KeyboardInterrupt):
+                raise KeyboardInterrupt from None
+            finding, expected = f"no answer to '{question}'", "an answer to each question"
+            remedy = "run fieldlum new at a terminal, which offers the answers so far"
+            raise InputError(self.site_file, finding, expected, remedy) from None
 
-    offered = answers.offered(question) if answers else None
-    return click.prompt(question, default=offered or default, value_proc=checked)
+    def numbers(
+        self, questions: Mapping[str, tuple[Any, ...]], prefix: str, **known: Any
+    ) -> dict[str, Any]:
+        """Return the numbers that answer a table of questions, by key, after those in `known`."""
+        for key, (question, low, high, *default) in questions.items():
+            limit: Any = high(known) if callable(high) else high
+            known[key] = self.ask(prefix + question, _number(low, round(limit, 6)), *default)
+        return known
 
 
 def _name(text: str) -> str:
@@ -307,15 +197,105 @@ def _angle(limit: float, winds: str) -> Callable[[str], float]:
     return reader
 
 
-def _known_zone(text: str) -> str:
+def _azimuths(text: str) -> tuple[float, ...]:
+    parts = [] if text == "-" else text.split(",")
+    return tuple(_number(0.0, 360.0)(part) for part in parts)
+
+
+# ----------------------------------------------------------------------------------------------
+# parts
+
+
+def _site(dialogue: Dialogue) -> Site:
     from difflib import get_close_matches
     from zoneinfo import available_timezones
 
+    from fieldlum.session.site_toml import site_from_table, wrong_sign_text
+
+    name = dialogue.ask("Name of the site", _name)
+    latitude = dialogue.ask("Latitude in degrees (like 47.61, 47.61 N)", _angle(90.0, "NS"))
+    longitude = dialogue.ask("Longitude in degrees (like -122.33, 122.33 W)", _angle(180.0, "EW"))
     zones = available_timezones()
-    if text not in zones:
-        near = get_close_matches(text, zones, n=1)
-        raise ValueError(f"unknown time zone '{text}'" + (f"; is it {near[0]}?" if near else ""))
-    return text
+
+    def zone(text: str) -> Site:
+        if text not in zones:
+            near = "".join(f"; is it {match}?" for match in get_close_matches(text, zones, n=1))
+            raise ValueError(f"unknown time zone '{text}'{near}")
+        place = {"name": name, "latitude_deg": latitude, "longitude_deg": longitude}
+        site = site_from_table({"site": {**place, "timezone": text}}, "this place").site
+        if wrong := wrong_sign_text(site):
+            raise ValueError(f"{wrong}; north and east are positive")
+        return site
+
+    site = dialogue.ask("Time zone, IANA name (like Europe/Rome)", zone)
+    altitude = dialogue.ask("Altitude above the sea in m", _number(-500.0, 9000.0), "0")
+    return Site(name, latitude, longitude, site.timezone, altitude)
+
+
+def _camera(dialogue: Dialogue) -> CameraSetup:
+    from fieldlum.optics.profiles import camera_names, load_camera_profile
+
+    names = camera_names()
+    listed = [f"  {number}  {name}" for number, name in enumerate(names, start=1)]
+    click.echo("\n".join(["Cameras with a profile:", *listed]))
+    click.echo("Another camera: fieldlum new CAMERA.toml --camera SIMILAR --photo FRAME")
+
+    def profile(text: str) -> str:
+        if text.lower() in ("none", "none yet"):
+            return ""
+        if text.isdigit() and 0 < int(text) <= len(names):
+            text = names[int(text) - 1]
+        similar = [n for n in names if text and all(w in n for w in text.lower().split())]
+        chosen = similar[0] if len(similar) == 1 and text not in names else text
+        if not Path(chosen).is_file() and chosen not in names:
+            which = f"; is it {' or '.join(similar)}?" if similar else ""
+            raise ValueError(
+                f"'{text}' is no number, name or path of a profile{which}; without one answer none"
+            )
+        load_camera_profile(chosen)
+        return chosen
+
+    question = "Camera: a number, a name, the path of your own profile, or none"
+    chosen = dialogue.ask(question, profile)
+    question = "Azimuth that the camera faces, clockwise from true north (- unknown)"
+    facing = dialogue.ask(question, _azimuths)
+    height = dialogue.ask("Height of the lens above the floor in m", _number(0.05, 50.0), "1.2")
+    question = "Headings of a turned head, separated by commas (- for a fixed camera)"
+    headings = dialogue.ask(question, _azimuths, "-")
+    missing = {"heading_deg": not facing, "profile": not chosen}
+    unknown = tuple(name for name, is_missing in missing.items() if is_missing)
+    heading = facing[0] if facing else CameraSetup().heading_deg
+    return CameraSetup(chosen, heading, headings, height, unknown)
+
+
+def room_of(dialogue: Dialogue, camera: CameraSetup) -> Room:
+    """Ask about a box room and its windows; return it."""
+    click.echo("All lengths in m. The first wall is the one with the main windows.")
+    size = dialogue.numbers(_ROOM, "")
+    # camera_x_m counts from the other end, because x grows to the right as seen from outside
+    x_m, count = round(size["width_m"] - size.pop("left_m"), 4), int(size.pop("windows"))
+    room = Room(camera_x_m=x_m, camera_z_m=camera.height_m, **size)
+    return replace(room, window=tuple(window_of(dialogue, k + 1, room) for k in range(count)))
+
+
+def window_of(dialogue: Dialogue, number: int, room: Room) -> Window:
+    """Ask about a window; return it."""
+    from fieldlum.room.scene.drawing import compass_walls
+
+    walls = compass_walls(room.wall_azimuth_deg)  # the names of walls that a user knows
+
+    def wall(text: str) -> Any:
+        if text.upper() not in walls:
+            raise ValueError(f"expected {', '.join(walls)}: the direction that the wall faces")
+        return walls[text.upper()]
+
+    question = f"Window {number}: wall that faces ({', '.join(walls)})"
+    name = dialogue.ask(question, wall, next(iter(walls)))
+    wall_m = room.width_m if name in ("south", "north") else room.depth_m
+    edges = {"wall_m": wall_m, "ceiling_m": room.height_m}
+    size = dialogue.numbers(_WINDOW, f"Window {number}: ", **edges)
+    own = {key: size[key] for key in _WINDOW} | {"panes": int(size["panes"])}
+    return Window(name, **own)
 
 
 def site_text(setup: SiteFile) -> str:
@@ -360,20 +340,6 @@ def _write_own_camera(path: Path, start: str, photo: Path | None) -> None:
     click.echo(f"next: fieldlum calibrate lens -h, then state profile = {path} in SITE.toml")
 
 
-def _of_photo(profile: CameraProfile, photo: Path) -> CameraProfile:
-    """Return a profile with size, camera and aperture of a frame; print its levels if it is raw."""
-    from fieldlum.optics.raw import is_jpeg, jpeg_size, read_exif, read_mosaic
-
-    fixed = profile.camera.fixed_f_number
-    info = read_exif(photo, lens_f_number=fixed)
-    if is_jpeg(photo):
-        return with_frame(profile, jpeg_size(photo), info)
-    mosaic = read_mosaic(photo, lens_f_number=fixed)
-    click.echo(f"black level {mosaic.black_dn[0]:g} DN, white level {mosaic.white_dn:g} DN")
-    height, width = mosaic.counts.shape
-    return with_frame(profile, (width, height), info, mosaic)
-
-
 def started_profile(profile: CameraProfile, start: str) -> CameraProfile:
     """Return a profile without a date of calibration; start: the name of the given profile.
 
@@ -382,7 +348,7 @@ def started_profile(profile: CameraProfile, start: str) -> CameraProfile:
     from fieldlum.optics.profiles import Provenance
 
     def guessed(lens: Lens) -> Lens:
-        vague = tuple(replace(v, u_rel=_GUESS_U_VIGNETTING) for v in lens.vignetting)
+        vague = tuple(replace(v, u_rel=_GUESSES["vignetting"]) for v in lens.vignetting)
         return replace(lens, vignetting=vague)
 
     log = f"not measured: started from {start}; replace every part by fieldlum calibrate"
@@ -390,44 +356,44 @@ def started_profile(profile: CameraProfile, start: str) -> CameraProfile:
         profile,
         camera=replace(profile.camera, date="", note=f"uncalibrated; started from {start}"),
         lens=tuple(map(guessed, profile.lens)),
-        colour=replace(profile.colour, u_rel=max(profile.colour.u_rel, _GUESS_U_COLOUR)),
-        scale=replace(profile.scale, u_rel=max(profile.scale.u_rel, _GUESS_U_SCALE)),
+        colour=replace(profile.colour, u_rel=max(profile.colour.u_rel, _GUESSES["colour"])),
+        scale=replace(profile.scale, u_rel=max(profile.scale.u_rel, _GUESSES["scale"])),
         provenance=Provenance(f"started from {start}", log=(log,)),
     )
 
 
-def with_frame(
-    profile: CameraProfile,
-    size_px: tuple[int, int],
-    info: FrameInfo,
-    mosaic: Mosaic | None = None,
-) -> CameraProfile:
-    """Return a profile with the size, model and aperture of a frame.
+def _of_photo(profile: CameraProfile, photo: Path) -> CameraProfile:
+    """Return a profile with size, model and aperture of a frame, and the levels of a raw one.
 
-    size_px : width and height of the frame; image circles are scaled with the height. info : of
-    its EXIF. mosaic : of a raw frame, for its colours and white level; None for a JPEG.
+    Image circles are scaled with the height. The levels are printed.
     """
     from fieldlum.optics.profiles import Sensor
+    from fieldlum.optics.raw import is_jpeg, jpeg_size, read_exif, read_mosaic
 
-    (width, height), exposure = size_px, info.exposure
-    name = f"{info.model or 'unnamed camera'}, started from {profile.camera.name}"
-    frame = {"width_px": width, "height_px": height, "make": info.make, "model": info.model}
-    kind = "jpeg" if mosaic is None else "raw"
-    by, across = height / profile.camera.height_px, width / profile.camera.width_px
+    before, sensor = profile.camera, profile.sensor
+    info = read_exif(photo, lens_f_number=before.fixed_f_number)
+    f_number, iso = info.exposure.f_number, info.exposure.iso
+    if is_jpeg(photo):
+        kind, (width, height) = "jpeg", jpeg_size(photo)
+    else:
+        mosaic = read_mosaic(photo, lens_f_number=before.fixed_f_number)
+        kind, (height, width) = "raw", mosaic.counts.shape
+        sensor = Sensor(cfa=mosaic.cfa, white_dn=mosaic.white_dn, iso=iso)
+        click.echo(f"black level {mosaic.black_dn[0]:g} DN, white level {mosaic.white_dn:g} DN")
+    by, across = height / before.height_px, width / before.width_px
 
     def scaled(lens: Lens) -> Lens:
         centre_px = (lens.centre_px[0] * across, lens.centre_px[1] * by)
-        rings = tuple(replace(v, f_number=exposure.f_number) for v in lens.vignetting)
+        rings = tuple(replace(v, f_number=f_number) for v in lens.vignetting)
         return replace(lens, centre_px=centre_px, radius_px=lens.radius_px * by, vignetting=rings)
 
-    sensor = profile.sensor
-    if mosaic is not None:
-        sensor = Sensor(cfa=mosaic.cfa, white_dn=mosaic.white_dn, iso=exposure.iso)
+    name = f"{info.model or 'unnamed camera'}, started from {before.name}"
+    size = {"width_px": width, "height_px": height, "make": info.make, "model": info.model}
     return replace(
         profile,
-        camera=replace(profile.camera, kind=kind, name=name, **frame),
+        camera=replace(before, kind=kind, name=name, **size),
         lens=tuple(map(scaled, profile.lens)),
         sensor=sensor,
-        bracket=replace(profile.bracket, f_number=exposure.f_number, iso=exposure.iso),
-        scale=replace(profile.scale, f_numbers=(exposure.f_number,)),
+        bracket=replace(profile.bracket, f_number=f_number, iso=iso),
+        scale=replace(profile.scale, f_numbers=(f_number,)),
     )

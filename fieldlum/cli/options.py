@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import click
@@ -38,7 +39,9 @@ SHARED: dict[str, click.Parameter] = {
     "session_folder": click.Argument(["session_folder"], metavar="SESSION", type=PATH),
     "pairs": click.Argument(["pairs"], metavar="SESSION|PAIRS.csv", type=PATH),
     "as_json": flag("as_json", "--json", "Print the answer as one JSON object."),
-    "force": flag("force", "--force", "Compute again, even if the inputs have not changed."),
+    "force": flag(
+        "force", "--force", "Compute again if nothing changed, and replace existing files."
+    ),
     **{
         name: click.Option(
             [f"--{name}"], metavar="URI", help=f"{text} [default: as in the last capture]"
@@ -135,6 +138,15 @@ def _permit_device(uri: str) -> None:
         return
     except OSError as error:
         say(f"note: could not store that you permit {uri} ({error}): name it again next time")
+
+
+def new_file(path: Path | None, force: bool) -> None:
+    """Raise InputError if a file to write exists already, unless with --force."""
+    from fieldlum.core.errors import InputError
+
+    if path is not None and path.exists() and not force:
+        remedy = "choose another name, or replace it by --force"
+        raise InputError(path, "the file exists already", "a new file", remedy)
 
 
 def scheduler_of(text: str) -> Scheduler:

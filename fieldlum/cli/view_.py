@@ -9,7 +9,7 @@ from typing import Annotated
 import click
 
 from fieldlum.cli.declared import FILE_PATH
-from fieldlum.cli.options import command_of
+from fieldlum.cli.options import command_of, new_file
 from fieldlum.cli.terminal import say
 
 
@@ -21,6 +21,7 @@ def command(
     csv_path: Annotated[Path | None, FILE_PATH] = None,
     part: str = "",
     isolines: bool = False,
+    force: bool = False,
 ) -> None:
     """Show pictures in false colour, with statistics of regions.
 
@@ -49,6 +50,8 @@ def command(
     )
     from fieldlum.session.writing import write_csv
 
+    for path in (out, csv_path):
+        new_file(path, force)
     files = tuple(map(_latest_panorama, files))
     out = out or files[0].with_name(f"{files[0].stem}-view.html")
     if out.suffix.lower() not in (".png", ".html"):

@@ -216,8 +216,6 @@ COLUMNS = (
 
 def write_budgets(path: Path, budgets: Iterable[tuple[str, Budget]]) -> None:
     """Write (file, budget) pairs as CSV: a row for each source, then one for the combined u."""
-    if path.is_file() and not path.read_bytes().startswith(",".join(COLUMNS[:3]).encode()):
-        raise InputError(path, "another file", "a new one, or a budget", "choose another name")
     with replacing(path, "w", newline="", encoding="utf-8") as file:
         out = csv.writer(file)
         out.writerow(COLUMNS)
