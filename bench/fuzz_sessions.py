@@ -36,7 +36,7 @@ from fieldlum.merge.stage import _MergeJob as MergeJob
 from fieldlum.merge.stage import merge_slot
 from fieldlum.optics.profiles import load_camera_profile
 from fieldlum.optics.raw import write_dng
-from fieldlum.room.scene import window_fraction
+from fieldlum.room.scene import sun_patches
 from fieldlum.session import Session, create_session, open_session
 from fieldlum.session.files.capture_json import CaptureFile, Frame, frame_fields
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
@@ -237,7 +237,7 @@ def _devices(session: Session) -> None:
 def _room(session: Session) -> None:
     room = session.site_file().room
     if room is not None:
-        window_fraction(room, None, 8, 180.0)
+        sun_patches(room, [[0.0, -0.7, 0.7]], 1.0, height=8, heading_deg=180.0)
 
 
 def _merge(session: Session) -> None:

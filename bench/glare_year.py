@@ -62,7 +62,6 @@ def main() -> None:
     if site is not None:
         patch = sun_patches(
             site,
-            data.setup,
             light.shown_sun_direction,
             light.direct_lx,
             height=height,

@@ -102,7 +102,7 @@ def main() -> None:
     names = asked.names.split(",") if asked.names else ["none", *wrong.names, "all"]
     rows: list[dict[str, Any]] = []
     for seed in map(int, asked.seeds.split(",")):
-        some = wrong.seeded(100 * seed)
+        some = seeded(wrong, 100 * seed)
         for name in names:
             if name == "none" and rows:  # it has no seed
                 continue
@@ -116,14 +116,20 @@ def main() -> None:
     print(markdown(_table(rows), COLUMNS))
 
 
+def seeded(troubles: Troubles, seed: int) -> Troubles:
+    """Return the troubles with `seed` added to the seed of each."""
+    some = ((name, getattr(troubles, name)) for name in troubles.names)
+    return replace(troubles, **{name: replace(one, seed=one.seed + seed) for name, one in some})
+
+
 def _chosen(every: Troubles, name: str) -> Troubles | None:
     """Return the troubles of a row: none, all, all without one, or one."""
     if name in ("none", "all"):
         return every if name == "all" else None
     if name.startswith("without-"):
         left_out = name.removeprefix("without-")
-        return replace(every, **{every.only(left_out).names[0]: None})
-    return every.only(name)
+        return replace(every, **{left_out: None})
+    return Troubles(**{name: getattr(every, name)})
 
 
 def _table(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -196,7 +202,7 @@ def _tests(asked: argparse.Namespace, wrong: Troubles) -> _Tests:
         Slot(t, float(a), float(z), ())
         for t, a, z in zip(every, at.altitude_deg, at.azimuth_deg, strict=True)
     ]
-    turned = wrong.only("north") if "north" in wrong.names else None
+    turned = Troubles(north=wrong.north) if wrong.north else None
     return _Tests(
         _campaign(asked, asked.folder / "test", hours, None),
         _campaign(asked, asked.folder / "year", year, None),

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from hard_campaign import seeded
 from numpy.typing import NDArray
 from scene_generators import GLASS, ROOMS
 from scene_truth import CameraRays, build_truth, cast, pictures, within
@@ -272,7 +273,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0, help="added to the seeds of the troubles")
     wanted = parser.parse_args()
     troubles = Troubles() if wanted.troubles is None else load_troubles(wanted.troubles)
-    troubles = replace(troubles.seeded(100 * wanted.seed), north=None)
+    troubles = replace(seeded(troubles, 100 * wanted.seed), north=None)
     wanted.out.mkdir(parents=True, exist_ok=True)
     for name in wanted.names or ROOMS:
         render(name, wanted.out, wanted.height, wanted.tests, wanted.set, troubles)

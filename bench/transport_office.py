@@ -88,7 +88,6 @@ def told(data: Dataset, mode: str) -> Dataset:
         light = data.light
         made = sun_patches(
             TAPE,
-            SETUP,
             light.shown_sun_direction,
             light.direct_lx,
             height=data.shape[0],

@@ -155,7 +155,8 @@ def room_of(path: Path) -> Room:
 def traced(path: Path) -> np.ndarray:
     from fieldlum.room import scene
 
-    return scene.window_fraction(room_of(path), None, 8, 180.0)
+    sun = np.array([[0.0, -0.7, 0.7]])
+    return scene.sun_patches(room_of(path), sun, 1.0, height=8, heading_deg=180.0).luminance_cdm2
 
 
 @pytest.mark.parametrize(
@@ -199,7 +200,7 @@ def test_an_octree_and_a_scene_that_loads_one_need_a_permission(tmp_path: Path) 
 
 def test_a_room_without_commands_needs_no_permission(tmp_path: Path) -> None:
     (tmp_path / "room.rad").write_text(INERT)
-    assert traced(tmp_path / "room.rad").shape == (8, 16)
+    assert traced(tmp_path / "room.rad").shape == (1, 8, 16)
 
 
 def test_a_permitted_room_asks_again_after_an_edit_of_a_nested_file(tmp_path: Path) -> None:

@@ -19,7 +19,6 @@ from fieldlum.sky.light import (
     greedy_hours,
     light_at,
     light_features,
-    one_facade,
 )
 
 
@@ -34,6 +33,12 @@ def some_light(count: int = 40, seed: int = 1) -> Light:
 
 
 LIGHT = some_light()
+
+
+def one_facade(azimuth_deg: float) -> Facades:
+    return Facades(np.array([azimuth_deg % 360.0]), np.ones(1))
+
+
 KERNELS = [Kernel(one_facade(180)), Kernel(facades_unknown())]
 
 

@@ -85,7 +85,7 @@ def test_patch_on_the_floor_by_hand() -> None:
     (outer lintel).
     """
     made = scene.sun_patches(
-        BARE, None, sun.direction(45.0, 180.0)[None], [10000.0], height=180, heading_deg=180.0
+        BARE, sun.direction(45.0, 180.0)[None], [10000.0], height=180, heading_deg=180.0
     )
     through, _ = geometry.glass_optics(0.88, np.cos(np.radians(45.0)))
     expected = 10000.0 * float(through) * np.sin(np.radians(45.0)) * 0.2 / np.pi
@@ -133,9 +133,7 @@ def test_patches_authority_rtrace(room: Room) -> None:
     pixel, rays = view.pixel_rays(height, heading, view.patch_rays(height))
     for altitude, turn in ((45.0, 0.0), (20.0, 35.0), (35.0, 90.0), (15.0, -120.0)):
         toward = sun.direction(altitude, heading + turn)
-        made = scene.sun_patches(
-            room, None, toward[None], [179.0], height=height, heading_deg=heading
-        )
+        made = scene.sun_patches(room, toward[None], [179.0], height=height, heading_deg=heading)
         with radiance.octree(text, radiance.sun_text(built.to_room(toward))) as octree:
             seen = radiance.trace(octree, np.array(built.camera_m), built.to_room(rays), ["-dv-"])
         truth = radiance._pixel_mean(pixel, seen, height) * RADIANCE_LM_PER_W
@@ -155,7 +153,7 @@ def test_window_fraction_authority_rtrace(room: Room) -> None:
     with radiance.octree(radiance.rad_text(built), radiance.SKY_TEXT) as octree:
         seen = radiance.trace(octree, np.array(built.camera_m), built.to_room(rays))
     truth = radiance._pixel_mean(pixel, seen, height)
-    found = scene.window_fraction(room, None, height, heading)
+    found = scene.look(room, height, heading).sky
     assert found.max() > 0.6
     assert np.abs(found - truth).max() < 0.12 and np.abs(found - truth).mean() < 2e-4
 
@@ -167,7 +165,9 @@ def test_disc_is_seen_through_glass_and_hidden_by_frames() -> None:
     """
     assert OFFICE.room is not None
     suns = sun.direction([20.0, 20.0, 60.0, 20.0, -5.0], [190.0, 180.0, 180.0, 0.0, 190.0])
-    made = scene.sun_patches(OFFICE.room, OFFICE, suns, 50000.0, height=20)
+    made = scene.sun_patches(
+        OFFICE.room, suns, 50000.0, heading_deg=OFFICE.camera.heading_deg, height=20
+    )
     assert made.visible_fraction.tolist() == [1.0, 0.0, 0.0, 0.0, 0.0]
     through = float(geometry.glass_optics(0.88, np.cos(np.radians(20)) * np.cos(np.radians(10)))[0])
     assert made.disc_lx[0] == pytest.approx(50000 * through, rel=1e-6)
@@ -177,7 +177,7 @@ def test_disc_is_seen_through_glass_and_hidden_by_frames() -> None:
 def test_a_bar_narrower_than_the_disc_hides_part_of_it() -> None:
     thin = replace(BARE, window=(replace(BARE.window[0], panes=2, frame_m=0.01),))
     made = scene.sun_patches(
-        thin, None, sun.direction([15.0], [180.0]), 1.0, height=10, heading_deg=180.0
+        thin, sun.direction([15.0], [180.0]), 1.0, height=10, heading_deg=180.0
     )
     assert 0.1 < made.visible_fraction[0] < 0.9  # 1 cm against 2.4 cm of disc at 2.6 m
 
@@ -188,12 +188,11 @@ def test_a_bar_narrower_than_the_disc_hides_part_of_it() -> None:
 def test_turning_the_world_turns_nothing(altitude: float, turn: float, north: float) -> None:
     """A room, its camera and the sun turned together give the same picture."""
     base = scene.sun_patches(
-        BARE, None, sun.direction(altitude, 180 + turn)[None], 1e4, height=16, heading_deg=180
+        BARE, sun.direction(altitude, 180 + turn)[None], 1e4, height=16, heading_deg=180
     )
     turned = replace(BARE, wall_azimuth_deg=(180 + north) % 360)
     other = scene.sun_patches(
         turned,
-        None,
         sun.direction(altitude, 180 + turn + north)[None],
         1e4,
         height=16,
@@ -210,7 +209,7 @@ def test_turning_the_world_turns_nothing(altitude: float, turn: float, north: fl
 def test_mirror_symmetry() -> None:
     """A symmetric room, the sun mirrored east-west, gives the mirrored picture."""
     suns = sun.direction([30.0, 30.0], [150.0, 210.0])
-    made = scene.sun_patches(BARE, None, suns, 1e4, height=30, heading_deg=180.0).luminance_cdm2
+    made = scene.sun_patches(BARE, suns, 1e4, height=30, heading_deg=180.0).luminance_cdm2
     assert made[0] == pytest.approx(made[1][:, ::-1], abs=0.15 * float(made.max()))
     assert made[0].sum() == pytest.approx(made[1].sum(), rel=5e-3)
 
@@ -220,15 +219,13 @@ def test_mirror_symmetry() -> None:
 def test_streaming_equals_all_at_once() -> None:
     suns = sun.direction(np.linspace(5, 60, 7), np.linspace(120, 240, 7))
     lx = np.linspace(0, 6e4, 7)
-    whole = scene.sun_patches(CORNER, None, suns, lx, height=12, heading_deg=150.0)
-    parts = list(
-        scene.iter_sun_patches(CORNER, None, suns, lx, height=12, heading_deg=150.0, chunk=3)
-    )
+    whole = scene.sun_patches(CORNER, suns, lx, height=12, heading_deg=150.0)
+    parts = list(scene.iter_sun_patches(CORNER, suns, lx, height=12, heading_deg=150.0, chunk=3))
     assert [len(p) for p in parts] == [3, 3, 1]
     assert np.array_equal(np.concatenate([p.luminance_cdm2 for p in parts]), whole.luminance_cdm2)
     assert whole.luminance_cdm2[0].max() == 0
     for k in range(7):  # pair computes the slots that lack a patch, whichever they are
-        alone = scene.sun_patches(CORNER, None, suns[k], lx[k], height=12, heading_deg=150.0)
+        alone = scene.sun_patches(CORNER, suns[k], lx[k], height=12, heading_deg=150.0)
         assert np.array_equal(alone.luminance_cdm2[0], whole.luminance_cdm2[k])
         assert alone.disc_lx[0] == whole.disc_lx[k]
 
@@ -240,7 +237,7 @@ def test_a_pixel_at_a_patchs_edge_has_its_lit_share() -> None:
     """
     height, eye_m = 60, np.array([2.0, 2.5, 1.5])
     suns, lx = sun.direction(45.0, 180.0)[None], [10000.0]
-    made = scene.sun_patches(BARE, None, suns, lx, height=height, heading_deg=180.0)
+    made = scene.sun_patches(BARE, suns, lx, height=height, heading_deg=180.0)
     edge = np.arctan2(eye_m[2], eye_m[1] - 2.25) / np.pi + 0.5  # of the picture's height
     row, column = int(edge * height), height
     z = np.cos(np.pi * np.array((row, edge * height, row + 1)) / height)
@@ -262,53 +259,12 @@ def test_default_rays_give_the_area_in_the_sun() -> None:
     suns, lx = sun.direction([40.0, 25.0, 55.0], [190.0, 160.0, 205.0]), [1e4, 1e4, 1e4]
 
     def patches(sub: int | None) -> Floats32:
-        made = scene.sun_patches(BARE, None, suns, lx, height=60, heading_deg=180.0, sub=sub)
+        made = scene.sun_patches(BARE, suns, lx, height=60, heading_deg=180.0, sub=sub)
         return np.log10(10.0 + made.luminance_cdm2)
 
     exact = patches(24)
     default, coarse = (float(((patches(sub) - exact) ** 2).mean()) for sub in (None, 3))
     assert default < coarse / 6.0
-
-
-@pytest.mark.analytic
-@pytest.mark.parametrize(
-    ("lit_rays", "expected"),
-    [
-        (slice(0, 9), [0, 3, 4, 5, 15]),  # 4.5 pixels; the seam is an edge too
-        (slice(8, 12), [3, 4, 5, 6]),  # 2 whole pixels: their neighbours differ from them
-        (slice(0, 32), []),
-        (slice(0, 0), []),
-    ],
-)
-def test_uneven_pixels_are_those_at_an_edge(lit_rays: slice, expected: list[int]) -> None:
-    height, sub = 8, 2
-    pixel, _ = view.pixel_rays(height, 0.0, sub)
-    light = np.zeros((height * sub, 2 * height * sub))
-    light[:, lit_rays] = 100.0
-    uneven = radiance.uneven_pixels(pixel, light.ravel(), height)
-    assert (uneven == uneven[0]).all()
-    assert np.flatnonzero(uneven[0]).tolist() == expected
-
-
-@pytest.mark.authority
-def test_a_traced_room_misses_no_edge_between_pixels(tmp_path: Path) -> None:
-    """Vertical edges at 16 places across a pixel, against all rays in every pixel."""
-    built = geometry.build(BARE)
-    path = tmp_path / "room.rad"
-    path.write_text(radiance.rad_text(built))
-    room = Room(kind="radiance", file=str(path), viewpoint_m=built.camera_m)
-    height, toward = 30, sun.direction(20.0, 135.0)
-    more = view.patch_rays(height)
-    for k in range(16):
-        heading = 180.0 + k * 180.0 / height / 16.0
-        suns = {"height": height, "heading_deg": heading}
-        made = scene.sun_patches(room, None, toward[None], [1e4], **suns).luminance_cdm2[0]
-        pixel, rays = view.pixel_rays(height, heading, more)
-        with radiance.octree(radiance.rad_text(built), radiance.sun_text(toward)) as lit:
-            values = radiance.trace(lit, np.array(built.camera_m), rays, ["-dv-"])
-        exact = radiance._pixel_mean(pixel, values, height) * 1e4
-        off = np.abs(made - exact) > 0.02 * exact.max()
-        assert not off.any(), heading
 
 
 @pytest.mark.authority
@@ -321,14 +277,12 @@ def test_a_room_from_a_file_agrees_with_the_box(tmp_path: Path) -> None:
     path.write_text(radiance.rad_text(built))
     room = Room(kind="radiance", file=str(path), viewpoint_m=built.camera_m)
     suns = sun.direction([40.0, 12.0], [200.0, 183.0])
-    a = scene.sun_patches(BARE, None, suns, [1e4, 2e4], height=20, heading_deg=180.0)
-    b = scene.sun_patches(room, None, suns, [1e4, 2e4], height=20, heading_deg=180.0)
+    a = scene.sun_patches(BARE, suns, [1e4, 2e4], height=20, heading_deg=180.0)
+    b = scene.sun_patches(room, suns, [1e4, 2e4], height=20, heading_deg=180.0)
     assert b.luminance_cdm2.sum() == pytest.approx(a.luminance_cdm2.sum(), rel=5e-3)
     off = np.abs(b.luminance_cdm2 - a.luminance_cdm2) > 0.02 * a.luminance_cdm2.max()
     assert off.mean() < 1e-3  # edges are traced as finely in both
     assert b.disc_lx == pytest.approx(a.disc_lx, rel=5e-3)
-    share = scene.window_fraction(room, None, 20, 180.0)
-    assert np.abs(share - scene.window_fraction(BARE, None, 20, 180.0)).mean() < 1e-3
 
 
 @pytest.mark.contract
@@ -350,7 +304,7 @@ def test_a_room_from_a_file_agrees_with_the_box(tmp_path: Path) -> None:
 def test_impossible_rooms_are_named(change: dict, expected: str) -> None:
     with pytest.raises(InputError, match=expected):
         scene.sun_patches(
-            replace(BARE, **change), None, [[0, -0.7, 0.7]], 1.0, height=8, heading_deg=180.0
+            replace(BARE, **change), [[0, -0.7, 0.7]], 1.0, height=8, heading_deg=180.0
         )
 
 
@@ -369,8 +323,10 @@ def test_a_broken_radiance_file_is_named(tmp_path: Path) -> None:
     path.write_text("void plastic oops\n0\n0\n5 .5 .5\nnothing polygon\n")
     room = Room(kind="radiance", file=str(path), viewpoint_m=(1.0, 1.0, 1.0))
     with pytest.raises(InputError, match=r"bad\.rad"):
-        scene.window_fraction(room, None, 8, 180.0)
+        scene.sun_patches(room, [[0, -0.7, 0.7]], 1.0, height=8, heading_deg=180.0)
     octree = tmp_path / "bad.oct"
     octree.write_bytes(path.read_bytes())
     with pytest.raises(InputError, match=r"bad\.oct: no header of a Radiance octree"):
-        scene.window_fraction(replace(room, file=str(octree)), None, 8, 180.0)
+        scene.sun_patches(
+            replace(room, file=str(octree)), [[0, -0.7, 0.7]], 1.0, height=8, heading_deg=180.0
+        )

@@ -71,8 +71,8 @@ def test_the_renderer_agrees_with_the_exact_one(wall: str) -> None:
     )
     azimuth = {"south": 180.0, "west": 270.0, "north": 0.0, "east": 90.0}[wall]
     suns = sun.direction(np.array([35.0, 20.0, 50.0]), azimuth + np.array([0.0, 25.0, -30.0]))
-    setup = SiteFile(SITE, CameraSetup(heading_deg=180.0), furnished)
-    exact = sun_patches(furnished, setup, suns, 1e5, height=HEIGHT, heading_deg=180.0, sub=SUB)
+    SiteFile(SITE, CameraSetup(heading_deg=180.0), furnished)
+    exact = sun_patches(furnished, suns, 1e5, height=HEIGHT, heading_deg=180.0, sub=SUB)
     guess = guess_of(furnished)
     from fieldlum.room.scene.view import pixel_rays
 
@@ -280,7 +280,7 @@ def test_no_solid_is_searched_to_the_place_of_the_camera(evidence: SceneEvidence
     objective = SceneCost(evidence, free, room_parameters(free), albedo, 0.0)
     assert objective(inside) == np.inf > objective(free)
     with pytest.raises(InputError, match="camera is inside"):
-        sun_patches(room_of(inside, ROOM), None, [[0.0, -1.0, 0.5]], [1.0], height=8, heading_deg=0)
+        sun_patches(room_of(inside, ROOM), [[0.0, -1.0, 0.5]], [1.0], height=8, heading_deg=0)
 
 
 @pytest.mark.analytic

@@ -51,7 +51,7 @@ HEIGHT = 12
 
 def _patch_of(light: Light) -> NDArray[np.float32]:
     suns, lx = light.shown_sun_direction, light.direct_lx
-    return scene.sun_patches(ROOM, None, suns, lx, height=HEIGHT, heading_deg=180.0).luminance_cdm2
+    return scene.sun_patches(ROOM, suns, lx, height=HEIGHT, heading_deg=180.0).luminance_cdm2
 
 
 def _light_in_room(light: Light) -> NDArray[np.float32]:

@@ -37,7 +37,13 @@ HEIGHT = 30
 def with_patches(data: Dataset) -> Dataset:
     """Patches for the sun that is believed in."""
     light = data.light
-    made = sun_patches(ROOM, SETUP, light.shown_sun_direction, light.direct_lx, height=HEIGHT)
+    made = sun_patches(
+        ROOM,
+        light.shown_sun_direction,
+        light.direct_lx,
+        heading_deg=SETUP.camera.heading_deg,
+        height=HEIGHT,
+    )
     return replace(data, patch_cdm2=made.luminance_cdm2)
 
 
@@ -145,7 +151,9 @@ def test_a_clock_that_differs_between_days_is_corrected(sub: int) -> None:
 
 def patches_of_rays(light: Light, sub: int) -> Floats32:
     suns, lx = light.shown_sun_direction, light.direct_lx
-    return sun_patches(ROOM, SETUP, suns, lx, height=HEIGHT, sub=sub).luminance_cdm2
+    return sun_patches(
+        ROOM, suns, lx, heading_deg=SETUP.camera.heading_deg, height=HEIGHT, sub=sub
+    ).luminance_cdm2
 
 
 @pytest.mark.slow
@@ -246,7 +254,13 @@ def test_a_room_wrong_by_a_tape_measure_makes_no_alarm_of_north(measure: str) ->
     }[measure]
     data = captured()
     light = data.light
-    made = sun_patches(wrong, SETUP, light.shown_sun_direction, light.direct_lx, height=HEIGHT)
+    made = sun_patches(
+        wrong,
+        light.shown_sun_direction,
+        light.direct_lx,
+        heading_deg=SETUP.camera.heading_deg,
+        height=HEIGHT,
+    )
     told = replace(data, patch_cdm2=made.luminance_cdm2, setup=replace(SETUP, room=wrong))
     found = found_in(told)
     assert not {"north_deg", "clock_min", "wall_azimuth_deg"} & set(found.off)

@@ -96,7 +96,7 @@ def trace_patches(root: Path, argument: tuple[Sequence[_Patch], tuple[int, float
     suns = sun.direction([p.altitude_deg for p in job], [p.azimuth_deg for p in job])
     full_normal_lx = np.array([p.full_normal_lx for p in job])
     shape = {"height": height, "heading_deg": heading_deg}
-    parts = iter_sun_patches(setup.room, setup, suns, full_normal_lx, **shape)
+    parts = iter_sun_patches(setup.room, suns, full_normal_lx, **shape)
     pictures = (picture for part in parts for picture in part.luminance_cdm2)
     for patch, picture in zip(job, pictures, strict=True):
         with replacing_path(session.sunpatch(patch.slot)) as path:

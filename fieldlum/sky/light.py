@@ -165,11 +165,6 @@ class Facades:
         return sun.direction(0.0, self.azimuths_deg)
 
 
-def one_facade(azimuth_deg: float) -> Facades:
-    """Return one facade of weight 1; azimuth_deg: of its outward normal, clockwise from north."""
-    return Facades(np.array([azimuth_deg % 360.0]), np.ones(1))
-
-
 def facades_unknown() -> Facades:
     """Return eight facades, one every 45 degrees, of weight 0.25 each, for an unknown room."""
     return Facades(np.linspace(0.0, 315.0, 8), np.full(8, 0.25))

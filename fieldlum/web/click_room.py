@@ -183,9 +183,7 @@ def _patches(room: Room, picture: ClickedPicture) -> list[list[float]]:
         return []
     toward = direction(altitude, azimuth)[None]
     heading = picture.grid.heading_deg
-    patches = sun_patches(
-        room, None, toward, 1.0, height=_PATCH_HEIGHT_PX, heading_deg=heading, sub=1
-    )
+    patches = sun_patches(room, toward, 1.0, height=_PATCH_HEIGHT_PX, heading_deg=heading, sub=1)
     light = patches.luminance_cdm2[0]  # [H, W]
     lit = light > _LEAST_PATCH * max(float(light.max()), 1e-12)
     mask = np.ascontiguousarray(lit.astype(np.uint8))

@@ -96,7 +96,6 @@ def _patches(data: Dataset, light: Light) -> Floats32 | None:
     assert data.setup.room is not None
     return sun_patches(
         data.setup.room,
-        data.setup,
         light.shown_sun_direction,
         light.direct_lx,
         height=data.shape[0],

@@ -174,27 +174,11 @@ def build(room: Room, where: str = "[room]") -> BoxScene:
     outside the room or inside an obstruction, a reflectance below 0 or not below 1, a
     transmittance not above 0 or over 0.92, or no pane.
     """
-    if room.kind != "box":
-        raise InputError(
-            where, f"kind '{room.kind}'", "kind 'box'", "describe the room as a box in [room]"
-        )
     size = np.array([room.width_m, room.depth_m, room.height_m])
     eye = np.array([room.camera_x_m, room.camera_y_m, room.camera_z_m])
-    if not (size > 0).all() or room.wall_thickness_m <= 0:
-        raise InputError(
-            where,
-            "a size of zero or less",
-            "width, depth, height and wall thickness above 0",
-            "correct the sizes",
-        )
-    if not ((eye > 0) & (eye < size)).all():
-        raise InputError(
-            where,
-            f"the camera at {tuple(eye.tolist())} m is outside the room",
-            f"x, y, z between 0 and {tuple(size.tolist())} m, the room's size",
-            "correct camera_x_m, camera_y_m or camera_z_m",
-        )
-    _check_values(room, where)
+    for wrong, place, found, expected in _faults(room, size, eye):
+        if wrong:
+            raise InputError(f"{where}{place}", found, expected, "correct the [room] of the site")
     openings = tuple(_opening(room, window, where) for window in room.window)
     _check_overlap(openings, where)
     t = room.wall_thickness_m
@@ -209,24 +193,9 @@ def build(room: Room, where: str = "[room]") -> BoxScene:
             for box in _frame(room, window, o)
         ),
     ]
-    for k, o in enumerate(room.obstruction, start=1):
-        corner = (o.x_m, o.y_m, o.z_m)
+    for o in room.obstruction:
         far = (o.x_m + o.width_m, o.y_m + o.depth_m, o.z_m + o.height_m)
-        if min(o.width_m, o.depth_m, o.height_m) <= 0:
-            raise InputError(
-                f"{where} obstruction {k}",
-                "a size of zero or less",
-                "width, depth and height above 0",
-                "correct the sizes",
-            )
-        if all(a < e < b for a, e, b in zip(corner, eye, far, strict=True)):
-            raise InputError(
-                f"{where} obstruction {k}",
-                "the camera is inside it",
-                "a camera outside of all obstructions",
-                "correct the obstruction or the camera",
-            )
-        boxes.append(Box(corner, far, o.reflectance, "obstruction"))
+        boxes.append(Box((o.x_m, o.y_m, o.z_m), far, o.reflectance, "obstruction"))
     r = GROUND_REACH_M
     ground = Box(
         (-r, -r, -1.0),
@@ -239,29 +208,31 @@ def build(room: Room, where: str = "[room]") -> BoxScene:
     )
 
 
-def _check_values(room: Room, where: str) -> None:
+def _faults(room: Room, size: Floats, eye: Floats) -> Iterator[tuple[bool, str, str, str]]:
+    """Yield what could be wrong in a room: whether it is, the place, what was found and expected.
+
+    size: width, depth, height; eye: x, y, z of the camera, m.
+    """
+    yield room.kind != "box", "", f"kind '{room.kind}'", "kind 'box'"
+    flat = not (size > 0).all() or room.wall_thickness_m <= 0
+    yield flat, "", "a size of zero or less", "width, depth, height and wall thickness above 0"
+    inside = bool(((eye > 0) & (eye < size)).all())
+    found = f"the camera at {tuple(eye.tolist())} m is outside the room"
+    yield not inside, "", found, f"x, y, z between 0 and {tuple(size.tolist())} m, the room's size"
     for name in ("walls", "ceiling", "floor", "ground", "frame"):
         value = getattr(room, f"reflectance_{name}")
-        if not 0 <= value < 1:
-            raise InputError(
-                where, f"reflectance_{name} = {value:g}", "0 to below 1", "correct the value"
-            )
+        yield not 0 <= value < 1, "", f"reflectance_{name} = {value:g}", "0 to below 1"
     for k, o in enumerate(room.obstruction, start=1):
-        if not 0 <= o.reflectance < 1:
-            raise InputError(
-                f"{where} obstruction {k}",
-                f"reflectance = {o.reflectance:g}",
-                "0 to below 1",
-                "correct the value",
-            )
+        at, wide = np.array([o.x_m, o.y_m, o.z_m]), np.array([o.width_m, o.depth_m, o.height_m])
+        place, r = f" obstruction {k}", o.reflectance
+        yield not 0 <= r < 1, place, f"reflectance = {r:g}", "0 to below 1"
+        yield bool((wide <= 0).any()), place, "a size of zero or less", "sizes above 0"
+        within = bool(((at < eye) & (eye < at + wide)).all())
+        yield within, place, "the camera is inside it", "a camera outside of all obstructions"
     for k, w in enumerate(room.window, start=1):
-        if not 0 < w.transmittance <= 0.92 or w.panes < 1:
-            raise InputError(
-                f"{where} window {k}",
-                f"transmittance {w.transmittance:g}, panes {w.panes}",
-                "transmittance above 0 up to .92 (clear float glass), panes 1 or more",
-                "correct the window",
-            )
+        found = f"transmittance {w.transmittance:g}, panes {w.panes}"
+        expected = "transmittance above 0 up to .92 (clear float glass), panes 1 or more"
+        yield not 0 < w.transmittance <= 0.92 or w.panes < 1, f" window {k}", found, expected
 
 
 def wall_named(wall: str, wall_azimuth_deg: float) -> str:

@@ -14,22 +14,21 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fieldlum.core.arrays import Floats, Floats32, Mask
-from fieldlum.core.records import Progress, Room, SiteFile, quiet
+from fieldlum.core.records import Progress, Room, quiet
 from fieldlum.room.scene.geometry import BoxScene, Opening, glass_optics
 from fieldlum.room.scene.points import SunPoints
 from fieldlum.room.scene.sun_disc import SunPatches, disc_rays
 from fieldlum.room.scene.trace import blocked_rays
-from fieldlum.room.scene.view import WINDOW_RAYS, look, patch_rays
+from fieldlum.room.scene.view import look, patch_rays
 
 
 def iter_sun_patches(
     room: Room,
-    setup: SiteFile | None,
     sun_direction: ArrayLike,
     normal_illuminance_lx: ArrayLike,
     *,
     height: int,
-    heading_deg: float | None = None,
+    heading_deg: float,
     chunk: int = 64,
     sub: int | None = None,
     progress: Progress = quiet,
@@ -40,17 +39,22 @@ def iter_sun_patches(
     outside on a plane normal to it. height : rows of the maps; chunk : hours in each result; sub :
     rays of a pixel in each direction, by default as many as `patch_rays` gives.
     """
-    heading = _heading(setup, heading_deg)
     suns = np.atleast_2d(np.asarray(sun_direction, float))
     normal = np.broadcast_to(np.asarray(normal_illuminance_lx, float), len(suns))
     if room.kind != "box":
         from fieldlum.room.scene.radiance import iter_traced
 
         yield from iter_traced(
-            room, suns, normal, height=height, heading_deg=heading, chunk=chunk, progress=progress
+            room,
+            suns,
+            normal,
+            height=height,
+            heading_deg=heading_deg,
+            chunk=chunk,
+            progress=progress,
         )
         return
-    points = _sun_points(room, height, heading, sub or patch_rays(height))
+    points = _sun_points(room, height, heading_deg, sub or patch_rays(height))
     toward = points.scene.to_room(suns)
     visible, through = disc_visibility(points.scene, toward)
     with ThreadPoolExecutor(min(os.cpu_count() or 1, 8)) as pool:
@@ -78,12 +82,11 @@ def _sun_points(room: Room, height: int, heading_deg: float, sub: int) -> SunPoi
 
 def sun_patches(
     room: Room,
-    setup: SiteFile | None,
     sun_direction: ArrayLike,
     normal_illuminance_lx: ArrayLike,
     *,
     height: int,
-    heading_deg: float | None = None,
+    heading_deg: float,
     sub: int | None = None,
     progress: Progress = quiet,
 ) -> SunPatches:
@@ -93,12 +96,11 @@ def sun_patches(
     : [n] of the sun outside, on a plane normal to it. A box room is traced exactly (hard shadows,
     sub x sub rays for each pixel, by default as many as `patch_rays` gives, one mirror image in
     the panes); a room of kind "radiance" is traced by rtrace, and `sub` does not count.
-    heading_deg : by default the setup's. Raises InputError for an impossible room.
+    heading_deg : azimuth of the centre column. Raises InputError for an impossible room.
     """
     parts = list(
         iter_sun_patches(
             room,
-            setup,
             sun_direction,
             normal_illuminance_lx,
             height=height,
@@ -113,30 +115,6 @@ def sun_patches(
     return SunPatches(
         *(np.concatenate([getattr(p, f) for p in parts]) for f in SunPatches.__dataclass_fields__)
     )
-
-
-def window_fraction(
-    room: Room, setup: SiteFile | None, height: int, heading_deg: float | None = None
-) -> Floats32:
-    """Return the share of each pixel that sees the sky, times the transmittance there, [H, W].
-
-    Multiplied by the sky's luminance in the pixel's direction, this is the luminance that the pixel
-    receives directly from the sky.
-    """
-    heading = _heading(setup, heading_deg)
-    if room.kind != "box":
-        from fieldlum.room.scene.radiance import traced_window_fraction
-
-        return traced_window_fraction(room, height, heading)
-    return look(room, height, heading, WINDOW_RAYS).sky
-
-
-def _heading(setup: SiteFile | None, heading_deg: float | None) -> float:
-    if heading_deg is not None:
-        return heading_deg
-    if setup is None:
-        raise ValueError("heading_deg or a setup is needed")
-    return setup.camera.heading_deg
 
 
 # ----------------------------------------------------------------------------------------------

@@ -10,19 +10,17 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter, minimum_filter
 
-from fieldlum.core.arrays import Floats, Floats32, Mask
+from fieldlum.core.arrays import Floats, Floats32
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Progress, Room, quiet
 from fieldlum.optics.images import RADIANCE_LM_PER_W, RADIANCE_Y
 from fieldlum.room.scene.geometry import BoxScene, transmissivity
 from fieldlum.room.scene.room_commands import require_permitted
 from fieldlum.room.scene.sun_disc import SUN_RADIUS_DEG, SunPatches, disc_rays
-from fieldlum.room.scene.view import LEAST_RAYS, WINDOW_RAYS, patch_rays, pixel_rays
+from fieldlum.room.scene.view import patch_rays, pixel_rays
 
 SUN_SR = 2 * np.pi * (1 - np.cos(np.radians(SUN_RADIUS_DEG)))
-_EVEN = 0.02  # range of rays' light, as a share of the brightest ray; chosen
 # As oconv writes it after its command lines; the octree's own data follow.
 _OCTREE_FORMAT = b"FORMAT=Radiance_octree"
 _HEADER_BYTES = 1 << 16  # chosen: long command lines of oconv have some thousand
@@ -258,15 +256,11 @@ def iter_traced(
     """Yield sun patches of a room of kind "radiance", traced by rtrace -ab 0 hour by hour.
 
     suns : [n, 3] unit vectors in world axes (x east, y north); normal_lx : [n], lx on a plane
-    normal to the sun; chunk : hours in each result. All pixels have half of the rays of
-    `patch_rays` in each direction; `uneven_pixels` are traced again with all. What is narrower than
-    the first rays are apart can be missed. Raises InputError for a missing or invalid room file,
-    and for a viewpoint_m without three numbers.
+    normal to the sun; chunk : hours in each result. Pixels have the rays of `patch_rays`. Raises
+    InputError for a missing or invalid room file, and for a viewpoint_m without three numbers.
     """
-    more = patch_rays(height)
-    few = max(LEAST_RAYS, (more + 1) // 2)
-    eye, (pixel, rays) = _viewpoint(room), pixel_rays(height, heading_deg, few)
-    fine = pixel_rays(height, heading_deg, more) if more > few else None
+    eye = _viewpoint(room)
+    pixel, rays = pixel_rays(height, heading_deg, patch_rays(height))
     with _room_octree(room) as base:
         for start in range(0, len(suns), chunk):
             rows = range(start, min(start + chunk, len(suns)))
@@ -279,12 +273,6 @@ def iter_traced(
                 with octree(sun_text(suns[hour]), base=base) as lit:
                     values = trace(lit, eye, rays, ["-dv-"])
                     maps[k] = _pixel_mean(pixel, values, height) * normal_lx[hour]
-                    if fine is not None:
-                        uneven = uneven_pixels(pixel, values, height).ravel()
-                        chosen = np.flatnonzero(uneven[fine[0]])
-                        values = trace(lit, eye, fine[1][chosen], ["-dv-"])
-                        exact = _pixel_mean(fine[0][chosen], values, height) * normal_lx[hour]
-                        maps[k].flat[uneven] = exact.flat[uneven]
                     disc = trace(lit, eye, disc_rays(suns[hour])) * SUN_SR
                 passed = disc > 1e-3
                 visible[k] = passed.mean()
@@ -310,31 +298,3 @@ def _pixel_mean(pixel: NDArray[np.int32], values: Floats, height: int) -> Floats
     count = 2 * height**2
     total = np.bincount(pixel, values, count) / np.maximum(np.bincount(pixel, minlength=count), 1)
     return total.reshape(height, 2 * height).astype(np.float32)
-
-
-def uneven_pixels(pixel: NDArray[np.int32], values: Floats, height: int) -> Mask:
-    """Return the pixels whose rays and their neighbours' rays differ by over 2 %, [H, W].
-
-    pixel: index of each ray's pixel [r]; values: light of each ray [r]. The panorama has `height`
-    rows, and its first and last column are neighbours. A pixel in the dark middle of dark ones, or
-    in the middle of a patch, is even.
-    """
-    least, most = np.full(2 * height**2, np.inf), np.full(2 * height**2, -np.inf)
-    np.minimum.at(least, pixel, values)
-    np.maximum.at(most, pixel, values)
-    low, high = (
-        np.pad(v.reshape(height, -1), ((0, 0), (1, 1)), mode="wrap") for v in (least, most)
-    )
-    low, high = minimum_filter(low, 3), maximum_filter(high, 3)
-    return np.asarray((high - low > _EVEN * high)[:, 1:-1], bool)
-
-
-def traced_window_fraction(room: Room, height: int, heading_deg: float) -> Floats32:
-    """Return the share of each pixel that sees the sky, times the glass, [H, W].
-
-    The room is traced under a sky of radiance one; everything else is dark.
-    """
-    eye, (pixel, rays) = _viewpoint(room), pixel_rays(height, heading_deg, WINDOW_RAYS)
-    with _room_octree(room) as base, octree(SKY_TEXT, base=base) as lit:
-        # Ambient light is off and the sky is a glow without reach: only direct view counts.
-        return _pixel_mean(pixel, trace(lit, eye, rays), height)

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import fields, replace
-
-from fieldlum.core.records import Obstruction, Room, Window
+from fieldlum.core.records import Room
 
 _ROOM_LENGTHS = ("camera_x_m", "camera_y_m", "camera_z_m")
 _WINDOW_LENGTHS = ("left_m", "width_m", "sill_m", "height_m", "transom_m")
@@ -25,26 +22,3 @@ def room_parameters(room: Room) -> dict[str, float]:
             f"obstruction.{k}.{name}": getattr(obstruction, name) for name in _OBSTRUCTION_LENGTHS
         }
     return values
-
-
-def with_parameters(room: Room, values: Mapping[str, float]) -> Room:
-    """Return the room with some of its `room_parameters` replaced by `values` [m, deg].
-
-    Raises KeyError for a name that the room does not have.
-    """
-    if unknown := set(values) - set(room_parameters(room)):
-        raise KeyError(f"the room has no {', '.join(sorted(unknown))}")
-
-    def part(kind: str, k: int, of: Window | Obstruction) -> dict[str, float]:
-        names = {f"{kind}.{k}.{f.name}": f.name for f in fields(of)}
-        return {names[name]: float(v) for name, v in values.items() if name in names}
-
-    own = {name: float(value) for name, value in values.items() if "." not in name}
-    return replace(
-        room,
-        window=tuple(replace(w, **part("window", k, w)) for k, w in enumerate(room.window)),
-        obstruction=tuple(
-            replace(o, **part("obstruction", k, o)) for k, o in enumerate(room.obstruction)
-        ),
-        **own,
-    )

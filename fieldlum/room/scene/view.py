@@ -20,8 +20,6 @@ from fieldlum.room.scene.trace import EPSILON_M, Hits, Panes, first_hits, pane_c
 # In each direction of a pixel, for sun patches: with 3 they had an error of 1.0e-4 to 1.6e-4 (log10
 # MSE) at 60 rows, with 8 of 1.1e-5 to 1.5e-5.
 LEAST_RAYS, MOST_RAYS = 3, 8
-WINDOW_RAYS = 3  # in each direction of a pixel, for its share of window; not measured
-
 
 _GROUND_SHARE = 0.1  # of a pixel, times the glass; chosen
 

@@ -96,21 +96,8 @@ class Troubles:
         text = json.dumps(asdict(self), sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16] if self.names else ""
 
-    def only(self, name: str) -> Troubles:
-        """Return `Troubles` with only the trouble `name`. Raises KeyError if it is not present."""
-        if name not in self.names:
-            raise KeyError(name)
-        return Troubles(**{name: getattr(self, name)})
 
-    def seeded(self, seed: int) -> Troubles:
-        """Return the troubles with `seed` added to the seed of each."""
-        changed = {
-            n: replace(getattr(self, n), seed=getattr(self, n).seed + seed) for n in self.names
-        }
-        return replace(self, **changed)
-
-
-# largest size of each trouble; the smallest is 0
+# largest size of each trouble; the smallest is 0, or its negative in _SIGNED
 LIMITS = {
     "clouds": 1.0,
     "distant_instrument": 5000.0,
@@ -126,7 +113,7 @@ LIMITS = {
     "exposures": 1.0,
     "clipped": 1000.0,
 }
-_SIGNED = ("instrument_drift", "north", "clock_drift", "knock")  # the smallest is -LIMITS
+_SIGNED = ("instrument_drift", "north", "clock_drift", "knock")
 
 
 def load_troubles(path: Path) -> Troubles:
@@ -137,13 +124,13 @@ def load_troubles(path: Path) -> Troubles:
     """
     troubles = build(Troubles, read_toml(path), str(path))
     for name in troubles.names:
-        size, most = getattr(troubles, name).size, LIMITS[name]
-        least = -most if name in _SIGNED else 0.0
-        if not least <= size <= most:
+        size, largest = getattr(troubles, name).size, LIMITS[name]
+        smallest = -largest if name in _SIGNED else 0.0
+        if not smallest <= size <= largest:
             raise InputError(
                 path,
                 f"the trouble [{name}] with size = {size:g}",
-                f"{least:g} to {most:g}",
+                f"{smallest:g} to {largest:g}",
                 "correct the size",
             )
     return troubles

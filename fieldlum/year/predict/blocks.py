@@ -149,7 +149,6 @@ def blocks(
         if room.needs_patch and space is not None:
             patch = sun_patches(
                 space,
-                room.setup,
                 part.shown_sun_direction,
                 part.direct_lx,
                 height=room.height,
