@@ -23,7 +23,7 @@ from fieldlum.core.records import (
     slot_id,
 )
 from fieldlum.optics.images import read_panorama, write_panorama, write_radiance_hdr
-from fieldlum.report.compare import compare, read_model_hours, surface_names
+from fieldlum.report.compare import compare, hours_begun, read_model_hours, surface_names
 from fieldlum.room import simulate
 from fieldlum.room.scene.radiance import octree
 from fieldlum.session import Session, create_session
@@ -87,7 +87,7 @@ def test_a_right_model_has_no_odd_surface(
 ) -> None:
     session, right, _ = measured
     result = compare(session, right, tmp_path)
-    assert all(s.ratio == pytest.approx(1.0, abs=0.06) for s in result.surfaces), result.surfaces
+    assert all(s["ratio"] == pytest.approx(1.0, abs=0.06) for s in result.surfaces), result.surfaces
     assert "No surface differs" in " ".join(result.text)
 
 
@@ -166,9 +166,42 @@ def test_a_table_of_hours_is_compared_with_the_predicted_year(tmp_path: Path) ->
     result = compare(session, table, tmp_path / "out", [180.0], year)
     (view,) = result.directions
     assert "the weather of seattle.epw" in result.text[-1]
-    assert view.hours == 200 and view.azimuth_deg == 180.0
-    assert view.model - view.measured == pytest.approx(0.02, abs=1e-3)
-    assert view.over is not None and view.model_over is not None and view.model_over > view.over
+    assert view["hours"] == 200 and view["azimuth_deg"] == 180.0
+    assert view["model"] - view["measured"] == pytest.approx(0.02, abs=1e-3)
+    assert view["model_over"] > view["over"]
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize(("shift", "word"), [(0, "begins"), (1, "ends")])
+def test_whole_hours_are_placed_by_the_daylight_of_the_year(
+    tmp_path: Path, shift: int, word: str
+) -> None:
+    """Rows of daylight only, from 9 to 16 or from 10 to 17, without the hour 0 or 24."""
+    session = create_session(tmp_path / "office", SETUP, [], {})
+    year = _year()
+    table = tmp_path / "other.csv"
+    dgp = year.views["dgp"][:, 1]
+    rows = [f"{k // 8 * 24 + 9 + k % 8 + shift},{value + 0.1:.4f}" for k, value in enumerate(dgp)]
+    table.write_text("hoy,dgp\n" + "\n".join(rows))
+    result = compare(session, table, tmp_path / "out", [180.0], year)
+    (view,) = result.directions
+    assert view["hours"] == 200 and view["mean_abs"] == pytest.approx(0.1, abs=1e-4)
+    assert f"each {word} then" in " ".join(result.text)
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize(
+    ("hours", "begun"),
+    [("0 1 2", [0, 1, 2]), ("22 23 24", [21, 22, 23]), ("9.5 10.5 11.5", [9, 10, 11])],
+)
+def test_hour_0_or_24_or_a_fraction_states_the_hour(
+    tmp_path: Path, hours: str, begun: list[int]
+) -> None:
+    table = tmp_path / "other.csv"
+    table.write_text("month,day,hour,dgp\n" + "".join(f"1,1,{h},0.3\n" for h in hours.split()))
+    times = read_model_hours(table, [180.0]).index.to_numpy(float)
+    found, note = hours_begun(table, times, np.zeros(8760, bool))
+    assert found.tolist() == begun and not note
 
 
 @pytest.mark.contract
@@ -176,8 +209,8 @@ def test_a_folder_of_honeybee_is_read(tmp_path: Path) -> None:
     (tmp_path / "sun-up-hours.txt").write_text("8.5\n9.5\n10.5\n")
     (tmp_path / "desk.dgp").write_text("0.2 0.3 0.4\n0.25 0.35 0.45\n")
     hours = read_model_hours(tmp_path, [90.0, 180.0])
-    assert hours.hour_of_year.tolist() == [8, 9, 10]
-    assert hours.figures["dgp"][:, 1].tolist() == [0.25, 0.35, 0.45]
+    assert hours.index.tolist() == [8.5, 9.5, 10.5]
+    assert hours["dgp", 180.0].tolist() == [0.25, 0.35, 0.45]
     with pytest.raises(InputError, match="sensors"):
         read_model_hours(tmp_path, [90.0])
 
@@ -195,12 +228,14 @@ def test_pictures_of_other_slots_are_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "found"),
     [
-        ("month,day,hour,dgp\n1,1,24,0.3", "hour 24; expected"),
+        ("month,day,hour,dgp\n1,1,25,0.3", "hour 25; expected"),
+        ("month,day,hour,dgp\n1,1,0,0.3\n1,1,24,0.3", "hours 0 and 24"),
+        ("month,day,hour,dgp\n1,1,11,0.3\n1,1,12,0.3", "add 0.5 to hours at which each begins"),
         ("month,day,hour,dgp\n2,29,12,0.3", "line 2: month 2, day 29"),
         ("month,day,hour,dgp\n13,1,12,0.3", "month 13"),
         ("month,day,hour,dgp\n0,1,12,0.3", "month 0"),
         ("month,day,hour,dgp\n,1,12,0.3", "month nan"),
-        ("hoy,dgp\n8760,0.3", "hour of the year 8760"),
+        ("hoy,dgp\n8761,0.3", "hour of the year 8761"),
         ("hoy,dgp\n,0.3", "hour of the year nan"),
         ("hoy,dgp\n-1,0.3", "hour of the year -1"),
         ("hoy,dgp\n12,0.3\n12.5,0.4", "2 values in hour 12"),
@@ -209,7 +244,7 @@ def test_pictures_of_other_slots_are_refused(tmp_path: Path) -> None:
         ("hoy,dgp@south\n12,0.3", "a view such as dgp@180"),
         ("hoy,dgp@nan\n12,0.3", "a view such as dgp@180"),
         ("hoy,dgp@180,dgp@540\n12,0.3,0.4", "two columns of dgp"),
-        ("hoy,dgp\n12,", "no value in daylight hours"),
+        ("hoy,dgp\n12.5,", "no value in daylight hours"),
     ],
 )
 def test_a_table_that_cannot_be_right_is_refused(tmp_path: Path, text: str, found: str) -> None:
@@ -226,7 +261,7 @@ def test_a_table_that_cannot_be_right_is_refused(tmp_path: Path, text: str, foun
 def test_dgp_above_1_counts_as_1_as_in_the_predicted_year(tmp_path: Path) -> None:
     table = tmp_path / "other.csv"
     table.write_text("hoy,dgp\n12,0.3\n13,0.4\n14,1.7\n")
-    assert read_model_hours(table, [180.0]).figures["dgp"][:, 0].tolist() == [0.3, 0.4, 1.0]
+    assert read_model_hours(table, [180.0])["dgp", 180.0].tolist() == [0.3, 0.4, 1.0]
 
 
 @pytest.mark.contract

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -70,11 +69,11 @@ def command(
             session, result, out or session.root / "compare", view_azimuths, annual, shown
         )
     if as_json:
-        emit_json({k: v for k, v in asdict(found).items() if k != "files"})
+        emit_json({k: v for k, v in found._asdict().items() if k != "files"})
     elif found.surfaces:
-        print_table([asdict(row) for row in found.surfaces], _SURFACES)
+        print_table(found.surfaces, _SURFACES)
     else:
-        print_table([asdict(row) for row in found.directions], _DIRECTIONS)
+        print_table(found.directions, _DIRECTIONS)
     if not as_json:
         for sentence in found.text:
             click.echo(sentence)

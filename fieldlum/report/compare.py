@@ -11,20 +11,17 @@ from __future__ import annotations
 
 import calendar
 import csv
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from datetime import date, datetime
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.spatial import KDTree
 
-from fieldlum.core.arrays import Array, Floats
+from fieldlum.core.arrays import Array, Floats, Mask
 from fieldlum.core.errors import InputError, input_errors
-from fieldlum.core.false_colour import COLOUR_MAP, RANGE_CDM2
-from fieldlum.core.plot_style import BLUE, styled
-from fieldlum.core.records import Panorama, Progress, Room, quiet
+from fieldlum.core.plot_style import styled
+from fieldlum.core.records import JsonTable, Panorama, Progress, Room, quiet
 from fieldlum.core.strict_csv import CsvTable, lines_of, numbered, read_text, table_of
 from fieldlum.optics.projection import (
     altitude_azimuth_deg,
@@ -34,31 +31,30 @@ from fieldlum.optics.projection import (
     equirect_solid_angles,
     signed_angle_deg,
 )
+from fieldlum.report.figures import comparison_png, png
 from fieldlum.room.scene.geometry import WALLS, wall_named
 from fieldlum.room.scene.view import look
 from fieldlum.session import Session, replacing
 from fieldlum.session.panorama_sun import read_panorama_with_sun
-from fieldlum.sky.sun import standard_time
+from fieldlum.sky.sun import hour_of_year
 from fieldlum.year.glare.picture_view import picture_rays
 from fieldlum.year.glare.pictures import Picture, read_picture
 from fieldlum.year.glare.single import seen_pixels, valid_pixels
 from fieldlum.year.glare.standards import DISTURBING_DGP
 from fieldlum.year.predict import Annual
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 PICTURES = (".hdr", ".exr", ".pic")
 SUN_UP_HOURS = "sun-up-hours.txt"  # honeybee-radiance
-_SAME_VIEW_DEG = 6.0  # views of model and year this close are one direction; chosen
 _SUN_MARGIN_DEG = 2.0  # around the sun, where one of the pictures has the disc; chosen
 # A camera is right to 5 %, a Radiance rendering of a known room to about 10 % (Mardaljevic 1995).
 _ALIKE_REL = 0.10
-_ODD = 3.0  # a surface whose difference is this many times that of the others is named; chosen
-# Surfaces this many times apart in the median, or one of them that many times, are not materials
-# but another view: a reflectance of 0.9 is six times one of 0.15. Chosen.
-_UNLIKE, _NO_MATERIAL = 1.5, 6.0
-_LEAST_SR = 0.005  # of a surface; about 4 degrees wide; chosen
-_SAME_PLANE_M = 0.02  # a point this close to a wall's plane is on the wall, not in a reveal; chosen
-_GLASS_SHARE = 0.05  # of a pixel that counts as window; chosen
-_HOURS = 8760
+# Surfaces that differ this many times are not materials but another view: a reflectance of 0.9 is
+# six times one of 0.15.
+_NO_MATERIAL = 6.0
+_DAYS = np.array([31, 28, 31, 30, 31, 30, 31, 31, 30, 31, 30, 31])
 _HOUR_NAMES = ("ann_hour", "hoy", "hour of year", "hour_of_year")
 _FIGURES = {  # columns of other programs, in lower case, for the figures of hourly.csv
     "dgp": "dgp",
@@ -70,48 +66,19 @@ _FIGURES = {  # columns of other programs, in lower case, for the figures of hou
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Surface:
-    """A surface of the room over all pictures: mean luminances [cd/m2], and model over measured.
+class Comparison(NamedTuple):
+    """The result of `compare`: tables, and sentences that say where and when the model errs.
 
-    ratio: median over the pictures; low, high: their quartiles; pictures: their number.
+    surfaces: name, mean luminances measured_cdm2 and model_cdm2, and the median ratio of model over
+    measured with its quartiles low and high, over a number of pictures. directions: azimuth_deg
+    (clockwise from true north), figure (of hourly.csv), number of shared hours, means measured and
+    model, mean_abs difference; over, model_over: hours of disturbing glare (None for Ev).
     """
 
-    name: str
-    measured_cdm2: float
-    model_cdm2: float
-    ratio: float
-    low: float
-    high: float
-    pictures: int
-
-
-@dataclass(frozen=True, slots=True)
-class Direction:
-    """A figure of one view direction over the hours that model and measurement share.
-
-    azimuth_deg: clockwise from true north; figure: of hourly.csv; measured, model: means; mean_abs:
-    mean absolute difference; over, model_over: hours of disturbing glare (None for Ev).
-    """
-
-    azimuth_deg: float
-    figure: str
-    hours: int
-    measured: float
-    model: float
-    mean_abs: float
-    over: int | None
-    model_over: int | None
-
-
-@dataclass(frozen=True, slots=True)
-class Comparison:
-    """The result of `compare`: tables, and sentences that say where and when the model errs."""
-
-    surfaces: tuple[Surface, ...]
-    directions: tuple[Direction, ...]
-    text: tuple[str, ...]
-    files: tuple[Path, ...]
+    surfaces: list[JsonTable]
+    directions: list[JsonTable]
+    text: list[str]
+    files: tuple[Path, Path]
 
 
 def compare(
@@ -138,7 +105,18 @@ def compare(
             "a year to compare hours with",
             "run fieldlum predict with the weather file of the model",
         )
-    return _compare_hours(session, annual, hours, model, out)
+    return _compare_hours(annual, hours, session.site_file().site.timezone, model, out)
+
+
+def _write(out: Path, rows: Sequence[JsonTable], picture: bytes) -> tuple[Path, Path]:
+    files = out / "compare.csv", out / "compare.png"
+    with replacing(files[0], "w", newline="", encoding="utf-8") as file:
+        table = csv.DictWriter(file, list(rows[0]))
+        table.writeheader()
+        table.writerows(rows)
+    with replacing(files[1]) as file:
+        file.write(picture)
+    return files
 
 
 # ----------------------------------------------------------------------------------------------
@@ -159,10 +137,10 @@ def surface_names(room: Room, height: int, heading_deg: float) -> Array:
     for wall, (normal, side) in WALLS.items():
         plane_m = (room.width_m, room.depth_m)[normal] * side
         on = (kinds[box] == "wall") & (axis == normal)
-        on &= np.abs(view.position[straight][:, normal] - plane_m) < _SAME_PLANE_M
+        on &= np.abs(view.position[straight][:, normal] - plane_m) < 0.02
         names[pixel[on]] = wall_named(wall, room.wall_azimuth_deg)
     named = names.reshape(height, 2 * height)
-    named[(view.sky > _GLASS_SHARE) | (view.plain > _GLASS_SHARE)] = "window"
+    named[(view.sky > 0.05) | (view.plain > 0.05)] = "window"
     return named
 
 
@@ -181,28 +159,23 @@ def _compare_pictures(session: Session, model: Path, out: Path, progress: Progre
         raise InputError(
             twice[0], f"a second picture of {twice[0].stem}", "one for each slot", "remove one"
         )
-    room = session.site_file().room
-    names: dict[tuple[int, float], Array] = {}
-    rows: list[dict[str, Any]] = []
-    worst: tuple[float, Any] = (-1.0, None)
+    room, rows, worst = session.site_file().room, [], []
     for number, path in enumerate(shared):
         progress(number, len(shared), "pictures")
         capture = read_panorama_with_sun(measured[path.stem])
         light, model_light, weight = _on_one_grid(capture, measured[path.stem], path)
-        key = (light.shape[0], capture.heading_deg)
-        if key not in names:
-            names[key] = _labels(room, *key)
-        of_picture = _of_surfaces(path.stem, names[key], light, model_light, weight)
-        rows += of_picture
-        off = abs(np.log((weight * model_light).sum() / (weight * light).sum()))
-        if off > worst[0]:
-            worst = (off, (path.stem, light, np.where(weight > 0, model_light, np.nan)))
+        names = _labels(room, len(light), capture.heading_deg)
+        own = _of_surfaces(path.stem, names, light, model_light, weight)
+        rows += own
+        shown = light, np.where(weight > 0, model_light, np.nan)
+        worst.append((abs(np.log(own[0]["ratio"])), f"{path.stem}\n{_off(own[0]['ratio'])}", shown))
+        worst = sorted(worst, key=lambda item: -item[0])[:3]
     surfaces = _surfaces(rows)
-    text = [*_where(surfaces), *_when(rows)]
-    table, picture = out / "compare.csv", out / "compare.png"
-    _write_rows(table, rows)
-    _draw_pictures(picture, surfaces, *worst[1])
-    return Comparison(surfaces, (), tuple(text), (table, picture))
+    named = ", ".join(title.replace("\n", " (") + ")" for _, title, _ in worst)
+    text = [*_where(surfaces), f"Largest differences: {named}."]
+    own, other = zip(*(shown for _, _, shown in worst), strict=True)
+    picture = comparison_png(own, other, [title for _, title, _ in worst], "model")
+    return Comparison(surfaces, [], text, _write(out, rows, picture))
 
 
 def _labels(room: Room | None, height: int, heading_deg: float) -> Array:
@@ -265,64 +238,60 @@ def _at_rays(picture: Picture, path: Path, rays: Floats) -> tuple[Floats, Array]
 
 def _of_surfaces(
     slot: str, names: Array, light: Floats, model_light: Floats, weight: Floats
-) -> list[dict[str, Any]]:
-    """Return a row of compare.csv for each surface that both pictures show, and for "all"."""
+) -> list[JsonTable]:
+    """Return a row of compare.csv for "all", and for each surface that both pictures show."""
     rows = []
     for name in ("all", *sorted(set(names.ravel()) - {""})):
         w = weight if name == "all" else np.where(names == name, weight, 0.0)
-        if w.sum() < _LEAST_SR:
+        if w.sum() < 0.005:  # sr; about 4 degrees wide
             continue
-        measured, model = (float((w * a).sum() / w.sum()) for a in (light, model_light))
-        rows.append(
-            {
-                "slot": slot,
-                "surface": name,
-                "measured_cdm2": round(measured, 2),
-                "model_cdm2": round(model, 2),
-                "ratio": max(round(model / max(measured, 1e-6), 4), 1e-4),
-            }
-        )
+        measured, model = (round(float((w * a).sum() / w.sum()), 2) for a in (light, model_light))
+        ratio = max(round(model / max(measured, 0.01), 4), 1e-4)
+        row = {"slot": slot, "surface": name, "measured_cdm2": measured, "model_cdm2": model}
+        rows.append(row | {"ratio": ratio})
     return rows
 
 
-def _surfaces(rows: Iterable[dict[str, Any]]) -> tuple[Surface, ...]:
+def _surfaces(rows: Sequence[JsonTable]) -> list[JsonTable]:
     """Return each surface over all pictures, "all" first."""
-    by_name: dict[str, list[dict[str, Any]]] = {}
-    for row in rows:
-        by_name.setdefault(row["surface"], []).append(row)
-    out = []
-    for name, own in by_name.items():
-        low, middle, high = np.percentile([row["ratio"] for row in own], (25, 50, 75))
-        measured, model = (
-            float(np.mean([row[k] for row in own])) for k in ("measured_cdm2", "model_cdm2")
-        )
-        out.append(Surface(name, measured, model, float(middle), float(low), float(high), len(own)))
-    return tuple(out)
+    surfaces = []
+    for name in dict.fromkeys(row["surface"] for row in rows):
+        own = [row for row in rows if row["surface"] == name]
+        quartiles = np.percentile([row["ratio"] for row in own], (50, 25, 75))
+        means = {
+            k: float(np.mean([row[k] for row in own])) for k in ("measured_cdm2", "model_cdm2")
+        }
+        spread = dict(zip(("ratio", "low", "high"), map(float, quartiles), strict=True))
+        surfaces.append({"name": name, **means, **spread, "pictures": len(own)})
+    return surfaces
 
 
-def _where(surfaces: Sequence[Surface]) -> list[str]:
-    """Return sentences on the complete picture, and on the surface that differs most from it."""
-    total = next(s for s in surfaces if s.name == "all")
-    text = [f"The model is {_off(total.ratio)} in the median of {total.pictures} pictures."]
-    parts = [s for s in surfaces if s.name not in ("all", "window")]
+def _where(surfaces: Sequence[JsonTable]) -> list[str]:
+    """Return sentences on the complete picture, and on the surface that differs most from it.
+
+    A surface is named if it differs from the others by over 10 %, and three times as much as they
+    do from each other.
+    """
+    total = surfaces[0]
+    text = [f"The model is {_off(total['ratio'])} in the median of {total['pictures']} pictures."]
+    parts = [s for s in surfaces if s["name"] not in ("all", "window")]
     if len(parts) < 3:
         return text
-    usual = float(np.median([s.ratio for s in parts]))
-    odd = max(parts, key=lambda s: abs(np.log(s.ratio / usual)))
-    others = [abs(np.log(s.ratio / usual)) for s in parts if s is not odd]
-    excess = abs(np.log(odd.ratio / usual))
-    if float(np.median(others)) > np.log(_UNLIKE) or excess > np.log(_NO_MATERIAL):
-        times = np.exp(max(excess, float(np.median(others))))
+    ratios = np.array([s["ratio"] for s in parts])
+    usual = float(np.median(ratios))
+    off = np.abs(np.log(ratios / usual))
+    k = int(off.argmax())
+    others, name, ratio = float(np.median(np.delete(off, k))), parts[k]["name"], ratios[k]
+    if others > np.log(_NO_MATERIAL) / 4 or off[k] > np.log(_NO_MATERIAL):
         text.append(
-            f"Surfaces differ from each other by up to {times:.1f} times, more than materials "
-            "explain: check VIEW, north (y axis), viewpoint and sun of the pictures first."
+            f"Surfaces differ from each other by up to {np.exp(off[k]):.1f} times, more than "
+            "materials explain: check VIEW, north (y axis), viewpoint and sun of the pictures."
         )
-    elif excess > np.log1p(_ALIKE_REL) and excess > _ODD * max(float(np.median(others)), 1e-3):
-        word = "high" if odd.ratio > usual else "low"
+    elif off[k] > np.log1p(_ALIKE_REL) and off[k] > 3.0 * others:
         text.append(
-            f"{odd.name}: the model is {_off(odd.ratio)}, other surfaces {_off(usual)}: its "
-            f"reflectance in the model is probably too {word} (about {odd.ratio / usual:.2f} "
-            "times the true one), or it is another material there."
+            f"{name}: the model is {_off(ratio)}, other surfaces {_off(usual)}: its reflectance in "
+            f"the model is probably too {'high' if ratio > usual else 'low'} (about "
+            f"{ratio / usual:.2f} times the true one), or it is another material there."
         )
     elif abs(np.log(usual)) > np.log1p(_ALIKE_REL):
         text.append(
@@ -340,70 +309,19 @@ def _off(ratio: float) -> str:
     return f"{abs(percent):.0f} % too {'bright' if percent > 0 else 'dark'}"
 
 
-def _when(rows: Iterable[dict[str, Any]]) -> list[str]:
-    """Return a sentence that names the pictures with the largest differences."""
-    totals = [row for row in rows if row["surface"] == "all"]
-    totals.sort(key=lambda row: -abs(np.log(max(row["ratio"], 1e-6))))
-    named = ", ".join(f"{row['slot']} ({_off(row['ratio'])})" for row in totals[:3])
-    return [f"Largest differences: {named}."]
-
-
-def _draw_pictures(
-    path: Path, surfaces: Sequence[Surface], slot: str, light: Floats, model_light: Floats
-) -> None:
-    """Draw the capture that differs most, the model's picture, their ratio, and the surfaces."""
-    from matplotlib.colors import LogNorm
-    from matplotlib.figure import Figure
-
-    with styled():
-        figure = Figure(figsize=(12.0, 6.4), dpi=120, layout="constrained")
-        axes = figure.subplots(2, 2).ravel()
-        ratio = model_light / np.maximum(light, 1e-3)
-        shown = (
-            (f"measured {slot}", light, LogNorm(*RANGE_CDM2), COLOUR_MAP, "cd/m²"),
-            ("model", model_light, LogNorm(*RANGE_CDM2), COLOUR_MAP, "cd/m²"),
-            ("model over measured", ratio, LogNorm(0.5, 2.0), "RdBu_r", ""),
-        )
-        for axis, (title, values, norm, colours, unit) in zip(axes, shown, strict=False):
-            image = axis.imshow(np.maximum(values, 1e-3), norm=norm, cmap=colours)
-            figure.colorbar(image, ax=axis, shrink=0.7, extend="both").set_label(unit)
-            axis.set_title(title)
-            axis.set_axis_off()
-        parts = sorted((s for s in surfaces), key=lambda s: s.ratio)
-        spread = np.array([(s.ratio - s.low, s.high - s.ratio) for s in parts]).T
-        axes[3].barh(
-            [s.name for s in parts],
-            [s.ratio for s in parts],
-            color=BLUE,
-            xerr=np.maximum(spread, 0),
-        )
-        axes[3].axvline(1.0, color="black", linewidth=0.8)
-        axes[3].set_xlabel("model over measured: median and quartiles of the pictures")
-        figure.savefig(path, format="png")
-
-
 # ----------------------------------------------------------------------------------------------
 # hours
 
 
-@dataclass(frozen=True, slots=True)
-class ModelHours:
-    """Figures of a model for some hours of a year, [n, d] each, NaN where there is none.
+def read_model_hours(path: Path, azimuths_deg: Sequence[float]) -> pd.DataFrame:
+    """Return figures of a model: a row for each time, columns (figure, azimuth in degrees).
 
-    hour_of_year: [n], from 0, standard time, of the hour's start. azimuths_deg: [d].
-    """
-
-    hour_of_year: Array
-    azimuths_deg: Floats
-    figures: dict[str, Floats]
-
-
-def read_model_hours(path: Path, azimuths_deg: Sequence[float]) -> ModelHours:
-    """Read an hourly table, or a results folder of honeybee-radiance.
-
+    The index is the stated hour of the year, a fraction within the hour or one of its ends.
     azimuths_deg: of the views, in the order of the file's columns or rows, where it does not name
     them as ``dgp@180``. Raises InputError for other content.
     """
+    import pandas as pd
+
     if path.is_dir():
         return _read_honeybee(path, azimuths_deg)
     lines = numbered(lines_of(read_text(path, "an hourly table", "export one row an hour")))
@@ -411,110 +329,47 @@ def read_model_hours(path: Path, azimuths_deg: Sequence[float]) -> ModelHours:
         raise InputError(path, "an empty file", "an hourly table", "export one row an hour")
     table = table_of(path, lines, "\t" if "\t" in lines[0][1] else ",")
     columns = {name.lower(): k for k, name in enumerate(table.names)}
-    hours = _hours_of(table, columns)
-    found: dict[str, dict[float, Floats]] = {}
+    figures: dict[tuple[str, float], Floats] = {}
     for name, k in columns.items():
         word, _, place = name.partition("@")
         figure = _FIGURES.get(word.split("[")[0].split("(")[0].strip())
         if figure is not None:
-            azimuth = _azimuth(place, path) if place else _sole(azimuths_deg, path)
-            by_azimuth = found.setdefault(figure, {})
-            if azimuth in by_azimuth:
-                twice = f"two columns of {figure} facing {azimuth:g} deg"
+            key = figure, _azimuth(place, azimuths_deg, path)
+            if key in figures:
+                twice = f"two columns of {figure} facing {key[1]:g} deg"
                 raise InputError(path, twice, "one", "remove one")
-            by_azimuth[azimuth] = _values(path, figure, _numbers(table, k))
-    if not found:
-        raise InputError(
-            path, f"columns {', '.join(table.names)[:80]}", "a column dgp or ev", "rename it"
-        )
-    azimuths = sorted({a for by_azimuth in found.values() for a in by_azimuth})
-    blank = np.full(len(hours), np.nan)
-    return ModelHours(
-        hours,
-        np.array(azimuths),
-        {name: np.stack([of.get(a, blank) for a in azimuths], 1) for name, of in found.items()},
-    )
+            figures[key] = _values(path, figure, _numbers(table, k))
+    if not figures:
+        found = f"columns {', '.join(table.names)[:80]}"
+        raise InputError(path, found, "a column dgp or ev", "rename it")
+    return pd.DataFrame(figures, _times_of(table, columns))
 
 
-def _azimuth(text: str, path: Path) -> float:
-    with input_errors(path, "a view such as dgp@180", "correct that name", ValueError):
-        if not np.isfinite(azimuth := float(text)):
-            raise ValueError(f"a view to {text} deg")
-        return azimuth % 360.0
-
-
-def _values(path: Path, figure: str, values: Floats) -> Floats:
-    """Return a model's figures; DGP above 1 counts as 1, as in the predicted year."""
-    known = values[np.isfinite(values)]
-    name = {"dgp": "DGP", "ev_lx": "Ev"}[figure]
-    if (known < 0).any():
-        found = f"{name} of {known.min():g}"
-        raise InputError(path, found, "0 or more", "write nothing for an hour without a value")
-    if figure != "dgp":
-        return values
-    if len(known) and np.median(known) > 1.0:
-        found = f"DGP of {np.median(known):g} in the median"
-        raise InputError(path, found, "0 to 1", "divide percent by 100")
-    return np.minimum(values, 1.0)
-
-
-def _sole(azimuths_deg: Sequence[float], path: Path) -> float:
-    if len(azimuths_deg) != 1:
+def _azimuth(place: str, azimuths_deg: Sequence[float], path: Path) -> float:
+    """Return the direction of a column: that in its name, else the only one of `azimuths_deg`."""
+    if not place and len(azimuths_deg) != 1:
         raise InputError(
             path,
             "figures of a view without its direction",
             "one --view-azimuth",
             "state the direction of the view, clockwise from true north: --view-azimuth 180",
         )
-    return azimuths_deg[0] % 360.0
+    with input_errors(path, "a view such as dgp@180", "correct that name", ValueError):
+        if not np.isfinite(azimuth := float(place or azimuths_deg[0])):
+            raise ValueError(f"a view to {place} deg")
+        return azimuth % 360.0
 
 
-def _hours_of(table: CsvTable, columns: dict[str, int]) -> Array:
-    """Return the hour of the year at which each row's hour starts, [n]."""
-    name = next((name for name in _HOUR_NAMES if name in columns), None)
-    if name is not None:
-        return _whole_hours(table.path, _numbers(table, columns[name]))
-    if not {"month", "day", "hour"} <= columns.keys():
-        raise InputError(
-            table.path,
-            f"columns {', '.join(table.names)[:80]}",
-            "month, day and hour, or hoy",
-            "export them, in standard time",
-        )
-    month, day, hour = (_numbers(table, columns[k]) for k in ("month", "day", "hour"))
-    days = np.array([31, 28, 31, 30, 31, 30, 31, 31, 30, 31, 30, 31])
-    index = np.where((month >= 1) & (month <= 12), month, 1).astype(int) - 1
-    ok = (index + 1 == month) & (day >= 1) & (day <= days[index]) & (day % 1 == 0)
-    ok &= (hour >= 0) & (hour < 24)
-    if not ok.all():
-        (line, _), k = table.rows[int(np.argmin(ok))], int(np.argmin(ok))
-        raise InputError(
-            table.path,
-            f"line {line}: month {month[k]:g}, day {day[k]:g}, hour {hour[k]:g}",
-            "days of a year without 29 February, hours 0 to 23 at which each hour begins",
-            "leave out other days; subtract 1 from hours 1 to 24",
-        )
-    first = np.cumsum(days) - days
-    return _whole_hours(table.path, (first[index] + day - 1) * 24 + hour)
-
-
-def _whole_hours(path: Path, hours: Floats) -> Array:
-    """Return the hour in which each time is, once each, in a year of 365 days from 0."""
-    start = np.floor(hours)
-    outside = ~((start >= 0) & (start < _HOURS))
-    if outside.any():
-        raise InputError(
-            path,
-            f"hour of the year {hours[outside][0]:g}",
-            f"0 to {_HOURS - 1} at which each hour begins, in a year of 365 days",
-            "correct the hours; subtract 1 from hours 1 to 8760",
-        )
-    unique, count = np.unique(start, return_counts=True)
-    if (count > 1).any():
-        twice = unique[count > 1][0]
-        found = f"{count.max()} values in hour {twice:g} of the year"
-        raise InputError(path, found, "one row an hour", "export one view, hour by hour")
-    return start.astype(int)
+def _values(path: Path, figure: str, values: Floats) -> Floats:
+    """Return a model's figures; DGP above 1 counts as 1, as in the predicted year."""
+    known = values[np.isfinite(values)]
+    if (known < 0).any():
+        found = f"{'DGP' if figure == 'dgp' else 'Ev'} of {known.min():g}"
+        raise InputError(path, found, "0 or more", "write nothing for an hour without a value")
+    if figure == "dgp" and len(known) and np.median(known) > 1.0:
+        found = f"DGP of {np.median(known):g} in the median"
+        raise InputError(path, found, "0 to 1", "divide percent by 100")
+    return np.minimum(values, 1.0) if figure == "dgp" else values
 
 
 def _numbers(table: CsvTable, column: int) -> Floats:
@@ -523,8 +378,44 @@ def _numbers(table: CsvTable, column: int) -> Floats:
         return np.array([float(cells[column] or "nan") for _, cells in table.rows])
 
 
-def _read_honeybee(folder: Path, azimuths_deg: Sequence[float]) -> ModelHours:
+def _times_of(table: CsvTable, columns: dict[str, int]) -> Floats:
+    """Return the hour of the year that each row states, [n]: 0 to 8760, maybe with a fraction."""
+    if {"month", "day", "hour"} <= columns.keys():
+        month, day, hour = (_numbers(table, columns[k]) for k in ("month", "day", "hour"))
+        index = np.isin(month, range(1, 13)) * np.nan_to_num(month).astype(int) - 1
+        ok = (index >= 0) & (day >= 1) & (day <= _DAYS[index]) & (day % 1 == 0)
+        ok &= (hour >= 0) & (hour <= 24)
+        if not ok.all():
+            (line, _), k = table.rows[int(np.argmin(ok))], int(np.argmin(ok))
+            raise InputError(
+                table.path,
+                f"line {line}: month {month[k]:g}, day {day[k]:g}, hour {hour[k]:g}",
+                "days of a year without 29 February, hours 0 to 24",
+                "leave out other days",
+            )
+        return ((np.cumsum(_DAYS) - _DAYS)[index] + day - 1) * 24 + _centred(table.path, hour, 24)
+    name = next((name for name in _HOUR_NAMES if name in columns), None)
+    if name is None:
+        found = f"columns {', '.join(table.names)[:80]}"
+        expected = "month, day and hour, or hoy"
+        raise InputError(table.path, found, expected, "export them, in standard time")
+    return _centred(table.path, _numbers(table, columns[name]), len(_DAYS) * 730)
+
+
+def _centred(path: Path, hours: Floats, last: int) -> Floats:
+    """Return whole hours as their middles, if 0 or `last` states whether they begin or end."""
+    if (hours % 1).any() or not {0, last} & set(hours.tolist()):
+        return hours
+    if {0, last} <= set(hours.tolist()):
+        expected = f"0 to {last - 1} for hours that begin, or 1 to {last}"
+        raise InputError(path, f"hours 0 and {last}", expected, "write one of the two")
+    return hours + (0.5 if 0 in hours else -0.5)
+
+
+def _read_honeybee(folder: Path, azimuths_deg: Sequence[float]) -> pd.DataFrame:
     """Read GRID.dgp or GRID.ill (a row for each sensor, a column for each sun-up hour)."""
+    import pandas as pd
+
     files = sorted((*folder.glob("*.dgp"), *folder.glob("*.ill")))
     if len(files) != 1 or not azimuths_deg:
         raise InputError(
@@ -544,55 +435,86 @@ def _read_honeybee(folder: Path, azimuths_deg: Sequence[float]) -> ModelHours:
             "repeat --view-azimuth for each sensor",
         )
     figure = "dgp" if files[0].suffix == ".dgp" else "ev_lx"
-    azimuths = np.asarray(azimuths_deg, float) % 360.0
-    by_hour = _values(files[0], figure, values.T)
-    return ModelHours(_whole_hours(folder / SUN_UP_HOURS, hours), azimuths, {figure: by_hour})
+    columns = pd.MultiIndex.from_tuples([(figure, azimuth % 360.0) for azimuth in azimuths_deg])
+    return pd.DataFrame(_values(files[0], figure, values.T), hours, columns)
+
+
+def hours_begun(path: Path, times: Floats, daylight: Mask) -> tuple[Array, list[str]]:
+    """Return the hour of the year, from 0, in which each stated time is, and a note on it.
+
+    Whole numbers name an hour by its begin or its end: that is chosen whose hours, in the days of
+    the table, are the `daylight` hours [8760] of the predicted year, if the other differs from them
+    in three times as many. Raises InputError if neither is, and for a repeated hour.
+    """
+    outside = ~((times >= 0) & (times < len(daylight)))
+    if outside.any():
+        found = f"hour of the year {times[outside][0]:g}"
+        expected = f"0 to {len(daylight)}, in a year of 365 days"
+        raise InputError(path, found, expected, "correct the hours")
+    hours, note = np.floor(times).astype(int), []
+    if not (times % 1).any():
+        off_begin, off_end = (_differing(h, daylight) for h in (hours, hours - 1))
+        if max(off_begin, off_end) < 3 * min(off_begin, off_end) + 1:
+            raise InputError(
+                path,
+                "whole hours that may be the begin or the end of each hour",
+                "hours with a fraction, such as 9.5 from 9:00 to 10:00",
+                "add 0.5 to hours at which each begins, subtract 0.5 from those at which it ends",
+            )
+        word = "begins" if off_begin < off_end else "ends"
+        hours = hours if off_begin < off_end else hours - 1
+        note = [f"Whole hours in the table: each {word} then, by the daylight of the year."]
+    unique, count = np.unique(hours, return_counts=True)
+    if (count > 1).any():
+        found = f"{count.max()} values in hour {unique[count > 1][0]} of the year"
+        raise InputError(path, found, "one row an hour", "export one view, hour by hour")
+    return hours, note
+
+
+def _differing(hours: Array, daylight: Mask) -> int:
+    """Return how many hours are only in the table or only in daylight, in the table's days."""
+    stated = np.zeros_like(daylight)
+    stated[hours] = True
+    days = np.unique(hours // 24)
+    return int((stated ^ daylight).reshape(-1, 24)[days].sum())
 
 
 def _compare_hours(
-    session: Session, annual: Annual, model: ModelHours, path: Path, out: Path
+    annual: Annual, model: pd.DataFrame, zone: str, path: Path, out: Path
 ) -> Comparison:
-    zone = session.site_file().site.timezone
-    own = [_hour_of_year(t, zone) for t in annual.t_utc]
-    row_of = {hour: k for k, hour in enumerate(own)}
-    pairs = [(k, row_of[h]) for k, h in enumerate(model.hour_of_year.tolist()) if h in row_of]
-    if not pairs:
+    row_of = np.full(int(_DAYS.sum()) * 24, -1)
+    row_of[[hour_of_year(t, zone) for t in annual.t_utc]] = np.arange(len(annual))
+    hours, note = hours_begun(path, model.index.to_numpy(float), row_of >= 0)
+    both = row_of[hours] >= 0
+    if not both.any():
         raise InputError(path, "no hour of the predicted year", "daylight hours", "check hours")
-    theirs, ours = (np.array(part) for part in zip(*pairs, strict=True))
-    shared = []
-    for d, azimuth in enumerate(model.azimuths_deg.tolist()):
-        off = np.abs(signed_angle_deg(annual.azimuths_deg - azimuth))
-        if off.min() > _SAME_VIEW_DEG:
-            raise InputError(
-                path,
-                f"a view to {azimuth:.0f} deg",
-                f"one of the predicted views: {', '.join(f'{a:g}' for a in annual.azimuths_deg)}",
-                "predict that view: fieldlum predict --views 36",
-            )
-        v = int(np.argmin(off))
-        for figure, values in model.figures.items():
-            measured, modelled = annual.views[figure][ours, v], values[theirs, d]
-            ok = np.isfinite(measured) & np.isfinite(modelled)
-            hours = model.hour_of_year[theirs][ok]
-            shared.append(_Shared(azimuth, figure, hours, measured[ok], modelled[ok]))
-    shared = [part for part in shared if len(part.hour_of_year)]
+    shared, columns = [], model.loc[both]
+    for figure, azimuth in columns:
+        measured = annual.views[figure][row_of[hours[both]], _same_view(annual, azimuth, path)]
+        modelled = columns[figure, azimuth].to_numpy(float)
+        ok = np.isfinite(measured) & np.isfinite(modelled)
+        if ok.any():
+            shared.append(_Shared(azimuth, figure, hours[both][ok], measured[ok], modelled[ok]))
     if not shared:
         raise InputError(path, "no value in daylight hours", "numbers in dgp or ev", "export them")
-    table, picture = out / "compare.csv", out / "compare.png"
-    _write_rows(table, [row for part in shared for row in part.rows()])
-    _draw_hours(picture, shared)
-    text = [sentence for part in shared for sentence in part.text()]
+    text = [*(part.text() for part in shared), *note]
     if weather := annual.summary.inputs.get("weather"):
         text.append(f"The year has the weather of {weather}: the model needs the same.")
-    directions = tuple(part.direction() for part in shared)
-    return Comparison((), directions, tuple(text), (table, picture))
+    files = _write(out, [row for part in shared for row in part.rows()], _hours_png(shared))
+    return Comparison([], [part.direction() for part in shared], text, files)
 
 
-def _hour_of_year(t: datetime, zone: str) -> int:
-    """Return the hour of a year of 365 days in which a time is, in standard time, from 0."""
-    local = standard_time(t, zone)
-    day = min(local.day, 28) if local.month == 2 else local.day
-    return (date(2001, local.month, day) - date(2001, 1, 1)).days * 24 + local.hour
+def _same_view(annual: Annual, azimuth_deg: float, path: Path) -> int:
+    """Return the index of the predicted view within 6 degrees of a direction."""
+    off = np.abs(signed_angle_deg(annual.azimuths_deg - azimuth_deg))
+    if off.min() > 6.0:
+        raise InputError(
+            path,
+            f"a view to {azimuth_deg:.0f} deg",
+            f"one of the predicted views: {', '.join(f'{a:g}' for a in annual.azimuths_deg)}",
+            "predict that view: fieldlum predict --views 36",
+        )
+    return int(np.argmin(off))
 
 
 class _Shared(NamedTuple):
@@ -604,84 +526,60 @@ class _Shared(NamedTuple):
     measured: Floats
     model: Floats
 
-    def direction(self) -> Direction:
-        over = model_over = None
-        if self.figure == "dgp":
-            over, model_over = (
-                int((v > DISTURBING_DGP).sum()) for v in (self.measured, self.model)
-            )
-        return Direction(
-            self.azimuth_deg,
-            self.figure,
-            len(self.hour_of_year),
-            float(self.measured.mean()),
-            float(self.model.mean()),
-            float(np.abs(self.model - self.measured).mean()),
-            over,
-            model_over,
+    def direction(self) -> JsonTable:
+        pair = self.measured, self.model
+        over = [int((v > DISTURBING_DGP).sum()) if self.figure == "dgp" else None for v in pair]
+        return {
+            "azimuth_deg": self.azimuth_deg,
+            "figure": self.figure,
+            "hours": len(self.hour_of_year),
+            "measured": float(self.measured.mean()),
+            "model": float(self.model.mean()),
+            "mean_abs": float(np.abs(self.model - self.measured).mean()),
+            "over": over[0],
+            "model_over": over[1],
+        }
+
+    def rows(self) -> list[JsonTable]:
+        names = ("azimuth_deg", "figure", "hour_of_year", "measured", "model")
+        values = zip(
+            self.hour_of_year.tolist(), self.measured.round(4), self.model.round(4), strict=True
+        )
+        head = self.azimuth_deg, self.figure
+        return [dict(zip(names, (*head, *row), strict=True)) for row in values]
+
+    def text(self) -> str:
+        """Return a sentence on the month and the hour of the day in which the model errs most."""
+        off = self.model - self.measured
+        month = np.searchsorted(np.cumsum(_DAYS), self.hour_of_year // 24, side="right")
+        worst_month, worst_hour = (
+            max(set(of.tolist()), key=lambda k, of=of: np.abs(off[of == k]).mean())
+            for of in (month, self.hour_of_year % 24)
+        )
+        values = off, off[month == worst_month], off[self.hour_of_year % 24 == worst_hour]
+        mean, by_month, by_hour = (
+            f"{v.mean():+.3f}" if self.figure == "dgp" else f"{v.mean():+.0f} lx" for v in values
+        )
+        return (
+            f"{self.figure} facing {self.azimuth_deg:g} deg: the model is {mean} in the mean; most "
+            f"in {calendar.month_name[worst_month + 1]} ({by_month}) and from {worst_hour}:00 to "
+            f"{worst_hour + 1}:00 ({by_hour})."
         )
 
-    def rows(self) -> list[dict[str, Any]]:
-        return [
-            {
-                "azimuth_deg": self.azimuth_deg,
-                "figure": self.figure,
-                "hour_of_year": int(hour),
-                "measured": round(float(own), 4),
-                "model": round(float(theirs), 4),
-            }
-            for hour, own, theirs in zip(self.hour_of_year, self.measured, self.model, strict=True)
-        ]
 
-    def text(self) -> list[str]:
-        """Return a sentence on the months and hours in which the model errs most."""
-        off = self.model - self.measured
-        unit = "" if self.figure == "dgp" else " lx"
-        start = np.datetime64("2001-01-01T00") + self.hour_of_year.astype("timedelta64[h]")
-        month = start.astype("datetime64[M]").astype(int) % 12
-        worst_month = max(set(month.tolist()), key=lambda m: np.abs(off[month == m]).mean())
-        of_day = self.hour_of_year % 24
-        worst_hour = max(set(of_day.tolist()), key=lambda h: np.abs(off[of_day == h]).mean())
-        digits = ".3f" if self.figure == "dgp" else ".0f"
-        by_month, by_hour = off[month == worst_month].mean(), off[of_day == worst_hour].mean()
-        return [
-            f"{self.figure} facing {self.azimuth_deg:g} deg: the model is {off.mean():+{digits}}"
-            f"{unit} in the mean; most in {calendar.month_name[worst_month + 1]} "
-            f"({by_month:+{digits}}{unit}) and from {worst_hour}:00 to {worst_hour + 1}:00 "
-            f"({by_hour:+{digits}}{unit})."
-        ]
-
-
-def _draw_hours(path: Path, shared: Sequence[_Shared]) -> None:
-    """Draw the difference of each view over the days and hours of the year."""
+def _hours_png(shared: Sequence[_Shared]) -> bytes:
+    """Return a picture of the difference of each view over the days and hours of the year."""
     from matplotlib.figure import Figure
 
     with styled():
-        figure = Figure(figsize=(10.0, 2.6 * len(shared)), dpi=120, layout="constrained")
+        figure = Figure(figsize=(10.0, 2.6 * len(shared)), layout="constrained")
         axes = figure.subplots(len(shared), 1, squeeze=False)[:, 0]
         for axis, part in zip(axes, shared, strict=True):
-            grid = np.full((24, 365), np.nan)
-            grid[part.hour_of_year % 24, part.hour_of_year // 24 % 365] = part.model - part.measured
+            grid = np.full(_DAYS.sum() * 24, np.nan)
+            grid[part.hour_of_year] = part.model - part.measured
             reach = float(np.nanpercentile(np.abs(grid), 98)) or 1.0
-            extent = (0, 365, 0, 24)
-            image = axis.imshow(
-                grid,
-                cmap="RdBu_r",
-                vmin=-reach,
-                vmax=reach,
-                aspect="auto",
-                origin="lower",
-                extent=extent,
-            )
-            figure.colorbar(image, ax=axis, extend="both").set_label("model - measured")
+            image = axis.pcolormesh(grid.reshape(-1, 24).T, cmap="RdBu_r", vmin=-reach, vmax=reach)
+            figure.colorbar(image, ax=axis, extend="both", label="model - measured")
             axis.set_title(f"{part.figure} facing {part.azimuth_deg:g} deg")
-            axis.set_xlabel("day of the year")
-            axis.set_ylabel("hour, standard time")
-        figure.savefig(path, format="png")
-
-
-def _write_rows(path: Path, rows: Sequence[dict[str, Any]]) -> None:
-    with replacing(path, "w", newline="", encoding="utf-8") as file:
-        out = csv.DictWriter(file, list(rows[0]))
-        out.writeheader()
-        out.writerows(rows)
+            axis.set(xlabel="day of the year", ylabel="hour, standard time")
+        return png(figure)

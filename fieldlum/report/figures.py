@@ -71,20 +71,28 @@ def picture_grid(
     return figure, cells[: len(maps)]
 
 
-def comparison_png(measured: Floats, predicted: Floats, labels: Sequence[str]) -> bytes:
+def comparison_png(
+    measured: Sequence[Floats] | Floats,
+    predicted: Sequence[Floats] | Floats,
+    labels: Sequence[str],
+    name: str = "predicted",
+) -> bytes:
     """Return a PNG with a row for each of n maps: measured, predicted, and their ratio.
 
-    measured, predicted: [n, H, W] cd/m2; labels: [n]. The ratio is predicted over measured, red
-    above 1, on a logarithmic scale from 1/2 to 2; values below 1 cd/m2 count as 1. As Liu, Colburn
-    and Inanici 2020, Figures 9 and 23.
+    measured, predicted: [H, W] each, cd/m2; labels: [n]; name: of the second column. The ratio
+    is red above 1, on a logarithmic scale from 1/2 to 2; values below 1 cd/m2 count as 1. As Liu,
+    Colburn and Inanici 2020, Figures 9 and 23.
     """
     n = len(measured)
-    ratio = np.log2(np.maximum(predicted, 1.0) / np.maximum(measured, 1.0))
+    ratio = [
+        np.log2(np.maximum(other, 1.0) / np.maximum(own, 1.0))
+        for own, other in zip(measured, predicted, strict=True)
+    ]
     styles = ((LogNorm(*RANGE_CDM2), COLOUR_MAP), (Normalize(-1.0, 1.0), "RdBu_r"))
     columns = (
         ("measured", measured, *styles[0]),
-        ("predicted", predicted, *styles[0]),
-        ("predicted over measured", ratio, *styles[1]),
+        (name, predicted, *styles[0]),
+        (f"{name} over measured", ratio, *styles[1]),
     )
     with styled():
         figure = Figure((12.0, 2.0 * n + 0.9), layout="constrained")

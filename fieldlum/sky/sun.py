@@ -142,6 +142,16 @@ def standard_date(t_utc: datetime, timezone: str) -> date:
     return standard_time(t_utc, timezone).date()
 
 
+def hour_of_year(t_utc: datetime, timezone: str) -> int:
+    """Return the hour, from 0, of a year of 365 days in which a moment is, in local standard time.
+
+    29 February counts as the 28th.
+    """
+    local = standard_time(t_utc, timezone)
+    day = min(local.day, 28) if local.month == 2 else local.day
+    return (date(2027, local.month, day) - date(2027, 1, 1)).days * 24 + local.hour
+
+
 def standard_midnight(day: date, timezone: str) -> datetime:
     """Return the start of a local standard day, in UTC."""
     return datetime.combine(day, time(), tzinfo=UTC) - standard_offset(timezone, day.year)

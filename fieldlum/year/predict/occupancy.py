@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from datetime import UTC, date, datetime, time, timedelta
+from datetime import UTC, datetime, time, timedelta
 from pathlib import Path
 from zoneinfo import ZoneInfo
 
@@ -14,7 +14,7 @@ from fieldlum.core.arrays import Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError, input_errors
 from fieldlum.core.records import Site
 from fieldlum.core.strict_csv import read_table
-from fieldlum.sky.sun import position, standard_date, standard_offset
+from fieldlum.sky.sun import hour_of_year, position, standard_date, standard_offset
 
 DAYS = ("mon", "tue", "wed", "thu", "fri", "sat", "sun")
 HOURS_OF_YEAR = 8760  # of 365 days
@@ -44,7 +44,7 @@ class Occupancy:
         times_utc: aware times; timezone: IANA name of the room's time zone.
         """
         if self.hourly is not None:
-            rows = [_hour_of_year(t, timezone) for t in times_utc]
+            rows = [hour_of_year(t, timezone) for t in times_utc]
             return self.hourly[np.array(rows, int)] if rows else np.zeros(0, bool)
         zone = ZoneInfo(timezone)
         local = [t.astimezone(zone) for t in times_utc]
@@ -60,13 +60,6 @@ def default_occupancy() -> Occupancy:
     return Occupancy(
         "08:00 to 18:00 every day", tuple((day, time(8), time(18)) for day in range(7))
     )
-
-
-def _hour_of_year(t_utc: datetime, timezone: str) -> int:
-    local = t_utc.astimezone(UTC) + standard_offset(timezone, t_utc.year)
-    day_of_month = min(local.day, 28) if local.month == 2 else local.day
-    days = (date(2027, local.month, day_of_month) - date(2027, 1, 1)).days
-    return days * 24 + local.hour
 
 
 def read_occupancy(path: Path) -> Occupancy:
