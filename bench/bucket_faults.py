@@ -19,9 +19,6 @@ import time
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import xarray as xr
-
 from fieldlum.core.errors import InputError
 from fieldlum.learn.models.data import load_pairs
 from fieldlum.learn.models.pairs_bucket import read_pairs
@@ -42,7 +39,6 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("session", type=Path)
-    parser.add_argument("weather", type=Path)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--moto", default="moto_server")
     parser.add_argument("--kills", type=int, default=5)
@@ -54,7 +50,6 @@ def main() -> None:
     try:
         bucket = wait_for_bucket()
         pairs_in_bucket(asked, bucket)
-        maps_in_bucket(asked, bucket)
     finally:
         server.terminate()
         server.wait()
@@ -81,22 +76,6 @@ def pairs_in_bucket(asked: argparse.Namespace, bucket: Any) -> None:
         print(f"  train {name}: exit {done.returncode}")
     same = [(asked.folder / name / "weights.npz").read_bytes() for name in ("here", "there")]
     print(f"  same model: {same[0] == same[1]}", flush=True)
-
-
-def maps_in_bucket(asked: argparse.Namespace, bucket: Any) -> None:
-    model = str(asked.folder / "there")
-    words = ["predict", model, "--weather", str(asked.weather), "--views", "2"]
-    away = [*words, "--out", str(asked.folder / "away"), "--maps-to", URL]
-    opened = killed_uploads(away, f"{URL}/maps.zarr", bucket, asked.kills)
-    done = fieldlum(*away)
-    local = fieldlum(*words, "--out", str(asked.folder / "local"), "--maps")
-    print(f"predict: exit {done.returncode} and {local.returncode}; opened after a kill: {opened}")
-    with (
-        xr.open_zarr(f"{URL}/maps.zarr", consolidated=False) as there,
-        xr.open_zarr(asked.folder / "local" / "maps.zarr", consolidated=False) as here,
-    ):
-        same = np.array_equal(there.luminance_cdm2, here.luminance_cdm2, equal_nan=True)
-        print(f"  {len(there.time)} hours, same maps: {same}", flush=True)
 
 
 def killed_uploads(words: list[str], store: str, bucket: Any, kills: int) -> int:

@@ -63,8 +63,6 @@ def main() -> None:
                 f"  {row['azimuth_deg']:5.0f} deg  {row['class']:8s} {row['dgp_exceeded']:.3f}"
                 f" ({row['low']:.3f} to {row['high']:.3f}){sure}"
             )
-        for hour in last["capture_next"][:3]:
-            print(f"  capture next: {hour['date']} {hour['hour']}, DNI {hour['dni_wm2']:.0f}")
 
 
 if __name__ == "__main__":

@@ -9,18 +9,21 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
 from places import SEATTLE
+from tiny_field import T0, Field
+from tiny_field import make_session as tiny_session
 
 from fieldlum.capture.runner import Live, Options, run
 from fieldlum.cli.live import panel
 from fieldlum.core.records import Exposure, Site, SiteFile, Slot
 from fieldlum.devices.clock import FastClock
-from fieldlum.session import Session, create_session, read_journal
+from fieldlum.session import Journal, Session, create_session, read_journal
 
 pytestmark = pytest.mark.contract
 
@@ -126,3 +129,33 @@ def test_a_closed_terminal_ends_nothing_and_sigterm_ends_properly(tmp_path: Path
     assert (
         read_journal(session)[-1]["event"] == "close" and not (session.root / ".reserve").exists()
     )
+
+
+@pytest.mark.contract
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no flock")
+def test_a_journal_held_by_a_stopped_program_does_not_hold_the_capture(tmp_path: Path) -> None:
+    """A program that was stopped in the middle of a line holds the lock for ever."""
+    import fcntl
+
+    session = tiny_session(tmp_path / "s")
+    Journal(session).close()
+    with session.journal.open("ab") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        field = Field(session, FastClock(T0 - timedelta(minutes=1)))
+        thread = threading.Thread(target=field.run, daemon=True)
+        thread.start()
+        thread.join(60)
+        assert not thread.is_alive()
+    assert outcomes(session) == ["done"] * 3
+
+
+@pytest.mark.contract
+def test_events_of_people_do_not_move_the_clock_of_the_capture(tmp_path: Path) -> None:
+    """A mark, or a note of an earlier version, at a wrong clock must not stop the next start."""
+    session = tiny_session(tmp_path / "s")
+    journal = Journal(session)
+    journal.append("note", T0 + timedelta(days=400), text="x")
+    journal.append("marked", T0 + timedelta(days=400), slot=session.slots()[0].id, state="lamp=on")
+    journal.close()
+    Field(session, FastClock(T0 - timedelta(minutes=1))).run()
+    assert outcomes(session) == ["done"] * 3

@@ -296,7 +296,6 @@ FIXED = [
     "session.toml",
     "plan.csv",
     "journal.jsonl",
-    "pause.json",
     "raw",
     f"raw/{SLOT}",
     f"raw/{SLOT}/capture.json",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import http.client
 import os
 import subprocess
 import sys
@@ -10,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
@@ -279,6 +281,45 @@ def _page(made: Session) -> Iterator[str]:
     finally:
         process.terminate()
         process.communicate(timeout=20)
+
+
+@pytest.mark.slow
+@pytest.mark.contract
+def test_another_site_or_a_form_changes_nothing(session: tuple[Session, list[Click]]) -> None:
+    made = session[0]
+    before = made.toml.read_bytes()
+    for address in _page(made):
+        place = urlsplit(address)
+
+        def ask(
+            body: bytes | None, cookie: str, path: str = "/save.json", place=place, **more: str
+        ) -> tuple[int, str]:
+            own = {"Origin": f"http://{place.netloc}", "Content-Type": "application/json"}
+            named = {name.replace("_", "-"): value for name, value in more.items()}
+            headers = {k: v for k, v in (own | {"Cookie": cookie} | named).items() if v}
+            connection = http.client.HTTPConnection(str(place.hostname), place.port, timeout=20)
+            connection.request("POST" if body is not None else "GET", path, body, headers)
+            answer = connection.getresponse()
+            connection.close()
+            return answer.status, answer.headers.get("set-cookie", "")
+
+        cookie = ask(None, "", f"/?{place.query}")[1].split(";")[0]
+        for status, more in (
+            (403, {"Origin": ""}),
+            (403, {"Origin": "https://evil.example"}),
+            (403, {"Origin": "null"}),
+            (403, {"Sec_Fetch_Site": "cross-site"}),
+            (421, {"Host": "evil.example"}),
+            (415, {"Content_Type": "text/plain"}),
+            (415, {"Content_Type": "application/x-www-form-urlencoded"}),
+        ):
+            assert ask(b"{}", cookie, **more)[0] == status, more
+        assert ask(b"{}", "")[0] == ask(b"{}", cookie + "x")[0] == 401
+        for body in (b"", b"[]", b"{", b"[" * 8000, b"\xff"):
+            assert ask(body, cookie)[0] == 400
+        assert ask(b" " * 300_000, cookie)[0] == 413
+        assert ask(None, cookie)[0] == 405
+    assert made.toml.read_bytes() == before
 
 
 @pytest.mark.contract

@@ -50,13 +50,14 @@ def test_shared_errors_of_a_sum_add_up_and_independent_ones_average() -> None:
 @pytest.mark.analytic
 @pytest.mark.parametrize("figure", ["DGP", "Ev"])
 def test_the_budget_sums_to_what_monte_carlo_gives(figure: str) -> None:
-    sun = SunSource(35.0, 190.0, 20_000.0, 1.0, "merge")
+    sun = SunSource(35.0, 190.0, 300.0, 1.0, "merge")
     scene = room(sun)
     stated = budget(scene, figure)
+    assert stated.figure != "DGP" or 0.3 < stated.estimate < 0.9
     rng = np.random.default_rng(3)
     key = {"DGP": "dgp", "Ev": "ev_lx"}[figure]
     drawn = []
-    for _ in range(300):
+    for _ in range(800):
         common = 1 + SCALE * rng.standard_normal() + COLOUR * rng.standard_normal()
         own = 1 + NOISE * rng.standard_normal(SIZE)
         lx = sun.normal_illuminance_lx * common * (1 + 0.05 * rng.standard_normal())
@@ -64,7 +65,7 @@ def test_the_budget_sums_to_what_monte_carlo_gives(figure: str) -> None:
         changed = replace(scene, luminance_cdm2=light, sun=replace(sun, normal_illuminance_lx=lx))
         views = panorama_glare(changed, [180.0 + rng.standard_normal()])["views"]
         drawn.append(views[0][key])
-    assert stated.u == pytest.approx(np.std(drawn), rel=0.12)
+    assert stated.u == pytest.approx(np.std(drawn), rel=0.1)
 
 
 @pytest.mark.authority
@@ -95,11 +96,11 @@ def test_the_budget_of_a_year_sums_to_monte_carlo() -> None:
     doubt = DgpUncertainty(("seen",), values, values, values[None], u_maps)
     (row,) = year_budget(values, ev, doubt, 3000, np.array([180.0]), 0.04)
     slope, drawn = dgp_per_scale(values, ev), []
-    for _ in range(300):
+    for _ in range(2000):
         common, own = rng.standard_normal(), rng.standard_normal((1500, 1))
         error = 0.02 * np.sqrt(0.5) * (common + own) + 0.04 * rng.standard_normal() * slope
         drawn.append(exceeded_in_share(np.clip(values + error, 0, 1), 3000)[0])
-    assert row.u == pytest.approx(np.std(drawn), rel=0.15)
+    assert row.u == pytest.approx(np.std(drawn), rel=0.1)
 
 
 @pytest.mark.contract

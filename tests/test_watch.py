@@ -450,7 +450,6 @@ def _answer(dgp: float, captures: int) -> dict[str, Any]:
         "warnings": [HOSTILE],
         "protection": rows,
         "useful": [hour],
-        "capture_next": [{"date": "06-21", "hour": "10:30", "dni_wm2": 700.0, "dhi_wm2": 90.0}],
     }
 
 

@@ -11,7 +11,7 @@ from datetime import datetime
 class Live:
     """State of a running capture: counts of slots, next slot, irradiance, devices, disk.
 
-    state: waiting, paused, capturing or finished; left: slots still to capture; next_in_s,
+    state: waiting, capturing or finished; left: slots still to capture; next_in_s,
     ghi_age_s: seconds; camera, pyranometer: ok, closed or lost; bytes_missing: what the next
     bracket needs and the disk lacks, without the space reserved for journal and rows; disk_days:
     days of captures that fit. None: unknown.

@@ -35,7 +35,6 @@ from fieldlum.session import (
     DEFAULT_GRACE_S,
     Session,
     disk_is_full,
-    paused_until,
     sole_user,
     store_grace,
     update_session,
@@ -211,7 +210,7 @@ class _Runner:
         if begun:
             self._learn_sizes(begun[-1], self.states[begun[-1].id])
         self._watched, self._misses = True, 0
-        self._state, self._next, self._paused_slot = "waiting", "", ""
+        self._state, self._next = "waiting", ""
 
     def _keeper(self, name: str, open_device: Callable[[], Any]) -> Keeper[Any]:
         return Keeper(name, open_device, self.clock, self.recorder.tell, self.options.watchdog_s)
@@ -271,10 +270,6 @@ class _Runner:
                 continue
             state = self.states.get(slot.id, SlotState())
             late_s = (self.clock.now() - slot.t_utc).total_seconds()
-            if late_s <= self.options.grace_s and self._is_paused(state):
-                self._state, self._paused_slot = "paused", slot.id
-                self._sleep_until(self.clock.now() + timedelta(seconds=1))
-                continue
             bracket = self._bracket(slot, state)
             can_resume = state.outcome == "started" and bracket.resumable()
             if late_s > self.options.grace_s and not can_resume:
@@ -306,11 +301,6 @@ class _Runner:
             state,
             slot.t_utc + timedelta(seconds=self.options.grace_s),
         )
-
-    def _is_paused(self, state: SlotState) -> bool:
-        """Return whether the user paused the capture; a bracket that has begun is finished."""
-        now = self.clock.now()
-        return state.outcome != "started" and paused_until(self.session, now) is not None
 
     def _next_to_do(self) -> Slot | None:
         """Return the next slot without an outcome; the plan may have changed during the capture."""
@@ -361,9 +351,8 @@ class _Runner:
                 f"interrupted, and not finished within the slot's window (now {late_s:.0f} s late)"
             )
             return bracket.abort(why)
-        paused = ", because the capture was paused" if self._paused_slot == slot else ""
-        self.recorder.tell("missed", slot=slot, why=f"late by {late_s:.0f} s{paused}")
-        return SlotState("missed", why=f"late{paused}")
+        self.recorder.tell("missed", slot=slot, why=f"late by {late_s:.0f} s")
+        return SlotState("missed", why="late")
 
     def _learn_sizes(self, slot: Slot, state: SlotState) -> None:
         sizes: list[int] = []

@@ -39,7 +39,7 @@ class _LocalPath(click.Path):
         if "://" in str(value):
             self.fail(
                 f"{value} is a URL; expected a path, because a bucket has no locks; only "
-                "pair --pairs-to and predict --maps-to write to a URL",
+                "pair --pairs-to writes to a URL",
                 param,
                 ctx,
             )

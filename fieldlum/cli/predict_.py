@@ -18,7 +18,6 @@ def command(
     label_shift_min: float = 0.0,
     out: Path | None = None,
     maps: bool = False,
-    maps_to: str = "",
     views: Annotated[int, click.IntRange(1, 360)] = 10,
     occupancy_path: Path | None = None,
     lamps: str = "",
@@ -42,8 +41,6 @@ def command(
           synthetic, for an invented year that must not be used to judge a place.
       --out: Folder of the year to write. [default: SESSION/annual/NAME]
       --maps: Also write every map, as Zarr (about 0.7 GB for a year at 460 x 230).
-      --maps-to URL: Write every map to a bucket, such as s3://BUCKET/FOLDER
-          (needs s3fs).
       --views: Number of view directions, evenly spread around.
       --occupancy: When the room is used: csv days,start,end, or 8760 rows of occupied.
           [default: 08:00 to 18:00]
@@ -59,7 +56,6 @@ def command(
             weather_path,
             out=out,
             maps=maps,
-            maps_to=maps_to,
             views=views,
             occupancy_path=occupancy_path,
             lamps=lamps,
@@ -86,9 +82,5 @@ def command(
     for row in summary.protection:
         azimuth = row.azimuth_deg
         click.echo(f"  {compass_name(azimuth):3} {azimuth:5.1f}°  {row.sentence}")
-    if summary.capture_next:
-        click.echo("To settle what is open, capture skies like these:")
-        for hour in summary.capture_next:
-            click.echo(
-                f"  {hour.date} {hour.hour}  DNI {hour.dni_wm2:.0f}, DHI {hour.dhi_wm2:.0f} W/m²"
-            )
+    if any(not row.certain and row.low is not None for row in summary.protection):
+        click.echo("Hours whose capture helps to settle a class: fieldlum plan SESSION --next")

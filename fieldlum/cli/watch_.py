@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated
 
 import click
 
@@ -22,7 +21,6 @@ def command(
     lan: bool = False,
     weather: str = "synthetic",
     compute: bool = True,
-    control: Annotated[int, "count"] = 0,
 ) -> None:
     """Show a session as a live page in the browser.
 
@@ -41,21 +39,13 @@ def command(
       --weather FILE|synthetic: Weather year for the prediction so far, as for predict.
       --compute/--no-compute: Merge new brackets and compute the prediction so far, at
           lowest priority between slots.
-      --control: Let the page write notes, mark states, request an extra bracket and pause
-          the capture. With --lan, state it twice.
     """
-    if control and lan and control < 2:
-        raise click.UsageError(
-            "--control with --lan: anyone who can listen to the network could pause the capture. "
-            "Give --control twice to accept this, or omit one of the two"
-        )
     from fieldlum.session import open_session
 
     session = open_session(session_folder)
     with terminal.web_library():
         from fieldlum.web.server import prepare, watch_routes
     from fieldlum.web.answer import Worker
-    from fieldlum.web.control import Control
     from fieldlum.web.snapshot import Snapshots
 
     if weather != "synthetic" and not Path(weather).is_file():
@@ -64,8 +54,7 @@ def command(
         )
     snapshots = Snapshots(session)
     worker = Worker(session, snapshots.moment, weather) if compute else None
-    changes = Control(session, snapshots.state) if control else None
-    served = prepare(watch_routes(session, snapshots, worker, changes), port, lan=lan)
+    served = prepare(watch_routes(session, snapshots, worker), port, lan=lan)
     click.echo(served.address)
     sys.stdout.flush()
     if lan:

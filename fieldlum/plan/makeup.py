@@ -3,68 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 
-from fieldlum.core.errors import InputError
 from fieldlum.core.records import Site, SiteFile, Slot, slot_id
-from fieldlum.plan import make_slots
 from fieldlum.plan.coverage import sun_band_percent
-from fieldlum.plan.days import DaylightHours, hours_of, span
+from fieldlum.plan.days import hours_of, span
 from fieldlum.session import Session, replacing, sha256, update_session, write_plan
 from fieldlum.session.ledger import read_ledger
 from fieldlum.session.makeups import MAKEUP, made_up_for
 from fieldlum.session.tables import PlanTable
 from fieldlum.sky import sun
-
-EXTRA = "extra"  # tag of such a slot
-# the capture reads the plan each second, and a camera needs time to wake up; chosen
-LEAD = timedelta(seconds=45)
-# Between the end of the extra bracket and the next planned one, for a slow card or a repeated
-# frame. Chosen.
-MARGIN = timedelta(seconds=60)
-
-
-def add_extra(session: Session, now_utc: datetime) -> Slot:
-    """Add a slot to plan.csv at the next full minute that is over 45 s away, and return it.
-
-    Its exposures are those of the last planned slot before it (of the first slot if there is none).
-    It has the tag "extra". Raises InputError if the sun is down, if a coming extra slot is already
-    planned, if one is nearer to the new slot than the duration of a bracket plus a minute, or if
-    the plan has no slots.
-    """
-    at = (now_utc + LEAD).replace(second=0, microsecond=0) + timedelta(minutes=1)
-    slots, setup = session.slots(), session.site_file()
-    seconds = float(session.table().get("plan", {}).get("seconds_per_slot", 60.0))
-    busy = timedelta(seconds=seconds) + MARGIN
-    where = sun.position([at], setup.site)
-    altitude_deg = float(where.altitude_deg[0])
-    again = "request it again after that bracket"
-    for slot in (slot for slot in slots if slot.t_utc >= now_utc):
-        if EXTRA in slot.tags:
-            finding = f"an extra bracket is already planned, at {slot.id}"
-            raise InputError(session.plan, finding, "one extra bracket at a time", again)
-        if at - busy < slot.t_utc < at + busy:
-            finding = f"the extra bracket would be too close to the planned bracket {slot.id}"
-            expected = f"{busy.total_seconds():.0f} s before and after it without a planned bracket"
-            raise InputError(session.plan, finding, expected, again)
-    if not slots:
-        finding = "no slot, so the exposures of an extra bracket are unknown"
-        remedy = "plan a new session: fieldlum plan SITE.toml --set 9-day --out FOLDER"
-        raise InputError(session.plan, finding, "a plan with slots", remedy)
-    if altitude_deg <= 0:
-        finding = f"the sun is {-altitude_deg:.0f} deg below the horizon"
-        raise InputError(session.plan, finding, "daylight", "add an extra bracket by day")
-    like = max((s for s in slots if s.t_utc <= at), key=lambda s: s.t_utc, default=slots[0])
-    hour = DaylightHours((at,), where.altitude_deg, where.azimuth_deg)
-    (slot,) = make_slots(hour, setup, like.exposures)
-    extra = replace(slot, tags=(*slot.tags, EXTRA))
-    _store_and_write(session, [*slots, extra], _resumed(session), setup)
-    return extra
-
 
 # Half of a day's change at the equinoxes, so that every passage of a declination has such a day.
 # Chosen as that half.

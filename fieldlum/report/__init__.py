@@ -6,18 +6,16 @@ Results that do not exist yet are left out.
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-import numpy as np
 import tomli_w
 
 from fieldlum.core.errors import NotEnoughDataError
-from fieldlum.core.records import Progress, quiet, slot_id
+from fieldlum.core.records import Progress, Site, quiet, slot_id
 from fieldlum.core.strict_csv import read_table
 from fieldlum.report import assessor
-from fieldlum.report.page import Page, Section, Table, named, render
+from fieldlum.report.page import Section, Table, named, render, sentence
 from fieldlum.session import Session, remove_scraps, replacing
 from fieldlum.session.files.held_out_npz import HeldOutMaps
 from fieldlum.session.files.model_config import ModelConfig
@@ -28,8 +26,7 @@ from fieldlum.year.glare.budget import BUDGET_FILE
 from fieldlum.year.predict import Annual, read_annual, read_pictures
 
 
-@dataclass(frozen=True, slots=True)
-class SessionArtefacts:
+class SessionArtefacts(NamedTuple):
     """Results of a session that the report shows; None for a result that does not exist yet."""
 
     model: Path | None
@@ -105,95 +102,72 @@ def _budget_section(year: Annual) -> list[Section]:
     return [Section("budget", "Uncertainty budget", text, tables=tables)]
 
 
-def _slot_names(pairs: PairsFile) -> dict[str, str]:
-    """Return the panoramas' names (the ids of their slots), by the time of the pair."""
-    return {slot_id(row.t_utc): Path(row.panorama).stem for row in pairs.usable if row.panorama}
+def _page(session: Session, artefacts: SessionArtefacts) -> str:
+    from fieldlum.report import annual, evidence
 
-
-def _page(session: Session, artefacts: SessionArtefacts) -> Page:
-    from fieldlum.report import annual, captured, evidence, melanopic
-
-    setup = session.site_file()
-    zone = setup.site.timezone
-    pairs = PairsFile.read(session.pairs)
-    year = artefacts.annual
+    site, pairs = session.site_file().site, PairsFile.read(session.pairs)
+    zone, year = site.timezone, artefacts.annual
     sections: list[Section] = []
-    if year is not None:
-        sections += [annual.directions_section(year), annual.when_section(year, zone)]
-        sections.append(annual.looks_section(year, read_pictures(year.folder), zone))
-        sections.append(melanopic.section(year, zone))
-        sections += _budget_section(year)
-    if artefacts.model is not None:
-        held, names = HeldOutMaps.find(artefacts.model), _slot_names(pairs)
-        sections.append(evidence.section(held, artefacts.scores, names))
-    hours = year.hours if year else {"dni_wm2": np.empty(0), "dhi_wm2": np.empty(0)}
-    captures = captured.section(session, setup.site, pairs, hours["dni_wm2"], hours["dhi_wm2"])
-    sections += [captures, _settings(session, artefacts)]
     answer = "No year has been predicted yet."
     why = "Train a model and run fieldlum predict to get the answer here."
     if year is not None:
         answer, why = annual.answer(year)
-    return Page(
-        title=setup.site.name,
-        answer=answer,
-        why=why,
-        facts=_facts(session, artefacts, pairs),
-        sections=tuple(sections),
-        footer=f"Written by fieldlum {__version__}. Glare figures are fieldlum's own, checked "
-        "against evalglare; see docs/accuracy.md. This page needs no network.",
-        polar=annual.polar(year) if year else None,
-        warnings=(*_assumed(session), *_warnings(year)),
+        sections += [annual.directions_section(year), annual.when_section(year, zone)]
+        sections.append(annual.looks_section(year, read_pictures(year.folder), zone))
+        sections.append(annual.melanopic_section(year, zone))
+        sections += _budget_section(year)
+    if artefacts.model is not None:
+        held = HeldOutMaps.find(artefacts.model)
+        names = {slot_id(r.t_utc): Path(r.panorama).stem for r in pairs.usable if r.panorama}
+        sections.append(evidence.accuracy_section(held, artefacts.scores, names))
+    sections.append(
+        evidence.captures_section(session, site, pairs, {} if year is None else year.hours)
+    )
+    return render(
+        site.name,
+        answer,
+        why,
+        _facts(site, artefacts, pairs),
+        [*sections, _settings(session, artefacts)],
+        _warnings(session, year),
+        None if year is None else annual.polar(year),
     )
 
 
-def _facts(
-    session: Session, artefacts: SessionArtefacts, pairs: PairsFile
-) -> tuple[tuple[str, str], ...]:
-    site = session.site_file().site
-    captures = len(pairs.usable)
-    if artefacts.config is not None and artefacts.config.training.slots:
-        captures = len(artefacts.config.training.slots)  # training leaves out what it cannot use
-    facts = [
-        ("place", f"{site.latitude_deg:.2f}, {site.longitude_deg:.2f}"),
-        ("captures used", f"{captures}"),
-    ]
+def _facts(site: Site, artefacts: SessionArtefacts, pairs: PairsFile) -> list[tuple[str, str]]:
+    captures, model = len(pairs.usable), []
     if artefacts.config is not None:
-        facts.append(("model", artefacts.config.model))
-    if artefacts.annual is not None:
-        summary = artefacts.annual.summary
-        unsure = summary.occupancy.unsure_share
-        unsure = summary.occupancy.untrusted_share if unsure is None else unsure
-        facts += [
-            ("hours predicted", f"{summary.hours}"),
-            ("weather", summary.weather.name),
-            ("occupied hours with a certain DGP", f"{100 * (1 - unsure):.0f} %"),
-            ("sun's disc by", summary.disc_from),
-        ]
-    return tuple(facts)
+        # training leaves out what it cannot use
+        captures = len(artefacts.config.training.slots) or captures
+        model = [("model", artefacts.config.model)]
+    place = f"{site.latitude_deg:.2f}, {site.longitude_deg:.2f}"
+    facts = [("place", place), ("captures used", f"{captures}"), *model]
+    if artefacts.annual is None:
+        return facts
+    summary = artefacts.annual.summary
+    unsure = summary.occupancy.unsure_share
+    unsure = summary.occupancy.untrusted_share if unsure is None else unsure
+    return [
+        *facts,
+        ("hours predicted", f"{summary.hours}"),
+        ("weather", summary.weather.name),
+        ("occupied hours with a certain DGP", f"{100 * (1 - unsure):.0f} %"),
+        ("sun's disc by", summary.disc_from),
+    ]
 
 
-def _assumed(session: Session) -> list[str]:
-    """Return the warnings of a heading or camera that SITE.toml did not state."""
+def _warnings(session: Session, year: Annual | None) -> list[str]:
+    """Return warnings of assumed settings of the site, of training, and of the weather."""
     from fieldlum.optics.profiles import assumed_texts
 
     texts = assumed_texts(session.site_file().camera)
-    return [f"{text[0].upper()}{text[1:]}." for text in texts]
-
-
-def _warnings(year: Annual | None) -> tuple[str, ...]:
-    if year is None:
-        return ()
-    weather = year.summary.weather
-    warnings = [_spoken(text) for text in year.summary.model_warnings]
-    if weather.synthetic:
-        warnings.append("The weather is synthetic: do not judge this place by it.")
-    return (*warnings, *(f"Weather repaired: {text}." for text in weather.repairs))
-
-
-def _spoken(warning: str) -> str:
-    """Return a warning of `train` as a sentence for the page."""
-    text = warning.removeprefix("WARNING: ")
-    return f"From training: {text}{'' if text.endswith('.') else '.'}"
+    if year is not None:
+        weather, of_model = year.summary.weather, year.summary.model_warnings
+        texts += [f"From training: {text.removeprefix('WARNING: ')}" for text in of_model]
+        if weather.synthetic:
+            texts.append("The weather is synthetic: do not judge this place by it.")
+        texts += [f"Weather repaired: {text}" for text in weather.repairs]
+    return [sentence(text) for text in texts]
 
 
 def run(
@@ -219,10 +193,7 @@ def run(
     remove_scraps(folder)
     page = folder / ("assessor.html" if for_assessor else "index.html")
     progress(0, 1, "page")
-    if for_assessor:
-        text = render(assessor.page_of(session, artefacts.annual))
-    else:
-        text = render(_page(session, artefacts))
+    text = assessor.page(session, artefacts.annual) if for_assessor else _page(session, artefacts)
     progress(1, 1, "")
     with replacing(page, "w", encoding="utf-8") as file:
         file.write(text)

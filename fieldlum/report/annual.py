@@ -1,13 +1,13 @@
-"""The report's sections on the predicted year: where to sit, when glare comes, pictures."""
+"""The report's sections on the predicted year: where to sit, when glare comes, pictures, EDI."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from typing import NamedTuple
 from zoneinfo import ZoneInfo
 
 import numpy as np
 
-from fieldlum.core.arrays import Floats32
+from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.records import SunSource
 from fieldlum.optics.projection import NOT_SEEN, PARTLY_SEEN
 from fieldlum.report.figures import picture_grid, png, polar_svg
@@ -16,10 +16,9 @@ from fieldlum.report.page import (
     EV,
     NOT_TRUSTED,
     Figure,
-    Row,
     Section,
     Table,
-    day_hour_grid,
+    chip,
     heat_map,
     named,
     sentence,
@@ -32,12 +31,6 @@ from fieldlum.year.predict.annual import Pictures
 from fieldlum.year.predict.glare_summary import best_and_worst
 
 _FISHEYE_PX = 220  # of a fisheye's edge: about its size on the page
-CLASS_WORDS = {
-    "high": "high protection",
-    "medium": "medium protection",
-    "minimum": "minimum protection",
-    "none": "worse than minimum protection",
-}
 
 
 def answer(annual: Annual) -> tuple[str, str]:
@@ -53,34 +46,22 @@ def answer(annual: Annual) -> tuple[str, str]:
             "Capture several headings (headings in SITE.toml), or use a lens that sees more.",
         )
     best, worst = ends
-    hours = annual.summary.occupancy.hours
-    first = f"Sit facing {named(best.azimuth_deg)}: {_class_words(best)}."
-    contrast = (
-        f"Facing {named(worst.azimuth_deg)}, disturbing glare (DGP above 0.40) comes in "
-        f"{worst.hours_over['0.40']} of {hours} occupied hours of the year; facing "
-        f"{named(best.azimuth_deg)} in {best.hours_over['0.40']}. "
-    )
-    limit = (
-        "A class of EN 17037 is met when DGP exceeds 0.35 (high), 0.40 (medium) or 0.45 (minimum) "
-        "in at most 5 % of the occupied hours."
-    )
-    place = (
-        " All of it holds for the camera's place: half a metre away, the window's edges are "
-        "elsewhere."
-    )
-    return first, f"{contrast}{_unseen_words(rows)}{limit}{place}"
-
-
-def _unseen_words(rows: Sequence[DirectionYear]) -> str:
-    """Return a sentence that names the directions without an answer."""
     blind = [named(row.azimuth_deg) for row in rows if row.glare_class == NOT_SEEN]
-    if not blind:
-        return ""
-    return f"No result for views to {', '.join(blind)}: the camera saw less than half of them. "
+    unseen = f"No result for views to {', '.join(blind)}: the camera saw less than half of them. "
+    return (
+        f"Sit facing {named(best.azimuth_deg)}: {_class_words(best)}.",
+        f"Facing {named(worst.azimuth_deg)}, disturbing glare (DGP above 0.40) comes in "
+        f"{worst.hours_over['0.40']} of {annual.summary.occupancy.hours} occupied hours of the "
+        f"year; facing {named(best.azimuth_deg)} in {best.hours_over['0.40']}. "
+        f"{unseen if blind else ''}A class of EN 17037 is met when DGP exceeds 0.35 (high), 0.40 "
+        "(medium) or 0.45 (minimum) in at most 5 % of the occupied hours. All of it holds for the "
+        "camera's place: half a metre away, the window's edges are elsewhere.",
+    )
 
 
 def _class_words(row: DirectionYear) -> str:
-    words = f"{CLASS_WORDS[row.glare_class]} from glare"
+    name = f"{row.glare_class} protection"
+    words = f"{'worse than minimum protection' if row.glare_class == 'none' else name} from glare"
     if row.seen == PARTLY_SEEN and not row.certain:
         return f"{words}, for the part of the view that was seen"
     if row.low is None:
@@ -91,69 +72,45 @@ def _class_words(row: DirectionYear) -> str:
 def polar(annual: Annual) -> Figure:
     """Return the polar plot, north up, of the DGP exceeded in 5 % of the occupied hours."""
     rows = annual.summary.protection
-    azimuths = np.array([row.azimuth_deg for row in rows])
-    exceeded, *bounds = (
-        np.array([np.nan if value is None else value for value in values], float)
-        for values in zip(*((row.dgp_exceeded, row.low, row.high) for row in rows), strict=True)
-    )
-    bounds = [None if np.isnan(ends).all() else ends for ends in bounds]
-    spoken = ", ".join(f"{named(row.azimuth_deg)} {_figure(row)}" for row in rows)
-    band = " The grey band is its 95 % interval." if bounds[0] is not None else ""
+    figures = np.array([(r.azimuth_deg, r.dgp_exceeded, r.low, r.high) for r in rows], float)
+    spoken = ", ".join(f"{named(row.azimuth_deg)} {exceeded_text(row, NOT_SEEN)}" for row in rows)
+    what = "DGP exceeded in 5 % of the occupied hours, by view direction"
+    band = "" if np.isnan(figures[:, 2]).all() else " The grey band is its 95 % interval."
     return Figure(
-        polar_svg(azimuths, exceeded, *bounds),
-        "Polar plot, north up, of the DGP exceeded in 5 % of occupied hours by view direction: "
-        f"{spoken}.",
-        "The DGP that is exceeded in 5 % of the occupied hours, by view direction; the rings are "
-        "the limits 0.35, 0.40, "
-        f"0.45.{band} Nearer the middle is better; values above 0.60 are drawn at the rim.",
+        polar_svg(*figures.T),
+        f"Polar plot, north up, of the {what}: {spoken}.",
+        f"The {what}; the rings are the limits 0.35, 0.40, 0.45.{band} Nearer the middle is "
+        "better; values above 0.60 are drawn at the rim.",
     )
 
 
-def _figure(row: DirectionYear) -> str:
+def exceeded_text(row: DirectionYear, unknown: str = "–") -> str:
     """Return the DGP that 5 % of the occupied hours exceed, or that it is unknown."""
-    return NOT_SEEN if row.dgp_exceeded is None else f"{row.dgp_exceeded:.2f}"
+    return unknown if row.dgp_exceeded is None else f"{row.dgp_exceeded:.2f}"
 
 
-def _settled(row: DirectionYear) -> str:
-    if row.glare_class == NOT_SEEN:
-        return "–"
-    if row.certain:
-        return "yes"
-    return "cannot tell yet" if row.low is not None else "no uncertainty known"
-
-
-def _direction_table(annual: Annual) -> Table:
-    rows = []
-    for row in annual.summary.protection:
-        interval = "–" if row.low is None else f"{row.low:.2f} to {row.high:.2f}"
-        chip = {"kind": row.glare_class if row.certain else "open", "text": row.glare_class}
-        if row.seen == PARTLY_SEEN:
-            chip["text"] += ", partly seen"
-        over = {k: "–" if v is None else v for k, v in row.hours_over.items()}
-        exceeded = "–" if row.dgp_exceeded is None else f"{row.dgp_exceeded:.2f}"
-        hours = (over["0.35"], over["0.40"], over["0.45"])
-        rows.append((named(row.azimuth_deg), chip, _settled(row), exceeded, interval, *hours))
-    head = ("view direction", "class", "settled", "DGP in 5 %", "95 % interval")
-    return Table((*head, "h > .35", "h > .40", "h > .45"), tuple(rows))
+def interval_text(row: DirectionYear) -> str:
+    """Return the 95 % interval of that DGP."""
+    return "–" if row.low is None else f"{row.low:.2f} to {row.high:.2f}"
 
 
 def directions_section(annual: Annual) -> Section:
-    """Return the section with the class of each view direction, and hours that would decide it."""
-    tables = [_direction_table(annual)]
-    wanted = annual.summary.capture_next
-    if wanted:
-        rows = tuple((w.date, w.hour, f"{w.dni_wm2:.0f}", f"{w.dhi_wm2:.0f}") for w in wanted)
-        head = ("date", "local time", "direct, W/m²", "diffuse, W/m²")
-        tables.append(
-            Table(head, rows, "Hours like these, when captured, would decide the open classes")
-        )
+    """Return the section with the class of each view direction."""
+    rows = []
+    for row in annual.summary.protection:
+        unknown = "cannot tell yet" if row.low is not None else "no uncertainty known"
+        settled = "–" if row.glare_class == NOT_SEEN else "yes" if row.certain else unknown
+        of_class = chip(row, ", partly seen" if row.seen == PARTLY_SEEN else "")
+        hours = ("–" if count is None else count for count in row.hours_over.values())
+        dgp = exceeded_text(row), interval_text(row)
+        rows.append((named(row.azimuth_deg), of_class, settled, *dgp, *hours))
+    head = ("view direction", "class", "settled", "DGP in 5 %", "95 % interval")
     notes = " ".join(map(sentence, annual.summary.notes[1:]))
     text = f"Occupied hours: {annual.summary.occupancy.text}. {notes}"
-    return Section("directions", "Where to sit", text, tables=tuple(tables))
-
-
-# ----------------------------------------------------------------------------------------------
-# when
+    if any(not row.certain and row.low is not None for row in annual.summary.protection):
+        text += " Hours whose capture helps to settle a class: fieldlum plan SESSION --next."
+    table = Table((*head, "h > .35", "h > .40", "h > .45"), rows)
+    return Section("directions", "Where to sit", text, tables=(table,))
 
 
 def when_section(annual: Annual, zone: str) -> Section:
@@ -162,32 +119,30 @@ def when_section(annual: Annual, zone: str) -> Section:
     Its layers are DGP, vertical illuminance and hours that are not trusted, for each direction.
     """
     local = [standard_time(t, zone) for t in annual.t_utc]
-    day = np.array([t.timetuple().tm_yday for t in local])
     hour = np.array([t.hour for t in local])
-    judged, dgp = annual.judged, annual.views["dgp"]
-    doubt = np.where(judged, (annual.hours["trusted"] <= 0.0)[:, None], np.nan)
-    grids = [
-        (layer, day_hour_grid(day, hour, values, max(365, int(day.max()))))
-        for layer, values in ((DGP, dgp), (EV, annual.views["ev_lx"]), (NOT_TRUSTED, doubt))
-    ]
+    doubt = np.where(annual.judged, (annual.hours["trusted"] <= 0.0)[:, None], np.nan)
+    layers = ((DGP, annual.views["dgp"]), (EV, annual.views["ev_lx"]), (NOT_TRUSTED, doubt))
     ends = best_and_worst(annual.summary.protection)
-    names = [
-        named(a) if good else f"{named(a)}: not seen"
-        for a, good in zip(annual.azimuths_deg, judged, strict=True)
-    ]
-    start = 0 if ends is None else int(np.argmin(np.abs(annual.azimuths_deg - ends[1].azimuth_deg)))
-    alt = (
-        "Map of the year with a cell for each hour: days run to the right, hours of standard time "
-        "upwards. The arrow keys move from cell to cell."
+    worst_deg = annual.azimuths_deg[0] if ends is None else ends[1].azimuth_deg
+    used = hour[annual.occupied]
+    picture = heat_map(
+        np.array([t.timetuple().tm_yday for t in local]),
+        hour,
+        layers,
+        local[len(local) // 2].year,
+        directions=[
+            named(a) if good else f"{named(a)}: not seen"
+            for a, good in zip(annual.azimuths_deg, annual.judged, strict=True)
+        ],
+        start=int(np.argmin(np.abs(annual.azimuths_deg - worst_deg))),
+        used=(int(used.min()), int(used.max()) + 1) if len(used) else (),
+        alt="Map of the year with a cell for each hour: days run to the right, hours of standard "
+        "time upwards. The arrow keys move from cell to cell.",
     )
-    used_hours = hour[annual.occupied]
-    used = (int(used_hours.min()), int(used_hours.max()) + 1) if len(used_hours) else ()
-    year = local[len(local) // 2].year
     text = (
         "Each cell is one hour of the year: days to the right from January, hours of local "
         "standard time upwards. The dashed lines bound the hours of use over the year."
     )
-    picture = heat_map(grids, names, year, alt, start, used)
     return Section("when", "When glare comes", text, heatmap=picture)
 
 
@@ -195,74 +150,141 @@ def when_section(annual: Annual, zone: str) -> Section:
 # what it looks like
 
 
-def _when(annual: Annual, row: int, zone: str) -> str:
-    return annual.t_utc[row].astimezone(ZoneInfo(zone)).strftime("%d %b %H:%M")
+def looks_section(annual: Annual, pictures: Pictures, zone: str) -> Section:
+    """Return the section with predicted pictures of typical and worst hours."""
+    turned, titles, rows = [], [], []
+    for k, kind in enumerate(pictures.kinds):
+        if " view " not in kind:  # earlier versions have a clear day too
+            continue
+        share, which, azimuth = _kind(kind)
+        light = pictures.luminance_cdm2[k]
+        columns = round((pictures.heading_deg - azimuth) / 360.0 * light.shape[1])
+        turned.append(np.roll(light, columns, axis=1))
+        when = annual.t_utc[pictures.rows[k]].astimezone(ZoneInfo(zone)).strftime("%d %b %H:%M")
+        titles.append(f"{share}, {which} direction {named(azimuth)}, {when}")
+        if kind.startswith("highest of worst"):
+            rows.append((_fisheyes(annual, pictures, k, when),))
+    if turned:
+        alt = f"False-colour panoramas: {'; '.join(titles)}."
+        caption = "Predicted panoramas. The middle of each faces the direction that it is of."
+        figure = Figure(png(picture_grid(turned, titles, 2, 6.0)[0]), alt, caption)
+        rows.insert(0, (figure,))
+    return Section("looks", "What it looks like", "", rows)
 
 
-def _fisheyes(annual: Annual, pictures: Pictures, k: int, zone: str) -> Row:
+def _kind(text: str) -> tuple[str, str, float]:
+    """Return the parts of ``p95 of worst view 180`` for a title."""
+    share, _, which, _, azimuth = text.split()
+    names = {"typical": "Typical hour", "p95": "95th percentile of glare"}
+    return names.get(share, "Highest glare"), which, float(azimuth)
+
+
+def _fisheyes(annual: Annual, pictures: Pictures, k: int, when: str) -> Figure:
     """Return fisheyes around the room in one hour, with the sun's disc."""
     row, disc_lx, hours = int(pictures.rows[k]), float(pictures.disc_lx[k]), annual.hours
     altitude = float(shown_altitude_deg(hours["sun_altitude_deg"][row]))
-    sun = (
-        SunSource(altitude, float(hours["sun_azimuth_deg"][row]), disc_lx) if disc_lx > 0 else None
-    )
+    sun = SunSource(altitude, float(hours["sun_azimuth_deg"][row]), disc_lx)
     views, titles = [], []
     axis = (np.arange(_FISHEYE_PX) + 0.5) / _FISHEYE_PX - 0.5
     outside = np.hypot(axis[None, :], axis[:, None]) > 0.5
     for i in np.flatnonzero(annual.judged)[:10]:
         azimuth = float(annual.azimuths_deg[i])
-        view = panorama_to_fisheye(
-            pictures.luminance_cdm2[k], pictures.heading_deg, azimuth, size=_FISHEYE_PX, sun=sun
-        )
-        views.append(np.where(outside, np.nan, view))
+        light, heading = pictures.luminance_cdm2[k], pictures.heading_deg
+        shown = panorama_to_fisheye(light, heading, azimuth, size=_FISHEYE_PX, sun=sun)
+        views.append(np.where(outside, np.nan, shown))
         titles.append(f"{named(azimuth)}  DGP {annual.views['dgp'][row, i]:.2f}")
-    when = _when(annual, row, zone)
-    figure = png(picture_grid(views, titles, 5, 2.3)[0])
-    alt = f"Fisheye views around the room at {when}."
-    shown = Figure(figure, alt, f"Around the room, {when} (predicted).")
-    return Row((shown,), "View directions in the hour of the highest DGP")
+    what = f"View directions around the room in the hour of the highest DGP, {when} (predicted)."
+    return Figure(png(picture_grid(views, titles, 5, 2.3)[0]), what, what)
 
 
-def looks_section(annual: Annual, pictures: Pictures, zone: str) -> Section:
-    """Return the section with predicted pictures of typical and worst hours, and of a clear day."""
-    day = [k for k, kind in enumerate(pictures.kinds) if kind == "clear day"]
-    single = [k for k, kind in enumerate(pictures.kinds) if kind != "clear day"]
-    when = [_when(annual, int(row), zone) for row in pictures.rows]
-    rows = []
-    if single:
-        azimuths = [float(pictures.kinds[k].split()[-1]) for k in single]
-        turned = [
-            turned_map(pictures.luminance_cdm2[k], pictures.heading_deg, azimuth)
-            for k, azimuth in zip(single, azimuths, strict=True)
-        ]
-        titles = [f"{_spoken(pictures.kinds[k])}, {when[k]}" for k in single]
-        alt = f"False-colour panoramas: {'; '.join(titles)}."
-        caption = "Predicted panoramas. The middle of each faces the direction that it is of."
-        rows.append(Row((Figure(png(picture_grid(turned, titles, 2, 6.0)[0]), alt, caption),)))
-    rows += [
-        _fisheyes(annual, pictures, k, zone)
-        for k in single
-        if pictures.kinds[k].startswith("highest of worst")
+# ----------------------------------------------------------------------------------------------
+# melanopic light
+
+BROWN_EDI_LX, BROWN_HOURS = 250.0, (6, 19)  # Brown et al., PLOS Biology 20 (2022)
+WELL_EDI_LX, WELL_HOURS = (109.0, 136.0, 163.0, 250.0), (9, 13)  # WELL v2, L03
+_MELANOPIC = (
+    "Daylight alone, at the camera's place and height; hours of local standard time. 250 lx from "
+    "06:00 to 19:00 is the advice of Brown et al. 2022. WELL v2 L03 asks for 136 or 250 lx in the "
+    "four hours from 09:00 to 13:00, with enhanced daylight for 109 or 163 lx."
+)
+
+
+class Share(NamedTuple):
+    """A share in percent: its best value, and the ends of its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+    def text(self) -> str:
+        """Return the share with its interval, if it has one."""
+        interval = "" if self.low == self.high else f" ({self.low:.0f} to {self.high:.0f})"
+        return f"{self.value:.0f} %{interval}"
+
+    def above(self, limit: float) -> str:
+        """Return whether the share exceeds a limit [%]: yes, no, or cannot tell."""
+        return "yes" if self.low > limit else "no" if self.high <= limit else "cannot tell"
+
+
+def has_melanopic(annual: Annual) -> bool:
+    """Return whether melanopic EDI of the year is by measured colour."""
+    return bool(np.isfinite(annual.views["melanopic_edi_lx"]).any())
+
+
+def melanopic_shares(annual: Annual, zone: str) -> list[tuple[Share, list[Share]]]:
+    """Return shares of the year with enough melanopic light, for each direction.
+
+    The first is of the hours from 06:00 to 19:00 with 250 lx or more; the others are of the days
+    with each of `WELL_EDI_LX` in all four hours from 09:00 to 13:00. Hours in the dark count as
+    without light. Hours are those of local standard time; zone : its IANA name. Without measured
+    colour they are estimates, without intervals.
+    """
+    local = [standard_time(t, zone) for t in annual.t_utc]
+    hour, day = np.array([t.hour for t in local]), np.array([t.toordinal() for t in local])
+    edi, u = annual.views["melanopic_edi_lx"], annual.views["u_melanopic_edi_lx"]
+    if not has_melanopic(annual):
+        edi, u = annual.views["melanopic_edi_lx_estimate"], np.zeros(1)
+    ends = np.stack([edi, edi - 1.96 * u, edi + 1.96 * u])  # [3, n, d]: 95 %
+    brown = (hour >= BROWN_HOURS[0]) & (hour < BROWN_HOURS[1])
+    days = max(annual.summary.days, 1)
+    hours = days * (BROWN_HOURS[1] - BROWN_HOURS[0])
+    every = 100.0 * (ends[:, brown] >= BROWN_EDI_LX).sum(axis=1) / hours  # [3, d]
+    well = [
+        100.0 * np.stack([_days_with(end >= limit, hour, day) for end in ends]) / days
+        for limit in WELL_EDI_LX
     ]
-    if day:
-        figure = picture_grid([*pictures.luminance_cdm2[day]], [when[k] for k in day], 4, 3.0)[0]
-        alt, caption = "Panoramas through a clear day.", "One clear day by hours (predicted)."
-        rows.append(Row((Figure(png(figure, 90), alt, caption),), "A clear day"))
-    return Section("looks", "What it looks like", "", tuple(rows))
+    return [
+        (Share(*map(float, every[:, k])), [Share(*map(float, share[:, k])) for share in well])
+        for k in range(edi.shape[1])
+    ]
 
 
-def turned_map(luminance_cdm2: Floats32, heading_deg: float, azimuth_deg: float) -> Floats32:
-    """Return a panorama [H, W] whose middle faces `azimuth_deg` instead of `heading_deg`."""
-    columns = round((heading_deg - azimuth_deg) / 360.0 * luminance_cdm2.shape[1])
-    return np.roll(luminance_cdm2, columns, axis=1)
+def _days_with(bright: Mask, hour: Floats, day: Floats) -> Floats:
+    """Return the number of days that are bright in all of the hours of WELL, [d]."""
+    rows = (hour >= WELL_HOURS[0]) & (hour < WELL_HOURS[1])
+    days, index = np.unique(day[rows], return_inverse=True)
+    counts = np.zeros((len(days), bright.shape[1]))
+    np.add.at(counts, index, bright[rows])
+    return (counts >= WELL_HOURS[1] - WELL_HOURS[0]).sum(axis=0)
 
 
-def _spoken(kind: str) -> str:
-    """Return ``p95 of worst view 180`` as a phrase."""
-    share, _, which, _, azimuth = kind.split()
-    names = {
-        "typical": "Typical hour",
-        "p95": "95th percentile of glare",
-        "highest": "Highest glare",
-    }
-    return f"{names[share]}, {which} direction {named(float(azimuth))}"
+def melanopic_section(annual: Annual, zone: str) -> Section:
+    """Return the section with the shares of hours and days by view direction."""
+    shares = zip(annual.azimuths_deg, annual.judged, melanopic_shares(annual, zone), strict=True)
+    rows = [
+        (named(azimuth), hours.text(), *(share.text() for share in days))
+        for azimuth, good, (hours, days) in shares
+        if good
+    ]
+    limits = (f"days ≥ {limit:.0f} lx, 09–13 h" for limit in WELL_EDI_LX)
+    head = ("view direction", "hours ≥ 250 lx, 06–19 h", *limits)
+    origin = (
+        "By the colour of the captures, with 95 % intervals."
+        if has_melanopic(annual)
+        else "An estimate, because no melanopic colour was measured: vertical illuminance times "
+        "1.0, as if the light had the spectrum of D65. For 58 spectra of daylight behind "
+        "electrochromic glass it is 11 to 17 % too high. Calibrate the camera's colour (fieldlum "
+        "calibrate colour), then merge and predict again."
+    )
+    text = f"{origin} {_MELANOPIC}"
+    return Section("melanopic", "Melanopic light of day", text, tables=(Table(head, rows),))

@@ -13,16 +13,23 @@ import numpy as np
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import SiteFile
 from fieldlum.optics.profiles import CameraProfile, find_camera_profile, load_camera_profile
-from fieldlum.report import melanopic
-from fieldlum.report.melanopic import Share
-from fieldlum.report.page import Page, Section, Table, named, sentence
+from fieldlum.report.annual import (
+    WELL_EDI_LX,
+    Share,
+    exceeded_text,
+    has_melanopic,
+    interval_text,
+    melanopic_section,
+    melanopic_shares,
+)
+from fieldlum.report.page import Section, Table, named, render, sentence
 from fieldlum.session import Session, sha256
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.version import __version__
+from fieldlum.year.glare.standards import EXCEEDED_SHARE
 from fieldlum.year.predict import Annual
 
 _GA_DGP, _SDG_DGP = 0.40, 0.38  # honeybee's and ClimateStudio's limits
-_SHARE = 0.05  # of the occupied hours, EN 17037 and ClimateStudio
 _WORDS = {"none": "below minimum"}
 METHOD = (
     "A camera of known calibration captured luminance maps of the room under many suns and skies, "
@@ -42,34 +49,28 @@ def _hours_over(annual: Annual, limit: float) -> list[Share]:
     return [Share(*map(float, row)) for row in zip(*shares, strict=True)]
 
 
+def _disturbed(annual: Annual) -> list[str]:
+    """Return for each direction whether it is disturbed as sDG counts it: yes, no, cannot tell."""
+    return [share.above(100 * EXCEEDED_SHARE) for share in _hours_over(annual, _SDG_DGP)]
+
+
 def _glare_table(annual: Annual) -> Table:
     rows = []
-    over, over_sdg = _hours_over(annual, _GA_DGP), _hours_over(annual, _SDG_DGP)
-    for k, row in enumerate(annual.summary.protection):
-        if not annual.judged[k]:
+    summary = annual.summary.protection
+    each = zip(
+        summary, annual.judged, _hours_over(annual, _GA_DGP), _disturbed(annual), strict=True
+    )
+    for row, good, over, disturbed in each:
+        if not good:
             rows.append((named(row.azimuth_deg), "not seen", "–", "–", "–", "–"))
             continue
-        interval = "–" if row.low is None else f"{row.low:.2f} to {row.high:.2f}"
         word = _WORDS.get(row.glare_class, row.glare_class)
         settled = word if row.certain else f"cannot tell ({word} likeliest)"
-        free = Share(100 - over[k].value, 100 - over[k].high, 100 - over[k].low)
-        disturbed = over_sdg[k].above(100 * _SHARE)
-        exceeded = "–" if row.dgp_exceeded is None else f"{row.dgp_exceeded:.2f}"
-        rows.append((named(row.azimuth_deg), settled, exceeded, interval, free.text(), disturbed))
+        free = Share(100 - over.value, 100 - over.high, 100 - over.low).text()
+        figures = exceeded_text(row), interval_text(row), free, disturbed
+        rows.append((named(row.azimuth_deg), settled, *figures))
     head = ("view direction", "EN 17037 class", "DGP in 5 %", "95 % interval")
-    return Table((*head, "GA (DGP ≤ 0.40)", "DGP > 0.38 in over 5 %"), tuple(rows))
-
-
-def _sdg(annual: Annual) -> str:
-    """Return how many of the judged directions are disturbed as sDG counts them, as text."""
-    answers = [
-        share.above(100 * _SHARE)
-        for share, good in zip(_hours_over(annual, _SDG_DGP), annual.judged, strict=True)
-        if good
-    ]
-    unsure = answers.count("cannot tell")
-    text = f"{answers.count('yes')} of {len(answers)} directions are disturbed"
-    return f"{text}, {unsure} cannot be decided" if unsure else text
+    return Table((*head, "GA (DGP ≤ 0.40)", "DGP > 0.38 in over 5 %"), rows)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -84,15 +85,19 @@ def _requirements(annual: Annual, zone: str) -> Table:
         for row in decided
     )
     found = f"decided in {len(decided)} of {len(rows)} directions: {classes or 'none'}"
-    edi = well = melanopic.NOT_MEASURED
-    if melanopic.is_measured(annual):
-        each = zip(melanopic.melanopic_shares(annual, zone), annual.judged, strict=True)
+    answers = [text for text, good in zip(_disturbed(annual), annual.judged, strict=True) if good]
+    sdg = (
+        f"{answers.count('yes')} of {len(answers)} directions are disturbed, "
+        f"{answers.count('cannot tell')} cannot be decided"
+    )
+    edi = well = "cannot tell: no melanopic colour was measured"
+    if has_melanopic(annual):
+        each = zip(melanopic_shares(annual, zone), annual.judged, strict=True)
         best = max((s for s, good in each if good), key=lambda share: share[0].value)
         edi = f"best direction: {best[0].text()} of the hours"
-        well = "best direction, daylight alone: " + ", ".join(
-            f"{limit:.0f} lx on {share.text()} of the days"
-            for limit, share in zip(melanopic.WELL_EDI_LX, best[1], strict=True)
-        )
+        limits = zip(WELL_EDI_LX, best[1], strict=True)
+        days = (f"{limit:.0f} lx on {share.text()} of the days" for limit, share in limits)
+        well = f"best direction, daylight alone: {', '.join(days)}"
     place = "views at other places of the room"
     return Table(
         ("requirement", "what it asks", "what was found", "what is missing"),
@@ -121,7 +126,7 @@ def _requirements(annual: Annual, zone: str) -> Table:
                 "sDG (ClimateStudio), GA (honeybee)",
                 "share of views with DGP above 0.38 in over 5 % of the occupied hours; share of "
                 "the hours with DGP of at most 0.40",
-                _sdg(annual),
+                sdg,
                 f"{place}: a floor area needs a grid of views",
             ),
             (
@@ -160,18 +165,19 @@ def _instruments(session: Session, setup: SiteFile) -> Table:
     except InputError as error:
         rows.append(("camera", f"cannot tell: {error}"))
     meter = setup.pyranometer
-    rows.append(("pyranometer", f"{meter.kind or 'not stated'} {meter.profile}".strip()))
-    rows.append(("pyranometer, calibration", "state the date of its certificate here: ________"))
-    rows.append(("camera's place", f"{setup.camera.height_m:g} m above the floor"))
-    used = PairsFile.find(session.pairs).usable
-    times = sorted(row.t_utc for row in used)
-    span = f"{times[0]:%d %B %Y} to {times[-1]:%d %B %Y}" if times else "none"
-    rows.append(("captures used", f"{len(used)}, {span}"))
+    times = sorted(row.t_utc for row in PairsFile.find(session.pairs).usable)
+    span = f", {times[0]:%d %B %Y} to {times[-1]:%d %B %Y}" if times else ""
+    rows += [
+        ("pyranometer", f"{meter.kind or 'not stated'} {meter.profile}".strip()),
+        ("pyranometer, calibration", "state the date of its certificate here: ________"),
+        ("camera's place", f"{setup.camera.height_m:g} m above the floor"),
+        ("captures used", f"{len(times)}{span}"),
+    ]
     return _words(rows, "Instruments and calibrations")
 
 
 def _words(rows: list[tuple[str, str]], title: str = "") -> Table:
-    return Table(("item", "value"), tuple(rows), title, words=True)
+    return Table(("item", "value"), rows, title, words=True)
 
 
 def _camera_rows(profile: CameraProfile) -> list[tuple[str, str]]:
@@ -187,48 +193,46 @@ def _camera_rows(profile: CameraProfile) -> list[tuple[str, str]]:
     ]
 
 
-def page_of(session: Session, annual: Annual | None) -> Page:
-    """Return the page. Raises InputError without a predicted year."""
+def page(session: Session, annual: Annual | None) -> str:
+    """Return the page as HTML. Raises InputError without a predicted year."""
     if annual is None:
         remedy = "run fieldlum predict first"
         raise InputError(session.root, "no predicted year", "a year of figures", remedy)
-    setup = session.site_file()
-    zone = setup.site.timezone
-    summary = annual.summary
+    setup, summary = session.site_file(), annual.summary
+    site, weather, occupancy = setup.site, summary.weather, summary.occupancy
     versions = [
         ("fieldlum", __version__),
         ("model", str(summary.inputs.get("model", summary.model))),
-        ("weather", f"{summary.weather.name}{' (synthetic)' if summary.weather.synthetic else ''}"),
-        ("occupied hours", summary.occupancy.text),
-        ("hours that the model does not trust", f"{100 * summary.occupancy.untrusted_share:.0f} %"),
-        ("predict.json, sha256", sha256(annual.folder / "predict.json")),
-        ("hourly.csv, sha256", sha256(annual.folder / "hourly.csv")),
+        ("weather", f"{weather.name}{' (synthetic)' if weather.synthetic else ''}"),
+        ("occupied hours", occupancy.text),
+        ("hours that the model does not trust", f"{100 * occupancy.untrusted_share:.0f} %"),
     ]
+    files = ("predict.json", "hourly.csv")
+    versions += [(f"{name}, sha256", sha256(annual.folder / name)) for name in files]
     signatures = Table(
         ("role", "name", "date", "signature"),
-        tuple((role, "", "", "") for role in ("measured by", "calculated by", "checked by")),
+        [(role, "", "", "") for role in ("measured by", "calculated by", "checked by")],
         words=True,
     )
-    notes = " ".join(map(sentence, summary.notes))
+    notes, zone = " ".join(map(sentence, summary.notes)), site.timezone
     sections = (
         Section("requirements", "Requirements", tables=(_requirements(annual, zone),)),
         Section("glare", "Glare by view direction", notes, tables=(_glare_table(annual),)),
-        melanopic.section(annual, zone),
+        melanopic_section(annual, zone),
         Section("method", "Method", METHOD),
         Section("instruments", "What was measured", tables=(_instruments(session, setup),)),
         Section("versions", "Versions and files", tables=(_words(versions),)),
         Section("signatures", "Signatures", tables=(signatures,)),
     )
-    return Page(
-        title=f"{setup.site.name}: glare and daylight for an assessor",
-        answer="What each requirement asks, what was found, and what is missing",
-        why="Nothing on this page is certified. Words in the column of findings are those of the "
+    return render(
+        f"{site.name}: glare and daylight for an assessor",
+        "What each requirement asks, what was found, and what is missing",
+        "Nothing on this page is certified. Words in the column of findings are those of the "
         "predicted year; “cannot tell” means that the interval spans the limit.",
-        facts=(
-            ("place", f"{setup.site.latitude_deg:.3f}, {setup.site.longitude_deg:.3f}"),
+        (
+            ("place", f"{site.latitude_deg:.3f}, {site.longitude_deg:.3f}"),
             ("written", f"{datetime.now(UTC):%d %B %Y}"),
-            ("occupied hours", f"{summary.occupancy.hours}"),
+            ("occupied hours", f"{occupancy.hours}"),
         ),
-        sections=sections,
-        footer=f"Written by fieldlum {__version__}.",
+        sections,
     )

@@ -16,16 +16,15 @@ from typing import Any
 from fieldlum.core.errors import FieldlumError, InputError
 from fieldlum.core.records import Progress, counted, quiet
 from fieldlum.core.strict_toml import build, read_toml
-from fieldlum.report.page import Page, Section, Table, named, render
+from fieldlum.report.annual import exceeded_text
+from fieldlum.report.page import Section, Table, chip, named, render
 from fieldlum.session import Session, open_session, replacing
 from fieldlum.session.codec import to_json
 from fieldlum.session.files.pairs_csv import PairsFile
-from fieldlum.session.files.predict_json import DirectionYear, PredictFile, SkyToCapture
-from fieldlum.version import __version__
+from fieldlum.session.files.predict_json import DirectionYear, PredictFile
 from fieldlum.year.predict import best_and_worst, read_annual
 
 _GLARE_DGP = "0.40"  # disturbing, EN 17037
-_NEXT = 3  # hours that are named for each room; chosen
 _SLOTS = 6  # failed slots that are named for each reason, so that a row has one or two lines
 
 
@@ -127,7 +126,6 @@ class RoomOverview:
     occupied_hours: int = 0
     worst: DirectionYear | None = None
     best: DirectionYear | None = None
-    capture_next: tuple[SkyToCapture, ...] = ()
 
 
 def overview_of(campaign: CampaignFile, room: CampaignRoom) -> RoomOverview:
@@ -158,7 +156,6 @@ def _read(session: Session, room: CampaignRoom) -> RoomOverview:
         occupied_hours=year.occupancy.hours,
         worst=worst,
         best=best,
-        capture_next=year.capture_next,
     )
 
 
@@ -189,13 +186,13 @@ def write_overview(
         rooms.append(overview_of(campaign, room))
     page = out / "index.html"
     with replacing(page, "w", encoding="utf-8") as file:
-        file.write(render(_page(campaign, rooms)))
+        file.write(_page(campaign, rooms))
     with replacing(out / "overview.json", "w", encoding="utf-8") as file:
         json.dump({"rooms": [to_json(room) for room in rooms]}, file, indent=1)
     return page, rooms
 
 
-def _page(campaign: CampaignFile, rooms: Sequence[RoomOverview]) -> Page:
+def _page(campaign: CampaignFile, rooms: Sequence[RoomOverview]) -> str:
     broken = [room for room in rooms if room.broken]
     judged = [room.worst for room in rooms if room.worst is not None]
     bad = sum(worst.glare_class == "none" for worst in judged)
@@ -205,44 +202,33 @@ def _page(campaign: CampaignFile, rooms: Sequence[RoomOverview]) -> Page:
         if judged
         else "No room has a predicted year yet."
     )
-    return Page(
-        title=campaign.name,
-        answer=answer,
-        why=f"{counted(sum(len(room.failed) for room in rooms), 'slot')} failed; "
+    return render(
+        campaign.name,
+        answer,
+        f"{counted(sum(len(room.failed) for room in rooms), 'slot')} failed; "
         f"{counted(len(broken), 'session')} could not be read.",
-        facts=(
+        (
             ("rooms", f"{len(rooms)}"),
             ("captures", f"{sum(room.captured for room in rooms)}"),
+            ("slots to do", f"{sum(room.to_do for room in rooms)}"),
             ("usable pairs", f"{sum(room.usable for room in rooms)}"),
             ("predicted years", f"{len(judged)}"),
         ),
-        sections=(_glare(rooms), _failures(rooms), _next(rooms)),
-        footer=f"Written by fieldlum {__version__}. This page needs no network.",
-        warnings=tuple(f"{room.session} was skipped. {room.broken}" for room in broken),
+        (_glare(rooms), _slots(rooms)),
+        [f"{room.session} was skipped. {room.broken}" for room in broken],
     )
 
 
-def _section(
-    key: str, title: str, text: str, head: Sequence[str], rows: Sequence[Any], *, words: bool
-) -> Section:
-    table = Table(tuple(head), tuple(rows), words=words)
-    return Section(key, title, text if rows else f"{text} None.", (), (table,) if rows else ())
-
-
 def _glare(rooms: Sequence[RoomOverview]) -> Section:
-    def chip(row: DirectionYear) -> dict[str, str]:
-        return {"kind": row.glare_class if row.certain else "open", "text": row.glare_class}
-
     body: list[tuple[float, tuple[Any, ...]]] = []
     for room in rooms:
         worst, best = room.worst, room.best
         if worst is None or best is None:
             continue
-        exceeded = -1.0 if worst.dgp_exceeded is None else worst.dgp_exceeded
         hours = f"{worst.hours_over[_GLARE_DGP]} of {room.occupied_hours}"
-        of_worst = named(worst.azimuth_deg), chip(worst), f"{exceeded:.2f}", hours
+        of_worst = named(worst.azimuth_deg), chip(worst), exceeded_text(worst), hours
         row = (room.session, *of_worst, named(best.azimuth_deg), chip(best))
-        body.append((exceeded, row))
+        body.append((worst.dgp_exceeded or 0.0, row))
     over = f"hours above {_GLARE_DGP}"
     head = ("room", "worst direction", "class", "DGP in 5 % of hours", over, "best direction", "")
     without = [room.session for room in rooms if room.worst is None and not room.broken]
@@ -252,11 +238,11 @@ def _glare(rooms: Sequence[RoomOverview]) -> Section:
     )
     if without:
         text += f" Without a predicted year: {', '.join(without)}."
-    ordered = [row for _, row in sorted(body, key=lambda item: -item[0])]
-    return _section("glare", "Which room has glare", text, head, ordered, words=False)
+    table = Table(head, [row for _, row in sorted(body, key=lambda item: -item[0])])
+    return Section("glare", "Which room has glare", text, tables=(table,) if body else ())
 
 
-def _failures(rooms: Sequence[RoomOverview]) -> Section:
+def _slots(rooms: Sequence[RoomOverview]) -> Section:
     body = []
     for room in rooms:
         reasons: dict[str, list[str]] = defaultdict(list)
@@ -265,23 +251,9 @@ def _failures(rooms: Sequence[RoomOverview]) -> Section:
         for why, slots in reasons.items():
             more = f" and {len(slots) - _SLOTS} more" if len(slots) > _SLOTS else ""
             body.append((room.session, why, f"{len(slots)}", ", ".join(slots[:_SLOTS]) + more))
-    text = "Slots that were missed, aborted, not merged, or rejected by fieldlum pair."
-    head = ("room", "reason", "slots", "which")
-    return _section("failed", "Which slots failed", text, head, body, words=True)
-
-
-def _next(rooms: Sequence[RoomOverview]) -> Section:
-    body = []
-    for room in rooms:
-        hours = "; ".join(
-            f"{h.date} {h.hour} (direct {h.dni_wm2:.0f}, diffuse {h.dhi_wm2:.0f} W/m²)"
-            for h in room.capture_next[:_NEXT]
-        )
-        if room.to_do or hours:
-            body.append((room.session, f"{room.to_do}", hours or "nothing is open"))
-    text = (
-        "For each room, the number of slots that can still be captured, and examples of hours "
-        "whose capture would help to decide the glare class of a view direction that is uncertain."
-    )
-    head = ("room", "slots to do", "hours like these")
-    return _section("next", "What to capture next", text, head, body, words=True)
+        if room.to_do:
+            plan = f"fieldlum plan {room.session} --next ranks coming hours"
+            body.append((room.session, "can still be captured", f"{room.to_do}", plan))
+    text = "Slots that were missed, aborted, not merged, or rejected by fieldlum pair; slots to do."
+    tables = (Table(("room", "state", "slots", "which"), body, words=True),) if body else ()
+    return Section("slots", "Which slots failed or are to do", text, tables=tables)

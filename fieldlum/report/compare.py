@@ -403,7 +403,7 @@ def _times_of(table: CsvTable, columns: dict[str, int]) -> Floats:
 
 
 def _centred(path: Path, hours: Floats, last: int) -> Floats:
-    """Return whole hours as their middles, if 0 or `last` states whether they begin or end."""
+    """Return integer hours as their middles, if 0 or `last` states whether they begin or end."""
     if (hours % 1).any() or not {0, last} & set(hours.tolist()):
         return hours
     if {0, last} <= set(hours.tolist()):
@@ -442,7 +442,7 @@ def _read_honeybee(folder: Path, azimuths_deg: Sequence[float]) -> pd.DataFrame:
 def hours_begun(path: Path, times: Floats, daylight: Mask) -> tuple[Array, list[str]]:
     """Return the hour of the year, from 0, in which each stated time is, and a note on it.
 
-    Whole numbers name an hour by its begin or its end: that is chosen whose hours, in the days of
+    Integers name an hour by its begin or its end: that is chosen whose hours, in the days of
     the table, are the `daylight` hours [8760] of the predicted year, if the other differs from them
     in three times as many. Raises InputError if neither is, and for a repeated hour.
     """
@@ -457,13 +457,13 @@ def hours_begun(path: Path, times: Floats, daylight: Mask) -> tuple[Array, list[
         if max(off_begin, off_end) < 3 * min(off_begin, off_end) + 1:
             raise InputError(
                 path,
-                "whole hours that may be the begin or the end of each hour",
+                "integer hours that may be the begin or the end of each hour",
                 "hours with a fraction, such as 9.5 from 9:00 to 10:00",
                 "add 0.5 to hours at which each begins, subtract 0.5 from those at which it ends",
             )
         word = "begins" if off_begin < off_end else "ends"
         hours = hours if off_begin < off_end else hours - 1
-        note = [f"Whole hours in the table: each {word} then, by the daylight of the year."]
+        note = [f"Integer hours in the table: each {word} then, by the daylight of the year."]
     unique, count = np.unique(hours, return_counts=True)
     if (count > 1).any():
         found = f"{count.max()} values in hour {unique[count > 1][0]} of the year"

@@ -1,43 +1,56 @@
-"""The report's section on accuracy: the scores of `train`, and the held-out maps behind them."""
+"""The report's sections on accuracy and on the captures: scores, held-out maps, light, brackets."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import numpy as np
 
-from fieldlum.core.records import counted
-from fieldlum.report.figures import agreement_svg, comparison_png
-from fieldlum.report.page import Figure, Row, Section, Table
+from fieldlum.core.arrays import Floats
+from fieldlum.core.records import Site, counted
+from fieldlum.report.figures import agreement_svg, captured_svg, comparison_png
+from fieldlum.report.page import Figure, Section, Table
+from fieldlum.session import Session
 from fieldlum.session.files.held_out_npz import HeldOutMaps
+from fieldlum.session.files.pairs_csv import PairRow, PairsFile
+from fieldlum.session.files.quality_csv import read_quality
 from fieldlum.session.files.scores_json import ScoresFile
+from fieldlum.session.files.suns_csv import read_suns
+from fieldlum.session.panorama_sun import SUN_FROM
+from fieldlum.sky import sun
 
-# Suns of two planned days of one season are under 1 degree apart, of two seasons over 20 degrees.
-# Chosen between the two.
-SEASON_GAP_DEG = 8.0
-_NO_MAPS = "The model has no held-out maps: train it again to show them here."
 SHOWN = ("typical", "one in ten is worse", "worst")
 
 
-def _likeness(held: HeldOutMaps) -> str:
-    """Return a sentence if no captured day has suns like the held-out ones, else an empty text.
+def accuracy_section(
+    held: HeldOutMaps | None, scores: ScoresFile | None, names: Mapping[str, str] | None = None
+) -> Section:
+    """Return the section on accuracy, from held-out maps and the scores of `train`.
 
-    The check is then too strict: the model of the year was trained on these days too.
+    Without maps or scores their parts are left out, and the text states it. names: the slot's id in
+    the session by its id in `held`, which is from the middle of its bracket.
     """
-    alone = float((held.season_deg > SEASON_GAP_DEG).mean())
-    if alone < 0.5:
-        return ""
-    return (
-        f"This check is harder than the prediction of a year: in {100 * alone:.0f} % of these maps "
-        f"the sun is over {SEASON_GAP_DEG:g} degrees from every sun position in the training "
-        f"data, but the model of the year was trained on these days too."
-    )
+    judged = None if scores is None else scores.judged_row
+    text = "The numbers of this report are not checked: training had no held-out day."
+    if judged is not None:
+        median, worst = (10 ** np.sqrt(judged[key] or 0.0) for key in ("median", "worst"))
+        maps = counted(int(judged["n_test"]), "held-out map")
+        text = (
+            f"Checked on {maps}, each predicted by a fit without its day: half of them are within "
+            f"a factor of {median:.2f} (rms over the map), the worst within {worst:.2f}."
+        )
+        if held is None:
+            text += " The model has no held-out maps: train it again to show them here."
+    tables = [] if scores is None or not scores.models else [_score_table(scores)]
+    rows = [] if held is None else [(f,) for f in _held_out_figures(held, names or {})]
+    return Section("evidence", "How good the numbers are", text, rows, tables)
 
 
-def _maps_row(held: HeldOutMaps, names: Mapping[str, str]) -> Row:
-    order = np.argsort(held.log10_mse)
-    n = len(order)
+def _held_out_figures(held: HeldOutMaps, names: Mapping[str, str]) -> tuple[Figure, Figure]:
+    order, n = np.argsort(held.log10_mse), len(held)
     picks = list(dict.fromkeys(int(order[i]) for i in (n // 2, min(int(0.9 * n), n - 1), n - 1)))
     slots = [names.get(str(held.slots[i]), str(held.slots[i])) for i in picks]
     labels = [f"{slot}\n{text}" for slot, text in zip(slots, SHOWN, strict=False)]
@@ -45,32 +58,19 @@ def _maps_row(held: HeldOutMaps, names: Mapping[str, str]) -> Row:
         10.0 ** maps[picks].astype(np.float32)
         for maps in (held.measured_log10, held.predicted_log10)
     )
-    caption = (
-        "Measured, predicted and their ratio for held-out hours "
-        f"({', '.join(SHOWN[: len(picks)])}), without the sun's disc. Red is predicted too bright, "
-        "blue too dark."
-    )
-    alt = "Measured and predicted luminance panoramas with their ratio."
-    return Row((Figure(comparison_png(measured, predicted, labels), alt, caption),))
-
-
-def _agreement_row(held: HeldOutMaps) -> Row:
-    measured, predicted = held.dgp_measured, held.dgp_predicted
-    contrast = held.contrast_measured.mean(axis=1), held.contrast_predicted.mean(axis=1)
-    return Row(
-        (
-            Figure(
-                agreement_svg(measured, predicted, "DGP"),
-                "Predicted against measured DGP of ten directions.",
-                "DGP of ten directions around each held-out hour.",
-            ),
-            Figure(
-                agreement_svg(*contrast, "RAMMG, cd/m²"),
-                "Predicted against measured RAMMG contrast.",
-                "Contrast of each held-out hour: RAMMG, disc included.",
-            ),
+    return (
+        Figure(
+            comparison_png(measured, predicted, labels),
+            "Measured and predicted luminance panoramas with their ratio.",
+            "Measured, predicted and their ratio for held-out hours "
+            f"({', '.join(SHOWN[: len(picks)])}), without the sun's disc. Red is predicted too "
+            "bright, blue too dark.",
         ),
-        "Glare and contrast",
+        Figure(
+            agreement_svg(held.dgp_measured, held.dgp_predicted, "DGP"),
+            "Predicted against measured DGP of ten directions.",
+            "DGP of ten directions around each held-out hour.",
+        ),
     )
 
 
@@ -86,43 +86,94 @@ _COLUMNS = {
 }
 
 
-def _score_table(scores: ScoresFile | None) -> tuple[Table, ...]:
-    if scores is None or not scores.models:
-        return ()
-    chosen = scores.chosen
-
-    def cell(row: dict[str, Any], key: str) -> Any:
+def _score_table(scores: ScoresFile) -> Table:
+    def cell(row: Mapping[str, Any], key: str) -> Any:
         value = row.get(key)
-        if key == "name" and value == chosen:
+        if key == "name" and value == scores.chosen:
             return {"kind": "high", "text": f"{value} (chosen)"}
         if isinstance(value, float):
             return f"{value:.3g}"
         return "–" if value is None else value
 
-    rows = tuple(tuple(cell(row, key) for key in _COLUMNS) for row in scores.models)
+    rows = [[cell(row, key) for key in _COLUMNS] for row in scores.models]
     title = "Models tried, on held-out days; own disc: by the sky view, which saw these days too"
-    return (Table(tuple(_COLUMNS.values()), rows, title),)
+    return Table(tuple(_COLUMNS.values()), rows, title)
 
 
-def section(
-    held: HeldOutMaps | None, scores: ScoresFile | None, names: Mapping[str, str] | None = None
+# ----------------------------------------------------------------------------------------------
+# captures
+
+
+def captures_section(
+    session: Session, site: Site, pairs: PairsFile, year: Mapping[str, Floats]
 ) -> Section:
-    """Return the section on accuracy, from held-out maps and the scores of `train`.
+    """Return the section on suns, skies, quality and refusals of the captures.
 
-    Without maps or scores their parts are left out, and the text states it. names: the slot's id in
-    the session by its id in `held`, which is from the middle of its bracket.
+    year: irradiance [W/m2] of the predicted year's hours, by column; empty without a year.
     """
-    rows = (_maps_row(held, names or {}), _agreement_row(held)) if held else ()
-    judged = None if scores is None else scores.judged_row
-    if judged is not None:
-        median, worst = (10 ** np.sqrt(judged[key] or 0.0) for key in ("median", "worst"))
-        maps = counted(int(judged["n_test"]), "held-out map")
-        text = (
-            f"Checked on {maps}, each predicted by a fit without its day: half of them are within "
-            f"a factor of {median:.2f} (rms over the map), the worst within {worst:.2f}."
-        )
-        text += f" {_likeness(held)}" if held else f" {_NO_MAPS}"
-    else:
-        text = "The numbers of this report are not checked: training had no held-out day."
-    title = "How good the numbers are"
-    return Section("evidence", title, text.strip(), rows, _score_table(scores))
+    used = pairs.usable
+    start = datetime(used[0].t_utc.year if used else 2027, 1, 1, 0, 30, tzinfo=UTC)
+    hours = sun.position([start + timedelta(hours=h) for h in range(8760)], site)
+    up = hours.altitude_deg > 0
+    suns, skies = ("sun_azimuth_deg", "sun_altitude_deg"), ("dni_wm2", "dhi_wm2")
+    path = captured_svg(
+        (hours.azimuth_deg[up], hours.altitude_deg[up]),
+        _columns(used, suns),
+        "hours of the year",
+        xlabel="sun azimuth, ° from north",
+        ylabel="sun altitude, °",
+        ylim=(0, None),
+    )
+    irradiance = captured_svg(
+        [year.get(name, np.empty(0)) for name in skies],
+        _columns(used, skies),
+        "weather file",
+        xlabel="direct normal irradiance, W/m²",
+        ylabel="diffuse horizontal irradiance, W/m²",
+    )
+    figures = (
+        Figure(
+            path,
+            f"Sun positions of a year in grey and of the {len(used)} captured hours in red.",
+            "Sun positions of the year and of the captures. Hours far from every red point are "
+            "extrapolated.",
+        ),
+        Figure(
+            irradiance,
+            "Direct against diffuse irradiance of the weather year in grey and of the captures in "
+            "red.",
+            "Skies of the weather file and of the captures.",
+        ),
+    )
+    refused = Counter(row.why or "no reason recorded" for row in pairs.refused)
+    columns, quality = read_quality(session.quality)
+    tables = (
+        Table(("reason", "brackets"), tuple(refused.items()), "Brackets that are not used"),
+        Table(columns, quality, f"Quality of each bracket ({len(quality)})", folded=True),
+    )
+    some = [table for table in tables if table.rows]
+    text = _captures_text(session, site, pairs)
+    return Section("captured", "What was captured", text, (figures,), some)
+
+
+def _columns(rows: Sequence[PairRow], names: Sequence[str]) -> list[Floats]:
+    return [np.array([getattr(row, name) for row in rows], float) for name in names]
+
+
+def _captures_text(session: Session, site: Site, pairs: PairsFile) -> str:
+    used = pairs.usable
+    days = sorted({sun.standard_date(row.t_utc, site.timezone).isoformat() for row in used})
+    planned = len(session.slots()) if session.plan.is_file() else len(used)
+    text = f"{len(used)} usable of {planned} planned brackets, on {counted(len(days), 'day')}"
+    if not used:
+        return f"{text}."
+    measured = sum(row.source == "measured" for row in used)
+    kind = f"measured in {measured} brackets and derived in the others"
+    text += f" between {days[0]} and {days[-1]}. Direct and diffuse irradiance were "
+    text += f"{'measured' if measured == len(used) else kind}."
+    origins = Counter(row.origin for row in read_suns(session.suns).values())
+    if not origins:
+        return text
+    parts = [f"{SUN_FROM.get(origin, origin)} in {n}" for origin, n in origins.most_common()]
+    count = counted(origins.total(), "picture")
+    return f"{text} {count} show the sun's disc, whose illuminance was {', '.join(parts)}."

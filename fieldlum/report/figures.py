@@ -19,7 +19,6 @@ from fieldlum.core.plot_style import BLUE, GREEN, INK, PALE, RED, styled
 from fieldlum.year.glare.standards import CLASSES
 
 POLAR_RANGE = (0.15, 0.6)  # of DGP; points above it are drawn at the rim; chosen
-CAPTURED, PREDICTED = RED, BLUE
 CLASS_COLOURS = {"high": GREEN, "medium": "#7fae2e", "minimum": "#e0a100", "none": "#c0392b"}
 
 
@@ -120,7 +119,7 @@ def comparison_png(
 
 
 def captured_svg(
-    year: tuple[Floats, Floats], captured: tuple[Floats, Floats], label: str, **axes_settings: Any
+    year: Sequence[Floats], captured: Sequence[Floats], label: str, **axes_settings: Any
 ) -> str:
     """Plot the captures over the hours of a year, x and y [n] of each; return SVG text."""
     with styled():
@@ -128,7 +127,7 @@ def captured_svg(
         axes = figure.add_subplot()
         if len(year[0]):
             axes.scatter(*year, s=3, c=PALE, lw=0, label=label, rasterized=True)
-        axes.scatter(*captured, s=12, c=CAPTURED, lw=0, label="captured")
+        axes.scatter(*captured, s=12, c=RED, lw=0, label="captured")
         axes.set(**axes_settings)
         axes.legend(loc="upper left", bbox_to_anchor=(0, 1.14), ncols=2)
         return _svg(figure)
@@ -138,42 +137,34 @@ def captured_svg(
 # glare
 
 
-def polar_svg(
-    azimuths_deg: Floats, dgp_exceeded: Floats, low: Floats | None, high: Floats | None
-) -> str:
+def polar_svg(azimuths_deg: Floats, dgp_exceeded: Floats, low: Floats, high: Floats) -> str:
     """Plot the DGP exceeded in 5 % of the occupied hours by view direction, over the class limits.
 
     All arrays: [d]. Directions run clockwise from north; low and high bound the 95 % interval. A
-    NaN is a direction that was not seen: the line has a gap there. Return SVG text.
+    NaN is a direction that was not seen, or an unknown interval: there is a gap. Return SVG text.
     """
     order = np.argsort(azimuths_deg)
     around = np.append(order, order[0])
     angle = np.radians(np.append(azimuths_deg[order], azimuths_deg[order[0]] + 360.0))
     floor, top = POLAR_RANGE
     limits = [limit for _, limit in CLASSES]
-
-    def shown(values: Floats) -> Floats:
-        return np.clip(values[around], floor, top)
-
+    middle, lower, upper = (
+        np.clip(values[around], floor, top) for values in (dgp_exceeded, low, high)
+    )
     with styled():
         figure = Figure(figsize=(4.6, 4.6))
         axes: Any = figure.add_subplot(projection="polar")
         axes.set_theta_zero_location("N")
         axes.set_theta_direction(-1)
-        ring = np.linspace(0, 2 * np.pi, 361)
-        for ends, colour in zip(
-            pairwise((floor, *limits, top)), CLASS_COLOURS.values(), strict=True
-        ):
-            axes.fill_between(ring, *ends, color=colour, alpha=0.16, lw=0)
-        if low is not None and high is not None:
-            axes.fill_between(angle, shown(low), shown(high), color=INK, alpha=0.18, lw=0)
-        style: dict[str, Any] = {"color": INK, "lw": 1.8, "marker": "o", "ms": 4, "clip_on": False}
-        axes.plot(angle, shown(dgp_exceeded), **style)
+        ring, ends = np.linspace(0, 2 * np.pi, 361), pairwise((floor, *limits, top))
+        for pair, colour in zip(ends, CLASS_COLOURS.values(), strict=True):
+            axes.fill_between(ring, *pair, color=colour, alpha=0.16, lw=0)
+        axes.fill_between(angle, lower, upper, color=INK, alpha=0.18, lw=0)
+        axes.plot(angle, middle, color=INK, lw=1.8, marker="o", ms=4, clip_on=False)
         axes.set_ylim(floor, top)
         axes.set_yticks(limits, [f"{limit:.2f}" for limit in limits], fontsize=8)
-        axes.set_xticks(
-            np.radians(np.arange(0, 360, 45)), ["N", "NE", "E", "SE", "S", "SW", "W", "NW"]
-        )
+        names = ["N", "NE", "E", "SE", "S", "SW", "W", "NW"]
+        axes.set_xticks(np.radians(np.arange(0, 360, 45)), names)
         axes.grid(color=PALE, lw=0.5)
         axes.spines["polar"].set_visible(False)
         return _svg(figure)
@@ -193,7 +184,7 @@ def agreement_svg(measured: Floats, predicted: Floats, quantity: str) -> str:
         figure = Figure(figsize=(3.6, 3.6))
         axes = figure.add_subplot()
         axes.plot(span, span, color=PALE, lw=1)
-        axes.scatter(x, y, s=8, c=PREDICTED, alpha=0.5, lw=0)
+        axes.scatter(x, y, s=8, c=BLUE, alpha=0.5, lw=0)
         axes.set(xlabel=f"{quantity}, measured", ylabel=f"{quantity}, predicted", aspect="equal")
         axes.set_title(f"{known}n = {len(x)}", fontsize=9, loc="left")
         return _svg(figure)

@@ -23,8 +23,7 @@ from fieldlum.session.folder import (
     update_session,
 )
 from fieldlum.session.journal import Journal, read_journal
-from fieldlum.session.marks import add_note, mark_slot, marks
-from fieldlum.session.pause import pause, paused_until, resume
+from fieldlum.session.marks import mark_slot, marks
 from fieldlum.session.plan_file import (
     PLAN_COLUMNS,
     exposure_text,

@@ -70,7 +70,6 @@ class Session:
     toml = _Place("session.toml")  # site, camera, room, plan and devices
     plan = _Place("plan.csv")  # the slots
     journal = _Place("journal.jsonl")  # all events
-    pause = _Place("pause.json")  # only while a person has paused the capture
     irradiance = _Place("irradiance")  # UTC day files 2027-03-20.csv, clean.csv, health.json
     clean_irradiance = _Place("irradiance", "clean.csv")  # quality-checked irradiance
     irradiance_health = _Place("irradiance", "health.json")  # result of the quality checks

@@ -10,12 +10,10 @@ from fieldlum.session.folder import Session
 from fieldlum.session.journal import append_event, read_journal
 
 EVENT = "marked"
-NOTE = "note"
-MAX_NOTE = 500  # characters: a few sentences; chosen
 
 # Events that programs other than the capture write, with the time of their own clock. They are no
 # evidence about the capture's clock.
-BY_PEOPLE = frozenset({EVENT, NOTE, "paused", "resumed"})
+BY_PEOPLE = frozenset({EVENT, "note", "paused", "resumed"})
 
 
 def mark_slot(session: Session, slot: str, state: str) -> str:
@@ -40,23 +38,6 @@ def mark_slot(session: Session, slot: str, state: str) -> str:
         result = merged_state(marks(session).get(slot, ""), state)
     append_event(session, EVENT, datetime.now(UTC), slot=slot, state=state)
     return result
-
-
-def add_note(session: Session, text: str) -> str:
-    """Append a user's note to the journal; return it on one line, without control characters.
-
-    Raises InputError for an empty note and for a note of more than 500 characters.
-    """
-    line = " ".join("".join(c if c.isprintable() else " " for c in text).split())
-    if not 0 < len(line) <= MAX_NOTE:
-        raise InputError(
-            session.root,
-            f"a note of {len(line)} characters",
-            f"1 to {MAX_NOTE} characters",
-            "shorten the note, or write one",
-        )
-    append_event(session, NOTE, datetime.now(UTC), text=line)
-    return line
 
 
 def marks(session: Session) -> dict[str, str]:

@@ -2,6 +2,5 @@
 
 `follow` reads a session's files as they grow, `snapshot` turns them into plain tables, `access`
 decides which requests are answered, and `server` answers them. `answer` runs merge, pair, train and
-predict between brackets. With --control the page also writes notes, marks, pauses and extra slots,
-which a capture reads (`control`). A capture never waits for the pages.
+predict between brackets. A capture never waits for the pages.
 """

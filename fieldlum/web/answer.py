@@ -149,7 +149,6 @@ class Worker:
             "synthetic": year.weather.synthetic,
             "warnings": [*year.model_warnings, *year.notes],
             "protection": to_json(year.protection),
-            "capture_next": to_json(year.capture_next[:5]),
             "useful": hours[:8],
         }
         rows = [*read_answers(self.session), row][-_DAYS_KEPT:]

@@ -14,7 +14,7 @@ from starlette.applications import Starlette
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
-from starlette.responses import JSONResponse, PlainTextResponse, Response
+from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response
 from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
@@ -24,7 +24,6 @@ from fieldlum.core.records import parse_utc, slot_id
 from fieldlum.session import Session
 from fieldlum.web.access import SECURITY_HEADERS, Access
 from fieldlum.web.answer import Worker, answer_table
-from fieldlum.web.control import Control, control_routes
 from fieldlum.web.pictures import picture_png, scale_png
 from fieldlum.web.snapshot import Snapshots
 
@@ -48,7 +47,6 @@ class PatientProtocol(H11Protocol):
 
 
 STATIC = Path(__file__).parent / "static"
-_TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css"}
 _FIRST_YEAR, _LAST_YEAR = 1970, 2999  # of days with a curve; chosen
 # The address of a picture has the stamp of its file: one that is merged again has another address.
 _CACHED = {"Cache-Control": "private, max-age=31536000, immutable"}  # 365 days
@@ -87,15 +85,9 @@ class Guard:
         await answer(scope, receive, secured)
 
 
-def static_route(path: str, name: str, scripts: Sequence[str] = ()) -> Route:
-    """Return a route at `path` for the file `name` of this package.
-
-    scripts: addresses of further scripts at the end of a page's head.
-    """
-    tags = "".join(f'<script src="{script}" defer></script>\n' for script in scripts)
-    body = (STATIC / name).read_text(encoding="utf-8").replace("</head>", f"{tags}</head>", 1)
-    kind = _TYPES[Path(name).suffix]
-    return Route(path, lambda request: Response(body, media_type=kind))
+def static_route(path: str, name: str) -> Route:
+    """Return a route at `path` for the file `name` of this package."""
+    return Route(path, lambda request: FileResponse(STATIC / name))
 
 
 def picture_routes(session: Session) -> list[Route]:
@@ -124,15 +116,11 @@ def picture_routes(session: Session) -> list[Route]:
 
 
 def watch_routes(
-    session: Session,
-    snapshots: Snapshots,
-    worker: Worker | None = None,
-    control: Control | None = None,
+    session: Session, snapshots: Snapshots, worker: Worker | None = None
 ) -> list[Route]:
     """Return the web routes of the page of `fieldlum watch`.
 
-    worker: computes the glare classes so far, or None. control: changes the session on request, or
-    None for a page that only reads.
+    worker: computes the glare classes so far, or None.
     """
 
     def state() -> Mapping[str, object]:
@@ -150,12 +138,8 @@ def watch_routes(
             raise HTTPException(404)
         return _table(lambda: snapshots.day(wanted))
 
-    changes = []
-    if control is not None:
-        changes = [static_route("/control.js", "control.js"), *control_routes(control)]
     return [
-        static_route("/", "watch.html", ["/control.js"] if changes else []),
-        *changes,
+        static_route("/", "watch.html"),
         static_route("/watch.js", "watch.js"),
         static_route("/page.css", "page.css"),
         Route("/state.json", lambda request: _table(state)),

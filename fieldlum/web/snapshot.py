@@ -23,7 +23,7 @@ from fieldlum.core.errors import InputError
 from fieldlum.core.records import JsonTable, Site, Slot, parse_utc, utc_text
 from fieldlum.plan.coverage import sun_band_percent
 from fieldlum.plan.days import hours_of
-from fieldlum.session import Session, paused_until
+from fieldlum.session import Session
 from fieldlum.session.files.sidecar import Sidecar
 from fieldlum.session.ledger import SETTLED
 from fieldlum.session.makeups import made_up_for
@@ -221,7 +221,6 @@ class Snapshots:
                 "now_local": f"{now.astimezone(self._zone):%a %d %b %Y, %H:%M}",
                 "rehearsal": rehearsal,
                 "running": is_running(journal),
-                "paused_until": self._paused(now),
                 "counts": {word: counts.count(word) for word in dict.fromkeys(counts)},
                 "slots": len(slots),
                 "next": self._slot_row(ahead[0], states) if ahead else None,
@@ -360,10 +359,6 @@ class Snapshots:
         except InputError as error:
             return str(error)
         return sidecar.verdict if sidecar is not None else without_sidecar
-
-    def _paused(self, now: datetime) -> str | None:
-        until = paused_until(self._session, now)
-        return None if until is None else f"{until.astimezone(self._zone):%H:%M}"
 
     def _devices(self, journal: JournalFollower) -> JsonTable:
         table = self._session.table().get("devices", {})

@@ -34,20 +34,6 @@ class DirectionYear(Struct, frozen=True):
     sentence: str = ""
 
 
-class SkyToCapture(Struct, frozen=True):
-    """An hour of the year whose capture would help to settle an undecided glare class.
-
-    date, hour: local, such as 05 March and 14:00; worth: expected use of such a sky, relative to
-    the other hours listed.
-    """
-
-    date: str
-    hour: str
-    dni_wm2: float
-    dhi_wm2: float
-    worth: float = 0.0
-
-
 class YearOccupancy(Struct, frozen=True):
     """The occupied hours of a year.
 
@@ -77,8 +63,7 @@ class PredictFile(JsonFile, frozen=True):
     inputs: what the result depends on; setup: SITE.toml; height, width: of the maps [px];
     heading_deg: of their centre column; hours: number of rows of hourly.csv; first, last: their UTC
     times; disc_from: how the visibility of the sun's disc is known; seen_share: share of each view
-    direction that the lenses saw, empty if all of it; protection: glare by direction; capture_next:
-    hours worth a capture.
+    direction that the lenses saw, empty if all of it; protection: glare by direction.
     """
 
     NAME, SEALED = "predict.json", True
@@ -103,7 +88,6 @@ class PredictFile(JsonFile, frozen=True):
     model_warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     protection: tuple[DirectionYear, ...] = ()
-    capture_next: tuple[SkyToCapture, ...] = ()
 
     @classmethod
     def upgraded(cls, table: JsonTable, path: Path) -> JsonTable:

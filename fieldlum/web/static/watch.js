@@ -110,13 +110,11 @@ function drawState(s) {
       ? `${away.join(", ")} lost`
       : s.running === null
         ? "cannot tell"
-        : s.running && s.paused_until
-          ? `paused until ${s.paused_until}`
-          : s.running
-            ? "running"
-            : finished
-              ? "finished"
-              : "not running";
+        : s.running
+          ? "running"
+          : finished
+            ? "finished"
+            : "not running";
   show(
     "counts",
     Object.entries(s.counts)
@@ -519,11 +517,6 @@ function drawAnswer(a) {
   );
   const next = [];
   if (last) {
-    for (const hour of last.capture_next.slice(0, 3))
-      next.push(
-        `To settle what is open, capture a sky like ${hour.date} ${hour.hour}: ` +
-          `DNI ${number(hour.dni_wm2)}, DHI ${number(hour.dhi_wm2)} W/m².`,
-      );
     for (const hour of last.useful.slice(0, 4))
       next.push(
         `Useful coming hour: ${local(hour.t_utc)}${hour.planned ? ", planned" : ", not planned"} ` +

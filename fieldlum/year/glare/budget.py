@@ -8,10 +8,10 @@ scale over all its hours.
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,6 +29,7 @@ from fieldlum.year.glare.metrics import glare_directions
 from fieldlum.year.glare.pictures import read_picture
 from fieldlum.year.glare.single import seen_pixels, take_out_sun, valid_pixels
 from fieldlum.year.glare.standards import (
+    DRAWS,
     DgpUncertainty,
     dgp_per_scale,
     exceeded_in_share,
@@ -38,7 +39,7 @@ from fieldlum.year.glare.standards import (
 # relative u of a disc's illuminance by DNI: luminous efficacy and glass together; not measured
 U_DISC = 0.05
 BUDGET_FILE = "budget.csv"  # of a predicted year
-DRAWS = 100  # of independent errors: their standard deviation is known to 7 %
+NOISE_DRAWS = 100  # their standard deviation, a small part of the budget, is known to 7 %
 _NORMAL, _RECTANGULAR = "normal", "rectangular"
 
 
@@ -55,8 +56,8 @@ class Source(NamedTuple):
     distribution: str
     u: float
     unit: str
-    contribution: float
     shared_by: str
+    contribution: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,21 +79,28 @@ class Budget:
         return float(np.sqrt(sum(source.contribution**2 for source in self.sources)))
 
 
+UNITS = {"DGP": "1", "Ev": "lx", "melanopic EDI": "lx", "luminance ahead": "cd/m2"}
+
+
 class _Scene(NamedTuple):
-    """A picture whose luminance [H, W] and sun can be changed."""
+    """A picture whose luminance [H, W], sun and heading can be changed; azimuths_deg: [d]."""
 
     panorama: Panorama
     luminance_cdm2: Floats
     sun: SunSource | None
+    azimuths_deg: Floats
 
-    def figures(self, azimuths_deg: Floats, light: Floats, sun_factor: float) -> dict[str, Floats]:
+    def figures(
+        self, more_cdm2: Floats | float = 0.0, sun_factor: float = 1.0, turn_deg: float = 0.0
+    ) -> dict[str, Floats]:
         """Return Ev, DGP, melanopic EDI, and L of the pixel ahead, [d] each.
 
-        light: luminance [H, W] in place of the picture's; sun_factor: over the recorded sun.
+        more_cdm2: added to the luminance; sun_factor: of the recorded sun; turn_deg: of views.
         """
-        panorama, sun = self.panorama, self.sun
+        panorama, sun, azimuths = self.panorama, self.sun, self.azimuths_deg + turn_deg
+        light = np.maximum(self.luminance_cdm2 + more_cdm2, 0.0)
         height, width = light.shape
-        grid = panorama_views(height, width, panorama.heading_deg, azimuths_deg)
+        grid = panorama_views(height, width, panorama.heading_deg, azimuths)
         rays = None if sun is None else direction(sun.altitude_deg, sun.azimuth_deg)[None]
         lx = None if sun is None else np.array([sun.normal_illuminance_lx * sun_factor])
         parts = glare_directions(light[None], grid, rays, lx)
@@ -101,12 +109,14 @@ class _Scene(NamedTuple):
             figures["melanopic EDI"] = melanopic_edi(
                 panorama, light.ravel(), grid.illuminance, sun, parts["sun_ev_lx"][0]
             )[0]
-        ahead = (azimuths_deg - panorama.heading_deg) / 360.0 * width + width / 2
+        ahead = (azimuths - panorama.heading_deg) / 360.0 * width + width / 2
         column = np.floor(ahead).astype(int) % width
         return figures | {"luminance ahead": light[height // 2, column]}
 
-
-UNITS = {"DGP": "1", "Ev": "lx", "melanopic EDI": "lx", "luminance ahead": "cd/m2"}
+    def half_range(self, change: Callable[[float], dict[str, Any]]) -> dict[str, Floats]:
+        """Return half the difference of the figures for a change by +1 and by -1."""
+        up, down = (self.figures(**change(sign)) for sign in (1.0, -1.0))
+        return {name: np.abs(up[name] - down[name]) / 2 for name in up}
 
 
 def budget_of_file(path: Path, azimuths_deg: Sequence[float]) -> list[Budget]:
@@ -142,9 +152,9 @@ def picture_budget(
             path, "no uncertainty of its pixels", "a panorama by merge", "omit --budget"
         )
     light, sun = take_out_sun(light, panorama.heading_deg, panorama.sun)
-    scene = _Scene(panorama, light, sun)
-    at = scene.figures(azimuths, light, 1.0)
-    return _budgets(at, azimuths, list(_contributions(scene, azimuths, u_heading_deg)))
+    scene = _Scene(panorama, light, sun, azimuths)
+    rows = [*_of_pixels(scene), *_of_sun_and_views(scene, u_heading_deg)]
+    return _budgets(scene.figures(), azimuths, rows)
 
 
 def year_budget(
@@ -171,23 +181,23 @@ def year_budget(
     of_scale = u_scale * dgp_per_scale(dgp, ev_lx)
     sources = [
         (
-            Source("light transport model", "A", _NORMAL, 1.0, "u", 0.0, "half: all hours"),
+            Source("light transport model", "A", _NORMAL, 1.0, "u", "half: all hours"),
             np.std([exceeded(dgp + error) for error in errors], axis=0, ddof=1),
         ),
         (
-            Source("camera scale", "B", _NORMAL, 100 * u_scale, "%", 0.0, "all hours"),
+            Source("camera scale", "B", _NORMAL, 100 * u_scale, "%", "all hours"),
             np.abs(exceeded(dgp + of_scale) - exceeded(dgp - of_scale)) / 2,
         ),
         (
-            Source("part of the view that no lens saw", "B", _RECTANGULAR, 1.0, "u", 0.0, "hour"),
+            Source("part of the view that no lens saw", "B", _RECTANGULAR, 1.0, "u", "hour"),
             np.abs(exceeded(doubt.maximum) - exceeded(doubt.minimum)) / np.sqrt(12.0),
         ),
     ]
     if len(doubt.drawn) > 1:
-        source = Source("whether the sun's disc is seen", "B", _NORMAL, 1.0, "u", 0.0, "all hours")
+        source = Source("whether the sun's disc is seen", "B", _NORMAL, 1.0, "u", "all hours")
         sources.append((source, np.std([exceeded(d) for d in doubt.drawn], axis=0)))
-    rows = [(source, {"DGP exceeded in 5 %": part}) for source, part in sources]
-    return _budgets({"DGP exceeded in 5 %": exceeded(dgp)}, azimuths, rows)
+    name = "DGP exceeded in 5 %"
+    return _budgets({name: exceeded(dgp)}, azimuths, [(s, {name: part}) for s, part in sources])
 
 
 def _budgets(
@@ -229,76 +239,58 @@ def write_budgets(path: Path, budgets: Iterable[tuple[str, Budget]]) -> None:
             out.writerow((*head, "combined", "", _NORMAL, "", "", "", f"{b.u:.4g}", "100", ""))
 
 
-def _contributions(
-    scene: _Scene, azimuths: Floats, u_heading_deg: float
-) -> Iterable[tuple[Source, dict[str, Floats]]]:
-    """Yield each source, and what it adds to u of each figure, [d] each."""
-    panorama, light = scene.panorama, scene.luminance_cdm2
-    u = np.zeros_like(light) if panorama.u_cdm2 is None else np.nan_to_num(panorama.u_cdm2)
+def _of_pixels(scene: _Scene) -> Iterator[tuple[Source, Mapping[str, Floats]]]:
+    """Yield what the errors of pixels add to u of each figure: those that all share, and the rest.
+
+    A sun that the camera measured has the shared errors too.
+    """
+    panorama, light, sun = scene.panorama, scene.luminance_cdm2, scene.sun
+    by_camera = sun is not None and sun.origin in MEASURED_ORIGINS
+    u = np.nan_to_num(np.asarray(panorama.u_cdm2, float))
     seen = seen_pixels(panorama)
-    u = u if seen is None else np.where(seen, u, 0.0)
-    stated = dict(word.split("=") for word in panorama.attributes.get(U_PERCENT, "").split())
-    by_camera = scene.sun is not None and scene.sun.origin in MEASURED_ORIGINS
+    rest = (u if seen is None else np.where(seen, u, 0.0)) ** 2
     sines = np.sin((np.arange(len(light)) + 0.5) / len(light) * np.pi)[:, None] * (light > 0)
-    left, mean_seen = u**2, float((light * sines).sum() / max(sines.sum(), 1e-9))
-
-    def half(change: Callable[[float], dict[str, Floats]]) -> dict[str, Floats]:
-        up, down = change(1.0), change(-1.0)
-        return {name: np.abs(up[name] - down[name]) / 2 for name in up}
-
+    mean_seen = float((light * sines).sum() / max(sines.sum(), 1e-9))
+    stated = dict(word.split("=") for word in panorama.attributes.get(U_PERCENT, "").split())
     for name, text in stated.items():
-        relative = float(text) / 100
-        share = relative * (mean_seen if name == VEILING_GLARE else light)
-        left = left - share**2
-        yield (
-            Source(name, "B", _NORMAL, 100 * relative, "%", 0.0, "all pixels"),
-            half(
-                lambda sign, share=share, r=relative: scene.figures(
-                    azimuths, light + sign * share, 1 + sign * r * by_camera
-                )
-            ),
+        u_rel = float(text) / 100
+        share = u_rel * (np.full_like(light, mean_seen) if name == VEILING_GLARE else light)
+        rest = rest - share**2
+        change = scene.half_range(
+            lambda sign, share=share, u_rel=u_rel: {
+                "more_cdm2": sign * share,
+                "sun_factor": 1 + sign * u_rel * by_camera,
+            }
         )
-    rest = np.sqrt(np.maximum(left, 0.0))
+        yield Source(name, "B", _NORMAL, 100 * u_rel, "%", "all pixels"), change
+    rest = np.sqrt(np.maximum(rest, 0.0))
     mean = 100 * float(rest.sum() / max(light.sum(), 1e-9))
     if stated:
         name = "noise, edges and other parts of single pixels"
-        yield (
-            Source(name, "A", _NORMAL, mean, "%", 0.0, "no other pixel"),
-            _of_noise(scene, azimuths, rest),
-        )
+        rng = np.random.default_rng(0)
+        draws = [scene.figures(rest * rng.standard_normal(rest.shape)) for _ in range(NOISE_DRAWS)]
+        change = {name: np.std([d[name] for d in draws], axis=0, ddof=1) for name in draws[0]}
+        yield Source(name, "A", _NORMAL, mean, "%", "no other pixel"), change
     elif rest.any():
-        yield (
-            Source("pixels, as stated", "B", _NORMAL, mean, "%", 0.0, "all pixels"),
-            half(lambda sign: scene.figures(azimuths, np.maximum(light + sign * rest, 0.0), 1.0)),
-        )
+        change = scene.half_range(lambda sign: {"more_cdm2": sign * rest})
+        yield Source("pixels, as stated", "B", _NORMAL, mean, "%", "all pixels"), change
+
+
+def _of_sun_and_views(
+    scene: _Scene, u_heading_deg: float
+) -> Iterator[tuple[Source, Mapping[str, Floats]]]:
+    """Yield what the sun's disc, the heading and the melanopic colour add to u of each figure."""
     if scene.sun is not None:
+        change = scene.half_range(lambda sign: {"sun_factor": 1 + sign * U_DISC})
         yield (
-            Source("illuminance of the sun's disc", "B", _NORMAL, 100 * U_DISC, "%", 0.0, "disc"),
-            half(lambda sign: scene.figures(azimuths, light, 1 + sign * U_DISC)),
+            Source("illuminance of the sun's disc", "B", _NORMAL, 100 * U_DISC, "%", "disc"),
+            change,
         )
-    yield (
-        Source("heading", "B", _NORMAL, u_heading_deg, "deg", 0.0, "all pixels"),
-        half(lambda sign: scene.figures(azimuths + sign * u_heading_deg, light, 1.0)),
-    )
-    colour = melanopic_ratio(panorama)
+    change = scene.half_range(lambda sign: {"turn_deg": sign * u_heading_deg})
+    yield Source("heading", "B", _NORMAL, u_heading_deg, "deg", "all pixels"), change
+    colour = melanopic_ratio(scene.panorama)
     if colour is not None:
-        at = scene.figures(azimuths, light, 1.0)
+        at = scene.figures()
         u_rel = ratio_u_rel(at["melanopic EDI"] / np.maximum(at["Ev"], 1e-9), colour[1])
-        yield (
-            Source("melanopic ratio by colour", "B", _NORMAL, 100 * colour[1], "%", 0.0, "all"),
-            {"melanopic EDI": at["melanopic EDI"] * u_rel},
-        )
-
-
-def _of_noise(scene: _Scene, azimuths: Floats, u: Floats) -> dict[str, Floats]:
-    """Return the standard deviation of each figure by independent errors u [H, W], [d] each."""
-    rng = np.random.default_rng(0)
-    drawn = [
-        scene.figures(
-            azimuths,
-            np.maximum(scene.luminance_cdm2 + u * rng.standard_normal(u.shape), 0.0),
-            1.0,
-        )
-        for _ in range(DRAWS)
-    ]
-    return {name: np.std([d[name] for d in drawn], axis=0, ddof=1) for name in drawn[0]}
+        change = {"melanopic EDI": at["melanopic EDI"] * u_rel}
+        yield Source("melanopic ratio by colour", "B", _NORMAL, 100 * colour[1], "%", "all"), change

@@ -214,24 +214,3 @@ def year_errors(shape: tuple[int, ...], rng: np.random.Generator) -> Floats:
     common = rng.standard_normal((1, shape[1])) * np.sqrt(COMMON_ERROR)
     own = rng.standard_normal((shape[0], 1)) * np.sqrt(1.0 - COMMON_ERROR)
     return common + own
-
-
-def hours_to_capture(dgp: Floats, u_dgp: Floats, rows: Sequence[DirectionYear]) -> Floats:
-    """Return how much each hour's uncertainty keeps classes of directions undecided, [n].
-
-    dgp, u_dgp : [n, d] DGP and its standard uncertainty; rows : protection of the d directions, of
-    which fully seen ones count. The value is the sum over the undecided directions of p (1 - p),
-    with p the probability that the hour's DGP is above the class limit nearest to the direction's
-    exceeded DGP (normal error). Capture the hours with the largest values.
-    """
-    from scipy.special import ndtr
-
-    worth = np.zeros(len(dgp))
-    for i, row in enumerate(rows):
-        if row.certain or row.seen != SEEN or row.low is None or row.dgp_exceeded is None:
-            continue
-        limits = np.array([limit for _, limit in CLASSES])
-        limit = limits[np.abs(limits - row.dgp_exceeded).argmin()]
-        above = ndtr((dgp[:, i] - limit) / np.maximum(u_dgp[:, i], 1e-6))
-        worth += above * (1.0 - above)
-    return worth

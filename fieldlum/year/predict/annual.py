@@ -115,9 +115,9 @@ class Annual:
 class Pictures:
     """Maps of k hours for the report, [k, H, W] cd/m2, without the sun's disc.
 
-    kinds: why each hour was chosen, such as "clear day" [k]; rows: index of each hour in
-    hourly.csv, from 0 [k]; disc_lx: illuminance of the visible disc on a plane normal to the sun
-    [k]; heading_deg: azimuth of the maps' centre column, clockwise from true north.
+    kinds: why each hour was chosen, such as "p95 of best view 180" [k]; rows: index of each
+    hour in hourly.csv, from 0 [k]; disc_lx: illuminance of the visible disc on a plane normal to
+    the sun [k]; heading_deg: azimuth of the maps' centre column, clockwise from true north.
     """
 
     kinds: tuple[str, ...]

@@ -1,10 +1,9 @@
-"""Summarise a predicted year: classes of glare protection, hours still to capture, notes."""
+"""Summarise a predicted year: classes of glare protection, notes."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
-from zoneinfo import ZoneInfo
 
 import numpy as np
 
@@ -16,14 +15,12 @@ from fieldlum.session.files.model_config import ModelConfig
 from fieldlum.session.files.predict_json import (
     DirectionYear,
     PredictFile,
-    SkyToCapture,
     YearOccupancy,
     YearWeather,
 )
 from fieldlum.session.site_toml import site_table
 from fieldlum.version import __version__
 from fieldlum.weather import Weather
-from fieldlum.year.glare.standards import hours_to_capture
 from fieldlum.year.predict.annual import Annual
 from fieldlum.year.predict.blocks import ModelRoom
 from fieldlum.year.predict.occupancy import Occupancy
@@ -36,31 +33,8 @@ HOURLY_MEANS = (
 )
 # a larger share of occupied hours outside the captures is reported; not measured
 _MAX_UNCERTAIN_SHARE = 0.05
-HOURS_NAMED = 12  # one row of the report's table for each month
 WHOLE_YEAR_DAYS = 360  # a year may lack some days in a weather file; chosen
 _WIDE_DGP = 0.2  # an interval of this width spans all classes (EN 17037: 0.35 to 0.45)
-
-
-def hours_to_settle(
-    annual: Annual, rows: Sequence[DirectionYear], zone: str
-) -> Iterator[SkyToCapture]:
-    """Yield up to twelve occupied hours whose uncertainty keeps a class open, most useful first.
-
-    Each day has at most one hour. Only fully seen directions count: captures with the same lens
-    cannot settle the others. rows: protection by direction; zone: time zone of dates and hours.
-    """
-    used, days = np.flatnonzero(annual.occupied), set()
-    worth = hours_to_capture(annual.views["dgp"][used], annual.views["u_dgp"][used], rows)
-    for k in np.argsort(worth)[::-1]:
-        local = annual.t_utc[used[k]].astimezone(ZoneInfo(zone))
-        if worth[k] <= 0.0 or len(days) == HOURS_NAMED:
-            return
-        if local.date() in days:
-            continue
-        days.add(local.date())
-        dni, dhi = (float(annual.hours[name][used[k]]) for name in ("dni_wm2", "dhi_wm2"))
-        date, hour = local.strftime("%d %B"), local.strftime("%H:%M")
-        yield SkyToCapture(date, hour, dni, dhi, float(worth[k]))
 
 
 def summary_of_year(
@@ -74,7 +48,7 @@ def summary_of_year(
     occupied_hours: int,
     days: int,
 ) -> PredictFile:
-    """Return the content of predict.json: settings, classes, notes and hours to capture.
+    """Return the content of predict.json: settings, classes and notes.
 
     inputs: the result of `inputs_of`, and further options; rows: protection by direction;
     occupied_hours: lit and dark ones; days: number of days in the weather file.
@@ -111,7 +85,6 @@ def summary_of_year(
             *_unseen_notes(rows),
         ),
         protection=rows,
-        capture_next=tuple(hours_to_settle(annual, rows, room.setup.site.timezone)),
     )
 
 

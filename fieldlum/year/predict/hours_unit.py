@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -86,47 +87,54 @@ class HourJudge:
         discs_lx: illuminance of the sun's disc in random draws of its visibility [m, k]; start:
         index of the first hour; melanopic: colours by the captures, None without any.
         """
-        views, coverage, predicted = self.views, self._coverage, block.prediction
+        views, light, coverage = self.views, block.light, self._coverage
         figures = view_figures(block, views, self._regions)
         u_ev_rel, u_source_rel = relative_uncertainty(block, views, figures)
-        ev_lx, contrast, dgp = figures["ev_lx"], figures["contrast"], figures["dgp"]
+        ev_lx, contrast = figures["ev_lx"], figures["contrast"]
         if melanopic is not None:
-            figures |= melanopic.figures(block.light, figures, u_ev_rel)
-        u_maps = dgp_uncertainty(ev_lx, contrast, u_ev_rel, u_source_rel)
-        # an unseen part has between 0 cd/m2 and the sky's mean or the brightest seen hundredth
-        brightest = block.light.diffuse_lx / np.pi
-        if coverage.unseen_illuminance.any():
-            brightest = np.maximum(brightest, brightest_cdm2(predicted.luminance_cdm2, views))
-        minimum, maximum = unseen_dgp_bounds(coverage, ev_lx, contrast, brightest)
-        per_lx = sun_per_lx(block.light.shown_sun_direction, views)
-        images = drawn_images(block, views, len(discs_lx))
-        drawn = dgp_with_disc(figures, per_lx, discs_lx, images).astype(np.float32)
-        off = drawn - dgp.astype(np.float32)  # [m, k, d]
-        reach = NORMAL_95 * np.nan_to_num(u_maps)
+            figures |= melanopic.figures(light, figures, u_ev_rel)
+        doubt = DgpUncertainty(
+            coverage.words,
+            *self._bounds(block, ev_lx, contrast),
+            dgp_with_disc(
+                figures,
+                sun_per_lx(light.shown_sun_direction, views),
+                discs_lx,
+                drawn_images(block, views, len(discs_lx)),
+            ).astype(np.float32),
+            dgp_uncertainty(ev_lx, contrast, u_ev_rel, u_source_rel),
+        )
+        off = doubt.drawn - figures["dgp"].astype(np.float32)  # [m, k, d]
+        reach = NORMAL_95 * np.nan_to_num(doubt.u_maps)
         low, high = np.percentile(off, (2.5, 97.5), axis=0)
-        figures["dgp_low"] = np.clip(minimum + np.minimum(low, 0.0) - reach, 0.0, 1.0)
-        figures["dgp_high"] = np.clip(maximum + np.maximum(high, 0.0) + reach, 0.0, 1.0)
-        figures["u_dgp"] = np.hypot(u_maps, np.sqrt((off**2).mean(axis=0)))
+        figures["dgp_low"] = np.clip(doubt.minimum + np.minimum(low, 0.0) - reach, 0.0, 1.0)
+        figures["dgp_high"] = np.clip(doubt.maximum + np.maximum(high, 0.0) + reach, 0.0, 1.0)
+        figures["u_dgp"] = np.hypot(doubt.u_maps, np.sqrt((off**2).mean(axis=0)))
         for values in figures.values():
             values[:, ~coverage.judged] = np.nan
-        hours = hour_figures(block) | {"disturbed_share": disturbed_share(figures["dgp"])}
-        doubt = DgpUncertainty(coverage.words, minimum, maximum, drawn, u_maps)
+        hours = {
+            "dni_wm2": light.dni_wm2,
+            "dhi_wm2": light.dhi_wm2,
+            "sun_altitude_deg": light.sun_altitude_deg,
+            "sun_azimuth_deg": light.sun_azimuth_deg,
+            "disc_lx": block.disc_lx,
+            "occupied": np.zeros(len(light)),
+            "trusted": block.trusted.astype(float),
+            "expected_log10_mse": block.prediction.expected_mse,
+            "disturbed_share": disturbed_share(figures["dgp"]),
+        }
         return HourFigures(start, hours, figures, doubt)
 
+    def _bounds(self, block: HourBlock, ev_lx: Floats, contrast: Floats) -> tuple[Floats, Floats]:
+        """Return the minimum and maximum DGP over possible light in the unseen part of each view.
 
-def hour_figures(block: HourBlock) -> dict[str, Array]:
-    """Return the figures of k hours that have no direction, by column of hourly.csv, [k] each."""
-    light = block.light
-    return {
-        "dni_wm2": light.dni_wm2,
-        "dhi_wm2": light.dhi_wm2,
-        "sun_altitude_deg": light.sun_altitude_deg,
-        "sun_azimuth_deg": light.sun_azimuth_deg,
-        "disc_lx": block.disc_lx,
-        "occupied": np.zeros(len(light)),
-        "trusted": block.trusted.astype(float),
-        "expected_log10_mse": block.prediction.expected_mse,
-    }
+        It has between 0 cd/m2 and the sky's mean or the brightest seen hundredth.
+        """
+        brightest = block.light.diffuse_lx / np.pi
+        if self._coverage.unseen_illuminance.any():
+            maps = block.prediction.luminance_cdm2
+            brightest = np.maximum(brightest, brightest_cdm2(maps, self.views))
+        return unseen_dgp_bounds(self._coverage, ev_lx, contrast, brightest)
 
 
 def view_figures(block: HourBlock, views: Views, regions: ViewRegions) -> dict[str, Floats]:
@@ -218,12 +226,11 @@ def discs_of(room: ModelRoom, light: Light, seed: int) -> tuple[Floats, Floats]:
 # units of work
 
 
-@dataclass(frozen=True, slots=True)
-class _HoursJob:
+class _HoursJob(NamedTuple):
     """The input of a worker, with folders relative to the unit's.
 
-    digest: of the model's files; light, disc_lx [n], discs_lx [k, n]: of the block; maps: "", a
-    folder or a URL.
+    digest: of the model's files; light, disc_lx [n], discs_lx [k, n]: of the block; store: of maps,
+    "" for none.
     """
 
     model: str
@@ -233,7 +240,7 @@ class _HoursJob:
     azimuths_deg: tuple[float, ...]
     disc_lx: Floats
     discs_lx: Floats
-    maps: str
+    store: str
     melanopic: MelanopicYear | None
 
 
@@ -243,7 +250,7 @@ def measure(
     light: Light,
     azimuths_deg: Floats,
     *,
-    maps: str = "",
+    store: Path | None = None,
     melanopic: MelanopicYear | None = None,
     seed: int = 0,
     scheduler: Scheduler = LOCAL,
@@ -251,53 +258,37 @@ def measure(
 ) -> HourFigures:
     """Predict every hour of `light`, and return the figures in d view directions.
 
-    maps: folder or URL of the Zarr store of maps, "" to write none; melanopic: colours by the
-    captures, None without any.
+    store: of maps, None to write none; melanopic: colours by the captures, None without any. A unit
+    of work has 64 hours; the last may have fewer.
     """
+    model = model_folder.resolve()
+    folder = Path(os.path.commonpath([model, *([store.resolve()] if store else [])]))
+    name = model.relative_to(folder).as_posix()
+    files = [f for f in ("config.json", "weights.npz") if (model / f).is_file()]
+    digest = " ".join(sha256(model / file) for file in files)
+    place = store.resolve().relative_to(folder).as_posix() if store else ""
+    best_lx, discs_lx = discs_of(room, light, seed)
+    azimuths, units = tuple(float(a) for a in azimuths_deg), []
+    for start in range(0, len(light), BLOCK):
+        rows = slice(start, min(start + BLOCK, len(light)))
+        of_sun = best_lx[rows], discs_lx[:, rows]
+        job = _HoursJob(name, digest, start, light[rows], azimuths, *of_sun, place, melanopic)
+        title, paths = f"hours-{start}-{rows.stop}", tuple(f"{name}/{file}" for file in files)
+        units.append(WorkUnit(title, predict_hours, folder, job, files=paths))
     parts: list[HourFigures] = []
-    discs = discs_of(room, light, seed)
-    units = list(_units(model_folder, light, azimuths_deg, discs, maps, melanopic))
     run_each(units, scheduler, lambda outcome: parts.append(outcome.result()), progress)
     return joined(parts)
 
 
-def _units(
-    model_folder: Path,
-    light: Light,
-    azimuths_deg: Floats,
-    discs: tuple[Floats, Floats],
-    maps: str,
-    melanopic: MelanopicYear | None,
-) -> Iterator[WorkUnit]:
-    """Yield the units of work, with 64 hours each; the last may be shorter."""
-    model = model_folder.resolve()
-    local = Path(maps).resolve() if maps and "://" not in maps else None
-    folder = model if local is None else Path(os.path.commonpath([model, local]))
-    name = model.relative_to(folder).as_posix()
-    files = tuple(
-        f"{name}/{file}" for file in ("config.json", "weights.npz") if (model / file).is_file()
-    )
-    digest = " ".join(sha256(folder / file) for file in files)
-    where = maps if local is None else local.relative_to(folder).as_posix()
-    azimuths = tuple(float(a) for a in azimuths_deg)
-    best_lx, discs_lx = discs
-    for start in range(0, len(light), BLOCK):
-        rows = slice(start, min(start + BLOCK, len(light)))
-        of_sun = best_lx[rows], discs_lx[:, rows]
-        job = _HoursJob(name, digest, start, light[rows], azimuths, *of_sun, where, melanopic)
-        yield WorkUnit(f"hours-{start}-{rows.stop}", predict_hours, folder, job, files=files)
-
-
 def predict_hours(folder: Path, job: _HoursJob) -> HourFigures:
-    """Predict the hours of a unit and compute their glare; write the maps if `job.maps` is set.
+    """Predict the hours of a unit and compute their glare; write the maps if `job.store` is set.
 
     folder: that of the unit, to which the paths in `job` are relative.
     """
     fitted, room, judge = _prepared(folder / job.model, job.digest, job.azimuths_deg)
     (block,) = blocks(fitted, room, job.light, job.disc_lx)
-    if job.maps:
-        pictures = block.pictures_cdm2(room.heading_deg)
-        write_maps(job.maps if "://" in job.maps else str(folder / job.maps), job.start, pictures)
+    if job.store:
+        write_maps(folder / job.store, job.start, block.pictures_cdm2(room.heading_deg))
     return judge.figures(block, job.discs_lx, job.start, job.melanopic)
 
 

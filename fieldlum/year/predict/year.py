@@ -2,96 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import shutil
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fieldlum.core.errors import NotEnoughDataError
+from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Progress, quiet
 from fieldlum.core.room_states import OFF
 from fieldlum.core.scheduler import LOCAL, Scheduler
 from fieldlum.learn.models import Fitted, load, read_config
-from fieldlum.session import Session, check_writable, sha256
-from fieldlum.session.bucket import check_url
+from fieldlum.optics.images import read_panorama
+from fieldlum.optics.projection import signed_angle_deg
+from fieldlum.session import Session, check_writable, open_session, sha256
 from fieldlum.session.files.hourly_csv import COLOUR_COLUMNS, VIEW_COLUMNS, HourlyFile
-from fieldlum.session.files.predict_json import PredictFile
+from fieldlum.session.files.model_config import UsedScene
+from fieldlum.session.files.predict_json import DirectionYear, PredictFile
 from fieldlum.session.files.sidecar import newest_sidecar
+from fieldlum.session.provenance import made_from
+from fieldlum.session.site_toml import site_table
 from fieldlum.sky.light import Light, light_at
 from fieldlum.sky.sky_view import SkyView
-from fieldlum.sky.sun import standard_date
-from fieldlum.weather import Weather, read_weather
-from fieldlum.year.glare.budget import BUDGET_FILE, write_budgets, year_budget
+from fieldlum.sky.sky_view.view import NAME as SKY_VIEW
+from fieldlum.version import __version__
+from fieldlum.weather import SYNTHETIC, Weather, read_weather
+from fieldlum.year.glare.budget import BUDGET_FILE, Budget, write_budgets, year_budget
 from fieldlum.year.glare.geometry import view_azimuths_deg
 from fieldlum.year.glare.metrics import METRICS
-from fieldlum.year.glare.standards import dgp_per_scale, protection
-from fieldlum.year.predict.annual import Annual, Pictures, write_pictures
+from fieldlum.year.glare.standards import DgpUncertainty, dgp_per_scale, protection
+from fieldlum.year.predict import maps as map_store
+from fieldlum.year.predict.annual import Annual, Pictures, read_annual, write_pictures
 from fieldlum.year.predict.blocks import ModelRoom, blocks, room_of
-from fieldlum.year.predict.checks import (
-    already,
-    check_session,
-    default_folder,
-    delete_earlier_year,
-    inputs_of,
-    session_folder,
-)
 from fieldlum.year.predict.glare_summary import best_and_worst, poor, summary_of_year
-from fieldlum.year.predict.hours_unit import measure
-from fieldlum.year.predict.maps import MapStore
+from fieldlum.year.predict.hours_unit import HourFigures, measure
 from fieldlum.year.predict.melanopic import has_colour, year_of_captures
 from fieldlum.year.predict.occupancy import default_occupancy, occupied_hours, read_occupancy
-
-
-def telling_hours(annual: Annual, zone: str) -> Iterator[tuple[str, int]]:
-    """Yield the name of each hour to show in the report, and its index in the year, from 0.
-
-    These are the hours with the median, the 95th percentile and the highest DGP of the occupied
-    hours (all hours if none is occupied), first for the direction with the most glare, then for
-    that with the least; and the hours of one clear day. An hour can occur twice.
-    """
-    used = np.flatnonzero(annual.occupied) if annual.occupied.any() else np.arange(len(annual))
-    dgp = annual.views["dgp"][used]
-    ends = best_and_worst(annual.summary.protection)
-    for name, row in () if ends is None else (("worst", ends[1]), ("best", ends[0])):
-        direction = int(np.argmin(np.abs(annual.azimuths_deg - row.azimuth_deg)))
-        order = used[np.argsort(dgp[:, direction], kind="stable")]
-        for share, kind in ((0.5, "typical"), (0.95, "p95"), (1.0, "highest")):
-            hour = order[min(int(share * len(order)), len(order) - 1)]
-            yield f"{kind} of {name} view {annual.azimuths_deg[direction]:g}", int(hour)
-    for row in clear_day(annual, zone):
-        yield "clear day", int(row)
-
-
-def clear_day(annual: Annual, zone: str) -> NDArray[np.int64]:
-    """Return the indices, from 0, of the daylight hours of one sunny day, [k].
-
-    It is the day with the most direct normal irradiation among 28 February to 11 April, or among
-    all days if the year has no hours then. zone: time zone, whose standard time separates the days.
-    """
-    days = np.array([standard_date(t, zone).timetuple().tm_yday for t in annual.t_utc])
-    near = np.abs(days - 80) <= 21
-    pool = np.unique(days[near]) if near.any() else np.unique(days)
-    sunniest = max(pool, key=lambda day: float(annual.hours["dni_wm2"][days == day].sum()))
-    return np.flatnonzero(days == sunniest)
-
-
-def telling_pictures(fitted: Fitted, room: ModelRoom, light: Light, annual: Annual) -> Pictures:
-    """Return the maps of `telling_hours`, in that order, predicted again.
-
-    The maps are not stored before, because all maps of a year would need a gigabyte of memory.
-    """
-    chosen = list(telling_hours(annual, room.setup.site.timezone))
-    rows = np.array(sorted({row for _, row in chosen}), np.int64)
-    parts = list(blocks(fitted, room, light[rows]))
-    maps = np.concatenate([block.pictures_cdm2(room.heading_deg) for block in parts])
-    disc = np.concatenate([block.disc_lx for block in parts])
-    at = [int(np.searchsorted(rows, row)) for _, row in chosen]
-    return Pictures(
-        tuple(kind for kind, _ in chosen), rows[at], maps[at], disc[at], room.heading_deg
-    )
 
 
 class PredictedYear(NamedTuple):
@@ -107,7 +55,6 @@ def run(
     *,
     out: Path | None = None,
     maps: bool = False,
-    maps_to: str = "",
     views: int = 10,
     occupancy_path: Path | None = None,
     lamps: str = "",
@@ -124,89 +71,91 @@ def run(
     `force`.
 
     out: output folder; None: `default_folder`. views: number of view directions around the horizon.
-    maps: also write all maps; maps_to: URL of a bucket for them, for example s3://BUCKET/FOLDER; ""
-    for none. lamps: "" as in the captures; "off"; or a csv as for occupancy, with the hours in
-    which lamps that are marked in the captures are on. sky_view: a sky_view.exr in place of the
-    model's. label_shift_min: minutes added to the times of the weather file.
+    maps: also write all maps. lamps: "" as in the captures; "off"; or a csv as for occupancy, with
+    the hours in which lamps that are marked in the captures are on. sky_view: a sky_view.exr in
+    place of the model's. label_shift_min: minutes added to the times of the weather file.
 
-    Raises InputError for a file, folder, URL or model that cannot be used, or if place, camera,
-    room or pictures of model and session differ; NotEnoughDataError for weather without daylight or
-    without occupied hours; FloatingPointError if a map is not finite.
+    Raises InputError for a file, folder or model that cannot be used, or if place, camera, room or
+    pictures of model and session differ; NotEnoughDataError for weather without daylight or without
+    occupied hours; FloatingPointError if a map is not finite.
     """
-    config = read_config(model_folder)
+    config, session = read_config(model_folder), session_of(model_folder)
     room = room_of(config, model_folder)
     check_session(model_folder, room, config.scene)
     folder = out or default_folder(model_folder)
     occupancy = default_occupancy() if occupancy_path is None else read_occupancy(occupancy_path)
-    inputs = inputs_of(model_folder, weather_path, views, occupancy, maps, seed, label_shift_min)
-    if sky_view is not None:
-        room = replace(room, sky_view=SkyView.read(sky_view), sky_view_file=sky_view.name)
-        inputs["sky_view_sha256"] = sha256(sky_view)
-    if maps_to:
-        check_url(maps_to, "--maps-to", "use --maps")
-        inputs["maps_to"] = maps_to
-    inputs |= {"lamps": lamps_text(lamps)} if lamps else {}
-    root = session_folder(model_folder)
-    pairs = None if root is None else Session(root).pairs
-    coloured = pairs if pairs is not None and has_colour(pairs) else None
-    inputs |= {"melanopic": "colour"} if coloured else {}
-    if not force and (existing := already(folder, inputs)) is not None:
+    options = {"views": views, "occupancy": occupancy.text, "maps": maps, "seed": seed}
+    inputs = _files(model_folder, weather_path, sky_view) | options
+    inputs |= {"label_shift_min": label_shift_min} if label_shift_min else {}
+    inputs |= {"lamps": _lamps_text(lamps)} if lamps else {}
+    pairs = session.pairs if session is not None and has_colour(session.pairs) else None
+    inputs |= {"melanopic": "colour"} if pairs else {}
+    if not force and (existing := _already(folder, inputs)) is not None:
         return PredictedYear(existing, new=False)
     check_writable(folder)
+    if sky_view is not None:
+        room = replace(room, sky_view=SkyView.read(sky_view), sky_view_file=sky_view.name)
     weather = read_weather(weather_path, room.setup.site, label_shift_min=label_shift_min)
-    hours = weather.daylight()
-    if len(hours) == 0:
-        raise NotEnoughDataError(
-            f"{weather_path}: no hour with irradiance while the sun "
-            "is up; check the file's irradiance and time zone"
-        )
-    zone = room.setup.site.timezone
-    light = with_lamps(light_of(hours), lamps, zone)
+    light, zone = _with_lamps(_daylight(weather, weather_path), lamps, room), weather.site.timezone
     azimuths = view_azimuths_deg(room.heading_deg, views)
     hours_used, days = occupied_hours(occupancy, weather.t_utc, weather.site)
-    delete_earlier_year(folder)
+    colours = year_of_captures(pairs, room, azimuths) if pairs else None
+    _delete_earlier_year(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    colours = year_of_captures(coloured, room, azimuths) if coloured else None
-    store = MapStore(folder, maps_to, inputs) if maps or maps_to else None
-    if store:
-        store.create(light.t_utc, room)
+    store = map_store.begin_maps(folder, light.t_utc, room) if maps else None
     found = measure(
         model_folder,
         room,
         light,
         azimuths,
-        maps=store.target if store else "",
+        store=store,
         melanopic=colours,
         seed=seed,
         scheduler=scheduler,
         progress=progress,
     )
     found.hours["trusted"] *= not poor(config)
+    found.hours["occupied"][:] = occupancy.at(light.t_utc, zone)
     if store:
-        store.finish(found.hours["disc_lx"], found.hours["trusted"])
-    used = occupancy.at(light.t_utc, zone)
-    found.hours["occupied"][:] = used
+        map_store.finish_maps(folder, found.hours["disc_lx"], found.hours["trusted"])
+    annual = Annual(folder, PredictFile(), light.t_utc, azimuths, found.hours, _columns(found))
+    rows, budgets = _protection(annual, found.doubt, hours_used, session, seed)
+    annual = replace(
+        annual,
+        summary=summary_of_year(
+            room, config, weather, inputs, occupancy, annual, rows, hours_used, days
+        ),
+    )
+    pictures = telling_pictures(load(model_folder), room, light, annual)
+    _write(annual, budgets, pictures, zone)
+    return PredictedYear(annual, new=True)
+
+
+def _columns(found: HourFigures) -> dict[str, np.ndarray]:
+    """Return the figures that hourly.csv has for each direction."""
     empty = {name: np.full(found.doubt.u_maps.shape, np.nan) for name in COLOUR_COLUMNS}
     columns = {*VIEW_COLUMNS, *(name for name, metric in METRICS.items() if metric.in_year)}
-    figures = {name: v for name, v in (empty | found.views).items() if name in columns}
-    annual = Annual(folder, PredictFile(), light.t_utc, azimuths, found.hours, figures)
-    rng, doubt = np.random.default_rng(seed), found.doubt.hours(used)
-    dgp, ev_lx = figures["dgp"][used], figures["ev_lx"][used]
-    u_scale = 0.0 if root is None else scale_u_rel(Session(root))
-    of_scale = u_scale * dgp_per_scale(dgp, ev_lx)
+    return {name: v for name, v in (empty | found.views).items() if name in columns}
+
+
+def _protection(
+    annual: Annual, doubt: DgpUncertainty, hours_used: int, session: Session | None, seed: int
+) -> tuple[tuple[DirectionYear, ...], list[Budget]]:
+    """Return the classes of the directions, and the budgets of their exceeded DGP."""
+    used, azimuths = annual.occupied, annual.azimuths_deg
+    dgp, ev_lx, doubt = annual.views["dgp"][used], annual.views["ev_lx"][used], doubt.hours(used)
+    u_scale = 0.0 if session is None else scale_u_rel(session)
+    of_scale, rng = u_scale * dgp_per_scale(dgp, ev_lx), np.random.default_rng(seed)
     rows = protection(dgp, doubt, hours_used, azimuths, rng, of_scale)
-    summary = summary_of_year(
-        room, config, weather, inputs, occupancy, annual, rows, hours_used, days
-    )
-    annual = replace(annual, summary=summary)
-    table = HourlyFile(annual.t_utc, annual.azimuths_deg, annual.hours, annual.views)
-    table.write(folder, zone)
-    pictures = telling_pictures(load(model_folder), room, light, annual)
+    return rows, year_budget(dgp, ev_lx, doubt, hours_used, azimuths, u_scale)
+
+
+def _write(annual: Annual, budgets: list[Budget], pictures: Pictures, zone: str) -> None:
+    folder = annual.folder
+    HourlyFile(annual.t_utc, annual.azimuths_deg, annual.hours, annual.views).write(folder, zone)
     write_pictures(folder / "pictures.npz", pictures)
-    budgets = year_budget(dgp, ev_lx, doubt, hours_used, azimuths, u_scale)
     write_budgets(folder / BUDGET_FILE, ((folder.name, budget) for budget in budgets))
-    summary.write(folder)  # the last file, so that a folder with it is complete
-    return PredictedYear(annual, new=True)
+    annual.summary.write(folder)  # the last file, so that a folder with it is complete
 
 
 def scale_u_rel(session: Session) -> float:
@@ -219,25 +168,192 @@ def scale_u_rel(session: Session) -> float:
     return float(np.hypot(percents.get("k", 0.0), percents.get("colour", 0.0))) / 100
 
 
+# ----------------------------------------------------------------------------------------------
+# light
+
+
 def light_of(weather: Weather) -> Light:
     """Return the sun's position and the light of all hours of `weather`, in their order."""
     return light_at(weather.t_utc, weather.site, weather.dni_wm2, weather.dhi_wm2)
 
 
-def with_lamps(light: Light, lamps: str, timezone: str) -> Light:
-    """Return `light` with lamps as captured (""), "off", or on in the hours of a csv `lamps`.
+def _daylight(weather: Weather, path: Path) -> Light:
+    hours = weather.daylight()
+    if len(hours) == 0:
+        raise NotEnoughDataError(
+            f"{path}: no hour with irradiance while the sun is up; check the file's irradiance and "
+            "time zone"
+        )
+    return light_of(hours)
 
-    The csv has the form that `read_occupancy` reads, which raises InputError. timezone: of the
-    room.
-    """
+
+def _with_lamps(light: Light, lamps: str, room: ModelRoom) -> Light:
+    """Return `light` with lamps as captured (""), "off", or on in the hours of a csv `lamps`."""
     if not lamps:
         return light
     if lamps == "off":
         return replace(light, states=(OFF,) * len(light))
-    on = read_occupancy(Path(lamps)).at(light.t_utc, timezone)  # [n]
+    on = read_occupancy(Path(lamps)).at(light.t_utc, room.setup.site.timezone)  # [n]
     return replace(light, states=tuple("lamp=on" if lit else OFF for lit in on))
 
 
-def lamps_text(lamps: str) -> str:
-    """Return the text on lamps for predict.json: `lamps` if "" or "off", else its schedule."""
-    return lamps if lamps in ("", "off") else read_occupancy(Path(lamps)).text
+def _lamps_text(lamps: str) -> str:
+    """Return the text on lamps for predict.json: "off", or the schedule of the csv."""
+    return lamps if lamps == "off" else read_occupancy(Path(lamps)).text
+
+
+# ----------------------------------------------------------------------------------------------
+# pictures
+
+
+def telling_hours(annual: Annual) -> Iterator[tuple[str, int]]:
+    """Yield the name of each hour to show in the report, and its index in the year, from 0.
+
+    These are the hours with the median, the 95th percentile and the highest DGP of the occupied
+    hours (all hours if none is occupied), first for the direction with the most glare, then for
+    that with the least. An hour can occur twice.
+    """
+    used = np.flatnonzero(annual.occupied) if annual.occupied.any() else np.arange(len(annual))
+    dgp = annual.views["dgp"][used]
+    ends = best_and_worst(annual.summary.protection)
+    for name, row in () if ends is None else (("worst", ends[1]), ("best", ends[0])):
+        direction = int(np.argmin(np.abs(annual.azimuths_deg - row.azimuth_deg)))
+        order = used[np.argsort(dgp[:, direction], kind="stable")]
+        for share, kind in ((0.5, "typical"), (0.95, "p95"), (1.0, "highest")):
+            hour = order[min(int(share * len(order)), len(order) - 1)]
+            yield f"{kind} of {name} view {annual.azimuths_deg[direction]:g}", int(hour)
+
+
+def telling_pictures(fitted: Fitted, room: ModelRoom, light: Light, annual: Annual) -> Pictures:
+    """Return the maps of `telling_hours`, in that order, predicted again.
+
+    The maps are not stored before, because all maps of a year would need a gigabyte of memory.
+    """
+    chosen = list(telling_hours(annual))
+    rows = np.array(sorted({row for _, row in chosen}), np.int64)
+    parts = list(blocks(fitted, room, light[rows]))
+    maps = np.concatenate([block.pictures_cdm2(room.heading_deg) for block in parts])
+    disc = np.concatenate([block.disc_lx for block in parts])
+    at = [int(np.searchsorted(rows, row)) for _, row in chosen]
+    return Pictures(
+        tuple(kind for kind, _ in chosen), rows[at], maps[at], disc[at], room.heading_deg
+    )
+
+
+# ----------------------------------------------------------------------------------------------
+# folders and inputs
+
+
+def session_of(model_folder: Path) -> Session | None:
+    """Return the session that a model folder is in; None if it is elsewhere."""
+    models = model_folder.resolve().parent
+    in_session = models.name == "models" and (models.parent / "session.toml").is_file()
+    return open_session(models.parent) if in_session else None
+
+
+def default_folder(model_folder: Path) -> Path:
+    """Return where a model's predicted year is stored by default.
+
+    This is SESSION/annual/NAME for a model in SESSION/models/NAME, else `annual` in the model's
+    folder.
+    """
+    if session_of(model_folder) is None:
+        return model_folder / "annual"
+    return model_folder.parent.parent / "annual" / model_folder.resolve().name
+
+
+def check_session(model_folder: Path, room: ModelRoom, scene: UsedScene | None = None) -> None:
+    """Raise InputError if a model was trained for another place, camera, room or picture format.
+
+    It is compared with the session whose folder `models` contains it; a model elsewhere is not
+    checked. The place may differ by 0.01 degrees, the heading of the first panorama by 0.1 degrees;
+    its size in pixels must be equal. scene: the fitted scene in the model's config.json, if any;
+    then the room and heading as stated before the fit are compared.
+    """
+    session = session_of(model_folder)
+    if session is None:
+        return
+    setup = session.site_file()
+    mine, theirs = room.setup.site, setup.site
+    own, other = (np.array([site.latitude_deg, site.longitude_deg]) for site in (mine, theirs))
+    if np.abs(own - other).max() > 0.01:
+        found, expected = (
+            f"{s.name} ({s.latitude_deg:g}, {s.longitude_deg:g} deg)" for s in (mine, theirs)
+        )
+        _refuse(model_folder, f"of the site {found}", expected)
+    stated = scene["stated"] if scene else site_table(room.setup)
+    for table in ("camera", "room"):  # both affect every map
+        own, other = stated.get(table) or {}, site_table(setup).get(table) or {}
+        for name in sorted({*own, *other} - {"profile"}):
+            if own.get(name) != other.get(name):
+                found = f"with [{table}] {name} = {own.get(name, 'none')}"
+                _refuse(model_folder, found, str(other.get(name, "none")))
+    heading_deg = float(scene["stated_heading_deg"]) if scene else room.heading_deg
+    for path in session.panorama_files()[:1]:
+        first = read_panorama(path)
+        height, width = first.luminance_cdm2.shape
+        if (height, width) != (room.height, room.width):
+            found = f"with pictures of {room.width} x {room.height} pixels"
+            _refuse(model_folder, found, f"{width} x {height} pixels")
+        if abs(signed_angle_deg(first.heading_deg - heading_deg)) > 0.1:
+            found = f"with a heading of {heading_deg:g} deg"
+            _refuse(model_folder, found, f"{first.heading_deg:g} deg")
+
+
+def _refuse(model_folder: Path, found: str, expected: str) -> NoReturn:
+    raise InputError(
+        model_folder,
+        f"a model {found}",
+        f"{expected}, as in this session",
+        "merge, pair and train again, or use the model that was trained on this session",
+    )
+
+
+def _files(model: Path, weather: Path, sky_view: Path | None) -> dict[str, object]:
+    """Return the names and digests of the files that a predicted year depends on.
+
+    model: its folder; weather: a file, or "synthetic". Raises InputError for a missing file.
+    """
+    synthetic = str(weather) == SYNTHETIC
+    if not synthetic and not weather.is_file():
+        expected = "a weather file, or the word synthetic"
+        raise InputError(weather, "no such file", expected, "check the path")
+    weights, view = model / "weights.npz", sky_view or model / SKY_VIEW
+    return {
+        "model": model.resolve().name,
+        "model_sha256": sha256(model / "config.json"),
+        "weights_sha256": sha256(weights) if weights.is_file() else "",
+        "sky_view_sha256": sha256(view) if sky_view or view.is_file() else "",
+        "weather": weather.name,
+        "weather_sha256": "" if synthetic else sha256(weather),
+    }
+
+
+def _already(folder: Path, inputs: Mapping[str, object]) -> Annual | None:
+    """Return the year in `folder` if the same version computed it from the same inputs, else None.
+
+    A damaged year counts as missing. A stored year with maps also answers a request without maps.
+    """
+    tables = (
+        made_from(folder / "predict.json", wanted, [folder / "hourly.csv"])
+        for wanted in ((inputs,) if inputs["maps"] else (inputs, {**inputs, "maps": True}))
+    )
+    table = next((candidate for candidate in tables if candidate is not None), None)
+    if table is None or table.get("software", {}).get("fieldlum") != __version__:
+        return None
+    if inputs["maps"] and not (folder / map_store.NAME).is_dir():
+        return None
+    try:
+        return read_annual(folder)
+    except InputError:
+        return None
+
+
+def _delete_earlier_year(folder: Path) -> None:
+    """Delete predict.json and maps.zarr, if any, so that `folder` no longer holds a complete year.
+
+    Otherwise an interruption could leave the hours of one weather file with the classes of another.
+    """
+    (folder / "predict.json").unlink(missing_ok=True)
+    for name in (map_store.NAME, map_store.DRAFT):
+        shutil.rmtree(folder / name, ignore_errors=True)
