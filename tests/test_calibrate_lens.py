@@ -123,7 +123,7 @@ def test_lens_from_chessboards() -> None:
         corners.append(np.stack([x, y], axis=1) + 0.05 * rng.normal(size=(len(x), 2)))
     for azimuth in (0.0, 180.0):  # a lens that looks back too: boards' tilt is not a lens's pose
         start = Lens((630.0, 490.0), 440.0, 180.0, azimuth_deg=azimuth)
-        found, _ = lens.fit_boards(corners, columns, rows, (1280, 960), start)
+        found, _ = lens.fit_boards(corners, columns, rows, start)
         assert found.rms_px == pytest.approx(0.05 * np.sqrt(2), rel=0.1)
         assert found.lens.centre_px == pytest.approx(truth.centre_px, abs=0.1)
         assert found.lens.azimuth_deg == azimuth
@@ -133,7 +133,7 @@ def test_lens_from_chessboards() -> None:
         x, _, _ = lens_pixels(truth, rays)
         assert np.abs(lens_pixels(level, rays)[0] - x).max() < 450.0 / 90 * 0.05
     with pytest.raises(NotEnoughDataError):
-        lens.fit_boards(corners[:3], columns, rows, (1280, 960), start)
+        lens.fit_boards(corners[:3], columns, rows, start)
 
 
 @pytest.mark.analytic

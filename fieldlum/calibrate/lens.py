@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fieldlum.calibrate.model_selection import OrderSelection, fit_and_choose, gross_errors
 from fieldlum.calibrate.readings import read_table, require
-from fieldlum.core.arrays import Array, Indices, Mask
+from fieldlum.core.arrays import Array, Mask
 from fieldlum.core.errors import InputError
 from fieldlum.core.statistics import robust_sigma
 from fieldlum.optics.profiles import Lens
@@ -283,13 +283,11 @@ def _with_geometry(lens: Lens, geometry: LensGeometry, pose: bool) -> Lens:
 # ----------------------------------------------------------------------------------------------
 # chessboards
 #
-# OpenCV's omnidirectional model (Mei and Rives 2007) is fitted first. Its parameters are not
-# unique, but its rays and its poses of the boards are a good start. fieldlum's own mapping is then
-# fitted to the corners, together with all poses (bundle adjustment, Triggs et al. 1999). Therefore
-# the residual is that of the corners, and the centre has an uncertainty.
+# Lens and poses of all boards are fitted together to the corners (bundle adjustment, Triggs et al.
+# 1999), from poses by the profile's lens: first with the most flexible mapping, whose rays to the
+# corners choose the mapping, then with that one.
 
 MIN_BOARDS = 4  # chosen so that poses and lens can be separated, not measured
-_MAX_MISS_PX = 3.0  # a larger residual is a failed fit; chosen, not measured
 
 
 def chessboard_corners(path: Path, columns: int, rows: int) -> Array | None:
@@ -309,107 +307,81 @@ def chessboard_corners(path: Path, columns: int, rows: int) -> Array | None:
 
 
 def fit_boards(
-    corners: Sequence[Array], columns: int, rows: int, size_px: tuple[int, int], lens: Lens
+    corners: Sequence[Array], columns: int, rows: int, lens: Lens
 ) -> tuple[LensFit, Targets]:
-    """Fit a lens and the poses of n chessboards to their corners; return also the start's targets.
+    """Fit a lens and the poses of n chessboards to their corners; return also the corners' targets.
 
-    corners : results of `chessboard_corners`, one for each picture with a board; size_px : width
-    and height of the pictures. The fit starts from `lens`, and the result has its pose (azimuth,
-    tilt, roll), because boards do not determine it; its rms_px is the residual of the corners.
-    Raises NotEnoughDataError for fewer than four boards, InputError if the fit fails.
+    corners : results of `chessboard_corners`, one for each picture with a board. The fit starts
+    from `lens`, and the result has its pose (azimuth, tilt, roll), because boards do not determine
+    it; its rms_px is the residual of the corners. Raises NotEnoughDataError for fewer than four
+    boards, InputError for corners that no lens explains.
     """
     remedy = "check the corners after --chessboard; take sharp pictures, also at the circle's edge"
     require(len(corners), MIN_BOARDS, "pictures in which the chessboard was detected", remedy)
     points = np.zeros((rows * columns, 3))
     points[:, :2] = np.mgrid[:columns, :rows].T.reshape(-1, 2)
-    targets, poses, used = _opencv_rays(corners, points, size_px)
+    level, at = _level(lens), np.stack(corners)  # [boards, points, 2]
+    poses = np.array([_board_pose(level, c, points) for c in at])
+    _, poses, _ = _bundle(level, ("polynomial", POWERS["four terms"]), at, points, poses)
+    x, y = at.reshape(-1, 2).T
+    targets = Targets(x, y, _rays(poses, points).reshape(-1, 3), "chessboard", pose_known=True)
     start = fit(targets, lens)
-    return _bundle_adjusted(
-        start, lens, np.stack([corners[i] for i in used]), points, poses
-    ), targets
-
-
-def _opencv_rays(
-    corners: Sequence[Array], points: Array, size_px: tuple[int, int]
-) -> tuple[Targets, Array, Indices]:
-    """Return rays of OpenCV's model, the poses of the boards, and which boards it used.
-
-    The rays are a fan in the part of the picture with corners. A pose [6] is a rotation vector
-    [rad] and a position [squares] in OpenCV's camera frame. Raises InputError if the fit fails or
-    its residual is above 3 px.
-    """
-    import cv2
-
-    omnidir: Any = cv2.omnidir
-    # (1, N, C) is the one shape that OpenCV 4 and 5 both accept.
-    places = [np.asarray(c - 0.5, np.float64).reshape(1, -1, 2) for c in corners]
-    stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 300, 1e-9)
-    arguments = [points[None]] * len(corners), places, size_px, None, None, None
-    try:
-        rms, k, xi, d, turns, shifts, used = omnidir.calibrate(
-            *arguments, omnidir.CALIB_FIX_SKEW, stop
-        )
-        wrong = f"the residual of the lens fit is {rms:.1f} px" if rms > _MAX_MISS_PX else ""
-    except cv2.error as error:
-        wrong = f"OpenCV could not fit a lens ({str(error).splitlines()[0]})"
-        rms, k, xi, d, turns, shifts, used = [np.zeros(0)] * 7
-    if wrong:
-        remedy = "take sharp pictures with the board in more places and tilts, none seen edge-on"
-        raise InputError("chessboard", wrong, f"at most {_MAX_MISS_PX:g} px", remedy)
-    angle, turn = np.radians(np.arange(1.0, 110.0, 2.0)), np.radians(np.arange(0.0, 360.0, 15.0))
-    a, t = (grid.ravel() for grid in np.meshgrid(angle, turn))
-    away = np.stack([np.sin(a) * np.cos(t), np.sin(a) * np.sin(t), np.cos(a)], axis=1)
-    zero = np.zeros((3, 1))
-    shown, *_ = omnidir.projectPoints(
-        away.reshape(1, -1, 3), zero, zero, k, float(np.ravel(xi)[0]), d
+    powers = tuple(i + 1 for i, c in enumerate(start.lens.coefficients) if c)
+    geometry, _, solved = _bundle(
+        _level(start.lens), (start.lens.mapping, powers), at, points, poses
     )
-    at, centre = np.asarray(shown).reshape(-1, 2) + 0.5, np.asarray(k)[:2, 2] + 0.5
-    reach = np.percentile(np.linalg.norm(np.concatenate(corners) - centre, axis=1), 99.5)
-    near = np.linalg.norm(at - centre, axis=1) <= reach
-    x, y = at[near].T
-    targets = Targets(x, y, _own_axes(away[near]), "chessboard", pose_known=True)
-    poses = np.concatenate([np.reshape(turns, (-1, 3)), np.reshape(shifts, (-1, 3))], axis=1)
-    return targets, poses, np.ravel(used).astype(int)
-
-
-def _own_axes(rays: Array) -> Array:
-    """Return OpenCV's x right, y down, z forward [..., 3] as x right, y forward, z up."""
-    return np.stack([rays[..., 0], rays[..., 2], -rays[..., 1]], axis=-1)
-
-
-def _bundle_adjusted(
-    start: LensFit, lens: Lens, corners: Array, points: Array, poses: Array
-) -> LensFit:
-    """Fit the lens and the poses [boards, 6] to corners [boards, points, 2]."""
-    from scipy.optimize import least_squares
-    from scipy.spatial.transform import Rotation
-
-    # Boards determine the lens's own axis only, not its pose.
-    level, first = _level(lens), start.lens
-    powers = tuple(i + 1 for i, c in enumerate(first.coefficients) if c)
-    figures = [*first.centre_px, first.radius_px, *(first.coefficients[p - 1] for p in powers[1:])]
-
-    def shown(x: Array) -> LensGeometry:
-        return _geometry(level, x[: len(figures)], first.mapping, powers, pose=False)
-
-    def misses(x: Array) -> Array:
-        turned = [
-            Rotation.from_rotvec(pose[:3]).apply(points) + pose[3:]
-            for pose in x[len(figures) :].reshape(-1, 6)
-        ]
-        rays = _own_axes(np.stack(turned))
-        px, py, _ = lens_pixels(shown(x), rays / np.linalg.norm(rays, axis=-1, keepdims=True))
-        return np.concatenate([(px - corners[..., 0]).ravel(), (py - corners[..., 1]).ravel()])
-
-    unknowns = [*figures, *poses.ravel()]
-    solved = least_squares(misses, unknowns, x_scale="jac", loss="soft_l1", max_nfev=60)
-    geometry, rms = shown(solved.x), float(np.sqrt(2.0 * np.mean(misses(solved.x) ** 2)))
+    rms = float(np.sqrt(2.0 * np.mean(solved.fun**2)))
     u_px = rms / np.sqrt(2) * np.sqrt(np.diag(np.linalg.pinv(solved.jac.T @ solved.jac))[:2].max())
     text = f"residual of the corners {rms:.2f} px rms, uncertainty of the centre {u_px:.2f} px"
     choice = replace(start.choice, line=f"{start.choice.line}; {text}")
-    deg_per_px = lens.full_angle_deg / 2 / geometry.radius_px
-    new = _with_geometry(lens, geometry, pose=False)
-    return replace(start, lens=new, rms_px=rms, rms_deg=rms * deg_per_px, choice=choice)
+    new, rms_deg = _with_geometry(lens, geometry, False), rms * start.rms_deg / start.rms_px
+    return replace(start, lens=new, rms_px=rms, rms_deg=rms_deg, choice=choice), targets
+
+
+def _board_pose(level: Lens, corners: Array, points: Array) -> Array:
+    """Return the pose of a board by a lens: rotation vector [rad] and position [squares], [6].
+
+    The corners are projected to a plane in front of the board, as a pinhole camera sees them.
+    """
+    import cv2
+    from scipy.spatial.transform import Rotation
+
+    rays = lens_rays(level, *corners.T)
+    turn = Rotation.align_vectors([[0.0, 0.0, 1.0]], [rays.mean(axis=0)])[0]
+    flat = turn.apply(rays)
+    places = np.ascontiguousarray(flat[:, :2] / flat[:, 2:])
+    _, rotation, position = cv2.solvePnP(points, places, np.eye(3), None)
+    own = turn.inv() * Rotation.from_rotvec(np.ravel(rotation))
+    return np.concatenate([own.as_rotvec(), turn.inv().apply(np.ravel(position))])
+
+
+def _rays(poses: Array, points: Array) -> Array:
+    """Return unit vectors to the corners of boards, [boards, points, 3]."""
+    from scipy.spatial.transform import Rotation
+
+    at = np.stack([Rotation.from_rotvec(p[:3]).apply(points) + p[3:] for p in poses])
+    return at / np.linalg.norm(at, axis=-1, keepdims=True)
+
+
+def _bundle(
+    lens: Lens, model: Model, corners: Array, points: Array, poses: Array
+) -> tuple[LensGeometry, Array, Any]:
+    """Fit a lens and the poses [boards, 6] to corners; return both, and the solution of scipy."""
+    from scipy.optimize import least_squares
+
+    free = max(len(model[1]) - 1, 0)
+    terms = [lens.coefficients[p - 1] for p in model[1][1:]] if lens.coefficients else [0.0] * free
+
+    def shown(x: Array) -> LensGeometry:
+        return _geometry(lens, x[: 3 + free], *model, pose=False)
+
+    def misses(x: Array) -> Array:
+        px, py, _ = lens_pixels(shown(x), _rays(x[3 + free :].reshape(-1, 6), points))
+        return np.concatenate([(px - corners[..., 0]).ravel(), (py - corners[..., 1]).ravel()])
+
+    unknowns = [*lens.centre_px, lens.radius_px, *terms, *poses.ravel()]
+    solved = least_squares(misses, unknowns, x_scale="jac", loss="soft_l1", max_nfev=60)
+    return shown(solved.x), solved.x[3 + free :].reshape(-1, 6), solved
 
 
 # ----------------------------------------------------------------------------------------------

@@ -196,7 +196,7 @@ def lens(
     elif circle:
         new, fitted = _by_circle(sources[0], start)
     else:
-        new, fitted = _by_targets(sources, start, chessboard, profile)
+        new, fitted = _by_targets(sources, start, chessboard)
     return replace(fitted, changed=_with_lens(profile, index, new))
 
 
@@ -227,9 +227,7 @@ def _by_circle(frame: Path, start: Lens) -> tuple[Lens, FittedPart]:
     return new, FittedPart({}, [line], [frame], found._asdict(), draw)
 
 
-def _by_targets(
-    sources: Paths, start: Lens, chessboard: str | None, profile: CameraProfile
-) -> tuple[Lens, FittedPart]:
+def _by_targets(sources: Paths, start: Lens, chessboard: str | None) -> tuple[Lens, FittedPart]:
     from fieldlum.calibrate import lens as lenses
 
     notes = []
@@ -238,8 +236,7 @@ def _by_targets(
         corners = {path: lenses.chessboard_corners(path, columns, rows) for path in sources}
         places = [at for at in corners.values() if at is not None]
         notes = [f"no {columns} x {rows} board found in {p}" for p in sources if corners[p] is None]
-        size = (profile.camera.width_px, profile.camera.height_px)
-        fit, targets = lenses.fit_boards(places, columns, rows, size, start)
+        fit, targets = lenses.fit_boards(places, columns, rows, start)
     else:
         targets = lenses.from_table(sources[0])
         fit = lenses.fit(targets, start)
