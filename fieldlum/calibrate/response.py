@@ -19,11 +19,12 @@ from fieldlum.core.statistics import median_standard_error, robust_sigma
 from fieldlum.optics.linear_light import check_frame, true_shutter_s
 from fieldlum.optics.photometry import (
     AUTO,
-    EXACT,
     LAWS,
+    PairRatio,
     ShutterLaw,
     dark_floor,
     fit_response,
+    law_of_frames,
     law_of_labels,
     response_table,
 )
@@ -38,8 +39,6 @@ HIGH = 228  # chosen, as LOW
 FLAT = 3.0
 NEGLIGIBLE = 0.002  # of light: smaller differences between candidates do not matter; chosen
 DOUBTFUL = 0.10  # of light: a still scene in steady light leaves 1 to 5 %
-_LAW_GAIN = 0.8  # of the residual under the labels' law: another law must leave less
-_LAW_SIGMA = 4.0  # minimum difference between two laws, in standard errors over the places; chosen
 SMOOTH = (3000.0, 300.0, 30.0, 3.0)  # stiffness of the tables that are tried
 _MIN_PLACES = 20  # places for which a step counts as measured; chosen
 _SYSTEMATIC = 0.0025  # of light: rounding of codes and stray light; bench/bracket_steps.py
@@ -96,9 +95,27 @@ def steps_by_overlap(codes: NDArray[np.uint8], log_exposure: Floats, bracket: In
     [exposures] : ln, increasing; bracket [places] : index of each place's bracket.
     """
     step = np.diff(log_exposure)
+    deviation, u = measured_steps(codes, log_exposure, bracket)
+    # A power is free: the one that agrees with most labels shows which of them are contradicted.
+    measured = u < _MEASURED_U
+    power = float(np.median((deviation / step)[measured])) if measured.any() else 0.0
+    against = np.where(measured, deviation - power * step, 0.0)
+    kept = np.where(np.abs(against) > _COVERAGE * u, against, 0.0)
+    return Steps(log_exposure + np.r_[0.0, np.cumsum(_without_stretch(kept, u, step))], kept)
+
+
+def measured_steps(
+    codes: NDArray[np.uint8], log_exposure: Floats, bracket: Indices
+) -> tuple[Floats, Floats]:
+    """Return the steps [exposures - 1] less those of log_exposure, and their u: ln of light.
+
+    Steps that the overlap does not measure have a deviation of 0 and a u above 0.02. See
+    `steps_by_overlap`.
+    """
+    step = np.diff(log_exposure)
     deviation, u, log_e = np.zeros(len(step)), np.full(len(step), np.inf), log_exposure
     if len(codes) < _MIN_PLACES:
-        return Steps(log_exposure, deviation)
+        return deviation, u
     present = [codes[bracket == index].any(axis=(0, 2)) for index in np.unique(bracket)]
     pairs = {pair for shown in present for pair in pairwise(np.flatnonzero(shown).tolist())}
     for _ in range(_ROUNDS):
@@ -107,12 +124,7 @@ def steps_by_overlap(codes: NDArray[np.uint8], log_exposure: Floats, bracket: In
         before, log_e = log_e, log_exposure + np.r_[0.0, np.cumsum(deviation)]
         if np.abs(log_e - before).max() < _SETTLED:
             break
-    # A power is free: the one that agrees with most labels shows which of them are contradicted.
-    measured = u < _MEASURED_U
-    power = float(np.median((deviation / step)[measured])) if measured.any() else 0.0
-    against = np.where(measured, deviation - power * step, 0.0)
-    kept = np.where(np.abs(against) > _COVERAGE * u, against, 0.0)
-    return Steps(log_exposure + np.r_[0.0, np.cumsum(_without_stretch(kept, u, step))], kept)
+    return deviation, u
 
 
 def _light(codes: NDArray[np.uint8], log_e: Floats) -> Floats:
@@ -220,8 +232,8 @@ def sample(
 ) -> Places:
     """Sample the same flat places in every frame of a bracket, pooled over brackets.
 
-    If the profile's shutter law is "auto", the law is that of the EXIF times, unless another one
-    leaves a clearly smaller residual. The places are spread over the brightnesses. Raises
+    If the profile's shutter law is "auto", the law is that of the EXIF times, unless the frames'
+    overlap shows another one, as in `merge`. The places are spread over the brightnesses. Raises
     InputError for a bracket of mixed apertures or sizes or with fewer than three exposures,
     NotEnoughDataError for one with fewer than 50 flat, well exposed places.
     """
@@ -233,49 +245,44 @@ def sample(
 
 
 def _lawful(parts: Sequence[_Part], profile: CameraProfile) -> Places:
-    """Return the places under the profile's shutter law, or the law that labels or codes show.
-
-    The labels' law remains unless the response under another law has a residual that is smaller by
-    more than chance, place by place.
-    """
+    """Return the places under the profile's shutter law, or the law that labels or frames show."""
     if profile.shutter_law != AUTO:
-        return _pool(parts, profile, ShutterLaw(profile.shutter_law, "profile"))
+        return _pool(parts, profile, ShutterLaw(profile.shutter_law, "profile"))[0]
     labels = law_of_labels([e.shutter_s for p in parts for e in p.exposures], profile.camera.model)
-    if labels.law == EXACT:
-        return _pool(parts, profile, labels)
-    errors: dict[str, Floats] = {}
-    for law in LAWS:
-        places = _pool(parts, profile, ShutterLaw(law, "labels"))
-        green, log_e = places.codes[..., 1], places.log_exposure
-        errors[law] = residuals(fit_response(green, log_e, smooth=SMOOTH[-1])[0], green, log_e)
-    misfit = {law: round(100.0 * float(np.sqrt(np.nanmean(e))), 2) for law, e in errors.items()}
-    best = min(LAWS, key=lambda law: (misfit[law], law != labels.law))
-    gain = errors[labels.law] - errors[best]
-    gain = gain[np.isfinite(gain)]
-    chance = float(gain.std()) / np.sqrt(max(len(gain), 1))
-    smaller = misfit[best] < _LAW_GAIN * misfit[labels.law]
-    clear = smaller and float(gain.mean()) > _LAW_SIGMA * chance
-    law = ShutterLaw(best, "frames", misfit) if clear else replace(labels, misfit_percent=misfit)
-    return _pool(parts, profile, law)
+    places, settings = _pool(parts, profile, labels)
+    deviation, u = measured_steps(places.codes, places.log_exposure, places.bracket)
+    pairs = [
+        PairRatio(k + 1, k, -deviation[k], u[k], len(places.codes))
+        for k in np.flatnonzero(u < _MEASURED_U).tolist()
+    ]
+    times_s = {law: np.exp(_log_exposures(settings, profile, law)) for law in LAWS}
+    law = law_of_frames(times_s, labels, pairs)
+    return replace(places, law=law) if law.law == labels.law else _pool(parts, profile, law)[0]
 
 
-def _pool(parts: Sequence[_Part], profile: CameraProfile, law: ShutterLaw) -> Places:
-    """Return the places of all brackets on one axis of exposures, under one shutter law."""
-    with_law = replace(profile, shutter_law=law.law)
-    exposures: list[Floats] = []
-    for part in parts:
-        log_e = [np.log(true_shutter_s(e.shutter_s, with_law)[0] * e.iso) for e in part.exposures]
-        if (count := len({round(e, 3) for e in log_e})) < 3:
+def _log_exposures(exposures: Sequence[Exposure], profile: CameraProfile, law: str) -> Floats:
+    """Return ln of (true shutter time [s] times ISO) under a shutter law, [n]."""
+    with_law = replace(profile, shutter_law=law)
+    return np.log([true_shutter_s(e.shutter_s, with_law)[0] * e.iso for e in exposures])
+
+
+def _pool(
+    parts: Sequence[_Part], profile: CameraProfile, law: ShutterLaw
+) -> tuple[Places, list[Exposure]]:
+    """Return the places of all brackets on one axis of exposures, and an exposure of each."""
+    axes = [np.round(_log_exposures(part.exposures, profile, law.law), 4) for part in parts]
+    for part, log_e in zip(parts, axes, strict=True):
+        if (count := len(np.unique(np.round(log_e, 3)))) < 3:
             finding = f"{len(part.exposures)} frames with {count} different exposures"
             expected = "a bracket with at least three different exposures"
             raise InputError(part.folder, finding, expected, "take a bracket with more exposures")
-        exposures.append(np.round(log_e, 4))
-    grid = np.unique(np.concatenate(exposures)).astype(float)
+    grid, first = np.unique(np.concatenate(axes), return_index=True)
     codes = [np.zeros((len(part.codes), len(grid), 3), np.uint8) for part in parts]
-    for own, part, log_e in zip(codes, parts, exposures, strict=True):
+    for own, part, log_e in zip(codes, parts, axes, strict=True):
         own[:, np.searchsorted(grid, log_e)] = part.codes
     bracket = np.repeat(np.arange(len(parts)), [len(own) for own in codes])
-    return Places(np.concatenate(codes), grid, bracket, law)
+    exposures = [exposure for part in parts for exposure in part.exposures]
+    return Places(np.concatenate(codes), grid, bracket, law), [exposures[i] for i in first]
 
 
 def _flat_places(paths: Sequence[Path], profile: CameraProfile, rng: np.random.Generator) -> _Part:
