@@ -105,7 +105,7 @@ def _blank(truth: CameraProfile) -> CameraProfile:
     and scale.
     """
     middle = (truth.camera.width_px / 2, truth.camera.height_px / 2)
-    plain = Lens(middle, 0.45 * truth.camera.height_px, 180.0, name="front")
+    plain = Lens(middle, 0.45 * truth.camera.height_px, 190.0, name="front")
     return replace(truth, lens=(plain,), colour=Colour(), scale=Scale(), provenance=Provenance())
 
 
@@ -117,8 +117,6 @@ def raw_camera(out: Path) -> list[tuple[str, str, str]]:
     flat = _shoot(truth, _picture(np.full((H, 2 * H, 3), 300.0)), middle, out / "flat")
     words = (
         "--circle",
-        "--full-angle",
-        190,
         "--camera",
         mine,
         "--out",

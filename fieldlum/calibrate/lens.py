@@ -203,7 +203,8 @@ def _check(geometry: LensGeometry, missed: Array, angle: Array, targets: Targets
     widest_deg, half_deg = np.degrees(angle.max()), np.degrees(geometry.half_angle_rad)
     if widest_deg > BEYOND * half_deg:
         finding = f"a target is {widest_deg:.0f} deg from the axis, the lens ends at {half_deg:.0f}"
-        raise InputError(targets.source, finding, _WANTED, "correct the targets, or --full-angle")
+        remedy = "correct the targets, or full_angle_deg in the profile"
+        raise InputError(targets.source, finding, _WANTED, remedy)
 
 
 def _doubts(
@@ -502,23 +503,19 @@ def _through(edge: Array, start: Circle) -> tuple[Circle, Array]:
 def trimmed(lens: Lens, width_deg: float) -> Lens:
     """Return the lens without the outer `width_deg` of its image: half of its full angle shrinks.
 
-    Directions inside map to the same pixels, with the same vignetting. Raises ValueError for a
-    width that is not positive or leaves no picture.
+    Directions inside map to the same pixels, with the same vignetting. Raises InputError for a
+    width that leaves no picture.
     """
     half_deg = lens.full_angle_deg / 2.0 - width_deg
-    if width_deg <= 0.0 or half_deg <= 0.0:
-        raise ValueError(f"the image circle of {lens.full_angle_deg:g} degrees, {width_deg:g} less")
+    if half_deg <= 0.0:
+        finding = f"{width_deg:g} degrees less than the half angle of {lens.full_angle_deg / 2:g}"
+        raise InputError("lens", finding, "a smaller width", "state a smaller --trim")
     share = half_deg / (lens.full_angle_deg / 2.0)
     radius = float(radius_of_angle(lens, np.radians(half_deg)))  # of the old one
-    coefficients = tuple(c * share ** (k + 1) / radius for k, c in enumerate(lens.coefficients))
     vignetting = tuple(
         replace(v, coefficients=tuple(c * share**k for k, c in enumerate(v.coefficients)))
         for v in lens.vignetting
     )
-    return replace(
-        lens,
-        radius_px=lens.radius_px * radius,
-        full_angle_deg=2.0 * half_deg,
-        coefficients=coefficients,
-        vignetting=vignetting,
-    )
+    terms = tuple(c * share ** (k + 1) / radius for k, c in enumerate(lens.coefficients))
+    new = replace(lens, coefficients=terms, vignetting=vignetting)
+    return replace(new, radius_px=lens.radius_px * radius, full_angle_deg=2.0 * half_deg)

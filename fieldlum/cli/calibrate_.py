@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import click
 
 from fieldlum.cli import terminal
-from fieldlum.cli.declared import EXISTING_PATH, PATH, declare
+from fieldlum.cli.declared import EXISTING_PATH, PATH, declare, numbers
 from fieldlum.cli.options import SHARED
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ def command() -> None:
 
     \b
     Example, in this order:
-      fieldlum calibrate lens flat.dng --circle --full-angle 186 --camera mine.toml --out mine.toml
+      fieldlum calibrate lens flat.dng --circle --camera mine.toml --out mine.toml
       fieldlum calibrate response bracket-1 bracket-2 --camera mine.toml --out mine.toml
       fieldlum calibrate vignette patches.csv --camera mine.toml --out mine.toml
       fieldlum calibrate colour spots.csv --camera mine.toml --out mine.toml
@@ -158,9 +158,8 @@ def lens(
     profile: Any,
     sources: Annotated[Paths, "TARGETS.csv|FRAME...", EXISTING_PATH] = (),
     lens_number: LensNumber = 1,
-    full_angle_deg: Annotated[float | None, click.FloatRange(10, 330)] = None,
     circle: bool = False,
-    chessboard: str | None = None,
+    chessboard: Annotated[Any, numbers(2, "x")] = None,
     trim_deg: Annotated[float | None, click.FloatRange(0.1, 30)] = None,
 ) -> FittedPart:
     """Fit centre, circle, mapping and pose of a lens.
@@ -170,14 +169,13 @@ def lens(
 
     \b
     Example:
-      fieldlum calibrate lens targets.csv --full-angle 186 --camera mine.toml --out mine.toml
+      fieldlum calibrate lens targets.csv --camera mine.toml --out mine.toml
       fieldlum calibrate lens board-*.jpg --chessboard 9x6 --camera mine.toml --out mine.toml
-      fieldlum calibrate lens flat.jpg --circle --full-angle 186 --camera mine.toml --out mine.toml
+      fieldlum calibrate lens flat.jpg --circle --camera mine.toml --out mine.toml
       fieldlum calibrate lens --trim 2.5 --camera mine.toml --out mine.toml
 
     Options:
       --lens: Number of the lens in the profile.
-      --full-angle: Full angle of the image circle.
       --circle: Centre and radius from the edge of one bright FRAME.
       --chessboard CxR: Inner corners across x down of a board in the FRAMEs, like 9x6.
       --trim: Leave out this many degrees at the edge of the image, where the lens is dark.
@@ -190,7 +188,6 @@ def lens(
         raise click.UsageError(f"--circle works on one FRAME; {len(sources)} files were named")
     index = _lens_index(profile, lens_number)
     start = profile.lens[index]
-    start = replace(start, full_angle_deg=full_angle_deg or start.full_angle_deg)
     if trim_deg is not None:
         new, fitted = _trimmed(start, trim_deg)
     elif circle:
@@ -203,15 +200,9 @@ def lens(
 def _trimmed(start: Lens, trim_deg: float) -> tuple[Lens, FittedPart]:
     from fieldlum.calibrate.lens import trimmed
 
-    half_deg = start.full_angle_deg / 2
-    if trim_deg >= half_deg:
-        has = f"the lens has a half angle of {half_deg:g} degrees; state a smaller width"
-        raise click.UsageError(f"--trim {trim_deg:g}: {has}")
     new = trimmed(start, trim_deg)
-    line = (
-        f"lens: image circle of {new.full_angle_deg:g} degrees, radius {new.radius_px:.2f} px "
-        f"(before: {start.full_angle_deg:g} degrees, {start.radius_px:.2f} px)"
-    )
+    was = f"{start.full_angle_deg:g} degrees, {start.radius_px:.2f} px"
+    line = f"lens: image circle of {new.full_angle_deg:g} degrees, {new.radius_px:.2f} px ({was})"
     return new, FittedPart({}, [line], [], _figures(new, "full_angle_deg", "radius_px"))
 
 
@@ -223,16 +214,17 @@ def _by_circle(frame: Path, start: Lens) -> tuple[Lens, FittedPart]:
     (x, y), radius_px = found.centre_px, found.radius_px
     new = replace(start, centre_px=(round(x, 2), round(y, 2)), radius_px=round(radius_px, 2))
     line = f"lens: circle of radius {radius_px:.2f} px, uncertainty {found.u_px:.2f} px"
-    draw = ("of_circle", grey, found)
-    return new, FittedPart({}, [line], [frame], found._asdict(), draw)
+    return new, FittedPart({}, [line], [frame], found._asdict(), ("of_circle", grey, found))
 
 
-def _by_targets(sources: Paths, start: Lens, chessboard: str | None) -> tuple[Lens, FittedPart]:
+def _by_targets(
+    sources: Paths, start: Lens, chessboard: tuple[float, ...] | None
+) -> tuple[Lens, FittedPart]:
     from fieldlum.calibrate import lens as lenses
 
     notes = []
     if chessboard:
-        columns, rows = _board_size(chessboard)
+        columns, rows = map(int, chessboard)
         corners = {path: lenses.chessboard_corners(path, columns, rows) for path in sources}
         places = [at for at in corners.values() if at is not None]
         notes = [f"no {columns} x {rows} board found in {p}" for p in sources if corners[p] is None]
@@ -242,25 +234,13 @@ def _by_targets(sources: Paths, start: Lens, chessboard: str | None) -> tuple[Le
         fit = lenses.fit(targets, start)
     half_deg = start.full_angle_deg / 2
     if fit.widest_deg < 0.9 * half_deg:
-        notes.append(
-            f"no target beyond {fit.widest_deg:.0f} deg from the axis: the mapping from there to "
-            f"{half_deg:g} deg is extrapolated"
-        )
-    figures = _figures(fit.lens, "mapping", "centre_px", "radius_px", "coefficients")
-    figures |= _figures(fit.lens, "azimuth_deg", "tilt_deg", "roll_deg")
+        widest = f"no target beyond {fit.widest_deg:.0f} deg from the axis"
+        notes.append(f"{widest}: the mapping from there to {half_deg:g} deg is extrapolated")
+    names = ("mapping", "centre_px", "radius_px", "coefficients", "azimuth_deg", "tilt_deg")
+    figures = _figures(fit.lens, *names, "roll_deg")
     figures |= _figures(fit, "rms_px", "rms_deg", "widest_deg")
-    lines, notes = ["; CAUTION: ".join([fit.choice.line, *fit.doubts])], [*notes, *fit.doubts]
-    draw = ("of_lens", targets, fit)
-    return fit.lens, FittedPart({}, lines, sources, figures, draw, notes)
-
-
-def _board_size(text: str) -> tuple[int, int]:
-    try:
-        columns, rows = (int(part) for part in text.lower().split("x"))
-    except ValueError:
-        wanted = "the numbers of inner corners, across x down, like 9x6"
-        raise click.UsageError(f"--chessboard needs {wanted}") from None
-    return columns, rows
+    line, notes = "; CAUTION: ".join([fit.choice.line, *fit.doubts]), [*notes, *fit.doubts]
+    return fit.lens, FittedPart({}, [line], sources, figures, ("of_lens", targets, fit), notes)
 
 
 @_part
@@ -277,8 +257,7 @@ def response(profile: Any, sources: Annotated[Paths, "BRACKETS...", EXISTING_PAT
 
     from fieldlum.calibrate import response as responses
 
-    brackets = responses.brackets_in(sources)
-    places = responses.sample(brackets, profile, np.random.default_rng(1))
+    places = responses.sample(responses.brackets_in(sources), profile, np.random.default_rng(1))
     fit, law = responses.fit(places), places.law
     figures = _figures(fit.response, "kind", "u_rel") | {
         "residual_rgb": fit.residual,
@@ -292,8 +271,7 @@ def response(profile: Any, sources: Annotated[Paths, "BRACKETS...", EXISTING_PAT
     if law.decided_by == "frames" or profile.shutter_law != "auto":
         changed["shutter_law"] = law.law
     lines = [text for text in (fit.choice.line, places.steps.text) if text]
-    draw = ("of_response", places, fit)
-    return FittedPart(changed, lines, places.frames, figures, draw)
+    return FittedPart(changed, lines, places.frames, figures, ("of_response", places, fit))
 
 
 @_part
@@ -323,9 +301,8 @@ def vignette(
     else:
         samples = vignettes.from_uniform(sources, profile, index)
     fit, old = vignettes.fit(samples), profile.lens[samples.lens]
-    new = vignettes.with_curve(old, samples.f_number, fit)
+    changed = _with_lens(profile, samples.lens, vignettes.with_curve(old, samples.f_number, fit))
     figures = _figures(samples, "f_number") | _figures(fit, "coefficients", "u_rel")
-    changed = _with_lens(profile, samples.lens, new)
     draw = ("of_vignette", samples, fit, old.full_angle_deg / 2)
     return FittedPart(changed, [fit.choice.line], samples.frames, figures, draw)
 
@@ -334,7 +311,7 @@ def vignette(
 def colour(
     profile: Any,
     sources: Annotated[Path, "SPOTS.csv|FRAME", EXISTING_PATH],
-    corners: str | None = None,
+    corners: Annotated[Any, numbers(8, ",")] = None,
     cct_k: Annotated[float | None, click.FloatRange(4000, 25_000)] = None,
 ) -> FittedPart:
     """Fit luminance and melanopic light by spot readings or a chart.
@@ -353,36 +330,22 @@ def colour(
     """
     from fieldlum.calibrate import colour as fits
 
-    if sources.suffix.lower() == ".csv":
-        if cct_k is not None:
-            raise click.UsageError("--cct needs a frame of a chart instead of a table")
+    is_table, notes = sources.suffix.lower() == ".csv", []
+    if is_table and cct_k is not None:
+        raise click.UsageError("--cct needs a frame of a chart instead of a table")
+    if is_table:
         colours = fits.from_table(sources, profile)
     else:
-        stated = _numbers(corners, 8) if corners else ()
-        colours = fits.from_chart(sources, profile, stated, cct_k or 6500.0)
-    fit, notes = fits.fit(colours, profile), []
-    if sources.suffix.lower() == ".csv" and abs(fit.scale - 1) > 0.03:
-        notes.append(
-            f"the readings would multiply k by {fit.scale:.3f}: run fieldlum calibrate scale next"
-        )
+        colours = fits.from_chart(sources, profile, corners or (), cct_k or 6500.0)
+    fit = fits.fit(colours, profile)
+    if is_table and abs(fit.scale - 1) > 0.03:
+        notes.append(f"the readings multiply k by {fit.scale:.3f}: run fieldlum calibrate scale")
     new = replace(profile.colour, y_from_rgb=fit.y_from_rgb, u_rel=round(fit.u_rel, 5))
     new, line = fits.with_melanopic(new, colours, profile, fit.scale, cct_k)
     figures = _figures(fit, "y_from_rgb", "u_rel") | {"readings": len(colours.y)}
-    figures |= {"melanopic_from_rgb": list(new.melanopic_from_rgb)}
-    figures |= _figures(new, "melanopic_u_rel")
-    draw = ("of_colour", colours, fit)
+    figures |= _figures(new, "melanopic_from_rgb", "melanopic_u_rel")
     frames, lines = [sources, *colours.frames], [fit.choice.line, line]
-    return FittedPart({"colour": new}, lines, frames, figures, draw, notes)
-
-
-def _numbers(text: str, count: int) -> tuple[float, ...]:
-    try:
-        numbers = tuple(float(part) for part in text.split(","))
-    except ValueError:
-        numbers = ()
-    if len(numbers) != count:
-        raise click.UsageError(f"--corners needs {count} numbers, separated by commas")
-    return numbers
+    return FittedPart({"colour": new}, lines, frames, figures, ("of_colour", colours, fit), notes)
 
 
 @_part

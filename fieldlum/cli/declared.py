@@ -21,6 +21,7 @@ import re
 import types
 import typing
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -51,6 +52,19 @@ class _PathOrUrl(click.Path):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         return str(value) if "://" in str(value) else super().convert(value, param, ctx)
+
+
+def numbers(count: int, mark: str) -> Callable[[str], tuple[float, ...]]:
+    """Return the type of an option of `count` numbers with a mark between, such as 9x6."""
+
+    def read(text: str) -> tuple[float, ...]:
+        with suppress(ValueError):
+            values = tuple(float(part) for part in text.lower().split(mark))
+            if len(values) == count:
+                return values
+        raise ValueError(f"{text}: expected {count} numbers with '{mark}' between")
+
+    return read
 
 
 PATH = _LocalPath(path_type=Path)
@@ -118,7 +132,7 @@ def _parameter(parameter: inspect.Parameter, hint: Any, entry: _Entry | None) ->
     elif base is not bool and base is not Any:
         settings["type"] = PATH if base is Path else base
     for extra in extras:
-        if isinstance(extra, click.ParamType):
+        if callable(extra):
             settings["type"] = extra
     is_many = bool(parts) and parts[-1] is Ellipsis
     if entry is None:
