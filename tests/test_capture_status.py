@@ -76,7 +76,7 @@ def test_commands_exit_as_documented(rig: Field, tmp_path: Path) -> None:
 def test_live_display(rig: Field, tmp_path: Path) -> None:
     from rich.console import Console
 
-    from fieldlum.cli.live import panel
+    from fieldlum.cli.capture_ import panel
 
     rig.run()
     console = Console(record=True, width=66, file=__import__("io").StringIO())

@@ -262,7 +262,7 @@ def test_the_csv_writes_a_site_and_the_sessions_room_once(
     assert room == made.site_file().room and room is not None and len(room.window) == 2
     done = CliRunner().invoke(main, [*call, "--camera-height", "1.5"])
     assert "still has its earlier room" in done.stderr and made.site_file().room == room
-    done = CliRunner().invoke(main, [*call, "--camera-height", "1.5", "--replace"])
+    done = CliRunner().invoke(main, [*call, "--camera-height", "1.5", "--force"])
     after = made.site_file().room
     assert after is not None and after.camera_z_m == 1.5
     assert after.width_m == pytest.approx(room.width_m * 1.5 / 1.4, rel=1e-3)

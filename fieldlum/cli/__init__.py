@@ -22,32 +22,9 @@ from fieldlum.version import __version__
 
 # In the order of the work. Each name is a module of this folder with a click command `command`.
 COMMANDS = (
-    "demo",
-    "new",
-    "plan",
-    "doctor",
-    "capture",
-    "log",
-    "import",
-    "status",
-    "watch",
-    "calibrate",
-    "merge",
-    "pair",
-    "scene",
-    "train",
-    "predict",
-    "glare",
-    "view",
-    "bench",
-    "report",
-    "compare",
-    "export",
-    "pack",
-    "simulate",
-    "campaign",
-    "info",
-    "permit",
+    *("demo", "new", "plan", "doctor", "capture", "log", "import", "status", "watch"),
+    *("calibrate", "merge", "pair", "scene", "train", "predict", "glare", "view", "bench"),
+    *("report", "compare", "export", "pack", "simulate", "campaign", "info", "permit"),
 )
 
 INTERRUPTED = 130  # 128 + SIGINT, as POSIX shells report Ctrl-C
@@ -55,21 +32,17 @@ INTERRUPTED = 130  # 128 + SIGINT, as POSIX shells report Ctrl-C
 COMPUTE_PACKAGES = ("torch", "pyradiance")
 
 # Errors of a folder or a disk, which can happen in any command and which no stage can correct.
+_ELSEWHERE = "change its permissions, or choose another place"
+_FULL = "free disk space, then start the command again: finished work is not repeated"
+_LOCKS = "this disk has no locks: move the session to a disk of this computer"
+_NAME = "name a folder where one is needed and a file where one is, without links and pipes"
 DISK_TROUBLE = {
-    errno.EACCES: "change its permissions, or choose another place",
-    errno.EPERM: "change its permissions, or choose another place",
-    errno.EROFS: "the disk is read-only: choose another place",
-    errno.ENOSPC: "free disk space, then start the command again: finished work is not repeated",
-    errno.EDQUOT: "free disk space, then start the command again: finished work is not repeated",
+    **dict.fromkeys((errno.EACCES, errno.EPERM, errno.EROFS), _ELSEWHERE),
+    **dict.fromkeys((errno.ENOSPC, errno.EDQUOT), _FULL),
+    **dict.fromkeys((errno.ENOLCK, errno.ENOTSUP), _LOCKS),
+    **dict.fromkeys((errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.ELOOP, errno.ENXIO), _NAME),
     errno.EIO: "the disk or card does not answer: copy the readable files to another one",
-    errno.ENOTDIR: "name a folder, not a file",
-    errno.EISDIR: "name a file, not a folder",
-    errno.EEXIST: "name a folder",
     errno.ENAMETOOLONG: "choose shorter names",
-    errno.ELOOP: "replace the link by its content",
-    errno.ENXIO: "remove this pipe, socket or device",
-    errno.ENOLCK: "this disk has no locks: move the session to a disk of this computer",
-    errno.ENOTSUP: "this disk has no locks: move the session to a disk of this computer",
 }
 
 
@@ -116,23 +89,17 @@ class _CommandGroup(click.Group):
             if error.errno not in DISK_TROUBLE:
                 raise
             place = f"{error.filename}: " if error.filename else ""
-            message = f"{place}{error.strerror or error}, {DISK_TROUBLE[error.errno]}"
-            _complain(ctx, message)
+            _complain(ctx, f"{place}{error.strerror or error}, {DISK_TROUBLE[error.errno]}")
             sys.exit(InputError.exit_code)
         except ModuleNotFoundError as error:
             if error.name not in COMPUTE_PACKAGES:
                 raise
-            message = (
-                f"the package {error.name} is not installed: this fieldlum was installed for "
-                f"captures only; {install_text('compute')}"
-            )
-            _complain(ctx, message)
+            missing = f"the package {error.name} is not installed"
+            only = "this fieldlum was installed for captures only"
+            _complain(ctx, f"{missing}: {only}; {install_text('compute')}")
             sys.exit(InputError.exit_code)
         except KeyboardInterrupt:
-            click.echo(
-                f"fieldlum {ctx.invoked_subcommand}: interrupted; start it again to continue",
-                err=True,
-            )
+            _complain(ctx, "interrupted; start it again to continue")
             sys.exit(INTERRUPTED)
 
 

@@ -8,7 +8,7 @@ from typing import Annotated
 import click
 
 from fieldlum.cli.options import Above0, command_of
-from fieldlum.cli.terminal import emit_json, progress, say
+from fieldlum.cli.terminal import print_answer, progress, say
 from fieldlum.learn.model_registry import MODELS
 
 
@@ -58,8 +58,5 @@ def command(
     with progress("benchmark") as show:
         settings = {"budget_min": budget, "with_stress": stress, "render_hours": render}
         answer = run(loaded, out=out, progress=show, **settings)
-    if as_json:
-        emit_json(answer)
-    else:
-        click.echo((out / "bench.md").read_text(encoding="utf-8"))
+    print_answer(as_json, answer, [(out / "bench.md").read_text(encoding="utf-8")])
     say(f"tables and charts in {out}")

@@ -111,14 +111,11 @@ def _run(
         pictures.save(getattr(pictures, new.draw[0])(*new.draw[1:]), picture)
     start, today = new.profile or profile, datetime.now(UTC).date()
     save_calibration(out, start, new.frames, new.lines, today, **new.changed)
-    if as_json:
-        terminal.emit_json({**new.figures, **new.only_json, "why": new.lines, "profile": str(out)})
-        return
+    answer = {**new.figures, **new.only_json, "why": new.lines, "profile": str(out)}
+    table = terminal.table_lines(new.rows, new.columns, "  ") if new.rows else []
     figures = {n: list(v) if isinstance(v, tuple) else v for n, v in new.figures.items()}
-    if new.rows:
-        terminal.print_table(new.rows, new.columns, "  ")
     shown = [f"{name}: {value}" for name, value in figures.items()]
-    click.echo("\n".join([*new.lines, *shown, f"wrote {out}"]))
+    terminal.print_answer(as_json, answer, [*table, *new.lines, *shown, f"wrote {out}"])
 
 
 def _part(fit: Callable[..., FittedPart]) -> click.Command:

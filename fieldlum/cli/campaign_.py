@@ -13,7 +13,7 @@ import click
 
 from fieldlum.cli.declared import PATH
 from fieldlum.cli.options import SHARED, command_of
-from fieldlum.cli.terminal import emit_json, progress, say
+from fieldlum.cli.terminal import emit_json, print_answer, progress, say
 from fieldlum.core.errors import FieldlumError, InputError
 
 if TYPE_CHECKING:
@@ -146,7 +146,5 @@ def report_command(
     broken = [room for room in rooms if room.broken]
     for room in broken:
         say(f"skipped: {room.session}: {room.broken}")
-    if as_json:
-        emit_json({"page": str(page), "passed_over": [room.session for room in broken]})
-    else:
-        click.echo(str(page))
+    passed_over = [room.session for room in broken]
+    print_answer(as_json, {"page": str(page), "passed_over": passed_over}, [str(page)])

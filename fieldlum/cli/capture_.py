@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import os
-from contextlib import nullcontext, suppress
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import replace
+from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
+from zoneinfo import ZoneInfo
 
 import click
 
@@ -15,7 +19,12 @@ from fieldlum.cli.options import command_of, device_uris
 from fieldlum.core.errors import DeviceError
 
 if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+    from fieldlum.capture.live import Live, Watch
     from fieldlum.capture.notify import Post
+    from fieldlum.core.records import Site
+    from fieldlum.session.ledger import SlotState
 
 
 @command_of("capture")
@@ -60,12 +69,9 @@ def command(
     from fieldlum import capture
     from fieldlum.capture.alerts import informed
     from fieldlum.capture.bracket import FrameChecks
-    from fieldlum.capture.live import Live
     from fieldlum.capture.notify import read_address
     from fieldlum.capture.utc_clock import wait_for_clock
     from fieldlum.capture.verify import bracket_doubts, doubts
-    from fieldlum.cli.live import shown
-    from fieldlum.core.records import counted
     from fieldlum.optics.raw import unreadable
     from fieldlum.session import open_session, sha256
 
@@ -86,14 +92,11 @@ def command(
             f"--clock fast simulates the time: it works with sim: and replay: devices, not {real}"
         )
     ticking, options = capture.prepare(session, fast=clock == "fast")
-    options = replace(
-        options,
-        grace_s=options.grace_s if grace_s is None else grace_s,
-        log_every_s=every_s,
-        on_misses=on_misses,
-    )
+    grace = options.grace_s if grace_s is None else grace_s
+    options = replace(options, grace_s=grace, log_every_s=every_s, on_misses=on_misses)
     awake = nullcontext() if clock == "fast" else terminal.awake()
     post, address = _post(notify), read_address(heartbeat) if heartbeat else ""
+    checks = FrameChecks(doubts, unreadable, bracket_doubts)
     if clock == "real":
         wait_for_clock(session, ticking, terminal.say)
     with (
@@ -107,31 +110,28 @@ def command(
             remote.look(live)
             display(live)
 
-        ledger = capture.run(
-            session,
-            camera_uri,
-            pyranometer_uri,
-            clock=ticking,
-            options=options,
-            watch=watch,
-            listen=remote.listen,
-            checks=FrameChecks(doubts, unreadable, bracket_doubts),
-            meter_uri=meter_uri,
-        )
-    outcomes = [state.outcome for state in ledger.slots.values()]
+        how = {"clock": ticking, "options": options, "checks": checks, "meter_uri": meter_uri}
+        seen = {"watch": watch, "listen": remote.listen}
+        ledger = capture.run(session, camera_uri, pyranometer_uri, **how, **seen)
+    _show_end(session.root, list(ledger.slots.values()))
+
+
+def _show_end(root: Path, slots: list[SlotState]) -> None:
+    """Print the counts of brackets; raise DeviceError if most of them aborted."""
+    from fieldlum.core.records import counted
+
+    outcomes = Counter(slot.outcome for slot in slots)
+    done = counted(outcomes["done"], "bracket")
     with suppress(OSError):  # the terminal may be closed by now
-        click.echo(
-            f"{session.root}: {counted(outcomes.count('done'), 'bracket')}, "
-            f"{outcomes.count('missed')} missed, {outcomes.count('aborted')} aborted"
-        )
-    aborted = [state.why for state in ledger.slots.values() if state.outcome == "aborted"]
+        click.echo(f"{root}: {done}, {outcomes['missed']} missed, {outcomes['aborted']} aborted")
+    aborted = [slot.why for slot in slots if slot.outcome == "aborted"]
     if aborted:
         terminal.say(f"the last aborted bracket: {aborted[-1]}")
-    if len(aborted) > outcomes.count("done"):
+    if len(aborted) > outcomes["done"]:
         raise DeviceError(
-            f"{counted(len(aborted), 'bracket')} aborted, but only {outcomes.count('done')} "
-            f"completed; find the cause with fieldlum doctor {session.root}, then plan the lost "
-            f"hours again with fieldlum plan {session.root} --replan"
+            f"{counted(len(aborted), 'bracket')} aborted, but only {outcomes['done']} completed; "
+            f"find the cause with fieldlum doctor {root}, then plan the lost hours again with "
+            f"fieldlum plan {root} --replan"
         )
 
 
@@ -148,3 +148,92 @@ def _post(option: str) -> Post | None:
 def _real(*uris: str) -> str:
     """Return the first device that is neither simulated nor a replay; "" if there is none."""
     return next((uri for uri in uris if uri and not uri.startswith(("sim:", "replay:"))), "")
+
+
+# ----------------------------------------------------------------------------------------------
+# the state of a running capture: a panel on a terminal, lines in a pipe
+
+
+def panel(live: Live, site: Site) -> RenderableType:
+    """Return the state of a capture as a panel that rich can print."""
+    from rich.markup import escape
+    from rich.panel import Panel
+    from rich.progress_bar import ProgressBar
+    from rich.table import Table
+
+    rows = Table.grid(padding=(0, 2))
+    rows.add_column(style="bold", no_wrap=True, min_width=6)
+    rows.add_column(no_wrap=True)
+    for row in _rows(live, ZoneInfo(site.timezone)).items():
+        rows.add_row(*row)
+    bar = ProgressBar(total=max(1, live.planned), completed=live.planned - live.left, width=58)
+    both = Table.grid()  # a group would put the bar and the first row on one line
+    both.add_row(bar)
+    both.add_row(rows)
+    return Panel(both, title=f"fieldlum capture: {escape(site.name)}", width=64)
+
+
+def _rows(live: Live, zone: ZoneInfo) -> dict[str, str]:
+    from rich.markup import escape
+
+    from fieldlum.core.records import parse_utc
+
+    def state(text: str) -> str:
+        return f"[{'green' if text == 'ok' else 'red'}]{text}[/]"
+
+    trouble = "yellow" if live.missed or live.aborted else "green"
+    lost = f"[{trouble}]{live.missed} missed, {live.aborted} aborted[/]"
+    upcoming = "none"
+    if live.next_slot:
+        seconds = timedelta(seconds=max(0, round(live.next_in_s or 0.0)))
+        when = "is being taken" if live.state == "capturing" else f"in [bold]{seconds}[/]"
+        upcoming = f"{parse_utc(live.next_slot).astimezone(zone):%a %H:%M}, {live.next_slot} {when}"
+    age = f" ({live.ghi_age_s:.0f} s ago)" if live.ghi_age_s is not None else ""
+    ghi = f"{live.ghi_wm2:.0f} W/m²{age}" if live.ghi_wm2 is not None else "-"
+    days = f", {live.disk_days:.0f} days of captures" if live.disk_days is not None else ""
+    return {
+        "slots": f"[green]{live.done} done[/], {lost}, {live.left} left",
+        "now": f"{live.state}, {live.t_utc.astimezone(zone):%Y-%m-%d %H:%M:%S %Z}",
+        "next": upcoming,
+        "camera": f"{state(live.camera)} {escape(live.last_frame)}",
+        "global": f"{state(live.pyranometer)} {ghi}" if live.pyranometer else "not logged",
+        "disk": f"{live.bytes_free / 1e9:.1f} GB free{days}",
+        "last": escape(live.last_event) or "-",
+    }
+
+
+@contextmanager
+def shown(site: Site) -> Iterator[Watch]:
+    """Yield a function that shows the state of a capture.
+
+    On a terminal it shows a panel. Otherwise it prints the counts of slots on stderr, at most 40
+    times in a plan.
+    """
+    if not terminal.seen():
+        yield _plain_lines()
+        return
+    from rich.console import Console
+    from rich.live import Live as Screen
+
+    screen = Screen(console=Console(stderr=True), refresh_per_second=4)
+    screen.start()
+    try:
+        yield lambda live: screen.update(panel(live, site))
+    finally:
+        with suppress(OSError, ValueError):  # the terminal was closed
+            screen.stop()
+
+
+def _plain_lines() -> Watch:
+    from fieldlum.core.records import utc_text
+
+    settled = -1
+
+    def show(live: Live) -> None:
+        nonlocal settled
+        before, settled = settled, live.planned - live.left
+        if settled != before and settled % max(1, live.planned // 20) == 0:
+            lost = f"{live.missed} missed, {live.aborted} aborted"
+            terminal.say(f"{utc_text(live.t_utc)}  {live.done} done, {lost}, {live.left} left")
+
+    return show

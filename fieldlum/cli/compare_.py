@@ -5,11 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import click
-
 from fieldlum.cli.declared import EXISTING_PATH
 from fieldlum.cli.options import command_of
-from fieldlum.cli.terminal import emit_json, print_table, progress, say
+from fieldlum.cli.terminal import print_answer, progress, say, table_lines
 
 _SURFACES = {
     "name": ("surface", "<"),
@@ -68,13 +66,8 @@ def command(
         found = compare(
             session, result, out or session.root / "compare", view_azimuths, annual, shown
         )
-    if as_json:
-        emit_json({k: v for k, v in found._asdict().items() if k != "files"})
-    elif found.surfaces:
-        print_table(found.surfaces, _SURFACES)
-    else:
-        print_table(found.directions, _DIRECTIONS)
-    if not as_json:
-        for sentence in found.text:
-            click.echo(sentence)
+    answer = {name: value for name, value in found._asdict().items() if name != "files"}
+    lines = table_lines(found.surfaces, _SURFACES) if found.surfaces else []
+    lines = lines or table_lines(found.directions, _DIRECTIONS)
+    print_answer(as_json, answer, [*lines, *found.text])
     say("written: " + ", ".join(str(path) for path in found.files))

@@ -43,14 +43,10 @@ def command(
         findings = doctor.run(
             session, camera_uri, pyranometer_uri, datetime.now(UTC), progress, meter_uri=meter_uri
         )
-    if as_json:
-        terminal.emit_json(doctor.as_table(findings))
-    else:
-        for finding in findings:
-            mark, colour = MARKS[finding.verdict]
-            click.echo(f"{click.style(mark, fg=colour)}  {finding.what:13} {finding.text}")
-        if drawing := _drawing(session):
-            click.echo(f"      room          drawn in {drawing}: check windows, camera and north")
+    lines = [f"{click.style(*MARKS[f.verdict])}  {f.what:13} {f.text}" for f in findings]
+    if not as_json and (drawing := _drawing(session)):
+        lines.append(f"      room          drawn in {drawing}: check windows, camera and north")
+    terminal.print_answer(as_json, doctor.as_table(findings), lines)
     sys.exit(doctor.exit_code(findings))
 
 

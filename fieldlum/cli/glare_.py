@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,7 +10,7 @@ import click
 
 from fieldlum.cli.declared import FILE_PATH
 from fieldlum.cli.options import command_of, new_file
-from fieldlum.cli.terminal import emit_json, print_table, say
+from fieldlum.cli.terminal import print_answer, say, table_lines
 from fieldlum.core.records import JsonTable
 
 if TYPE_CHECKING:
@@ -86,38 +86,23 @@ def command(
         for path in images
         for picture in (open_session(path).panorama_files() if path.is_dir() else [path])
     )
+    how = {"view_options": view_options, "part": part, "measured_ev_lx": calibrate_ev_lx}
     rows: list[dict[str, Any]] = []
     budgets: list[tuple[str, Budget]] = []
     bad = 0
     for path in images:
         try:
-            answer = picture_glare(
-                path,
-                view_azimuths,
-                reference=reference,
-                view_options=view_options,
-                part=part,
-                measured_ev_lx=calibrate_ev_lx,
-                lamps=lamps,
-            )
+            answer = picture_glare(path, view_azimuths, reference=reference, lamps=lamps, **how)
+            for warning in answer["warnings"]:
+                say(f"fieldlum glare: {path}: {warning}")
+            rows += csv_rows(answer)
+            print_answer(json_lines, answer, _lines(answer))
+            if budget_path is not None:
+                seen = [view["azimuth_deg"] for view in answer["views"] if view["dgp"] is not None]
+                budgets += [(str(path), row) for row in budget_of_file(path, seen)]
         except InputError as error:
             say(f"fieldlum glare: {error}")
             bad += 1
-            continue
-        for warning in answer["warnings"]:
-            say(f"fieldlum glare: {path}: {warning}")
-        rows += csv_rows(answer)
-        if budget_path is not None:
-            seen = [view["azimuth_deg"] for view in answer["views"] if view["dgp"] is not None]
-            try:
-                budgets += [(str(path), row) for row in budget_of_file(path, seen)]
-            except InputError as error:
-                say(f"fieldlum glare: {error}")
-                bad += 1
-        if json_lines:
-            emit_json(answer)
-        else:
-            _table(answer)
     if csv_path is not None:
         write_csv(csv_path, rows)
     if budget_path is not None and budgets:
@@ -139,17 +124,15 @@ def csv_rows(answer: JsonTable) -> list[dict[str, object]]:
     return rows
 
 
-def _table(answer: JsonTable) -> None:
+def _lines(answer: JsonTable) -> Iterator[str]:
     from fieldlum.session.panorama_sun import SUN_FROM
 
-    click.echo(f"{answer['file']}  (DGP, DGPs: 0 to 1; Ev, melanopic EDI: lx)")
+    yield f"{answer['file']}  (DGP, DGPs: 0 to 1; Ev, melanopic EDI: lx)"
     if "calibration_factor" in answer:
-        click.echo(f"  scaled by {answer['calibration_factor']:.4g} to the measured illuminance")
+        yield f"  scaled by {answer['calibration_factor']:.4g} to the measured illuminance"
     if (sun := answer["sun"]) is not None:
         source = SUN_FROM.get(str(sun["origin"]), str(sun["origin"]))
-        click.echo(
-            f"  the sun's disc: {sun['normal_illuminance_lx']:.0f} lx normal to it, {source}"
-        )
+        yield f"  the sun's disc: {sun['normal_illuminance_lx']:.0f} lx normal to it, {source}"
     is_estimate = answer["melanopic_der"] != "colour"
     rows = []
     for view in answer["views"]:
@@ -158,20 +141,14 @@ def _table(answer: JsonTable) -> None:
             bounds = f", DGP {view['dgp_low']:.3f} to {view['dgp_high']:.3f}"
         rows.append({**view, "text": f"{view['verdict']}{bounds}"})
     edi = ("m-EDI*" if is_estimate else "m-EDI", ".0f")
-    print_table(rows, {**_COLUMNS, "melanopic_edi_lx": edi, **_LAST_COLUMNS}, "  ")
+    yield from table_lines(rows, {**_COLUMNS, "melanopic_edi_lx": edi, **_LAST_COLUMNS}, "  ")
     for view in answer["views"]:
-        if "reference" in view:
-            _reference_line(view["azimuth_deg"], view["reference"])
+        if r := view.get("reference"):
+            figures = f"DGP {r['dgp']:.3f}, Ev {r['ev_lx']:.0f} lx, UGR {r['ugr']:.1f}"
+            how = f"DGI {r['dgi']:.1f}, {r['sources']} sources ({r['version']}; {r['flags']})"
+            yield f"  {view['azimuth_deg']:.1f}° evalglare: {figures}, {how}"
     share = answer["disturbed_share"]
     if share is not None and len(answer["views"]) > 1:
-        click.echo(f"  disturbing (DGP above 0.40) in {100 * share:.0f} % of the seen directions")
+        yield f"  disturbing (DGP above 0.40) in {100 * share:.0f} % of the seen directions"
     colour = "m-EDI by the camera's colour, with its standard uncertainty"
-    click.echo(f"  {'* an estimate: Ev with the spectrum of D65' if is_estimate else colour}")
-
-
-def _reference_line(azimuth_deg: float, answer: Mapping[str, Any]) -> None:
-    click.echo(
-        f"  {azimuth_deg:.1f}° evalglare: DGP {answer['dgp']:.3f}, Ev {answer['ev_lx']:.0f} lx, "
-        f"UGR {answer['ugr']:.1f}, DGI {answer['dgi']:.1f}, {answer['sources']} sources "
-        f"({answer['version']}; {answer['flags']})"
-    )
+    yield f"  {'* an estimate: Ev with the spectrum of D65' if is_estimate else colour}"

@@ -23,43 +23,33 @@ _SHOWN = 20  # lines of each kind; fits a terminal; chosen
 _MAX_OFFSET = timedelta(hours=14)  # of the islands of Kiribati, the largest in use
 
 
-class _UtcOffset(click.ParamType):
-    """A UTC offset such as -08:00, or +05:30:12 with seconds, in seconds."""
-
-    name = "offset"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        offset = None
-        with suppress(ValueError):
-            offset = datetime.strptime(str(value).strip(), "%z").utcoffset()
-        if offset is None or abs(offset) > _MAX_OFFSET:
-            self.fail(f"{value} is no UTC offset; write, for example, -08:00", param, ctx)
-        return offset.total_seconds()
+def _utc_offset(text: str) -> float:
+    """Return the seconds of a UTC offset such as -08:00, or +05:30:12 with seconds."""
+    offset = None
+    with suppress(ValueError):
+        offset = datetime.strptime(text.strip(), "%z").utcoffset()
+    if offset is None or abs(offset) > _MAX_OFFSET:
+        raise ValueError(f"{text} is no UTC offset; write, for example, -08:00")
+    return offset.total_seconds()
 
 
-def _columns(texts: tuple[str, ...]) -> dict[str, str]:
+def _column(text: str) -> tuple[str, str]:
     from fieldlum.devices.logger_files import QUANTITIES
 
-    named = {text.partition("=")[0]: text.partition("=")[2] for text in texts}
-    for quantity, name in named.items():
-        if quantity not in QUANTITIES or not name:
-            raise click.UsageError(
-                f"--column: {quantity}={name} is not QUANTITY=COLUMN: write, for example, "
-                f"ghi_wm2=SlrW_Avg; quantities are {', '.join(QUANTITIES)}"
-            )
-    return named
+    quantity, _, name = text.partition("=")
+    if quantity not in QUANTITIES or not name:
+        raise ValueError(
+            f"{text} is not QUANTITY=COLUMN: write, for example, ghi_wm2=SlrW_Avg; quantities are "
+            f"{', '.join(QUANTITIES)}"
+        )
+    return quantity, name
 
 
-def _sensitivities(texts: tuple[str, ...]) -> dict[str, float]:
-    stated: dict[str, float] = {}
-    for text in texts:
-        match = re.fullmatch(r"([gd]hi_wm2|dni_wm2)=([0-9.eE+-]+)", text)
-        with suppress(ValueError):
-            stated |= {match[1]: float(match[2])} if match else {}
-        if match is None or not 0.1 <= stated.get(match[1], 0.0) <= 1e4:
-            example = "write, for example, ghi_wm2=8.63"
-            raise click.UsageError(f"--sensitivity: {text} is not QUANTITY=UV_PER_WM2: {example}")
-    return stated
+def _sensitivity(text: str) -> tuple[str, float]:
+    match = re.fullmatch(r"([gd]hi_wm2|dni_wm2)=(\d+\.?\d*)", text)
+    if match is None or not 0.1 <= float(match[2]) <= 1e4:
+        raise ValueError(f"{text} is not QUANTITY=UV_PER_WM2: write, for example, ghi_wm2=8.63")
+    return match[1], float(match[2])
 
 
 @command_of("import")
@@ -67,10 +57,10 @@ def command(
     session_folder: Path,
     folder: Annotated[Path | None, "[FOLDER]"] = None,
     irradiance_file: Path | None = None,
-    utc_offset_s: Annotated[float | None, _UtcOffset()] = None,
-    logger_utc_offset_s: Annotated[float | None, _UtcOffset()] = None,
-    columns: tuple[str, ...] = (),
-    sensitivity_texts: tuple[str, ...] = (),
+    utc_offset_s: Annotated[Any, _utc_offset] = None,
+    logger_utc_offset_s: Annotated[Any, _utc_offset] = None,
+    columns: Annotated[tuple[Any, ...], _column] = (),
+    sensitivities: Annotated[tuple[Any, ...], _sensitivity] = (),
 ) -> None:
     """Import a card's folder and a logger's file.
 
@@ -95,36 +85,26 @@ def command(
     """
     if folder is None and irradiance_file is None:
         raise click.UsageError("name a card's folder, or a logger's file with --irradiance")
-    if irradiance_file is None and (columns or sensitivity_texts):
+    if irradiance_file is None and (columns or sensitivities):
         raise click.UsageError("--column and --sensitivity need a logger's file: --irradiance FILE")
-    named, sensitivities = _columns(columns), _sensitivities(sensitivity_texts)
     from fieldlum.capture import import_card
     from fieldlum.core.records import counted
     from fieldlum.session import open_session
 
     session = open_session(session_folder)
-    with terminal.progress("import") as progress:
-        report = import_card.run(
-            session,
-            folder,
-            logger=irradiance_file,
-            utc_offset_s=utc_offset_s,
-            logger_utc_offset_s=logger_utc_offset_s,
-            columns=named or None,
-            sensitivities=sensitivities or None,
-            progress=progress,
-        )
+    how: dict[str, Any] = {"utc_offset_s": utc_offset_s, "logger_utc_offset_s": logger_utc_offset_s}
+    how |= {"columns": dict(columns) or None, "sensitivities": dict(sensitivities) or None}
+    with terminal.progress("import") as shown:
+        report = import_card.run(session, folder, logger=irradiance_file, **how, progress=shown)
     for line in _summary(report):
         terminal.say(line)
-    line = (
-        f"{session.root}: {counted(report.brackets, 'bracket')} with "
-        f"{counted(report.frames, 'frame')}, {counted(report.rows, 'row')} of irradiance"
-    )
+    frames, rows = counted(report.frames, "frame"), counted(report.rows, "row")
+    line = f"{counted(report.brackets, 'bracket')} with {frames}, {rows} of irradiance"
     if report.withdrawn:
         line += f"; rows of an earlier import of this file that were removed: {report.withdrawn}"
     if report.known:
         line += f"; {report.known} brackets were already imported"
-    click.echo(line)
+    click.echo(f"{session.root}: {line}")
 
 
 def _summary(report: Report) -> list[str]:

@@ -17,13 +17,12 @@ from fieldlum.cli.options import (
     panorama_height,
     scheduler_of,
 )
-from fieldlum.cli.terminal import emit_json, progress, say
+from fieldlum.cli.terminal import print_answer, progress, say
 from fieldlum.core.errors import InputError
 
 if TYPE_CHECKING:
     from fieldlum.core.scheduler import Scheduler
     from fieldlum.merge import MergeOptions
-    from fieldlum.merge.stage import Verdict
     from fieldlum.session import Session
 
 
@@ -106,21 +105,15 @@ def _merge_session(
 
     with progress("Merge") as bar:
         verdicts = merge.run(session, options, scheduler=scheduler, force=force, progress=bar)
-    if as_json:
-        emit_json({"slots": [v.table() for v in verdicts]})
-    else:
-        _print_verdicts(session, verdicts)
-    if any(v.state == "failed" for v in verdicts):
-        raise SystemExit(InputError.exit_code)
-
-
-def _print_verdicts(session: Session, verdicts: list[Verdict]) -> None:
-    for v in verdicts:
-        click.echo(f"{v.slot} {v.state}: {v.text}")
+    lines = [f"{v.slot} {v.state}: {v.text}" for v in verdicts]
+    print_answer(as_json, {"slots": [v.table() for v in verdicts]}, lines)
     counts = Counter(v.state for v in verdicts)
-    say(", ".join(f"{counts[s]} {s}" for s in ("merged", "kept", "failed") if counts[s]))
-    if (sheet := session.panoramas / "contact-1.png").is_file():
-        say(f"look at {sheet}")
+    if not as_json:
+        say(", ".join(f"{counts[s]} {s}" for s in ("merged", "kept", "failed") if counts[s]))
+        if (sheet := session.panoramas / "contact-1.png").is_file():
+            say(f"look at {sheet}")
+    if counts["failed"]:
+        raise SystemExit(InputError.exit_code)
 
 
 def _merge_files(
@@ -138,13 +131,11 @@ def _merge_files(
         result, facts = files_to_picture(
             files, load_camera_profile(camera), out, options, heading_deg=heading_deg, progress=bar
         )
-    if as_json:
-        emit_json({"out": str(out), "verdict": result.verdict, **facts, "quality": result.quality})
-        return
-    click.echo(f"{out}: {result.verdict}")
-    frames = result.report.frames
+    lines, names = [f"{out}: {result.verdict}"], [f.file for f in result.report.frames]
     for pair in result.report.neighbours:
-        long, short = frames[pair.long].file, frames[pair.short].file
-        click.echo(f"  {long} to {short}: {pair.residual_percent:+.2f} % ({pair.pixels} pixels)")
+        pixels = f"{pair.residual_percent:+.2f} % ({pair.pixels} pixels)"
+        lines.append(f"  {names[pair.long]} to {names[pair.short]}: {pixels}")
     for name, value in facts.items():
-        click.echo(f"  {name}: {value:.5g}" if isinstance(value, float) else f"  {name}: {value}")
+        lines.append(f"  {name}: {value:.5g}" if isinstance(value, float) else f"  {name}: {value}")
+    answer = {"out": str(out), "verdict": result.verdict, **facts, "quality": result.quality}
+    print_answer(as_json, answer, lines)

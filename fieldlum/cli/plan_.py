@@ -85,10 +85,7 @@ def command(
     else:
         assert out is not None
         answer, sentences = _planned(target, (set_, day, year, days, count), sky, out)
-    if as_json:
-        terminal.emit_json(answer)
-    else:
-        click.echo("\n".join(sentences))
+    terminal.print_answer(as_json, answer, sentences)
 
 
 def _planned(target: Path, asked: tuple, sky: WeatherFile, out: Path) -> tuple[dict, list[str]]:

@@ -8,7 +8,7 @@ from typing import Annotated
 import click
 
 from fieldlum.cli.options import command_of, scheduler_of
-from fieldlum.cli.terminal import emit_json, progress, say
+from fieldlum.cli.terminal import print_answer, progress, say
 
 
 @command_of("predict")
@@ -66,21 +66,16 @@ def command(
             progress=show,
         )
     summary = annual.summary
-    if as_json:
-        emit_json({"folder": str(annual.folder), "new": new, **annual.about})
-        return
+    notes = [f"note: {text}" for text in (*summary.weather.repairs, *summary.notes)]
     if not new:
-        say(
-            "nothing to do: this year was predicted from the same model, weather and settings "
-            "(--force predicts it again)"
-        )
-    for text in summary.model_warnings:
+        same = "this year was predicted from the same model, weather and settings"
+        notes.insert(0, f"nothing to do: {same} (--force predicts it again)")
+    for text in () if as_json else (*summary.model_warnings, *notes):
         say(text)
-    for text in (*summary.weather.repairs, *summary.notes):
-        say(f"note: {text}")
-    click.echo(f"{summary.hours} daylight hours in {annual.folder / 'hourly.csv'}")
+    lines = [f"{summary.hours} daylight hours in {annual.folder / 'hourly.csv'}"]
     for row in summary.protection:
         azimuth = row.azimuth_deg
-        click.echo(f"  {compass_name(azimuth):3} {azimuth:5.1f}°  {row.sentence}")
+        lines.append(f"  {compass_name(azimuth):3} {azimuth:5.1f}°  {row.sentence}")
     if any(not row.certain and row.low is not None for row in summary.protection):
-        click.echo("Hours whose capture helps to settle a class: fieldlum plan SESSION --next")
+        lines.append("Hours whose capture helps to settle a class: fieldlum plan SESSION --next")
+    print_answer(as_json, {"folder": str(annual.folder), "new": new, **annual.about}, lines)

@@ -10,7 +10,7 @@ import click
 
 from fieldlum.cli import terminal
 from fieldlum.cli.options import Port, command_of
-from fieldlum.cli.terminal import emit_json, print_table, progress, say
+from fieldlum.cli.terminal import print_answer, progress, say, table_lines
 from fieldlum.core.records import JsonTable
 
 if TYPE_CHECKING:
@@ -63,10 +63,9 @@ def fit(
         data = load_pairs(pairs, site, progress=show)
     with progress("fitting the scene") as show:
         result = run(data, folder, clock_sd_min=clock_sd, find_changes=find_changes, progress=show)
-    if as_json:
-        emit_json(answer_of(result.scene))
-    else:
-        _show(result.scene)
+    print_answer(as_json, answer_of(result.scene), _lines(result.scene))
+    for note in () if as_json else result.scene.notes:
+        say(f"note: {note}")
     say("written: " + ", ".join(str(file) for file in result.files))
 
 
@@ -85,19 +84,17 @@ def answer_of(scene: Scene) -> JsonTable:
     }
 
 
-def _show(scene: Scene) -> None:
+def _lines(scene: Scene) -> list[str]:
     rows = [
         {"name": name, "stated": scene.before[name], "fitted": value, "u": scene.u[name]}
         for name, value in scene.after.items()
     ]
-    print_table(rows, _COLUMNS)
-    click.echo(f"bars and furniture: {len(scene.room.obstruction)}")
-    click.echo(scene.verdict)
+    furniture = f"bars and furniture: {len(scene.room.obstruction)}"
+    lines = [*table_lines(rows, _COLUMNS), furniture, scene.verdict]
     if scene.expected_log10_mse is not None:
         doubt = "" if scene.trusted else " (not trusted)"
-        click.echo(f"expected log10 MSE over a year: {scene.expected_log10_mse:.1e}{doubt}")
-    for note in scene.notes:
-        say(f"note: {note}")
+        lines.append(f"expected log10 MSE over a year: {scene.expected_log10_mse:.1e}{doubt}")
+    return lines
 
 
 @command_of("click", command)
@@ -106,7 +103,7 @@ def click_corners(
     slot: str = "",
     csv_path: Path | None = None,
     camera_height_m: Annotated[float | None, click.FloatRange(0.05, 50.0)] = None,
-    replace_room: bool = False,
+    force: bool = False,
     port: Port = 8766,
     as_json: bool = False,
 ) -> None:
@@ -114,7 +111,7 @@ def click_corners(
 
     Click corners of floor, ceiling and windows. The box, the windows and the hour's sun patch are
     drawn over the picture at once. The command writes scene/clicked.toml. The session gets this
-    room if it has no [room], or if you replace it; `scene fit` then starts from it.
+    room if it has no [room], or with --csv and --force; `scene fit` then starts from it.
 
     \b
     Example:
@@ -126,7 +123,6 @@ def click_corners(
       --csv FILE: Read corners from a csv of kind,window,x_px,y_px instead of a page.
       --camera-height M: Height of the lens above the floor, the only length needed.
           [default: the session's]
-      --replace: With --csv: replace the room that the session has.
       --port: Port of the page; 0 takes a free one.
     """
     from fieldlum.session import open_session
@@ -147,14 +143,13 @@ def click_corners(
 
     clicked = room_from_clicks(read_clicks(csv_path), picture.grid, height_m, where=str(csv_path))
     table = click_room.clicked_table(clicked)
-    path, taken = click_room.save_room(session, clicked, replace_room=replace_room)
+    path, taken = click_room.save_room(session, clicked, replace_room=force)
+    lines = [f"{r['name']:22} {r['value']:9.3f} +- {r['u']:.3f}" for r in table["rows"]]
+    lines.append(f"the south wall faces {table['faces']}; misfit {clicked.misfit_px:.2f} px rms")
+    print_answer(as_json, {**table, "file": str(path), "taken": taken}, lines)
     if as_json:
-        emit_json({**table, "file": str(path), "taken": taken})
         return
-    for row in table["rows"]:
-        click.echo(f"{row['name']:22} {row['value']:9.3f} +- {row['u']:.3f}")
-    click.echo(f"the south wall faces {table['faces']}; misfit {clicked.misfit_px:.2f} px rms")
     for note in clicked.notes:
         say(f"note: {note}")
-    earlier = "the session still has its earlier room: use --replace to replace it"
+    earlier = "the session still has its earlier room: use --force to replace it"
     say(f"written: {path}; {'the session has this room now' if taken else earlier}")

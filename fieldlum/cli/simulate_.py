@@ -100,19 +100,17 @@ def command(
             scheduler=scheduler_of(scheduler_text),
             progress=progress,
         )
-    if as_json:
-        figures = {"rendered": made.rendered, "kept": made.kept, "dark": made.dark}
-        how = {"weather": made.weather, "size": size, "quality": chosen}
-        terminal.emit_json({"session": str(session.root), **figures, **how})
-        return
+    answer = {"session": str(session.root), "rendered": made.rendered, "kept": made.kept}
+    answer |= {"dark": made.dark, "weather": made.weather, "size": size, "quality": chosen}
     dark = f", {made.dark} slots without light" if made.dark else ""
-    click.echo(
-        f"{session.root}: {made.rendered} hours rendered, {made.kept} unchanged{dark}; "
-        f"weather: {made.weather}"
-    )
-    click.echo(f"train on the truth:    fieldlum train {session.root}")
+    hours = f"{made.rendered} hours rendered, {made.kept} unchanged{dark}"
     devices = "--camera sim:office --pyranometer sim:office --clock fast"
-    click.echo(f"or photograph it:      fieldlum capture {session.root} {devices}")
+    lines = [
+        f"{session.root}: {hours}; weather: {made.weather}",
+        f"train on the truth:    fieldlum train {session.root}",
+        f"or photograph it:      fieldlum capture {session.root} {devices}",
+    ]
+    terminal.print_answer(as_json, answer, lines)
 
 
 def _planned(

@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import click
-
 from fieldlum.cli import terminal
 from fieldlum.cli.options import command_of
 
@@ -37,11 +35,7 @@ def command(
         state = mark_slot(session, *mark)
         terminal.say(f"{mark[0]}: {state or 'as usual'}")
     stage_status = status(session)
-    if as_json:
-        terminal.emit_json(stage_status)
-        return
-    for line in _lines(stage_status):
-        click.echo(line)
+    terminal.print_answer(as_json, stage_status, _lines(stage_status))
 
 
 def _lines(s: JsonTable) -> list[str]:

@@ -35,10 +35,19 @@ def emit_json(answer: Any) -> None:
     click.echo(json.dumps(_finite(answer), ensure_ascii=False, default=str))
 
 
-def print_table(
+def print_answer(as_json: bool, answer: Any, lines: Iterable[str]) -> None:
+    """Print the answer of a command on stdout: one JSON object, or lines of text."""
+    if as_json:
+        emit_json(answer)
+        return
+    for line in lines:
+        click.echo(line)
+
+
+def table_lines(
     rows: Iterable[Mapping[str, Any]], columns: Mapping[str, tuple[str, str]], indent: str = ""
-) -> None:
-    """Print rows as an aligned table on stdout: numbers to the right, "-" for None.
+) -> list[str]:
+    """Return rows as an aligned table: numbers to the right, "-" for None.
 
     columns: heading and format of each key, such as {"dgp": ("DGP", ".3f")}; a text has the format
     "<", and is to the left. A column without any value is omitted.
@@ -51,9 +60,10 @@ def print_table(
         lines.append(["-" if value is None else format(value, spec) for value, spec in values])
     widths = [max(map(len, cells)) for cells in zip(*lines, strict=True)]
     signs = [spec if spec == "<" else ">" for _, spec in used.values()]
-    for line in lines:
-        cells = [f"{c:{sign}{w}}" for c, sign, w in zip(line, signs, widths, strict=True)]
-        click.echo(indent + "  ".join(cells).rstrip())
+    cells = (
+        [f"{c:{sign}{w}}" for c, sign, w in zip(line, signs, widths, strict=True)] for line in lines
+    )
+    return [indent + "  ".join(line).rstrip() for line in cells]
 
 
 def say(text: str) -> None:

@@ -10,7 +10,7 @@ import click
 
 from fieldlum.cli.declared import PATH_OR_URL
 from fieldlum.cli.options import Above0, command_of
-from fieldlum.cli.terminal import emit_json, print_table, progress, say
+from fieldlum.cli.terminal import print_answer, progress, say, table_lines
 from fieldlum.learn.model_registry import MODELS
 
 if TYPE_CHECKING:
@@ -99,36 +99,33 @@ def command(
             force=force,
             progress=show,
         )
-    if as_json:
-        emit_json(answer)
-    else:
-        _show(answer)
-    if answer.get("kept"):
-        say(
-            f"{folder}: captures and options have not changed, so nothing was trained "
-            "(--force trains again)"
-        )
-    else:
-        say(f"model written to {folder}")
+    print_answer(as_json, answer, _lines(answer))
+    for note in () if as_json else answer["notes"]:
+        say(note)
+    unchanged = "captures and options have not changed, so nothing was trained"
+    is_kept = answer.get("kept")
+    say(
+        f"{folder}: {unchanged} (--force trains again)" if is_kept else f"model written to {folder}"
+    )
 
 
-def _show(answer: TrainAnswer) -> None:
-    """Print the scores on which the choice is based."""
-    print_table(answer["models"], _COLUMNS)
-    click.echo("* over judged hours, without the 5 % with the largest errors")
-    click.echo(f"chosen: {answer['chosen']}: {answer['reason']}")
-    click.echo(f"parameters: {answer['parameters']:,}")
-    captures = answer["captures"]
-    if captures:
-        click.echo(
+def _lines(answer: TrainAnswer) -> list[str]:
+    """Return the scores on which the choice is based."""
+    lines = [
+        *table_lines(answer["models"], _COLUMNS),
+        "* over judged hours, without the 5 % with the largest errors",
+        f"chosen: {answer['chosen']}: {answer['reason']}",
+        f"parameters: {answer['parameters']:,}",
+    ]
+    if captures := answer["captures"]:
+        lines.append(
             f"captures: with {captures.get('enough')} training captures the held-out log10 MSE is "
             "already within a standard error of the smallest"
         )
     if year := answer.get("year"):
-        click.echo(
+        lines.append(
             f"over a year: expected log10 MSE {year['expected_log10_mse']:.2e}, "
             f"{100 * year['trusted_share']:.0f} % of the hours trusted ({year['hours']:.0f} hours "
             "drawn at random, under the captures' skies)"
         )
-    for note in answer["notes"]:
-        say(note)
+    return lines

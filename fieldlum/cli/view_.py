@@ -20,7 +20,6 @@ def command(
     region_texts: tuple[str, ...] = (),
     csv_path: Annotated[Path | None, FILE_PATH] = None,
     part: str = "",
-    isolines: bool = False,
     force: bool = False,
 ) -> None:
     """Show pictures in false colour, with statistics of regions.
@@ -39,7 +38,6 @@ def command(
           (pixels from the top left) or cone:AZ,ALT,RADIUS (degrees; azimuth from north);
           can be repeated.
       --csv FILE: Write the statistics of the regions.
-      --isolines: Draw lines at 1, 10, 100 ... cd/m2 into the PNG.
     """
     from fieldlum.core.errors import InputError
     from fieldlum.report.view import (
@@ -71,7 +69,7 @@ def command(
         from fieldlum.report.view import write_page, write_png
 
         if out.suffix.lower() == ".png":
-            write_png(out, pictures, regions, isolines)
+            write_png(out, pictures, regions)
         else:
             write_page(out, pictures, rows)
     for picture in pictures:

@@ -214,16 +214,10 @@ def _outlines(sources: Sources, shape: tuple[int, ...]) -> tuple[Outline, ...]:
 # PNG and page
 
 _INCHES, _DPI = 6.4, 150  # 960 pixels wide
-_MAX_PIXELS = 1200  # drawn along an edge; more is not visible at this size; chosen
 
 
-def write_png(
-    path: Path, pictures: Sequence[MeasuredPicture], regions: Sequence[Region], isolines: bool
-) -> None:
-    """Draw the pictures next to each other on one scale, with the regions; write a PNG.
-
-    isolines: draw lines at the powers of ten.
-    """
+def write_png(path: Path, pictures: Sequence[MeasuredPicture], regions: Sequence[Region]) -> None:
+    """Draw the pictures next to each other on one scale, with the regions; write a PNG."""
     from fieldlum.report.figures import picture_grid, png
 
     low, high = shared_scale(picture.ends_cdm2 for picture in pictures)
@@ -231,19 +225,8 @@ def write_png(
         np.where(picture.solid_angle_sr > 0, picture.luminance_cdm2, np.nan) for picture in pictures
     ]
     figure, cells = picture_grid(maps, map(_title, pictures), len(maps), _INCHES, (low, high))
-    for axis, picture, values in zip(cells, pictures, maps, strict=True):
+    for axis, picture in zip(cells, pictures, strict=True):
         _draw_marks(axis, picture, regions)
-        if isolines:
-            step = max(1, -(-max(values.shape) // _MAX_PIXELS))
-            height, width = values.shape
-            lines = axis.contour(
-                np.maximum(values[::step, ::step], low * 1e-3),
-                10.0 ** np.arange(np.ceil(np.log10(low)), np.floor(np.log10(high)) + 1),
-                colors="white",
-                linewidths=0.6,
-                extent=(0.0, width, 0.0, height),
-            )
-            axis.clabel(lines, fontsize=6, fmt="%g")
     path.write_bytes(png(figure, _DPI))
 
 
