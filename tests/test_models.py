@@ -18,10 +18,10 @@ from fieldlum.learn.models import dense_training
 from fieldlum.learn.models.dense import Net, Shape, decode, encode, inputs_of, parameter_count
 from fieldlum.learn.models.dense_training import (
     Run,
+    Trainer,
     TrainingPlan,
     pixels_of,
     rate_of,
-    trainer_of,
 )
 from fieldlum.learn.models.scores import compare, evaluate, summary, truth
 
@@ -67,52 +67,39 @@ def test_inputs_are_scaled_as_the_paper_says() -> None:
 
 @pytest.mark.slow
 @pytest.mark.analytic
-def test_microbatches_have_the_gradient_of_the_whole_batch() -> None:
-    """MSE + 10 RER of the batch, differentiated by torch in one piece."""
+@pytest.mark.numeric
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_a_step_has_the_gradient_of_the_loss(ranks: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """MSE + 10 RER of the batch, differentiated by torch in one piece; torchrun's ranks add up."""
     torch.manual_seed(3)
-    shape = Shape(**SMALL)
-    net = Net(shape)
+    net = Net(Shape(**SMALL))
     pixels = pixels_of(DATA, BASE, "absolute", torch.device("cpu"))
-    numbers = torch.randperm(len(pixels))[:500]
-    loss = trainer_of(net, pixels, half=False, micro=64).step(numbers, rate=0.0)
-    pieces = [p.grad.clone() for p in net.parameters() if p.grad is not None]
+    numbers = torch.randperm(len(pixels))[:501]
+    trainer = Trainer(net, pixels, half=False)
+    sums = [torch.zeros(3, dtype=torch.float64)]
+    monkeypatch.setattr(dense_training, "world", lambda: ranks)
+    for k in range(ranks):
+        monkeypatch.setattr(dense_training, "rank", lambda k=k: k)
+        sums.append(trainer.sums(pixels, numbers).detach().double())
+    every = torch.stack(sums).sum(dim=0)
+    monkeypatch.setattr(dense_training, "total", lambda t: t.copy_(every) if t.shape == (3,) else t)
+    gradient = [torch.zeros_like(p) for p in net.parameters()]
+    loss = 0.0
+    for k in range(ranks):
+        monkeypatch.setattr(dense_training, "rank", lambda k=k: k)
+        loss = trainer.step(numbers, rate=0.0)
+        for gathered, parameter in zip(gradient, net.parameters(), strict=True):
+            assert parameter.grad is not None
+            gathered += parameter.grad
     net.zero_grad()
     scene, patch, target, weight = pixels.batch(numbers)
     error = net(scene, patch) - target
     s = (weight * error**2).sum()
-    whole = s / 500 + 10 * torch.sqrt(s / (weight * target**2).sum())
+    whole = s / 501 + 10 * torch.sqrt(s / (weight * target**2).sum())
     whole.backward()
     assert loss == pytest.approx(whole.item(), rel=1e-5)
-    for mine, parameter in zip(pieces, net.parameters(), strict=True):
+    for mine, parameter in zip(gradient, net.parameters(), strict=True):
         torch.testing.assert_close(mine, parameter.grad, rtol=1e-3, atol=1e-5)
-
-
-@pytest.mark.slow
-@pytest.mark.analytic
-@pytest.mark.numeric
-def test_the_ranks_of_torchrun_add_up_to_one_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Sums of S and of its gradient over two ranks are those of one."""
-    shape = Shape(**SMALL)
-    torch.manual_seed(1)
-    net = Net(shape)
-    pixels = pixels_of(DATA, BASE, "absolute", torch.device("cpu"))
-    numbers = torch.randperm(len(pixels))[:333]
-    trainer = trainer_of(net, pixels, half=False, micro=50)
-
-    def parts_and_gradient(members: tuple[int, ...]) -> tuple[torch.Tensor, torch.Tensor]:
-        net.zero_grad()
-        monkeypatch.setattr(dense_training, "world", lambda: len(members))
-        monkeypatch.setattr(dense_training, "total", lambda tensor: tensor)
-        total = torch.zeros(3, dtype=torch.float64)
-        for mine in members:
-            monkeypatch.setattr(dense_training, "rank", lambda mine=mine: mine)
-            total += trainer.loss_parts(pixels, numbers, learn=True)
-        return total, torch.cat(
-            [p.grad.reshape(-1).clone() for p in net.parameters() if p.grad is not None]
-        )
-
-    one, two = parts_and_gradient((0,)), parts_and_gradient((0, 1))
-    torch.testing.assert_close(one, two, rtol=1e-4, atol=1e-4)
 
 
 @pytest.mark.slow
@@ -270,7 +257,7 @@ def test_a_loss_that_is_no_number_changes_nothing() -> None:
     pixels = pixels_of(DATA, BASE, "absolute", torch.device("cpu"))
     pixels.target[0, 0] = float("nan")
     before = [p.clone() for p in net.parameters()]
-    trainer = trainer_of(net, pixels, half=False, micro=64)
+    trainer = Trainer(net, pixels, half=False)
     assert np.isnan(trainer.step(torch.arange(10), rate=1e-3))
     assert all(torch.equal(a, b) for a, b in zip(before, net.parameters(), strict=True))
 

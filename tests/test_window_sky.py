@@ -143,6 +143,6 @@ def test_clouds_hide_no_lamp() -> None:
         process_of(lit, with_patch=False, seen_skies=skies) for skies in (True, False)
     )
     judged = np.flatnonzero(clouded.judged)
-    rows, _ = find_lamp(clouded, judged)
+    rows = find_lamp(clouded, judged)
     assert np.array_equal(rows, np.flatnonzero(evenings & clouded.judged))
-    assert not len(find_lamp(perez, judged)[0])
+    assert not len(find_lamp(perez, judged))

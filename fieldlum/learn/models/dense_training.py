@@ -1,8 +1,8 @@
 """Train the dense network within a time budget, in one process or in those of torchrun.
 
 The loss of a batch is ``S / b + 10 sqrt(S / T)``, with S = sum(w e^2) and T = sum(w t^2) over its b
-pixels, their weights w, errors e and targets t. It depends on the network only through S: parts of
-a batch, and processes, add up the gradient of S, and one factor at the end makes it exact.
+pixels, their weights w, errors e and targets t. It depends on the network only through S, so that
+processes add up S, T and b before, and the gradients after the backward pass.
 """
 
 from __future__ import annotations
@@ -44,18 +44,12 @@ from fieldlum.session.provenance import data_digest
 
 __all__ = ["fit", "from_state"]  # what `model_registry` promises of a model's module
 
-RER_SHARE = 10.0  # weight of the relative error in the loss (paper)
+RATE, RER_SHARE = 1e-3, 10.0  # highest learning rate, weight of the relative error (paper)
 PASSES = 90  # largest number of uses of a training pixel, on average (paper)
-VALIDATION_SHARE = 0.1  # of the images; not measured
-EPOCHS = 25  # number of validations and checkpoints; not measured
-VALIDATION_PIXELS = 60_000  # pixels that are validated; not measured
-STEPS = 3000  # updates to reach before batches become larger than the smallest; not measured
-MIN_BATCH = 512  # pixels; not measured
-# Largest batch, and pixels whose gradient is computed at once; not measured
-MAX_BATCH = {"cpu": 8192, "cuda": 131_072}
-WARM_SHARE = 0.03  # share of the updates in which the rate rises; not measured
-RATE = 1e-3  # highest learning rate (paper)
-_TIMED_BATCHES = 3  # whose time decides how many updates the budget allows; not measured
+EPOCHS = 25  # number of validations and checkpoints
+VALIDATION_PIXELS = 60_000
+# Updates to reach before batches become larger than the smallest; pixels of a batch
+STEPS, MIN_BATCH, MAX_BATCH = 3000, 512, {"cpu": 8192, "cuda": 131_072}
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +77,16 @@ class Run:
     cpu_s: float = 0.0
     skipped: int = 0
 
+    def share(self, plan: TrainingPlan, budget_s: float | None) -> float:
+        """Return the completed share of the updates, or of the time if that is larger."""
+        return min(max(self.step / plan.steps, self.elapsed_s / (budget_s or math.inf)), 1.0)
+
+
+def rate_of(plan: TrainingPlan, run: Run, budget_s: float | None) -> float:
+    """Return the learning rate of the next update: a warm-up of 3 %, then a cosine to 0."""
+    warm = min(1.0, (run.step + 1) / (0.03 * plan.steps + 1))
+    return run.rate * warm * 0.5 * (1.0 + math.cos(math.pi * run.share(plan, budget_s)))
+
 
 # ----------------------------------------------------------------------------------------------
 # processes of torchrun; without it there is one
@@ -107,11 +111,8 @@ def total(tensor: Tensor) -> Tensor:
 
 def agreed(value: float, device: torch.device) -> float:
     """Return in every process the value of the process with rank 0, so that all end together."""
-    if world() == 1:
-        return value
-    shared = torch.tensor([value], dtype=torch.float64, device=device)
-    dist.broadcast(shared, 0)
-    return float(shared.item())
+    shared = torch.tensor([value if rank() == 0 else 0.0], dtype=torch.float64, device=device)
+    return float(total(shared).item())
 
 
 # ----------------------------------------------------------------------------------------------
@@ -177,7 +178,7 @@ def validation_split(n: int, seed: int) -> tuple[NDArray[np.int64], NDArray[np.i
     used for both.
     """
     order = np.random.default_rng(seed).permutation(n)
-    cut = max(1, round(VALIDATION_SHARE * n))
+    cut = max(1, round(0.1 * n))
     return (np.sort(order[cut:]), np.sort(order[:cut])) if n > 1 else (order, order)
 
 
@@ -185,37 +186,24 @@ def validation_split(n: int, seed: int) -> tuple[NDArray[np.int64], NDArray[np.i
 # one batch
 
 
-@dataclass(slots=True)
 class Trainer:
-    """A network in training, with its optimiser and its training pixels.
+    """A network in training, with its training pixels and Adam, as the paper trains it.
 
-    half: whether products are computed in bfloat16; micro: pixels whose gradient is computed at
-    once.
+    half: whether products are computed in bfloat16.
     """
 
-    net: Net
-    pixels: PixelSampler
-    half: bool
-    micro: int
-    optimiser: torch.optim.Optimizer
+    def __init__(self, net: Net, pixels: PixelSampler, half: bool) -> None:
+        self.net, self.pixels, self.half = net, pixels, half
+        self.largest = MAX_BATCH[pixels.target.device.type]
+        self.optimiser = torch.optim.Adam(net.parameters(), lr=RATE, fused=True)
 
-    def loss_parts(self, pixels: PixelSampler, numbers: Tensor, learn: bool) -> Tensor:
-        """Return [S, T, count] summed over the batch and all processes.
-
-        With `learn`, also add the gradients of S.
-        """
-        parts = torch.zeros(3, dtype=torch.float64)
-        for mine in numbers[rank() :: world()].split(self.micro):
-            scene, direct, target, weight = pixels.batch(mine)
-            with torch.set_grad_enabled(learn):
-                with torch.autocast(scene.device.type, torch.bfloat16, enabled=self.half):
-                    error = self.net(scene, direct) - target
-                squares = (weight * error.square()).sum()
-            if learn:
-                squares.backward()
-            target2 = (weight * target.square()).sum()
-            parts += torch.tensor([squares.item(), target2.item(), len(mine)], dtype=torch.float64)
-        return total(parts.to(pixels.target.device)).cpu()
+    def sums(self, pixels: PixelSampler, numbers: Tensor) -> Tensor:
+        """Return [S, T, count] of this process's part of a batch."""
+        scene, direct, target, weight = pixels.batch(numbers[rank() :: world()])
+        with torch.autocast(scene.device.type, torch.bfloat16, enabled=self.half):
+            error = self.net(scene, direct) - target
+        count = torch.tensor(float(len(target)), device=target.device)
+        return torch.stack([(weight * v.square()).sum() for v in (error, target)] + [count])
 
     def step(self, numbers: Tensor, rate: float) -> float:
         """Update the weights once by the exact gradient of the batch's loss; return the loss.
@@ -223,40 +211,39 @@ class Trainer:
         rate: learning rate. If the loss is NaN, the weights did not change.
         """
         self.optimiser.param_groups[0]["lr"] = rate
-        self.optimiser.zero_grad(set_to_none=False)
-        parts = self.loss_parts(self.pixels, numbers, learn=True)
+        self.optimiser.zero_grad()
+        own = self.sums(self.pixels, numbers)
+        parts = total(own.detach().double())
         error, target, count = parts.tolist()
         if not math.isfinite(error):
             return math.nan
         factor = 1.0 / count + 0.5 * RER_SHARE / math.sqrt(max(error * target, 1e-24))
+        (factor * own[0]).backward()
         for parameter in self.net.parameters():
             if parameter.grad is not None:
-                total(parameter.grad).mul_(factor)
+                total(parameter.grad)
         self.optimiser.step()
         return loss_value(parts)
 
-    def pixels_per_s(self, batch: int) -> float:
-        """Return the measured speed of training with batches of `batch` pixels.
+    def validate(self, pixels: PixelSampler, numbers: Tensor) -> float:
+        """Return the loss of other pixels."""
+        with torch.no_grad():
+            parts = [self.sums(pixels, some).double() for some in numbers.split(self.largest)]
+        return loss_value(total(torch.stack(parts).sum(dim=0)))
 
-        The first of these batches is not timed, because it also compiles.
-        """
+    def pixels_per_s(self) -> float:
+        """Return the measured speed of training; the first of four batches also compiles."""
         device, start_s = self.pixels.target.device, 0.0
-        numbers = torch.arange(min(batch, len(self.pixels)), device=device).repeat(world())
-        for k in range(1 + _TIMED_BATCHES):
+        count = min(self.largest, len(self.pixels))
+        numbers = torch.arange(count, device=device).repeat(world())
+        for k in range(4):
             start_s = time.monotonic() if k == 1 else start_s
-            self.loss_parts(self.pixels, numbers, learn=True)
-        seconds = max(time.monotonic() - start_s, 1e-6)
-        return agreed(_TIMED_BATCHES * len(numbers) / seconds, device)
+            self.sums(self.pixels, numbers)[0].backward()
+        return 3 * len(numbers) / max(time.monotonic() - start_s, 1e-6)
 
     def weights(self) -> dict[str, Tensor]:
         """Return a copy of the network's weights."""
         return {name: value.clone() for name, value in self.net.state_dict().items()}
-
-
-def trainer_of(net: Net, pixels: PixelSampler, half: bool, micro: int) -> Trainer:
-    """Return a network with Adam, as the paper trains it."""
-    adam = torch.optim.Adam(net.parameters(), lr=RATE, fused=True)
-    return Trainer(net, pixels, half, micro, adam)
 
 
 def loss_value(parts: Tensor) -> float:
@@ -269,36 +256,22 @@ def loss_value(parts: Tensor) -> float:
 # the loop
 
 
-def completed_share(plan: TrainingPlan, run: Run, budget_s: float | None) -> float:
-    """Return the completed share of the updates, or of the time if that is larger; 1 is the end."""
-    share = run.step / plan.steps
-    return min(max(share, run.elapsed_s / budget_s) if budget_s else share, 1.0)
-
-
-def rate_of(plan: TrainingPlan, run: Run, budget_s: float | None) -> float:
-    """Return the learning rate of the next update: a warm-up, then a cosine to 0."""
-    warm = min(1.0, (run.step + 1) / (WARM_SHARE * plan.steps + 1))
-    share = completed_share(plan, run, budget_s)
-    return run.rate * warm * 0.5 * (1.0 + math.cos(math.pi * share))
-
-
 def affordable_plan(trainer: Trainer, budget_s: float | None) -> TrainingPlan:
     """Return as many updates as the time allows, and at most 90 passes over the training pixels.
 
     budget_s: available time, None for no limit. Raises NotEnoughDataError if it does not allow one
     pass: errors would depend on the processor's speed.
     """
-    count, largest = len(trainer.pixels), trainer.micro
+    count = len(trainer.pixels)
     pixels = float(PASSES * count)
     if budget_s is not None:
-        pixels = min(pixels, trainer.pixels_per_s(largest) * budget_s)
-    batch = int(np.clip(pixels / STEPS, MIN_BATCH, largest))
-    if budget_s is not None and batch < largest:  # smaller batches are slower
-        pixels = min(pixels, trainer.pixels_per_s(batch) * budget_s)
+        speed = agreed(trainer.pixels_per_s(), trainer.pixels.target.device)
+        pixels = min(pixels, speed * budget_s)
     if pixels < count:
         raise NotEnoughDataError(
             "no time to train the network on every pixel of the captures once; raise --budget"
         )
+    batch = int(np.clip(pixels / STEPS, MIN_BATCH, trainer.largest))
     return TrainingPlan(max(EPOCHS, int(pixels / batch)), batch)
 
 
@@ -337,7 +310,7 @@ def fit(
     exam = pixels_of(data.take(check), base, patch, device)
     half = bfloat16_pays(device) if bfloat16 is None else bfloat16
     pixels = pixels_of(data.take(teach), base, patch, device)
-    trainer = trainer_of(net, pixels, half, MAX_BATCH[device.type])
+    trainer = Trainer(net, pixels, half)
     if plan is None:
         spent_s = agreed(time.monotonic() - start_s, device)
         left_s = None if budget_s is None else max(budget_s - spent_s, 0.0)
@@ -350,7 +323,7 @@ def fit(
     chance = torch.Generator().manual_seed(seed)
     numbers = torch.randperm(len(exam), generator=chance)[:VALIDATION_PIXELS].to(device)
     last = math.inf if stop_after_epochs is None else run.epoch + stop_after_epochs
-    while completed_share(plan, run, budget_s) < 1.0 and run.epoch < last:
+    while run.share(plan, budget_s) < 1.0 and run.epoch < last:
         # the random order depends only on the epoch: a resumed training has the same batches
         chance = torch.Generator().manual_seed(seed * 1_000_003 + run.epoch)
         for _ in range(-(-plan.steps // EPOCHS)):
@@ -358,7 +331,7 @@ def fit(
             loss = trainer.step(drawn.to(device), rate_of(plan, run, budget_s))
             run.step += 1
             run.elapsed_s = agreed(time.monotonic() - start_s, device)
-            share = completed_share(plan, run, budget_s)
+            share = run.share(plan, budget_s)
             progress(int(1000 * share), 1000, f"loss {loss:.4f}  best {run.best:.4f}")
             if not math.isfinite(loss):
                 run.skipped += 1
@@ -366,7 +339,7 @@ def fit(
                 run.rate /= 2.0
             if share >= 1.0:
                 break
-        score = loss_value(trainer.loss_parts(exam, numbers, learn=False))
+        score = trainer.validate(exam, numbers)
         if math.isfinite(score) and score < run.best:
             run.best, best = score, trainer.weights()
         run.epoch += 1
