@@ -32,7 +32,6 @@ VERDICT_MODULES = (
     "doctor/",
     "capture/verify",
     "plan/texts",
-    "models/alignment",
     "calibrate/",
 )
 LEAST_WORDS = 12  # of a verdict: shorter strings are labels or parts

@@ -24,7 +24,7 @@ import numpy as np
 
 from fieldlum.core.records import Slot
 from fieldlum.learn import models, train
-from fieldlum.learn.models import alignment
+from fieldlum.learn.models import camera_turns
 from fieldlum.learn.models.data import load_pairs
 from fieldlum.optics.profiles import shipped
 from fieldlum.room import simulate
@@ -68,7 +68,7 @@ def measure(out: Path, count: int) -> None:
 
         return run
 
-    alignment.camera_turns = timed("turns", alignment.camera_turns)
+    camera_turns.camera_turns = timed("turns", camera_turns.camera_turns)
     data = timed("read", load_pairs)(path)
     timed("fit", models.fit)("transport", data)
     wall = time.monotonic()

@@ -63,4 +63,4 @@ def test_two_days_explain_nothing_and_a_turn_of_one_day_is_not_of_the_light() ->
     calm = _light((0.7, 0.6, 0.7))
     knocked = np.random.default_rng(1).normal(0.0, 0.02, (36, 3))
     knocked[6:12] += 0.4
-    assert not turns_by_light(knocked, calm).any()
+    assert np.abs(turns_by_light(knocked, calm)).max() < 0.05

@@ -5,24 +5,21 @@ Models without a variance trust hours whose light is in the `Domain` of the capt
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
 from fieldlum.core.arrays import Floats, Floats32, Mask
-from fieldlum.core.records import JsonTable, Progress, quiet
-from fieldlum.learn.models import Fitted, ModelState, Patch, Prediction
+from fieldlum.core.records import JsonTable
+from fieldlum.learn.models import ModelState, Patch, Prediction
 from fieldlum.learn.models.data import Dataset
 from fieldlum.sky.light import Light
 
-MIN_CDM2 = 1e-3  # for logarithms; well below what any camera resolves; chosen
-# share of a pixel's light that remains at least when its sun patch is subtracted; not measured
-MIN_SHARE = 0.02
-# with less direct light the sun lights a room less than the sky does; not measured
+MIN_CDM2 = 1e-3  # for logarithms; well below what any camera resolves
+# with less direct light the sun lights a room less than the sky does
 SUNNY_WM2 = 60.0
-# About 50 minutes of the sun's path, or three weeks of its declination near an equinox. Chosen.
+# About 50 minutes of the sun's path, or three weeks of its declination near an equinox.
 SUN_GAP_DEG = 12.0
-RANGE_SLACK = 0.15  # of the captured range of diffuse irradiance; not measured
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,27 +44,17 @@ class Domain:
         DNI is below 120 W/m2.
         """
         low, high = self.dhi_wm2
-        slack = RANGE_SLACK * (high - low) + 10.0
+        slack = 0.15 * (high - low) + 10.0
         sky_known = (light.dhi_wm2 >= low - slack) & (light.dhi_wm2 <= high + slack)
-        beam_known = light.dni_wm2 <= self.dni_wm2[1] + RANGE_SLACK * self.dni_wm2[1] + 10.0
-        has_overcast = self.dni_wm2[0] < 2 * SUNNY_WM2
-        return sky_known & (
-            self._sun_known(light) & beam_known | (light.dni_wm2 < SUNNY_WM2) & has_overcast
-        )
-
-    def _sun_known(self, light: Light) -> Mask:
-        if len(self.sun_directions) == 0:
-            return np.zeros(len(light.dni_wm2), bool)
-        nearest = (light.sun_direction @ self.sun_directions.T).max(axis=1)
-        return nearest >= np.cos(np.radians(SUN_GAP_DEG))
+        cosine = (light.sun_direction @ self.sun_directions.T).max(axis=1, initial=-1.0)
+        sun_known = cosine >= np.cos(np.radians(SUN_GAP_DEG))
+        beam_known = light.dni_wm2 <= 1.15 * self.dni_wm2[1] + 10.0
+        overcast = (light.dni_wm2 < SUNNY_WM2) & (self.dni_wm2[0] < 2 * SUNNY_WM2)
+        return sky_known & (sun_known & beam_known | overcast)
 
     def state(self) -> JsonTable:
         """Return the domain as an object that JSON can store."""
-        return {
-            "sun_directions": np.round(self.sun_directions, 5).tolist(),
-            "dhi_wm2": list(self.dhi_wm2),
-            "dni_wm2": list(self.dni_wm2),
-        }
+        return {**asdict(self), "sun_directions": np.round(self.sun_directions, 5).tolist()}
 
     @staticmethod
     def from_state(state: JsonTable) -> Domain:
@@ -83,32 +70,31 @@ class Domain:
 
 def captured(light: Light) -> Domain:
     """Return the domain of the captures whose light is `light`."""
-    sunny = light.dni_wm2 >= SUNNY_WM2
-    return Domain(
-        light.sun_direction[sunny],
-        (float(light.dhi_wm2.min()), float(light.dhi_wm2.max())),
-        (float(light.dni_wm2.min()), float(light.dni_wm2.max())),
-    )
+    dhi, dni = light.dhi_wm2, light.dni_wm2
+    suns = light.sun_direction[dni >= SUNNY_WM2]
+    return Domain(suns, (float(dhi.min()), float(dhi.max())), (float(dni.min()), float(dni.max())))
 
 
 # ----------------------------------------------------------------------------------------------
 # models
 
 
+@dataclass(frozen=True)
 class MeanFitted:
     """A model that predicts the same map for every hour: the mean of log10 L of each pixel.
 
-    log10_mean: this mean [H, W], L in cd/m2; domain: range of light in the captures; parameters:
-    number of fitted values, H times W; held_out_mse: None, because errors on other days are not
-    computed.
+    log10_mean: this mean [H, W], L in cd/m2; domain: range of light in the captures.
     """
 
-    name = "mean"
-    held_out_mse: Floats | None = None
+    log10_mean: Floats32
+    domain: Domain
+    name: str = "mean"
+    held_out_mse: None = None
 
-    def __init__(self, log10_mean: Floats32, domain: Domain) -> None:
-        self.log10_mean, self.domain = log10_mean, domain
-        self.parameters = log10_mean.size
+    @property
+    def parameters(self) -> int:
+        """Number of fitted values, H times W."""
+        return self.log10_mean.size
 
     def predict(self, light: Light, patch_cdm2: Floats32 | None = None) -> Prediction:
         """Predict the mean map for each of the n hours of `light`, [n, H, W].
@@ -116,7 +102,7 @@ class MeanFitted:
         patch_cdm2 is not used. The prediction has no standard deviation, and NaN as expected error.
         Hours whose light is similar to that of the captures are trusted.
         """
-        n = len(light.dni_wm2)
+        n = len(light)
         maps = np.repeat((10.0**self.log10_mean)[None].astype(np.float32), n, axis=0)
         return Prediction(maps, None, np.full(n, np.nan), self.domain.holds(light))
 
@@ -126,17 +112,10 @@ class MeanFitted:
         return ModelState(config, {"log10_mean": self.log10_mean})
 
 
-def fit_mean(
-    data: Dataset,
-    *,
-    patch: Patch = "absolute",
-    seed: int = 0,
-    budget_s: float | None = None,
-    progress: Progress = quiet,
-) -> MeanFitted:
+def fit_mean(data: Dataset, **_: object) -> MeanFitted:
     """Fit the mean of log10 L (L at least 1e-3 cd/m2) of each pixel over the captures of `data`.
 
-    The other arguments are those of every model's fit and are not used.
+    Options of other models are not used.
     """
     log10 = np.zeros(data.shape)
     # one by one, because the logarithm of all maps would double the memory
@@ -145,6 +124,7 @@ def fit_mean(
     return MeanFitted(log10.astype(np.float32), captured(data.light))
 
 
+@dataclass(frozen=True)
 class NearestFitted:
     """A model that predicts the map of the captured hour with the most similar sun and sky.
 
@@ -152,20 +132,21 @@ class NearestFitted:
     the map's sun patch (surfaces in direct sun) is replaced by that of the predicted hour.
 
     rest_cdm2: captured maps, without their sun patches if with_patch is True [m, H, W]; features:
-    by `light_features` [m, 5]; scale: by `outside` [m]; domain: range of light in the captures;
-    parameters: number of stored luminances; held_out_mse: None, because errors on other days are
-    not computed.
+    by `light_features` [m, 5]; scale: by `outside` [m]; domain: range of light in the captures.
     """
 
-    name = "nearest"
-    held_out_mse: Floats | None = None
+    rest_cdm2: Floats32
+    features: Floats
+    scale: Floats
+    with_patch: bool
+    domain: Domain
+    name: str = "nearest"
+    held_out_mse: None = None
 
-    def __init__(
-        self, rest_cdm2: Floats32, features: Floats, scale: Floats, with_patch: bool, domain: Domain
-    ) -> None:
-        self.rest_cdm2, self.features, self.scale = rest_cdm2, features, scale
-        self.with_patch, self.domain = with_patch, domain
-        self.parameters = rest_cdm2.size
+    @property
+    def parameters(self) -> int:
+        """Number of stored luminances."""
+        return self.rest_cdm2.size
 
     def predict(self, light: Light, patch_cdm2: Floats32 | None = None) -> Prediction:
         """Predict the scaled map of the capture with the most similar light to each hour.
@@ -176,10 +157,10 @@ class NearestFitted:
         light is similar to that of the captures are trusted. Raises ValueError without patch_cdm2
         for a model that was fitted with sun patches.
         """
-        wanted, scale = light_features(light), outside(light)
-        distance = ((wanted[:, None, :] - self.features[None]) ** 2).sum(axis=2)
+        distance = ((light_features(light)[:, None] - self.features) ** 2).sum(axis=2)
         near = distance.argmin(axis=1)
-        maps = self.rest_cdm2[near] * (scale / self.scale[near]).astype(np.float32)[:, None, None]
+        scale = (outside(light) / self.scale[near]).astype(np.float32)
+        maps = self.rest_cdm2[near] * scale[:, None, None]
         if self.with_patch:
             if patch_cdm2 is None:
                 raise ValueError("this model was trained with sun patches: pass patch_cdm2")
@@ -188,9 +169,8 @@ class NearestFitted:
 
     def state(self) -> ModelState:
         """Return what config.json and weights.npz must contain for `from_state` to rebuild it."""
-        arrays = {"rest_cdm2": self.rest_cdm2, "features": self.features, "scale": self.scale}
-        config = {"domain": self.domain.state(), "with_patch": self.with_patch}
-        return ModelState(config, arrays)
+        arrays = {name: getattr(self, name) for name in ("rest_cdm2", "features", "scale")}
+        return ModelState({"domain": self.domain.state(), "with_patch": self.with_patch}, arrays)
 
 
 def light_features(light: Light) -> Floats:
@@ -214,30 +194,20 @@ def outside(light: Light) -> Floats:
     return light.dni_wm2 * rise + light.dhi_wm2 + 1.0
 
 
-def fit_nearest(
-    data: Dataset,
-    *,
-    patch: Patch = "absolute",
-    seed: int = 0,
-    budget_s: float | None = None,
-    progress: Progress = quiet,
-) -> NearestFitted:
+def fit_nearest(data: Dataset, *, patch: Patch = "absolute", **_: object) -> NearestFitted:
     """Return a model that stores the captured hours; only `data` and `patch` are used.
 
     With patch "absolute" the sun patches of `data`, if any, are subtracted from the maps; at least
-    2 % of a pixel's light remains. With "gain" or "none" they stay in the maps. The other arguments
-    are those of every model's fit.
+    2 % of a pixel's light remains. With "gain" or "none" they stay in the maps.
     """
     with_patch = patch == "absolute" and data.patch_cdm2 is not None
-    rest = data.luminance_cdm2
+    rest, light = data.luminance_cdm2, data.light
     if with_patch and data.patch_cdm2 is not None:
-        rest = np.maximum(rest - data.patch_cdm2, np.float32(MIN_SHARE) * rest)
-    return NearestFitted(
-        rest, light_features(data.light), outside(data.light), with_patch, captured(data.light)
-    )
+        rest = np.maximum(rest - data.patch_cdm2, np.float32(0.02) * rest)
+    return NearestFitted(rest, light_features(light), outside(light), with_patch, captured(light))
 
 
-def from_state(state: ModelState) -> Fitted:
+def from_state(state: ModelState) -> MeanFitted | NearestFitted:
     """Return the baseline model, mean or nearest, that the content of a model folder describes.
 
     Raises KeyError, TypeError or ValueError for missing or wrong content.
@@ -246,6 +216,5 @@ def from_state(state: ModelState) -> Fitted:
     domain = Domain.from_state(config["domain"])
     if config["model"] == "mean":
         return MeanFitted(arrays["log10_mean"], domain)
-    return NearestFitted(
-        arrays["rest_cdm2"], arrays["features"], arrays["scale"], config["with_patch"], domain
-    )
+    rest, features, scale = (arrays[name] for name in ("rest_cdm2", "features", "scale"))
+    return NearestFitted(rest, features, scale, config["with_patch"], domain)

@@ -1,17 +1,21 @@
-"""Estimate the turn of each capture's camera relative to most captures: heading, tilt and roll.
+"""Estimate the turn of each capture's camera relative to most captures, and turn it back.
 
 Edges of the room are at the same place in every picture, but shadows and sun patches move.
 Therefore the median over captures of the derivatives of ln L contains only the room's edges (Weiss,
 "Deriving intrinsic images from image sequences", ICCV 2001). The derivatives of each capture are
 compared with this median by least squares on the sphere (Lucas and Kanade 1981) with robust
 weights. Then the captures are turned back and the median is computed again. The pose that most
-captures share is zero.
+captures share is zero. The turns are stored in a table next to the csv of pairs; picture files do
+not change.
 """
 
 from __future__ import annotations
 
+import contextlib
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,10 +24,11 @@ from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter, mini
 from scipy.spatial.transform import Rotation
 
 from fieldlum.core.arrays import Array, Floats, Floats32, Mask
-from fieldlum.core.records import Progress, quiet
-from fieldlum.core.statistics import huber_weights, robust_sigma
+from fieldlum.core.records import Progress, counted, quiet
+from fieldlum.learn.models.hour_weights import weight_of_variance
 from fieldlum.optics.projection import (
     altitude_azimuth_deg,
+    direction,
     equirect_pixel,
     equirect_rays,
     row_altitudes_deg,
@@ -31,7 +36,16 @@ from fieldlum.optics.projection import (
     wrapped,
 )
 from fieldlum.optics.turn_fit import Contrasts, fit_turn
+from fieldlum.session.files.alignment_csv import (
+    AlignmentRow,
+    alignment_path,
+    find_alignment,
+    write_alignment,
+)
 
+_MIN_SEEN = 0.8  # a pixel is compared if this share of captures has a value; not measured
+_MIN_WEIGHT = 0.5  # pixels with less weight by interpolation teach nothing; chosen
+_MIN_CDM2 = 1e-3  # for logarithms; well below what any camera resolves; chosen
 MIN_CAPTURES = 5  # fewer captures have no clear majority; not measured
 MIN_ROWS = 40  # in smaller pictures an edge is as wide as a wall; not measured
 _WORKING_ROWS = 230  # larger pictures are averaged to 230 to 459 rows; chosen
@@ -70,15 +84,9 @@ MIN_CORRELATION = 0.35
 UNKNOWN_TURN_DEG = 180.0  # uncertainty of a turn that the edges do not determine
 MAX_TURN_PX = 10.0  # a larger turn is too far for the search to converge; not measured
 # Direct light on one side of a window's reveal moves edges, so that a still camera seems to turn in
-# the same way on each clear day. The sun's azimuth must predict the change within other days better
-# than no effect: by this factor in the sum of absolute deviations. In a room at 70 degrees north
-# without a turned camera the factors are 0.48 to 0.68. Chosen above them.
-_MAX_LEFT = 0.8
-_MIN_LIGHT_DAYS = 3  # two days to learn from, one to confirm; chosen
-_MAX_FOLDS = 10  # parts of the days, each predicted from the others; chosen, limits the time
-_LIGHT_ROUNDS = 10  # of the robust fit; chosen
-_STIFFNESS = 0.02  # of the effect, px^-2: keeps an azimuth without captures near 0; chosen
-_NOISE_PX = 0.02  # least residual that counts as usual, the scatter of overcast hours; chosen
+# the same way on each clear day. Light is alike within these; chosen: an hour of the sun, and the
+# scatter of clear days.
+_ALIKE_DEG, _ALIKE_SHARE = 20.0, 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -319,53 +327,28 @@ def camera_turns(
 
 
 def turns_by_light(angles_px: Array, light: DirectLight) -> Floats:
-    """Return the part of apparent turns [n, 3] that the sun's azimuth explains, in pixels.
+    """Return the part of apparent turns [n, 3] that the sun explains, in pixels.
 
-    angles_px: heading, tilt and roll of each capture [n, 3], in pixels. The median of each day is
-    zero, so that only changes within a day are explained. An axis is zero unless days are predicted
-    from the other ones.
+    angles_px: heading, tilt and roll of each capture [n, 3], in pixels. It is what other days show
+    in light that is alike: of their medians, the middle one by size. The median of each day is
+    zero: it may be a turn. All is zero with under three days.
     """
-    out = np.zeros_like(angles_px)
     days, day = np.unique(light.day, return_inverse=True)
-    if len(days) < _MIN_LIGHT_DAYS:
-        return out
-    azimuth = np.radians(light.azimuth_deg)
-    waves = [wave(k * azimuth) for k in (1, 2) for wave in (np.cos, np.sin)]
-    basis = light.share[:, None] * np.stack(waves, axis=1)  # [n, 4]
-    fold = day % min(_MAX_FOLDS, len(days))
 
     def within_days(values: Floats) -> Floats:
-        return values - np.array([np.median(values[day == k]) for k in range(len(days))])[day]
+        medians = [np.median(values[day == k], axis=0) for k in range(len(days))]
+        return values - np.array(medians)[day]
 
-    for axis, values in enumerate(angles_px.T):
-        rest = values.copy()
-        for k in np.unique(fold):
-            inside, others = fold == k, fold != k
-            rest[inside] -= basis[inside] @ _effect(basis[others], values[others], day[others])
-        if np.abs(within_days(rest)).sum() <= _MAX_LEFT * np.abs(within_days(values)).sum():
-            # the level of a day may be a turn: it is not touched
-            out[:, axis] = within_days(basis @ _effect(basis, values, day))
-    return out
-
-
-def _effect(basis: Floats, values: Floats, day: NDArray[np.intp]) -> Floats:
-    """Return the coefficients of `basis` [n, k] by a robust fit; each day has its own pose, [k].
-
-    The poses are not unknowns of the fit: weighted means of each day are subtracted from both sides
-    (Frisch and Waugh 1933), so that the time grows with the captures alone.
-    """
-    columns = np.column_stack((basis, values))
-    weights, solution = np.ones(len(values)), np.zeros(basis.shape[1])
-    for _ in range(_LIGHT_ROUNDS):
-        total = np.bincount(day, weights)
-        sums = np.stack([np.bincount(day, weights * c) for c in columns.T], axis=1)
-        within = columns - (sums / np.maximum(total, 1e-9)[:, None])[day]
-        design, target = within[:, :-1], within[:, -1]
-        normal = design.T @ (weights[:, None] * design) + _STIFFNESS * np.eye(len(solution))
-        solution = np.linalg.solve(normal, design.T @ (weights * target))
-        rest = target - design @ solution
-        weights = huber_weights(rest, robust_sigma(rest, 0.0) + _NOISE_PX)
-    return solution
+    out, values = np.zeros_like(angles_px), within_days(angles_px)
+    for k in np.flatnonzero(light.share > 0.05) if len(days) > 2 else ():
+        apart = np.abs(signed_angle_deg(light.azimuth_deg - light.azimuth_deg[k]))
+        alike = (apart < _ALIKE_DEG) & (np.abs(light.share - light.share[k]) < _ALIKE_SHARE)
+        others = [alike & (day == d) for d in range(len(days)) if d != day[k]]
+        shown = np.array([np.median(values[rows], axis=0) for rows in others if rows.any()])
+        if len(shown):
+            order = np.argsort(np.abs(shown), axis=0)
+            out[k] = np.take_along_axis(shown, order, axis=0)[(len(shown) - 1) // 2]
+    return within_days(out)
 
 
 def _poses(angles: Array, aligned: Mask, pixel_deg: float) -> Array:
@@ -408,3 +391,136 @@ def _pieces(values: Array) -> list[tuple[int, int]]:
         pieces.append((int(before[stop]), stop))
         stop = int(before[stop])
     return pieces[::-1]
+
+
+# ----------------------------------------------------------------------------------------------
+# captures
+
+
+def find_turns(
+    pairs: Path,
+    pictures: Sequence[str],
+    maps: Floats32,
+    has_value: Mask,
+    heading_deg: float,
+    light: DirectLight,
+    progress: Progress,
+) -> CameraTurns:
+    """Return how the camera of each capture was turned relative to most captures.
+
+    pairs: path of pairs.csv. The other arguments have the n captures in the order of time:
+    pictures: names of the panoramas as in the csv; maps: [n, H, W]; has_value: True for measured
+    pixels [n, H, W]. heading_deg: azimuth of the maps' centre column. light: their direct light.
+
+    The turns are read from a table next to the csv if its names and checksums are those of all
+    maps. Otherwise `camera_turns` estimates them, and with at least 5 captures and 40 rows of
+    pixels a new table is written. In a read-only folder nothing is written, and no error is raised.
+    """
+    path = alignment_path(pairs)
+    digests = [f"{zlib.crc32(m.tobytes()):08x}" for m in maps]
+    rows = find_alignment(path)
+    if [(r.panorama, r.digest) for r in rows] == list(zip(pictures, digests, strict=True)):
+        return CameraTurns(
+            np.array([(r.heading_deg, r.tilt_deg, r.roll_deg) for r in rows]),
+            np.array([(r.u_heading_deg, r.u_tilt_deg, r.u_roll_deg) for r in rows]),
+            np.array([r.aligned for r in rows]),
+        )
+    compared = has_value.mean(axis=0) > _MIN_SEEN
+    turns = camera_turns(np.nan_to_num(maps), compared, heading_deg, light=light, progress=progress)
+    if len(maps) >= MIN_CAPTURES and maps.shape[1] >= MIN_ROWS:
+        table = [
+            AlignmentRow(name, digest, *angles, *u, aligned=bool(aligned))
+            for name, digest, angles, u, aligned in zip(
+                pictures,
+                digests,
+                turns.angles_deg.tolist(),
+                turns.u_deg.tolist(),
+                turns.aligned,
+                strict=True,
+            )
+        ]
+        # in a read-only folder the pictures are compared each time
+        with contextlib.suppress(OSError):
+            write_alignment(path, table)
+    return turns
+
+
+def align(
+    maps: Floats32,
+    has_value: Mask,
+    counts: list[NDArray[np.float16] | None],
+    heading_deg: float,
+    turns: CameraTurns,
+) -> None:
+    """Turn maps, masks and weights of captures back to the pose that most captures share, in place.
+
+    maps: [n, H, W] cd/m2; has_value: [n, H, W], True for measured pixels; counts: for each capture
+    the weights of its pixels in training [H, W], None if all are 1; heading_deg: azimuth of the
+    maps' centre column. A capture that was not turned, or that cannot be aligned, does not change.
+
+    Interpolation blurs sharp edges, such as a window's. Therefore each pixel's weight is multiplied
+    by the weight of the uncertainty that this causes; a factor below a half becomes 0.
+    """
+    for k in np.flatnonzero(turns.turned):
+        angles = turns.angles_deg[k]
+        logs = np.log(np.maximum(np.nan_to_num(maps[k]), _MIN_CDM2))
+        maps[k] = np.exp(turned_back(logs, heading_deg, angles))
+        weight = weight_of_variance(interpolation_u(logs, heading_deg, angles) ** 2)
+        weight = np.where(weight < _MIN_WEIGHT, 0.0, weight)
+        share = turned_back(has_value[k].astype(float), heading_deg, angles)
+        has_value[k] = share > 1.0 - 1e-6
+        if (count := counts[k]) is not None:
+            weight *= turned_back(count.astype(float), heading_deg, angles)
+        counts[k] = weight.astype(np.float16)
+
+
+def shown_place(
+    altitude_deg: float, azimuth_deg: float, heading_deg: float, angles_deg: Floats
+) -> tuple[float, float]:
+    """Return the altitude and azimuth [deg] at which a turned camera's panorama shows a direction.
+
+    altitude_deg, azimuth_deg: the true direction, azimuth clockwise from north; heading_deg:
+    azimuth of the panorama's centre column; angles_deg: the camera's turn in heading (clockwise
+    positive), tilt (up) and roll (clockwise) [3].
+    """
+    if not angles_deg.any():
+        return altitude_deg, azimuth_deg
+    x, y, z = turned_rays(direction(altitude_deg, azimuth_deg), heading_deg, angles_deg)
+    altitude = float(np.degrees(np.arctan2(z, np.hypot(x, y))))
+    return altitude, float(np.degrees(np.arctan2(x, y)) % 360.0)
+
+
+def turn_notes(turns: CameraTurns, days: NDArray[np.datetime64], table: str) -> list[str]:
+    """Return sentences for the user: one for each pose that was corrected, one on unused captures.
+
+    Captures that cannot be aligned are not used. The list is empty if all captures are aligned and
+    no camera was turned. days: local date of each capture [n]; table: name of the file with the
+    turns.
+    """
+    notes = []
+    for pose in np.unique(turns.angles_deg[turns.turned], axis=0):
+        rows = turns.turned & (turns.angles_deg == pose).all(axis=1)
+        u = np.median(turns.u_deg[rows], axis=0)
+        parts = [
+            f"{name} {angle:+.2f} +- {error:.2f}"
+            for name, angle, error in zip(("heading", "tilt", "roll"), pose, u, strict=True)
+        ]
+        notes.append(
+            f"the camera was turned, relative to most captures, in {_captures(rows, days)} by "
+            f"{', '.join(parts)} degrees (positive: clockwise, up, clockwise); the pictures "
+            f"were turned back in memory (angles of each capture: {table})"
+        )
+    if not turns.aligned.all():
+        notes.append(
+            f"WARNING: not used: {_captures(~turns.aligned, days)} that cannot be aligned with the "
+            f"others (aligned = 0 in {table}): the camera was turned too far or moved; put them "
+            "into a separate session"
+        )
+    return notes
+
+
+def _captures(rows: Mask, days: NDArray[np.datetime64]) -> str:
+    names = [str(day) for day in np.unique(days[rows])]
+    shown = ", ".join(names[:5]) + (" ..." if len(names) > 5 else "")
+    count = int(rows.sum())
+    return f"{counted(count, 'capture')} of {shown}"

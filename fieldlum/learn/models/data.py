@@ -15,8 +15,13 @@ from fieldlum.core.arrays import Array, Floats, Floats32, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Progress, SiteFile, counted, quiet, slot_id
 from fieldlum.core.room_states import USAGE, merged_state
-from fieldlum.learn.models.alignment import align, find_turns, shown_place, turn_notes
-from fieldlum.learn.models.camera_turns import DirectLight
+from fieldlum.learn.models.camera_turns import (
+    DirectLight,
+    align,
+    find_turns,
+    shown_place,
+    turn_notes,
+)
 from fieldlum.learn.models.check_pairs import check_plausible
 from fieldlum.learn.models.pair_pictures import fill_gaps, joined_counts, read_pictures
 from fieldlum.optics.projection import equirect_solid_angles

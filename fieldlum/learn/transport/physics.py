@@ -10,14 +10,15 @@ import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats32, Mask
 from fieldlum.core.records import Room, Site, SiteFile
-from fieldlum.optics.projection import equirect_solid_angles
+from fieldlum.optics.projection import equirect_solid_angles, wrapped
 from fieldlum.room.scene import build
 from fieldlum.room.scene.points import SunPoints, sun_points
 from fieldlum.room.simulate.gather import FIRST_PIECE
@@ -34,27 +35,9 @@ SUN_MODES, SKY_MODES = 300, 64
 FEATURES = 48  # number of patterns of reflected sunlight that compare hours; not measured
 _BOUNCES = 20  # each leaves less than half of the light, so the rest is below a millionth
 _SKY_STEP_H = 41.0  # all hours of the day in all seasons; chosen
-# Suns whose light on the pieces is stored: more than the captures of a campaign; limits the memory
-# to some 10 MB. Chosen.
-_STORED_SUNS = 1024
 
 
-class UnitSunlight:
-    """Direct sun on the p surface pieces of a room, per lx on the sun's normal.
-
-    The results of the last suns are stored: the fits of one training have the same captures.
-    `of(x, y, z)` returns the pieces' illuminance [p] for a sun in this direction in room axes.
-    """
-
-    def __init__(self, points: SunPoints) -> None:
-        self.points = points
-        self.of = lru_cache(maxsize=_STORED_SUNS)(self._of)
-
-    def _of(self, x: float, y: float, z: float) -> NDArray[np.float32]:
-        return self.points.direct(np.array((x, y, z)))
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Physics:
     """A coarse model of the light in a room, after all bounces.
 
@@ -77,23 +60,27 @@ class Physics:
     sun_light: Floats32
     sky_modes: Floats32
     sky_light: Floats32
-    _unit: UnitSunlight = field(init=False, compare=False, repr=False)
+    _suns: dict[tuple[float, ...], Floats32] = field(init=False, default_factory=dict, repr=False)
 
-    def __post_init__(self) -> None:
+    @cached_property
+    def _points(self) -> SunPoints:
         place, share = self.position.astype(float), self.share.astype(float)
-        pieces = self.modes.shape[1]
-        points = sun_points(
-            build(self.room), place, self.axis, self.sign, share, self.piece, pieces
-        )
-        object.__setattr__(self, "_unit", UnitSunlight(points))
+        surfaces, pieces = (self.axis, self.sign), self.modes.shape[1]
+        return sun_points(build(self.room), place, *surfaces, share, self.piece, pieces)
 
     def sunlight(self, light: Light) -> Floats32:
-        """Return the sun on the pieces in n hours as coefficients of the k modes [n, k] lx."""
-        toward = self._unit.points.scene.to_room(light.shown_sun_direction)
+        """Return the sun on the pieces in n hours as coefficients of the k modes [n, k] lx.
+
+        Those of suns that were asked before are stored: the fits of one training share captures.
+        """
+        toward = self._points.scene.to_room(light.shown_sun_direction)
         out = np.zeros((len(light), len(self.modes)), np.float32)
 
         def one(k: int) -> None:
-            out[k] = self.modes @ self._unit.of(*toward[k].tolist()) * light.direct_lx[k]
+            key = tuple(toward[k].tolist())
+            if key not in self._suns:
+                self._suns[key] = self.modes @ self._points.direct(toward[k])
+            out[k] = self._suns[key] * light.direct_lx[k]
 
         with ThreadPoolExecutor(min(os.cpu_count() or 1, 8)) as pool:
             list(pool.map(one, np.flatnonzero(light.direct_lx > 0.0)))
@@ -121,19 +108,13 @@ class Physics:
 
 def _at_pixels(maps: Floats32, seen_mask: Mask) -> Floats32:
     """Interpolate panoramas [n, 2 h^2] at the pixels `seen_mask` [H, W] of a larger one, [n, P]."""
-    height, (rows, columns) = round(np.sqrt(maps.shape[1] / 2)), seen_mask.shape
-    wide, scale = 2 * height, height / rows
-    row = np.clip((np.arange(rows) + 0.5) * scale - 0.5, 0.0, height - 1.0)
-    column = (np.arange(columns) + 0.5) * scale - 0.5
-    top, left = np.minimum(row.astype(int), height - 2), np.floor(column).astype(int)
-    down, right = (row - top).astype(np.float32)[:, None], (column - left).astype(np.float32)
-    index = np.flatnonzero(seen_mask)
-    out = np.empty((len(maps), len(index)), np.float32)
-    for k, coarse in enumerate(maps.reshape(-1, height, wide)):  # arrays that stay in the cache
-        across = coarse[:, left % wide] * (1 - right) + coarse[:, (left + 1) % wide] * right
-        full = across[top] + np.diff(across, axis=0)[top] * down  # [H, W]
-        np.take(full.ravel(), index, out=out[k])
-    return out
+    height = round(np.sqrt(maps.shape[1] / 2))
+    places = (np.indices(seen_mask.shape) + 0.5) * (height / len(seen_mask)) + [[[-0.5]], [[0.5]]]
+    row, column = places.astype(np.float32)  # of a map with a column more on either side
+    at = column, row, cv2.INTER_LINEAR
+    coarse = (wrapped(m) for m in maps.reshape(-1, height, 2 * height))
+    shown = [cv2.remap(m, *at, borderMode=cv2.BORDER_REPLICATE)[seen_mask] for m in coarse]
+    return np.array(shown, np.float32).reshape(len(maps), -1)
 
 
 def _outdoors(light: Light, sky_cdm2: Floats32) -> Floats32:
