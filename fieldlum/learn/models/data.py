@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Array, Floats, Floats32, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
-from fieldlum.core.records import Progress, SiteFile, counted, quiet, slot_id
+from fieldlum.core.records import Progress, Site, SiteFile, counted, quiet, slot_id
 from fieldlum.core.room_states import USAGE, merged_state
 from fieldlum.learn.models.camera_turns import (
     DirectLight,
@@ -22,7 +22,6 @@ from fieldlum.learn.models.camera_turns import (
     shown_place,
     turn_notes,
 )
-from fieldlum.learn.models.check_pairs import check_plausible
 from fieldlum.learn.models.pair_pictures import fill_gaps, joined_counts, read_pictures
 from fieldlum.optics.projection import equirect_solid_angles
 from fieldlum.pair.interval import is_doubted
@@ -39,7 +38,10 @@ from fieldlum.sky.sky_view import SkyView
 from fieldlum.sky.sky_view.view import NAME as SKY_VIEW
 
 _SLOT_ID = re.compile(r"\d{8}T\d{6}Z")
-_NAMED = 3  # number of slots that a note names; chosen
+_NAMED = 3  # number of slots that a note names
+# Radiance's own sun differs from SPA by up to 1.1 degrees; a time wrong by an hour moves the sun by
+# 15, by half an hour by 7.
+MAX_SUN_DEG = 2.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,21 +103,12 @@ class Dataset:
 
         index: indices from 0 [k], whose order is followed, or a mask [n], True for hours to take.
         """
-        rows = np.asarray(index)
-        rows = np.flatnonzero(rows) if rows.dtype == bool else rows.astype(int)
-        return replace(
-            self,
-            light=self.light[rows],
-            luminance_cdm2=self.luminance_cdm2[rows],
-            patch_cdm2=None if self.patch_cdm2 is None else self.patch_cdm2[rows],
-            disc_lx=self.disc_lx[rows],
-            disc_deg=None if self.disc_deg is None else self.disc_deg[rows],
-            days=self.days[rows],
-            slots=tuple(self.slots[i] for i in rows),
-            steadiness=self.steadiness[rows],
-            counts=None if self.counts is None else self.counts[rows],
-            doubted=None if self.doubted is None else self.doubted[rows],
-        )
+        rows = np.arange(len(self))[np.asarray(index)]
+        names = ("luminance_cdm2", "patch_cdm2", "disc_lx", "disc_deg", "days", "steadiness")
+        every = {name: getattr(self, name) for name in (*names, "counts", "doubted")}
+        some = {name: value[rows] for name, value in every.items() if value is not None}
+        slots = tuple(self.slots[i] for i in rows)
+        return replace(self, light=self.light[rows], slots=slots, **some)
 
     def thin(self, height: int) -> Dataset:
         """Return the same hours at every f-th pixel in both directions, with `height` rows or more.
@@ -127,13 +120,8 @@ class Dataset:
         odd = [f for f in range(1, rows + 1, 2) if rows % f == 0 and rows // f >= height]
         step = odd[-1] if odd else 1
         pick = slice(step // 2, None, step)  # centres of blocks are centres of pixels
-        return replace(
-            self,
-            luminance_cdm2=self.luminance_cdm2[:, pick, pick],
-            patch_cdm2=None if self.patch_cdm2 is None else self.patch_cdm2[:, pick, pick],
-            seen=self.seen[pick, pick],
-            counts=None if self.counts is None else self.counts[:, pick, pick],
-        )
+        every = {n: getattr(self, n) for n in ("luminance_cdm2", "patch_cdm2", "seen", "counts")}
+        return replace(self, **{n: v[..., pick, pick] for n, v in every.items() if v is not None})
 
     def about(self) -> dict[str, object]:
         """Return what a model's config.json records about its training data.
@@ -159,6 +147,75 @@ class Dataset:
 # pairs.csv
 
 
+def check_plausible(path: Path, rows: Sequence[PairRow], site: Site) -> None:
+    """Raise InputError, naming the line, for rows that contradict each other or the sun.
+
+    It detects a repeated time or picture, a sun position in the csv more than 2.5 degrees from that
+    computed for `site`, and irradiance that is too large or too small for any sky, such as values
+    in kW/m2. path: the csv that the error names.
+    """
+    times = [row.t_utc for row in rows]
+    pictures = [(path.parent / row.panorama).resolve() for row in rows]
+    for values, kind in ((times, "t_utc"), (pictures, "panorama")):
+        first: dict[object, int] = {}
+        for row, value in zip(rows, values, strict=True):
+            if (line := first.setdefault(value, row.line)) != row.line:
+                found = f"lines {line} and {row.line} have the same {kind}"
+                raise InputError(path, found, "each bracket once", "remove one, or set its ok = 0")
+    position = sun.position(times, site)
+    altitude, azimuth = position.altitude_deg, position.azimuth_deg
+    stated = np.array([(row.sun_altitude_deg, row.sun_azimuth_deg) for row in rows]).T
+    cosine = (sun.direction(*stated) * sun.direction(altitude, azimuth)).sum(axis=1)
+    # Angles absent from the csv are NaN and compare False.
+    if (wrong := cosine < np.cos(np.radians(MAX_SUN_DEG))).any():
+        k = int(np.argmax(wrong))
+        at = f"altitude {altitude[k]:.1f}, azimuth {azimuth[k]:.1f} deg"
+        raise InputError(
+            path,
+            f"line {rows[k].line}: sun at altitude {stated[0, k]:.1f}, azimuth "
+            f"{stated[1, k]:.1f} deg",
+            f"{at}, computed from t_utc and the place of {site.name}",
+            "check t_utc, the sign of the site's longitude and the order of the rows, or empty "
+            "both sun columns",
+        )
+    _check_irradiance(path, rows, altitude)
+
+
+def _check_irradiance(path: Path, rows: Sequence[PairRow], altitude_deg: Floats) -> None:
+    top = sun.extraterrestrial_wm2([row.t_utc for row in rows])
+    dni, dhi = np.array([(row.dni_wm2, row.dhi_wm2) for row in rows]).T
+    sine = np.sin(np.radians(np.maximum(altitude_deg, 0.0)))
+    up = altitude_deg > sun.CLEAR_SUN_DEG
+    limits = sun.bsrn_limits(altitude_deg, top)
+    weak = sun.too_weak(dhi + dni * sine, altitude_deg, top)
+    for wrong, finding, remedy in (
+        (
+            dhi > limits.dhi_wm2[1],
+            "more diffuse light than any sky gives",
+            "check whether the column contains global irradiance",
+        ),
+        (
+            dni > limits.dni_wm2[1],
+            "more direct light than above the atmosphere",
+            "correct the irradiance of that row, or set ok = 0",
+        ),
+        (
+            weak,
+            "less light than under the darkest clouds",
+            "check whether the values are in kW/m2; otherwise set ok = 0",
+        ),
+    ):
+        if (wrong & up).any():
+            k = int(np.argmax(wrong & up))
+            raise InputError(
+                path,
+                f"line {rows[k].line} has {finding}: DNI {dni[k]:g}, "
+                f"DHI {dhi[k]:g} W/m2 with the sun at {altitude_deg[k]:.0f} deg",
+                "possible irradiance in W/m2",
+                remedy,
+            )
+
+
 def _usable_rows(pairs: PairsFile) -> list[PairRow]:
     """Return the rows with ok = 1, in the order of time.
 
@@ -181,10 +238,10 @@ def _find_setup(path: Path, site: Path | None) -> SiteFile:
     """Return the site: that of --site, else of the session, else of site.toml next to the csv."""
     if site is not None:
         return load_site(site)
-    if (path.parent / "session.toml").is_file():
-        return open_session(path.parent).site_file()
-    if path.parent.name == "truth" and (path.parent.parent / "session.toml").is_file():
-        return open_session(path.parent.parent).site_file()
+    of_truth = (path.parent.parent,) if path.parent.name == "truth" else ()
+    for folder in (path.parent, *of_truth):
+        if (folder / "session.toml").is_file():
+            return open_session(folder).site_file()
     if (path.parent / "site.toml").is_file():
         return load_site(path.parent / "site.toml")
     raise InputError(
@@ -348,8 +405,7 @@ def _refraction(path: Path, rows: list[PairRow]) -> bool:
     if other:
         raise InputError(
             path,
-            f"line {other[0]}: the value of the column refraction differs from that of the first "
-            "row",
+            f"line {other[0]}: another value of the column refraction than in the first row",
             "1 in all rows (camera pictures) or 0 in all rows (renderings with the true sun)",
             "write camera pictures and renderings into separate csv files",
         )
@@ -358,12 +414,8 @@ def _refraction(path: Path, rows: list[PairRow]) -> bool:
 
 def _sun_columns(rows: list[PairRow], setup: SiteFile) -> tuple[Floats, Floats]:
     """Return the sun's altitude and azimuth [deg] by the csv; by SPA where the csv has none."""
-    altitude = np.array([row.sun_altitude_deg for row in rows])
-    azimuth = np.array([row.sun_azimuth_deg for row in rows])
-    blank = np.isnan(altitude) | np.isnan(azimuth)
-    if blank.any():
-        position = sun.position(
-            [row.t_utc for row, b in zip(rows, blank, strict=True) if b], setup.site
-        )
-        altitude[blank], azimuth[blank] = position.altitude_deg, position.azimuth_deg
+    stated = np.array([(row.sun_altitude_deg, row.sun_azimuth_deg) for row in rows]).T
+    position = sun.position([row.t_utc for row in rows], setup.site)
+    computed = np.stack((position.altitude_deg, position.azimuth_deg))
+    altitude, azimuth = np.where(np.isnan(stated).any(axis=0), computed, stated)
     return altitude, azimuth

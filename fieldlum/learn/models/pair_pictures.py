@@ -24,10 +24,6 @@ _PAIR_AGAIN = "run fieldlum pair again, because the sun patches belong to other 
 # A clipped value is a bound; a moving object has different values in each frame; a filled value is
 # from the pixel's neighbours. Bloom and noise are part of u_cdm2.
 TEACHES_NOTHING = Flag.CLIPPED_HIGH | Flag.MOTION | Flag.FILLED
-# A pixel that is flagged in most captures (a lamp that is always clipped) is used with its values.
-# Chosen.
-_MOSTLY = 0.5
-_DOUBTFUL = 0.1  # not measured
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +82,7 @@ def read_pictures(
     suns = {folder: suns_of(picture) for folder, picture in {p.parent: p for p in pictures}.items()}
     first = read_panorama(pictures[0])
     shape, heading = first.luminance_cdm2.shape, _heading(first, pictures[0], setup)
+    alike = shape, heading
     with_patch = sum(bool(row.sunpatch) for row in rows)
     if 0 < with_patch < len(rows):
         bare = next(row.line for row in rows if not row.sunpatch)
@@ -102,14 +99,14 @@ def read_pictures(
     for k, row in enumerate(rows):
         progress(k, len(rows), pictures[k].name)
         panorama = read_panorama_with_sun(pictures[k], suns[pictures[k].parent])
-        panorama = _checked(panorama, pictures[k], shape, heading, setup, _MERGE_ALIKE)
+        panorama = _checked(panorama, pictures[k], alike, setup, _MERGE_ALIKE)
         bounds += panorama.sun is not None and panorama.sun.origin == CLIPPED_SUN
         maps[k], masks[k] = panorama.luminance_cdm2, _has_value(panorama)
         counts.append(pixel_counts(panorama))
         disc[k] = panorama.sun.normal_illuminance_lx if panorama.sun else 0.0
         if patches is not None:
             source = path.parent / row.sunpatch
-            patch = _checked(read_panorama(source), source, shape, heading, setup, _PAIR_AGAIN)
+            patch = _checked(read_panorama(source), source, alike, setup, _PAIR_AGAIN)
             patches[k] = np.maximum(np.nan_to_num(patch.luminance_cdm2), 0.0)
             if patch.sun and not panorama.sun and not row.sun_in_map:
                 disc[k] = patch.sun.normal_illuminance_lx
@@ -120,42 +117,29 @@ def read_pictures(
 
 def _heading(panorama: Panorama, path: Path, setup: SiteFile) -> float:
     """Return the heading of the picture (.exr, or a .hdr with a heading line), else the site's."""
-    return (
-        panorama.heading_deg
-        if path.suffix.lower() == ".exr" or _says_heading(path)
-        else setup.camera.heading_deg
-    )
-
-
-def _says_heading(path: Path) -> bool:
+    if path.suffix.lower() == ".exr":
+        return panorama.heading_deg
     with path.open("rb") as file:
-        return PANORAMA_LINE.encode() in file.read(4096).partition(b"\n\n")[0]
+        stated = PANORAMA_LINE.encode() in file.read(4096).partition(b"\n\n")[0]
+    return panorama.heading_deg if stated else setup.camera.heading_deg
 
 
 def _checked(
     panorama: Panorama,
     path: Path,
-    shape: tuple[int, ...],
-    heading: float,
+    alike: tuple[tuple[int, ...], float],
     setup: SiteFile,
     remedy: str,
 ) -> Panorama:
-    size = panorama.luminance_cdm2.shape
-    if size != shape:
-        raise InputError(
-            path,
-            f"{size[1]} x {size[0]} pixels",
-            f"{shape[1]} x {shape[0]} pixels, as the panorama of the first row",
-            remedy,
-        )
-    if abs(signed_angle_deg(_heading(panorama, path, setup) - heading)) > 0.01:
-        raise InputError(
-            path,
-            f"a heading of {_heading(panorama, path, setup):g} deg",
-            f"{heading:g} deg, as the panorama of the first row",
-            remedy,
-        )
-    return panorama
+    """Return a picture if it has size and heading of the first row's, else raise InputError."""
+    heading, (height, width) = _heading(panorama, path, setup), panorama.luminance_cdm2.shape
+    if (height, width) != alike[0]:
+        found, wanted = f"{width} x {height} pixels", f"{alike[0][1]} x {alike[0][0]} pixels"
+    elif abs(signed_angle_deg(heading - alike[1])) > 0.01:
+        found, wanted = f"a heading of {heading:g} deg", f"{alike[1]:g} deg"
+    else:
+        return panorama
+    raise InputError(path, found, f"{wanted}, as the panorama of the first row", remedy)
 
 
 def _has_value(panorama: Panorama) -> Mask:
@@ -220,6 +204,6 @@ def joined_counts(
     counts[~has_value] = 0.0
     largest = counts.max(axis=0)
     counts /= np.where(largest > 0.0, largest, np.float16(1.0))
-    mostly = (counts == 0.0).mean(axis=0) > _MOSTLY
-    counts[:, mostly] = np.maximum(counts[:, mostly], np.float16(_DOUBTFUL))
+    mostly = (counts == 0.0).mean(axis=0) > 0.5  # a lamp that is always clipped
+    counts[:, mostly] = np.maximum(counts[:, mostly], np.float16(0.1))
     return counts
