@@ -20,7 +20,7 @@ from fieldlum.sky.perez import reinhart_patches
 
 # Chord over which clouds change the ratio, and noise over the field's standard deviation. The
 # likeliest values of each room (0.1 to 1.0, 0.01 to 0.25) change no error by over 0.3 %.
-WIDTH, NOISE_SHARE = 0.35, 0.2
+WIDTH, NOISE_SHARE = 0.4, 0.05
 # of a window pixel's luminance: with more direct sun the pixel does not show the sky; chosen
 LIT_SHARE = 0.02
 # cd/m2: a darker sky cannot be separated from the room's reflection in the glass; chosen
