@@ -27,9 +27,8 @@ from fieldlum import plan
 from fieldlum.core.records import CameraSetup, Obstruction, Room, Site, SiteFile, Window
 from fieldlum.learn import models
 from fieldlum.learn.models.data import Dataset, load_pairs
-from fieldlum.learn.models.held_out_choice import CRITERIA
-from fieldlum.learn.models.hour_weights import beam_is_doubted
-from fieldlum.learn.train.notes import notes_of
+from fieldlum.learn.models.held_out_choice import CRITERIA, beam_is_doubted
+from fieldlum.learn.train import notes_of
 from fieldlum.learn.train.trials import choose_model, day_folds, evaluate_folds
 from fieldlum.room import simulate
 from fieldlum.session import open_session

@@ -33,8 +33,7 @@ from fieldlum.core.records import Slot
 from fieldlum.learn.models import fit
 from fieldlum.learn.models.data import Dataset, load_pairs
 from fieldlum.learn.models.scores import evaluate, summary, truth
-from fieldlum.learn.train import findings, usable_captures
-from fieldlum.learn.train.notes import seen_skies
+from fieldlum.learn.train import findings, seen_skies, usable_captures
 from fieldlum.optics.profiles import shipped
 from fieldlum.room import simulate
 from fieldlum.room.simulate import Troubles, load_troubles

@@ -27,7 +27,7 @@ from fieldlum.core.errors import FieldlumError
 from fieldlum.core.records import Room
 from fieldlum.learn.models import trusted_hours
 from fieldlum.learn.models.data import Dataset
-from fieldlum.learn.transport.model import fit
+from fieldlum.learn.transport import fit
 from fieldlum.optics.projection import equirect_solid_angles
 from fieldlum.room.fit.apply import earlier, with_patches, with_scene
 from fieldlum.room.fit.evidence import PIXELS, gather

@@ -19,8 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from fieldlum.learn.models.data import Dataset, load_pairs
-from fieldlum.learn.models.estimated_view import with_sky_view
+from fieldlum.learn.models.data import Dataset, load_pairs, with_sky_view
 from fieldlum.sky.sky_view import SkyView, disc_of_hours
 from fieldlum.sky.sky_view.disc_in_view import drawn_discs_lx
 from fieldlum.year.glare import glare_directions, panorama_views, view_azimuths_deg

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from transport_office import draw, errors, read
 
-from fieldlum.learn.transport.model import fit
+from fieldlum.learn.transport import fit
 from fieldlum.sky.light import Kernel, greedy_hours, light_features, one_facade
 
 

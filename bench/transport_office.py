@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from fieldlum.core.records import CameraSetup, Room, Site, SiteFile, Window, slot_id
 from fieldlum.learn.models.data import Dataset
-from fieldlum.learn.transport.model import Transport, fit
+from fieldlum.learn.transport import Transport, fit
 from fieldlum.optics.projection import equirect_solid_angles
 from fieldlum.room.scene import sun_patches
 from fieldlum.sky.light import Light

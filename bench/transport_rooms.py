@@ -23,7 +23,7 @@ import numpy as np
 
 from fieldlum.core.records import Obstruction, Room, slot_id
 from fieldlum.learn.models.data import Dataset, load_pairs
-from fieldlum.learn.transport.model import fit
+from fieldlum.learn.transport import fit
 from fieldlum.optics.projection import equirect_solid_angles
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.sky.sun_disc import add_disc

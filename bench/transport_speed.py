@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from transport_office import read
 
-from fieldlum.learn.transport.model import fit
+from fieldlum.learn.transport import fit
 
 BLOCK = 64
 

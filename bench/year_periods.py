@@ -26,8 +26,7 @@ from fieldlum.core.records import Progress, quiet
 from fieldlum.learn.models.data import Dataset, load_pairs
 from fieldlum.learn.models.scores import evaluate, summary, truth
 from fieldlum.learn.train import patch_mode
-from fieldlum.learn.train.captures import order_of_use
-from fieldlum.learn.train.trials import fit_timed
+from fieldlum.learn.train.trials import fit_timed, order_of_use
 from fieldlum.session.files.scores_json import ScoreFigures
 
 CURVE = {

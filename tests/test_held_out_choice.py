@@ -10,15 +10,17 @@ from learning_room import dataset
 
 from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.held_out_choice import (
+    DOUBTED_WEIGHT,
     HeldOutChoice,
     HeldOutErrors,
+    beam_is_doubted,
+    choice_weights,
     choose,
     difference,
     trimmed_mean,
 )
-from fieldlum.learn.models.hour_weights import DOUBTED_WEIGHT, beam_is_doubted, choice_weights
 from fieldlum.learn.models.scores import Scores
-from fieldlum.learn.train.notes import doubted_hours, doubts, notes_of
+from fieldlum.learn.train import doubted_hours, doubts, notes_of
 from fieldlum.learn.train.trials import Trial, choose_model
 from fieldlum.pair.interval import is_doubted
 

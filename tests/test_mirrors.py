@@ -17,8 +17,7 @@ from learning_room import dataset
 from fieldlum.core.errors import InputError
 from fieldlum.learn import models
 from fieldlum.learn.models.data import Dataset
-from fieldlum.learn.models.mirror_labels import split_images
-from fieldlum.learn.models.mirrors import Mirror, place_deg, read_mirrors
+from fieldlum.learn.models.mirrors import Mirror, place_deg, read_mirrors, split_images
 from fieldlum.learn.train import fit_and_score, run
 from fieldlum.optics.projection import direction, equirect_rays
 from fieldlum.session.files.predict_json import PredictFile

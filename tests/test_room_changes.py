@@ -9,7 +9,7 @@ from learning_room import dataset
 from test_transport import log_mse
 
 from fieldlum.learn.models.data import Dataset
-from fieldlum.learn.models.hour_weights import is_badly_measured
+from fieldlum.learn.models.held_out_choice import is_badly_measured
 from fieldlum.learn.train.outliers import (
     Evidence,
     find_changes,
@@ -17,7 +17,7 @@ from fieldlum.learn.train.outliers import (
     process_of,
     without_changes,
 )
-from fieldlum.learn.transport.model import fit
+from fieldlum.learn.transport import fit
 
 DAYS = tuple(f"2027-{month}-{day}" for month in ("03", "06", "12") for day in (19, 20, 21))
 CLEAN = dataset(DAYS, height=12)

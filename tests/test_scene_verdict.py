@@ -11,7 +11,7 @@ from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.records import CameraSetup, Room, Site, SiteFile, Window, slot_id
 from fieldlum.learn.models import Patch
 from fieldlum.learn.models.data import Dataset
-from fieldlum.learn.models.year_sample import light_of_year
+from fieldlum.learn.models.scores import light_of_year
 from fieldlum.learn.transport import Transport, fit
 from fieldlum.room import scene
 from fieldlum.room.fit import stage

@@ -17,12 +17,17 @@ from fieldlum.learn import models, train
 from fieldlum.learn.models import dense_training
 from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.dense_training import validation_split
-from fieldlum.learn.models.scores import Scores
-from fieldlum.learn.models.year_sample import light_of_year
-from fieldlum.learn.train import fit_and_score, run, year_of
-from fieldlum.learn.train.captures import how_many, order_of_use
-from fieldlum.learn.train.notes import notes_of
-from fieldlum.learn.train.trials import Trial, choose_model, day_folds, evaluate_folds, one_day_only
+from fieldlum.learn.models.scores import Scores, light_of_year
+from fieldlum.learn.train import fit_and_score, notes_of, run, year_of
+from fieldlum.learn.train.trials import (
+    Trial,
+    choose_model,
+    day_folds,
+    evaluate_folds,
+    how_many,
+    one_day_only,
+    order_of_use,
+)
 from fieldlum.optics.projection import equirect_solid_angles
 
 DAYS = ("2027-03-19", "2027-03-20", "2027-03-21", "2027-06-20", "2027-06-21", "2027-06-22")

@@ -14,8 +14,8 @@ from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import CameraSetup, Room, SiteFile, Window, slot_id
 from fieldlum.learn import models
 from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.transport import Transport, fit, seasons
 from fieldlum.learn.transport.arrays import computed_light, training_arrays_of
-from fieldlum.learn.transport.model import Transport, fit
 from fieldlum.learn.transport.physics import physics_of
 from fieldlum.learn.transport.solve import (
     SECOND_NOISE,
@@ -27,7 +27,6 @@ from fieldlum.learn.transport.solve import (
     second_covariance,
     solve,
 )
-from fieldlum.learn.transport.uncertainty import seasons
 from fieldlum.optics.projection import equirect_rays
 from fieldlum.sky.light import Kernel, light_at
 from fieldlum.sky.perez import reinhart_patches

@@ -17,7 +17,7 @@ from fieldlum.core.records import slot_id
 from fieldlum.learn import models
 from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.scores import evaluate, summary, truth
-from fieldlum.learn.train.notes import doubts
+from fieldlum.learn.train import doubts
 from fieldlum.learn.transport import Transport
 from fieldlum.optics.profiles import shipped
 from fieldlum.room import simulate

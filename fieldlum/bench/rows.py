@@ -14,8 +14,7 @@ from fieldlum.core.records import JsonTable, Progress, quiet
 from fieldlum.learn import models
 from fieldlum.learn.model_registry import MODELS
 from fieldlum.learn.models import Patch
-from fieldlum.learn.models.data import Dataset, load_pairs
-from fieldlum.learn.models.estimated_view import with_sky_view
+from fieldlum.learn.models.data import Dataset, load_pairs, with_sky_view
 from fieldlum.learn.models.scores import Truth, evaluate, summary
 from fieldlum.learn.train import patch_mode
 from fieldlum.learn.train.trials import Spent, Trial, day_folds, evaluate_folds, fit_timed

@@ -65,8 +65,7 @@ def command(
       --seed: Seed of all random numbers in training.
       --out: Model folder to write. [default: models/MODEL in the folder of the pairs]
     """
-    from fieldlum.learn.models.data import load_pairs
-    from fieldlum.learn.models.estimated_view import with_sky_view
+    from fieldlum.learn.models.data import load_pairs, with_sky_view
     from fieldlum.learn.models.pairs_bucket import read_pairs
     from fieldlum.learn.train import default_folder, run
     from fieldlum.room.fit.stated_box import training_captures

@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 
 from fieldlum.core.arrays import Array, Floats, Floats32, Mask
 from fieldlum.core.records import Progress, counted, quiet
-from fieldlum.learn.models.hour_weights import weight_of_variance
+from fieldlum.learn.models.held_out_choice import weight_of_variance
 from fieldlum.optics.projection import (
     altitude_azimuth_deg,
     direction,

@@ -17,9 +17,8 @@ import numpy as np
 
 from fieldlum.core.arrays import Array, Floats, Indices, Mask
 from fieldlum.learn.models.data import Dataset
-from fieldlum.learn.models.hour_weights import UNSURE, is_badly_measured
-from fieldlum.learn.transport.arrays import MIN_CDM2, pixel_scale, training_arrays_of
-from fieldlum.learn.transport.window_sky import seen_sky
+from fieldlum.learn.models.held_out_choice import UNSURE, is_badly_measured
+from fieldlum.learn.transport.arrays import MIN_CDM2, pixel_scale, seen_sky, training_arrays_of
 from fieldlum.sky import sun
 from fieldlum.sky.light import LAMP_LX, Kernel
 

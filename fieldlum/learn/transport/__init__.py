@@ -1,6 +1,699 @@
 """Light transport: linear in sky and sun, so that a room is learnt in closed form.
 
-See docs/models/transport.md.
+    L(t, p) = E(t) m(p) max(F(t) b(p) + c(p) s'(t, p), minimum(p)) + g(p) s(t, p) + h(p) Q(t, p)
+
+See docs/models/transport.md for symbols, code names and units. The uncertainty of each predicted
+pixel is calibrated on held-out days.
 """
 
-from fieldlum.learn.transport.model import Transport, fit, from_state
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, fields, replace
+from datetime import UTC
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from fieldlum.core.arrays import Array, Floats, Floats32, Indices, Mask
+from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.core.records import Progress, Room, counted, quiet
+from fieldlum.core.strict_toml import build, plain
+from fieldlum.learn.models import ModelState, Patch, Prediction
+from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.models.held_out_choice import HeldOutErrors, choose, difference
+from fieldlum.learn.transport.arrays import (
+    MIN_CDM2,
+    OpenSky,
+    PatchLight,
+    SkyField,
+    StateColumns,
+    TrainingArrays,
+    computed_light,
+    seen_sky,
+    slip_variance,
+    training_arrays_of,
+)
+from fieldlum.learn.transport.physics import Physics, physics_of
+from fieldlum.learn.transport.solve import (
+    SECOND_NOISE,
+    SECOND_SEASON,
+    Basis,
+    HeldOutFit,
+    PixelFit,
+    basis_of,
+    fit_pixels,
+    hold_out,
+    patch_scale,
+    second_covariance,
+    second_inverse,
+)
+from fieldlum.optics.projection import equirect_solid_angles
+from fieldlum.sky import sun
+from fieldlum.sky.light import Facades, Features, Kernel, Light
+
+FORMAT = 3  # of the table "transport" in config.json
+# Number of pixels, drawn by solid angle, that choose inputs and noise, and that calibrate the
+# uncertainty. Not measured.
+CHOOSING, CALIBRATING = 250, 600
+HOURS_AT_ONCE = 64  # limits the memory of a prediction to some 100 MB at 460 x 230; chosen
+MIN_HOURS = 3  # least number of hours from which a kernel can be chosen; not measured
+# Relative variances of a captured value, from that of a camera to that of a room that changes; the
+# second one compares inputs. Not measured.
+NOISES = (3e-3, 1e-2, 3e-2)
+LAMP_GAIN = 0.3  # share of the held-out error that a constant lamp must explain; not measured
+SKY_DAYS = 4  # fewer days do not show that other skies teach more; chosen
+
+
+class SurfaceMaps(NamedTuple):
+    """Predicted luminance of n hours at the P pixels the lens saw, and inputs of its uncertainty.
+
+    luminance: without the sun's disc [n, P] cd/m2; patch: direct sun on surfaces, which is included
+    in it before the second stage [n, P] cd/m2, None without sun patches; unit: luminance of a
+    surface of usual brightness: total light times the pixel's scale [n, P] cd/m2; features: of the
+    hours; cross: covariance to the captures [n, captures].
+    """
+
+    luminance: Floats32
+    patch: Floats | None
+    unit: Floats32
+    features: Features
+    cross: Array
+
+
+@dataclass(frozen=True)
+class Transport:
+    """A fitted light transport model.
+
+    seen: mask [H, W], True at the P pixels that the lens saw; heading_deg: azimuth of the middle of
+    the maps; noise: relative variance of a captured value; kernel: covariance of hours; captured:
+    features of the n captured hours; projector [n, r]: the features of new hours are kernel(new,
+    captured) @ projector; states: lamps and blinds with which captures are marked; open_sky: the
+    window pixels; pixels: fitted values; uncertainty: of predictions; patch_scale: fitted factor on
+    all sun patches, None if patches are not used; physics: the coarse room model, None
+    without a box room; sky_field: how the skies in the windows differed from Perez's, None if the
+    fit did not use them; patch_light: how sun patches become features, None without patches.
+    """
+
+    seen: Mask
+    heading_deg: float
+    noise: float
+    kernel: Kernel
+    captured: Features
+    projector: Array
+    states: StateColumns
+    open_sky: OpenSky
+    pixels: PixelFit
+    uncertainty: Uncertainty
+    patch_scale: float | None = None
+    physics: Physics | None = None
+    sky_field: SkyField | None = None
+    patch_light: PatchLight | None = None
+    name: str = field(default="transport", init=False)
+
+    @property
+    def held_out_mse(self) -> Array:
+        """Log10 MSE of each capture, predicted from other days, [n]."""
+        return self.uncertainty.held_out_mse
+
+    @property
+    def parameters(self) -> int:
+        """Number of fitted values: those of the pixels, and the projector from captured hours."""
+        count = sum(getattr(self.pixels, f.name).size for f in fields(PixelFit))
+        return int(count + self.projector.size)
+
+    def predict(self, light: Light, patch_cdm2: Floats32 | None = None) -> Prediction:
+        """Predict luminance maps [n, H, W] of the n hours of `light`, with their uncertainty.
+
+        Maps do not contain the sun's disc. patch_cdm2 [n, H, W]: luminance of direct sun on
+        surfaces, without the disc; required if the model was fitted with sun patches, else not
+        used. Only the result's memory grows with n. Raises InputError for required patches that
+        are missing, or patches of another shape.
+        """
+        patch = self._checked(light, patch_cdm2)
+        count = len(light)
+        maps = np.zeros((count, *self.seen.shape), np.float32)
+        sd = np.zeros_like(maps)
+        expected, trusted = np.empty(count), np.empty(count, bool)
+        for start in range(0, count, HOURS_AT_ONCE):
+            rows = slice(start, start + HOURS_AT_ONCE)
+            part = self.maps(light[rows], None if patch is None else patch[rows])
+            maps[rows][:, self.seen] = part.luminance
+            shown = None if patch is None else patch[rows]
+            sd[rows][:, self.seen], expected[rows], trusted[rows] = self._belief(part, shown)
+        return Prediction(maps, sd, expected, trusted)
+
+    def _checked(self, light: Light, patch: Floats32 | None) -> Floats32 | None:
+        """Return the patches, None if they are not used; raise InputError as `predict` does."""
+        if self.patch_scale is None:
+            return None
+        if patch is None:
+            raise InputError(
+                "the model",
+                "fitted with sun patches, but the hours to predict have no sun patches",
+                "sun patches of these hours",
+                "add [room] to the site, or train with --patch none",
+            )
+        if patch.shape != (len(light), *self.seen.shape):
+            raise InputError(
+                "sun patches",
+                f"an array of {' x '.join(map(str, patch.shape))}",
+                f"{len(light)} x {self.seen.shape[0]} x {self.seen.shape[1]} "
+                "(hours, height, width)",
+                "compute the sun patches at the model's size",
+            )
+        return patch
+
+    def maps(self, light: Light, patch: Floats32 | None) -> SurfaceMaps:
+        """Predict n hours at the seen pixels, without the sun's disc.
+
+        patch: luminance of direct sun on surfaces [n, H, W] cd/m2; None adds no direct sun.
+        """
+        pixels, features = self.pixels, self.states.features(light)
+        if self.patch_light is not None and patch is not None:
+            window = self.open_sky.mask(self.seen)
+            features = replace(features, bounced=self.patch_light.features(patch, light, window))
+        sunlight = None
+        if self.physics is not None:
+            sunlight = self.physics.sunlight(light)
+            features = replace(features, bounced=self.physics.features(light, sunlight))
+        cross = self.kernel(features, self.captured)  # [n, captures]
+        unit = light.total_lx.astype(np.float32)[:, None] * pixels.scale
+        surface = (cross @ self.projector).astype(np.float32) @ pixels.b.T  # [n, P]
+        if self.physics is not None and sunlight is not None:
+            computed = self.physics.luminance(light, sunlight, self.seen)
+            surface += computed * pixels.computed_gain / unit
+        luminance = np.maximum(surface, pixels.minimum) * unit  # [n, P] cd/m2
+        direct = None
+        if patch is not None and self.patch_scale is not None:
+            direct = patch[:, self.seen] * (np.float32(self.patch_scale) * pixels.patch_gain)
+            luminance += direct
+        window = self.open_sky.index  # [k]
+        luminance[:, window] += pixels.sky_gain[window] * self.open_sky.luminance(light)
+        second = second_covariance(features, self.captured).astype(np.float32)
+        luminance *= np.exp(second @ pixels.second)
+        return SurfaceMaps(luminance, direct, unit, features, cross)
+
+    def _belief(self, maps: SurfaceMaps, patch: Floats32 | None) -> tuple[Floats, Array, Mask]:
+        """Return the sd of log10 L [n, P], the expected log10 MSE [n], and trusted [n]."""
+        unsure, features = self.uncertainty, maps.features
+        luminance = np.maximum(maps.luminance, np.float32(MIN_CDM2))
+        variance = unsure.variance(maps.cross, self.kernel.diagonal(features))  # [n]
+        share = 0.0 if maps.patch is None else maps.patch / luminance  # [n, P]
+        second = unsure.second_variance(features, self.captured)
+        square = log10_variance(
+            maps.unit / luminance, unsure.patch * share, variance, second, self.pixels.noise
+        )  # [n, P]
+        weights = equirect_solid_angles(*self.seen.shape)[self.seen]
+        guess = square.astype(float) @ (weights / weights.sum())  # [n]
+        careful = self.patch_scale is None or bool(self.pixels.computed_gain.any())
+        expected = unsure.experience(features, self.captured, variance, guess, careful)
+        wider = unsure.band * np.sqrt(expected / np.maximum(guess, 1e-12))
+        sd = np.minimum(np.sqrt(square) * wider.astype(square.dtype)[:, None], MAX_SD * LOG10_E)
+        trusted = unsure.trusted(variance)
+        if patch is None or unsure.slip_deg <= 0.0:
+            return sd, expected, trusted
+        dark = np.maximum(luminance * (1.0 - share), np.float32(MIN_CDM2))
+        slip = LOG10_E**2 * slip_variance(patch, self.seen, dark, unsure.slip_deg)
+        off = slip @ (weights / weights.sum())
+        return np.hypot(sd, np.sqrt(slip)), expected + off, trusted & (off < SLIP_MSE)
+
+    def with_displaced_patches(self, slip_deg: float) -> Transport:
+        """Return the same model, with a larger uncertainty near the edges of sun patches.
+
+        slip_deg: how far captured patches are displaced from computed ones [deg], as seen from the
+        camera.
+        """
+        return replace(self, uncertainty=replace(self.uncertainty, slip_deg=slip_deg))
+
+    def state(self) -> ModelState:
+        """Return settings for config.json and plain arrays for weights.npz."""
+        arrays: dict[str, Array] = {}
+        parts = ("captured", "open_sky", "pixels", "uncertainty", "physics", "patch_light")
+        table: dict[str, Any] = {"format": FORMAT, "noise": self.noise}
+        table |= {"patch_scale": self.patch_scale, "states": asdict(self.states)}
+        table["sky_field"] = None if self.sky_field is None else asdict(self.sky_field)
+        for name in parts:
+            part = getattr(self, name)
+            if part is not None:
+                table[name] = _flattened(part, name, arrays)
+        arrays["seen"] = self.seen
+        arrays["projector"], facades = self.projector, self.kernel.facades
+        arrays |= {"facade_azimuths": facades.azimuths_deg, "facade_weights": facades.weights}
+        with_patch = self.patch_scale is not None
+        config = {"heading_deg": self.heading_deg, "with_patch": with_patch, "transport": table}
+        return ModelState(config, arrays)
+
+
+def _flattened(part: object, name: str, arrays: dict[str, Array]) -> dict[str, Any]:
+    """Add the arrays of a dataclass to `arrays`, by NAME.FIELD; return its other values."""
+    table: dict[str, Any] = {}
+    for f in fields(part):  # pyright: ignore[reportArgumentType]
+        value = getattr(part, f.name)
+        if isinstance(value, np.ndarray):
+            arrays[f"{name}.{f.name}"] = value
+        elif f.init and value is not None:
+            table[f.name] = plain(value) if isinstance(value, Room) else value
+    return table
+
+
+def from_state(state: ModelState) -> Transport:
+    """Return the model that `Transport.state` described.
+
+    Raises KeyError, TypeError or ValueError for missing or wrong content.
+    """
+    table, arrays = state.config["transport"], state.arrays
+    if table.get("format") != FORMAT:
+        raise ValueError("a transport model of an earlier version")
+
+    def rebuilt(cls: type, name: str) -> Any:
+        prefix = f"{name}."
+        own = {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}
+        return cls(**own, **table[name])
+
+    if "physics" in table:
+        room = build(Room, table["physics"]["room"], "the model's room")
+        table = {**table, "physics": {"room": room}}
+    states, sky_field = table["states"], table["sky_field"]
+    return Transport(
+        arrays["seen"].astype(bool),
+        float(state.config["heading_deg"]),
+        float(table["noise"]),
+        Kernel(Facades(arrays["facade_azimuths"], arrays["facade_weights"])),
+        rebuilt(Features, "captured"),
+        arrays["projector"],
+        StateColumns(states["always"], tuple(states["lamps"]), tuple(states["changed"])),
+        rebuilt(OpenSky, "open_sky"),
+        rebuilt(PixelFit, "pixels"),
+        rebuilt(Uncertainty, "uncertainty"),
+        table["patch_scale"],
+        rebuilt(Physics, "physics") if "physics" in table else None,
+        None if sky_field is None else SkyField(**sky_field),
+        rebuilt(PatchLight, "patch_light") if "patch_light" in table else None,
+    )
+
+
+# ----------------------------------------------------------------------------------------------
+# fit
+
+
+class _Inputs(NamedTuple):
+    """Captures with the sky that the kernel compares and the light of surfaces that it corrects.
+
+    arrays: all pixels; perez: features under Perez's skies; covariance: kernel between captures [n,
+    n]; basis: its eigenvectors; sky_field: statistics of the skies in the windows, None under
+    Perez's skies.
+    """
+
+    arrays: TrainingArrays
+    perez: Features
+    covariance: Array
+    basis: Basis
+    sky_field: SkyField | None = None
+
+
+@threadpool_limits.wrap(limits=1, user_api="blas")  # its matrices are small; chunks run at once
+def fit(
+    data: Dataset,
+    *,
+    patch: Patch = "absolute",
+    seed: int = 0,
+    budget_s: float | None = None,
+    progress: Progress = quiet,
+) -> Transport:
+    """Fit a room's light transport to captures, in closed form.
+
+    patch: "none" ignores the sun patches of `data`. With any other value, one factor on all patches
+    is fitted, so that "absolute" (patches in cd/m2) and "gain" (patches known up to a factor) give
+    the same model. seed: of the random draw of pixels that choose inputs and noise. budget_s:
+    ignored. Raises NotEnoughDataError for fewer than three captures.
+    """
+    if len(data) < MIN_HOURS:
+        raise NotEnoughDataError(
+            f"{counted(len(data), 'capture')}; light transport needs at least {MIN_HOURS}; "
+            "capture more hours"
+        )
+    progress(0, 100, "describing light")
+    arrays, scale = _scaled(data, patch)
+    kernel = Kernel(arrays.facades)
+    progress(5, 100, "light between surfaces")
+    physics, patch_light = physics_of(data.setup, data.heading_deg), None
+    if physics is None and arrays.patch is not None and data.patch_cdm2 is not None:
+        window = arrays.open_sky.mask(data.seen)
+        patch_light = PatchLight.of(data.patch_cdm2, data.light, window)
+        entered = patch_light.features(data.patch_cdm2, data.light, window)
+        arrays = replace(arrays, features=replace(arrays.features, bounced=entered))
+    every = _inputs(arrays, kernel, physics, data.seen)
+    progress(10, 100, "choosing by held-out days")
+    rng = np.random.default_rng(seed)
+    count = min(CALIBRATING, len(arrays.weights))
+    share = arrays.weights / arrays.weights.sum()
+    drawn = rng.choice(len(arrays.weights), count, p=share)
+    robust = data.scene is not None or arrays.patch is None
+    chosen, noise = _chosen(every, kernel, drawn[:CHOOSING], data.days, robust)
+    arrays, basis = chosen.arrays, chosen.basis
+    progress(20, 100, "fitting")
+
+    def tick(finished: int, total: int) -> None:
+        progress(20 + 70 * finished // total, 100, "fitting")
+
+    pixels = fit_pixels(arrays, basis, noise, tick)
+    progress(90, 100, "calibrating uncertainty")
+    return Transport(
+        data.seen,
+        data.heading_deg,
+        noise,
+        kernel,
+        arrays.features,
+        basis.projector,
+        arrays.states,
+        arrays.open_sky,
+        pixels,
+        calibrate(arrays[drawn], basis, chosen.covariance, noise, pixels.noise[drawn]),
+        scale,
+        physics,
+        chosen.sky_field,
+        patch_light,
+    )
+
+
+def _chosen(
+    every: list[_Inputs], kernel: Kernel, pixels: Indices, days: NDArray, robust: bool
+) -> tuple[_Inputs, float]:
+    """Return the inputs and the noise with the smallest error on held-out days at some pixels.
+
+    A lamp that is on in all hours must explain much of the error, by two standard errors. robust:
+    exclude the smallest noise, with which errors of patches are learnt: held-out days, which have
+    nearly the same suns as others, do not show it. So do days of one season.
+    """
+    best = every[choose([_errors(i, pixels) for i in every]).best]
+    lit = _with_lamp(best, kernel)
+    without, with_lamp = (_errors(i, pixels) for i in (best, lit))
+    gain, error = difference(without, with_lamp, "log10")
+    if gain > max(LAMP_GAIN * without.figure("log10"), 2.0 * error):
+        best = lit
+    noises = NOISES[robust or one_season(days) :]
+    return best, noises[choose([_errors(best, pixels, noise) for noise in noises]).best]
+
+
+def _errors(inputs: _Inputs, pixels: Indices, noise: float = NOISES[1]) -> HeldOutErrors:
+    return hold_out(inputs.arrays[pixels], inputs.basis, noise).errors
+
+
+def _scaled(data: Dataset, patch: Patch) -> tuple[TrainingArrays, float | None]:
+    """Return the captures with patches at the level they show, and the factor on all patches.
+
+    The patches of a fitted scene have that level already. None without patches.
+    """
+    arrays = training_arrays_of(data, with_patch=patch != "none")
+    if arrays.patch is None:
+        return arrays, None
+    scale = 1.0 if data.scene is not None else patch_scale(arrays)
+    return replace(arrays, patch=arrays.patch * np.float32(scale)), scale
+
+
+def _compared(arrays: TrainingArrays, kernel: Kernel, perez: Features) -> _Inputs:
+    """Return inputs by what the kernel compares; perez: features under Perez's skies."""
+    covariance = kernel(arrays.features, arrays.features)
+    basis = basis_of(covariance, kernel(perez, arrays.features))
+    return _Inputs(arrays, perez, covariance, basis)
+
+
+def _with_lamp(inputs: _Inputs, kernel: Kernel) -> _Inputs:
+    """Return inputs with a lamp that is on in all hours, unless they are marked."""
+    states = replace(inputs.arrays.states, always=True)
+    lamps = states.features(inputs.arrays.light).lamps
+    arrays = replace(
+        inputs.arrays, states=states, features=replace(inputs.arrays.features, lamps=lamps)
+    )
+    lit = _compared(arrays, kernel, replace(inputs.perez, lamps=lamps))
+    return lit._replace(sky_field=inputs.sky_field)
+
+
+def _inputs(
+    arrays: TrainingArrays, kernel: Kernel, physics: Physics | None, seen: Mask
+) -> list[_Inputs]:
+    """Return the inputs among which held-out days choose.
+
+    These are Perez's skies or, with at least four days, those that windows showed, each with and
+    without the light of the stated room.
+    """
+    sunlight = None if physics is None else physics.sunlight(arrays.light)
+    if physics is not None and sunlight is not None:
+        bounced = physics.features(arrays.light, sunlight)
+        arrays = replace(arrays, features=replace(arrays.features, bounced=bounced))
+    light = arrays.light
+    sky = seen_sky(arrays) if len(np.unique(arrays.days)) >= SKY_DAYS else None
+    out = [_compared(arrays, kernel, arrays.features)]
+    if sky is not None:
+        shown = replace(arrays, features=sky.features(arrays))
+        out.append(_compared(shown, kernel, arrays.features)._replace(sky_field=sky.field))
+    if physics is None or sunlight is None:
+        return out
+    perez = physics.luminance(light, sunlight, seen)
+    under = [computed_light(arrays, perez)]
+    if sky is not None:
+        shown_light = physics.luminance(light, sunlight, seen, sky.luminance_cdm2)
+        under.append(computed_light(arrays, shown_light, perez))
+    lit = [
+        i._replace(arrays=replace(i.arrays, computed=computed))
+        for i, computed in zip(out, under, strict=True)
+    ]
+    return [*out, *lit]
+
+
+# ----------------------------------------------------------------------------------------------
+# uncertainty
+
+
+LOG10_E = float(np.log10(np.e))
+NORMAL_90 = 1.6449  # standard deviations around the mean with 90 % of a normal distribution
+MIN_SD = 1e-4  # avoids division by zero; chosen
+# Largest standard deviation of ln L: with more than a factor of ten, one pixel would dominate the
+# hour's mean. Chosen: ln 10.
+MAX_SD = 2.3
+# Hours are alike within this chord of the sun's direction, this difference of its share, and this
+# ratio (ln) of predictive variances. FEW is the weight of all tests with this
+# share of sun next to similar ones. Not
+# measured.
+NEAR_SUN, NEAR_BEAM, NEAR_LOG, FEW = 0.2, 0.1, 1.0, 0.1
+# An hour may be this many times further from the captures than a held-out day and still be trusted.
+# Chosen.
+NOVEL = 1.5
+# captures with a smaller range of the sun's declination are from one season; chosen
+ONE_SEASON_DEG = 20.0
+SEASONS_APART_DEG = 10.0  # least gap between the declinations of two seasons' days; chosen
+MIN_VARIANCE = 1e-9  # avoids division by zero; chosen
+# log10 MSE: an hour that a shift of its sun patch would change by over a quarter is not trusted;
+# chosen
+SLIP_MSE = 0.01
+
+
+def _declination_deg(days: NDArray) -> Array:
+    """Return the sun's declination at the beginning of each day, [n]; days: dates [n]."""
+    names, inverse = np.unique(days.astype("datetime64[s]"), return_inverse=True)
+    return sun.declination_deg([day.replace(tzinfo=UTC) for day in names.tolist()])[inverse]
+
+
+def one_season(days: NDArray) -> bool:
+    """Return whether all days are from one season: a range of solar declination below 20 degrees.
+
+    days: dates [n] (datetime64). If True, held-out days do not test other seasons.
+    """
+    return float(np.ptp(_declination_deg(days))) < ONE_SEASON_DEG
+
+
+def seasons(days: NDArray) -> Indices:
+    """Return the index of the season of each day, from 0, [n].
+
+    Seasons are ordered by the sun's declination, lowest (northern winter) first. A gap of over 10
+    degrees between the days' declinations separates two seasons. days: dates [n] (datetime64).
+    """
+    declination = _declination_deg(days)
+    values = np.unique(declination)
+    starts = values[1:][np.diff(values) > SEASONS_APART_DEG]
+    return np.searchsorted(starts, declination, side="right")
+
+
+@dataclass(frozen=True, slots=True)
+class Uncertainty:
+    """Calibrated uncertainty of predictions: n captures, P pixels, L luminance.
+
+    inverse, second: of the captures' covariance plus noise, in the first and in the second stage
+    [n, n]; novelty: largest predictive variance of a capture with its day held out; patch: relative
+    standard deviation of a sun patch; band: standard deviation whose 1.645 times contain 90 % of
+    the held-out errors, over their root mean square; slip_deg: displacement of computed from
+    captured sun patches [deg], 0 if none is known. Of k tests, in which a captured hour was
+    predicted from other days or, if there are several, from other seasons: tested, index of the
+    capture; variance_of, error_of, guess_of: predictive variance, log10 MSE, and its estimate
+    without experience [k].
+    """
+
+    inverse: Array
+    second: Array
+    novelty: float
+    patch: float
+    band: float
+    tested: Indices
+    variance_of: Array
+    error_of: Array
+    guess_of: Array
+    slip_deg: float = 0.0
+
+    @property
+    def held_out_mse(self) -> Array:
+        """Log10 MSE of each capture, predicted from other days, [n]; these tests come first."""
+        return self.error_of[: len(self.inverse)]
+
+    def variance(self, cross: Array, own: Array) -> Array:
+        """Return the variance of m hours that remains after the captures, in kernel units, [m].
+
+        cross: covariance between the hours and the captures [m, n]; own: prior variance of the
+        hours [m].
+        """
+        return np.maximum(own - np.einsum("ij,ij->i", cross @ self.inverse, cross), 0.0)
+
+    def second_variance(self, hours: Features, captured: Features) -> Array:
+        """Return the variance that remains after the second stage, with its noise, [m]."""
+        cross = second_covariance(hours, captured)
+        known = np.einsum("ij,ij->i", cross @ self.second, cross)
+        return np.maximum(hours.beam**2 + SECOND_SEASON - known, 0.0) + SECOND_NOISE
+
+    def trusted(self, variance: Array) -> Mask:
+        """Return a mask [m], True for hours whose light is similar enough to that of captures.
+
+        Their `variance` [m] is at most 1.5 times `novelty`.
+        """
+        return variance <= NOVEL * self.novelty
+
+    def experience(
+        self, hours: Features, captured: Features, variance: Array, guess: Array, careful: bool
+    ) -> Array:
+        """Return the log10 MSE to expect in m hours, [m].
+
+        It is `guess` [m] times found over guessed errors, both summed over the tests. Tests with
+        nearly the same sun direction, share of sun and predictive variance count most; where few
+        are similar, those with this share of sun. careful: without sun patches, or with light
+        computed for the room, `variance` does not say how errors grow away from captures. They are
+        then at least those of tests with this share of sun, the geometric mean of held-out days
+        and seasons.
+        """
+        beam, n = captured.beam[self.tested], len(captured)
+        cosine = np.clip(hours.direction @ captured.direction[self.tested].T, -1.0, 1.0)
+        sky = np.exp(-((hours.beam[:, None] - beam) ** 2) / (2.0 * NEAR_BEAM**2)) + 1e-9
+        ratio = np.log(np.maximum(variance, MIN_VARIANCE))[:, None] - np.log(self.variance_of)
+        near = sky * np.exp((cosine - 1.0) / NEAR_SUN**2 - 0.5 * (ratio / NEAR_LOG) ** 2)
+        near += FEW * sky / sky.sum(axis=1)[:, None]
+        expected = guess * (near @ self.error_of) / (near @ self.guess_of)
+        if not careful:
+            return expected
+        groups = [slice(start, start + n) for start in range(0, len(beam), n)]
+        means = [sky[:, g] @ self.error_of[g] / sky[:, g].sum(axis=1) for g in groups]
+        return np.maximum(expected, np.exp(np.log(means).mean(axis=0)))
+
+
+def log10_variance(
+    surface_share: Floats,
+    patch_share: Floats | float,
+    variance: Array,
+    second: Array,
+    noise: Floats32,
+) -> Floats:
+    """Return the variance of log10 L before experience, [m, P]; at most that of a factor of ten.
+
+    surface_share: luminance of a usual surface (total light times pixel scale) over L [m, P];
+    patch_share: luminance of the sun patch over L [m, P] times its relative standard deviation, or
+    0; variance, second: results of `Uncertainty.variance` and `second_variance` [m]; noise:
+    `PixelFit.noise` [P].
+    """
+    kind = surface_share.dtype
+    total = surface_share**2 * variance.astype(kind)[:, None]
+    total += second.astype(kind)[:, None] * noise**2 + patch_share**2
+    return np.minimum(total, kind.type(MAX_SD**2)) * kind.type(LOG10_E**2)
+
+
+def calibrate(
+    arrays: TrainingArrays,
+    basis: Basis,
+    covariance: Array,
+    noise: float,
+    residual: Floats32,
+) -> Uncertainty:
+    """Test the estimated uncertainty on held-out days and, if there are several, held-out seasons.
+
+    arrays, residual: of some pixels; covariance: kernel between captures [n, n], basis: its
+    features; noise: of the fit.
+    """
+    unsure = noise / arrays.sureness  # hours of unsteady light have less weight
+    inverse, second = np.linalg.inv(covariance + np.diag(unsure)), second_inverse(arrays)
+    groups = [arrays.days, seasons(arrays.days)]
+    tests = [
+        _Test(
+            hold_out(replace(arrays, days=days), basis, noise),
+            _held_out(inverse, unsure, days),
+            _held_out(second, np.zeros(len(days)), days),
+        )
+        for days in (groups if groups[1].max() > 0 else groups[:1])
+    ]
+    patch = max(_patch_sd(arrays, test.held) for test in tests)
+    squares = [test.log10_variance(arrays, patch, residual) for test in tests]
+    share = arrays.trust + 1e-9
+    share /= share.sum(axis=1)[:, None]
+    guess = np.concatenate([(share * square).sum(axis=1) for square in squares])
+    error = np.concatenate([(test.held.error**2).mean(axis=1) for test in tests])
+    out = Uncertainty(
+        inverse,
+        second,
+        float(tests[0].variance.max()),
+        patch,
+        1.0,
+        np.tile(np.arange(len(covariance)), len(tests)),
+        np.maximum(np.concatenate([test.variance for test in tests]), MIN_VARIANCE),
+        error,
+        guess,
+    )
+    features, some = arrays.features, slice(len(covariance))
+    careful = arrays.patch is None or arrays.computed is not None
+    expected = out.experience(features, features, out.variance_of[some], guess[some], careful)
+    square = squares[0] * (expected / guess[some])[:, None]
+    sd = np.sqrt(square + LOG10_E**2 * arrays.unsure[:, None])
+    ratio = np.abs(tests[0].held.error) / np.maximum(sd, MIN_SD)
+    return replace(out, band=float(np.quantile(ratio[~arrays.filled], 0.9)) / NORMAL_90)
+
+
+class _Test(NamedTuple):
+    """Captured hours as predicted from others, and their variances in both stages [n]."""
+
+    held: HeldOutFit
+    variance: Array
+    second: Array
+
+    def log10_variance(self, arrays: TrainingArrays, patch: float, residual: Floats32) -> Floats:
+        """Return the estimated variance of log10 L, [n, P]."""
+        luminance = np.maximum(self.held.luminance, MIN_CDM2)
+        unit = arrays.light.total_lx[:, None] * self.held.scale
+        share = 0.0 if arrays.patch is None else patch * arrays.patch / luminance
+        return log10_variance(unit / luminance, share, self.variance, self.second, residual)
+
+
+def _held_out(inverse: Array, unsure: Array, days: NDArray) -> Array:
+    """Return the variance of each captured hour, predicted from other days, in kernel units, [n].
+
+    inverse: of the covariance between captures plus their noise, of which `unsure` [n] does not
+    count; hours of equal `days` are held out together.
+    """
+    variance = np.empty(len(days))
+    for day in np.unique(days):
+        rows = np.flatnonzero(days == day)
+        variance[rows] = np.diagonal(np.linalg.inv(inverse[np.ix_(rows, rows)])) - unsure[rows]
+    return np.maximum(variance, 0.0)
+
+
+def _patch_sd(arrays: TrainingArrays, held: HeldOutFit) -> float:
+    """Return the relative sd of a sun patch, from held-out pixels with mostly direct sun."""
+    if arrays.patch is None:
+        return 0.0
+    lit = (arrays.patch > 0.3 * np.maximum(held.luminance, MIN_CDM2)) & ~arrays.filled
+    error = np.abs(held.error[lit]) / LOG10_E
+    return float(np.quantile(error, 0.9) / NORMAL_90) if lit.sum() > 20 else 0.05

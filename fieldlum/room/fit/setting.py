@@ -17,7 +17,7 @@ from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.records import Progress, SiteFile, quiet
 from fieldlum.learn.models import Fitted, Patch
 from fieldlum.learn.models.data import Dataset
-from fieldlum.learn.transport.model import Transport
+from fieldlum.learn.transport import Transport
 from fieldlum.room.fit.apply import earlier, with_patches
 from fieldlum.room.fit.checks import reversed_compass_note, turned_windows_note
 from fieldlum.room.fit.evidence import SceneEvidence, gather

@@ -14,7 +14,7 @@ from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Progress, quiet
 from fieldlum.learn.models import Patch
 from fieldlum.learn.models.data import Dataset
-from fieldlum.learn.models.year_sample import Predictor
+from fieldlum.learn.models.scores import Predictor
 from fieldlum.room.fit.apply import with_scene
 from fieldlum.room.fit.checks import check_captures, reversed_compass_note
 from fieldlum.room.fit.evidence import gather

@@ -17,7 +17,7 @@ from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.records import Progress, Room, quiet
 from fieldlum.learn.models import Patch
 from fieldlum.learn.models.data import Dataset
-from fieldlum.learn.models.year_sample import Predictor, expect, light_of_year
+from fieldlum.learn.models.scores import Predictor, expect, light_of_year
 from fieldlum.optics.projection import equirect_solid_angles
 from fieldlum.room.fit.sunny import sunny_hours
 
