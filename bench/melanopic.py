@@ -19,7 +19,7 @@ import numpy as np
 
 from fieldlum.calibrate import colour
 from fieldlum.core.arrays import Floats
-from fieldlum.optics.photometry import melanopic
+from fieldlum.optics import melanopic
 from fieldlum.optics.profiles import load_camera_profile
 
 UNSEEN = ("Hasselblad_H2", "Nokia_N900", "SONY_NEX-5N")  # chosen before the uncertainties

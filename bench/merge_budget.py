@@ -25,10 +25,10 @@ import numpy as np
 
 from fieldlum.core.records import Exposure, Flag
 from fieldlum.devices.simulated.camera import raw_counts
+from fieldlum.merge import MergeOptions
 from fieldlum.merge.bracket import merge_headings
 from fieldlum.merge.estimator import Merged
 from fieldlum.merge.frames import Crop, lens_crop
-from fieldlum.merge.options import MergeOptions
 from fieldlum.merge.project import blend, finish, u_of_edges, view_through
 from fieldlum.merge.ratios import RatioCurve
 from fieldlum.merge.sensor import SensorImage

@@ -17,7 +17,7 @@ import numpy as np
 from fieldlum.merge.estimator import merge_signals
 from fieldlum.merge.frames import RawSignal
 from fieldlum.merge.ratios import bracket_pairs, fit_ratios, take_samples
-from fieldlum.optics.photometry import prior_u_log, snap_shutter_s
+from fieldlum.optics.photometry import prior_u_log, true_times_s
 
 GAIN, READ_E, BLACK, SATURATION, WHITE = 4.0, 6.0, 512.0, 15000.0, 16383.0
 NOMINAL_S = (13.0, 3.2, 0.8, 0.2, 1 / 20, 1 / 80, 1 / 320, 1 / 1250)
@@ -76,7 +76,7 @@ def main() -> None:
     options = parser.parse_args()
     rng = np.random.default_rng(options.seed)
     corrections = _ratios(rng)
-    snapped = np.array([snap_shutter_s(t) for t in NOMINAL_S])
+    snapped = np.array([true_times_s(t) for t in NOMINAL_S])
     print(
         "nominal times, relative to the first:",
         _percent(np.array(NOMINAL_S) / TRUE_S / (NOMINAL_S[0] / TRUE_S[0])),
@@ -120,7 +120,7 @@ def _ratios(rng: np.random.Generator) -> np.ndarray:
     light = np.repeat(np.exp(np.linspace(np.log(0.1), np.log(30000.0), 300)), 1000).reshape(
         300, 2, 500
     )
-    times = [snap_shutter_s(t) for t in NOMINAL_S]
+    times = [true_times_s(t) for t in NOMINAL_S]
     signals = [signal(frame(light, t, rng), s) for t, s in zip(TRUE_S, times, strict=True)]
     fit = fit_ratios(
         bracket_pairs(take_samples(signals)), np.diag(prior_u_log(np.array(times)) ** 2)

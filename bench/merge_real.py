@@ -32,7 +32,7 @@ from fieldlum.merge.estimator import merge_signals
 from fieldlum.merge.frames import JpegSignal
 from fieldlum.merge.shift import shifts
 from fieldlum.optics.images import read_radiance_hdr
-from fieldlum.optics.photometry import dark_floor, fit_response, snap_shutter_s
+from fieldlum.optics.photometry import dark_floor, fit_response, true_times_s
 from fieldlum.optics.profiles import CameraProfile, Response, load_camera_profile
 from fieldlum.optics.projection import LensGeometry
 from fieldlum.optics.raw import read_jpeg
@@ -84,7 +84,7 @@ def sampled(
         square = cv2.blur(codes * codes, (5, 5))
         means.append(mean[y, x])
         spreads.append(np.sqrt(np.maximum(square[y, x] - means[-1] ** 2, 0)))
-        times.append(snap_shutter_s(frame.exposure.shutter_s))
+        times.append(true_times_s(frame.exposure.shutter_s))
     return np.stack(means, 1), np.stack(spreads, 1), np.array(times)
 
 

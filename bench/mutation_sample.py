@@ -37,7 +37,7 @@ PARTS = {  # modules of a part, and the tests that should notice a fault in them
     ),
     "merge/estimator": (
         ("merge/estimator.py",),
-        "test_merge_motion test_merge test_merge_budget test_merge_scatter",
+        "test_merge_motion test_merge test_merge_budget",
     ),
     "glare/metrics": (
         ("glare/metrics.py",),

@@ -23,9 +23,9 @@ from fieldlum.api import evaluate_glare
 from fieldlum.calibrate import stray
 from fieldlum.core.records import Panorama
 from fieldlum.optics.images import read_panorama
-from fieldlum.optics.photometry.stray_light import stray_cdm2
 from fieldlum.optics.profiles import CameraProfile, StrayLight, load_camera_profile
 from fieldlum.optics.projection import direction, equirect_rays, equirect_solid_angles
+from fieldlum.optics.stray_light import stray_cdm2
 from fieldlum.session import open_session
 
 Array = NDArray[np.float64]

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from fieldlum.core.records import Exposure
-from fieldlum.optics.photometry import snap_shutter_s, z_per_cdm2
+from fieldlum.optics.photometry import true_times_s, z_per_cdm2
 from fieldlum.optics.profiles import (
     Bracket,
     CameraBody,
@@ -41,7 +41,7 @@ def raw_frame(
     path: Path, rgb_cdm2: np.ndarray, exposure: Exposure, rng: np.random.Generator
 ) -> Path:
     """A mosaic of camera colours [h, w, 3] with the sensor's own noise."""
-    per = z_per_cdm2(snap_shutter_s(exposure.shutter_s), exposure.f_number, exposure.iso)
+    per = z_per_cdm2(true_times_s(exposure.shutter_s), exposure.f_number, exposure.iso)
     mosaic = np.empty((SIZE, SIZE))
     for (r, c), channel in zip(((0, 0), (0, 1), (1, 0), (1, 1)), (0, 1, 1, 2), strict=True):
         mosaic[r::2, c::2] = rgb_cdm2[r::2, c::2, channel]

@@ -12,7 +12,7 @@ from fieldlum.calibrate import (
 )
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure
-from fieldlum.optics.photometry import response_table, snap_shutter_s
+from fieldlum.optics.photometry import response_table, true_times_s
 from fieldlum.optics.profiles import (
     CameraBody,
 )
@@ -27,7 +27,7 @@ def _bracket(
     blocks = 0.02 * 10 ** (3.2 * rng.random((SIZE // 6, SIZE // 6)))
     scene = np.repeat(np.repeat(blocks, 6, axis=0), 6, axis=1)
     for i, shutter in enumerate(shutters):
-        z = scene[..., None] * snap_shutter_s(shutter) * np.array([0.8, 1.0, 0.7]) * (1 + drift * i)
+        z = scene[..., None] * true_times_s(shutter) * np.array([0.8, 1.0, 0.7]) * (1 + drift * i)
         z = z * (1 + 0.004 * rng.normal(size=z.shape))
         codes = np.rint(np.interp(z, table + np.arange(256) * 1e-9, np.arange(256.0))).astype(
             np.uint8
@@ -125,7 +125,7 @@ def test_the_codes_tell_the_shutter_law(
 ) -> None:
     """1/15 to 1/60 s as decimals or as powers of two, 6.7 % apart."""
     if law == "exact":
-        monkeypatch.setitem(globals(), "snap_shutter_s", float)
+        monkeypatch.setitem(globals(), "true_times_s", float)
     code = np.arange(256) / 255
     folder = _bracket(tmp_path / "b", 0.6 * code**2.6 + 0.4 * code**1.5, 5, SHUTTERS)
     brackets = response.brackets_in([folder])

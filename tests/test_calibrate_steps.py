@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from fieldlum.calibrate.response import Steps, steps_by_overlap
-from fieldlum.optics.photometry import times_under
+from fieldlum.optics.photometry import true_times_s
 
 NOMINAL_S = np.array([1 / 60, 1 / 30, 1 / 15, 1 / 8, 1 / 4, 1 / 2, 1, 2])
-THIRDS_S = times_under("third-stops", NOMINAL_S)
+THIRDS_S = true_times_s(NOMINAL_S, "third-stops")
 CODE = np.arange(256) / 255.0
 CURVES = {
     "steep": 0.6 * CODE**2.6 + 0.25 * CODE**1.5 + 0.15 * CODE**5,

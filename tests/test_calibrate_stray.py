@@ -15,7 +15,6 @@ from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Panorama
 from fieldlum.merge.project import _stray_of_lens
 from fieldlum.optics.images import write_panorama
-from fieldlum.optics.photometry.stray_light import kernel_per_sr, stray_cdm2
 from fieldlum.optics.profiles import (
     CameraProfile,
     StrayLight,
@@ -24,6 +23,7 @@ from fieldlum.optics.profiles import (
     save_profile,
 )
 from fieldlum.optics.projection import Equirect, direction, equirect_rays, equirect_solid_angles
+from fieldlum.optics.stray_light import kernel_per_sr, stray_cdm2
 
 HEIGHT = 48
 RAYS = equirect_rays(HEIGHT, 2 * HEIGHT, 0.0).reshape(-1, 3)

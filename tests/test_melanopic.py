@@ -15,9 +15,8 @@ from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure, Panorama, SunSource
 from fieldlum.merge.quality import floating_white_balance
 from fieldlum.merge.shots import Shot
-from fieldlum.optics.images import write_panorama
-from fieldlum.optics.images.primaries import RADIANCE_CHROMATICITIES, rgb_to_xyz
-from fieldlum.optics.photometry.melanopic import (
+from fieldlum.optics.images import RADIANCE_CHROMATICITIES, rgb_to_xyz, write_panorama
+from fieldlum.optics.melanopic import (
     MELANOPIC_FROM_XYZ,
     U_CHART,
     attribute_text,

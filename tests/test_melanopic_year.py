@@ -11,7 +11,7 @@ from fieldlum.core.arrays import Floats
 from fieldlum.core.records import Panorama, Site
 from fieldlum.learn import models
 from fieldlum.optics.images import read_panorama, write_panorama
-from fieldlum.optics.photometry.melanopic import attribute_text
+from fieldlum.optics.melanopic import attribute_text
 from fieldlum.session.files.hourly_csv import HOUR_COLUMNS, VIEW_COLUMNS, HourlyFile
 from fieldlum.sky.light import Light, facades_of, light_at
 from fieldlum.year.predict.blocks import room_of

@@ -18,7 +18,7 @@ from fieldlum.core.records import Exposure, Flag, Panorama, SunSource
 from fieldlum.devices.clock import FastClock
 from fieldlum.devices.simulated.camera import SimulatedCamera
 from fieldlum.devices.simulated.world import SimulatedLight
-from fieldlum.merge import MergeOptions, MergeResult, Shot, merge_sensor, merge_shots
+from fieldlum.merge import MergeOptions, MergeResult, Shot, merge_shots
 from fieldlum.merge.disc import disc_px, mosaic_u_rel, take_out_disc
 from fieldlum.merge.estimator import Merged, merge_signals
 from fieldlum.merge.frames import NO_PLATEAU, JpegSignal, RawSignal, lens_crop, load_raw
@@ -289,20 +289,6 @@ def test_the_order_of_frames_does_not_matter(bracket) -> None:
     ).panorama
     assert np.array_equal(a.luminance_cdm2, b.luminance_cdm2)
     assert np.array_equal(a.flags, b.flags)  # type: ignore[arg-type]
-
-
-@pytest.mark.slow
-@pytest.mark.property
-@pytest.mark.numeric
-@pytest.mark.parametrize(
-    ("name", "headings"), [("sim-fisheye", (180.0,)), ("sim-dual-fisheye-jpeg", (None,))]
-)
-def test_frames_that_wait_on_the_disk_give_the_same(bracket, name: str, headings: tuple) -> None:
-    shots, profile = bracket(name, headings=headings)
-    shots = sorted_shots(shots, profile)
-    a, b = (merge_sensor(shots, profile, budget_bytes=n)[0].merged for n in (600_000_000, 0))
-    assert np.array_equal(a.value_cdm2, b.value_cdm2) and np.array_equal(a.variance, b.variance)
-    assert np.array_equal(a.flags, b.flags)
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ from fieldlum.core.records import Exposure
 from fieldlum.merge import merge_sensor, shots_of_files
 from fieldlum.merge.sensor import SeenNoise
 from fieldlum.merge.shots import sorted_shots
-from fieldlum.optics.photometry import snap_shutter_s, z_per_cdm2
+from fieldlum.optics.photometry import true_times_s, z_per_cdm2
 from fieldlum.optics.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor
 from fieldlum.optics.raw import write_dng
 
@@ -51,7 +51,7 @@ def test_noise_of_about_one_count_is_no_more_than_said(
     rng, paths = np.random.default_rng(4), []
     light = np.broadcast_to(np.geomspace(5.0, 5000.0, SIZE), (SIZE, SIZE))
     for i, e in enumerate(EXPOSURES):
-        per = z_per_cdm2(snap_shutter_s(e.shutter_s), e.f_number, e.iso) * (WHITE - BLACK)
+        per = z_per_cdm2(true_times_s(e.shutter_s), e.f_number, e.iso) * (WHITE - BLACK)
         electrons = rng.poisson(light * per * gain) + rng.normal(0, read_e, light.shape)
         counts = np.minimum(np.rint(electrons / gain + BLACK), 15800).astype(np.uint16)
         write_dng(

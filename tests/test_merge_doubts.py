@@ -13,16 +13,14 @@ from msgspec import structs
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure, Flag
 from fieldlum.merge import MergeOptions, Shot, merge_frames, merge_sensor, shots_of_files
-from fieldlum.merge.jpeg_noise import footprint_px
-from fieldlum.merge.project import u_of_edges
+from fieldlum.merge.project import footprint_px, u_of_edges
 from fieldlum.merge.quality import orientation_conflict, verdict
 from fieldlum.merge.ratios import beyond, fit_ratios, free_fit
 from fieldlum.merge.sensor import Findings, SensorImage, any_beyond_prior
 from fieldlum.merge.shots import U_ISO, exposure_covariance, sorted_shots
-from fieldlum.optics.photometry import PairRatio, snap_shutter_s, z_per_cdm2
+from fieldlum.optics.photometry import PairRatio, true_times_s, z_per_cdm2
 from fieldlum.optics.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor
-from fieldlum.optics.projection import Equirect
-from fieldlum.optics.projection.grids import Fisheye
+from fieldlum.optics.projection import Equirect, Fisheye, LensGeometry
 from fieldlum.optics.raw import write_dng, write_jpeg
 
 SIZE = 160
@@ -59,7 +57,7 @@ def take(
     rng = np.random.default_rng(4)
     shots = []
     for i, e in enumerate(exposures):
-        per = z_per_cdm2(snap_shutter_s(e.shutter_s), e.f_number, e.iso) * (WHITE - BLACK)
+        per = z_per_cdm2(true_times_s(e.shutter_s), e.f_number, e.iso) * (WHITE - BLACK)
         signal = scene() * per * (1.0 if light is None else light[i])
         electrons = rng.poisson(signal * gain) + rng.normal(0, read_e, signal.shape)
         counts = np.minimum(np.rint(electrons / gain + black), full).astype(np.uint16)
@@ -284,7 +282,7 @@ def test_beside_a_window_u_covers_the_truth(tmp_path: Path) -> None:
     light[:, SIZE // 2 :] = 5000.0
     rng, shots = np.random.default_rng(5), []
     for i, e in enumerate(EXPOSURES):
-        per = z_per_cdm2(snap_shutter_s(e.shutter_s), e.f_number, e.iso) * (WHITE - BLACK)
+        per = z_per_cdm2(true_times_s(e.shutter_s), e.f_number, e.iso) * (WHITE - BLACK)
         electrons = rng.poisson(light * per * 4.0) + rng.normal(0, 6.0, light.shape)
         counts = np.minimum(np.rint(electrons / 4.0 + BLACK), 15800).astype(np.uint16)
         write_dng(
@@ -303,3 +301,9 @@ def test_beside_a_window_u_covers_the_truth(tmp_path: Path) -> None:
     off = np.abs(panorama.luminance_cdm2 - 100.0)[wall]
     assert off.max() > 20.0 and (off <= 2 * panorama.u_cdm2[wall]).all()
     assert (panorama.u_cdm2[wall][:, :6] < 6.0).all()
+
+
+@pytest.mark.analytic
+def test_a_target_pixel_on_the_sensor() -> None:  # 100 px for 90 degrees, pixels of 9 degrees
+    assert footprint_px(LensGeometry((0.0, 0.0), 100.0, 180.0), Equirect(20)) == pytest.approx(10.0)
+    assert footprint_px(LensGeometry((0.0, 0.0), 100.0, 180.0), Equirect(2000)) == 1.0

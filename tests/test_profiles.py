@@ -196,7 +196,7 @@ def test_an_unknown_profile_lists_what_there_is() -> None:
         ),
         ('mapping = "equisolid"', 'mapping = "polynomial"', "no coefficients"),
         ("read_noise_e = ", "read_noise_e = -", "read_noise_e"),
-        ("u_rel = 0.002", "u_rel = -0.002", "u_rel or glare_floor_rel = -0.002"),
+        ("u_rel = 0.002", "u_rel = -0.002", "u_rel = '-0.002', not a number"),
     ],
 )
 def test_a_camera_that_cannot_be_is_refused(tmp_path: Path, line: str, new: str, said: str) -> None:

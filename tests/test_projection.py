@@ -20,8 +20,8 @@ from fieldlum.optics.projection import (
     lens_pixels,
     lens_rays,
     radius_of_angle,
-    resampler,
 )
+from fieldlum.optics.resample import resampler
 
 POLYNOMIAL = (1.05, 0.0, -0.05)  # odd powers, as lenses have; 1 at the edge
 

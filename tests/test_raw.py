@@ -235,10 +235,10 @@ def test_a_mutated_frame_reads_or_is_refused(tmp_path: Path, data: st.DataObject
 def test_a_mosaic_other_than_bayers_is_named(size: int) -> None:
     import rawpy
 
-    from fieldlum.optics.raw import mosaic
+    from fieldlum.optics.raw import pixels
 
     raw = SimpleNamespace(raw_type=rawpy.RawType.Flat, raw_pattern=np.zeros((size, size), int))
     with pytest.raises(InputError) as refused:
-        mosaic._pattern(Path("a.raf"), raw)  # pyright: ignore[reportPrivateUsage]
+        pixels._pattern(Path("a.raf"), raw)  # pyright: ignore[reportPrivateUsage]
     found = f"a.raf: a mosaic of {size} x {size} colour filters; expected a Bayer mosaic"
     assert str(refused.value).startswith(found)

@@ -16,8 +16,7 @@ from fieldlum.optics.photometry import (
     PairRatio,
     law_of_frames,
     law_of_labels,
-    time_under,
-    times_under,
+    true_times_s,
     z_per_cdm2,
 )
 from fieldlum.optics.profiles import (
@@ -45,8 +44,8 @@ SMALL = CameraProfile(
 def test_a_half_stop_bracket_keeps_to_half_stops() -> None:
     """1/20 alone is nearer to a third of a stop: 11.6 % off in one frame of a Nikon D7000."""
     assert law_of_labels(HALF_STOPS_S).law == "half-stops"
-    assert times_under("half-stops", HALF_STOPS_S)[0] == pytest.approx(2**-4.5)
-    assert time_under("auto", 1 / 20) == pytest.approx(2 ** (-13 / 3))
+    assert true_times_s(HALF_STOPS_S, "half-stops")[0] == pytest.approx(2**-4.5)
+    assert true_times_s(1 / 20) == pytest.approx(2 ** (-13 / 3))
     assert law_of_labels(FULL_STOPS_S).law == "third-stops"
     assert law_of_labels(FULL_STOPS_S, "RICOH THETA Z1").law == "exact"
 
@@ -58,7 +57,7 @@ def test_the_frames_give_the_law_whatever_the_response(true: str, bend: float, s
     """A response that is wrong stretches all steps alike; frames err by 0.5 % each."""
     nominal = np.array(HALF_STOPS_S if true == "half-stops" else FULL_STOPS_S)
     labels = law_of_labels(nominal)
-    by_law = {law: times_under(law, nominal) for law in LAWS}
+    by_law = {law: true_times_s(nominal, law) for law in LAWS}
     seen = np.log(by_law[true]) * (1 + bend) - np.log(by_law[labels.law])
     seen += 0.005 * np.random.default_rng(seed).standard_normal(len(nominal))
     pairs = [
@@ -74,7 +73,7 @@ def test_the_frames_give_the_law_whatever_the_response(true: str, bend: float, s
 def test_frames_that_scatter_do_not_decide() -> None:
     """The phone's bracket through a response that is not its own: steps disagree by tens of %."""
     labels = law_of_labels(FULL_STOPS_S)
-    by_law = {law: times_under(law, FULL_STOPS_S) for law in LAWS}
+    by_law = {law: true_times_s(FULL_STOPS_S, law) for law in LAWS}
     seen = (-0.63, -0.11, -0.48, -0.66, -0.65, -0.76)  # ln ratios between neighbours, measured
     pairs = [PairRatio(i, i + 1, ratio, 0.003, 1000) for i, ratio in enumerate(seen)]
     found = law_of_frames(by_law, labels, pairs)
@@ -84,7 +83,7 @@ def test_frames_that_scatter_do_not_decide() -> None:
 @pytest.mark.contract
 def test_without_pairs_the_labels_decide() -> None:
     labels = law_of_labels(FULL_STOPS_S)
-    by_law = {law: times_under(law, FULL_STOPS_S) for law in LAWS}
+    by_law = {law: true_times_s(FULL_STOPS_S, law) for law in LAWS}
     assert law_of_frames(by_law, labels, []) == labels
 
 
@@ -92,7 +91,7 @@ def _bracket(folder: Path, law: str) -> list[Path]:
     """Three raw frames of a uniform 100 cd/m2 by a shutter that keeps to a law."""
     files, rng = [], np.random.default_rng(1)
     for nominal_s in SMALL.bracket.shutter_s:
-        true_s = float(times_under(law, nominal_s))
+        true_s = float(true_times_s(nominal_s, law))
         mean = 100.0 * z_per_cdm2(true_s, 4.0, 100.0) * (4095 - 256)
         noise = np.sqrt(mean / 2 + (5 / 2) ** 2) * rng.standard_normal((64, 128))
         counts = np.clip(np.round(256 + mean + noise), 0, 4000).astype(np.uint16)

@@ -411,14 +411,14 @@ def test_steps_run_once_for_new_captures_and_their_faults_are_named(tmp_path: Pa
 @pytest.mark.contract
 def test_new_brackets_are_merged_as_the_user_merged_the_others(tmp_path: Path) -> None:
     plain = make_session(tmp_path / "s")
-    inputs = {"height": 115, "fit": False, "drop_moved": True}
+    inputs = {"height": 115, "fit": False}
     plain.panoramas.mkdir()
     Sidecar(plain.slots()[0].id, inputs=inputs).write(plain.sidecar(plain.slots()[0].id))
     code = "import sys; print(*sys.argv[1:])"
     worker = Worker(plain, lambda: Moment(True, 1), program=(sys.executable, "-c", code))
     worker.work()
     said = (worker.folder / "merge.out").read_text().split()
-    assert said[4:] == ["--size", "230x115", "--no-fit", "--drop-moved"]
+    assert said[4:] == ["--size", "230x115", "--no-fit"]
 
 
 def _until(true: Callable[[], bool]) -> None:

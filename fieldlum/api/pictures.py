@@ -81,7 +81,6 @@ def merge_frames(
     height: int = 230,
     heading_deg: float = 180.0,
     fit: bool | None = None,
-    drop_moved: bool = False,
     progress: Progress = quiet,
 ) -> MergeResult:
     """Merge one bracket of raw or JPEG files to a luminance panorama.
@@ -98,8 +97,6 @@ def merge_frames(
         Where the camera faced, clockwise from true north; the panorama's centre column.
     fit
         Estimate the exposure ratios from the frames; None: for raw frames only.
-    drop_moved
-        Exclude frames from pixels where something moved.
     progress
         Called as progress(done, total, text).
 
@@ -128,7 +125,7 @@ def merge_frames(
     return merge.merge_frames(
         [path_of(file) for file in files],
         camera,
-        merge.MergeOptions(height=height, fit=fit, drop_moved=drop_moved),
+        merge.MergeOptions(height=height, fit=fit),
         heading_deg=heading_deg,
         progress=progress,
     )

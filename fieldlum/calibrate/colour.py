@@ -31,10 +31,9 @@ from fieldlum.calibrate.readings import (
 )
 from fieldlum.core.arrays import Array, Floats, Mask
 from fieldlum.core.errors import InputError
-from fieldlum.optics.images.primaries import RADIANCE_CHROMATICITIES, rgb_to_xyz
-from fieldlum.optics.photometry.melanopic import MELANOPIC_FROM_XYZ, U_CHART, U_MATRIX
-from fieldlum.optics.profiles import CameraProfile
-from fieldlum.optics.profiles.tables import Colour
+from fieldlum.optics.images import RADIANCE_CHROMATICITIES, rgb_to_xyz
+from fieldlum.optics.melanopic import MELANOPIC_FROM_XYZ, U_CHART, U_MATRIX
+from fieldlum.optics.profiles import CameraProfile, Colour
 
 READING_U = 0.02  # relative u of a spot reading if none is stated; chosen, not measured
 # Weight of the prior relative to one reading, from strong to weak; candidates of the selection.

@@ -16,8 +16,8 @@ from fieldlum.core.arrays import Array
 from fieldlum.core.plot_style import BLUE, GREEN, INK, RED, open_axes
 from fieldlum.optics.images import read_panorama
 from fieldlum.optics.photometry import linearity_factor, response_table, vignetting_at
-from fieldlum.optics.photometry.stray_light import kernel_per_sr
 from fieldlum.optics.projection import equirect_pixel
+from fieldlum.optics.stray_light import kernel_per_sr
 from fieldlum.session import replacing_path
 
 if TYPE_CHECKING:

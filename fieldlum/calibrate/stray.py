@@ -26,9 +26,9 @@ from fieldlum.calibrate.readings import (
 from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Flag, Panorama
-from fieldlum.optics.photometry.stray_light import kernel_per_sr
 from fieldlum.optics.profiles import CameraProfile, StrayLight
 from fieldlum.optics.projection import direction, equirect_rays, equirect_solid_angles
+from fieldlum.optics.stray_light import kernel_per_sr
 
 # Angles of the tried kernels, in degrees; octaves, because haze falls roughly with a power. Chosen;
 # held-out readings select a set.

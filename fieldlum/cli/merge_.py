@@ -37,7 +37,6 @@ def command(
     projection: Literal["equirect", "fisheye"] = "equirect",
     heading: float = 180.0,
     fit: bool | None = None,
-    drop_moved: bool = False,
     scheduler_text: str = "local",
     force: bool = False,
     as_json: bool = False,
@@ -59,7 +58,6 @@ def command(
       --heading DEG: Azimuth that the camera faces (with --frames).
       --fit/--no-fit: Estimate exposure ratios from the frames. [default: for raw frames
           only]
-      --drop-moved: Exclude frames from pixels where something moved through the picture.
     """
     from fieldlum.merge import MergeOptions
     from fieldlum.session import open_session
@@ -69,13 +67,13 @@ def command(
     if frames:
         assert camera and out is not None
         new_file(out, force)
-        options = MergeOptions(_file_height(size, projection), projection, fit, drop_moved)
+        options = MergeOptions(_file_height(size, projection), projection, fit)
         _merge_files([session, *more], camera, out, options, heading, as_json)
         return
     if more or camera or out or projection != "equirect":
         raise click.UsageError("several files, --camera, --out and --projection need --frames")
     height = panorama_height(size) if size else _present_height(open_session(session))
-    options = MergeOptions(height, fit=fit, drop_moved=drop_moved)
+    options = MergeOptions(height, fit=fit)
     _merge_session(open_session(session), options, scheduler_of(scheduler_text), force, as_json)
 
 

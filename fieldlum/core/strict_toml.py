@@ -12,15 +12,20 @@ import typing
 from dataclasses import asdict, is_dataclass
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import msgspec
+from msgspec import Meta
 
 from fieldlum.core.errors import InputError, input_errors
 
 T = TypeVar("T")
 TomlTable = dict[str, Any]
 """A table of a TOML file, as `tomllib` reads it."""
+Positive = Annotated[float, Meta(gt=0.0, lt=1e12)]
+NotNegative = Annotated[float, Meta(ge=0.0)]
+Share = Annotated[float, Meta(ge=0.0, lt=1.0)]
+"""Numbers of a table whose range is checked when it is built."""
 
 # bytes; the largest file of fieldlum has some kB, but /dev/zero has no end; chosen
 _MAX_BYTES = 4_000_000
@@ -52,6 +57,7 @@ def _reason(text: str, value: Any) -> str:
     place = place.rstrip("`").lstrip(".")
     text = re.sub(r"Object missing required field `(.*)`", r"no entry '\1'", text)
     text = re.sub(r"Expected `(.*?)`, got `.*`", lambda m: f"not {_words(m[1])}", text)
+    text = re.sub(r"Expected `(.*?)`", lambda m: f"not {_words(m[1])}", text)
     if "..." in place:
         return f"{place.replace('[...]', '')} has a value that is {text}"
     if place and not text.startswith("no entry"):

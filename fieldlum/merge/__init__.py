@@ -1,7 +1,12 @@
 """Merge the frames of a bracket to a luminance map with its uncertainty."""
 
-from fieldlum.merge.bracket import MergeResult, files_to_picture, merge_frames, merge_shots
-from fieldlum.merge.options import MergeOptions
+from fieldlum.merge.bracket import (
+    MergeOptions,
+    MergeResult,
+    files_to_picture,
+    merge_frames,
+    merge_shots,
+)
 from fieldlum.merge.sensor import merge_sensor
 from fieldlum.merge.shots import Shot, shots_of_files
 from fieldlum.merge.stage import run

@@ -10,12 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Flag, JsonTable, Panorama, Progress, quiet
 from fieldlum.merge.disc import MEASURED, sun_on_sensor, take_out_disc
-from fieldlum.merge.options import MergeOptions
-from fieldlum.merge.project import TAPER_RAD, ProjectedImage, blend, finish, view_through
+from fieldlum.merge.project import blend, finish, view_through
 from fieldlum.merge.quality import floating_white_balance, report_of, verdict
 from fieldlum.merge.sensor import Findings, SensorImage, merge_sensor
 from fieldlum.merge.shots import Shot, middle_of, shots_of_files, sorted_shots
@@ -24,72 +22,34 @@ from fieldlum.optics.images import write_panorama, write_radiance_hdr
 from fieldlum.optics.linear_light import lens_geometry
 from fieldlum.optics.photometry import vertical_illuminance_lx
 from fieldlum.optics.profiles import CameraProfile
-from fieldlum.optics.projection import Equirect
-from fieldlum.optics.projection.grids import Target
+from fieldlum.optics.projection import Equirect, Fisheye, Target
 from fieldlum.session import replacing_path
-from fieldlum.session.files.merge_report import DarkRim, MergeReport
+from fieldlum.session.files.merge_report import MergeReport
 from fieldlum.session.files.sidecar import MeasuredSun
 from fieldlum.sky.sky_view import SkyPicture
 from fieldlum.sky.sun_disc import SunDisc
 
-# ----------------------------------------------------------------------------------------------
-# lenses whose image is dark at its edge, because the profile states a larger image circle
 
+@dataclass(frozen=True, slots=True)
+class MergeOptions:
+    """How brackets are merged.
 
-# Rings from the edge of the image inwards, each of 0.5 degrees; the innermost is the reference.
-_RINGS = 7
-_MIN_PIXELS = 50  # of a ring, for its median; chosen
-# A ring below this share of the reference is dark. The outermost one of a real 8 mm fisheye has 0.2
-# (docs/validation.md); scenes seldom darken so much within 3 degrees. Chosen.
-_DARK_SHARE = 0.6
-_BRIGHT_SHARE = 0.9  # the rim ends at the first ring above it; chosen
-_TAPER_DEG = float(np.degrees(TAPER_RAD))
-
-
-def dark_rims(views: Sequence[ProjectedImage]) -> tuple[DarkRim, ...]:
-    """Return how wide and dark the edge of each lens's image is, for lenses whose edge is dark.
-
-    At most one rim for each lens.
-
-    views: of one lens at one heading each. Only pixels that a single view sees are tested, because
-    `blend` gives the edge of a lens little weight elsewhere. Of several headings of a lens, the
-    first with a dark rim counts.
+    height: rows of the result [px]; 230 are pixels of 0.8 degrees (docs/design.md). projection:
+    "equirect" (a panorama, twice as wide as high) or "fisheye" (a square picture along the first
+    lens). fit: whether exposure ratios are estimated from the frames, instead of taken from the
+    profile; None: for raw frames only.
     """
-    alone = sum((view.coverage > 0).astype(int) for view in views) == 1  # [n]
-    rims: dict[str, DarkRim] = {}
-    for view in views:
-        if view.lens is None:
-            continue
-        inside = alone & (view.coverage > 0.99) & (view.edge < 1.0)
-        rim = dark_rim(view.luminance[inside], view.edge[inside] * _TAPER_DEG)
-        if rim is not None:
-            rims.setdefault(view.lens.name, DarkRim(view.lens.name, *rim))
-    return tuple(rims.values())
 
+    height: int = 230
+    projection: str = "equirect"
+    fit: bool | None = None
 
-def dark_rim(luminance_cdm2: Floats, from_edge_deg: Floats) -> tuple[float, float] | None:
-    """Return the width [degrees] of a dark rim, and its edge's share of the luminance further in.
-
-    luminance_cdm2 [n] is of the outer 3.4 degrees of a lens's image, from_edge_deg [n] the distance
-    of each pixel from the edge. They are divided into seven rings. The rim is dark if the median of
-    the outermost ring is at most 0.6 of the innermost one's and the medians of the outer three fall
-    outwards. It extends to the first ring above 0.9. Return None otherwise, or if a ring has fewer
-    than 50 pixels.
-    """
-    step = _TAPER_DEG / _RINGS
-    ring = np.minimum((from_edge_deg / step).astype(int), _RINGS - 1)
-    if (np.bincount(ring, minlength=_RINGS) < _MIN_PIXELS).any():
-        return None
-    median = np.array([np.median(luminance_cdm2[ring == k]) for k in range(_RINGS)])
-    share = median / max(median[-1], 1e-9)
-    if share[0] > _DARK_SHARE or not (np.diff(share[:3]) > 0.0).all():
-        return None
-    width = int(np.argmax(share > _BRIGHT_SHARE))
-    return round(width * step, 1), round(float(share[0]), 3)
-
-
-# ----------------------------------------------------------------------------------------------
-# the merge of a bracket
+    def target(self, profile: CameraProfile) -> Target:
+        """Return the pixel grid of the result: a panorama, or a fisheye like the first lens."""
+        if self.projection == "equirect":
+            return Equirect(self.height)
+        lens = profile.lens[0]
+        return Fisheye(self.height, lens.full_angle_deg, lens)
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +92,7 @@ def merge_headings(
     for heading, group in groupby(shots, key=lambda s: s.heading_deg):
         turn_deg = 0.0 if heading is None else heading - heading_deg
         image, part = merge_sensor(
-            list(group), profile, options, turn_deg=turn_deg, progress=progress
+            list(group), profile, fit=options.fit, turn_deg=turn_deg, progress=progress
         )
         images.append(image)
         findings.append(part)
@@ -171,7 +131,7 @@ def merge_shots(
     seen = blend(views)
     panorama = finish(seen, profile, target, heading_deg=heading_deg, t_utc=middle_of(shots))
     assert panorama.flags is not None  # `finish` always sets the flags
-    report = report_of(findings, panorama.flags, target, profile, dark_rims(views))
+    report = report_of(findings, panorama.flags, target, profile)
     sun = sky = None
     if latitude_deg is not None and isinstance(target, Equirect):
         sky = sky_cut(images, views, seen, profile, target, heading_deg, latitude_deg)

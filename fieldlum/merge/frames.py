@@ -6,7 +6,6 @@ strips along their first axis, at the same places in all.
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -35,21 +34,13 @@ from fieldlum.optics.raw import channel_positions, read_jpeg, read_mosaic
 
 Plateau = tuple[float | None, ...]  # of R, G1, G2, B [DN]
 NO_PLATEAU: Plateau = (None, None, None, None)
-_LOOKED_AT = 6_000_000  # pixels that are examined for saturation, to limit the time; chosen
-# of the saturation: brighter pixels do not predict; noise is added to the limit; chosen
-_GATE = 0.97
-_FULL = 0.99  # of the saturation: a count above it is treated as saturated; chosen
-# minimum signal-to-noise ratio of a pixel of a frame that is searched for edges; not measured
-_SMALL_SNR = 8.0
+_FULL = 0.99  # of the saturation: a count above it is treated as saturated
 # Noise of a JPEG pixel besides its quantisation, in codes. The sensor has 0.5; rounding to YCbCr
 # and of its cosines 0.7. These errors are correlated between colours and neighbours, so that sums
 # of pixels need 1.0 (bench/merge_budget.py --kind jpeg).
 _SIGMA_CODE = 1.0
-_Z_STEPS, _Z_TOP = 1 << 14, 1.02  # steps and upper end of the table over z; chosen
-_TOP_CODE = 250  # code above which a JPEG pixel is treated as saturated; chosen
-# Enough for 18 JPEG frames of a 13-megapixel fisheye, or for 16 raw frames of 24 megapixels.
-# Together with the sums this takes about 1.5 GB. Chosen; other frames wait in temporary files.
-FRAMES_BYTES = 800_000_000
+_Z_STEPS, _Z_TOP = 1 << 14, 1.02  # steps and upper end of the table over z
+_TOP_CODE = 250  # code above which a JPEG pixel is treated as saturated
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +108,7 @@ class RawSignal:
         The smaller of 97 % of saturation, and saturation less 4 standard deviations of noise.
         """
         sigma = np.sqrt(self.saturation / self.gain_e_per_dn + self.noise_dn2)
-        limit = np.minimum(_GATE * self.saturation, self.saturation - 4 * sigma)
+        limit = np.minimum(0.97 * self.saturation, self.saturation - 4 * sigma)
         return self._linear(limit.astype(np.float32))
 
     @cached_property
@@ -189,9 +180,8 @@ class RawSignal:
         counts = self.counts.reshape(-1, self.counts.shape[-1])
         above = counts.astype(np.float32)
         above -= np.float32(self.black.mean())
-        return reduced(
-            above, counts < self._any_full, _SMALL_SNR * float(np.sqrt(self.noise_dn2)), cell=2
-        )
+        dark = 8.0 * float(np.sqrt(self.noise_dn2))
+        return reduced(above, counts < self._any_full, dark, cell=2)
 
     def sampled(self, rows: int, columns: int) -> tuple[RawSignal, Mask]:
         """Return a signal of evenly spread pixels, about [rows, 2, columns], and a mask.
@@ -444,7 +434,7 @@ def saturation_and_black(
         if shot.exposure.iso in plateau_dn:
             continue
         mosaic = read_mosaic(shot.path, lens_f_number=shot.exposure.f_number)
-        step = 2 * max(1, mosaic.counts.size // _LOOKED_AT)
+        step = 2 * max(1, mosaic.counts.size // 6_000_000)  # limits the time
         plateau_dn[shot.exposure.iso] = tuple(
             saturation_plateau(mosaic.counts[row::step, column::2], mosaic.white_dn)
             for row, column in channel_positions(mosaic.cfa)
@@ -463,34 +453,22 @@ def read_frames(
     profile: CameraProfile,
     crop: Crop,
     plateau_dn: Mapping[float, Plateau],
-    budget_bytes: int = FRAMES_BYTES,
     progress: Progress = quiet,
 ) -> list[Signal]:
     """Read the frames of a bracket, most exposed first.
 
-    plateau_dn: counts at which R, G1, G2 and B saturate, by ISO. budget_bytes: memory for pixels;
-    those of further frames are mapped from temporary files. Raises the errors of `load_raw` and
-    `load_jpeg`.
+    plateau_dn: counts at which R, G1, G2 and B saturate, by ISO. Raises the errors of `load_raw`
+    and `load_jpeg`.
     """
     signals: list[Signal] = []
     for i, shot in enumerate(shots):
         if profile.camera.kind == "raw":
-            raw = load_raw(shot, profile, crop, plateau_dn.get(shot.exposure.iso, NO_PLATEAU))
-            budget_bytes -= raw.counts.nbytes
-            signals.append(raw if budget_bytes >= 0 else replace(raw, counts=_on_disk(raw.counts)))
+            plateau = plateau_dn.get(shot.exposure.iso, NO_PLATEAU)
+            signals.append(load_raw(shot, profile, crop, plateau))
         else:
-            jpeg = load_jpeg(shot, profile, crop, (i == 0, i == len(shots) - 1))
-            budget_bytes -= jpeg.codes.nbytes
-            signals.append(jpeg if budget_bytes >= 0 else replace(jpeg, codes=_on_disk(jpeg.codes)))
+            signals.append(load_jpeg(shot, profile, crop, (i == 0, i == len(shots) - 1)))
         progress(i + 1, len(shots), "frames")
     return signals
-
-
-def _on_disk(pixels: Array) -> Array:
-    with tempfile.TemporaryFile() as file:
-        pixels.tofile(file)
-        file.flush()
-        return np.asarray(np.memmap(file, pixels.dtype, "r", shape=pixels.shape))
 
 
 def scaled(frames: Sequence[Signal], factors: Floats) -> list[Signal]:

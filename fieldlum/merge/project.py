@@ -12,17 +12,16 @@ from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats, Floats32, Mask
 from fieldlum.core.records import U_PERCENT, VEILING_GLARE, Flag, Panorama
-from fieldlum.merge.jpeg_noise import footprint_px
 from fieldlum.merge.sensor import SensorImage
 from fieldlum.optics.images import RADIANCE_LM_PER_W, RADIANCE_Y, calibration_mark
 from fieldlum.optics.linear_light import curve_u_rel, lens_geometry, vignetting_of
+from fieldlum.optics.melanopic import ATTRIBUTE as MELANOPIC
+from fieldlum.optics.melanopic import attribute_text as melanopic_text
 from fieldlum.optics.photometry import vignetting_at
-from fieldlum.optics.photometry.melanopic import ATTRIBUTE as MELANOPIC
-from fieldlum.optics.photometry.melanopic import attribute_text as melanopic_text
-from fieldlum.optics.photometry.stray_light import stray_cdm2
 from fieldlum.optics.profiles import CameraProfile, Lens
-from fieldlum.optics.projection import Equirect, Resampler, resampler, wrapped
-from fieldlum.optics.projection.grids import Target
+from fieldlum.optics.projection import Equirect, LensGeometry, Target, wrapped
+from fieldlum.optics.resample import Resampler, resampler
+from fieldlum.optics.stray_light import stray_cdm2
 
 # Share of a target pixel's weight that must have a flag before the target pixel gets the flag. For
 # clipping nearly any share suffices, because the pixel is then a lower bound. The other shares are
@@ -33,8 +32,8 @@ _SPOILT = Flag.CLIPPED_HIGH | Flag.BLOOM | Flag.MOTION
 # bilinear resampling. Resampling reaches two pixels where each colour has its own pixels, one pixel
 # where every pixel sees all colours.
 _LEAK_PX = {"raw": 0.35, "jpeg": 0.20}
-# width of the rim in which a lens fades out if another lens sees the same directions; chosen
-TAPER_RAD = 0.06
+# width of the rim in which a lens fades out if another lens sees the same directions
+_TAPER_RAD = 0.06
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +122,7 @@ def view_through(
     parts = np.maximum(rgb * weights, 0.0) + 1e-30
     u_ratio = (parts * sensor.u_curve.at(rgb)).sum(axis=1) / parts.sum(axis=1)
     rgb, var = rgb / v[:, None], var / v[:, None] ** 2
-    edge = np.clip((geometry.half_angle_rad - angle) / TAPER_RAD, 0.01, 1.0)
+    edge = np.clip((geometry.half_angle_rad - angle) / _TAPER_RAD, 0.01, 1.0)
     u_vignetting = u_edge * np.clip((1.0 - v) / worst, 0.0, 1.0)
     coverage = r.coverage.astype(np.float64)
     light = rgb @ weights
@@ -264,6 +263,11 @@ def _shared_percents(view: ProjectedImage, weight: Floats, p: CameraProfile) -> 
         VEILING_GLARE: p.glare_floor_rel,
     }
     return " ".join(f"{name}={100 * u_rel:.4g}" for name, u_rel in shared.items())
+
+
+def footprint_px(lens: LensGeometry, target: Target) -> float:
+    """Return how many sensor pixels wide a target pixel is, averaged over the field, at least 1."""
+    return max(1.0, lens.radius_px / lens.half_angle_rad * target.pixel_rad)
 
 
 def u_of_edges(light: Floats, seen_mask: Mask, target: Target, profile: CameraProfile) -> Floats:

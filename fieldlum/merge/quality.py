@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,19 +12,9 @@ from fieldlum.core.records import Flag
 from fieldlum.merge.sensor import Findings, any_beyond_prior
 from fieldlum.merge.shots import Shot
 from fieldlum.optics.profiles import CameraProfile
-from fieldlum.optics.projection import signed_angle_deg
-from fieldlum.optics.projection.grids import Target
+from fieldlum.optics.projection import Target, signed_angle_deg
 from fieldlum.optics.raw import roll_deg_of, white_balance_is_fixed
-from fieldlum.session.files.merge_report import DarkRim, FrameQuality, MergeReport
-
-# Limits of the verdict, chosen with simulated and real brackets (docs/merge.md, "Verdicts").
-RESIDUAL_WARN_PERCENT = 3.0
-SHIFT_WARN_PX = 1.0  # beyond three standard errors
-BLACK_WARN_DN = 1.0
-_MOTION_WARN_PERCENT, _BELOW_NOISE_WARN_PERCENT = 2.0, 5.0
-# A frame whose EXIF roll differs from the profile's by more than the first value counts as turned;
-# a lens within the second value of the horizon counts as level. Not measured.
-_HELD_DEG, _LEVEL_DEG = 60.0, 45.0
+from fieldlum.session.files.merge_report import FrameQuality, MergeReport
 
 
 def orientation_conflict(shots: Sequence[Shot], profile: CameraProfile) -> str:
@@ -39,16 +28,17 @@ def orientation_conflict(shots: Sequence[Shot], profile: CameraProfile) -> str:
     lens = profile.lens[0]
     # Cameras with two fisheyes have no upright position, and the EXIF roll is unreliable when the
     # camera points up.
-    if len(profile.lens) > 1 or abs(lens.tilt_deg) > _LEVEL_DEG:
+    if len(profile.lens) > 1 or abs(lens.tilt_deg) > 45.0:
         return ""
     rolls_deg = {roll for shot in shots if (roll := roll_deg_of(shot.path)) is not None}
     if len(rolls_deg) > 1:
+        angles = " and ".join(f"{value:g}" for value in sorted(rolls_deg))
         return (
-            "the camera was turned within the bracket: its EXIF has the roll angles "
-            f"{_degrees(rolls_deg)}; capture the bracket again with a fixed camera"
+            f"the camera was turned within the bracket: its EXIF has the roll angles {angles} deg; "
+            "capture the bracket again with a fixed camera"
         )
     off = float(signed_angle_deg(rolls_deg.pop() - lens.roll_deg)) if rolls_deg else 0.0
-    if abs(off) <= _HELD_DEG:
+    if abs(off) <= 60.0:
         return ""
     return (
         f"by EXIF, the camera was held {abs(off):.0f} deg off the profile's roll of "
@@ -68,22 +58,17 @@ def floating_white_balance(shots: Sequence[Shot], profile: CameraProfile) -> str
     return next(names, "")
 
 
-def _degrees(values: set[float]) -> str:
-    return " and ".join(f"{value:g}" for value in sorted(values)) + " deg"
-
-
 def report_of(
     parts: Sequence[Findings],
     flags: NDArray[np.integer],
     target: Target,
     profile: CameraProfile,
-    rims: Sequence[DarkRim] = (),
 ) -> MergeReport:
     """Return the figures of one merged bracket.
 
-    parts: findings of each heading; flags [H, W]: of the result on the grid `target`; rims: of
-    lenses that are dark at the edge. Shares of the view are in % of the solid angle that a lens
-    sees; residual_percent is the largest of all neighbouring frames, None without any.
+    parts: findings of each heading; flags [H, W]: of the result on the grid `target`. Shares of the
+    view are in % of the solid angle that a lens sees; residual_percent is the largest of all
+    neighbouring frames, None without any.
     """
     pairs = [n for part in parts for n in part.exposures.neighbours]
     turns = [turn for part in parts for turn in part.turns]
@@ -109,12 +94,11 @@ def report_of(
         shutter_law=parts[0].exposures.law,
         u_ratio_percent=100 * float(np.sqrt(np.mean([p.exposures.u_rel**2 for p in parts]))),
         orientation_conflict=orientation_conflict([s for p in parts for s in p.shots], profile),
-        dark_rims=tuple(rims),
         filter_absent=tuple(name for part in parts for name in part.absent),
     )
 
 
-def _shares_percent(flags: NDArray[np.integer], target: Target) -> dict[str, Any]:
+def _shares_percent(flags: NDArray[np.integer], target: Target) -> dict[str, float]:
     """Return shares of the solid angle: flagged of what a lens sees, and not seen of all, in %."""
     solid = target.solid_angles()
     seen_sr = solid * ((flags & Flag.OUTSIDE_LENS) == 0)
@@ -133,6 +117,7 @@ def _shares_percent(flags: NDArray[np.integer], target: Target) -> dict[str, Any
 
 
 def _frames(part: Findings) -> list[FrameQuality]:
+    fit = part.exposures.fit
     return [
         FrameQuality.of(
             shot.path.name,
@@ -141,11 +126,8 @@ def _frames(part: Findings) -> list[FrameQuality]:
             u_percent=round(float(100 * u), 4),
             heading_deg=shot.heading_deg,
             t_utc=shot.t_utc,
-            dropped_percent=round(100 * part.dropped[i], 4) if part.dropped else None,
         )
-        for i, (shot, correction, u) in enumerate(
-            zip(part.shots, part.exposures.fit.correction, part.exposures.fit.u_log, strict=True)
-        )
+        for shot, correction, u in zip(part.shots, fit.correction, fit.u_log, strict=True)
     ]
 
 
@@ -156,7 +138,10 @@ def _range_text(log_deviation: Floats) -> str:
 
 
 def verdict(report: MergeReport) -> str:
-    """Return the verdict as one line: "good: ...", or what to check, separated by semicolons."""
+    """Return the verdict as one line: "good: ...", or what to check, separated by semicolons.
+
+    Its limits were chosen with simulated and real brackets (docs/merge.md, "Verdicts").
+    """
     notes = [*_exposure_notes(report), *_camera_notes(report), *_view_notes(report)]
     return "; ".join(notes) or f"good: frames agree within {report.residual_percent:.2f} %"
 
@@ -167,7 +152,7 @@ def _exposure_notes(report: MergeReport) -> Iterator[str]:
             "no two frames have common well-exposed pixels, so the exposures could not be checked: "
             "plan smaller steps between exposures"
         )
-    elif report.residual_percent > RESIDUAL_WARN_PERCENT:
+    elif report.residual_percent > 3.0:
         yield (
             f"neighbouring frames disagree by {report.residual_percent:.1f} %: the light changed "
             "or something moved during the bracket, or the response needs calibration"
@@ -188,7 +173,7 @@ def _camera_notes(report: MergeReport) -> Iterator[str]:
         )
     if report.orientation_conflict:
         yield report.orientation_conflict
-    if abs(report.black_off_dn) > BLACK_WARN_DN:
+    if abs(report.black_off_dn) > 1.0:
         yield (
             f"the files' black level differs from the profile's by {report.black_off_dn:+.1f} DN: "
             "check that the profile belongs to this camera"
@@ -199,17 +184,10 @@ def _camera_notes(report: MergeReport) -> Iterator[str]:
             "the uncertainty u uses the larger value: check gain_e_per_dn and read_noise_e of "
             "the profile"
         )
-    for turn in (turn for turn in report.shifts if turn.sure_px > SHIFT_WARN_PX):
+    for turn in (turn for turn in report.shifts if turn.sure_px > 1.0):
         yield (
             f"the camera turned by {turn.turn_deg:.2f} deg ({turn.shift_px:.1f} px) between "
             f"{turn.long} and {turn.short}: fix the tripod and capture again"
-        )
-    for rim in report.dark_rims:
-        yield (
-            f"the outer {rim.width_deg:.1f} degrees of lens '{rim.lens}' are dark (at its edge "
-            f"{100 * rim.share:.0f} % of the luminance further in): the profile's full_angle_deg "
-            "and radius_px are larger than the lens's image, and luminance is too low there: leave "
-            f"this edge out (fieldlum calibrate lens --trim {rim.width_deg:.1f})"
         )
 
 
@@ -219,12 +197,12 @@ def _view_notes(report: MergeReport) -> Iterator[str]:
             f"clipped in every frame: {clipped:.2g} % of the view, where luminance is a lower "
             "bound: add shorter exposures"
         )
-    if (motion := report.motion_percent or 0.0) > _MOTION_WARN_PERCENT:
+    if (motion := report.motion_percent or 0.0) > 2.0:
         yield (
             f"motion in {motion:.1f} % of the view: people, leaves or clouds moved between frames: "
-            "do not use the pixels with the flag motion, or merge again with --drop-moved"
+            "do not use the pixels with the flag motion, or capture the bracket again"
         )
-    if (below := report.below_noise_percent or 0.0) > _BELOW_NOISE_WARN_PERCENT:
+    if (below := report.below_noise_percent or 0.0) > 5.0:
         yield (
             f"below noise: {below:.1f} % of the view is too dark in every frame: add longer "
             "exposures"

@@ -18,21 +18,13 @@ from fieldlum.merge.frames import RawSignal, Signal
 from fieldlum.optics.photometry import PairRatio
 from fieldlum.session.files.merge_report import NeighbourQuality
 
-# rows (of raw frames: row pairs) and approximate number of columns to sample; chosen to limit time
-_ROWS, _COLUMNS = 96, 640
-_SNR_LONG = 30.0  # minimum signal-to-noise ratio of a pixel in the longer frame; not measured
+_SNR_LONG = 30.0  # minimum signal-to-noise ratio of a pixel in the longer frame
 # Least signal-to-noise ratios in the shorter frame, tried from the highest, and number of pixels
 # that suffices. Bright pixels are preferred because a black level that is wrong by one count
-# affects dim pixels. Chosen.
+# affects dim pixels.
 _SNR_SHORT, _ENOUGH = (60.0, 15.0, 3.0), 2000
-_ENOUGH_FOR_RATIO = 100  # pixels whose median tells a filter from none; chosen
-_REACH = 3  # number of following frames with which each frame is compared; not measured
-_FREE = 0.3  # relative prior of an exposure that nothing else constrains; chosen
-_LEVELS = 193  # number of luminances at which the ratios' uncertainty is computed; chosen
-# Fewer usable pixels give no ratio. Chosen so that one object does not decide it; not measured.
-MIN_PIXELS = 50
 # Floor of a pair's relative uncertainty: linearity of the sensor, change of light within a second.
-# Chosen well below the shutter priors; not measured.
+# Well below the shutter priors; not measured.
 _SYSTEMATIC = 5e-4
 # Residuals over this many sigma lose weight (Huber 1964; 2.5 keeps 99 % of normal residuals).
 _HUBER_SIGMA = 2.5
@@ -57,30 +49,26 @@ class RatioFit:
 
 
 def pair_ratio(
-    long_signal: Floats,
-    short_signal: Floats,
-    usable: Mask,
+    y_long: Floats,
+    y_short: Floats,
     long_variance: Floats,
     short_variance: Floats,
-    assumed_ratio: float | Floats,
-    long: int = 0,
-    short: int = 1,
+    assumed_ratio: Floats | float,
+    frames: tuple[int, int] = (0, 1),
 ) -> PairRatio | None:
     """Return the measured exposure ratio of two frames over the assumed ratio, as a logarithm.
 
-    None with under 50 usable pixels, or if the measured ratio is not positive. Arrays are [n];
-    usable: True for pixels to use; assumed_ratio: short over long exposure, a number or [n].
-    short_variance must be the variance of the signal predicted from the long frame (long_signal *
-    assumed_ratio), not of the noisy value. Huber weights at 2.5 sigma reduce the weight of motion
-    and hot pixels. long, short: indices of the frames, only copied to the result.
+    None with under 50 pixels, so that one object does not decide it, or if the measured ratio is
+    not positive. Arrays are [n]; assumed_ratio: short over long exposure. short_variance must be
+    the variance of the signal predicted from the long frame (y_long * assumed_ratio), not of the
+    noisy value. Huber weights at 2.5 sigma reduce the weight of motion and hot pixels. frames:
+    numbers of the long and of the short frame, only copied to the result.
     """
-    y_long, y_short = (np.asarray(s, np.float64)[usable] for s in (long_signal, short_signal))
-    ratio = np.broadcast_to(np.asarray(assumed_ratio, np.float64), np.shape(long_signal))[usable]
-    if y_long.size < MIN_PIXELS:
+    if y_long.size < 50:
         return None
-    r = y_short / (y_long * ratio)
-    variance = short_variance[usable] / (y_long * ratio) ** 2 + long_variance[usable] / y_long**2
-    weight = 1.0 / (variance + 1e-6)
+    predicted = y_long * assumed_ratio
+    r = y_short / predicted
+    weight = 1.0 / (short_variance / predicted**2 + long_variance / y_long**2 + 1e-6)
     centre, spread, robust = _weighted_median(r, weight), 1.0, weight
     for _ in range(8):
         pull = np.abs(r - centre) * np.sqrt(weight)
@@ -89,10 +77,8 @@ def pair_ratio(
         centre = float((robust * r).sum() / robust.sum())
     if not centre > 0:
         return None
-    u = spread / np.sqrt(robust.sum()) / centre
-    return PairRatio(
-        long, short, float(np.log(centre)), float(np.hypot(u, _SYSTEMATIC)), y_long.size
-    )
+    u = float(np.hypot(spread / np.sqrt(robust.sum()) / centre, _SYSTEMATIC))
+    return PairRatio(*frames, float(np.log(centre)), u, y_long.size)
 
 
 def _weighted_median(values: Floats, weights: Floats) -> float:
@@ -122,7 +108,7 @@ class RatioCurve:
 
 def take_samples(frames: Sequence[Signal]) -> list[Rows]:
     """Return samples of each frame: 60 000 to 250 000 pixels, at the same places in all."""
-    small = [signal.sampled(_ROWS, _COLUMNS) for signal in frames]
+    small = [signal.sampled(96, 640) for signal in frames]  # rows (raw: pairs of them), columns
     return [Rows(signal, signal.strip(0, len(full))[0], full) for signal, full in small]
 
 
@@ -133,65 +119,25 @@ def _exposed(rows: Rows, light: Floats) -> tuple[Floats, Floats, Floats]:
     return per, weight, light * np.sqrt(weight * per)
 
 
-def _light(rows: Rows) -> Floats:
-    """Return the luminance by a frame alone, at least 0."""
-    return np.maximum(rows.counts / rows.signal.per_cdm2, 0.0).astype(np.float32)
-
-
 def compare(long: Rows, short: Rows, i: int, j: int) -> PairRatio | None:
     """Return the measured exposure ratio of two frames over the assumed one, as a logarithm.
 
     long, short: the same pixels of the more and of the less exposed frame; i, j: numbers of these
     frames, for the result. Return None if too few pixels are well exposed in both.
     """
-    light = _light(long)
+    assert long.full is not None and short.full is not None  # samples state it
+    light = np.maximum(long.counts / long.signal.per_cdm2, 0.0).astype(np.float32)
     e_long, w_long, snr_long = _exposed(long, light)
     e_short, w_short, snr_short = _exposed(short, light)
-    well_exposed = (snr_long > _SNR_LONG) & ~_full(long, short)
-    usable = (
-        _brightest(well_exposed, snr_short)
-        if isinstance(long.signal, RawSignal)
-        else well_exposed & (snr_short > _SNR_SHORT[-1])
-    )
-    with np.errstate(divide="ignore"):
-        return pair_ratio(
-            long.counts.ravel(),
-            short.counts.ravel(),
-            usable.ravel(),
-            (e_long / w_long).ravel(),
-            (e_short / w_short).ravel(),
-            (e_short / e_long).ravel(),
-            i,
-            j,
-        )
-
-
-def _brightest(well_exposed: Mask, snr: Floats) -> Mask:
-    for minimum in _SNR_SHORT[:-1]:
-        usable = well_exposed & (snr > minimum)
+    well_exposed = (snr_long > _SNR_LONG) & ~(long.full | short.full)
+    usable = well_exposed
+    for minimum in _SNR_SHORT if isinstance(long.signal, RawSignal) else _SNR_SHORT[-1:]:
+        usable = well_exposed & (snr_short > minimum)
         if usable.sum() >= _ENOUGH:
-            return usable
-    return well_exposed & (snr > _SNR_SHORT[-1])
-
-
-def _full(a: Rows, b: Rows) -> Mask:
-    """Return a mask, True where one of two frames is saturated or next to a saturated pixel."""
-    assert a.full is not None and b.full is not None  # samples state it
-    return a.full | b.full
-
-
-def light_ratio(known: Rows, other: Rows) -> float:
-    """Return the luminance by one frame over that by another, as a median over common pixels.
-
-    known: the frame whose well-exposed pixels count. 0 without at least 100 such pixels that are
-    not saturated in the other.
-    """
-    light = _light(known)
-    usable = (_exposed(known, light)[2] > _SNR_LONG) & ~_full(known, other)
-    if usable.sum() < _ENOUGH_FOR_RATIO:
-        return 0.0
-    of_other = other.counts / other.signal.per_cdm2
-    return float(np.median(of_other[usable] / light[usable]))
+            break
+    with np.errstate(divide="ignore"):
+        values = long.counts, short.counts, e_long / w_long, e_short / w_short, e_short / e_long
+    return pair_ratio(*(v[usable].astype(np.float64) for v in values), frames=(i, j))
 
 
 def bracket_pairs(samples: Sequence[Rows]) -> list[PairRatio]:
@@ -203,7 +149,7 @@ def bracket_pairs(samples: Sequence[Rows]) -> list[PairRatio]:
     pairs = [
         compare(samples[i], samples[j], i, j)
         for i in range(len(samples))
-        for j in range(i + 1, min(i + 1 + _REACH, len(samples)))
+        for j in range(i + 1, min(i + 4, len(samples)))
     ]
     return [pair for pair in pairs if pair is not None]
 
@@ -252,7 +198,7 @@ def free_fit(pairs: list[PairRatio], frames: int) -> RatioFit:
     of 2 % between neighbours can add up over a bracket if the light changed or the response is
     wrong.
     """
-    return fit_ratios(pairs, np.eye(frames) * _FREE**2)
+    return fit_ratios(pairs, np.eye(frames) * 0.3**2)
 
 
 def beyond(free: RatioFit, explained: float) -> float:
@@ -282,18 +228,17 @@ def ratio_curve(samples: Sequence[Rows], covariance: Floats, extra: float = 0.0)
     """
     small = [s.signal.sampled(1, 2)[0] for s in samples]
     largest = [float(np.max(s.max_cdm2())) for s in small]
-    levels = np.geomspace(1e-6 * min(largest), max(largest), _LEVELS)
+    levels = np.geomspace(1e-6 * min(largest), max(largest), 193)
     information = []
     for s in small:
         cell = s.strip(0, 1)[0].shape[1:]
-        w = s.weight(np.broadcast_to(levels[:, None, None], (_LEVELS, *cell)).astype(np.float32))
+        at = np.broadcast_to(levels[:, None, None], (len(levels), *cell))
+        w = s.weight(at.astype(np.float32))
         information.append((w * s.per_cdm2).astype(np.float64).sum(axis=(1, 2)))
     total = np.sum(information, axis=0)
     populated = total > 0
     if not populated.any():
-        return RatioCurve(
-            np.ones(1), np.full(1, np.hypot(np.sqrt(np.diag(covariance).max()), extra))
-        )
+        return RatioCurve(np.ones(1), np.sqrt(np.diag(covariance).max(keepdims=True) + extra**2))
     share = np.stack(information, axis=1)[populated] / total[populated, None]
     variance = np.einsum("li,ij,lj->l", share, covariance, share)
     return RatioCurve(levels[populated], np.sqrt(variance + extra**2))

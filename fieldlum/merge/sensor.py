@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -15,7 +17,6 @@ from fieldlum.core.records import Flag, Progress, quiet
 from fieldlum.core.statistics import robust_sigma
 from fieldlum.merge.estimator import Merged, Rows, merge_signals
 from fieldlum.merge.frames import (
-    FRAMES_BYTES,
     Crop,
     Plateau,
     RawSignal,
@@ -25,17 +26,14 @@ from fieldlum.merge.frames import (
     saturation_and_black,
     scaled,
 )
-from fieldlum.merge.jpeg_noise import footprint_px, with_seen_noise
-from fieldlum.merge.motion import leave_out_moved
-from fieldlum.merge.options import MergeOptions
 from fieldlum.merge.ratios import (
     RatioCurve,
     RatioFit,
     beyond,
     bracket_pairs,
+    compare,
     fit_ratios,
     free_fit,
-    light_ratio,
     neighbours,
     ratio_curve,
     take_samples,
@@ -50,15 +48,6 @@ from fieldlum.session.files.merge_report import NeighbourQuality, ShiftQuality
 
 # ----------------------------------------------------------------------------------------------
 # exposures: shutter law, fitted corrections, uncertainty
-
-
-# Smaller relative differences between frames never count as motion. The value equals the prior
-# uncertainty of a mechanical shutter time (photometry/exposure.py, PRIOR_LONG). Chosen.
-_MIN_TOLERANCE = 0.003
-_TOLERANCE_SIGMA = 3.0  # standard deviations of the frames' typical disagreement; chosen
-# The verdict reports an exposure's deviation if it exceeds both: 2 %, and three times its prior u.
-# Chosen.
-_REPORTED_DEVIATION, _REPORTED_SIGMA = 0.02, 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,8 +74,7 @@ class Exposures:
 
 def any_beyond_prior(log_deviation: Floats, u_prior: Floats) -> bool:
     """Return whether any exposure deviates by more than 2 % and by more than three u_prior."""
-    limit = np.maximum(_REPORTED_DEVIATION, _REPORTED_SIGMA * u_prior)
-    return bool((np.abs(log_deviation) > limit).any())
+    return bool((np.abs(log_deviation) > np.maximum(0.02, 3.0 * u_prior)).any())
 
 
 def exposures_of(
@@ -113,7 +101,7 @@ def exposures_of(
     fit = fit_ratios(pairs if fits else [], prior)
     frames, noise = scaled(frames, fit.correction), SeenNoise()
     if fits:
-        noise = seen_noise(samples, pairs, fit.correction)
+        noise = seen_noise(samples, fit.correction)
         frames = [_with_noise(signal, noise) for signal in frames]
     return frames, _trust(law, fit, prior, samples, pairs, profile, fits), noise
 
@@ -147,9 +135,9 @@ def _trust(
         np.hypot(np.sqrt(np.diag(prior)), u_response),
         float(np.hypot(u_typical, u_extra)),
         ratio_curve(samples, fit.covariance, u_extra),
-        # The tolerance includes the error of a JPEG's response, because that error makes frames
-        # differ without any motion.
-        max(_MIN_TOLERANCE, _TOLERANCE_SIGMA * disagreement, u_response),
+        # At least the prior uncertainty of a mechanical shutter time. The error of a JPEG's
+        # response makes frames differ without any motion.
+        max(0.003, 3.0 * disagreement, u_response),
     )
 
 
@@ -162,20 +150,7 @@ def _trust(
 # transfer; Janesick, SPIE 2007). The fit is robust against motion.
 
 
-_STEPS = 12  # levels of the signal at which a pair is evaluated; chosen
-# minimum number of pixels in a step, and maximum of a pair; chosen
-_IN_A_STEP, _MAX_PAIR_PIXELS = 200, 12_000
-_ROUNDED_DN2 = 1 / 12  # variance of rounding to integers, a uniform distribution (GUM 4.3.7)
-# Smaller factors on a variance (1.2 on the noise) are not reliably different from the profile's.
-# Chosen.
-_TOLD = 1.44
-# The factor must also exceed 1 by this many standard errors, because read noise is uncertain where
-# shot noise dominates. Chosen.
-_SURE_SIGMA = 3.0
-
-
-@dataclass(frozen=True, slots=True)
-class SeenNoise:
+class SeenNoise(NamedTuple):
     """Factors on the variances of shot noise and read noise that the profile gives.
 
     shot, read: measured variance over the profile's; 1 unless the frames clearly show more noise.
@@ -192,70 +167,66 @@ def _with_noise(signal: Signal, noise: SeenNoise) -> Signal:
     return replace(signal, gain_e_per_dn=gain, noise_dn2=read_dn2)
 
 
-def seen_noise(
-    samples: Sequence[Rows], pairs: Sequence[PairRatio], correction: Floats
-) -> SeenNoise:
+def seen_noise(samples: Sequence[Rows], correction: Floats) -> SeenNoise:
     """Return factors on the variances of the profile's shot and read noise, from raw frames.
 
-    samples: one for each frame, most exposed first; pairs: measured exposure ratios, of which only
-    those of neighbours are used. correction: fitted over assumed exposure, [frames]. Both factors
-    are 1 for JPEG frames, and if too few pixels can be compared.
+    samples: one for each frame, most exposed first; correction: fitted over assumed exposure,
+    [frames]. Both factors are 1 for JPEG frames, and if too few pixels can be compared. A factor
+    counts if it is over 1.44, 1.2 on the noise, and exceeds 1 by three standard errors, because
+    read noise is uncertain where shot noise dominates.
     """
+    ratios = correction[1:] / correction[:-1]
     rows = [
-        # divide by the measured variance, so that all steps have equal weight
-        (shot / measured, read / measured)
-        for pair in pairs
-        if pair.short == pair.long + 1
-        for shot, read, measured in _steps(
-            samples[pair.long],
-            samples[pair.short],
-            float(np.exp(np.log(correction[pair.short]) - np.log(correction[pair.long]))),
-        )
+        row
+        for (long, short), ratio in zip(pairwise(samples), ratios, strict=True)
+        for row in _steps(long, short, float(ratio))
     ]
     if len(rows) < 4:
         return SeenNoise()
-    table = np.array(rows)
+    shot, read, measured = np.array(rows).T
+    # divide by the measured variance, so that all steps have equal weight
+    table = np.stack([shot / measured, read / measured], axis=1)
     factors = nnls(table, np.ones(len(table)))[0]  # of shot and read noise, not negative
     scatter = np.mean((table @ factors - 1.0) ** 2)
     u = np.sqrt(np.diag(np.linalg.pinv(table.T @ table)) * scatter)
-    sure = factors > np.maximum(_TOLD, 1 + _SURE_SIGMA * u)
-    return SeenNoise(*(float(value) for value in np.where(sure, factors, 1.0)))
+    sure = factors > np.maximum(1.44, 1.0 + 3.0 * u)
+    return SeenNoise(*np.where(sure, factors, 1.0).tolist())
 
 
 def _steps(long: Rows, short: Rows, correction: float) -> list[tuple[float, float, float]]:
     """Return variances of the difference of two frames [DN2], one row for each step of the signal.
 
-    A row has the shot variance and the read variance by the profile, and the measured variance.
+    A row has the shot variance and the read variance by the profile, and the measured variance. The
+    signal has at most twelve steps of at least 200 pixels each.
     """
     a, b = long.signal, short.signal
     if not (isinstance(a, RawSignal) and isinstance(b, RawSignal)):
         return []
     at = np.flatnonzero(long.usable() & short.usable())
-    at = at[:: max(1, len(at) // _MAX_PAIR_PIXELS)]
+    at = at[:: max(1, len(at) // 12_000)]
     y_long, y_short = long.counts.ravel()[at], short.counts.ravel()[at]
-    ratio = correction * np.broadcast_to(b.per_cdm2 / a.per_cdm2, long.counts.shape).ravel()[at]
-    order = np.argsort(y_long)
+    r = correction * np.broadcast_to(b.per_cdm2 / a.per_cdm2, long.counts.shape).ravel()[at]
+    light = np.maximum(y_long, 0.0)
+    shot = r * light / b.gain_e_per_dn + r**2 * light / a.gain_e_per_dn
+    read = b.noise_dn2 + r**2 * a.noise_dn2
     # Where noise is about one count, a median of integers would jump between counts: spread the
-    # counts evenly over their width first.
-    dither = np.random.default_rng(0).uniform(-0.5, 0.5, len(at))
-    steps = []
-    for step in np.array_split(order, int(np.clip(len(order) // _IN_A_STEP, 1, _STEPS))):
-        if len(step) < _IN_A_STEP:
-            continue
-        r = ratio[step]
-        light = np.maximum(y_long[step], 0.0)
-        off = y_short[step] - r * y_long[step] + dither[step]
-        shot = float(np.median(r * light / b.gain_e_per_dn + r**2 * light / a.gain_e_per_dn))
-        read = float(np.median(b.noise_dn2 + r**2 * a.noise_dn2))
-        steps.append((shot, read, max(robust_sigma(off) ** 2 - _ROUNDED_DN2, _ROUNDED_DN2)))
-    return steps
+    # counts evenly over their width first, which adds the variance of a uniform distribution.
+    rounded_dn2 = 1 / 12
+    off = y_short - r * y_long + np.random.default_rng(0).uniform(-0.5, 0.5, len(at))
+    steps = np.array_split(np.argsort(y_long), int(np.clip(len(at) // 200, 1, 12)))
+    return [
+        (
+            float(np.median(shot[step])),
+            float(np.median(read[step])),
+            max(robust_sigma(off[step]) ** 2 - rounded_dn2, rounded_dn2),
+        )
+        for step in steps
+        if len(step) >= 200
+    ]
 
 
 # ----------------------------------------------------------------------------------------------
 # pixels to ignore
-#
-# These are the profile's bad pixels and, for raw cameras, isolated pixels whose frames contradict
-# each other while all neighbours of the same colour agree. Pixels of moving objects are kept.
 
 
 def good_pixels(profile: CameraProfile, crop: Crop, flags: NDArray[np.uint8]) -> Mask | None:
@@ -318,8 +289,7 @@ class Findings:
 
     plateau_dn: counts at which R, G1, G2 and B saturate, by ISO; black_off_dn: black level of the
     files minus the profile's; noise: noise over the profile's. turns: of the camera between frames,
-    only for pairs of frames with enough common edges. dropped: share (0 to 1) of its pixels that
-    each frame lost to motion, empty without `drop_moved`. absent: names of frames that were taken
+    only for pairs of frames with enough common points. absent: names of frames that were taken
     without the filter of their label.
     """
 
@@ -329,49 +299,40 @@ class Findings:
     black_off_dn: float
     noise: SeenNoise
     turns: tuple[ShiftQuality, ...]
-    dropped: tuple[float, ...]
     absent: tuple[str, ...] = ()
 
 
 def merge_sensor(
     shots: Sequence[Shot],
     profile: CameraProfile,
-    options: MergeOptions | None = None,
     *,
+    fit: bool | None = None,
     turn_deg: float = 0.0,
-    budget_bytes: int = FRAMES_BYTES,
     progress: Progress = quiet,
 ) -> tuple[SensorImage, Findings]:
     """Merge the frames of one heading.
 
-    shots: sorted by exposure, longest first. turn_deg: heading of the camera minus that of the
-    resulting picture, clockwise. budget_bytes: memory for frames; others wait in temporary files.
-    Return the merged pixels, and what the frames showed. Raises InputError for a frame that cannot
-    be read or is of another camera.
+    shots: sorted by exposure, longest first. fit: whether exposure ratios are estimated from the
+    frames; None: for raw frames only. turn_deg: heading of the camera minus that of the resulting
+    picture, clockwise. Return the merged pixels, and what the frames showed. Raises InputError for
+    a frame that cannot be read or is of another camera.
     """
-    options, crop = options or MergeOptions(), lens_crop(profile)
+    crop, is_raw = lens_crop(profile), profile.camera.kind == "raw"
     shots, absent = _without_absent_filters(shots, profile, crop)
     law = stated_law(shots, profile)
     plateau_dn, black_off_dn = saturation_and_black(shots, profile)
     read_with = replace(profile, shutter_law=law.law)
-    frames = read_frames(shots, read_with, crop, plateau_dn, budget_bytes, progress)
+    frames = read_frames(shots, read_with, crop, plateau_dn, progress)
     lenses = [lens_geometry(lens, corner_px=(crop.left, crop.top)) for lens in profile.lens]
     turns = shifts([f.small() for f in frames], lenses, [s.path.name for s in shots])
-    frames, exposures, noise = exposures_of(frames, shots, profile, law, options.fits(profile))
-    height, width = crop.height, crop.width
-    shape = (height // 2, 2, width) if profile.camera.kind == "raw" else (height, width, 3)
+    fits = is_raw if fit is None else fit
+    frames, exposures, noise = exposures_of(frames, shots, profile, law, fits)
+    shape = (crop.height // 2, 2, crop.width) if is_raw else (crop.height, crop.width, 3)
     merged = merge_signals(frames, shape, u_ratio=exposures.tolerance)
-    dropped: tuple[float, ...] = ()
-    if options.drop_moved:
-        merged, dropped = leave_out_moved(frames, merged, exposures.tolerance)
-    if profile.camera.kind == "jpeg":
-        target = options.target(profile)
-        edge_px = float(np.mean([footprint_px(lens, target) for lens in lenses]))
-        merged = with_seen_noise(merged, frames, profile.colour.y_from_rgb, edge_px)
     good, f_number = good_pixels(profile, crop, merged.flags), shots[0].exposure.f_number
     image = SensorImage(merged, crop, turn_deg, f_number, exposures.u_curve, good)
     return image, Findings(
-        tuple(shots), exposures, plateau_dn, black_off_dn, noise, tuple(turns), dropped, absent
+        tuple(shots), exposures, plateau_dn, black_off_dn, noise, tuple(turns), absent
     )
 
 
@@ -393,8 +354,9 @@ def _without_absent_filters(
         like = min(bare, key=lambda s: abs(np.log(s.exposure.shutter_s / asked.shutter_s)))
         pair = [like, replace(shot, exposure=replace(asked, nd=""))]
         frames = read_frames(pair, profile, crop, saturation_and_black(pair, profile)[0])
+        ratio = compare(*take_samples(frames), 0, 1)
         factor = float(np.mean(nd_factors(asked.nd, profile)))
-        if light_ratio(*take_samples(frames)) > factor**-0.5:
+        if ratio is not None and ratio.log_ratio > -0.5 * np.log(factor):
             right[number] = pair[1]
             absent.append(shot.path.name)
     return (sorted_shots(right, profile), tuple(sorted(absent))) if absent else (shots, ())

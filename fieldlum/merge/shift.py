@@ -1,41 +1,39 @@
-"""Detect a turn of the camera within a bracket, by comparing each frame with its neighbour.
+"""Detect a turn of the camera within a bracket, by tracking points from each frame to the next.
 
 Phase correlation is not suitable: edges of clipped and dark areas are common to both frames and
-hold it at zero, and the short frames of a room show little but windows. Therefore the turn is found
-by least squares on the pixels that both frames see (Lucas and Kanade 1981), from coarse to fine. An
-offset and a slope absorb errors of exposure and response; robust weights reduce the effect of
-motion. A fisheye picture does not shift uniformly when its camera turns, and two lenses back to
-back shift against each other. Therefore the unknowns are the three angles of the turn, and the
-lens's mapping converts them.
+hold it at zero. Therefore only points whose surroundings both frames see are tracked (Lucas and
+Kanade 1981, by OpenCV), in the logarithm of light, so that an error of exposure is an offset. A
+fisheye picture does not shift uniformly when its camera turns, and two lenses back to back shift
+against each other: the unknowns are the three angles of the turn, and the lens's mapping converts
+points to directions. Robust weights reduce the effect of motion.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
 
 import cv2
 import numpy as np
 
-from fieldlum.core.arrays import Floats, Floats32, Mask
-from fieldlum.optics.projection import LensGeometry, lens_pixels, lens_rays, radius_of_angle
+from fieldlum.core.arrays import Array, Floats, Floats32, Mask
+from fieldlum.optics.projection import (
+    LensGeometry,
+    lens_rays,
+    radius_of_angle,
+    relative_radius,
+)
 from fieldlum.optics.turn_fit import fit_turn
 from fieldlum.session.files.merge_report import ShiftQuality
 
-MAX_SIDE_PX = 800  # longest side of the reduced frames [px], to limit the time; chosen
-_LEVELS = 4  # number of sizes, each half of the one before; chosen
-_STEPS = 2  # Gauss-Newton steps at each size; chosen
-_MAX_PIXELS = 30_000  # pixels of a fit, to limit the time; chosen
-_BLOCKS = 6  # independent blocks per side, for the standard error; chosen
-_MIN_BLOCKS = 3  # with edges; fewer give no standard error; chosen
-_MIN_PIXELS = 300  # at edges for a fit; not measured
-_FLAT = 0.02  # ln light; smaller differences between neighbours are not edges; not measured
-# Smaller gradients of ln light are ignored, because smooth shading does not constrain the turn. Not
-# measured.
-_SMOOTH_PER_RAD = 4.0
-_RIM = 0.97  # of a lens's circle, because its edge does not move with the scene; chosen
-_TINY_RAD = 1e-4  # step of the numerical derivatives
+_MAX_SIDE_PX = 800  # longest side of the reduced frames, to limit the time
+# OpenCV tracks 8-bit pictures: one level is 2.5 % of light, the range is 9 EV.
+_LEVELS_PER_LN = 40.0
+_WINDOW_PX = 11  # side of the surroundings of a point
+_MAX_POINTS, _MIN_POINTS = 400, 8
+_BLOCKS = 6  # parts of the picture per side whose errors are independent; three at least
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,12 +58,11 @@ def reduced(signal: Floats32, seen_mask: Mask, minimum: float, cell: int = 1) ->
     pixels (2 for a mosaic).
     """
     h, w = signal.shape
-    by = cell * max(1, -(-max(h, w) // (cell * MAX_SIDE_PX)))
-    size = (w // by, h // by)
-    part = np.s_[: size[1] * by, : size[0] * by]
-    mean = cv2.resize(signal[part], size, interpolation=cv2.INTER_AREA)
-    share = cv2.resize(
-        seen_mask[part].view(np.uint8) * np.uint8(255), size, interpolation=cv2.INTER_AREA
+    by = cell * max(1, -(-max(h, w) // (cell * _MAX_SIDE_PX)))
+    part, size = np.s_[: h // by * by, : w // by * by], (w // by, h // by)
+    mean, share = (
+        cv2.resize(values[part], size, interpolation=cv2.INTER_AREA)
+        for values in (signal, seen_mask.view(np.uint8) * np.uint8(255))
     )
     complete = (share == 255) & (mean > minimum)
     return Small(np.log(np.where(complete, mean, 1.0)).astype(np.float32), complete, by)
@@ -78,122 +75,70 @@ def shifts(
 
     frames: most exposed first; lenses: with centres in sensor pixels of the frames; names: of the
     frames. shift_px of a turn is its angle about any axis by the pixels per radian at the first
-    lens's axis. A pair of frames without enough common edges is omitted.
+    lens's axis. A pair of frames without enough common points is omitted.
     """
-    if len(frames) < 2 or min(frames[0].log_light.shape) < 16:
-        return []
-    flow, inside = _flow(tuple(lenses), frames[0].step, frames[0].log_light.shape)
-    flows = [flow]
-    pyramids = [_pyramid(replace(frame, seen=frame.seen & inside)) for frame in frames]
-    while len(flows) < len(pyramids[0]):
-        flows.append(np.ascontiguousarray(0.5 * flows[-1][:, ::2, ::2], np.float32))
-    lens = lenses[0]
-    px_per_rad = float(lens.radius_px * radius_of_angle(lens, _TINY_RAD) / _TINY_RAD)
-    turns = []
-    for i in range(len(frames) - 1):
-        turn = _turn(pyramids[i], pyramids[i + 1], flows)
+    lens, tiny_rad, turns = lenses[0], 1e-4, []
+    px_per_rad = float(lens.radius_px * radius_of_angle(lens, tiny_rad) / tiny_rad)
+    for (long, short), named in zip(pairwise(frames), pairwise(names), strict=True):
+        turn = _turn(long, short, lenses)
         if turn is not None:
             angle, u = turn
             px, u_px = angle * px_per_rad, u * px_per_rad
             figures = float(np.degrees(angle)), px, u_px, max(px - 3.0 * u_px, 0.0)
-            turns.append(
-                ShiftQuality(names[i], names[i + 1], *(round(float(v), 3) for v in figures))
-            )
+            turns.append(ShiftQuality(*named, *(round(v, 3) for v in figures)))
     return turns
 
 
-@lru_cache(maxsize=2)
-def _flow(
-    lenses: tuple[LensGeometry, ...], step: int, shape: tuple[int, int]
-) -> tuple[Floats32, Mask]:
-    """Return how reduced pixels move when the camera turns, and a mask inside the lens's rim.
+def _turn(long: Small, short: Small, lenses: Sequence[LensGeometry]) -> tuple[float, float] | None:
+    """Return the turn between two frames [rad] and its standard error; None for too few points."""
+    from scipy.spatial.transform import Rotation
 
-    The motion is [6, h, w]: x and y for a turn about each of three axes [px/rad].
-    """
-    y, x = ((np.arange(n) + 0.5) * step for n in shape)
-    flow, inside = np.zeros((6, *shape), np.float32), np.zeros(shape, bool)
+    here_px, there_px = _tracked(long, short)  # [points, 2] each
+    rays, blocks = [np.empty((2, 0, 3))], [np.empty(0, np.intp)]
+    extent = np.array(long.seen.shape[::-1]) * long.step
     for lens in lenses:
-        within = (
-            np.hypot(x - lens.centre_px[0], y[:, None] - lens.centre_px[1]) < _RIM * lens.radius_px
-        )
-        rows, columns = np.nonzero(within & ~inside)
-        rays = lens_rays(lens, x[columns], y[rows])
-        for axis, unit in enumerate(np.eye(3)):
-            turned = lens_pixels(lens, rays + _TINY_RAD * np.cross(unit, rays))[:2]
-            for k, (there, here) in enumerate(zip(turned, (x[columns], y[rows]), strict=True)):
-                flow[2 * axis + k, rows, columns] = (there - here) / _TINY_RAD / step
-        inside |= within
-    return flow, inside
-
-
-def _pyramid(small: Small) -> list[tuple[Floats32, Mask]]:
-    levels = [(small.log_light, small.seen)]
-    while len(levels) < _LEVELS and min(levels[-1][0].shape) >= 64:
-        light, seen_mask = levels[-1]
-        size = (light.shape[1] // 2, light.shape[0] // 2)
-        part = np.s_[: 2 * size[1], : 2 * size[0]]
-        weight, total = (
-            cv2.resize(v[part].astype(np.float32), size, interpolation=cv2.INTER_AREA)
-            for v in (seen_mask, np.where(seen_mask, light, 0.0))
-        )
-        mean = np.divide(total, weight, out=np.zeros_like(total), where=weight > 0)
-        levels.append((mean, weight > 0.99))
-    return levels
-
-
-def _turn(
-    first: list[tuple[Floats32, Mask]], second: list[tuple[Floats32, Mask]], flows: list[Floats32]
-) -> tuple[float, float] | None:
-    """Return the turn between two frames [rad] and its standard error.
-
-    None for too few common edges.
-    """
-    turn, covariance = np.zeros(3), None
-    for level in range(len(flows) - 1, -1, -1):
-        for _ in range(_STEPS):
-            step = _step(first[level], second[level], flows[level], turn)
-            if step is None:
-                break  # too few edges at this size; a finer size may have more
-            turn, covariance = turn + step[0], step[1]
-            if np.abs(step[0]).max() * np.abs(flows[level]).max() < 0.02:
-                break
-    if covariance is None:
+        # the edge of a lens's image does not move with the scene
+        radii = [relative_radius(lens, *points.T) for points in (here_px, there_px)]
+        inside = np.max(radii, axis=0) < 0.97
+        rays.append(np.stack([lens_rays(lens, *p[inside].T) for p in (here_px, there_px)]))
+        column, row = (here_px[inside] * _BLOCKS / extent).astype(np.intp).T
+        blocks.append(row * _BLOCKS + column)
+    (here, there), block = np.concatenate(rays, axis=1), np.concatenate(blocks)
+    if len(block) < _MIN_POINTS or len(np.unique(block)) < 3:
         return None
-    angle = float(np.linalg.norm(turn))
-    along = turn / max(angle, 1e-12)
-    return angle, float(np.sqrt(max(along @ covariance @ along, 1e-16)))
+    turn, covariance = Rotation.identity(), np.eye(3)
+    for _ in range(3):  # a fit is linear in the turn
+        moved = turn.apply(here)
+        design = np.cross(np.eye(3), moved[:, None]).swapaxes(1, 2).reshape(-1, 3)
+        fit = fit_turn(design, (there - moved).ravel(), np.repeat(block, 3))
+        if fit is None:
+            return None
+        turn, covariance = Rotation.from_rotvec(fit[0]) * turn, fit[1]
+    angle = turn.magnitude()
+    along = turn.as_rotvec() / max(angle, 1e-12)
+    return float(angle), float(np.sqrt(max(along @ covariance @ along, 1e-16)))
 
 
-def _step(
-    a: tuple[Floats32, Mask], b: tuple[Floats32, Mask], flow: Floats32, turn: Floats
-) -> tuple[Floats, Floats] | None:
-    """Return the next correction of `turn` [3] in rad, and its covariance."""
-    h, w = a[0].shape
-    y, x = np.mgrid[:h, :w].astype(np.float32)
-    for k in range(3):
-        x += np.float32(turn[k]) * flow[2 * k, :h, :w]
-        y += np.float32(turn[k]) * flow[2 * k + 1, :h, :w]
-    moved = cv2.remap(b[0], x, y, cv2.INTER_LINEAR)
-    in_view = cv2.remap(b[1].astype(np.float32), x, y, cv2.INTER_LINEAR) > 0.999
-    near = np.ones((5, 5), np.uint8)
-    both = cv2.erode((in_view & a[1]).view(np.uint8), near, borderValue=0)
-    still, other = (cv2.GaussianBlur(v * both, (3, 3), 0.8) for v in (a[0], moved))
-    both = cv2.erode(both, near, borderValue=0).view(np.bool_)
-    mean = 0.5 * (still + other)
-    down, right = np.gradient(mean, axis=0), np.gradient(mean, axis=1)
-    flat = max(_FLAT, _SMOOTH_PER_RAD / max(float(np.abs(flow).max()), 1e-6))
-    rows, columns = np.nonzero(both & (down**2 + right**2 > flat**2))
-    if len(rows) < _MIN_PIXELS:
-        return None
-    thin = len(rows) // _MAX_PIXELS + 1
-    at = rows, columns = rows[::thin], columns[::thin]
-    level = mean[at].astype(np.float64)
-    slopes = [right[at] * flow[2 * k][at] + down[at] * flow[2 * k + 1][at] for k in range(3)]
-    design = np.stack(
-        [*slopes, np.ones_like(level), level - level.mean()], axis=1, dtype=np.float64
-    )
-    block = rows * _BLOCKS // h * _BLOCKS + columns * _BLOCKS // w
-    if np.unique(block).size < _MIN_BLOCKS:
-        return None
-    fit = fit_turn(design, (still - other)[at].astype(np.float64), block)
-    return None if fit is None else (fit[0][:3], fit[1][:3, :3])
+def _tracked(long: Small, short: Small) -> tuple[Floats, Floats]:
+    """Return sensor coordinates of points in two frames, [points, 2] each."""
+    both = long.seen & short.seen
+    near = np.ones((_WINDOW_PX, _WINDOW_PX), np.uint8)
+    mask = cv2.erode(both.view(np.uint8), near, borderValue=0)
+    pictures = [_grey(small, both) for small in (long, short)]
+    start = cv2.goodFeaturesToTrack(pictures[0], _MAX_POINTS, 0.002, _WINDOW_PX / 2, mask=mask)
+    if start is None:
+        return np.empty((0, 2)), np.empty((0, 2))
+    window: dict[str, Any] = {"winSize": (_WINDOW_PX, _WINDOW_PX), "maxLevel": 2}
+    end, found, _ = cv2.calcOpticalFlowPyrLK(*pictures, start, None, **window)
+    back, returned, _ = cv2.calcOpticalFlowPyrLK(*pictures[::-1], end, None, **window)
+    apart_px = np.abs(back - start).max(axis=(1, 2))
+    good = (found[:, 0] > 0) & (returned[:, 0] > 0) & (apart_px < 0.5)
+    here, there = ((points[good, 0] + 0.5) * long.step for points in (start, end))
+    return here.astype(np.float64), there.astype(np.float64)
+
+
+def _grey(small: Small, common: Mask) -> Array:
+    """Return a frame as 8-bit levels of ln light; 128 for the median, and outside of `common`."""
+    middle = np.median(small.log_light[common]) if common.any() else 0.0
+    levels = np.where(common, _LEVELS_PER_LN * (small.log_light - middle), 0.0)
+    return np.clip(np.rint(levels) + 128, 0, 255).astype(np.uint8)

@@ -19,9 +19,8 @@ from fieldlum.core.scheduler import (
     is_worker_trouble,
     run_each,
 )
-from fieldlum.merge.bracket import MergeResult, merge_shots
+from fieldlum.merge.bracket import MergeOptions, MergeResult, merge_shots
 from fieldlum.merge.disc import disc_px, expected_sun_deg, mosaic_u_rel
-from fieldlum.merge.options import MergeOptions
 from fieldlum.merge.session_summary import summary_due, write_summary
 from fieldlum.merge.shots import Shot, middle_of, shots_of_slot, verified
 from fieldlum.optics.images import write_panorama
@@ -38,9 +37,8 @@ from fieldlum.version import __version__
 
 # The verdict reports the relative uncertainty of the sun's illuminance from this value on. Chosen.
 _SUN_WARN = 0.02
-# Increase it when the arithmetic changes: earlier panoramas are then merged again. Before 6, frames
-# were not compared with their recorded sha256.
-_RECIPE = 6
+# Increase it when the arithmetic changes: earlier panoramas are then merged again.
+_RECIPE = 7
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +95,6 @@ def _recipe(job: _MergeJob, shots: list[Shot]) -> JsonTable:
         "height": job.options.height,
         "heading_deg": job.heading_deg,
         "fit": job.options.fit,
-        "drop_moved": job.options.drop_moved,
     }
     return {**inputs, "digest": digest(inputs)}
 

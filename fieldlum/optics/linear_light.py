@@ -23,7 +23,7 @@ from fieldlum.optics.photometry import (
     linearity_factor,
     prior_u_log,
     response_table,
-    time_under,
+    true_times_s,
     z_per_cdm2,
 )
 from fieldlum.optics.profiles import CameraProfile, Lens
@@ -113,8 +113,8 @@ def true_shutter_s(shutter_s: float, profile: CameraProfile) -> tuple[float, flo
     for measured in profile.shutter:
         if abs(measured.nominal_s / shutter_s - 1) < SAME_TIME:
             return measured.true_s, measured.u_rel
-    seconds = time_under(profile.shutter_law, shutter_s) + profile.sensor.exposure_offset_s
-    return seconds, float(prior_u_log(np.asarray(seconds)))
+    seconds = float(true_times_s(shutter_s, profile.shutter_law)) + profile.sensor.exposure_offset_s
+    return seconds, float(prior_u_log(seconds))
 
 
 def frame_z_per_cdm2(exposure: Exposure, profile: CameraProfile) -> float:

@@ -7,25 +7,23 @@ import hashlib
 import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from fieldlum.core.arrays import Array, Floats32
-from fieldlum.core.errors import InputError
+from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.records import Flag, Panorama, SunSource, parse_utc, utc_text
 from fieldlum.core.strict_toml import plain
-from fieldlum.optics.images.primaries import BT709_CHROMATICITIES, luminance_weights
-from fieldlum.optics.images.radiance import MAX_PIXELS, read_radiance_hdr
+from fieldlum.optics.images.radiance import MAX_PIXELS, luminance_weights, read_radiance_hdr
 from fieldlum.optics.profiles import CameraProfile
 
-# Values of all channels together, 2.6 GB: limits the memory that decoding may take. Chosen.
+# ITU-R BT.709, which OpenEXR assumes where a file has no attribute `chromaticities`.
+_BT709_CHROMATICITIES = (0.640, 0.330, 0.300, 0.600, 0.150, 0.060, 0.3127, 0.3290)
+# Values of all channels together, 2.6 GB: limits the memory that decoding may take.
 _MAX_VALUES = 4 * MAX_PIXELS
-# 1 cd/m2 for an RGB of 1: without an attribute whiteLuminance the unit of a file is not stated.
-# Chosen.
-_WHITE_CDM2_UNSTATED = 1.0
 NO_UNIT = "the EXR states no unit (no whiteLuminance): its values are taken as cd/m2"
 
 # ----------------------------------------------------------------------------------------------
@@ -104,9 +102,6 @@ def read_panorama(path: Path, part: str = "") -> Panorama:
     part : of an .exr, as for `read_exr`. A file without a heading gets 180 (south). The file's view
     is not checked. Raises InputError for a missing or broken file, and for other shapes.
     """
-    if not path.is_file():
-        remedy = "check the path of the panorama"
-        raise InputError(path, "no such file", "a panorama .exr or .hdr", remedy)
     if path.suffix.lower() == ".exr":
         panorama = read_exr(path, part)[0]
     else:
@@ -115,12 +110,9 @@ def read_panorama(path: Path, part: str = "") -> Panorama:
         panorama = Panorama(image.luminance_cdm2, heading, rgb=image.rgb)
     height, width = panorama.luminance_cdm2.shape
     if width != 2 * height:
-        raise InputError(
-            path,
-            f"{width} x {height} pixels",
-            "a panorama twice as wide as high",
-            "use a picture of all directions (equirectangular)",
-        )
+        expected = "a panorama twice as wide as high"
+        remedy = "use a picture of all directions (equirectangular)"
+        raise InputError(path, f"{width} x {height} pixels", expected, remedy)
     return panorama
 
 
@@ -142,7 +134,10 @@ def read_exr(path: Path, part: str = "") -> tuple[Panorama, str]:
     header = headers[picture.part]
     channels = _channels(path, picture)
     luminance, unit_note = _luminance(channels, header, path)
-    try:
+    # OpenEXR returns a damaged attribute as bytes of unknown type.
+    expected = "attributes as fieldlum writes them"
+    remedy = "merge the panorama again, or copy the file again"
+    with input_errors(path, expected, remedy, ValueError, TypeError, AttributeError):
         own = {
             str(key).removeprefix("fieldlum:"): str(value)
             for key, value in header.items()
@@ -151,14 +146,6 @@ def read_exr(path: Path, part: str = "") -> tuple[Panorama, str]:
         heading = float(header.get("heading_deg", 180.0))
         t_utc = parse_utc(header["t_utc"]) if header.get("t_utc") else None
         sun = _sun_parse(header["sun"]) if header.get("sun") else None
-    except (ValueError, TypeError, AttributeError) as error:
-        # OpenEXR returns a damaged attribute as bytes of unknown type.
-        raise InputError(
-            path,
-            f"an attribute that cannot be read ({error})",
-            "heading_deg, t_utc and sun as fieldlum writes them",
-            "merge the panorama again, or copy the file again",
-        ) from None
     if note := "; ".join(filter(None, (unit_note, layer_note))):
         own["note"] = note
     rgb = np.stack([channels[c] for c in "RGB"], axis=-1) if set("RGB") <= set(channels) else None
@@ -175,14 +162,15 @@ def _headers(path: Path) -> list[dict[str, Any]]:
     import OpenEXR
 
     # Check the first bytes before OpenEXR reads the file, because OpenEXR prints to stderr.
-    with path.open("rb") as file:
+    remedy = "check the path of the picture, and which program wrote it"
+    with input_errors(path, "an .exr picture", remedy, OSError), path.open("rb") as file:
         if file.read(4) != b"\x76\x2f\x31\x01":
-            remedy = "check which program wrote the file"
             raise InputError(path, "not an OpenEXR file", "an .exr picture", remedy)
     try:
         with OpenEXR.File(str(path), header_only=True) as exr:
             return [
-                {**part.header, "channels": list(part.header["channels"])} for part in exr.parts
+                {**part.header, "channels": [c.name for c in part.header["channels"]]}
+                for part in exr.parts
             ]
     except Exception as error:
         raise _broken(path, error) from None
@@ -193,33 +181,28 @@ def _broken(path: Path, error: Exception) -> InputError:
     return InputError(path, finding, "a complete EXR", "copy the file again")
 
 
-def _window(header: Mapping[str, Any], name: str) -> tuple[int, int, int, int] | None:
-    """Return left, top, and the column and row after the last [px]; None without such a window."""
-    try:
-        (x0, y0), (x1, y1) = header[name]
-        return int(x0), int(y0), int(x1) + 1, int(y1) + 1
-    except (KeyError, TypeError, ValueError):
-        return None
+def _window(header: Mapping[str, Any], name: str) -> tuple[int, int, int, int]:
+    """Return top, left, and the row and column after the last [px]."""
+    (x0, y0), (x1, y1) = header[name]
+    return int(y0), int(x0), int(y1) + 1, int(x1) + 1
 
 
 def _check_size(headers: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """Raise InputError for more pixels than `MAX_PIXELS`, before anything is decoded.
+    """Raise InputError for more values than `_MAX_VALUES`, before anything is decoded.
 
     All parts count, because OpenEXR decodes all of them.
     """
-    for header in headers:
+    for header, name in ((h, name) for h in headers for name in ("dataWindow", "displayWindow")):
+        try:
+            top, left, bottom, right = _window(header, name)
+        except (KeyError, TypeError, ValueError) as error:
+            raise _broken(path, error) from None
         count = max(1, len(header["channels"])) * len(headers)
-        for window in (_window(header, "dataWindow"), _window(header, "displayWindow")):
-            left, top, right, bottom = window or (0, 0, 1, 1)
-            width, height = right - left, bottom - top
-            if min(width, height) < 1 or width * height > min(MAX_PIXELS, _MAX_VALUES // count):
-                raise InputError(
-                    path,
-                    f"{width} x {height} pixels of {count} channels",
-                    f"1 to {MAX_PIXELS:,} pixels, and at most {_MAX_VALUES:,} values in all "
-                    "channels",
-                    "reduce the picture, or copy the file again",
-                )
+        height, width = bottom - top, right - left
+        if min(width, height) < 1 or width * height * count > _MAX_VALUES:
+            finding = f"{width} x {height} pixels of {count} channels"
+            expected = f"at most {_MAX_VALUES:,} values in all channels"
+            raise InputError(path, finding, expected, "reduce the picture, or copy the file again")
 
 
 def _channels(path: Path, picture: _Picture) -> dict[str, Floats32]:
@@ -242,18 +225,15 @@ def _luminance(
 ) -> tuple[Floats32, str]:
     """Return the luminance [H, W] in cd/m2, and a note if the file does not state its unit."""
     white = header.get("whiteLuminance")
-    scale = float(white) if isinstance(white, int | float) and white > 0 else _WHITE_CDM2_UNSTATED
+    scale = float(white) if isinstance(white, int | float) and white > 0 else 1.0
     ours = any(str(key).startswith("fieldlum:") or key == "heading_deg" for key in header)
     note = "" if ours or white else NO_UNIT
     if "Y" in channels:
         return (channels["Y"] if scale == 1.0 else channels["Y"] * np.float32(scale)), note
-    try:
-        stated = header.get("chromaticities")
-        weights = luminance_weights(BT709_CHROMATICITIES if stated is None else tuple(stated))
-    except (TypeError, ValueError) as error:
-        expected = "x and y of R, G, B and white"
-        remedy = "write the picture again with a correct attribute, or without it"
-        raise InputError(path, f"attribute chromaticities ({error})", expected, remedy) from None
+    expected = "chromaticities as x and y of R, G, B and white"
+    remedy = "write the picture again with a correct attribute, or without it"
+    with input_errors(path, expected, remedy, TypeError, ValueError):
+        weights = luminance_weights(tuple(header.get("chromaticities", _BT709_CHROMATICITIES)))
     luminance = np.zeros_like(channels["R"])
     for name, weight in zip("RGB", weights * scale, strict=True):
         luminance += channels[name] * np.float32(weight)
@@ -262,26 +242,18 @@ def _luminance(
 
 def _on_display_window(panorama: Panorama, header: Mapping[str, Any]) -> Panorama:
     """Return the picture on the display window; pixels without data are outside the lens."""
-    data, display = _window(header, "dataWindow"), _window(header, "displayWindow")
-    if data is None or display is None or data == display:
+    data, display = (np.array(_window(header, name)) for name in ("dataWindow", "displayWindow"))
+    if (data == display).all():
         return panorama
-    box = (*np.maximum(data[:2], display[:2]), *np.minimum(data[2:], display[2:]))
-
-    def part(window: tuple[int, ...]) -> tuple[slice, slice]:
-        """Return the rows and columns of a window that are in both windows."""
-        left, top = box[0] - window[0], box[1] - window[1]
-        return (
-            slice(top, top + max(box[3] - box[1], 0)),
-            slice(left, left + max(box[2] - box[0], 0)),
-        )
+    before, after = (data - display)[:2], (display - data)[2:]  # rows, columns to add; < 0: to cut
 
     def placed(values: Array | None, empty: float) -> Any:
         if values is None:
             return None
-        shape = (display[3] - display[1], display[2] - display[0], *values.shape[2:])
-        out = np.full(shape, empty, values.dtype)
-        out[part(display)] = values[part(data)]
-        return out
+        added = [*np.maximum(np.stack([before, after], axis=1), 0), *[(0, 0)] * (values.ndim - 2)]
+        wide = np.pad(values, added, constant_values=empty)
+        (top, left), (bottom, right) = np.maximum(-before, 0), np.maximum(-after, 0)
+        return wide[top : wide.shape[0] - bottom, left : wide.shape[1] - right]
 
     flags = panorama.flags
     if flags is None:
@@ -299,22 +271,15 @@ def _on_display_window(panorama: Panorama, header: Mapping[str, Any]) -> Panoram
 # one picture of an EXR file that has several parts, layers or views
 
 
-_OWN_CHANNELS = ("Y", "R", "G", "B", "u", "flags")
-_REMEDY = "name one with --part NAME (glare, view, info), or write only that picture"
-
-
-@dataclass(frozen=True, slots=True)
-class _Picture:
-    """A flat picture in an EXR file: the index of its part, and its channels.
+class _Picture(NamedTuple):
+    """A flat picture in an EXR file: its name, the index of its part, and its channels.
 
     name : of its part, layer or view; "" for plain channels of a file with one part without a name.
-    layered : whether its channels belong to a layer. channels : plain name, such as R, by the name
-    in the file.
+    channels : plain name, such as R, by the name in the file.
     """
 
     name: str
     part: int
-    layered: bool
     channels: Mapping[str, str]
 
 
@@ -325,40 +290,32 @@ def _chosen(headers: Sequence[Mapping[str, Any]], name: str, path: Path) -> tupl
     InputError, with the names, if several parts, layers or views could be meant, if there is no
     such name, and for a file without a flat picture with Y or R, G, B.
     """
-    pictures = [p for i, header in enumerate(headers) for p in _pictures(headers, i, header)]
-    listed = ", ".join(picture.name or "(plain channels)" for picture in pictures)[:200]
+    pictures = list(_pictures(headers))
+    remedy = "name one with --part NAME (glare, view, info), or write only that picture"
     if not pictures:
-        raise _no_picture(headers, path)
+        deep = "an EXR with deep data, or with the "
+        shown = ", ".join(sorted({c for header in headers for c in header["channels"]}))[:120]
+        finding = f"{deep if any(map(_is_deep, headers)) else ''}channels {shown}"
+        expected = "a channel Y in cd/m2, or R, G and B, of one flat layer"
+        raise InputError(path, finding, expected, "write only that layer")
+    first = pictures[0]
+    listed = ", ".join(picture.name or "(plain channels)" for picture in pictures)[:200]
     if name:
-        for picture in pictures:
-            if name == picture.name:
-                return picture, ""
-        raise InputError(path, f"no part {name[:80]}", f"one of {listed}", _REMEDY)
+        chosen = next((picture for picture in pictures if picture.name == name), None)
+        if chosen is None:
+            raise InputError(path, f"no part {name[:80]}", f"one of {listed}", remedy)
+        return chosen, ""
     if len(headers) > 1:
         every = ", ".join(str(header.get("name", "")) for header in headers)[:200]
         expected = f"the name of the picture to read: {listed}"
-        raise InputError(path, f"{len(headers)} parts: {every}", expected, _REMEDY)
+        raise InputError(path, f"{len(headers)} parts: {every}", expected, remedy)
     if len(pictures) == 1:
-        return pictures[0], ""
-    if pictures[0].layered or len(_views(headers[0])) > 1:
-        what = "views" if len(_views(headers[0])) > 1 else "layers"
-        raise InputError(path, f"{len(pictures)} {what}: {listed}", "one picture", _REMEDY)
+        return first, ""
+    if len(_views(headers[0])) > 1 or "." in next(iter(first.channels)):
+        what = "views" if _views(headers[0]) else "layers"
+        raise InputError(path, f"{len(pictures)} {what}: {listed}", "one picture", remedy)
     others = ", ".join(picture.name for picture in pictures[1:])[:200]
-    return pictures[0], f"the plain channels are read; the EXR has further layers: {others}"
-
-
-def _no_picture(headers: Sequence[Mapping[str, Any]], path: Path) -> InputError:
-    if all(_deep(header) for header in headers):
-        remedy = "flatten it with the program that wrote it"
-        return InputError(path, "an EXR with deep data", "a flat picture", remedy)
-    shown = ", ".join(sorted({c.name for header in headers for c in header["channels"]}))[:120]
-    expected = "a channel Y in cd/m2, or R, G and B, of one layer"
-    return InputError(path, f"channels {shown}", expected, "write only that layer")
-
-
-def _deep(header: Mapping[str, Any]) -> bool:
-    """Return whether a part's pixels have several samples at several depths."""
-    return "deep" in str(header.get("type", "")).lower()
+    return first, f"the plain channels are read; the EXR has further layers: {others}"
 
 
 def _views(header: Mapping[str, Any]) -> list[str]:
@@ -367,24 +324,26 @@ def _views(header: Mapping[str, Any]) -> list[str]:
     return [str(view) for view in stated] if isinstance(stated, list | tuple) else []
 
 
-def _pictures(
-    headers: Sequence[Mapping[str, Any]], part: int, header: Mapping[str, Any]
-) -> Iterator[_Picture]:
-    """Yield the flat pictures of a part, that of its plain channels first."""
-    names = () if _deep(header) else [channel.name for channel in header["channels"]]
-    prefixes = sorted({name[: name.rfind(".") + 1] for name in names})
-    layers = [prefix for prefix in prefixes if _is_picture(prefix, names)]
-    for prefix in layers:
-        own, layer = str(header.get("name", "")), prefix.rstrip(".")
-        if not prefix and len(_views(header)) > 1:
-            layer = _views(header)[0]
-        elif not prefix or (len(headers) > 1 and len(layers) == 1):
-            layer = own
-        elif len(headers) > 1:
-            layer = f"{own}.{layer}"
-        wanted = _OWN_CHANNELS[:4] if prefix else _OWN_CHANNELS
-        channels = {f"{prefix}{c}": c for c in wanted if f"{prefix}{c}" in names}
-        yield _Picture(layer, part, bool(prefix), channels)
+def _is_deep(header: Mapping[str, Any]) -> bool:
+    """Return whether a part's pixels have several samples at several depths."""
+    return "deep" in str(header.get("type", "")).lower()
+
+
+def _pictures(headers: Sequence[Mapping[str, Any]]) -> Iterator[_Picture]:
+    """Yield the flat pictures of all parts, in each that of its plain channels first."""
+    several = len(headers) > 1
+    for part, header in enumerate(headers):
+        names = [] if _is_deep(header) else header["channels"]
+        prefixes = sorted({name[: name.rfind(".") + 1] for name in names})
+        layers = [prefix for prefix in prefixes if _is_picture(prefix, names)]
+        for prefix in layers:
+            layer = prefix.rstrip(".") or next(iter(_views(header)), "")
+            own = str(header.get("name", "")) if several or not layer else ""
+            if several and len(layers) == 1:
+                layer = ""
+            wanted = ("Y", "R", "G", "B") if prefix else ("Y", "R", "G", "B", "u", "flags")
+            channels = {f"{prefix}{c}": c for c in wanted if f"{prefix}{c}" in names}
+            yield _Picture(".".join(filter(None, (own, layer))), part, channels)
 
 
 def _is_picture(prefix: str, names: Sequence[str]) -> bool:

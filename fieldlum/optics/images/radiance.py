@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 import subprocess
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -19,31 +20,19 @@ from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats, Floats32
 from fieldlum.core.errors import InputError, input_errors
-from fieldlum.optics.images.primaries import (
-    RADIANCE_CHROMATICITIES,
-    luminance_weights,
-    rgb_to_xyz,
-    same_chromaticities,
-)
 
 # Radiance's own white efficacy (WHTEFFICACY of src/common/color.h), in lm/W: neither 683 nor a
 # luminous efficacy of daylight.
 RADIANCE_LM_PER_W = 179.0
 # Luminance of Radiance's primaries (Ward Larson and Shakespeare 1998).
 RADIANCE_Y = (0.265, 0.670, 0.065)
+# Its primaries, red, green, blue and white, as CIE xy (src/common/color.h).
+RADIANCE_CHROMATICITIES = (0.640, 0.330, 0.290, 0.600, 0.150, 0.060, 1.0 / 3.0, 1.0 / 3.0)
 PANORAMA_LINE = "FIELDLUM_VIEW= equirect heading_deg="
 # 12 bytes a pixel: 1.9 GB. The largest pictures in use, panoramas of 16k x 8k, have 134 million.
-# Chosen.
 MAX_PIXELS = 160_000_000
-# A longer header is damaged: a year of pcomb and pcompos lines has a few thousand bytes. Chosen.
-_MAX_HEADER_BYTES = 4_000_000
-# Brighter pixels are damaged. Infinity is written as 1e30, and single precision ends at 3e38.
-# [W/sr/m2] Chosen between the two.
-_MAX_RADIANCE = 2e30
 _RESOLUTION = re.compile(rb"\s*([+-])([XY])\s+(\d+)\s+([+-])([XY])\s+(\d+)\s*")
 _RGBE, _XYZE = "32-bit_rle_rgbe", "32-bit_rle_xyze"
-# encoded at a time: limits memory; chosen; any value gives the same picture
-_BLOCK_PIXELS = 500_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +76,8 @@ class RadianceHeader:
         """
         if self.xyze:
             return np.array([0.0, 1.0, 0.0]) / self.exposure
-        own = same_chromaticities(self.chromaticities, RADIANCE_CHROMATICITIES)
+        # programs write chromaticities to three decimals
+        own = np.allclose(self.chromaticities, RADIANCE_CHROMATICITIES, rtol=0.0, atol=5e-4)
         weights = np.asarray(RADIANCE_Y) if own else luminance_weights(self.chromaticities)
         return RADIANCE_LM_PER_W * weights / self.exposure
 
@@ -112,6 +102,41 @@ class RadianceImage:
     rgb: Floats32
     luminance_cdm2: Floats32
     header: RadianceHeader
+
+
+# ----------------------------------------------------------------------------------------------
+# primaries
+
+
+def rgb_to_xyz(chromaticities: Sequence[float]) -> Floats:
+    """Return the matrix from RGB to XYZ with Y = 1 for R = G = B = 1, [3, 3].
+
+    chromaticities : x, y of red, green, blue and white, [8]. A primary need not be a real colour:
+    blue of ACES AP0 has y = -0.077 (SMPTE ST 2065-1). Raises ValueError for values that are not
+    finite, a y of 0, and a white that is not between the primaries.
+    """
+    if len(chromaticities) != 8:
+        raise ValueError(f"{len(chromaticities)} numbers in place of 8")
+    xy = np.asarray(chromaticities, float).reshape(4, 2)
+    if not np.isfinite(xy).all() or (xy[:, 1] == 0).any():
+        raise ValueError("chromaticities must be finite numbers with y other than 0")
+    corners = np.vstack([xy[:3].T, np.ones(3)])  # [3, 3]
+    if abs(float(np.linalg.det(corners))) < 1e-4:
+        raise ValueError("the three primaries are on one line")
+    if (np.linalg.solve(corners, [*xy[3], 1.0]) <= 0).any():
+        raise ValueError("white is not between the three primaries")
+    xyz = np.stack([xy[:, 0], xy[:, 1], 1.0 - xy.sum(axis=1)], axis=1) / xy[:, 1:]  # [4, 3]
+    columns = xyz[:3].T  # [3, 3]
+    return columns * np.linalg.solve(columns, xyz[3])
+
+
+def luminance_weights(chromaticities: Sequence[float]) -> Floats:
+    """Return the shares of R, G and B in luminance, with sum 1, [3].
+
+    The share of a primary that is no real colour may be negative. Raises the errors of
+    `rgb_to_xyz`.
+    """
+    return rgb_to_xyz(chromaticities)[1]
 
 
 # ----------------------------------------------------------------------------------------------
@@ -154,7 +179,8 @@ def _decoded(file: BinaryIO, header: RadianceHeader, path: Path) -> Floats32:
         remedy = "copy the file again, because it is cut short"
         raise InputError(path, finding, f"{scanlines} scanlines of Radiance pixels", remedy)
     values = np.frombuffer(result.stdout, np.float32, 3 * scanlines * width)
-    largest, brightest = float(values.max()), _MAX_RADIANCE * float(header.exposure.min())
+    # Infinity is written as 1e30, and single precision ends at 3e38. [W/sr/m2]
+    largest, brightest = float(values.max()), 2e30 * float(header.exposure.min())
     if not largest <= brightest:
         expected = f"at most {brightest:.3g}"
         remedy = "copy the file again, because it is damaged"
@@ -197,18 +223,17 @@ def _not_radiance(path: Path) -> InputError:
 
 
 def _header_lines(file: BinaryIO, path: Path) -> list[str]:
+    """Return the lines up to the first empty one; a header of over 4 MB is damaged."""
     lines: list[str] = []
-    size = 0
-    while True:
-        line = file.readline(_MAX_HEADER_BYTES)
-        size += len(line)
-        if not line.endswith(b"\n") or size > _MAX_HEADER_BYTES or (not lines and b"\0" in line):
-            raise _not_radiance(path)
+    while line := file.readline(4_000_000):
         text = line.decode("latin-1").rstrip("\r\n")
+        if not line.endswith(b"\n") or file.tell() > 4_000_000 or (not lines and b"\0" in line):
+            break
         if not text and lines:
             return lines
         if text or lines:
             lines.append(text)
+    raise _not_radiance(path)
 
 
 def _resolution(line: bytes, path: Path) -> tuple[tuple[str, str], tuple[int, int]]:
@@ -236,13 +261,12 @@ def _product(lines: Sequence[str], key: str, count: int, path: Path) -> Floats:
     for line in lines:
         if not line.startswith(key):
             continue
-        try:
-            row = np.array([float(word) for word in line[len(key) :].split()[:count]])
-        except ValueError:
-            row = np.array([])
-        if len(row) == count and not row.any():
+        row, words = np.full(count, np.nan), line[len(key) :].split()[:count]
+        with suppress(ValueError):
+            row[: len(words)] = [float(word) for word in words]
+        if not row.any():
             continue
-        total = total * row if len(row) == count else np.zeros(count)
+        total = total * row
         if not (np.isfinite(total).all() and (row > 0).all() and (total > 0).all()):
             expected = f"{key} and {'a number' if count == 1 else f'{count} numbers'} above 0"
             raise InputError(path, repr(line)[:80], expected, "correct the header line")
@@ -255,17 +279,12 @@ def _chromaticities(lines: Sequence[str], path: Path) -> tuple[float, ...]:
     Adobe Photoshop writes eight zeros; they count as no line.
     """
     stated = [line[10:] for line in lines if line.startswith("PRIMARIES=")]
-    if not stated or not stated[-1].replace("0", "").replace(".", "").strip():
-        return RADIANCE_CHROMATICITIES
-    try:
-        values = tuple(float(word) for word in stated[-1].split())
-        if len(values) != 8:
-            raise ValueError(f"{len(values)} numbers")
+    remedy = "correct the line PRIMARIES=, or remove it for Radiance's own primaries"
+    with input_errors(path, "x and y of red, green, blue and white", remedy, ValueError):
+        values = tuple(float(word) for word in stated[-1].split()) if stated else ()
+        if not any(values):
+            return RADIANCE_CHROMATICITIES
         luminance_weights(values)
-    except ValueError as error:
-        finding = f"PRIMARIES= {stated[-1].strip()[:60]!r} ({error})"
-        remedy = "correct the header line, or remove it for Radiance's own primaries"
-        raise InputError(path, finding, "x and y of red, green, blue and white", remedy) from None
     return values
 
 
@@ -274,14 +293,12 @@ def _views(lines: Sequence[str]) -> tuple[str, ...]:
 
 
 def _heading(line: str, path: Path) -> float:
-    try:
-        heading = float((line.removeprefix(PANORAMA_LINE).split() or [""])[0])
-    except ValueError:
-        heading = np.nan
-    if not np.isfinite(heading):
-        expected = f"{PANORAMA_LINE} and a number"
-        raise InputError(path, repr(line)[:80], expected, "correct the header line")
-    return heading
+    words = line.removeprefix(PANORAMA_LINE).split()
+    with suppress(ValueError, IndexError):
+        if np.isfinite(heading := float(words[0])):
+            return heading
+    expected = f"{PANORAMA_LINE} and a number"
+    raise InputError(path, repr(line)[:80], expected, "correct the header line")
 
 
 # ----------------------------------------------------------------------------------------------
@@ -325,7 +342,7 @@ def write_radiance_hdr(
     if view:
         lines.append(f"VIEW= {view}")
     lines += ["EXPOSURE=1", f"FORMAT={_RGBE}", ""]
-    step = max(1, _BLOCK_PIXELS // width)
+    step = max(1, 500_000 // width)  # limits memory
     with path.open("wb") as file:
         file.write(("\n".join(lines) + f"\n-Y {height} +X {width}\n").encode())
         for first in range(0, height, step):

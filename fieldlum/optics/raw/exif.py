@@ -18,27 +18,18 @@ import numpy as np
 from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.records import Exposure
 from fieldlum.core.strict_csv import read_table
+from fieldlum.optics.photometry import SAME_SETTING_EV
 
 EXPOSURES_CSV = "exposures.csv"
 COLUMNS = ("file", "shutter_s", "f_number", "iso")
-NO_EXPOSURE = (0.0, 0.0, 0.0)
+_NO_EXPOSURE = (0.0, 0.0, 0.0)
 # Roll of the camera by EXIF Orientation (EXIF 2.32). Mirrored orientations are written by no
 # camera.
 _ROLL_DEG = {1: 0.0, 3: 180.0, 6: 90.0, 8: -90.0}
-_ISO, _SENSITIVITY_TYPE = 34855, 34864
-# Largest value of the 16-bit tag PhotographicSensitivity, which then means "look at the tag that
-# SensitivityType names" (EXIF 2.32, 4.6.5). 0 is no sensitivity.
-_ISO_ELSEWHERE = 65535
-_STANDARD_OUTPUT, _RECOMMENDED_INDEX, _ISO_SPEED = 34865, 34866, 34867
-_ISO_TAGS = {  # by SensitivityType, the most comparable first (EXIF 2.32, table 9)
-    1: (_STANDARD_OUTPUT,),
-    2: (_RECOMMENDED_INDEX,),
-    3: (_ISO_SPEED,),
-    4: (_RECOMMENDED_INDEX, _STANDARD_OUTPUT),
-    5: (_STANDARD_OUTPUT, _ISO_SPEED),
-    6: (_RECOMMENDED_INDEX, _ISO_SPEED),
-}
-_ANY_ISO_TAG = (_RECOMMENDED_INDEX, _STANDARD_OUTPUT, _ISO_SPEED)
+# PhotographicSensitivity, then the tags that count where it is 0, missing, or 65535, the largest
+# value of its 16 bits: recommended exposure index, standard output sensitivity, ISO speed (EXIF
+# 2.32, 4.6.5; of the last three a file has those that its SensitivityType names, in this order).
+_ISO, *_OTHER_ISO = 34855, 34866, 34865, 34867
 # Time, fraction of a second, offset from UTC: of the exposure, its digitisation, the file.
 _TIME_TAGS = ((36867, 37521, 36881), (36868, 37522, 36882), (306, 37520, 36880))
 # Year, month, day by : / - or . as cameras and editors write them, then the time of day.
@@ -47,8 +38,6 @@ _TIME = re.compile(
     r"\s*(Z|[+-]\d{2}:?\d{2})?"
 )
 _UTC_OFFSET = re.compile(r"Z|[+-](?:0\d|1[0-4]):?[0-5]\d")  # civil time is within 14 h of UTC
-# Settings are a third of a stop apart: half of it is a rounded value of the same setting. Chosen.
-_SAME_SETTING = 2 ** (1 / 6)
 _Quantity = tuple[str, str, str, str, float, float]
 _QUANTITIES: tuple[_Quantity, ...] = (
     # name, tag of exiftool, example, unit, least and largest possible value; chosen
@@ -94,8 +83,8 @@ def stated_exposure(path: Path) -> tuple[float, float, float]:
     try:
         modified_ns = table.stat().st_mtime_ns
     except OSError:
-        return NO_EXPOSURE
-    return _rows(table, modified_ns).get(path.name, NO_EXPOSURE)
+        return _NO_EXPOSURE
+    return _rows(table, modified_ns).get(path.name, _NO_EXPOSURE)
 
 
 @lru_cache(maxsize=16)  # each frame of a bracket asks for it
@@ -105,9 +94,8 @@ def _rows(path: Path, modified_ns: int) -> dict[str, tuple[float, float, float]]
     exposures: dict[str, tuple[float, float, float]] = {}
     for line, row in read_table(path, expected, "write one frame a line", needed=COLUMNS).dicts():
         if row["file"] in exposures:
-            raise InputError(
-                path, f"line {line}: {row['file']} again", "each frame once", "remove the line"
-            )
+            finding = f"line {line}: {row['file']} again"
+            raise InputError(path, finding, "each frame once", "remove the line")
         shutter_s, f_number, iso = (_positive(row[name], path, line) for name in COLUMNS[1:])
         exposures[row["file"]] = shutter_s, f_number, iso
     return exposures
@@ -139,9 +127,8 @@ def tags_of(path: Path) -> dict[int, Any]:
     remedy = "check the path and its permissions"
     with input_errors(path, "a readable file", remedy, OSError), path.open("rb") as file:
         if not (head := file.read(4)):
-            raise InputError(
-                path, "the file is empty", "a frame of a camera", "copy it from the card again"
-            )
+            again = "copy it from the card again"
+            raise InputError(path, "the file is empty", "a frame of a camera", again)
         with warnings.catch_warnings(), suppress(Exception):  # of a broken directory
             warnings.simplefilter("ignore")  # about tags that nobody asks for
             exif = _directories(file, head)
@@ -206,23 +193,17 @@ def _camera_time(tags: Tags) -> datetime | None:
 
 
 def _iso(tags: Tags) -> float:
-    """Return the ISO by the tags, 0 if they state none.
-
-    PhotographicSensitivity ends at 65534: beyond, and if it is missing, the tag counts that
-    SensitivityType names (as in exiv2).
-    """
-    iso = numbers(tags, _ISO)
-    if iso and iso[0] not in (0, _ISO_ELSEWHERE):
-        return iso[0]
-    kind = int((numbers(tags, _SENSITIVITY_TYPE) or [0])[0])
-    stated = (numbers(tags, number) for number in _ISO_TAGS.get(kind, _ANY_ISO_TAG))
-    return next((values[0] for values in stated if values and values[0] > 0), 0.0)
+    """Return the ISO by the tags, 0 if they state none."""
+    iso = next(iter(numbers(tags, _ISO)), 0.0)
+    others = (numbers(tags, number) for number in _OTHER_ISO)
+    stated = (values[0] for values in others if values and values[0] > 0)
+    return next(stated, 0.0) if iso in (0.0, 65535.0) else iso
 
 
 def info_of(
     path: Path,
     tags: Tags,
-    fallback: tuple[float, float, float] = NO_EXPOSURE,
+    fallback: tuple[float, float, float] = _NO_EXPOSURE,
     *,
     lens_f_number: float = 0.0,
 ) -> FrameInfo:
@@ -236,12 +217,8 @@ def info_of(
     """
     stated = stated_exposure(path)
     in_tags = (*((numbers(tags, number) or [0.0])[0] for number in (33434, 33437)), _iso(tags))
-    values = [
-        of_tags or own or of_libraw or of_lens
-        for of_tags, own, of_libraw, of_lens in zip(
-            in_tags, stated, fallback, (0.0, lens_f_number, 0.0), strict=True
-        )
-    ]
+    sources = zip(in_tags, stated, fallback, (0.0, lens_f_number, 0.0), strict=True)
+    values = [next(filter(None, of_sources), 0.0) for of_sources in sources]
     for value, own, quantity in zip(values, stated, _QUANTITIES, strict=True):
         _check_value(path, value, own, quantity)
     description = text_of(tags, 270)
@@ -258,17 +235,14 @@ def _check_value(path: Path, value: float, stated: float, quantity: _Quantity) -
     name, tag, example, unit, low, high = quantity
     found = f"{name} {value:g}{unit} in the EXIF"
     if not value:
-        raise InputError(
-            path,
-            f"no {name} in the EXIF",
-            "exposure time, f-number and ISO in the EXIF",
-            f"write it with: exiftool -{tag}={example} FILE; or state it in {EXPOSURES_CSV} in the "
-            "frame's folder",
-        )
+        expected = "exposure time, f-number and ISO in the EXIF"
+        exiftool = f"write it with: exiftool -{tag}={example} FILE"
+        remedy = f"{exiftool}; or state it in {EXPOSURES_CSV} in the frame's folder"
+        raise InputError(path, f"no {name} in the EXIF", expected, remedy)
     if not low <= value <= high:
         remedy = f"correct it with: exiftool -{tag}={example} FILE"
         raise InputError(path, found, f"{low:g} to {high:g}{unit}", remedy)
-    if stated and not 1 / _SAME_SETTING < stated / value < _SAME_SETTING:
+    if stated and abs(np.log2(stated / value)) >= SAME_SETTING_EV:
         finding = f"{found}, but {stated:g}{unit} in {EXPOSURES_CSV}"
         expected = "the same value, or none in the EXIF"
         raise InputError(path, finding, expected, f"correct or remove the line in {EXPOSURES_CSV}")

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fieldlum.core.records import Exposure
-from fieldlum.optics.raw.mosaic import channel_positions
+from fieldlum.optics.raw.pixels import channel_positions
 from fieldlum.session import replacing
 
 # Types of TIFF values (TIFF 6.0, section 2), for the tags that Pillow does not know.

@@ -23,8 +23,7 @@ class FrameQuality(Struct, frozen=True):
 
     text: its exposure in words; shutter_s, f_number, iso, nd: the same as numbers. correction:
     fitted over assumed exposure; u_percent: its standard uncertainty. heading_deg: clockwise from
-    north; None without a turning head. dropped_percent: share of its pixels that were excluded
-    because something moved; None if this was not requested.
+    north; None without a turning head.
     """
 
     file: str
@@ -37,7 +36,6 @@ class FrameQuality(Struct, frozen=True):
     u_percent: float = math.nan  # version 0.1.0 did not write it
     heading_deg: float | None = None
     t_utc: Utc | None = None
-    dropped_percent: float | None = None
 
     @classmethod
     def of(cls, file: str, exposure: Exposure, correction: float, **more: Any) -> Self:
@@ -80,17 +78,6 @@ class ShiftQuality(Struct, frozen=True):
     sure_px: float
 
 
-class DarkRim(Struct, frozen=True):
-    """The dark edge of a lens's image.
-
-    width_deg: of the dark part; share: luminance at the edge over that a few degrees further in.
-    """
-
-    lens: str
-    width_deg: float
-    share: float
-
-
 class MergeReport(Struct, frozen=True):
     """The figures of one merged bracket; shares are percent of the solid angle seen.
 
@@ -124,12 +111,11 @@ class MergeReport(Struct, frozen=True):
     orientation_conflict: str = field(default="", name="held_otherwise")
     vertical_illuminance_lx: float | None = None
     lost: tuple[str, ...] = ()
-    dark_rims: tuple[DarkRim, ...] = ()
     filter_absent: tuple[str, ...] = ()
 
     def table(self) -> JsonTable:
         """Return the key `quality` of the sidecar, without optional keys that have no value."""
-        optional = ("shutter_law", "vertical_illuminance_lx", "lost", "dark_rims", "filter_absent")
+        optional = ("shutter_law", "vertical_illuminance_lx", "lost", "filter_absent")
         return {key: value for key, value in to_json(self).items() if value or key not in optional}
 
     @classmethod

@@ -87,12 +87,12 @@ class Sidecar(JsonFile, frozen=True):
     def command_options(self) -> tuple[str, ...]:
         """Options of `fieldlum merge` that merge another bracket in the same way as this one.
 
-        They are --size, --fit or --no-fit, and --drop-moved, as far as the file records them.
+        They are --size, and --fit or --no-fit, as far as the file records them.
         """
         height, fit = self.inputs.get("height"), self.inputs.get("fit")
         size = ("--size", f"{2 * height}x{height}") if isinstance(height, int) else ()
         fitted = () if fit is None else ("--fit" if fit else "--no-fit",)
-        return (*size, *fitted, *(("--drop-moved",) if self.inputs.get("drop_moved") else ()))
+        return (*size, *fitted)
 
     @classmethod
     def upgraded(cls, table: JsonTable, path: Path) -> JsonTable:

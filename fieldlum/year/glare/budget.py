@@ -18,7 +18,7 @@ import numpy as np
 from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import U_PERCENT, VEILING_GLARE, Panorama, SunSource
-from fieldlum.optics.photometry.melanopic import melanopic_edi, melanopic_ratio, ratio_u_rel
+from fieldlum.optics.melanopic import melanopic_edi, melanopic_ratio, ratio_u_rel
 from fieldlum.optics.projection import direction
 from fieldlum.session.panorama_sun import MEASURED_ORIGINS
 from fieldlum.session.writing import replacing

@@ -13,7 +13,7 @@ import numpy as np
 from fieldlum.core.arrays import Floats, Floats32, Mask
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Flag, JsonTable, Panorama, SunSource, counted, utc_text
-from fieldlum.optics.photometry.melanopic import melanopic_edi, melanopic_ratio
+from fieldlum.optics.melanopic import melanopic_edi, melanopic_ratio
 from fieldlum.optics.projection import (
     FULLY_SEEN_SHARE,
     NOT_SEEN,

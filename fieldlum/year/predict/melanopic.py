@@ -18,7 +18,7 @@ import numpy as np
 from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.optics.images import read_panorama
-from fieldlum.optics.photometry.melanopic import melanopic_ratio, sun_ratio
+from fieldlum.optics.melanopic import melanopic_ratio, sun_ratio
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.sky.light import (
     LEAST_LX,

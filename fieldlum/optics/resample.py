@@ -7,7 +7,6 @@ point source keeps its energy (within 0.35 %), and each colour comes from its ow
 mosaic, without demosaicking. The same matrix carries values, variances (by its square) and flags.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -15,20 +14,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fieldlum.core.arrays import Floats, Floats32, Indices
-from fieldlum.optics.projection.grids import Equirect, Target
-from fieldlum.optics.projection.lens import LensGeometry, lens_pixels
+from fieldlum.optics.projection import Equirect, LensGeometry, Target, lens_pixels
 
-# Samples in work at a time. Chosen so that a block fits the cache of a core; speed only.
+# Samples in work at a time: a block fits the cache of a core. Decides speed only.
 _BLOCK_SAMPLES = 250_000
-# Distance between pixels of one colour of a Bayer mosaic, exact. [px]
-_SPACING = {"": 1.0, "R": 2.0, "G": 2.0**0.5, "B": 2.0}
-# Samples along an edge of a target pixel, at least, and their largest distance over `_SPACING`.
-# Chosen so that no sensor pixel is skipped; energy is kept within 0.35 %
-# (docs/validation.md, geometry).
-_MIN_SAMPLES = 3
-_STEP = 1.1
-# Samples along an edge are a multiple of the edge's cells, which are at most so wide: half a
-# degree, so that large pixels have enough samples. Chosen. [rad]
+_MIN_SAMPLES = 3  # along an edge of a target pixel
+# Samples along an edge are a multiple of the edge's cells, which are at most half a degree wide, so
+# that large pixels have enough samples. [rad]
 _CELL_RAD = 0.009
 
 
@@ -38,13 +30,12 @@ class Resampler:
 
     coverage : share of a target pixel's solid angle that is on the sensor inside the lens,
     [pixels]. angle_rad : mean angle from the optical axis of that part, [pixels]. matrices :
-    scipy.sparse.csr_array of float32 for each colour. shape : of the target [rows, columns].
+    scipy.sparse.csr_array of float32 for each colour.
     """
 
     matrices: dict[str, Any]
     coverage: Floats32
     angle_rad: Floats32
-    shape: tuple[int, int]
 
 
 class _Lattice(NamedTuple):
@@ -148,21 +139,15 @@ def _matrix(samples: _Samples, lattice: _Lattice, sensor_shape: tuple[int, int])
     return sparse.coo_array((np.concatenate(values), places), shape).tocsr()
 
 
-def _blocks(target: Target, sub: int) -> Iterator[tuple[int, int]]:
-    height, width = target.shape
-    step = max(1, _BLOCK_SAMPLES // (width * sub * sub))
-    for first in range(0, height, step):
-        yield first, min(first + step, height)
-
-
-def _samples_per_pixel(target: Target, lens: LensGeometry, colour: str) -> int:
+def _samples_per_pixel(target: Target, lens: LensGeometry, spacing_px: float) -> int:
     """Return the samples along one edge of a target pixel, 3 to 24.
 
-    If 24 are enough for it, no sensor pixel of the colour is between two samples.
+    spacing_px: distance of sensor pixels of one colour. If 24 samples are enough for it, none of
+    these pixels is between two samples; energy is then kept within 0.35 % (docs/validation.md).
     """
     half = lens.half_angle_rad
     densest = lens.radius_px * max(1.0 / np.sin(min(half, np.pi / 2)), 1.0 / half)
-    needed = np.ceil(densest * target.pixel_rad / (_STEP * _SPACING[colour]))
+    needed = np.ceil(densest * target.pixel_rad / (1.1 * spacing_px))
     return int(np.clip(needed, _MIN_SAMPLES, 24))
 
 
@@ -178,22 +163,20 @@ def resampler(
     """
     from scipy import sparse
 
-    subs = {c: _samples_per_pixel(target, lens, c) for c in sorted(set(cfa)) or [""]}
-    parts: dict[str, list[Any]] = {colour: [] for colour in subs}
-    coverage, angle_rad = [], []
-    for rows in _blocks(target, max(subs.values())):
-        by_sub = {
-            sub: _samples(target, lens, sensor_shape, rows, sub, 1.5 if cfa else 0.75)
-            for sub in sorted(set(subs.values()))
-        }
-        for colour, sub in subs.items():
-            parts[colour].append(_matrix(by_sub[sub], _lattice(cfa, colour), sensor_shape))
-        # A pixel is covered as far as all colours see it.
-        coverage.append(np.min([samples.coverage for samples in by_sub.values()], axis=0))
-        angle_rad.append(by_sub[max(by_sub)].angle_rad)
+    sub = _samples_per_pixel(target, lens, 2.0**0.5 if cfa else 1.0)  # green pixels are densest
+    height, width = target.shape
+    step = max(1, _BLOCK_SAMPLES // (width * sub * sub))
+    parts: dict[str, list[Any]] = {colour: [] for colour in sorted(set(cfa)) or [""]}
+    seen = []
+    for first in range(0, height, step):
+        rows = first, min(first + step, height)
+        samples = _samples(target, lens, sensor_shape, rows, sub, 1.5 if cfa else 0.75)
+        seen.append((samples.coverage, samples.angle_rad))
+        for colour, blocks in parts.items():
+            blocks.append(_matrix(samples, _lattice(cfa, colour), sensor_shape))
+    coverage, angle_rad = np.concatenate(seen, axis=1).astype(np.float32)
     return Resampler(
         {colour: sparse.vstack(blocks, format="csr") for colour, blocks in parts.items()},
-        np.concatenate(coverage).astype(np.float32),
-        np.concatenate(angle_rad).astype(np.float32),
-        target.shape,
+        coverage,
+        angle_rad,
     )

@@ -1,4 +1,4 @@
-"""Read the mosaic of a raw frame through LibRaw, without development."""
+"""Read the pixels of frames: raw mosaics through LibRaw, without development, and JPEG codes."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ import os
 import sys
 import tempfile
 import threading
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +22,17 @@ from fieldlum.core.arrays import Floats, Indices
 from fieldlum.core.errors import InputError
 from fieldlum.optics.raw.exif import TIFF_VARIANTS, FrameInfo, Tags, info_of, numbers, tags_of
 
-# A larger mosaic is a damaged header; the largest sensors in use have 150 million pixels. Chosen.
-_MAX_PIXELS = 400_000_000
+RAW_SUFFIXES = tuple(
+    ".dng .cr2 .cr3 .crw .nef .nrw .arw .raf .rw2 .orf .pef .srw .raw".split()  # noqa: SIM905
+)
+_NO_FRAMES = {".json", ".toml", ".csv", ".txt", ".xmp", ".tmp", ".part"}
+# Largest frame without a profile that states more: 0.5 GB of JPEG codes. Phones have 108 million
+# pixels, the largest sensors in use 150 million.
+MAX_PIXELS = 160_000_000
 _DAMAGE = ("data corrupted", "Unexpected end of file")  # messages of LibRaw's data streams
 _STDERR = threading.Lock()
 _ACTIVE_AREA, _COLOUR_FILTER_ARRAY = 50829, 32803  # tag, and value of Photometric (DNG 1.7)
 _COLOUR_MATRICES = 50722, 50721  # tags ColorMatrix2 and 1
-_BAYER_REMEDY = "use a camera with a Bayer sensor"
 _PANASONIC_OFFSET = 280  # tag RawDataOffset: in newer files StripOffsets is a placeholder
 
 
@@ -58,8 +63,22 @@ def channel_positions(cfa: str) -> tuple[tuple[int, int], ...]:
     return red, (red[0], blue[1]), (blue[0], red[1]), blue
 
 
+def is_jpeg(path: Path) -> bool:
+    """Return whether a file's suffix is .jpg or .jpeg in any case; the content is not read."""
+    return path.suffix.lower() in (".jpg", ".jpeg")
+
+
+def possible_frames(folder: Path) -> list[Path]:
+    """Return the files in a folder that can be frames, sorted by path.
+
+    Hidden files, files with the suffix of a text or of an unfinished copy, and folders are omitted.
+    """
+    files = (path for path in folder.iterdir() if path.is_file() and path.name[0] != ".")
+    return sorted(path for path in files if path.suffix.lower() not in _NO_FRAMES)
+
+
 # ----------------------------------------------------------------------------------------------
-# complete files, opened by LibRaw
+# complete raw files, opened by LibRaw
 
 
 def _damaged(path: Path, finding: str, expected: str) -> InputError:
@@ -145,13 +164,12 @@ def opened(path: Path) -> Any:
     except Exception as error:
         reason = error.args[0] if error.args else type(error).__name__
         text = reason.decode("ascii", "replace") if isinstance(reason, bytes) else str(reason)
-        raise InputError(
-            path,
-            f"LibRaw: {text}",
-            "a raw file that LibRaw supports",
+        remedy = (
             "leave the file out if it is no frame; otherwise copy it from the card again or "
-            "convert it to DNG",
-        ) from None
+            "convert it to DNG"
+        )
+        expected = "a raw file that LibRaw supports"
+        raise InputError(path, f"LibRaw: {text}", expected, remedy) from None
     if damage:
         raw.close()
         raise _damaged(path, f"LibRaw: {damage[0]}", "a complete file")
@@ -185,13 +203,14 @@ def _damage_messages() -> Iterator[list[str]]:
                     os.write(2, line)
 
 
+def _fields(info: FrameInfo) -> dict[str, Any]:
+    return {name: getattr(info, name) for name in ("exposure", "t_camera", "make", "model")}
+
+
 def _libraw_exposure(raw: Any) -> tuple[float, float, float]:
     """Return the shutter time [s], f-number and ISO that LibRaw read; 0 for a missing one."""
-    shutter_s, f_number, iso = (
-        float(value or 0.0)
-        for value in (raw.other.shutter_speed, raw.other.aperture, raw.other.iso_speed)
-    )
-    return shutter_s, f_number, iso
+    other = raw.other
+    return other.shutter_speed or 0.0, other.aperture or 0.0, float(other.iso_speed or 0.0)
 
 
 def _pattern(path: Path, raw: Any) -> tuple[str, Indices]:
@@ -205,16 +224,15 @@ def _pattern(path: Path, raw: Any) -> tuple[str, Indices]:
     found = f"a mosaic of {shape[0]} x {shape[1]} colour filters"
     if raw.raw_type != rawpy.RawType.Flat:
         found = "three colours in each pixel"
-    if found != "a mosaic of 2 x 2 colour filters":
-        raise InputError(path, found, "a Bayer mosaic, of 2 x 2 colour filters", _BAYER_REMEDY)
-    index = np.asarray(raw.raw_colors_visible[:2, :2], int)
-    letters = raw.color_desc.decode()
-    cfa = "".join(letters[i] if i < len(letters) else "?" for i in index.ravel())
-    if cfa not in ("RGGB", "BGGR", "GRBG", "GBRG"):
+    elif shape == (2, 2):
+        index = np.asarray(raw.raw_colors_visible[:2, :2], int)
+        letters = raw.color_desc.decode()
+        cfa = "".join(letters[i] if i < len(letters) else "?" for i in index.ravel())
+        if cfa in ("RGGB", "BGGR", "GRBG", "GBRG"):
+            return cfa, index
         found = f"a mosaic of the colour filters {cfa}"
-        expected = "a Bayer mosaic: one red, two green, one blue"
-        raise InputError(path, found, expected, _BAYER_REMEDY)
-    return cfa, index
+    expected = "a Bayer mosaic, of 2 x 2 filters: one red, two green, one blue"
+    raise InputError(path, found, expected, "use a camera with a Bayer sensor")
 
 
 def _visible_shift(path: Path, raw: Any) -> tuple[int, int]:
@@ -253,12 +271,9 @@ def read_mosaic(path: Path, *, lens_f_number: float = 0.0) -> Mosaic:
     with opened(path) as raw:
         cfa, index = _pattern(path, raw)
         counts = raw.raw_image_visible
-        if not 0 < counts.size <= _MAX_PIXELS or min(counts.shape) < 2:
-            raise _damaged(
-                path,
-                f"a mosaic of {' x '.join(map(str, counts.shape[::-1]))} pixels",
-                f"at least 2 x 2 and at most {_MAX_PIXELS / 1e6:.0f} million pixels",
-            )
+        if not 0 < counts.size <= MAX_PIXELS or min(counts.shape) < 2:
+            finding = f"a mosaic of {' x '.join(map(str, counts.shape[::-1]))} pixels"
+            raise _damaged(path, finding, f"at least 2 x 2 and at most {MAX_PIXELS:,} pixels")
         black = raw.black_level_per_channel
         down, right = _visible_shift(path, raw)
         black_dn = tuple(
@@ -268,16 +283,10 @@ def read_mosaic(path: Path, *, lens_f_number: float = 0.0) -> Mosaic:
         info = info_of(path, tags, _libraw_exposure(raw), lens_f_number=lens_f_number)
         white_dn = float(raw.white_level or 0)
         if not 0 <= max(black_dn) < white_dn:
-            raise _damaged(
-                path,
-                f"black level {max(black_dn):g}, white level {white_dn:g}",
-                "a black level below the white level",
-            )
+            finding = f"black level {max(black_dn):g}, white level {white_dn:g}"
+            raise _damaged(path, finding, "a black level below the white level")
         return Mosaic(
-            exposure=info.exposure,
-            t_camera=info.t_camera,
-            make=info.make,
-            model=info.model,
+            **_fields(info),
             counts=counts.astype(np.uint16),
             cfa=cfa,
             black_dn=black_dn,
@@ -296,8 +305,91 @@ def read_exif(path: Path, *, lens_f_number: float = 0.0) -> FrameInfo:
     tags = tags_of(path)
     with suppress(InputError):
         return info_of(path, tags, lens_f_number=lens_f_number)
-    fallback = (0.0, 0.0, 0.0)
-    if path.suffix.lower() not in (".jpg", ".jpeg"):
-        with opened(path) as raw:
-            fallback = _libraw_exposure(raw)
-    return info_of(path, tags, fallback, lens_f_number=lens_f_number)
+    if is_jpeg(path):
+        return info_of(path, tags, lens_f_number=lens_f_number)
+    with opened(path) as raw:
+        return info_of(path, tags, _libraw_exposure(raw), lens_f_number=lens_f_number)
+
+
+# ----------------------------------------------------------------------------------------------
+# JPEG frames
+
+
+@dataclass(frozen=True, slots=True)
+class JpegFrame(FrameInfo):
+    """A JPEG frame as the camera wrote it, with what its EXIF states.
+
+    codes: values from 0 to 255 [h, w, 3], red first, not turned by the orientation tag.
+    """
+
+    codes: NDArray[np.uint8] = field(kw_only=True)
+
+
+def read_jpeg(path: Path, *, camera_pixels: int = 0) -> JpegFrame:
+    """Return the codes and the EXIF of a JPEG frame.
+
+    camera_pixels : pixels of the camera by its profile, 0 without one; a frame may have as many,
+    and at least `MAX_PIXELS`. Raises InputError for a file that cannot be read, is no complete
+    JPEG, has more pixels, or whose EXIF lacks exposure time, f-number or ISO.
+    """
+    tags = tags_of(path)
+    codes = _codes(path, max(MAX_PIXELS, camera_pixels))  # a cut file may lack its EXIF as well
+    info = info_of(path, tags)
+    return JpegFrame(**_fields(info), codes=codes)
+
+
+def jpeg_size(path: Path) -> tuple[int, int]:
+    """Return width and height [px] of a JPEG by its header, (0, 0) if it cannot be read."""
+    from PIL.JpegImagePlugin import JpegImageFile
+
+    with warnings.catch_warnings(), suppress(Exception):
+        warnings.simplefilter("ignore")
+        with JpegImageFile(path) as image:
+            return image.size
+    return 0, 0
+
+
+def _codes(path: Path, max_pixels: int) -> NDArray[np.uint8]:
+    """Return the codes [h, w, 3] of a JPEG's first picture.
+
+    Pillow's class for JPEG is used directly: `Image.open` also reads the index of further pictures
+    (MPF), which may be broken, and has a limit on pixels below those of current cameras.
+    """
+    from PIL.JpegImagePlugin import JpegImageFile
+
+    with path.open("rb") as file:
+        is_jpeg = file.read(3) == b"\xff\xd8\xff"
+    try:
+        with warnings.catch_warnings():
+            # A warning is about data that are not used; damaged pixels are an error.
+            warnings.simplefilter("ignore")
+            with JpegImageFile(path) as image:
+                width, height = image.size
+                if width * height <= max_pixels:
+                    return np.asarray(image if image.mode == "RGB" else image.convert("RGB"))
+    except Exception as error:
+        damage = f"the JPEG is damaged or cut short ({str(error).splitlines()[0][:80]})"
+        finding = damage if is_jpeg else "the file is no JPEG"
+        raise InputError(
+            path, finding, "a complete JPEG", "copy the file from the card again"
+        ) from None
+    remedy = "state width_px and height_px of the camera in its profile, or copy the file again"
+    raise InputError(path, f"{width} x {height} pixels", f"at most {max_pixels:,} pixels", remedy)
+
+
+def unreadable(path: Path, *, camera_pixels: int = 0) -> str:
+    """Return why the pixels of a JPEG or raw frame cannot be read; "" if they can.
+
+    Decodes the frame, which takes some seconds for a large raw file. A missing f-number is no
+    reason for a raw frame. camera_pixels : as for `read_jpeg`.
+    """
+    try:
+        if is_jpeg(path):
+            read_jpeg(path, camera_pixels=camera_pixels)
+        else:  # a lens without electronics is no fault of the file
+            read_mosaic(path, lens_f_number=1.0)
+    except InputError as error:
+        return error.found
+    except OSError as error:
+        return error.strerror or str(error)
+    return ""

@@ -1,0 +1,471 @@
+"""Camera profiles: calibration/NAME.toml, everything between sensor counts and cd/m2."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import chain, pairwise
+from pathlib import Path
+from typing import Annotated, Literal
+
+from msgspec import Meta
+
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import CameraSetup, Exposure, Slot
+from fieldlum.core.strict_toml import NotNegative, Positive, Share, build, plain, read_toml
+from fieldlum.optics.photometry import rises
+from fieldlum.optics.projection import (
+    LensGeometry,
+    angle_of_radius,
+    judged_text,
+    seen_by_lenses,
+)
+
+_Side = Annotated[int, Meta(gt=0, le=100_000)]  # px
+_OfColours = Annotated[tuple[float, ...], Meta(min_length=4, max_length=4)]  # R, G1, G2, B
+
+# ----------------------------------------------------------------------------------------------
+# the tables of a profile
+
+
+@dataclass(frozen=True, slots=True)
+class CameraBody:
+    """Name and kind of the camera, the size of its frames [px], and a lens's fixed aperture.
+
+    date: ISO date of the calibration. fixed_f_number: aperture of a lens that writes none to
+    EXIF; 0 if EXIF states it.
+    """
+
+    name: str
+    kind: Literal["raw", "jpeg"]
+    width_px: _Side
+    height_px: _Side
+    make: str = ""
+    model: str = ""
+    date: str = ""
+    note: str = ""
+    fixed_f_number: float = 0.0
+
+    @property
+    def pixels(self) -> int:
+        """Number of pixels of a frame."""
+        return self.width_px * self.height_px
+
+
+@dataclass(frozen=True, slots=True)
+class Sensor:
+    """The sensor of a raw camera; four values are those of R, G1, G2, B, in DN.
+
+    cfa: colours of the top left 2 x 2 pixels. black_dn: counts without light. saturation_dn:
+    the plateau in the frames, not the white level in the file. white_dn: counts (black
+    included) at which linear z is 1 by definition; it determines only the unit of scale.k.
+    gain_e_per_dn: at ISO `iso`. linearity: light over counts is 1 + a1 x + a2 x2 + ..., with x
+    the share of white_dn above black; empty if not calibrated. linearity_u_rel: relative
+    standard uncertainty. exposure_offset_s: seconds by which an electronic shutter opens longer
+    than stated. bad_px: (column, row) of pixels that are never used.
+    """
+
+    cfa: str = "RGGB"
+    black_dn: _OfColours = (0.0, 0.0, 0.0, 0.0)
+    saturation_dn: _OfColours = (65535.0, 65535.0, 65535.0, 65535.0)
+    white_dn: float = 65535.0
+    gain_e_per_dn: Positive = 1.0
+    read_noise_e: NotNegative = 3.0
+    iso: Positive = 100.0
+    linearity: tuple[float, ...] = ()
+    # A 12-bit CCD of EMVA1288/datasets departs by +0.3 to -1.2 %; uniform over 1.5 % is 0.43 %
+    # (bench/real_sensor.py).
+    linearity_u_rel: Share = 0.0043
+    exposure_offset_s: Annotated[float, Meta(gt=-0.01, lt=0.01)] = 0.0
+    bad_px: tuple[tuple[int, int], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Bracket:
+    """The exposures that a plan uses by default; shutter times are nominal.
+
+    nd_shutter_s: times of the frames through a filter, for plans that name one; nd: names of
+    filters with such times; no plan uses them by itself.
+    """
+
+    f_number: Positive
+    iso: Positive
+    shutter_s: tuple[Positive, ...]
+    nd: tuple[str, ...] = ()
+    nd_shutter_s: tuple[Positive, ...] = ()
+    seconds_per_frame: NotNegative = 2.0
+    megabytes_per_frame: NotNegative = 25.0
+
+
+@dataclass(frozen=True, slots=True)
+class ShutterTime:
+    """The measured true time of a nominal shutter time, and its relative standard uncertainty."""
+
+    nominal_s: Positive
+    true_s: Positive
+    u_rel: Share = 0.002
+
+
+@dataclass(frozen=True, slots=True)
+class Vignetting:
+    """Vignetting V in powers of r = angle / (full angle / 2): V = sum c_k r^k.
+
+    c_0 is first, V(0) = 1; valid at f_number. u_rel: relative standard uncertainty.
+    """
+
+    f_number: Positive
+    coefficients: tuple[float, ...]
+    u_rel: Share = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class Lens(LensGeometry):
+    """One lens on the sensor: its geometry on the complete sensor, its name and vignetting.
+
+    azimuth_deg: of the optical axis relative to the camera's heading, clockwise.
+    """
+
+    name: str = "lens"
+    vignetting: tuple[Vignetting, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Response:
+    """The response of a JPEG camera, from codes to linear z in [0, 1].
+
+    red, green, blue: for a polynomial the coefficients, c_0 first, of code / 255; for a table
+    256 values of z. Codes outside low_code ... high_code have no weight. u_rel: relative
+    standard uncertainty.
+    """
+
+    kind: Literal["linear", "srgb", "polynomial", "table"] = "linear"
+    red: tuple[float, ...] = ()
+    green: tuple[float, ...] = ()
+    blue: tuple[float, ...] = ()
+    low_code: int = 27
+    high_code: int = 228
+    u_rel: Share = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class Colour:
+    """Luminance from linear camera R, G, B: Y = y_from_rgb . RGB.
+
+    rgb_to_radiance: matrix of 9 values, row by row; if empty, no colour is written, only Y.
+    melanopic_from_rgb: weights of R, G, B in melanopic luminance; if empty, melanopic EDI is an
+    estimate. melanopic_u_rel: relative standard uncertainty of melanopic over photopic light under
+    daylight.
+    """
+
+    y_from_rgb: tuple[float, float, float] = (0.265, 0.670, 0.065)
+    rgb_to_radiance: tuple[float, ...] = ()
+    u_rel: Share = 0.02
+    melanopic_from_rgb: tuple[float, ...] = ()
+    melanopic_u_rel: Share = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """The scale k: L = k * 87 * N^2 / (t S) * z with z in [0, 1], t in s (87: hdrgen's stonits).
+
+    N: f-number, t: shutter time, S: ISO. u_rel: relative standard uncertainty of k. f_numbers:
+    apertures for which k is valid; empty for all.
+    """
+
+    k: Positive = 1.0
+    u_rel: Share = 0.05
+    f_numbers: tuple[Positive, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class StrayLight:
+    """Stray light of the lenses: the kernel K at ascending angles; empty if not calibrated.
+
+    See optics/stray_light.py; u_rel is relative to the stray light, not to the luminance.
+    """
+
+    angle_deg: tuple[float, ...] = ()
+    per_sr: tuple[float, ...] = ()
+    u_rel: Share = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class NeutralDensity:
+    """A neutral-density filter: its name, its factor by colour, and the relative uncertainty.
+
+    factor_rgb: luminance without the filter over luminance with it, for red, green and blue.
+    """
+
+    name: str
+    factor_rgb: tuple[Positive, Positive, Positive]
+    u_rel: Share = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Provenance:
+    """The origin of a profile's values: source, who fitted them, frames' hashes, log.
+
+    log: one line for each fit, with the choice and its reason.
+    """
+
+    source: str = ""
+    fitted_by: str = ""
+    frames_sha256: tuple[str, ...] = ()
+    log: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class CameraProfile:
+    """A camera profile: everything between sensor counts and cd/m2, with its uncertainty.
+
+    glare_floor_rel: veiling glare of the lens, as a share of the mean luminance; 0 once [stray]
+    is calibrated. expires: ISO date after which doctor reports a failure, or "". shutter_law:
+    how nominal times without a measured time are converted (optics/photometry.py).
+    """
+
+    camera: CameraBody
+    lens: Annotated[tuple[Lens, ...], Meta(min_length=1)]
+    bracket: Bracket
+    sensor: Sensor = field(default_factory=Sensor)
+    shutter: tuple[ShutterTime, ...] = ()
+    response: Response = field(default_factory=Response)
+    colour: Colour = field(default_factory=Colour)
+    scale: Scale = field(default_factory=Scale)
+    nd: tuple[NeutralDensity, ...] = ()
+    glare_floor_rel: Share = 0.0005
+    stray: StrayLight = field(default_factory=StrayLight)
+    expires: str = ""
+    provenance: Provenance = field(default_factory=Provenance)
+    shutter_law: Literal["auto", "third-stops", "half-stops", "exact"] = "auto"
+
+
+# ----------------------------------------------------------------------------------------------
+# values that do not belong together
+
+
+_Problem = tuple[str, ...]  # what was found, what is expected; what to do, if not to correct it
+
+
+def check_camera(profile: CameraProfile, where: str) -> None:
+    """Raise InputError for values that no camera has together; where: the profile, for the error.
+
+    The range of each single value is checked when the profile is read.
+    """
+    checks = (_lens_problems, _sensor_problems, _table_problems)
+    for finding, expected, *remedy in chain.from_iterable(check(profile) for check in checks):
+        correct = remedy[0] if remedy else "correct this value in the profile"
+        raise InputError(where, finding, expected, correct)
+
+
+def _sensor_problems(p: CameraProfile) -> Iterator[_Problem]:
+    black, saturation = p.sensor.black_dn, p.sensor.saturation_dn
+    if not max(black) < min(*saturation, p.sensor.white_dn):
+        finding = f"[sensor] black_dn = {max(black):g} is not below saturation_dn and white_dn"
+        yield finding, "a black level below saturation_dn and white_dn"
+    if not rises(p.sensor.linearity):
+        finding = f"sensor.linearity = {', '.join(f'{a:g}' for a in p.sensor.linearity)}"
+        remedy = "calibrate it again: fieldlum calibrate linearity"
+        yield finding, "corrected counts that rise with the raw counts", remedy
+
+
+def _table_problems(p: CameraProfile) -> Iterator[_Problem]:
+    """Yield tables of colour, response and stray light whose values do not belong together."""
+    radiance, melanopic = len(p.colour.rgb_to_radiance), len(p.colour.melanopic_from_rgb)
+    if radiance not in (0, 9):
+        yield f"colour.rgb_to_radiance has {radiance} values", "9 values, or none"
+    if melanopic not in (0, 3) or (melanopic and not radiance):
+        finding = f"colour.melanopic_from_rgb has {melanopic} values, rgb_to_radiance {radiance}"
+        yield finding, "3 values next to 9 of rgb_to_radiance, or none"
+    low, high = p.response.low_code, p.response.high_code
+    if not 0 <= low < high <= 255:
+        yield f"response.low_code {low}, high_code {high}", "0 <= low < high <= 255"
+    angles, values = p.stray.angle_deg, p.stray.per_sr
+    rising = all(a < b for a, b in pairwise(angles))
+    if len(angles) != len(values) or not rising or not all(0 < a <= 180 for a in angles):
+        finding = f"[stray] angle_deg = {list(angles)} with {len(values)} values of per_sr"
+        yield finding, "rising angles from 0 to 180, and a value for each"
+    if not all(a >= b for a, b in pairwise(values)) or min(values, default=0.0) < 0:
+        yield f"[stray] per_sr = {list(values)}", "values of 0 or more that do not rise"
+
+
+def _lens_problems(p: CameraProfile) -> Iterator[_Problem]:
+    """Yield lenses whose radius does not rise to 1 at the edge."""
+    remedy = "fit it again: fieldlum calibrate lens"
+    for lens in p.lens:
+        if lens.mapping != "polynomial":
+            continue
+        coefficients = ", ".join(f"{c:g}" for c in lens.coefficients) or "no coefficients"
+        finding = f"lens '{lens.name}': polynomial of {coefficients}"
+        try:
+            angle_of_radius(lens, 1.0)
+        except ValueError as error:
+            yield f"{finding} ({error})", "a polynomial that rises up to the edge", remedy
+        if abs(sum(lens.coefficients) - 1.0) > 0.02:
+            total = f"{finding}, with the sum {sum(lens.coefficients):g}"
+            yield total, "coefficients that sum to 1", remedy
+
+
+# ----------------------------------------------------------------------------------------------
+# profiles that fieldlum ships, and files
+
+
+_PACKAGE = Path(__file__).parents[1]
+
+
+def shipped(kind: Literal["calibration", "capture_plans"]) -> Path:
+    """Return the folder of the files that fieldlum ships, in a wheel or in a checkout."""
+    in_wheel = _PACKAGE / "_shipped" / kind
+    return in_wheel if in_wheel.is_dir() else _PACKAGE.parent / kind
+
+
+def coverage_text(profile: CameraProfile, setup: CameraSetup) -> str:
+    """Return one sentence on the view directions that lenses and headings see; "" if all.
+
+    If the heading and its opposite would see all directions, the text names these two.
+    """
+    headings = setup.headings or (setup.heading_deg,)
+    turns = [heading - setup.heading_deg for heading in headings]
+    text = judged_text(seen_by_lenses(profile.lens, turns), setup.heading_deg)
+    if not text:
+        return ""
+    opposite = [setup.heading_deg % 360.0, (setup.heading_deg + 180.0) % 360.0]
+    shares_seen = seen_by_lenses(
+        profile.lens, [heading - setup.heading_deg for heading in opposite]
+    )
+    if judged_text(shares_seen, setup.heading_deg):
+        return f"{text}; use a lens that sees more, or turn the camera to several headings"
+    named = ", ".join(f"{heading:g}" for heading in opposite)
+    return f"{text}; for all directions write headings = [{named}] under [camera] in SITE.toml"
+
+
+DEFAULT_CAMERA = "sim-dual-fisheye"
+
+
+def camera_names() -> list[str]:
+    """Return the names of the shipped camera profiles, simulated cameras last."""
+    names = (path.stem for path in shipped("calibration").glob("*.toml"))
+    return sorted(names, key=lambda name: (name.startswith("sim-"), name))
+
+
+def assumed_texts(setup: CameraSetup) -> list[str]:
+    """Return a sentence for the heading and one for the camera that SITE.toml does not state."""
+    texts = []
+    if "heading_deg" in setup.assumed:
+        texts.append(
+            f"no heading of the camera is stated: {setup.heading_deg:g} deg is assumed, and a "
+            "wrong heading turns every result; measure it and state heading_deg under [camera]"
+        )
+    if "profile" in setup.assumed:
+        texts.append(
+            f"no camera is stated: times, exposures and directions are those of the simulated "
+            f"{DEFAULT_CAMERA}, and the size of the files is unknown; state profile under "
+            "[camera] (fieldlum new lists cameras)"
+        )
+    return texts
+
+
+def uncalibrated_text(profile: CameraProfile) -> str:
+    """Return one sentence on what a profile without a date of calibration costs; "" with a date."""
+    if profile.camera.date:
+        return ""
+    vignetting = max((v.u_rel for lens in profile.lens for v in lens.vignetting), default=0.0)
+    parts = (("scale", profile.scale.u_rel), ("colour", profile.colour.u_rel))
+    shares = [f"{name} {100 * u:.0f} %" for name, u in (*parts, ("vignetting", vignetting)) if u]
+    return (
+        f"{profile.camera.name} has no date of calibration: standard uncertainties are "
+        f"{', '.join(shares)}, and directions may be wrong by some degrees; calibrate lens, "
+        "vignette, colour and scale (fieldlum calibrate -h)"
+    )
+
+
+def find_camera_profile(name: str) -> Path:
+    """Return the path of a profile: `name` as a path, or else a file that is shipped.
+
+    A shipped name may omit .toml; "" means sim-dual-fisheye. Raises InputError, with the shipped
+    names, if no file fits.
+    """
+    path = Path(name or DEFAULT_CAMERA)
+    for candidate in (
+        path,
+        shipped("calibration") / path.name,
+        shipped("calibration") / f"{path.name}.toml",
+    ):
+        if candidate.is_file():
+            return candidate
+    raise InputError(
+        name,
+        "no such camera profile",
+        f"the path of a TOML file, or one of: {', '.join(camera_names())}",
+        "correct --camera, or profile under [camera] in SITE.toml ([setup.camera] in the "
+        "session.toml of a planned session)",
+    )
+
+
+def load_camera_profile(name: str | Path) -> CameraProfile:
+    """Read a profile: a shipped one by name, or any by path; "" is sim-dual-fisheye.
+
+    Raises InputError for a missing file, one that is not a profile, or impossible values.
+    """
+    path = find_camera_profile(str(name))
+    profile = build(CameraProfile, read_toml(path), str(path))
+    check_camera(profile, str(path))
+    return profile
+
+
+def save_profile(path: Path, profile: CameraProfile) -> None:
+    """Write a profile as TOML, over an existing file; the file appears complete or not at all."""
+    import tomli_w
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.tmp")
+    temporary.write_text(tomli_w.dumps(plain(profile)), encoding="utf-8")
+    temporary.replace(path)
+
+
+def bracket_exposures(bracket: Bracket, filter_name: str = "") -> tuple[Exposure, ...]:
+    """Return exposures without a filter, then those with a filter; each longest time first."""
+
+    def group(times_s: Sequence[float], name: str) -> list[Exposure]:
+        exposures = (bracket.f_number, bracket.iso, name)
+        return [Exposure(t, *exposures) for t in sorted(times_s, reverse=True)]
+
+    filtered = group(bracket.nd_shutter_s, filter_name) if filter_name else []
+    return (*group(bracket.shutter_s, ""), *filtered)
+
+
+def planned_exposures(profile: CameraProfile, setup: CameraSetup) -> tuple[Exposure, ...]:
+    """Return the exposures of each slot; frames through a filter only if `setup` names one.
+
+    Raises InputError for a filter that the profile does not have, or without times for it.
+    """
+    names = [nd.name for nd in profile.nd]
+    if setup.filter and not (setup.filter in names and profile.bracket.nd_shutter_s):
+        finding = f"no filter '{setup.filter}'"
+        if setup.filter in names:
+            finding = f"no shutter times through '{setup.filter}'"
+        raise InputError(
+            profile.camera.name,
+            finding,
+            f"one of its filters ({', '.join(names) or 'none'}), with nd_shutter_s under [bracket]",
+            "correct filter under [camera] in SITE.toml, or add [[nd]] to the profile",
+        )
+    return bracket_exposures(profile.bracket, setup.filter)
+
+
+def sun_text(slots: Sequence[Slot]) -> str:
+    """Return how the sun's disc is measured in those slots whose camera sees it; "" for none."""
+    in_view = [slot for slot in slots if "sun-in-view" in slot.tags]
+    if not in_view:
+        return ""
+    text = f"the sun is in view of the lens in {len(in_view)} slots"
+    names = sorted({exposure.nd for slot in in_view for exposure in slot.exposures if exposure.nd})
+    if names:
+        return (
+            f"{text}, with frames through the filter {', '.join(names)}: a person must put it on "
+            "and take it off in each bracket, because no driver moves one; without a person plan "
+            "without a filter"
+        )
+    return (
+        f"{text}, which no exposure reaches: the illuminance of its disc is computed from DNI; "
+        "a person at the camera can use a filter instead (filter in SITE.toml)"
+    )
