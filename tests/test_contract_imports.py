@@ -14,7 +14,14 @@ pytestmark = pytest.mark.contract
 PACKAGE = Path(__file__).parents[1] / "fieldlum"
 RANKS = (
     {"core", "learn.model_registry", "version"},
-    {"optics.photometry", "optics.projection", "sky"},
+    {
+        "optics.melanopic",
+        "optics.photometry",
+        "optics.projection",
+        "optics.resample",
+        "optics.stray_light",
+        "sky",
+    },
     {
         "optics.images",
         "optics.linear_light",

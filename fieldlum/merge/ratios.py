@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fieldlum.core.arrays import Floats, Mask
+from fieldlum.core.arrays import Floats
 from fieldlum.core.statistics import robust_sigma
 from fieldlum.merge.estimator import Rows
 from fieldlum.merge.frames import RawSignal, Signal
