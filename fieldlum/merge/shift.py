@@ -32,8 +32,8 @@ _MAX_SIDE_PX = 800  # longest side of the reduced frames, to limit the time
 # OpenCV tracks 8-bit pictures: one level is 2.5 % of light, the range is 9 EV.
 _LEVELS_PER_LN = 40.0
 _WINDOW_PX = 11  # side of the surroundings of a point
-_MAX_POINTS, _MIN_POINTS = 400, 8
-_BLOCKS = 6  # parts of the picture per side whose errors are independent; three at least
+_MAX_POINTS, _MIN_POINTS = 400, 20
+_BLOCKS = 6  # parts of the picture per side whose errors are independent
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +104,8 @@ def _turn(long: Small, short: Small, lenses: Sequence[LensGeometry]) -> tuple[fl
         column, row = (here_px[inside] * _BLOCKS / extent).astype(np.intp).T
         blocks.append(row * _BLOCKS + column)
     (here, there), block = np.concatenate(rays, axis=1), np.concatenate(blocks)
-    if len(block) < _MIN_POINTS or len(np.unique(block)) < 3:
+    parts = len(np.unique(block))
+    if len(block) < _MIN_POINTS or parts < 5:
         return None
     turn, covariance = Rotation.identity(), np.eye(3)
     for _ in range(3):  # a fit is linear in the turn
@@ -113,7 +114,7 @@ def _turn(long: Small, short: Small, lenses: Sequence[LensGeometry]) -> tuple[fl
         fit = fit_turn(design, (there - moved).ravel(), np.repeat(block, 3))
         if fit is None:
             return None
-        turn, covariance = Rotation.from_rotvec(fit[0]) * turn, fit[1]
+        turn, covariance = Rotation.from_rotvec(fit[0]) * turn, fit[1] * parts / (parts - 3)
     angle = turn.magnitude()
     along = turn.as_rotvec() / max(angle, 1e-12)
     return float(angle), float(np.sqrt(max(along @ covariance @ along, 1e-16)))
@@ -132,7 +133,7 @@ def _tracked(long: Small, short: Small) -> tuple[Floats, Floats]:
     end, found, _ = cv2.calcOpticalFlowPyrLK(*pictures, start, None, **window)
     back, returned, _ = cv2.calcOpticalFlowPyrLK(*pictures[::-1], end, None, **window)
     apart_px = np.abs(back - start).max(axis=(1, 2))
-    good = (found[:, 0] > 0) & (returned[:, 0] > 0) & (apart_px < 0.5)
+    good = (found[:, 0] > 0) & (returned[:, 0] > 0) & (apart_px < 0.3)
     here, there = ((points[good, 0] + 0.5) * long.step for points in (start, end))
     return here.astype(np.float64), there.astype(np.float64)
 

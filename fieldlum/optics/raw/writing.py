@@ -24,18 +24,13 @@ _XYZ_TO_SRGB = (
 )
 
 
-def _rational(value: float) -> Any:
-    """Return a positive number as the fraction that a camera writes, in Pillow's type.
-
-    For example, 0.004 gives 1/250 and 5.6 gives 28/5. Below 1 a unit fraction is preferred if it
-    differs by less than 1e-6 of the value.
-    """
+def _fractions(values: ArrayLike) -> tuple[Any, ...]:
+    """Return numbers as the fractions that a camera writes, in Pillow's type: 0.004 as 1/250."""
     from PIL.TiffImagePlugin import IFDRational
 
-    inverse = Fraction(1, max(round(1 / value), 1)) if 0 < value < 1 else Fraction(0)
-    if inverse and abs(float(inverse) / value - 1) < 1e-6:
-        return IFDRational(inverse)
-    return IFDRational(Fraction(value).limit_denominator(1_000_000 if value < 1000 else 1000))
+    # numerator and denominator have 32 bits
+    limits = ((value, int(1e9 / max(abs(value), 1.0))) for value in np.ravel(values).tolist())
+    return tuple(IFDRational(Fraction(v).limit_denominator(limit)) for v, limit in limits)
 
 
 def _exif_fields(exposure: Exposure, t_camera: datetime | None) -> dict[int, Any]:
@@ -43,11 +38,8 @@ def _exif_fields(exposure: Exposure, t_camera: datetime | None) -> dict[int, Any
 
     A time with an offset from UTC has OffsetTimeOriginal too.
     """
-    fields: dict[int, Any] = {
-        33434: _rational(exposure.shutter_s),
-        33437: _rational(exposure.f_number),
-        34855: round(exposure.iso),
-    }
+    shutter_s, f_number = _fractions([exposure.shutter_s, exposure.f_number])
+    fields: dict[int, Any] = {33434: shutter_s, 33437: f_number, 34855: round(exposure.iso)}
     if t_camera is not None:
         fields[36867] = t_camera.strftime("%Y:%m:%d %H:%M:%S")
         fields[37521] = f"{t_camera.microsecond // 1000:03d}"
@@ -82,6 +74,7 @@ def write_dng(
     cell = np.empty((2, 2))
     for at, value in zip(channel_positions(cfa), black_dn, strict=True):
         cell[at] = value
+    height, width = counts.shape
     of_dng = {
         254: (_LONG, 0),
         33421: (_SHORT, (2, 2)),
@@ -102,35 +95,14 @@ def write_dng(
         directory[number] = value
     texts = {270: exposure.nd and f"ND={exposure.nd}", 271: make, 272: model}
     directory.update({number: text for number, text in texts.items() if text})
-    directory.update({**_of_mosaic(*counts.shape), 34665: _exif_fields(exposure, t_camera)})
+    # TIFF 6.0: size, 16 bits, uncompressed, colour filter array, one strip; Pillow adds to its
+    # offset where the directory ends.
+    directory.update({256: width, 257: height, 258: 16, 259: 1, 262: 32803, 273: 0, 274: 1})
+    directory.update({277: 1, 278: height, 279: 2 * height * width, 284: 1})
+    directory[34665] = _exif_fields(exposure, t_camera)
     with replacing(path) as file:
         directory.save(file)
         file.write(np.ascontiguousarray(counts, "<u2").tobytes())
-
-
-def _of_mosaic(height: int, width: int) -> dict[int, int]:
-    """Return the tags of TIFF 6.0 of uncompressed counts with 16 bits, without orientation."""
-    return {
-        256: width,
-        257: height,
-        258: 16,
-        259: 1,  # uncompressed
-        262: 32803,  # colour filter array
-        273: 0,  # Pillow adds where its directory ends
-        274: 1,
-        277: 1,
-        278: height,
-        279: 2 * height * width,
-        284: 1,
-    }
-
-
-def _fractions(values: ArrayLike) -> tuple[Any, ...]:
-    """Return numbers as Pillow's fractions, to a millionth."""
-    from PIL.TiffImagePlugin import IFDRational
-
-    parts = (Fraction(value).limit_denominator(1_000_000) for value in np.ravel(values).tolist())
-    return tuple(IFDRational(part) for part in parts)
 
 
 def write_jpeg(
