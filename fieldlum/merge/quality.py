@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,7 +99,7 @@ def report_of(
     )
 
 
-def _shares_percent(flags: NDArray[np.integer], target: Target) -> dict[str, float]:
+def _shares_percent(flags: NDArray[np.integer], target: Target) -> dict[str, Any]:
     """Return shares of the solid angle: flagged of what a lens sees, and not seen of all, in %."""
     solid = target.solid_angles()
     seen_sr = solid * ((flags & Flag.OUTSIDE_LENS) == 0)

@@ -354,7 +354,8 @@ def _without_absent_filters(
         like = min(bare, key=lambda s: abs(np.log(s.exposure.shutter_s / asked.shutter_s)))
         pair = [like, replace(shot, exposure=replace(asked, nd=""))]
         frames = read_frames(pair, profile, crop, saturation_and_black(pair, profile)[0])
-        ratio = compare(*take_samples(frames), 0, 1)
+        bare_sample, sample = take_samples(frames)
+        ratio = compare(bare_sample, sample, 0, 1)
         factor = float(np.mean(nd_factors(asked.nd, profile)))
         if ratio is not None and ratio.log_ratio > -0.5 * np.log(factor):
             right[number] = pair[1]

@@ -94,7 +94,8 @@ def _turn(long: Small, short: Small, lenses: Sequence[LensGeometry]) -> tuple[fl
     from scipy.spatial.transform import Rotation
 
     here_px, there_px = _tracked(long, short)  # [points, 2] each
-    rays, blocks = [np.empty((2, 0, 3))], [np.empty(0, np.intp)]
+    rays: list[Floats] = [np.empty((2, 0, 3))]
+    blocks = [np.empty(0, np.intp)]
     extent = np.array(long.seen.shape[::-1]) * long.step
     for lens in lenses:
         # the edge of a lens's image does not move with the scene
@@ -110,7 +111,8 @@ def _turn(long: Small, short: Small, lenses: Sequence[LensGeometry]) -> tuple[fl
     turn, covariance = Rotation.identity(), np.eye(3)
     for _ in range(3):  # a fit is linear in the turn
         moved = turn.apply(here)
-        design = np.cross(np.eye(3), moved[:, None]).swapaxes(1, 2).reshape(-1, 3)
+        design = np.asarray(np.cross(np.eye(3), moved[:, None]), np.float64)
+        design = design.swapaxes(1, 2).reshape(-1, 3)
         fit = fit_turn(design, (there - moved).ravel(), np.repeat(block, 3))
         if fit is None:
             return None
@@ -125,13 +127,14 @@ def _tracked(long: Small, short: Small) -> tuple[Floats, Floats]:
     both = long.seen & short.seen
     near = np.ones((_WINDOW_PX, _WINDOW_PX), np.uint8)
     mask = cv2.erode(both.view(np.uint8), near, borderValue=0)
-    pictures = [_grey(small, both) for small in (long, short)]
-    start = cv2.goodFeaturesToTrack(pictures[0], _MAX_POINTS, 0.002, _WINDOW_PX / 2, mask=mask)
+    first, second = (_grey(small, both) for small in (long, short))
+    start = cv2.goodFeaturesToTrack(first, _MAX_POINTS, 0.002, _WINDOW_PX / 2, mask=mask)
     if start is None:
         return np.empty((0, 2)), np.empty((0, 2))
     window: dict[str, Any] = {"winSize": (_WINDOW_PX, _WINDOW_PX), "maxLevel": 2}
-    end, found, _ = cv2.calcOpticalFlowPyrLK(*pictures, start, None, **window)
-    back, returned, _ = cv2.calcOpticalFlowPyrLK(*pictures[::-1], end, None, **window)
+    track: Any = cv2.calcOpticalFlowPyrLK
+    end, found, _ = track(first, second, start, None, **window)
+    back, returned, _ = track(second, first, end, None, **window)
     apart_px = np.abs(back - start).max(axis=(1, 2))
     good = (found[:, 0] > 0) & (returned[:, 0] > 0) & (apart_px < 0.3)
     here, there = ((points[good, 0] + 0.5) * long.step for points in (start, end))

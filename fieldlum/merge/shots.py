@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import filecmp
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -13,7 +13,7 @@ import numpy as np
 from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure
-from fieldlum.optics.linear_light import true_shutter_s
+from fieldlum.optics.linear_light import nd_factors, true_shutter_s
 from fieldlum.optics.photometry import AUTO, LAWS, ShutterLaw, law_of_labels, z_per_cdm2
 from fieldlum.optics.profiles import CameraProfile
 from fieldlum.optics.raw import is_jpeg, possible_frames, read_exif
@@ -105,19 +105,14 @@ def shots_of_files(files: Sequence[Path], lens_f_number: float = 0.0) -> list[Sh
     if not files:
         remedy = "name the frames of one bracket"
         raise InputError("merge", "no frames", "at least one raw or JPEG file", remedy)
-    shots, resolved = [], set()
+    shots: list[Shot] = []
     for path in files:
-        if not path.is_file():
-            raise InputError(path, "no such file", "a raw or JPEG frame", "check the path")
-        if (real := path.resolve()) in resolved:
-            finding = "this frame is listed twice and would count twice"
-            raise InputError(path, finding, "each frame once", "remove the repetition")
-        resolved.add(real)
+        exposure = read_exif(path, lens_f_number=lens_f_number).exposure
         same = [shot.path for shot in shots if filecmp.cmp(path, shot.path, shallow=False)]
         if same:
             finding = f"the same content as {same[0].name}: this frame would count twice"
             raise InputError(path, finding, "each frame once", "leave the copy out")
-        shots.append(Shot(path, read_exif(path, lens_f_number=lens_f_number).exposure))
+        shots.append(Shot(path, exposure))
     return shots
 
 
@@ -128,34 +123,29 @@ def sorted_shots(shots: Sequence[Shot], profile: CameraProfile) -> list[Shot]:
     a raw camera or the reverse, for an aperture for which the profile's k is not calibrated, and if
     the frames have different apertures.
     """
-    factors = {nd.name: float(np.mean(nd.factor_rgb)) for nd in profile.nd}
-    for path, finding, expected, remedy in _problems(shots, profile, factors):
+    for path, finding, expected, remedy in _problems(shots, profile):
         raise InputError(path, finding, expected, remedy)
 
     def collected(shot: Shot) -> float:
         e = shot.exposure
-        return z_per_cdm2(e.shutter_s, e.f_number, e.iso) / (factors[e.nd] if e.nd else 1.0)
+        return z_per_cdm2(e.shutter_s, e.f_number, e.iso) / float(
+            np.mean(nd_factors(e.nd, profile))
+        )
 
     return sorted(shots, key=lambda s: (s.heading_deg or 0.0, -collected(s), s.path.name))
 
 
 def _problems(
-    shots: Sequence[Shot], profile: CameraProfile, factors: Mapping[str, float]
+    shots: Sequence[Shot], profile: CameraProfile
 ) -> Iterator[tuple[Path, str, str, str]]:
     """Yield file, finding, expectation and remedy of each frame that cannot be in the bracket."""
-    is_jpeg_profile, apertures = profile.camera.kind == "jpeg", profile.scale.f_numbers
+    kind, apertures = profile.camera.kind, profile.scale.f_numbers
     first = shots[0].exposure.f_number
     for shot in shots:
-        nd, f_number = shot.exposure.nd, shot.exposure.f_number
-        if nd and nd not in factors:
-            expected = f"one of its filters: {', '.join(factors) or 'none'}"
-            remedy = "add the filter as [[nd]] to the profile, or correct its name"
-            yield shot.path, f"the filter '{nd}' is not in the profile", expected, remedy
-        if is_jpeg(shot.path) != is_jpeg_profile:
-            finding = "a raw frame" if is_jpeg_profile else "a JPEG frame"
-            expected = (
-                f"{profile.camera.kind} frames, for which the profile {profile.camera.name} is"
-            )
+        f_number = shot.exposure.f_number
+        if is_jpeg(shot.path) != (kind == "jpeg"):
+            finding = "a raw frame" if kind == "jpeg" else "a JPEG frame"
+            expected = f"{kind} frames, for which the profile {profile.camera.name} is"
             remedy = "remove this frame, or name the profile of its camera"
             yield shot.path, finding, expected, remedy
         if apertures and min(abs(f_number / n - 1) for n in apertures) > _ONE_APERTURE:
@@ -167,10 +157,7 @@ def _problems(
             yield shot.path, f"a frame with f/{f_number:g}", expected, remedy
         if abs(f_number / first - 1) > _ONE_APERTURE:
             finding = f"a frame with f/{f_number:g} in a bracket with f/{first:g}"
-            remedy = (
-                "merge the frames of each aperture separately, because their light and vignetting "
-                "differ"
-            )
+            remedy = "merge each aperture separately: light and vignetting differ"
             yield shot.path, finding, "one aperture in a bracket", remedy
 
 
