@@ -20,25 +20,18 @@ from fieldlum.optics.projection import LensGeometry, direction, lens_pixels, len
 from fieldlum.sky.sun import position
 from fieldlum.sky.sun_disc import SUN_RADIUS_RAD, SunDisc, find_disc, without_disc
 
-_LOWEST_DEG = -0.3  # the disc's radius is 0.27 degrees; chosen
-# Relative errors of the luminance of a disc one pixel wide, and of a point, on a mosaic
-# (bench/sun_on_mosaic.py).
-_ON_MOSAIC, _POINT_ON_MOSAIC = 0.3, 0.5
+_LOWEST_DEG = -0.3  # the disc's radius is 0.27 degrees
 # Standard uncertainty [px] of a disc's centre of energy on a mosaic, for a disc one pixel wide and
 # sharp optics: 0.08 px rms over positions on the mosaic (simulation, 150 draws for each width). It
 # decreases with the disc's width, but not below the second value.
 _CENTRE_PX, _MIN_CENTRE_PX = 0.1, 0.02
-# share of a clipped spot's width, because its halo is not exactly round; not measured
-_CLIPPED_CENTRE = 0.05
 _BLUR_RAD = np.radians(0.5)  # blur of a lens; not measured
-_DISC_PART = 0.05  # share of the brightest pixel's excess; dimmer pixels count as sky; not measured
 # A compass near steel is wrong by up to 5 degrees, more than `find_disc` searches: so far to both
 # sides it searches again. There only a strong light counts, because a facade of glass mirrors up to
 # a fifth of the sun's 100 klx. Chosen.
 _HEADING_ERROR_DEG = 5.0
 _MIN_FAR_LX = 20_000.0
 MEASURED = "nd-frames"
-OPEN = "merge"
 
 
 def expected_sun_deg(t_utc: datetime, site: Site) -> tuple[float, float] | None:
@@ -62,14 +55,13 @@ def take_out_disc(
     (all frames are clipped: a lower bound), "nd-frames" (measured through a filter) or "merge"
     (measured without a filter). If the disc is not visible, return the panorama unchanged and None.
     """
-    flags = np.zeros(panorama.luminance_cdm2.shape, np.uint16)
-    if panorama.flags is not None:
-        flags |= panorama.flags.astype(np.uint16)
+    own = 0 if panorama.flags is None else panorama.flags
+    flags = np.zeros(panorama.luminance_cdm2.shape, np.uint16) | np.asarray(own, np.uint16)
     disc = _disc_near(panorama, (flags & Flag.CLIPPED_HIGH) > 0, altitude_deg, azimuth_deg)
     if disc is None:
         return panorama, None
     filtered = bool(((flags & Flag.ND) > 0)[disc.pixels].any())
-    origin = CLIPPED_SUN if disc.clipped else MEASURED if filtered else OPEN
+    origin = CLIPPED_SUN if disc.clipped else MEASURED if filtered else "merge"
     flags[disc.pixels] |= np.uint16(Flag.FILLED)
     light, u_cdm2, rgb = panorama.luminance_cdm2, panorama.u_cdm2, panorama.rgb
     if u_cdm2 is not None:
@@ -125,7 +117,7 @@ def mosaic_u_rel(diameter_px: float) -> float:
     between 0.7 and 16 pixels (the law of lattice points in a circle; bench/sun_on_mosaic.py). It is
     an upper bound: where the optics spread a point over two pixels, the error is 20 times smaller.
     """
-    return min(_POINT_ON_MOSAIC, _ON_MOSAIC * diameter_px**-1.5)
+    return min(0.5, 0.3 * diameter_px**-1.5)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -166,7 +158,8 @@ def sun_on_sensor(
     down = float((weight * (rows + 0.5)).sum() / weight.sum()) + top
     across = float((weight * (columns + 0.5)).sum() / weight.sum()) + left
     wide_px = 2.0 * np.sqrt(np.count_nonzero(weight) / np.pi)
-    sigma_px = _CLIPPED_CENTRE * wide_px if bound_only else _CENTRE_PX / max(wide_px, 1.0)
+    # the halo of a clipped spot is not exactly round
+    sigma_px = 0.05 * wide_px if bound_only else _CENTRE_PX / max(wide_px, 1.0)
     sigma_px = max(float(sigma_px), _MIN_CENTRE_PX)
     east, north, up = (float(v) for v in lens_rays(lens, across, down))
     altitude = float(np.degrees(np.arcsin(np.clip(up, -1.0, 1.0))))
@@ -175,8 +168,11 @@ def sun_on_sensor(
 
 
 def _disc_weight(light: Floats32, clipped: Mask | None) -> Floats:
-    """Return each pixel's weight for the disc's centre: its excess, or 1 if it is clipped."""
+    """Return each pixel's weight for the disc's centre: its excess, or 1 if it is clipped.
+
+    Pixels with less than 5 % of the brightest one's excess count as sky.
+    """
     if clipped is not None:
         return clipped.astype(float)
     excess = light - float(np.median(light))
-    return np.where(excess > _DISC_PART * excess.max(initial=0.0), excess, 0.0).astype(float)
+    return np.where(excess > 0.05 * excess.max(initial=0.0), excess, 0.0).astype(float)

@@ -129,7 +129,14 @@ def view_through(
     if not profile.stray.angle_deg:
         stray = None
     elif stray is None:
-        stray = _stray_of_lens(light, coverage > 0, profile, target)
+        directions = target.rays(*(np.arange(count) + 0.5 for count in target.shape))
+        stray = stray_cdm2(
+            np.where(coverage > 0, light, 0.0),
+            target.solid_angles().ravel(),
+            directions.reshape(-1, 3),
+            np.asarray(profile.stray.angle_deg),
+            np.asarray(profile.stray.per_sr),
+        )
     remaining = light if stray is None else np.maximum(light - stray, 0.0)
     if stray is not None:
         rgb = rgb * (remaining / np.maximum(light, 1e-12))[:, None]
@@ -137,21 +144,6 @@ def view_through(
     variance = var @ weights**2
     return ProjectedImage(
         remaining, variance, coverage, edge, u_vignetting, u_ratio, flags, rgb, u_stray, lens, stray
-    )
-
-
-def _stray_of_lens(
-    light: Floats, seen_mask: Mask, profile: CameraProfile, target: Target
-) -> Floats:
-    """Return the stray light [n] in cd/m2 that the light within a lens's field causes."""
-    kernel = profile.stray
-    rows, columns = (np.arange(count) + 0.5 for count in target.shape)
-    return stray_cdm2(
-        np.where(seen_mask, light, 0.0),
-        target.solid_angles().ravel(),
-        target.rays(rows, columns).reshape(-1, 3),
-        np.asarray(kernel.angle_deg),
-        np.asarray(kernel.per_sr),
     )
 
 

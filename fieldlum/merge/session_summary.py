@@ -20,11 +20,9 @@ from fieldlum.session.files.sidecar import Sidecar, readable_sidecars
 # contact-1.png and so on: the panoramas of a session in false colour
 
 
-# Layout, chosen for a sheet of 1 500 px that shows a day in a few rows.
-_THUMB_PX = (184, 92)
+# Layout of a sheet of 1 500 px that shows a day in a few rows: a thumbnail, its place, a page.
+_WIDTH, _HEIGHT, _PLACE = 184, 92, (190, 112)
 _PER_ROW, _PER_PAGE = 8, 96
-_BLACK = (0, 0, 0)
-_FONT_SCALE = 0.36
 
 
 def write_contact_sheets(session: Session, sidecars: Sequence[Sidecar]) -> None:
@@ -37,49 +35,42 @@ def write_contact_sheets(session: Session, sidecars: Sequence[Sidecar]) -> None:
     for first in range(0, len(sidecars), _PER_PAGE):
         sheet = _sheet(session, sidecars[first : first + _PER_PAGE], zone)
         with replacing(session.panoramas / f"contact-{first // _PER_PAGE + 1}.png") as file:
-            file.write(png_of(sheet[..., ::-1]))
+            file.write(png_of(sheet))
 
 
 def _sheet(session: Session, sidecars: Sequence[Sidecar], zone: ZoneInfo) -> NDArray[np.uint8]:
-    """Return the picture of one page [H, W, 3], in blue, green, red."""
-    width, height = _THUMB_PX
-    rows = -(-len(sidecars) // _PER_ROW)
-    sheet = np.full((rows * (height + 20) + 34, _PER_ROW * (width + 6), 3), 255, np.uint8)
-    _draw_scale(sheet, rows * (height + 20) + 4)
+    """Return the picture of one page, RGB [H, W, 3], with the colour scale at its foot."""
+    foot = -(-len(sidecars) // _PER_ROW) * _PLACE[1]
+    sheet = np.full((foot + 34, _PER_ROW * _PLACE[0], 3), 255, np.uint8)
     for number, sidecar in enumerate(sidecars):
-        x, y = (number % _PER_ROW) * (width + 6), number // _PER_ROW * (height + 20)
+        x, y = number % _PER_ROW * _PLACE[0], number // _PER_ROW * _PLACE[1]
         local = f" {sidecar.t_utc.astimezone(zone):%H:%M}" if sidecar.t_utc else ""
         label = f"{sidecar.slot}{local} {sidecar.verdict.partition(':')[0]}"
-        _write_text(sheet, label, (x + 2, y + height + 13))
+        _write_text(sheet, label, (x + 2, y + _HEIGHT + 13))
         path = session.panorama(sidecar.slot)
         if path.is_file():
-            sheet[y : y + height, x : x + width] = _thumbnail(path)
+            sheet[y : y + _HEIGHT, x : x + _WIDTH] = _thumbnail(path)
+    sheet[foot + 4 : foot + 16, 6:466] = coloured(np.geomspace(*RANGE_CDM2, 460))
+    for k, text in enumerate(("1", "10", "100", "1000", "10 000 cd/m2")):
+        _write_text(sheet, text, (6 + min(115 * k, 430), foot + 29))
     return sheet
 
 
 def _write_text(sheet: NDArray[np.uint8], text: str, at: tuple[int, int]) -> None:
     import cv2
 
-    cv2.putText(sheet, text, at, cv2.FONT_HERSHEY_SIMPLEX, _FONT_SCALE, _BLACK, 1, cv2.LINE_AA)
-
-
-def _draw_scale(sheet: NDArray[np.uint8], top: int) -> None:
-    """Draw the colour scale from 1 to 10 000 cd/m2 at the foot of a page [H, W, 3]."""
-    width = min(460, sheet.shape[1] - 100)
-    ramp = np.geomspace(*RANGE_CDM2, width)
-    sheet[top : top + 12, 6 : 6 + width] = coloured(ramp)[:, ::-1]
-    for k, text in enumerate(("1", "10", "100", "1000", "10 000 cd/m2")):
-        _write_text(sheet, text, (6 + min(k * width // 4, width - 30), top + 25))
+    cv2.putText(sheet, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.36, (0, 0, 0), 1, cv2.LINE_AA)
 
 
 def _thumbnail(path: Path) -> NDArray[np.uint8]:
-    """Return one panorama as a picture [height, width, 3], in blue, green, red."""
+    """Return one panorama as a picture [height, width, 3]."""
     panorama = read_panorama(path)
-    height, width = panorama.luminance_cdm2.shape
-    rows = np.linspace(0, height - 1, _THUMB_PX[1]).astype(int)
-    columns = np.linspace(0, width - 1, _THUMB_PX[0]).astype(int)
+    rows, columns = (
+        np.linspace(0, size - 1, count).astype(int)
+        for size, count in zip(panorama.luminance_cdm2.shape, (_HEIGHT, _WIDTH), strict=True)
+    )
     pick = np.ix_(rows, columns)
-    picture = coloured(panorama.luminance_cdm2[pick])[..., ::-1]
+    picture = coloured(panorama.luminance_cdm2[pick])
     if panorama.flags is not None:
         picture[panorama.flags[pick] > 0] = UNSEEN_RGB
     return picture

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -35,8 +36,6 @@ from fieldlum.session.provenance import digest, made_from
 from fieldlum.sky.sky_view import write_sky_picture
 from fieldlum.version import __version__
 
-# The verdict reports the relative uncertainty of the sun's illuminance from this value on. Chosen.
-_SUN_WARN = 0.02
 # Increase it when the arithmetic changes: earlier panoramas are then merged again.
 _RECIPE = 7
 
@@ -80,13 +79,7 @@ class _MergeJob:
 def _recipe(job: _MergeJob, shots: list[Shot]) -> JsonTable:
     """Return everything that a panorama depends on; equal recipes give equal pictures."""
     frames = [
-        {
-            "file": s.path.name,
-            "size": s.path.stat().st_size,
-            "sha256": s.sha256,
-            "heading_deg": s.heading_deg,
-        }
-        for s in shots
+        {"file": s.path.name, "sha256": s.sha256, "heading_deg": s.heading_deg} for s in shots
     ]
     inputs = {
         "recipe": _RECIPE,
@@ -116,11 +109,10 @@ def _merged_before(session: Session, slot: str, recipe: JsonTable) -> Sidecar | 
     """
     path, picture = session.sidecar(slot), session.panorama(slot)
     table = made_from(path, recipe, [picture])
-    try:
-        sidecar = None if table is None else Sidecar.from_table(table, path)
-    except InputError:
-        return None
-    return sidecar if sidecar is not None and sidecar.fits(picture) else None
+    with suppress(InputError):
+        if table is not None and (sidecar := Sidecar.from_table(table, path)).fits(picture):
+            return sidecar
+    return None
 
 
 def merge_slot(root: Path, job: _MergeJob) -> Verdict:
@@ -217,15 +209,12 @@ def _write(session: Session, job: _MergeJob, result: MergeResult, recipe: JsonTa
     else:
         write_sky_picture(sky, replace(result.sky, t_utc=result.panorama.t_utc))
     p, sun = job.profile, result.panorama.sun
-    sidecar_sun = sun and SidecarSun(
-        sun.altitude_deg,
-        sun.azimuth_deg,
-        sun.normal_illuminance_lx,
-        round(100 * _sun_u_rel(p), 2),
-        sun.origin,
-        sun.origin == CLIPPED_SUN,
-        result.sun,
-    )
+    sidecar_sun = None
+    if sun is not None:
+        place, u_percent = (sun.altitude_deg, sun.azimuth_deg), round(100 * _sun_u_rel(p), 2)
+        bound = sun.origin == CLIPPED_SUN
+        lx = sun.normal_illuminance_lx
+        sidecar_sun = SidecarSun(*place, lx, u_percent, sun.origin, bound, result.sun)
     Sidecar(
         job.slot,
         result.panorama.t_utc,
@@ -253,14 +242,13 @@ def _sun_u_rel(profile: CameraProfile) -> float:
 
 
 def _sun_note(sun: SunSource | None, profile: CameraProfile) -> str:
-    """Return a note for the verdict if the sun's disc has few sensor pixels; "" otherwise."""
+    """Return a note for the verdict if few pixels under the disc make u 2 % at least; else ""."""
     u_rel = _sun_u_rel(profile)
-    if sun is None or sun.origin == CLIPPED_SUN or u_rel < _SUN_WARN:
+    if sun is None or sun.origin == CLIPPED_SUN or u_rel < 0.02:
         return ""
-    wide_px = disc_px(profile.lens)
     return (
-        f"; the sun is only {wide_px:.1f} px wide on the sensor, so the uncertainty of the sun's "
-        f"illuminance is {100 * u_rel:.0f} %"
+        f"; the sun is only {disc_px(profile.lens):.1f} px wide on the sensor, so the uncertainty "
+        f"of the sun's illuminance is {100 * u_rel:.0f} %"
     )
 
 

@@ -21,7 +21,7 @@ from typing import Literal, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fieldlum.core.arrays import Floats, Mask
+from fieldlum.core.arrays import Floats
 from fieldlum.core.records import Exposure, SunSource
 from fieldlum.optics.projection import direction
 
@@ -96,9 +96,6 @@ LAWS = (THIRD_STOPS, HALF_STOPS, EXACT)
 # unchanged. Labels are rounded by up to 6.3 % (13 s) in thirds of a stop, and by 11.6 % (1/20 s is
 # 2^-4.5 s) in halves. Sources: linearhdr (Wasilewski), hdrmerge (Jakob).
 _GRIDS = {THIRD_STOPS: ((3,), 0.07), HALF_STOPS: ((2,), 0.12), AUTO: ((3, 2), 0.07)}
-# Minimum difference of the expected ln ratio between two laws, for a pair to decide between them:
-# above the uncertainty of a pair.
-_TELLS_APART = 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,41 +167,27 @@ def law_of_frames(
     times_s : for each law, the times [frames] in s; pairs : ratios measured relative to the times
     under the law of `of_labels`; without pairs `of_labels` is returned. Only under the correct law
     do equal nominal steps change codes equally. A wrong response, or changing light, stretches all
-    steps by one factor; that factor is estimated from pairs for which the laws agree. A law is
-    chosen if the measured ratios are nearer to its expectation than to that of the other law.
+    steps by one factor, which is estimated for each law. The frames decide if the ratios scatter
+    about every other law, of those that differ by over 2 %, at least twice as much.
     """
     if not pairs:
         return of_labels
     long, short = np.array([(pair.long, pair.short) for pair in pairs]).T
-    assumed = np.log(times_s[of_labels.law])
-    step = assumed[short] - assumed[long]
-    off = {law: np.log(times_s[law]) - assumed for law in LAWS}
-    expected = {law: values[short] - values[long] for law, values in off.items()}
     measured = np.array([pair.log_ratio for pair in pairs])
-    clear = np.maximum(_TELLS_APART, 3.0 * np.array([pair.u_log for pair in pairs]))
-    best, decided = of_labels.law, of_labels.decided_by
-    for law in LAWS:
-        apart = expected[law] - expected[best]
-        tells = np.abs(apart) > clear
-        if not tells.any():
-            continue
-        residual = measured - expected[best] - step * _stretch(measured, step, tells)
-        if (~tells).sum() > 1 and np.std(residual[~tells]) > 0.5 * np.abs(apart[tells]).mean():
-            continue  # pairs for which the laws agree scatter as much, so the response is wrong
-        decided = "frames"
-        if abs(float(np.median(residual[tells] / apart[tells])) - 1.0) < 0.5:
-            best = law
-    misfit = {
-        law: round(100.0 * float(np.sqrt(np.mean((measured - values) ** 2))), 2)
-        for law, values in expected.items()
-    }
-    return ShutterLaw(best, decided, misfit)
-
-
-def _stretch(measured: Floats, step: Floats, tells: Mask) -> float:
-    """Return the factor by which ln ratios are stretched, from pairs with equal laws."""
-    others = ~tells & (np.abs(step) > 0.1)
-    return float(np.median(measured[others] / step[others])) if others.any() else 0.0
+    assumed = np.log(times_s[of_labels.law])
+    step = {law: np.log(times_s[law][short] / times_s[law][long]) for law in LAWS}
+    off = {law: measured - step[law] + (assumed[short] - assumed[long]) for law in LAWS}
+    slope = {law: off[law] @ step[law] / max(step[law] @ step[law], 1e-12) for law in LAWS}
+    scatter = {law: float(np.std(off[law] - step[law] * slope[law])) for law in LAWS}
+    best = min(LAWS, key=lambda law: (scatter[law], law != of_labels.law))
+    others = [law for law in LAWS if np.abs(step[law] - step[best]).max() > 0.02]
+    decided = bool(others) and all(scatter[law] > 2.0 * scatter[best] for law in others)
+    misfit = {law: round(100.0 * float(np.sqrt(np.mean(off[law] ** 2))), 2) for law in LAWS}
+    if not decided:
+        return ShutterLaw(of_labels.law, of_labels.decided_by, misfit)
+    # of laws that agree for these frames, that of the labels
+    law = best if of_labels.law in others else of_labels.law
+    return ShutterLaw(law, "frames", misfit)
 
 
 # ----------------------------------------------------------------------------------------------

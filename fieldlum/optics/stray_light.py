@@ -15,15 +15,10 @@ from fieldlum.core.arrays import Floats
 from fieldlum.optics.projection import altitude_azimuth_deg, equirect_pixel, equirect_rays, wrapped
 
 # Side of a source cell. K is constant below half of it, because nearer light is the lens's blur,
-# not haze. Chosen.
+# not haze.
 CELL_DEG = 3.0
 _ROWS = round(180.0 / CELL_DEG)
-# A cell with at least this share of all light acts on each pixel and not on the coarse grid,
-# because near a window or lamp the stray light changes faster than the grid. There are at most 100
-# such cells. Chosen.
-_BRIGHT_SHARE = 0.01
-_TABLE = 4096  # steps of sin(angle / 2); 0.03 degrees near 0; chosen
-_BLOCK = 512  # grid directions processed at a time; chosen, only limits memory
+_TABLE = 4096  # steps of sin(angle / 2); 0.03 degrees near 0
 
 
 def kernel_per_sr(angle_rad: Floats, nodes_deg: Floats, values_per_sr: Floats) -> Floats:
@@ -51,59 +46,36 @@ def stray_cdm2(
     in place of the true light: an error of second order in K, which the fit of K makes in the same
     way.
     """
+    from scipy.ndimage import map_coordinates
+
     flux = luminance_cdm2 * solid_angle_sr
-    row, column = _grid_position(rays)
+    row, column = equirect_pixel(*altitude_azimuth_deg(rays), _ROWS, 2 * _ROWS, 0.0)
     cells = np.minimum(row.astype(np.intp), _ROWS - 1) * 2 * _ROWS + column.astype(np.intp)
-    count = 2 * _ROWS**2
-    light = np.asarray(np.bincount(cells, flux, count), np.float64)  # [cells]
-    weighted = [np.bincount(cells, flux * rays[:, axis], count) for axis in range(3)]
-    centre = np.stack(weighted, axis=1).astype(np.float64)  # [cells, 3]
+    sums = [np.bincount(cells, flux * v, 2 * _ROWS**2) for v in (np.ones(len(rays)), *rays.T)]
+    light, centre = sums[0], np.stack(sums[1:], axis=1)  # [cells], [cells, 3]
     lit = light > 0
     centre[lit] /= np.linalg.norm(centre[lit], axis=1)[:, None]
-    bright = light >= _BRIGHT_SHARE * max(float(light.sum()), 1e-30)
-    table = _kernel_table(nodes_deg, values_per_sr)
-
-    dim = lit & ~bright
+    # A cell with at least 1 % of all light acts on each pixel and not on the coarse grid, because
+    # near a window or lamp the stray light changes faster than the grid.
+    bright = light >= 0.01 * max(float(light.sum()), 1e-30)
+    half_angle = np.arcsin(np.linspace(0.0, 1.0, _TABLE + 1))
+    table = kernel_per_sr(2 * half_angle, nodes_deg, values_per_sr)
     middles = equirect_rays(_ROWS, 2 * _ROWS, 0.0).reshape(-1, 3)
-    grid = _field(middles, centre[dim], light[dim], table)
-    out = _interpolated(grid.reshape(_ROWS, -1), rays)
-    return out + _field(rays, centre[bright], light[bright], table)
-
-
-def _grid_position(rays: Floats) -> tuple[Floats, Floats]:
-    """Return the continuous row and column of each ray [n] in the grid of cells, [n] each."""
-    return equirect_pixel(*altitude_azimuth_deg(rays), _ROWS, 2 * _ROWS, 0.0)
-
-
-def _kernel_table(nodes_deg: Floats, values_per_sr: Floats) -> Floats:
-    half = np.arcsin(np.linspace(0.0, 1.0, _TABLE + 1))
-    return kernel_per_sr(2 * half, nodes_deg, values_per_sr)
+    grid = _field(middles, centre[lit & ~bright], light[lit & ~bright], table)
+    places = [row - 0.5, column - 0.5 + 1.0]
+    wide = wrapped(grid.reshape(_ROWS, -1))
+    dim = map_coordinates(wide, places, order=1, mode="nearest")
+    return dim + _field(rays, centre[bright], light[bright], table)
 
 
 def _field(at: Floats, sources: Floats, light: Floats, table: Floats) -> Floats:
     """Return the sum over sources [m, 3] of K times their light [m], at directions [n, 3]."""
-    out = np.zeros(len(at))
-    if not len(sources):
-        return out
-    for start in range(0, len(at), _BLOCK):
-        part = at[start : start + _BLOCK]
+    out, block = np.zeros(len(at)), 512  # directions at a time, to limit memory
+    for start in range(0, len(at), block):
+        part = at[start : start + block]
         # Three products and not a matrix product, to get the same bits on every processor.
-        cosine = part[:, :1] * sources[:, 0]  # [block, m]
-        cosine += part[:, 1:2] * sources[:, 1]
-        cosine += part[:, 2:] * sources[:, 2]
+        cosine = sum(part[:, axis : axis + 1] * sources[:, axis] for axis in range(3))
         sine_half = np.sqrt(np.clip(0.5 - 0.5 * cosine, 0.0, 1.0))
-        step = (sine_half * _TABLE + 0.5).astype(np.int32)
-        out[start : start + _BLOCK] = (table[step] * light).sum(axis=1)
+        step = (sine_half * _TABLE + 0.5).astype(np.int32)  # [block, m]
+        out[start : start + block] = (table[step] * light).sum(axis=1)
     return out
-
-
-def _interpolated(grid: Floats, rays: Floats) -> Floats:
-    """Return the values of a grid [rows, columns] at rays [n, 3], by bilinear interpolation, [n].
-
-    Rows run from the zenith to the nadir. Columns are azimuths: the last one is next to the first.
-    """
-    from scipy.ndimage import map_coordinates
-
-    row, column = _grid_position(rays)
-    places = [row - 0.5, column - 0.5 + 1.0]
-    return map_coordinates(wrapped(grid), places, order=1, mode="nearest")
