@@ -177,9 +177,7 @@ def _fill_lost(
     bound = np.zeros_like(value)
     for row in rows:
         signal = row.signal
-        per, largest = (
-            np.broadcast_to(v, value.shape) for v in (signal.per_cdm2, signal.max_cdm2())
-        )
+        per, largest = (np.broadcast_to(v, value.shape) for v in (signal.per_cdm2, signal.max_cdm2))
         readable, spread = signal.readable(row.counts)
         own = lost & readable & (row.counts > _READABLE_SNR * np.sqrt(spread))
         value[own] = (row.counts / per)[own]

@@ -112,12 +112,9 @@ class RawSignal:
         return self._linear(limit.astype(np.float32))
 
     @cached_property
-    def _limit_cdm2(self) -> Floats32:
+    def max_cdm2(self) -> Floats32:
+        """Luminance of `limit` [cd/m2], in a shape that broadcasts to the frame's."""
         return np.asarray(self.limit / self.per_cdm2, np.float32)
-
-    @cached_property
-    def _per_gain(self) -> Floats32:
-        return np.asarray(self.per_cdm2 / self.gain_e_per_dn, np.float32)
 
     @cached_property
     def _any_full(self) -> float:
@@ -154,10 +151,10 @@ class RawSignal:
 
         The weight is 0 where the predicted luminance exceeds that of `limit`.
         """
-        w = predicted_cdm2 * self._per_gain
+        w = predicted_cdm2 * np.asarray(self.per_cdm2 / self.gain_e_per_dn, np.float32)
         w += np.float32(self.noise_dn2)
         np.divide(self.per_cdm2, w, out=w)
-        w *= predicted_cdm2 < self._limit_cdm2
+        w *= predicted_cdm2 < self.max_cdm2
         return w
 
     def usable(self, counts: Floats32) -> Mask:
@@ -170,10 +167,6 @@ class RawSignal:
             self.noise_dn2
         )
         return counts < self.limit, variance.astype(np.float32)
-
-    def max_cdm2(self) -> Floats32:
-        """Return the luminance of `limit` [cd/m2], in a shape that broadcasts to the frame's."""
-        return self._limit_cdm2
 
     def small(self) -> Small:
         """Return a reduced picture, the mean of all colours, to detect turns by its edges."""
@@ -192,12 +185,11 @@ class RawSignal:
         # An odd step samples both columns of the mosaic.
         step = max(1, self.counts.shape[-1] // columns) | 1
         full = np.concatenate([self._near_full(int(i), int(i) + 1) for i in at])[:, :, ::step]
-        black, saturation, per = (
-            c[..., ::step] if c.ndim else c for c in (self.black, self.saturation, self.per_cdm2)
-        )
-        counts = self.counts[at][:, :, ::step]
-        part = replace(self, counts=counts, black=black, saturation=saturation, per_cdm2=per)
-        return part, full
+        patterns = {
+            name: value[..., ::step] if (value := getattr(self, name)).ndim else value
+            for name in ("black", "saturation", "per_cdm2")
+        }
+        return replace(self, counts=self.counts[at][:, :, ::step], **patterns), full
 
 
 def evenly_spread(length: int, wanted: int) -> Indices:
@@ -368,8 +360,9 @@ class JpegSignal:
         """Return a mask, True for values z [rows, W, 3] up to code 250, and all variances of z."""
         return counts <= self._limits[2], self._looked_up(self._tables[0], counts.copy())
 
+    @property
     def max_cdm2(self) -> Floats32:
-        """Return the luminance of code 250, broadcastable to [H, W, 3], in cd/m2."""
+        """Luminance of code 250, broadcastable to [H, W, 3], in cd/m2."""
         return np.asarray(self.z_of_code[_TOP_CODE] / self.per_cdm2, np.float32)
 
     def small(self) -> Small:

@@ -227,7 +227,7 @@ def ratio_curve(samples: Sequence[Rows], covariance: Floats, extra: float = 0.0)
     luminances that only an uncertain frame can read.
     """
     small = [s.signal.sampled(1, 2)[0] for s in samples]
-    largest = [float(np.max(s.max_cdm2())) for s in small]
+    largest = [float(np.max(s.max_cdm2)) for s in small]
     levels = np.geomspace(1e-6 * min(largest), max(largest), 193)
     information = []
     for s in small:

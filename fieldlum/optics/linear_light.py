@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats
-from fieldlum.core.errors import InputError
+from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.records import Exposure
 from fieldlum.optics.photometry import (
     check_vignetting,
@@ -33,8 +33,6 @@ from fieldlum.optics.raw import Mosaic, same_model
 _T = TypeVar("_T", bound=np.floating)
 # relative: times closer than this are one setting (settings differ by 12 %); chosen
 SAME_TIME = 0.02
-# A vignetting curve is valid for its own aperture: a third of a stop, with rounding. Chosen.
-_SAME_APERTURE_STOPS = 0.4
 
 
 def check_frame(path: Path, shape: tuple[int, ...], model: str, profile: CameraProfile) -> None:
@@ -48,13 +46,12 @@ def check_frame(path: Path, shape: tuple[int, ...], model: str, profile: CameraP
         remedy = "use a profile of this camera (--camera)"
         raise InputError(path, f"a frame of {shape[1]} x {shape[0]} pixels", expected, remedy)
     if model and body.model and not same_model(model, body.model):
-        raise InputError(
-            path,
-            f"the frame was taken by {model}",
-            f"{body.model}, the camera of {body.name}",
-            "use a profile of this camera; if this profile is right, write that model "
-            "under [camera]",
+        expected = f"{body.model}, the camera of {body.name}"
+        remedy = (
+            "use a profile of this camera; if this profile is right, write that model under "
+            "[camera]"
         )
+        raise InputError(path, f"the frame was taken by {model}", expected, remedy)
 
 
 def black_dn(mosaic: Mosaic, profile: CameraProfile) -> Sequence[float]:
@@ -132,18 +129,13 @@ def nd_factors(name: str, profile: CameraProfile) -> tuple[float, float, float]:
     name : of the filter; "" for none, which gives (1, 1, 1). Raises InputError for a filter that
     the profile does not have.
     """
-    if not name:
-        return (1.0, 1.0, 1.0)
-    for nd in profile.nd:
-        if nd.name == name:
-            return nd.factor_rgb
-    names = ", ".join(nd.name for nd in profile.nd)
-    raise InputError(
-        profile.camera.name,
-        f"the filter '{name}' is not in the profile",
-        f"one of its filters: {names}" if names else "an exposure without a filter: it has none",
-        "add the filter to the profile under [[nd]]",
-    )
+    factors = {"": (1.0, 1.0, 1.0), **{nd.name: nd.factor_rgb for nd in profile.nd}}
+    if name in factors:
+        return factors[name]
+    finding = f"the filter '{name}' is not in the profile"
+    expected = f"one of its filters: {', '.join(filter(None, factors)) or 'it has none'}"
+    remedy = "add the filter to the profile under [[nd]]"
+    raise InputError(profile.camera.name, finding, expected, remedy)
 
 
 def vignetting_of(lens: Lens, f_number: float) -> tuple[tuple[float, ...], float]:
@@ -157,19 +149,17 @@ def vignetting_of(lens: Lens, f_number: float) -> tuple[tuple[float, ...], float
     if not lens.vignetting:
         return (1.0,), 0.0
     nearest = min(lens.vignetting, key=lambda v: abs(np.log(v.f_number / f_number)))
-    if abs(2 * np.log2(nearest.f_number / f_number)) > _SAME_APERTURE_STOPS:
+    # a curve is valid for its own aperture: a third of a stop, with rounding
+    if abs(2 * np.log2(nearest.f_number / f_number)) > 0.4:
         measured = ", ".join(f"f/{v.f_number:g}" for v in lens.vignetting)
         expected = f"one of the calibrated apertures {measured}"
         remedy = "calibrate this aperture: fieldlum calibrate vignette"
         raise InputError(lens.name, f"no vignetting curve for f/{f_number:g}", expected, remedy)
-    wrong = check_vignetting(nearest.coefficients)
-    if wrong:
-        raise InputError(
-            lens.name,
-            f"the curve of f/{nearest.f_number:g}: {wrong}",
-            "a curve that is 1 on the axis, and between 0 and 1 at the edge",
-            "calibrate it again: fieldlum calibrate vignette",
-        )
+    if wrong := check_vignetting(nearest.coefficients):
+        finding = f"the curve of f/{nearest.f_number:g}: {wrong}"
+        expected = "a curve that is 1 on the axis, and between 0 and 1 at the edge"
+        remedy = "calibrate it again: fieldlum calibrate vignette"
+        raise InputError(lens.name, finding, expected, remedy)
     return nearest.coefficients, nearest.u_rel
 
 
@@ -178,13 +168,9 @@ def response_tables(profile: CameraProfile) -> Floats:
 
     Raises InputError for an invalid response in the profile.
     """
-    r = profile.response
-    try:
+    r, remedy = profile.response, "calibrate it again: fieldlum calibrate response"
+    with input_errors(profile.camera.name, "a valid [response]", remedy, ValueError):
         tables = [response_table(r.kind, curve) for curve in (r.red, r.green, r.blue)]
-    except ValueError as error:
-        expected = "a valid response"
-        remedy = "calibrate it again: fieldlum calibrate response"
-        raise InputError(profile.camera.name, f"[response]: {error}", expected, remedy) from None
     return np.stack(tables, axis=1)
 
 

@@ -325,17 +325,14 @@ def coverage_text(profile: CameraProfile, setup: CameraSetup) -> str:
     """
     headings = setup.headings or (setup.heading_deg,)
     turns = [heading - setup.heading_deg for heading in headings]
-    text = judged_text(seen_by_lenses(profile.lens, turns), setup.heading_deg)
+    heading_deg = setup.heading_deg
+    text = judged_text(seen_by_lenses(profile.lens, turns), heading_deg)
     if not text:
         return ""
-    opposite = [setup.heading_deg % 360.0, (setup.heading_deg + 180.0) % 360.0]
-    shares_seen = seen_by_lenses(
-        profile.lens, [heading - setup.heading_deg for heading in opposite]
-    )
-    if judged_text(shares_seen, setup.heading_deg):
+    if judged_text(seen_by_lenses(profile.lens, (0.0, 180.0)), heading_deg):
         return f"{text}; use a lens that sees more, or turn the camera to several headings"
-    named = ", ".join(f"{heading:g}" for heading in opposite)
-    return f"{text}; for all directions write headings = [{named}] under [camera] in SITE.toml"
+    both = f"[{heading_deg % 360.0:g}, {(heading_deg + 180.0) % 360.0:g}]"
+    return f"{text}; for all directions write headings = {both} under [camera] in SITE.toml"
 
 
 DEFAULT_CAMERA = "sim-dual-fisheye"
@@ -384,21 +381,16 @@ def find_camera_profile(name: str) -> Path:
     A shipped name may omit .toml; "" means sim-dual-fisheye. Raises InputError, with the shipped
     names, if no file fits.
     """
-    path = Path(name or DEFAULT_CAMERA)
-    for candidate in (
-        path,
-        shipped("calibration") / path.name,
-        shipped("calibration") / f"{path.name}.toml",
-    ):
+    path, folder = Path(name or DEFAULT_CAMERA), shipped("calibration")
+    for candidate in (path, folder / path.name, folder / f"{path.name}.toml"):
         if candidate.is_file():
             return candidate
-    raise InputError(
-        name,
-        "no such camera profile",
-        f"the path of a TOML file, or one of: {', '.join(camera_names())}",
+    expected = f"the path of a TOML file, or one of: {', '.join(camera_names())}"
+    remedy = (
         "correct --camera, or profile under [camera] in SITE.toml ([setup.camera] in the "
-        "session.toml of a planned session)",
+        "session.toml of a planned session)"
     )
+    raise InputError(name, "no such camera profile", expected, remedy)
 
 
 def load_camera_profile(name: str | Path) -> CameraProfile:
@@ -440,15 +432,11 @@ def planned_exposures(profile: CameraProfile, setup: CameraSetup) -> tuple[Expos
     """
     names = [nd.name for nd in profile.nd]
     if setup.filter and not (setup.filter in names and profile.bracket.nd_shutter_s):
-        finding = f"no filter '{setup.filter}'"
-        if setup.filter in names:
-            finding = f"no shutter times through '{setup.filter}'"
-        raise InputError(
-            profile.camera.name,
-            finding,
-            f"one of its filters ({', '.join(names) or 'none'}), with nd_shutter_s under [bracket]",
-            "correct filter under [camera] in SITE.toml, or add [[nd]] to the profile",
-        )
+        what = "shutter times through" if setup.filter in names else "filter"
+        listed = ", ".join(names) or "none"
+        expected = f"one of its filters ({listed}), with nd_shutter_s under [bracket]"
+        remedy = "correct filter under [camera] in SITE.toml, or add [[nd]] to the profile"
+        raise InputError(profile.camera.name, f"no {what} '{setup.filter}'", expected, remedy)
     return bracket_exposures(profile.bracket, setup.filter)
 
 
