@@ -13,7 +13,6 @@ from fieldlum.calibrate import stray
 from fieldlum.cli.calibrate_ import stray as command
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Panorama
-from fieldlum.merge.project import _stray_of_lens
 from fieldlum.optics.images import write_panorama
 from fieldlum.optics.profiles import (
     CameraProfile,
@@ -22,7 +21,7 @@ from fieldlum.optics.profiles import (
     load_camera_profile,
     save_profile,
 )
-from fieldlum.optics.projection import Equirect, direction, equirect_rays, equirect_solid_angles
+from fieldlum.optics.projection import direction, equirect_rays, equirect_solid_angles
 from fieldlum.optics.stray_light import kernel_per_sr, stray_cdm2
 
 HEIGHT = 48
@@ -88,8 +87,8 @@ def test_a_known_kernel_is_found_and_its_haze_removed(readings_csv: Path) -> Non
     light = scene((-60.0, -10.0))
     seen = light > 0
     recorded = np.where(seen, light + exact_haze(light), 0.0)
-    profile = replace(PROFILE, stray=found.kernel)
-    haze = _stray_of_lens(recorded, seen, profile, Equirect(HEIGHT))
+    nodes = np.array(found.kernel.angle_deg), np.array(found.kernel.per_sr)
+    haze = stray_cdm2(recorded, SOLID, RAYS, *nodes)
     left = (recorded - haze - light)[seen]
     assert np.sqrt((left**2).mean()) < 0.15 * np.sqrt(((recorded - light)[seen] ** 2).mean())
     assert (np.abs(left) < 2 * np.hypot(found.kernel.u_rel * haze[seen], 1e-3)).mean() > 0.9

@@ -52,7 +52,7 @@ def stray_cdm2(
     row, column = equirect_pixel(*altitude_azimuth_deg(rays), _ROWS, 2 * _ROWS, 0.0)
     cells = np.minimum(row.astype(np.intp), _ROWS - 1) * 2 * _ROWS + column.astype(np.intp)
     sums = [np.bincount(cells, flux * v, 2 * _ROWS**2) for v in (np.ones(len(rays)), *rays.T)]
-    light, centre = sums[0], np.stack(sums[1:], axis=1)  # [cells], [cells, 3]
+    light, centre = np.asarray(sums[0], np.float64), np.stack(sums[1:], axis=1, dtype=np.float64)
     lit = light > 0
     centre[lit] /= np.linalg.norm(centre[lit], axis=1)[:, None]
     # A cell with at least 1 % of all light acts on each pixel and not on the coarse grid, because
