@@ -2,7 +2,7 @@
 
 A black trap (a deep dark box with a small hole) has no light of its own: what a picture shows there
 is stray light. The same is true for any dark place in a dark room with one lamp. Readings with the
-trap or the lamp at many angles give the kernel of `photometry.stray_light` by least squares.
+trap or the lamp at many angles give the kernel of `optics.stray_light` by least squares.
 """
 
 from __future__ import annotations
