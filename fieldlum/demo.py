@@ -23,9 +23,9 @@ from fieldlum.optics.profiles import shipped
 from fieldlum.optics.projection import compass_name
 from fieldlum.session import Session, open_session
 from fieldlum.session.codec import write_object
+from fieldlum.session.files.irradiance_csv import CleanIrradiance
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.files.scores_json import TrainAnswer
-from fieldlum.session.files.truth_csv import TruthIrradiance
 from fieldlum.session.site_toml import load_site
 from fieldlum.year.predict import Annual
 
@@ -128,7 +128,7 @@ def irradiance_against_truth(session: Session) -> tuple[float, float]:
 
     Only usable rows with the sun above 10 degrees count.
     """
-    truth = TruthIrradiance.read(session.truth_irradiance)
+    truth = CleanIrradiance.read_truth(session.truth_irradiance)
     rows_of_hours = {int(t // 3600): k for k, t in enumerate(truth.t_unix_s)}
     errors = [
         (row.dni_wm2 - truth.dni_wm2[k], row.dhi_wm2 - truth.dhi_wm2[k])

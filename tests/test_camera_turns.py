@@ -10,13 +10,13 @@ from scipy.special import expit
 
 from fieldlum.learn.models.camera_turns import (
     camera_turns,
+    find_alignment,
     interpolation_u,
     turned_back,
     turned_rays,
 )
 from fieldlum.learn.models.data import Dataset, load_pairs
 from fieldlum.optics.projection import equirect_rays
-from fieldlum.session.files.alignment_csv import find_alignment
 
 HEIGHT, HEADING = 60, 180.0
 RAYS = equirect_rays(HEIGHT, 2 * HEIGHT, HEADING)

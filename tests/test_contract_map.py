@@ -3,6 +3,7 @@
 import ast
 import importlib.util
 import re
+import runpy
 from pathlib import Path
 
 import pytest
@@ -82,3 +83,11 @@ def test_links_open() -> None:
         targets = re.findall(r"\]\((?!https?:|#|mailto:)([^)#\s]+)", text)
         closed += [f"{page}: {name}" for name in targets if not (page.parent / name).exists()]
     assert not closed
+
+
+@pytest.mark.contract
+def test_the_mutation_sample_names_modules_and_tests_that_exist() -> None:
+    bench = runpy.run_path(str(ROOT / "bench" / "mutation_sample.py"))
+    for part in bench["PARTS"]:
+        assert bench["modules_of"](part)
+        assert [name for name in bench["tests_of"](part) if not (ROOT / name).is_file()] == []

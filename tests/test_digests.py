@@ -15,8 +15,8 @@ from fieldlum.core.errors import ChangedFileWarning
 from fieldlum.core.records import Panorama
 from fieldlum.optics.images import write_panorama
 from fieldlum.session import sha256
-from fieldlum.session.files.clean_csv import CleanIrradiance
 from fieldlum.session.files.hourly_csv import HOUR_COLUMNS, VIEW_COLUMNS, HourlyFile
+from fieldlum.session.files.irradiance_csv import CleanIrradiance
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.session.files.predict_json import PredictFile
 from fieldlum.session.files.scores_json import ScoresFile

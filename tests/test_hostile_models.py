@@ -14,7 +14,7 @@ from learning_room import dataset
 from fieldlum.core.errors import InputError
 from fieldlum.learn import train
 from fieldlum.learn.models import load, read_config
-from fieldlum.session.files.arrays_npz import read_arrays
+from fieldlum.session.codec import read_arrays
 
 pytestmark = pytest.mark.contract
 

@@ -31,7 +31,7 @@ from fieldlum.pair.irradiance import (
 from fieldlum.pair.irradiance.day_curves import MOST_DAYS, chosen_days, draw_days
 from fieldlum.pair.irradiance.series import local_period_s
 from fieldlum.session import DayFiles, Session, create_session, day_files, open_session
-from fieldlum.session.files import clean_csv
+from fieldlum.session.files.irradiance_csv import CleanIrradiance
 from fieldlum.sky import light_clock, sun
 
 NOON = datetime(2027, 6, 21, 20, 10, tzinfo=UTC)
@@ -387,7 +387,7 @@ def test_stage_writes_clean_csv_and_keeps_it(session: Session) -> None:
     clean = session.irradiance / "clean.csv"
     rows = list(csv.DictReader(clean.read_text().splitlines()))
     assert told.rows == told.usable == len(rows) == 100 and told.every_s == 5.0
-    assert tuple(rows[0]) == clean_csv.CLEAN_COLUMNS
+    assert tuple(rows[0]) == ("t_utc", "ghi_wm2", "dhi_wm2", "dni_wm2", "source", "flags")
     assert (
         rows[0]["t_utc"] == "2027-06-21T20:10:00Z"
         and rows[0]["source"] == "measured"
@@ -456,7 +456,7 @@ def test_pair_draws_the_days_once(tmp_path: Path) -> None:
     light = np.linspace(100.0, 200.0, rows)
     flags = np.array([""] * (rows - 1) + ["spike"], object)
     source = np.array(["measured"] * rows, object)
-    clean_csv.CleanIrradiance(t, light, light, light, source, flags).write(session.clean_irradiance)
+    CleanIrradiance(t, light, light, light, source, flags).write(session.clean_irradiance)
     path = draw_days(session)
     assert path is not None and path.read_bytes().startswith(b"\x89PNG")
     before = path.stat().st_mtime_ns

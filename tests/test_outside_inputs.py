@@ -29,11 +29,11 @@ from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure, Site, SiteFile, Slot
 from fieldlum.core.strict_csv import is_wm2, microvolts, split_heading, stated_unit
 from fieldlum.devices.logger_files import LoggerFile, read_logger_file
+from fieldlum.learn.models.camera_turns import AlignmentRow, find_alignment, write_alignment
+from fieldlum.report.evidence import read_quality
 from fieldlum.session import create_session, day_files, read_day
-from fieldlum.session.files.alignment_csv import AlignmentRow, find_alignment, write_alignment
-from fieldlum.session.files.clean_csv import CleanIrradiance
+from fieldlum.session.files.irradiance_csv import CleanIrradiance
 from fieldlum.session.files.pairs_csv import PairsFile
-from fieldlum.session.files.quality_csv import read_quality
 from fieldlum.sky import sun
 from fieldlum.weather import read_weather
 from fieldlum.weather.files import lines_of
@@ -508,7 +508,7 @@ def test_a_damaged_table_of_turns_is_computed_again(tmp_path: Path, damage: str)
     rows = [AlignmentRow("a.exr", "1f", 0.5), AlignmentRow("b.exr", "2f")]
     write_alignment(path, rows)
     assert list(find_alignment(path)) == rows
-    text = path.read_text().replace(",0.5000,", f",0.5000{damage},")
+    text = path.read_text().replace(",0.5,", f",0.5{damage},")
     path.write_text(text)
     assert find_alignment(path) == ()
 

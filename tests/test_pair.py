@@ -37,10 +37,9 @@ from fieldlum.pair.interval import outside
 from fieldlum.pair.sun_strength import completed_sun, measured_sun
 from fieldlum.session import DayFiles, Session, create_session
 from fieldlum.session.files.capture_json import Frame, frame_fields
-from fieldlum.session.files.clean_csv import CleanIrradiance
+from fieldlum.session.files.irradiance_csv import CleanIrradiance
 from fieldlum.session.files.pairs_csv import PAIR_COLUMNS, PairRow, PairsFile, write_simulated_pairs
-from fieldlum.session.files.suns_csv import SunRow
-from fieldlum.session.panorama_sun import read_panorama_with_sun
+from fieldlum.session.panorama_sun import SunRow, read_panorama_with_sun
 from fieldlum.sky import sun
 from fieldlum.year.glare.single import picture_glare
 

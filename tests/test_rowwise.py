@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from places import SEATTLE
 
-from fieldlum.core.rowwise import cosines, turned
+from fieldlum.room.scene.geometry import turned
 from fieldlum.sky.light import light_at
-from fieldlum.sky.perez import reinhart_patches
+from fieldlum.sky.perez import cosines, reinhart_patches
 
 RNG = np.random.default_rng(7)
 VECTORS = RNG.normal(size=(40, 3))

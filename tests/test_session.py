@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from places import SEATTLE
 
@@ -284,6 +284,7 @@ def test_lines_with_a_valid_checksum_and_wrong_types_are_named(session: Session)
 
 @pytest.mark.property
 @given(st.recursive(st.none() | st.booleans() | st.floats() | st.text(), st.lists, max_leaves=3))
+@settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 def test_no_value_of_an_event_breaks_the_ledger(value: object) -> None:
     row: dict[str, object] = {"event": "retake", "t_utc": "2027-03-20T15:30:00Z", "slot": "a"}
     for name in ("event", "t_utc", "slot", "attempt", "frame", "why", "state", "illuminance_lx"):

@@ -18,7 +18,7 @@ from fieldlum.learn.model_registry import MODELS
 from fieldlum.learn.models.scores import truth
 from fieldlum.learn.train.trials import Trial, choose_model, day_folds
 from fieldlum.session import replacing, replacing_path
-from fieldlum.session.writing import write_csv
+from fieldlum.session.codec import write_csv
 
 
 def machine() -> str:

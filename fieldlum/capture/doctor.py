@@ -38,8 +38,7 @@ from fieldlum.optics.profiles import (
 from fieldlum.optics.raw import same_model
 from fieldlum.session import Session, sha256
 from fieldlum.session.journal import damage_text, damaged_lines
-from fieldlum.session.ledger import read_ledger, slots_ahead
-from fieldlum.session.makeups import without_capture
+from fieldlum.session.ledger import read_ledger, slots_ahead, without_capture
 from fieldlum.sky import sun
 
 Verdict = Literal["ok", "warn", "fail"]

@@ -77,7 +77,7 @@ def command(
         new_file(path, force)
     from fieldlum.core.errors import InputError
     from fieldlum.session import open_session
-    from fieldlum.session.writing import write_csv
+    from fieldlum.session.codec import write_csv
     from fieldlum.year.glare.budget import budget_of_file, write_budgets
     from fieldlum.year.glare.single import picture_glare
 

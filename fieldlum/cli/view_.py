@@ -46,7 +46,7 @@ def command(
         read_measured_picture,
         region_statistics,
     )
-    from fieldlum.session.writing import write_csv
+    from fieldlum.session.codec import write_csv
 
     for path in (out, csv_path):
         new_file(path, force)

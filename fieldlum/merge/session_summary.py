@@ -7,13 +7,14 @@ from pathlib import Path
 from zoneinfo import ZoneInfo
 
 import numpy as np
+from msgspec import structs
 from numpy.typing import NDArray
 
 from fieldlum.core.false_colour import RANGE_CDM2, UNSEEN_RGB, coloured, png_of
-from fieldlum.core.records import utc_text
+from fieldlum.core.records import JsonTable
 from fieldlum.optics.images import read_panorama
 from fieldlum.session import Session, replacing
-from fieldlum.session.files.quality_csv import QUALITY_COLUMNS, QualityRow, write_quality
+from fieldlum.session.codec import write_csv
 from fieldlum.session.files.sidecar import Sidecar, readable_sidecars
 
 # ----------------------------------------------------------------------------------------------
@@ -83,7 +84,7 @@ def write_summary(session: Session) -> None:
     """
     sidecars = [note for note in readable_sidecars(session.sidecar_files()) if note.report.frames]
     write_contact_sheets(session, sidecars)
-    write_quality(session.quality, [_row(sidecar) for sidecar in sidecars])
+    write_csv(session.quality, map(_row, sidecars), QUALITY_COLUMNS, digits=4)
 
 
 def summary_due(session: Session) -> bool:
@@ -97,18 +98,36 @@ def summary_due(session: Session) -> bool:
     return any(path.stat().st_mtime_ns > written_ns for path in session.sidecar_files())
 
 
-def _row(sidecar: Sidecar) -> QualityRow:
-    report, sun = sidecar.report, sidecar.sun
-    figures: dict[str, float | None] = {
-        name: getattr(report, name) for name in QUALITY_COLUMNS if hasattr(report, name)
+QUALITY_COLUMNS = (
+    "slot",
+    "t_utc",
+    "verdict",
+    "frames",
+    "residual_percent",
+    "exposure_span_percent",
+    "shift_px",
+    "shift_u_px",
+    "motion_percent",
+    "clipped_percent",
+    "bloom_percent",
+    "below_noise_percent",
+    "outside_percent",
+    "u_ratio_percent",
+    "sun_lx",
+    "sun_origin",
+    "vertical_illuminance_lx",
+)
+"""Of quality.csv; sun_lx: on a plane normal to the sun; an empty cell could not be determined."""
+
+
+def _row(sidecar: Sidecar) -> JsonTable:
+    sun = sidecar.sun
+    return {
+        **structs.asdict(sidecar.report),
+        "slot": sidecar.slot,
+        "t_utc": sidecar.t_utc,
+        "verdict": sidecar.verdict,
+        "frames": len(sidecar.report.frames),
+        "sun_lx": sun and sun.normal_illuminance_lx,
+        "sun_origin": sun and sun.origin,
     }
-    del figures["frames"]
-    return QualityRow(
-        slot=sidecar.slot,
-        t_utc=utc_text(sidecar.t_utc) if sidecar.t_utc else "",
-        verdict=sidecar.verdict,
-        frames=len(report.frames),
-        sun_lx=sun.normal_illuminance_lx if sun else None,
-        sun_origin=sun.origin if sun else "",
-        **figures,
-    )

@@ -23,10 +23,10 @@ from fieldlum.pair.sky_view import Shown, shares_of_beam, write_sky_view
 from fieldlum.pair.sun_strength import DNI, SKY_VIEW, completed_sun, is_measured, measured_sun
 from fieldlum.session import Session, marks, remove_scraps
 from fieldlum.session.files.capture_json import CaptureFile
-from fieldlum.session.files.clean_csv import CleanIrradiance
+from fieldlum.session.files.irradiance_csv import CleanIrradiance
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.session.files.sidecar import Sidecar, warn_if_changed
-from fieldlum.session.files.suns_csv import SunRow, write_suns
+from fieldlum.session.panorama_sun import SunRow, write_suns
 from fieldlum.sky import sun
 from fieldlum.sky.light import Light
 from fieldlum.sky.light_clock import lit_at_night

@@ -8,7 +8,7 @@ from datetime import datetime
 import numpy as np
 
 from fieldlum.core.arrays import Floats, Mask
-from fieldlum.session.files.clean_csv import MEASURED, CleanIrradiance
+from fieldlum.session.files.irradiance_csv import MEASURED, CleanIrradiance
 
 # Relative range of the global irradiance in a bracket. Not measured.
 UNSTEADY = 0.10  # a larger one gives a caution

@@ -13,8 +13,7 @@ from fieldlum.core.records import Site, SiteFile, Slot, slot_id
 from fieldlum.plan.coverage import sun_band_percent
 from fieldlum.plan.days import hours_of, span
 from fieldlum.session import Session, replacing, sha256, update_session, write_plan
-from fieldlum.session.ledger import read_ledger
-from fieldlum.session.makeups import MAKEUP, made_up_for
+from fieldlum.session.ledger import MAKEUP, made_up_for, read_ledger
 from fieldlum.session.tables import PlanTable
 from fieldlum.sky import sun
 

@@ -5,21 +5,21 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from fieldlum.core.arrays import Floats
 from fieldlum.core.records import Site, counted
+from fieldlum.core.strict_csv import read_table
 from fieldlum.report.figures import agreement_svg, captured_svg, comparison_png
 from fieldlum.report.page import Figure, Section, Table
 from fieldlum.session import Session
 from fieldlum.session.files.held_out_npz import HeldOutMaps
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
-from fieldlum.session.files.quality_csv import read_quality
 from fieldlum.session.files.scores_json import ScoresFile
-from fieldlum.session.files.suns_csv import read_suns
-from fieldlum.session.panorama_sun import SUN_FROM
+from fieldlum.session.panorama_sun import SUN_FROM, read_suns
 from fieldlum.sky import sun
 
 SHOWN = ("typical", "one in ten is worse", "worst")
@@ -154,6 +154,17 @@ def captures_section(
     some = [table for table in tables if table.rows]
     text = _captures_text(session, site, pairs)
     return Section("captured", "What was captured", text, (figures,), some)
+
+
+def read_quality(path: Path) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:
+    """Return the columns and the rows of a quality.csv as text; both empty for a missing file.
+
+    Raises InputError, with the line, for a damaged file.
+    """
+    if not path.is_file():
+        return (), ()
+    table = read_table(path, "a quality.csv that merge wrote", "run fieldlum merge again")
+    return table.names, tuple(cells for _, cells in table.rows)
 
 
 def _columns(rows: Sequence[PairRow], names: Sequence[str]) -> list[Floats]:

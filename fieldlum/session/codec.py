@@ -1,4 +1,4 @@
-"""Convert the JSON and csv files of a session to frozen records and back, by msgspec.
+"""Read and write the JSON, csv and npz files of a session; records are built by msgspec.
 
 A file without a format version has version 1, as fieldlum 0.1.0 wrote it. Keys that a record does
 not have are ignored, because newer versions may add keys. The SHA-256 of a result is recorded in a
@@ -12,14 +12,14 @@ import csv
 import json
 import math
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+import zipfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import MISSING, fields
-from datetime import datetime
-from functools import cache
+from dataclasses import fields
+from datetime import UTC, datetime
 from io import StringIO
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Self, TypeVar, get_type_hints
+from typing import IO, Annotated, Any, ClassVar, Self, TypeVar, cast
 
 import msgspec
 import numpy as np
@@ -117,7 +117,7 @@ class JsonFile(msgspec.Struct, frozen=True):
         """Build from a JSON object; null counts as absent. path: for the InputError otherwise."""
         check_format(path, table.get("format", 1), cls.FORMAT)
         with input_errors(path, cls.EXPECTED, cls.REMEDY, *_WRONG):
-            stated = _without_empty_times(cls.upgraded(table, path))
+            stated = cls.upgraded(table, path)
             return convert({k: v for k, v in stated.items() if v is not None}, cls)
 
     @classmethod
@@ -145,13 +145,7 @@ def check_format(path: Path, version: object, newest: int) -> None:
 
 def to_json(value: object) -> Any:
     """Return a record as the plain values of JSON; arrays and tuples become lists."""
-    return _with_lists(msgspec.to_builtins(value, enc_hook=_plain))
-
-
-def _with_lists(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _with_lists(inner) for key, inner in value.items()}
-    return [_with_lists(inner) for inner in value] if isinstance(value, list | tuple) else value
+    return json.loads(json.dumps(msgspec.to_builtins(value, enc_hook=_plain)))
 
 
 def read_object(path: Path, expected: str, remedy: str) -> JsonTable:
@@ -165,14 +159,6 @@ def read_object(path: Path, expected: str, remedy: str) -> JsonTable:
         raise InputError(path, f"JSON of type {type(table).__name__}", expected, remedy)
     change_of(path)
     return table
-
-
-def _without_empty_times(value: Any) -> Any:
-    """Return JSON values without the empty texts in place of times that fieldlum 0.1.0 wrote."""
-    if isinstance(value, dict):
-        shown = ((k, v) for k, v in value.items() if v != "" or not k.endswith("_utc"))
-        return {key: _without_empty_times(inner) for key, inner in shown}
-    return [_without_empty_times(inner) for inner in value] if isinstance(value, list) else value
 
 
 def write_object(path: Path, table: Mapping[str, object], *, digest: bool = False) -> None:
@@ -203,76 +189,30 @@ def read_rows(
     expected, remedy: for the InputError of a missing file, or one without the columns `needed`.
     """
     table = read_table(path, expected, remedy, needed=needed)
-    return [read_row(kind, path, line, cells, remedy) for line, cells in table.dicts()]
+    return [read_row(kind, f"{path}: line {n}", cells, remedy) for n, cells in table.dicts()]
 
 
-def read_row(kind: type[T], path: Path, line: int, cells: Mapping[str, str], remedy: str) -> T:
+def read_row(kind: type[T], where: str, cells: Mapping[str, str], remedy: str) -> T:
     """Build a dataclass from the cells of one csv line, by column name.
 
-    Empty cells get the field's default. line: its number, for the InputError that is raised for a
-    wrong or missing value and for a number that is not finite.
+    Empty cells get the field's default. where: file and line, for the InputError that is raised for
+    a wrong or missing value and for a number that is not finite.
     """
-    values: dict[str, object] = {}
-    for name, (read, expected), has_default in _columns_of(kind):
-        text = cells.get(name, "").strip()
-        if not text and has_default:
-            continue
-        try:
-            values[name] = read(text)
-        except ValueError as error:
-            found = str(error) if read is parse_utc else f"{name} is {text[:60]!r}"
-            raise InputError(path, f"line {line}: {found}", expected, remedy) from None
-    return kind(**values)
+    with input_errors(where, "", remedy, ValueError):
+        values: dict[str, object] = {}
+        for field in fields(cast(Any, kind)):
+            if text := cells.get(field.name, ""):
+                values[field.name] = parse_utc(text) if field.type == "datetime" else text
+                if field.type == "bool":
+                    values[field.name] = _FLAGS.get(text.lower(), text)
+        row = convert(values, kind)
+        for name in values:
+            if isinstance(value := getattr(row, name), float) and not math.isfinite(value):
+                raise ValueError(f"{name} = {value}, not finite")
+    return row
 
 
-def _number(text: str) -> float:
-    if not math.isfinite(value := float(text)):
-        raise ValueError("not finite")
-    return value
-
-
-def _flag(text: str) -> bool:
-    word = text.lower()
-    return word in ("true", "yes") or (word not in ("false", "no") and float(word) != 0.0)
-
-
-_CELLS: dict[Any, tuple[Callable[[str], object], str]] = {
-    str: (str, "text"),
-    int: (int, "an integer"),
-    float: (_number, "a finite number"),
-    bool: (_flag, "0 or 1"),
-    datetime: (parse_utc, "a UTC time such as 2027-03-20T15:30:00Z"),
-}
-
-
-@cache
-def _columns_of(kind: type[Any]) -> list[tuple[str, tuple[Callable[[str], object], str], bool]]:
-    """Return name, reader with what it expects, and whether there is a default, of each field."""
-    hints = get_type_hints(kind)
-    return [(f.name, _CELLS[hints[f.name]], f.default is not MISSING) for f in fields(kind)]
-
-
-def write_rows(
-    path: Path, rows: Iterable[Any], columns: Sequence[str], digits: Mapping[str, str]
-) -> None:
-    """Write records as a csv that gets its name when it is complete; None and NaN become empty.
-
-    columns: names of fields; digits: format of the floats of a column, such as ".3f".
-    """
-
-    def cell(name: str, value: Any) -> str:
-        if value is None or value != value:
-            return ""
-        if isinstance(value, datetime):
-            return utc_text(value)
-        if isinstance(value, float):
-            return format(value, digits.get(name, ""))
-        return str(int(value) if isinstance(value, bool) else value)
-
-    with replacing(path, "w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(columns)
-        writer.writerows([cell(name, getattr(row, name)) for name in columns] for row in rows)
+_FLAGS = {"yes": True, "1.0": True, "no": False, "0.0": False}  # besides 1, true, 0, false
 
 
 def read_columns(path: Path, expected: str, remedy: str) -> dict[str, Array]:
@@ -292,15 +232,92 @@ def read_columns(path: Path, expected: str, remedy: str) -> dict[str, Array]:
     return {str(name): table[name].to_numpy() for name in table}
 
 
-def write_columns(path: Path, columns: Mapping[str, Any]) -> None:
-    """Write columns as a csv, with its SHA-256 in NAME.sha256; NaN becomes an empty cell.
+def write_csv(
+    path: Path, rows: Iterable[Mapping[str, Any]], columns: Iterable[str] = (), digits: int = 7
+) -> None:
+    """Write rows as a csv that gets its name when it is complete.
 
-    t_utc: Unix times [s]. Numbers have seven significant digits.
+    None and NaN become empty cells. columns: all of them; empty for the keys of the rows. digits:
+    significant ones of floats.
     """
-    import pandas as pd
+    if not (names := list(columns)):
+        rows = list(rows)
+        names = list(dict.fromkeys(key for row in rows for key in row))
 
-    when = pd.to_datetime(columns["t_utc"], unit="s", utc=True).round("ms")
-    style = "%Y-%m-%dT%H:%M:%SZ" if (when.microsecond == 0).all() else "%Y-%m-%dT%H:%M:%S.%fZ"
-    table = pd.DataFrame({**columns, "t_utc": when})
-    with sealed(path), replacing(path, "w", newline="", encoding="utf-8") as file:
-        table.to_csv(file, index=False, float_format="%.7g", date_format=style, lineterminator="\n")
+    def cell(value: Any) -> str:
+        if value is None or value != value:
+            return ""
+        if isinstance(value, datetime):
+            return utc_text(value)
+        if isinstance(value, float):
+            return f"{value:.{digits}g}"
+        return str(int(value) if isinstance(value, bool) else value)
+
+    with replacing(path, "w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(names)
+        writer.writerows([cell(row.get(name)) for name in names] for row in rows)
+
+
+def write_columns(path: Path, columns: Mapping[str, Any], digits: int = 7) -> None:
+    """Write arrays as a csv, with its SHA-256 in NAME.sha256; t_utc: Unix times [s]."""
+    times = [datetime.fromtimestamp(t, UTC) for t in columns["t_utc"]]
+    lists = [np.asarray(values).tolist() for values in {**columns, "t_utc": times}.values()]
+    rows = (dict(zip(columns, cells, strict=True)) for cells in zip(*lists, strict=True))
+    with sealed(path):
+        write_csv(path, rows, columns, digits)
+
+
+# ----------------------------------------------------------------------------------------------
+# npz
+
+# Most bytes of a compressed member, which could expand to a huge array. Models of 0.1.0 compress
+# their mask of seen pixels: 16 MiB are a mask of 2 900 x 5 800 pixels. Chosen.
+MAX_COMPRESSED_BYTES = 16 * 2**20
+# What reading a damaged or missing file can raise.
+NPZ_ERRORS = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
+_HEADERS = {
+    (1, 0): np.lib.format.read_array_header_1_0,
+    (2, 0): np.lib.format.read_array_header_2_0,
+}
+
+
+def read_arrays(path: Path) -> dict[str, Array]:
+    """Return the arrays by name, of any shape; nothing is unpickled.
+
+    Raises ValueError for compressed members over 16 MiB, for an unknown array format, for objects,
+    for a member whose length is not that of its array, and for values that are not finite; OSError
+    or zipfile.BadZipFile for a missing or damaged file.
+    """
+    with path.open("rb") as file:
+        _check_members(file)
+        file.seek(0)
+        with np.load(file, allow_pickle=False) as stored:
+            arrays = {name: stored[name] for name in stored.files}
+    for name, values in arrays.items():
+        if values.dtype.kind == "f" and not np.isfinite(values).all():
+            raise ValueError(f"{name} has values that are not finite")
+    return arrays
+
+
+def _check_members(file: IO[bytes]) -> None:
+    """Compare each member's header with the length of its data."""
+    with zipfile.ZipFile(file) as archive:
+        for member in archive.infolist():
+            compressed = member.compress_type != zipfile.ZIP_STORED
+            if compressed and member.file_size > MAX_COMPRESSED_BYTES:
+                raise ValueError(
+                    f"{member.filename} is compressed and would fill {member.file_size} bytes; "
+                    f"expected at most {MAX_COMPRESSED_BYTES}, or no compression"
+                )
+            with archive.open(member) as data:
+                version = np.lib.format.read_magic(data)
+                if version not in _HEADERS:
+                    raise ValueError(f"{member.filename} has array format {version}")
+                shape, _, dtype = _HEADERS[version](data)
+                header = data.tell()
+            count = 1  # Python's own integers, so that hostile lengths do not overflow
+            for length in shape:
+                count *= int(length)
+            if dtype.hasobject or count * dtype.itemsize != member.file_size - header:
+                raise ValueError(f"{member.filename} is not an array of {shape} {dtype}")

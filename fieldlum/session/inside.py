@@ -34,13 +34,6 @@ def is_plain(name: object) -> bool:
         return False
 
 
-def plain(name: str) -> str:
-    """Return a plain name unchanged. Raises ValueError for anything else (see `is_plain`)."""
-    if not is_plain(name):
-        raise ValueError(f"the file name {name!r}, which is not a plain name")
-    return name
-
-
 def inside(root: Path, name: str, source: Path | str, folder: str = "") -> Path:
     """Return the path of a name that a session states, such as panoramas/SLOT.exr.
 

@@ -1,8 +1,8 @@
-"""Compute the state of each slot from the journal, and list slots that still need a bracket."""
+"""Compute the state of each slot from the journal; list slots without a bracket, and make-ups."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from typing import Literal
@@ -115,3 +115,41 @@ def slots_ahead(session: Session, now_utc: datetime) -> list[Slot]:
     """
     to_do = slots_to_do(session.slots(), read_ledger(session))
     return [slot for slot in to_do if slot.t_utc + session.grace >= now_utc]
+
+
+# ----------------------------------------------------------------------------------------------
+# make-up slots
+
+MAKEUP = "makeup:"  # tag, followed by the missed slot's id
+
+
+def made_up_for(slots: Sequence[Slot]) -> dict[str, list[Slot]]:
+    """Return the make-up slots of each slot that has some, by the id of the original slot.
+
+    The make-up of a missed make-up counts for the first missed slot.
+    """
+    tags = ((slot.id, tag) for slot in slots for tag in slot.tags)
+    of = {slot: tag.removeprefix(MAKEUP) for slot, tag in tags if tag.startswith(MAKEUP)}
+    makeups: dict[str, list[Slot]] = {}
+    for slot in slots:
+        if first := of.get(slot.id):
+            while first in of:
+                first = of[first]
+            makeups.setdefault(first, []).append(slot)
+    return makeups
+
+
+def without_capture(slots: Sequence[Slot], captured: Collection[str]) -> tuple[int, int]:
+    """Return how many original slots were captured neither themselves nor by a make-up, and of all.
+
+    captured: ids of captured slots. Make-ups are not counted as slots.
+    """
+    makeups = made_up_for(slots)
+    added = {makeup.id for several in makeups.values() for makeup in several}
+    original = [slot.id for slot in slots if slot.id not in added]
+    missed = [
+        slot
+        for slot in original
+        if not any(one in captured for one in (slot, *(m.id for m in makeups.get(slot, ()))))
+    ]
+    return len(missed), len(original)

@@ -59,17 +59,6 @@ def exclusive(path: Path) -> Iterator[None]:
         lock.release()
 
 
-def append_durably(handle: int, data: bytes, *, flush: bool = True) -> None:
-    """Write all of `data` to a file opened with O_APPEND; with `flush`, wait for the disk.
-
-    Raises OSError, possibly after a part of `data` was written.
-    """
-    while data:
-        data = data[os.write(handle, data) :]
-    if flush:
-        os.fdatasync(handle) if hasattr(os, "fdatasync") else os.fsync(handle)
-
-
 def cut_torn_tail(path: Path, sound: Callable[[bytes], bool]) -> int:
     """Cut `path` after its last valid line; return the number of bytes moved to ``NAME.torn``.
 
@@ -80,38 +69,36 @@ def cut_torn_tail(path: Path, sound: Callable[[bytes], bool]) -> int:
     if not path.is_file():
         return 0
     with os.fdopen(open_file(path, os.O_RDWR), "rb+") as file:
-        size = file.seek(0, os.SEEK_END)
-        start = max(0, size - _TAIL_BYTES)
-        file.seek(start)
-        tail = file.read()
-        keep = len(tail)
-        while keep:
-            begin = tail.rfind(b"\n", 0, keep - 1) + 1
-            if sound(tail[begin:keep]):
-                break
-            keep = begin
-        if keep == 0 and tail.count(b"\n") > 2:
+        file.seek(max(0, file.seek(0, os.SEEK_END) - _TAIL_BYTES))
+        lines = file.readlines()
+        kept = next((k for k in range(len(lines), 0, -1) if sound(lines[k - 1])), 0)
+        if not kept and b"".join(lines).count(b"\n") > 2:
             raise InputError(
                 path,
                 "no valid line at the end of the file",
                 "a file written by fieldlum",
                 "restore the file from a copy, or move it away",
             )
-        cut = len(tail) - keep
-        if cut:
+        if rest := b"".join(lines[kept:]):
             flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT
             with os.fdopen(open_file(path.with_name(f"{path.name}.torn"), flags), "ab") as torn:
-                torn.write(tail[keep:])
-            file.truncate(start + keep)
+                torn.write(rest)
+            file.truncate(file.tell() - len(rest))
             os.fsync(file.fileno())
-    return cut
+    return len(rest)
 
 
 def append_complete(handle: int, data: bytes, *, flush: bool) -> None:
-    """Append all of `data`; on failure restore the file's earlier length and raise the OSError."""
+    """Append all of `data` to a file opened with O_APPEND; with `flush`, wait for the disk.
+
+    On failure the file gets its earlier length, and the OSError is raised.
+    """
     before = os.fstat(handle).st_size
     try:
-        append_durably(handle, data, flush=flush)
+        while data:
+            data = data[os.write(handle, data) :]
+        if flush:
+            getattr(os, "fdatasync", os.fsync)(handle)
     except OSError:
         with suppress(OSError):
             os.ftruncate(handle, before)

@@ -1,14 +1,20 @@
-"""Read a panorama with its sun: the map by merge, and the sun by pair's table."""
+"""The sun of each panorama: suns.csv, which `pair` completes, and reading a picture with its sun.
+
+Panoramas are not rewritten.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
-from fieldlum.core.records import CLIPPED_SUN, Panorama
+from fieldlum.core.records import CLIPPED_SUN, Panorama, SunSource
 from fieldlum.optics.images import read_panorama
+from fieldlum.session.codec import check_format, read_rows, write_csv
 from fieldlum.session.files.sidecar import warn_if_changed
-from fieldlum.session.files.suns_csv import SunRow, read_suns
+
+FORMAT = 1  # of suns.csv; docs/file-formats.md
 
 # origins with which the picture itself measured the disc
 MEASURED_ORIGINS = ("nd-frames", "merge", "rendering")
@@ -24,6 +30,48 @@ SUN_FROM = {
 }
 """How the illuminance of a picture's sun is known, in words, by its origin."""
 _SAME_BOUND_REL = 1e-4  # the EXR attribute has six digits
+
+
+@dataclass(frozen=True, slots=True)
+class SunRow:
+    """The sun of one panorama.
+
+    panorama: path relative to the csv. altitude_deg: apparent; normal_illuminance_lx: on a plane
+    normal to the sun; visible_fraction: of the disc; origin: how the illuminance is known.
+    bound_lx: illuminance that the picture itself records; the row counts only while the two agree.
+    """
+
+    panorama: str
+    altitude_deg: float
+    azimuth_deg: float
+    normal_illuminance_lx: float
+    visible_fraction: float
+    origin: str
+    bound_lx: float
+    format: int = FORMAT
+
+    @property
+    def source(self) -> SunSource:
+        """The sun as a `SunSource`."""
+        lx, share = self.normal_illuminance_lx, self.visible_fraction
+        return SunSource(self.altitude_deg, self.azimuth_deg, lx, share, self.origin)
+
+
+def write_suns(path: Path, rows: Sequence[SunRow]) -> None:
+    """Write suns.csv: a header and all rows."""
+    write_csv(path, (asdict(row) for row in rows), [field.name for field in fields(SunRow)])
+
+
+def read_suns(path: Path) -> dict[str, SunRow]:
+    """Return the rows by panorama; empty for a missing file.
+
+    Raises InputError, with the line, for other content.
+    """
+    if not path.is_file():
+        return {}
+    rows = read_rows(SunRow, path, "a suns.csv written by pair", "run fieldlum pair again")
+    check_format(path, max((row.format for row in rows), default=FORMAT), FORMAT)
+    return {row.panorama: row for row in rows}
 
 
 def read_panorama_with_sun(

@@ -10,7 +10,7 @@ from zoneinfo import ZoneInfo
 from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.records import Exposure, Slot, parse_utc, shutter_text, utc_text
 from fieldlum.core.strict_csv import read_table
-from fieldlum.session.writing import write_csv
+from fieldlum.session.codec import write_csv
 
 PLAN_COLUMNS = (
     "slot",

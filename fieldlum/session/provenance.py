@@ -9,11 +9,10 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable
-from dataclasses import fields, is_dataclass
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from fieldlum.core.records import JsonTable
@@ -41,36 +40,13 @@ def digest(value: object) -> str:
 
 
 def data_digest(*values: object) -> str:
-    """Return the SHA-256 of values in hex; they may be arrays, dataclasses, times or lists.
-
-    Fields of a dataclass with `digest` False in their metadata do not count.
-    """
-    total = hashlib.sha256()
-    for value in values:
-        _feed(total, value)
-    return total.hexdigest()
+    """Return the SHA-256 of values in hex; they may be arrays, dataclasses, times or lists."""
+    packed = msgspec.msgpack.encode(values, enc_hook=_packed, order="sorted")
+    return hashlib.sha256(packed).hexdigest()
 
 
-def _feed(total: Any, value: object) -> None:
+def _packed(value: Any) -> object:
     if isinstance(value, np.ndarray):
-        total.update(f"{value.dtype.str} {value.shape}".encode())
-        total.update(np.ascontiguousarray(value).reshape(-1).view(np.uint8).data)
-    elif is_dataclass(value):
-        total.update(type(value).__name__.encode())
-        for field in fields(value):
-            content = getattr(value, field.name)
-            # without a later field, digests of earlier versions stay valid
-            is_missing = content is None and "later" in field.metadata
-            if field.metadata.get("digest", True) and not is_missing:
-                _feed(total, content)
-    elif isinstance(value, dict):
-        for key in sorted(value, key=str):
-            total.update(f"{key}:".encode())
-            _feed(total, value[key])
-    elif isinstance(value, list | tuple):
-        total.update(f"[{len(value)}]".encode())
-        for item in value:
-            _feed(total, item)
-    else:
-        text = value.isoformat() if isinstance(value, datetime) else json.dumps(value, default=str)
-        total.update(f"{text};".encode())
+        data = np.ascontiguousarray(value).reshape(-1).view(np.uint8).data
+        return value.dtype.str, value.shape, hashlib.sha256(data).digest()
+    return value.item() if isinstance(value, np.generic) else str(value)

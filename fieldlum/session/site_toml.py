@@ -89,20 +89,19 @@ def wrong_sign_text(site: Site) -> str:
     A zone that is no city, such as UTC, has no place and is not checked.
     """
     place = _zone_places().get(site.timezone)
-    stated = (site.latitude_deg, site.longitude_deg)
-    if place is None or (away := _distance_km(stated, place)) < _FAR_FROM_ZONE_KM:
+    lat, lon = site.latitude_deg, site.longitude_deg
+    if place is None or (away := _distance_km((lat, lon), place)) < _FAR_FROM_ZONE_KM:
         return ""
-    flipped = {
-        "latitude": (-stated[0], stated[1]),
-        "longitude": (stated[0], -stated[1]),
-        "latitude and longitude": (-stated[0], -stated[1]),
-    }
-    which = min(flipped, key=lambda name: _distance_km(flipped[name], place))
-    if (near := _distance_km(flipped[which], place)) > away / 2:
+    near, which = min(
+        (_distance_km((-lat, lon), place), "latitude"),
+        (_distance_km((lat, -lon), place), "longitude"),
+        (_distance_km((-lat, -lon), place), "latitude and longitude"),
+    )
+    if near > away / 2:
         return ""
     return (
-        f"{stated[0]:g}, {stated[1]:g} is {away:.0f} km from {site.timezone}, and with the other "
-        f"sign of the {which} {near:.0f} km"
+        f"{lat:g}, {lon:g} is {away:.0f} km from {site.timezone}, and with the other sign of the "
+        f"{which} {near:.0f} km"
     )
 
 

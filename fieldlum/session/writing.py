@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import csv
 import errno
 import hashlib
 import os
 import tempfile
 import time
 import uuid
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
@@ -53,17 +52,6 @@ def check_writable(folder: Path) -> None:
     except OSError as error:
         raise OSError(error.errno, error.strerror, str(existing)) from None
     remove_scraps(folder)
-
-
-def write_csv(
-    path: Path, rows: Sequence[Mapping[str, object]], columns: Sequence[str] = ()
-) -> None:
-    """Write rows as a csv; None is empty. columns: the first ones; other keys of a row follow."""
-    names = list(dict.fromkeys([*columns, *(key for row in rows for key in row)]))
-    with replacing(path, "w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, fieldnames=names)
-        writer.writeheader()
-        writer.writerows(rows)
 
 
 @contextmanager

@@ -16,8 +16,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fieldlum.core.arrays import Floats
-from fieldlum.core.rowwise import cosines
+from fieldlum.core.arrays import Array, Floats
 
 SOLAR_CONSTANT_WM2 = 1367.0  # gendaylit's value
 WATER_CM = 2.0  # precipitable water, gendaylit's default
@@ -350,6 +349,19 @@ def _days(when: ArrayLike | Sequence[datetime]) -> Floats:
     if items.dtype == object:
         return day_of_year(list(items.ravel()))
     return items.astype(float)
+
+
+# Three products, added in the order x, y, z: a BLAS library adds in another order for another
+# number of rows, and files that a resumed run writes again must be equal bit by bit.
+def cosines(a: Array, b: Array) -> Array:
+    """Return the scalar products [n, m] of vectors a [n, 3] and b [m, 3], in their own dtype.
+
+    For unit vectors these are the cosines of the angles between them.
+    """
+    out = a[:, None, 0] * b[:, 0]  # [n, m]
+    out += a[:, None, 1] * b[:, 1]
+    out += a[:, None, 2] * b[:, 2]
+    return out
 
 
 def perez_luminance(

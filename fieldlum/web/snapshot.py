@@ -25,8 +25,7 @@ from fieldlum.plan.coverage import sun_band_percent
 from fieldlum.plan.days import hours_of
 from fieldlum.session import Session
 from fieldlum.session.files.sidecar import Sidecar
-from fieldlum.session.ledger import SETTLED
-from fieldlum.session.makeups import made_up_for
+from fieldlum.session.ledger import SETTLED, made_up_for
 from fieldlum.session.tables import JournalEvent
 from fieldlum.sky import sun
 from fieldlum.web.answer import QUIET_BEFORE_S, Moment

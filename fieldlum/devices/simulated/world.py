@@ -27,7 +27,7 @@ from fieldlum.room.scene.patches import disc_visibility
 from fieldlum.room.scene.points import SunPoints
 from fieldlum.room.scene.view import SceneView
 from fieldlum.session import Session
-from fieldlum.session.files.truth_csv import TruthIrradiance
+from fieldlum.session.files.irradiance_csv import CleanIrradiance
 from fieldlum.sky import sun
 from fieldlum.sky.sky_view import SUFFIX, SkyPicture, read_sky_picture
 
@@ -82,7 +82,7 @@ class TruthWorld:
             datetime.strptime(path.stem, "%Y%m%dT%H%M%SZ").replace(tzinfo=UTC): path
             for path in sorted(folder.glob("[0-9]*Z.exr"))
         }
-        self._light = TruthIrradiance.read(folder / "irradiance.csv")
+        self._light = CleanIrradiance.read_truth(folder / "irradiance.csv")
         self._read = lru_cache(maxsize=2)(_read_panorama)
 
     def scene(self, t_utc: datetime) -> Panorama:

@@ -23,8 +23,8 @@ from fieldlum.core.errors import InputError
 from fieldlum.learn.model_registry import MODELS
 from fieldlum.learn.models.mirrors import arrays_of, table_of
 from fieldlum.session import replacing
-from fieldlum.session.files.arrays_npz import NPZ_ERRORS, read_arrays
-from fieldlum.session.files.model_config import ModelConfig, write_config
+from fieldlum.session.codec import NPZ_ERRORS, read_arrays, write_object
+from fieldlum.session.files.model_config import ModelConfig
 from fieldlum.sky.sky_view.view import NAME as SKY_VIEW
 from fieldlum.version import __version__
 
@@ -150,7 +150,7 @@ def save(
         data.sky_view.write(folder / SKY_VIEW)
     else:
         (folder / SKY_VIEW).unlink(missing_ok=True)
-    write_config(folder, table)
+    write_object(folder / ModelConfig.NAME, {"format": ModelConfig.FORMAT, **table})
 
 
 def read_config(folder: Path) -> ModelConfig:

@@ -14,7 +14,7 @@ from __future__ import annotations
 import contextlib
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter, mini
 from scipy.spatial.transform import Rotation
 
 from fieldlum.core.arrays import Array, Floats, Floats32, Mask
+from fieldlum.core.errors import InputError
 from fieldlum.core.records import Progress, counted, quiet
 from fieldlum.learn.models.held_out_choice import weight_of_variance
 from fieldlum.optics.projection import (
@@ -36,12 +37,7 @@ from fieldlum.optics.projection import (
     wrapped,
 )
 from fieldlum.optics.turn_fit import Contrasts, fit_turn
-from fieldlum.session.files.alignment_csv import (
-    AlignmentRow,
-    alignment_path,
-    find_alignment,
-    write_alignment,
-)
+from fieldlum.session.codec import read_rows, write_csv
 
 _MIN_SEEN = 0.8  # a pixel is compared if this share of captures has a value; not measured
 _MIN_WEIGHT = 0.5  # pixels with less weight by interpolation teach nothing; chosen
@@ -395,6 +391,48 @@ def _pieces(values: Array) -> list[tuple[int, int]]:
 
 # ----------------------------------------------------------------------------------------------
 # captures
+
+
+@dataclass(frozen=True, slots=True)
+class AlignmentRow:
+    """The pose of one picture; the fields are the columns.
+
+    digest: of its pixels, so that another picture of the same name is compared again. Turns are
+    relative to the pose of most pictures [deg]: heading clockwise, tilt up, roll clockwise; u_...:
+    their standard uncertainties [deg]. aligned: False (0 in the file) for a picture that is not
+    used.
+    """
+
+    panorama: str
+    digest: str
+    heading_deg: float = 0.0
+    tilt_deg: float = 0.0
+    roll_deg: float = 0.0
+    u_heading_deg: float = 0.0
+    u_tilt_deg: float = 0.0
+    u_roll_deg: float = 0.0
+    aligned: bool = True
+
+
+_COLUMNS = tuple(field.name for field in fields(AlignmentRow))
+
+
+def alignment_path(pairs: Path) -> Path:
+    """Return the path of the table of camera turns (NAME.alignment.csv) of a csv of pairs."""
+    return pairs.with_name(f"{pairs.stem}.alignment.csv")
+
+
+def find_alignment(path: Path) -> tuple[AlignmentRow, ...]:
+    """Return the rows of an alignment table; empty if the file is missing or has other content."""
+    try:
+        return tuple(read_rows(AlignmentRow, path, "camera turns", "", _COLUMNS))
+    except InputError:
+        return ()
+
+
+def write_alignment(path: Path, rows: Sequence[AlignmentRow]) -> None:
+    """Write all rows. Raises OSError if the folder is not writable."""
+    write_csv(path, (asdict(row) for row in rows), _COLUMNS)
 
 
 def find_turns(

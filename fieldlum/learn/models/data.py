@@ -28,6 +28,7 @@ from fieldlum.core.room_states import USAGE, merged_state
 from fieldlum.learn.models.camera_turns import (
     DirectLight,
     align,
+    alignment_path,
     find_turns,
     shown_place,
     turn_notes,
@@ -38,7 +39,6 @@ from fieldlum.optics.projection import equirect_solid_angles, signed_angle_deg
 from fieldlum.pair.interval import is_doubted
 from fieldlum.pair.sky_view import is_outdated
 from fieldlum.session import Session, marks, open_session
-from fieldlum.session.files.alignment_csv import alignment_path
 from fieldlum.session.files.model_config import UsedScene
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.session.panorama_sun import read_panorama_with_sun, suns_of
@@ -90,9 +90,9 @@ class Dataset:
     notes: tuple[str, ...] = field(default=())
     counts: NDArray[np.float16] | None = None
     scene: UsedScene | None = None
-    sky_view: SkyView | None = field(default=None, metadata={"digest": False})
-    disc_deg: Floats | None = field(default=None, metadata={"digest": False})
-    doubted: Mask | None = field(default=None, metadata={"later": True})
+    sky_view: SkyView | None = None
+    disc_deg: Floats | None = None
+    doubted: Mask | None = None
 
     def __len__(self) -> int:
         return len(self.slots)
@@ -109,8 +109,8 @@ class Dataset:
         return weights / weights[self.seen].mean()
 
     def digest(self) -> str:
-        """Return the SHA-256 of all fields except `source` and `sky_view`, in hex."""
-        return data_digest(replace(self, source=""))
+        """Return the SHA-256 of all fields but `source`, `sky_view` and `disc_deg`, in hex."""
+        return data_digest(replace(self, source="", sky_view=None, disc_deg=None))
 
     def take(self, index: Array | Sequence[int]) -> Dataset:
         """Return some of the n hours, selected by `index`.

@@ -25,7 +25,7 @@ from fieldlum.pair.irradiance.series import (
 )
 from fieldlum.session import Session, day_files, read_day, remove_scraps
 from fieldlum.session.codec import convert, write_object
-from fieldlum.session.files.clean_csv import DERIVED, MEASURED, CleanIrradiance
+from fieldlum.session.files.irradiance_csv import DERIVED, MEASURED, CleanIrradiance
 from fieldlum.session.provenance import made_from
 from fieldlum.sky import sun
 from fieldlum.sky.light_clock import CLOCK_WARN_S, clock_off_s, clock_set_s

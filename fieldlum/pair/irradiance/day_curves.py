@@ -14,7 +14,7 @@ from fieldlum.core.arrays import Floats
 from fieldlum.core.plot_style import AMBER, BLUE, GREEN, PALE, RED, open_axes
 from fieldlum.core.records import Site, parse_utc
 from fieldlum.session import Session, replacing_path
-from fieldlum.session.files.clean_csv import CleanIrradiance
+from fieldlum.session.files.irradiance_csv import CleanIrradiance
 from fieldlum.sky import sun
 
 COLUMNS = 4  # charts in a row; chosen for a page in portrait

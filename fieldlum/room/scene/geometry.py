@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike
 from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Room, Window
-from fieldlum.core.rowwise import turned
 from fieldlum.optics.projection import compass_name
 
 SLAB_M = 0.05  # thickness of the floor: the ground is this much lower. Chosen, not measured.
@@ -30,6 +29,15 @@ INDEX = 1.52  # refractive index of glass, as in Radiance's m_glass.c
 WALLS = {"south": (1, 0), "north": (1, 1), "west": (0, 0), "east": (0, 1)}
 # Turn of each wall's outward normal from the "south" wall, clockwise [deg].
 WALL_TURN_DEG = {"south": 0.0, "west": 90.0, "north": 180.0, "east": 270.0}
+
+
+# Three products, added in the order x, y, z: a BLAS library adds in another order for another
+# number of rows, and files that a resumed run writes again must be equal bit by bit.
+def turned(matrix: ArrayLike, vectors: ArrayLike) -> Floats:
+    """Return matrix [3, 3] times each of the direction vectors [..., 3]."""
+    rows = np.asarray(matrix, np.float64)
+    x, y, z = np.moveaxis(np.asarray(vectors, np.float64), -1, 0)
+    return np.stack([r[0] * x + r[1] * y + r[2] * z for r in rows], axis=-1)
 
 
 def transmissivity(transmittance: float) -> float:

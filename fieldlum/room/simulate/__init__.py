@@ -26,8 +26,8 @@ from fieldlum.room.simulate.troubles import Troubles, load_troubles, measured_ir
 from fieldlum.room.simulate.truth import SimulatedRoom, simulated_room
 from fieldlum.session import Session, create_session, remove_scraps, update_session
 from fieldlum.session.codec import write_object
+from fieldlum.session.files.irradiance_csv import CleanIrradiance
 from fieldlum.session.files.pairs_csv import PairRow, write_simulated_pairs
-from fieldlum.session.files.truth_csv import TruthIrradiance
 from fieldlum.session.provenance import made_from
 from fieldlum.session.tables import PlanTable
 from fieldlum.sky import sun
@@ -228,7 +228,7 @@ def _write_irradiance(
         dni_wm2, dhi_wm2 = measured_irradiance(times, dni_wm2, dhi_wm2, altitude, troubles)
         ghi_wm2 = dni_wm2 * np.maximum(np.sin(np.radians(altitude)), 0.0) + dhi_wm2
     seconds = np.array([t.timestamp() for t in times])
-    truth = TruthIrradiance(seconds, ghi_wm2, dhi_wm2, dni_wm2)
+    truth = CleanIrradiance(seconds, ghi_wm2, dhi_wm2, dni_wm2)
     truth.write(session.truth_irradiance)
 
 

@@ -13,7 +13,7 @@ from msgspec import field
 
 from fieldlum.core.records import Exposure, JsonTable
 from fieldlum.session.codec import JsonFile, Utc, convert, to_json
-from fieldlum.session.inside import plain
+from fieldlum.session.inside import is_plain
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,9 +52,9 @@ def frame_from(fields: Mapping[str, Any]) -> Frame:
     e = frame.exposure
     if not all(0.0 < value < math.inf for value in (e.shutter_s, e.f_number, e.iso)):
         raise ValueError(f"frame {frame.file}: an exposure that is not above 0 and finite: {e}")
-    plain(frame.file)
-    if frame.instead_of:
-        plain(frame.instead_of)
+    for name in (frame.file, frame.instead_of or frame.file):
+        if not is_plain(name):
+            raise ValueError(f"the file name {name!r}, which is not a plain name")
     return frame
 
 

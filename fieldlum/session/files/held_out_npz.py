@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.core.arrays import Floats, Indices
+from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import input_errors
-from fieldlum.session.files.arrays_npz import NPZ_ERRORS
+from fieldlum.session.codec import NPZ_ERRORS
 from fieldlum.session.writing import replacing
 
 FORMAT = 1  # of the file; docs/file-formats.md
@@ -46,10 +46,6 @@ class HeldOutMaps:
     def __len__(self) -> int:
         return len(self.slots)
 
-    def take(self, rows: Indices) -> HeldOutMaps:
-        """Return the hours with these indices (from 0), in their order."""
-        return replace(self, **{name: getattr(self, name)[rows] for name in _ARRAYS})
-
     @classmethod
     def join(cls, parts: Sequence[HeldOutMaps]) -> HeldOutMaps | None:
         """Return the hours of several tests as one object; None without any test."""
@@ -60,11 +56,9 @@ class HeldOutMaps:
     def write(self, folder: Path) -> None:
         """Write held_out.npz: at most 150 hours, spread evenly from best to worst prediction."""
         order = np.argsort(self.log10_mse, kind="stable")
-        kept = order[
-            np.unique(np.linspace(0, len(order) - 1, min(len(order), MAX_MAPS)).round()).astype(int)
-        ]
-        some = self.take(np.sort(kept))
-        arrays: dict[str, Any] = {name: getattr(some, name) for name in _ARRAYS}
+        spread = np.linspace(0, len(order) - 1, min(len(order), MAX_MAPS)).round().astype(int)
+        kept = np.sort(order[spread])
+        arrays: dict[str, Any] = {name: getattr(self, name)[kept] for name in _ARRAYS}
         with replacing(folder / "held_out.npz") as file:
             np.savez_compressed(file, format=FORMAT, **arrays)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -17,6 +16,7 @@ from fieldlum.session.codec import check_format, read_columns, write_columns
 
 FORMAT = 1  # of the file; docs/file-formats.md
 NAME = "hourly.csv"
+_DIGITS = 5  # significant ones; chosen
 HOUR_COLUMNS = (
     "dni_wm2",
     "dhi_wm2",
@@ -28,28 +28,24 @@ HOUR_COLUMNS = (
     "expected_log10_mse",
     "disturbed_share",
 )
-# Chosen.
-VIEW_COLUMNS = {  # name and number of digits written
-    "dgp": 4,
-    "u_dgp": 4,
-    "dgp_low": 4,
-    "dgp_high": 4,
-    "dgps": 4,
-    "ev_lx": 1,
-    "melanopic_edi_lx_estimate": 1,
-    "melanopic_edi_lx": 1,  # written only with calibrated colour, like its uncertainty
-    "u_melanopic_edi_lx": 1,
-    "ugr": 2,
-    "dgi": 2,
-    "task_cdm2": 1,
-    "window_to_task": 2,
-    "uniformity": 3,
-}
+COLOUR_COLUMNS = ("melanopic_edi_lx", "u_melanopic_edi_lx")  # written only with calibrated colour
+VIEW_COLUMNS = (
+    "dgp",
+    "u_dgp",
+    "dgp_low",
+    "dgp_high",
+    "dgps",
+    "ev_lx",
+    "melanopic_edi_lx_estimate",
+    *COLOUR_COLUMNS,
+    "ugr",
+    "dgi",
+    "task_cdm2",
+    "window_to_task",
+    "uniformity",
+)
 # Columns that earlier versions did not write are NaN in their years.
-COLOUR_COLUMNS = ("melanopic_edi_lx", "u_melanopic_edi_lx")
-LATER_COLUMNS = ("dgp_low", "dgp_high", *COLOUR_COLUMNS)
-_OTHER_DIGITS = 3  # of further metrics; chosen
-LATER_HOUR_COLUMNS = ("disturbed_share",)
+_LATER = ("dgp_low", "dgp_high", *COLOUR_COLUMNS, "disturbed_share")
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,49 +66,41 @@ class HourlyFile:
     def read(cls, folder: Path, azimuths_deg: Floats, count: int) -> HourlyFile:
         """Read hourly.csv of a folder, with `count` rows and the view directions `azimuths_deg`.
 
-        Warns of a file that changed after `write`. Columns that version 0.1.0 did not write become
-        NaN. Raises InputError for a missing file, another number of rows or other content.
+        Warns of a file that changed after `write`. Raises InputError for a missing file, another
+        number of rows or other content.
         """
-        path = folder / NAME
-        expected, remedy = (
-            f"{count} hours that fieldlum predict wrote",
-            "run fieldlum predict again",
-        )
+        path, remedy = folder / NAME, "run fieldlum predict again"
+        expected = f"{count} hours that fieldlum predict wrote"
         column = read_columns(path, expected, remedy)
-        newest = column.get("format", np.ones(1)).max(initial=1)
-        check_format(path, int(newest), FORMAT)
+        check_format(path, int(column.get("format", np.ones(1)).max(initial=1)), FORMAT)
+
+        def figures(name: str, key: str) -> Floats:
+            if name in _LATER and key not in column:
+                return np.full(count, np.nan)
+            return column[key].astype(float)
+
         with input_errors(path, expected, remedy, ValueError, KeyError):
             if len(column["t_utc"]) != count:
                 raise ValueError(f"{len(column['t_utc'])} hours")
-            of_views = [f"{name}@{a:g}" for name in LATER_COLUMNS for a in azimuths_deg]
-            later = dict.fromkeys([*LATER_HOUR_COLUMNS, *of_views], np.full(count, np.nan))
-            column = {**later, **column}
-            names = dict.fromkeys([*VIEW_COLUMNS, *_metrics_of(column)])
+            more = (name.partition("@")[0] for name in column if "@" in name)
             views = {
-                name: np.stack([column[f"{name}@{a:g}"] for a in azimuths_deg], 1).astype(float)
-                for name in names
+                name: np.stack([figures(name, f"{name}@{a:g}") for a in azimuths_deg], axis=1)
+                for name in dict.fromkeys([*VIEW_COLUMNS, *more])
             }
-            hours = {name: column[name].astype(float) for name in HOUR_COLUMNS}
+            hours = {name: figures(name, name) for name in HOUR_COLUMNS}
         times = tuple(datetime.fromtimestamp(t, UTC) for t in column["t_utc"])
         return cls(times, azimuths_deg, hours, views)
 
     def write(self, folder: Path, timezone: str) -> None:
         """Write hourly.csv; its column t_local is in `timezone`, the IANA zone of the site."""
-        local = [t.astimezone(ZoneInfo(timezone)) for t in self.t_utc]
+        zone = ZoneInfo(timezone)
         columns: dict[str, Any] = {
             "t_utc": [t.timestamp() for t in self.t_utc],
-            "t_local": [f"{t:%Y-%m-%d %H:%M}" for t in local],
-        }
-        for name in HOUR_COLUMNS:
-            digits = 6 if name == "expected_log10_mse" else 2
-            columns[name] = np.round(np.asarray(self.hours[name], float), digits)
+            "t_local": [f"{t.astimezone(zone):%Y-%m-%d %H:%M}" for t in self.t_utc],
+        } | {name: self.hours[name] for name in HOUR_COLUMNS}
         for k, azimuth_deg in enumerate(self.azimuths_deg):
-            for name in dict.fromkeys((*VIEW_COLUMNS, *self.views)):
-                if name not in COLOUR_COLUMNS or np.isfinite(self.views[name]).any():
-                    values = np.round(self.views[name][:, k], VIEW_COLUMNS.get(name, _OTHER_DIGITS))
-                    columns[f"{name}@{azimuth_deg:g}"] = values
-        write_columns(folder / NAME, {**columns, "format": FORMAT})
-
-
-def _metrics_of(columns: Iterable[str]) -> list[str]:
-    return [name.partition("@")[0] for name in columns if "@" in name]
+            for name, values in self.views.items():
+                if name not in COLOUR_COLUMNS or np.isfinite(values).any():
+                    columns[f"{name}@{azimuth_deg:g}"] = values[:, k]
+        version = np.full(len(self.t_utc), FORMAT)
+        write_columns(folder / NAME, {**columns, "format": version}, _DIGITS)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from msgspec import Struct, field
 
 from fieldlum.core.records import JsonTable
-from fieldlum.session.codec import JsonFile, write_object
+from fieldlum.session.codec import JsonFile
 
 # Ten times the rows that glare by EN 17037 needs; a model with more pixels is not from this tool.
 MAX_HEIGHT = 4096
@@ -70,8 +69,3 @@ class ModelConfig(JsonFile, frozen=True):
     def upgraded(cls, table: JsonTable, path: Path) -> JsonTable:
         """Return the table with itself as the state."""
         return {**table, "state": table}
-
-
-def write_config(folder: Path, table: Mapping[str, object]) -> None:
-    """Write config.json into a folder; table: a model's state and the keys common to all models."""
-    write_object(folder / ModelConfig.NAME, {"format": ModelConfig.FORMAT, **table})

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
+import posixpath
 from collections.abc import Iterable
 from contextlib import suppress
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import parse_utc
-from fieldlum.core.strict_csv import CsvTable, read_table
-from fieldlum.session.codec import change_of, check_format, read_row, sealed, write_rows
+from fieldlum.core.strict_csv import read_table
+from fieldlum.session.codec import change_of, check_format, read_row, sealed, write_csv
 from fieldlum.session.folder import Session, session_around
 from fieldlum.session.inside import inside, refuse_link
 
@@ -21,11 +22,6 @@ MAX_IRRADIANCE_WM2 = 1600.0  # above the solar constant (1361), with cloud enhan
 MIN_IRRADIANCE_WM2 = -10.0  # night offset of a thermopile; chosen
 NO_TIME = datetime(1, 1, 1, tzinfo=UTC)  # time of a row with ok = 0 whose own time is unreadable
 _REMEDY = "correct that cell, or set ok = 0"
-_DIGITS = dict.fromkeys(("dni_wm2", "dhi_wm2", "ghi_wm2"), ".3f") | {
-    "sun_altitude_deg": ".5f",
-    "sun_azimuth_deg": ".5f",
-    "steadiness": ".4f",
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,19 +61,11 @@ NEEDED = _KNOWN[:4]
 
 
 @dataclass(frozen=True, slots=True)
-class _Usable:
-    """Whether a row may be used; an empty cell means yes, as in a csv of renderings."""
-
-    ok: bool = True
-
-
-@dataclass(frozen=True, slots=True)
 class PairsFile:
-    """A pairs.csv: rows in the file's order, its version, and warnings about its content."""
+    """A pairs.csv: rows in the file's order, and warnings about its content."""
 
     path: Path
     rows: tuple[PairRow, ...]
-    format: int = FORMAT
     warnings: tuple[str, ...] = ()
 
     @property
@@ -99,14 +87,13 @@ class PairsFile:
         """
         expected = f"a csv with the columns {', '.join(NEEDED)}, as fieldlum pair writes"
         table = read_table(path, expected, "name the columns in the first line", needed=NEEDED)
-        newest = _format(table)
         rows = [_row(path, line, cells) for line, cells in table.dicts()]
         _refuse_foreign_pictures(path, rows)
         unknown = [name for name in table.names if name and name not in _KNOWN]
         warnings = [f"{path.name}: unknown column {name} is ignored" for name in unknown]
         if change := change_of(path):
             warnings.append(f"WARNING: {change}")
-        return cls(path, tuple(rows), newest, tuple(warnings))
+        return cls(path, tuple(rows), tuple(warnings))
 
     @classmethod
     def find(cls, path: Path) -> PairsFile:
@@ -116,7 +103,7 @@ class PairsFile:
     def write(self) -> None:
         """Write all rows without their state and refraction; NaN becomes an empty cell."""
         with sealed(self.path):
-            write_rows(self.path, self.rows, PAIR_COLUMNS, _DIGITS)
+            write_csv(self.path, (asdict(row) for row in self.rows), PAIR_COLUMNS)
 
 
 def _refuse_foreign_pictures(path: Path, rows: Iterable[PairRow]) -> None:
@@ -136,32 +123,22 @@ def _refuse_foreign_pictures(path: Path, rows: Iterable[PairRow]) -> None:
                 inside(root, name, where, folder.relative_to(root).as_posix())
 
 
-def _format(table: CsvTable) -> int:
-    """Return the largest version in the column `format`; 1 if there is no such column."""
-    texts = {cells.get("format") or "1" for _, cells in table.dicts()}
-    newest = max((int(text) for text in texts if text.isdigit()), default=FORMAT)
-    check_format(table.path, newest, FORMAT)
-    return newest
-
-
 def _row(path: Path, line: int, cells: dict[str, str]) -> PairRow:
-    ok = read_row(_Usable, path, line, cells, "correct that cell").ok
-    if not ok:
+    where = f"{path}: line {line}"
+    if cells.get("ok", "").lower() in ("0", "0.0", "false", "no"):
         moment = NO_TIME
         with suppress(ValueError):
             moment = parse_utc(cells["t_utc"])
         panorama, why = cells["panorama"], cells.get("why", "")
         return PairRow(moment, panorama, math.nan, math.nan, ok=False, why=why, line=line)
-    row = read_row(PairRow, path, line, {**cells, "line": str(line)}, _REMEDY)
+    row = read_row(PairRow, where, {**cells, "line": str(line)}, _REMEDY)
+    check_format(path, row.format, FORMAT)
     if not row.panorama:
-        raise InputError(
-            path, f"line {line}: the cell of column panorama is empty", "a picture's path", _REMEDY
-        )
+        raise InputError(where, "the cell of column panorama is empty", "a picture's path", _REMEDY)
     for name in ("dni_wm2", "dhi_wm2"):
         if not MIN_IRRADIANCE_WM2 <= getattr(row, name) <= MAX_IRRADIANCE_WM2:
-            found = f"line {line}: {name} is {cells[name]!r}"
             limits = f"{MIN_IRRADIANCE_WM2:g} to {MAX_IRRADIANCE_WM2:g} W/m2"
-            raise InputError(path, found, limits, _REMEDY)
+            raise InputError(where, f"{name} is {cells[name]!r}", limits, _REMEDY)
     return replace(row, dni_wm2=max(row.dni_wm2, 0.0), dhi_wm2=max(row.dhi_wm2, 0.0))
 
 
@@ -170,21 +147,15 @@ def write_simulated_pairs(session: Session, rows: tuple[PairRow, ...]) -> None:
 
     rows: with paths relative to the session's folder.
     """
+
+    def from_truth(name: str) -> str:
+        return posixpath.relpath(name, "truth") if name else ""
+
     in_truth = tuple(
-        replace(row, panorama=_from_truth(row.panorama), sunpatch=_from_truth(row.sunpatch))
+        replace(row, panorama=from_truth(row.panorama), sunpatch=from_truth(row.sunpatch))
         for row in rows
     )
     PairsFile(session.truth_pairs, in_truth).write()
-    if not session.pairs.is_file() or _is_simulated(PairsFile.read(session.pairs)):
+    stored = (row.panorama for row in PairsFile.find(session.pairs).rows)
+    if all(name.startswith("truth/") for name in stored if name):
         PairsFile(session.pairs, rows).write()
-
-
-def _is_simulated(pairs: PairsFile) -> bool:
-    return all(row.panorama.startswith("truth/") for row in pairs.rows if row.panorama)
-
-
-def _from_truth(name: str) -> str:
-    """Convert a path relative to the session to one relative to its folder truth/."""
-    if not name:
-        return ""
-    return name.removeprefix("truth/") if name.startswith("truth/") else f"../{name}"

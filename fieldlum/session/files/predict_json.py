@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 from msgspec import Struct, field
 
-from fieldlum.core.records import JsonTable
 from fieldlum.session.codec import JsonFile
 
 
@@ -88,8 +86,3 @@ class PredictFile(JsonFile, frozen=True):
     model_warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     protection: tuple[DirectionYear, ...] = ()
-
-    @classmethod
-    def upgraded(cls, table: JsonTable, path: Path) -> JsonTable:
-        """Return the table; raise KeyError without the keys that hourly.csv is read with."""
-        return {**table, "azimuths_deg": table["azimuths_deg"], "hours": table["hours"]}

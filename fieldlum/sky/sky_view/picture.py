@@ -18,7 +18,7 @@ from fieldlum.core.errors import input_errors
 from fieldlum.core.records import Flag, Panorama, parse_utc, utc_text
 from fieldlum.optics.images import read_panorama
 from fieldlum.optics.projection import altitude_azimuth_deg, direction
-from fieldlum.session.files.arrays_npz import NPZ_ERRORS
+from fieldlum.session.codec import NPZ_ERRORS
 from fieldlum.session.writing import replacing
 
 FORMAT = 1  # of the file; docs/file-formats.md

@@ -23,7 +23,7 @@ from fieldlum.core.arrays import Floats, Floats32, Mask
 from fieldlum.core.errors import input_errors
 from fieldlum.core.records import JsonTable
 from fieldlum.session import replacing
-from fieldlum.session.files.arrays_npz import NPZ_ERRORS
+from fieldlum.session.codec import NPZ_ERRORS
 from fieldlum.session.files.hourly_csv import HourlyFile
 from fieldlum.session.files.predict_json import PredictFile
 
