@@ -33,10 +33,10 @@ def test_what_was_written_is_read(pairs: Path) -> None:
 @pytest.mark.parametrize(
     ("column", "text", "said"),
     [
-        ("dni_wm2", "much", "line 3: dni_wm2 is 'much'"),
-        ("dhi_wm2", "", "line 3: dhi_wm2 is ''"),
+        ("dni_wm2", "much", "line 3: dni_wm2 = 'much', not a number"),
+        ("dhi_wm2", "", "line 3: no entry 'dhi_wm2'"),
         ("dni_wm2", "5000", "line 3: dni_wm2 is '5000'"),
-        ("dni_wm2", "nan", "line 3: dni_wm2 is 'nan'"),
+        ("dni_wm2", "nan", "line 3: dni_wm2 = nan, not finite"),
         ("t_utc", "2027-03-20 12:00", "line 3: time '2027-03-20 12:00' has no time zone"),
         ("panorama", "gone.exr", "line 3: no file"),
         ("sunpatch", "", "line 3: the cell of column sunpatch is empty, but not in other rows"),
