@@ -171,8 +171,8 @@ def _asked_again(
     others do.
     """
     left = [came, *(maybe_damaged(whole[-1], before, rng) for _ in range(2))]
-    reading, _ = spn1.agreed_reading(lambda: left.pop(0))
-    return reading, [read(whole[-1])]
+    sample = spn1.agreed_sample(NOON, lambda: left.pop(0))
+    return (sample.ghi_wm2 or 0.0, sample.dhi_wm2 or 0.0), [read(whole[-1])]
 
 
 def _heard(

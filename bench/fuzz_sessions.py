@@ -23,13 +23,12 @@ import numpy as np
 import tomli_w
 from click.testing import CliRunner
 
-from fieldlum.capture.notify import Message, Outbox
 from fieldlum.capture.runner import Options, run
 from fieldlum.cli import DISK_TROUBLE, main
 from fieldlum.cli.options import device_uris
 from fieldlum.core.errors import FieldlumError, InputError
 from fieldlum.core.records import CameraSetup, Exposure, Site, SiteFile, Slot, slot_id
-from fieldlum.devices import CameraInfo, open_camera, open_meter, open_pyranometer
+from fieldlum.devices import Camera, CameraInfo, open_camera, open_meter, open_pyranometer
 from fieldlum.devices.clock import FastClock
 from fieldlum.merge import MergeOptions
 from fieldlum.merge.stage import _MergeJob as MergeJob
@@ -43,14 +42,13 @@ from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.session.journal import Journal
 from fieldlum.session.lines import decode_line
 
-KINDS = ("journal", "capture.json", "outbox", "session.toml", "pairs.csv")
+KINDS = ("journal", "capture.json", "session.toml", "pairs.csv")
 START = datetime(2027, 3, 20, 15, 30, tzinfo=UTC)
 LADDER = tuple(Exposure(t, 4.0) for t in (0.1, 0.01, 0.001))
 _CAPTURED = slot_id(START)
 _FILES = {
     "journal": "journal.jsonl",
     "capture.json": f"raw/{_CAPTURED}/capture.json",
-    "outbox": "outbox.jsonl",
     "session.toml": "session.toml",
     "pairs.csv": "pairs.csv",
 }
@@ -79,9 +77,6 @@ def make_originals(folder: Path, profile: Path) -> dict[str, list[Path]]:
     session = create_session(folder / "session", setup, slots, {"set": "test"})
     _captured(session)
     PairsFile(session.pairs, (PairRow(START, f"panoramas/{_CAPTURED}.exr", 1.0, 2.0),)).write()
-    waiting = Outbox(lambda message: False, session.root / "outbox.jsonl")
-    waiting.put(Message("a", "b"))
-    waiting.close()
     return {kind: [session.root / name, session.root, outside] for kind, name in _FILES.items()}
 
 
@@ -134,8 +129,6 @@ def mutated(kind: str, data: bytes, outside: Path, rng: np.random.Generator) -> 
         _replace(rows, outside, rng)
     if kind == "capture.json":
         return json.dumps(rows[0] if rows else None).encode()
-    if kind == "outbox":
-        return "\n".join(json.dumps(row) for row in rows).encode()
     texts = [json.dumps(row).encode() for row in rows]
     return b"".join(b"%08x %s\n" % (zlib.crc32(text), text) for text in texts)
 
@@ -192,7 +185,7 @@ def _nasty(outside: Path, rng: np.random.Generator) -> Any:
 # reading
 
 
-class _Camera:
+class _Camera(Camera):
     """Writes a few bytes a frame."""
 
     info = CameraInfo("fuzz")
@@ -205,8 +198,6 @@ class _Camera:
         written = target.with_name(f"{target.name}.dng")
         written.write_bytes(b"frame")
         return written
-
-    def close(self) -> None: ...
 
 
 def _capture(session: Session) -> None:
@@ -251,14 +242,6 @@ def _merge(session: Session) -> None:
         raise InputError(session.raw, verdict.text)
 
 
-def _messages(session: Session) -> None:
-    sent: list[Message] = []
-    outbox = Outbox(lambda message: not sent.append(message), session.root / "outbox.jsonl")
-    outbox.close()
-    if sent:
-        raise AssertionError(f"sent: {sent}")
-
-
 def _command(*words: str) -> Callable[[Session], None]:
     def command(session: Session) -> None:
         result = CliRunner().invoke(main, [*words, str(session.root)])
@@ -278,7 +261,6 @@ def _command(*words: str) -> Callable[[Session], None]:
 _STEPS: dict[str, tuple[Callable[[Session], None], ...]] = {
     "journal": (_command("status"), _capture),
     "capture.json": (_merge,),
-    "outbox": (_messages,),
     "session.toml": (_command("status"), _devices, _room, _command("plan", "--replan")),
     "pairs.csv": (_command("status"), lambda session: _read_pairs(session)),
 }

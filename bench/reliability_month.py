@@ -37,12 +37,13 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
+from faulty_clock import FaultyClock  # pyright: ignore[reportMissingImports]
 from pty_instrument import PtyInstrument  # pyright: ignore[reportMissingImports]
 
 from fieldlum import capture
 from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import Exposure, Slot
-from fieldlum.devices import CameraInfo, open_pyranometer, spn1
+from fieldlum.devices import Camera, CameraInfo, open_pyranometer, spn1
 from fieldlum.devices.clock import FastClock
 from fieldlum.devices.gphoto import Child
 from fieldlum.session import Session, day_files, open_session, read_day, read_journal, sha256
@@ -149,7 +150,7 @@ class Shared:
         self._map[64 + i] = 1
 
 
-class MonthClock(FastClock):
+class MonthClock(FaultyClock):
     """Goes on from where the killed process left it, and makes the world's faults happen on the
     way.
     """
@@ -163,8 +164,12 @@ class MonthClock(FastClock):
         self._pass(down_s)
 
     def _pass(self, seconds: float) -> None:
-        super()._pass(seconds)
+        FastClock.sleep(self, seconds)
         self._shared.set_time(self.true_utc.timestamp(), self._step_s, self._boot_s, self._slept_s)
+
+    def suspend(self, seconds: float) -> None:
+        self._slept_s += seconds
+        self._pass(seconds)
 
     def sleep(self, seconds: float) -> None:
         left = max(seconds, 0.0)
@@ -207,7 +212,7 @@ def serve_camera(pipe: Connection) -> None:
             pipe.send(("ok", error.errno))  # a full disk comes back as the error that it was
 
 
-class World:
+class World(Camera):
     """The devices of the month, and what happens to them."""
 
     def __init__(
@@ -217,7 +222,8 @@ class World:
         self.link = folder / "dev-by-id-spn1"
         self.ballast = folder / "ballast"
         self.instrument: PtyInstrument | None = None
-        self.child = Child("camera", serve_camera)
+        self.info = CameraInfo("bench", model="one month")
+        self.child: Child | None = None
         self.of_kind = {kind: [f for f in faults if f.kind == kind] for kind in KINDS}
         self.moments = sorted(
             {f.t_utc for f in faults} | {f.t_utc + timedelta(seconds=f.seconds) for f in faults}
@@ -314,9 +320,9 @@ class World:
 
     # the camera
 
-    @property
-    def info(self) -> CameraInfo:
-        return CameraInfo("bench", model="one month")
+    def opened(self) -> World:
+        self.child = Child("camera", serve_camera)
+        return self
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
         how = "ok"
@@ -335,6 +341,7 @@ class World:
         )
         path = target.with_name(f"{target.name}.raw")
         text = f"{target.parent.name} {exposure} {self.clock.true_utc}"
+        assert self.child is not None
         answer = self.child.ask(
             "expose", str(path), text, how, timeout_s=30.0 if how != "hang" else HANG_S
         )
@@ -344,7 +351,8 @@ class World:
         return path
 
     def close(self) -> None:
-        self.child.close(0.2)
+        if self.child is not None:
+            self.child.close(0.2)
 
 
 def one_life(
@@ -364,7 +372,7 @@ def one_life(
         clock=clock,
         options=options,
         trusted=lambda: False,
-        open_cam=lambda: world,
+        open_cam=world.opened,
         open_pyr=lambda: open_pyranometer(uri, clock=clock),
     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from datetime import datetime
+from datetime import datetime, timedelta
 
 from fieldlum.devices.clock import FastClock
 
@@ -14,9 +14,27 @@ class FaultyClock(FastClock):
     faults : (true time, kind, seconds); a step sets the wall clock forward, or back if negative.
     """
 
-    def __init__(self, start: datetime, faults: Iterable[tuple[datetime, str, float]]) -> None:
+    def __init__(self, start: datetime, faults: Iterable[tuple[datetime, str, float]] = ()) -> None:
         super().__init__(start)
         self._faults = sorted(faults)
+        self._step_s = self._slept_s = 0.0
+
+    def now(self) -> datetime:
+        """Return wall time: true time plus all steps."""
+        return self.true_utc + timedelta(seconds=self._step_s)
+
+    def monotonic(self) -> float:
+        """Return seconds since the start without those of sleep."""
+        return self._boot_s - self._slept_s
+
+    def step(self, seconds: float) -> None:
+        """Set the wall clock forward by `seconds` (or back, if negative)."""
+        self._step_s += seconds
+
+    def suspend(self, seconds: float) -> None:
+        """Simulate sleep: wall and boot time continue, monotonic time does not."""
+        self._slept_s += seconds
+        super().sleep(seconds)
 
     def sleep(self, seconds: float) -> None:
         """Advance the time, and apply the faults due until then; a suspend adds its duration."""

@@ -111,7 +111,7 @@ def test_refused_lines_are_journalled_as_they_came_and_never_fill_the_disk(rig: 
 
 @pytest.mark.contract
 def test_threaded_log_runs_beside(tmp_path: Path) -> None:
-    from fieldlum.devices.clock import RealClock
+    from fieldlum.devices.clock import Clock
 
     now = datetime.now(UTC)
     slots = [Slot(now + timedelta(seconds=0.5), 10.0, 120.0, LADDER[:1])]
@@ -123,7 +123,7 @@ def test_threaded_log_runs_beside(tmp_path: Path) -> None:
         session,
         "tiny:",
         "tiny:",
-        clock=RealClock(),
+        clock=Clock(),
         options=options,
         trusted=lambda: False,
         open_cam=lambda: cameras[0],

@@ -151,7 +151,7 @@ def test_suspend_is_told_and_what_it_covered_is_missed(rig: Field) -> None:
 
 @pytest.mark.analytic
 def test_time_is_carried_over_a_restart_of_the_same_boot() -> None:
-    clock = FastClock(T0)
+    clock = FaultyClock(T0)
     first = SteadyClock(clock, lambda: False, boot="b1")
     then, mark = first.now(), first.mark()
     clock.sleep(100.0)
@@ -167,7 +167,7 @@ def test_time_is_carried_over_a_restart_of_the_same_boot() -> None:
 
 @pytest.mark.analytic
 def test_drift_is_followed_again_after_a_step_was_undone() -> None:
-    clock = FastClock(T0)
+    clock = FaultyClock(T0)
     steady = SteadyClock(clock, lambda: False)
     for seconds in (3600.0, -3600.5):
         clock.step(seconds)

@@ -9,7 +9,7 @@ from msgspec import Meta, Struct
 
 from fieldlum.core.errors import DeviceError
 from fieldlum.devices import open_camera, parse_uri
-from fieldlum.devices.clock import FastClock, RealClock
+from fieldlum.devices.clock import Clock, FastClock
 
 START = datetime(2027, 3, 20, 15, 0, tzinfo=UTC)
 
@@ -41,7 +41,7 @@ def test_suspend_stops_monotonic_only() -> None:
 
 @pytest.mark.contract
 def test_real_clock_is_aware_and_moves() -> None:
-    clock = RealClock()
+    clock = Clock()
     before = clock.boottime()
     clock.sleep(0.002)
     assert clock.now().tzinfo is not None and clock.boottime() > before and clock.monotonic() > 0

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from pty_instrument import PtyInstrument
 
 from fieldlum.core.errors import DeviceError, InputError
-from fieldlum.devices import FORM_ALONE, Streaming, open_meter, open_pyranometer
+from fieldlum.devices import FORM_ALONE, open_meter, open_pyranometer
 from fieldlum.devices.ascii_lines import (
     AsciiField,
     AsciiProfile,
@@ -337,7 +337,7 @@ def test_of_three_quick_lines_the_median_counts(talker: tuple[int, str]) -> None
 def test_a_line_of_another_form_gives_no_number_and_is_handed_out(talker: tuple[int, str]) -> None:
     ours, port = talker
     device = LineInstrument(port, load_ascii_profile("arduino-json"), CLOCK, silence_s=0.3)
-    assert isinstance(device, Streaming) and device.info.guard == FORM_ALONE
+    assert device.info.guard == FORM_ALONE
     os.write(ours, b"\n" + 30 * b'{"G": 811.5, "T": 22.0}\n')
     assert device.read().ghi_wm2 == 811.5 and device.refused() == []
     os.write(ours, b'{"G": 811, "T": 22.0}\nboot\n{"G": 811.0, "T": 22.0}\n')

@@ -12,7 +12,7 @@ from places import SEATTLE
 
 from fieldlum.capture.runner import Live, Options, run
 from fieldlum.core.records import CameraSetup, Exposure, IrradianceSample, SiteFile, Slot
-from fieldlum.devices import CameraInfo, InstrumentInfo
+from fieldlum.devices import Camera, CameraInfo, InstrumentInfo, Pyranometer
 from fieldlum.devices.clock import FastClock
 from fieldlum.session import (
     Session,
@@ -35,7 +35,7 @@ def make_session(folder: Path, slots: int = 3, setup: CameraSetup | None = None)
 
 
 @dataclass
-class TinyCamera:
+class TinyCamera(Camera):
     """Writes a few bytes a frame; `fault(count)` may raise or hang before frame number `count`."""
 
     clock: FastClock
@@ -55,7 +55,7 @@ class TinyCamera:
 
 
 @dataclass
-class TinyPyranometer:
+class TinyPyranometer(Pyranometer):
     clock: FastClock
     fault: Callable[[int], None] = lambda count: None
     count: int = 0

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from datetime import date, datetime, timedelta
 from pathlib import Path
 from threading import Lock
+from typing import Any
 from zoneinfo import ZoneInfo
 
 from fieldlum.capture.live import Live
@@ -26,15 +27,14 @@ from fieldlum.session.inside import link_on_the_way
 from fieldlum.session.ledger import SETTLED, SlotState
 from fieldlum.session.tables import EventFields
 
-# Not measured. Chosen so that a message means that somebody should act, and that faults which the
-# capture repairs itself cause none. A device that reconnects needs at most two tries (30 s each).
+# A message means that somebody should act: faults which the capture repairs itself cause none. A
+# device that reconnects needs at most two tries (30 s each).
 DEVICE_AWAY = timedelta(minutes=10)
-LOW_DISK_DAYS = 3.0  # days of captures; leaves a weekend to bring a disk; chosen
-# a single missed slot can be due to a slow bracket before it; chosen, not measured
-MISSES_IN_A_ROW = 2
+LOW_DISK_DAYS = 3.0  # leaves a weekend to bring a disk
+MISSES_IN_A_ROW = 2  # a single missed slot can be due to a slow bracket before it
 QUIET = timedelta(hours=6)
 Tell = Callable[..., object]
-_HOOK_TIMEOUT_S = 300.0  # the time until the next slot is usually longer; not measured
+_HOOK_TIMEOUT_S = 300.0  # the time until the next slot is usually longer
 
 
 @dataclass(slots=True)
@@ -167,25 +167,17 @@ def run_hook(command: str, folder: Path, slot: str, state: SlotState, tell: Tell
     It is run by the shell in the session's folder. Environment variables FIELDLUM_SLOT, _OUTCOME,
     _REASON and _SESSION describe the last slot.
     """
-    about = {
-        "FIELDLUM_SLOT": slot,
-        "FIELDLUM_OUTCOME": state.outcome,
-        "FIELDLUM_REASON": state.why,
-        "FIELDLUM_SESSION": str(folder.resolve()),
-    }
+    root = str(folder.resolve())
+    about = {"SLOT": slot, "OUTCOME": state.outcome, "REASON": state.why, "SESSION": root}
+    environment = os.environ | {f"FIELDLUM_{name}": text for name, text in about.items()}
+    how: dict[str, Any] = {"shell": True, "cwd": folder, "stdin": subprocess.DEVNULL}
 
     def run() -> None:
         try:
-            code = subprocess.run(
-                command,
-                shell=True,
-                cwd=folder,
-                env={**os.environ, **about},
-                timeout=_HOOK_TIMEOUT_S,
-                stdin=subprocess.DEVNULL,
-                check=False,
-            ).returncode
-            why = f"exit code {code}" if code else ""
+            ran = subprocess.run(
+                command, env=environment, timeout=_HOOK_TIMEOUT_S, check=False, **how
+            )
+            why = f"exit code {ran.returncode}" if ran.returncode else ""
         except (OSError, subprocess.SubprocessError) as error:
             why = type(error).__name__
         if why:
@@ -193,9 +185,6 @@ def run_hook(command: str, folder: Path, slot: str, state: SlotState, tell: Tell
 
     tell("hook", command=command)
     threading.Thread(target=run, daemon=True).start()
-
-
-OUTBOX = "outbox.jsonl"
 
 
 @contextmanager
@@ -213,31 +202,22 @@ def informed(
     with_picture: attach the latest contact sheet to the daily summary; the sheet may show people.
     """
     site = session.site_file().site
-
-    def sheet() -> Path | None:
-        return _latest_contact_sheet(session) if with_picture else None
-
-    texts = {
-        "notify-lost": "messages cannot be sent; they are stored and sent later: ",
-        "notify-refused": "messages of another computer or session are not sent: ",
-        "notify-back": "messages are sent again",
-    }
-
-    def report(event: str, why: str) -> None:
-        with suppress(OSError):
-            say(f"note: {texts[event]}{why}")
-
-    outbox = Outbox(post, session.root / OUTBOX, report) if post is not None else None
+    outbox = Outbox(post, say) if post is not None else None
     heartbeat = Heartbeat(heartbeat_address) if heartbeat_address else None
+    alerts = Alerts(
+        site.name,
+        site.timezone,
+        outbox.put if outbox else lambda message: None,
+        heartbeat.beat if heartbeat else lambda: None,
+        (lambda: _latest_contact_sheet(session)) if with_picture else lambda: None,
+    )
     try:
-        send = outbox.put if outbox is not None else lambda message: None
-        beat = heartbeat.beat if heartbeat is not None else lambda: None
-        yield Alerts(site.name, site.timezone, send, beat, sheet)
+        yield alerts
     finally:
         if heartbeat is not None:
             heartbeat.close()
         if outbox is not None and (waiting := outbox.close()):
-            say(f"note: {waiting} unsent messages are stored in {session.root / OUTBOX}")
+            say(f"note: {waiting} messages could not be sent")
 
 
 def _latest_contact_sheet(session: Session) -> Path | None:

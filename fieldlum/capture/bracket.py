@@ -15,7 +15,7 @@ from fieldlum.capture.utc_clock import SteadyClock
 from fieldlum.capture.verify import as_taken
 from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import CameraSetup, Exposure, Slot
-from fieldlum.devices import BracketingCamera, Camera, IlluminanceMeter, ReportingCamera
+from fieldlum.devices import Camera, IlluminanceMeter
 from fieldlum.devices.clock import Backoff
 from fieldlum.session import Session, disk_is_full, sha256, sync_folder
 from fieldlum.session.files.capture_json import CaptureFile, Frame, frame_fields, interval_of
@@ -233,12 +233,10 @@ class BracketCapture:
         targets = [self.folder / f".{shot.stem}.{unique}" for shot in wanted]
 
         def take(camera: Camera) -> list[Path]:
-            if len(wanted) == 1:
-                heading_deg = wanted[0].heading_deg
-                return [camera.expose(exposures[0], targets[0], heading_deg=heading_deg)]
-            if not isinstance(camera, BracketingCamera):
-                raise DeviceError("another camera was connected, which takes single frames")
-            return camera.expose_bracket(exposures, targets)
+            if len(wanted) > 1:
+                return camera.expose_bracket(exposures, targets)
+            heading_deg = wanted[0].heading_deg
+            return [camera.expose(exposures[0], targets[0], heading_deg=heading_deg)]
 
         files = self.camera.call(take, sum(e.shutter_s for e in exposures))
         each_s = (self.clock.boottime() - boot) / len(wanted)
@@ -255,7 +253,7 @@ class BracketCapture:
         begun, seconds: UTC of the request, and the time that the frame took [s].
         """
         camera, exposure = self.camera.get(), shot.exposure
-        if isinstance(camera, ReportingCamera):
+        if camera is not None:
             exposure = camera.exposure_taken(written) or exposure
         if doubt := self.checks.settings(written, exposure):
             exposure = as_taken(written, exposure)
@@ -277,8 +275,7 @@ class BracketCapture:
         """
         camera = self.camera.get()
         still = all(shot.heading_deg is None and not shot.exposure.nd for shot in self.wanted)
-        can_bracket = isinstance(camera, BracketingCamera)
-        return still and can_bracket and len(self.wanted) in camera.bracket_shots
+        return still and camera is not None and len(self.wanted) in camera.bracket_shots
 
     def _wait_for_room(self, pause_s: float) -> bool:
         """Wait until a frame fits on the disk; return False at the deadline.

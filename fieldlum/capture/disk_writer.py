@@ -189,16 +189,9 @@ class Recorder:
 
 
 def _allocate(path: Path, size: int) -> None:
-    """Create a file that occupies `size` bytes of the disk."""
+    """Create a file that occupies `size` bytes of the disk; file systems compress zeros."""
     if path.is_file() and path.stat().st_size == size:
         return
     handle = open_inside(path.parent, path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
     with os.fdopen(handle, "wb") as file:
-        try:
-            os.posix_fallocate(file.fileno(), 0, size)
-        # Not available on macOS, on Windows, and for FAT on some systems.
-        except (AttributeError, OSError) as error:
-            if disk_is_full(error):
-                raise
-            file.write(b"\0" * size)
-            file.flush()
+        file.write(os.urandom(size))

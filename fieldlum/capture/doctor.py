@@ -25,8 +25,8 @@ from fieldlum.devices import (
     open_meter,
     open_pyranometer,
 )
-from fieldlum.devices.awake import granted_locks
-from fieldlum.devices.clock import RealClock, synchronised
+from fieldlum.devices.awake import kept_awake
+from fieldlum.devices.clock import Clock, synchronised
 from fieldlum.optics.profiles import (
     CameraProfile,
     assumed_texts,
@@ -36,7 +36,7 @@ from fieldlum.optics.profiles import (
     uncalibrated_text,
 )
 from fieldlum.optics.raw import same_model
-from fieldlum.session import Session, sha256
+from fieldlum.session import DEFAULT_GRACE_S, Session, sha256
 from fieldlum.session.journal import damage_text, damaged_lines
 from fieldlum.session.ledger import read_ledger, slots_ahead, without_capture
 from fieldlum.sky import sun
@@ -113,28 +113,27 @@ def run(
     progress: called with the number of checks done, their total and the name of the next one. An
     empty URI means that the device is not used. only: names of the checks to run.
     """
-    checks: list[tuple[str, Callable[[], list[Finding]]]] = [
-        ("plan", lambda: check_plan(session, now_utc)),
-        ("journal", lambda: check_journal(session)),
-        ("profile", lambda: check_profile(session, now_utc.date())),
-        ("camera", lambda: check_camera(session, camera_uri, now_utc)),
-        ("pyranometer", lambda: check_pyranometer(session, pyranometer_uri)),
-        ("meter", lambda: check_meter(meter_uri)),
-        ("clock", lambda: [check_clock(synchronised())]),
-        ("disk", lambda: [check_disk(session, now_utc, shutil.disk_usage(session.root).free)]),
-        ("writing", lambda: check_writing(session.root)),
-        ("sleep", lambda: [check_sleep(granted_locks(), lid=has_lid())]),
-        ("sun", lambda: check_sun(session, now_utc)),
-    ]
+    checks: dict[str, Callable[[], list[Finding]]] = {
+        "plan": lambda: check_plan(session, now_utc),
+        "journal": lambda: check_journal(session),
+        "profile": lambda: check_profile(session, now_utc.date()),
+        "camera": lambda: check_camera(session, camera_uri, now_utc),
+        "pyranometer": lambda: check_pyranometer(session, pyranometer_uri),
+        "meter": lambda: check_meter(meter_uri),
+        "clock": lambda: [check_clock(synchronised())],
+        "disk": lambda: [check_disk(session, now_utc, shutil.disk_usage(session.root).free)],
+        "writing": lambda: check_writing(session.root),
+        "sleep": check_awake,
+        "sun": lambda: check_sun(session, now_utc),
+    }
     findings: list[Finding] = []
-    checks = [(name, check) for name, check in checks if name in only]
-    for number, (name, check) in enumerate(checks):
-        progress(number, len(checks), name)
+    names = [name for name in checks if name in only]
+    for number, name in enumerate(names):
+        progress(number, len(names), name)
         try:
-            findings += check()
+            findings += checks[name]()
         except (FieldlumError, OSError, ValueError, KeyError) as error:
-            code = 3 if isinstance(error, InputError) else 4
-            findings.append(Finding(name, "fail", str(error), code))
+            findings.append(fail(name, str(error), 3 if isinstance(error, InputError) else 4))
     return findings
 
 
@@ -161,18 +160,24 @@ def check_plan(session: Session, now_utc: datetime) -> list[Finding]:
 
     It is a warning if no slot can still be captured.
     """
-    about = session.table().get("plan", {})
+    planned = session.table().get("plan", {}).get("sha256", "")
     slots, ahead = session.slots(), slots_ahead(session, now_utc)
     findings = []
-    if about.get("sha256", "") != sha256(session.plan):
+    if planned != sha256(session.plan):
         text = "plan.csv differs from the plan that session.toml records: restore it from a copy, "
         text += "or plan a new session (fieldlum plan SITE.toml --set SET --out NEW)"
         findings.append(fail("plan", text, 3))
-    if not ahead:
-        return [*findings, warn("plan", _nothing_ahead(session, slots))]
-    first = ahead[0].t_utc.astimezone(ZoneInfo(session.site_file().site.timezone))
-    text = f"{len(ahead)} of {len(slots)} slots are in the future, the next on "
-    return [*findings, ok("plan", f"{text}{first:%a %Y-%m-%d at %H:%M %Z}")]
+    if ahead:
+        first = ahead[0].t_utc.astimezone(ZoneInfo(session.site_file().site.timezone))
+        text = f"{len(ahead)} of {len(slots)} slots are in the future, the next on "
+        return [*findings, ok("plan", f"{text}{first:%a %Y-%m-%d at %H:%M %Z}")]
+    states = read_ledger(session).slots
+    captured = {slot for slot, state in states.items() if state.outcome == "done"}
+    missing, count = without_capture(slots, captured)
+    remedy = f"add make-up slots with fieldlum plan {session.root} --replan"
+    which = f", and {missing} of {count} were not captured: {remedy}"
+    which = which if missing else f": all {count} were captured"
+    return [*findings, warn("plan", f"no slot of the plan can still be captured{which}")]
 
 
 def check_journal(session: Session) -> list[Finding]:
@@ -180,18 +185,6 @@ def check_journal(session: Session) -> list[Finding]:
     text = damage_text(damaged_lines(session))
     remedy = "; what they recorded is lost: restore the journal from a copy if there is one"
     return [warn("journal", text + remedy)] if text else []
-
-
-def _nothing_ahead(session: Session, slots: Sequence[Slot]) -> str:
-    """Return the text for a plan without a coming slot: how many were not captured, what to do."""
-    states = read_ledger(session).slots
-    captured = {slot for slot, state in states.items() if state.outcome == "done"}
-    missing, count = without_capture(slots, captured)
-    text = "no slot of the plan can still be captured"
-    if not missing:
-        return f"{text}: all {count} were captured"
-    remedy = f"add make-up slots with fieldlum plan {session.root} --replan"
-    return f"{text}, and {missing} of {count} were not captured: {remedy}"
 
 
 def check_profile(session: Session, today: date) -> list[Finding]:
@@ -255,11 +248,8 @@ def check_sun(session: Session, now_utc: datetime) -> list[Finding]:
 # ----------------------------------------------------------------------------------------------
 # camera and instruments
 
-# Limits of the error of the camera's clock: warning and failure. Import matches frames by time with
-# a measured offset, and slots are an hour apart: above the second limit, the default grace of a
-# slot, a wrong slot is possible. Chosen, not measured.
-CAMERA_CLOCK_WARN_S = 5.0
-CAMERA_CLOCK_FAIL_S = 300.0
+# Above the second limit, the default grace of a slot, import may match frames to a wrong slot.
+CAMERA_CLOCK_WARN_S, CAMERA_CLOCK_FAIL_S = 5.0, DEFAULT_GRACE_S
 
 
 def _joined(*parts: str) -> str:
@@ -276,7 +266,7 @@ def check_camera(session: Session, uri: str, now_utc: datetime) -> list[Finding]
     if not uri:
         text = "no camera stated: add --camera URI, or import its card afterwards"
         return [warn("camera", text)]
-    with closing(open_camera(uri, clock=RealClock(), session=session)) as camera:
+    with closing(open_camera(uri, clock=Clock(), session=session)) as camera:
         ahead, setup = slots_ahead(session, now_utc), session.site_file().camera
         exposures = dict.fromkeys(e for slot in ahead for e in slot.exposures)
         frames = sum(len(slot.exposures) for slot in ahead) * max(len(setup.headings), 1)
@@ -306,11 +296,11 @@ def judge_model(info: CameraInfo, profile: CameraProfile) -> list[Finding]:
     Simulated and replayed cameras, and unknown models, give none. Frames of another camera cannot
     be merged, and the planned exposures may be impossible.
     """
-    model, wanted = info.model, profile.camera.model
-    is_unknown = not model or not wanted or info.kind in ("sim", "replay")
-    if is_unknown or same_model(model, wanted):
+    model, body = info.model, profile.camera
+    is_unknown = not model or not body.model or info.kind in ("sim", "replay")
+    if is_unknown or same_model(model, body.model):
         return []
-    text = f"{model} is not the camera of profile {profile.camera.name} ({wanted}), for which the "
+    text = f"{model} is not the camera of profile {body.name} ({body.model}), for which the "
     text += f"exposures were planned: use a profile of the {model}, and plan again"
     return [warn("profile", text)]
 
@@ -324,12 +314,7 @@ def judge_camera(info: CameraInfo, uri: str, frames: int) -> list[Finding]:
     make = "" if info.model.startswith(info.make) else info.make  # "Canon", "Canon EOS 5D"
     who = _joined(make, info.model, info.serial) or info.kind
     battery = f", battery {info.battery}" if info.battery else ""
-    findings = [ok("camera", f"{who} answers at {uri}{battery}")]
-    if info.clock_offset_s is None:
-        text = "the camera does not report its time: photograph this computer's clock once"
-        findings.append(warn("camera clock", text))
-    else:
-        findings.append(_judge_camera_clock(info.clock_offset_s))
+    findings = [ok("camera", f"{who} answers at {uri}{battery}"), _clock_of(info.clock_offset_s)]
     if info.frames_left is not None:
         text = f"space for {info.frames_left} frames; {frames} are planned"
         full = warn("camera card", f"{text}: use a larger card, or empty this one")
@@ -337,15 +322,19 @@ def judge_camera(info: CameraInfo, uri: str, frames: int) -> list[Finding]:
     return findings
 
 
-def _judge_camera_clock(offset_s: float) -> Finding:
+def _clock_of(offset_s: float | None) -> Finding:
+    what = "camera clock"
+    if offset_s is None:
+        text = "the camera does not report its time: photograph this computer's clock once"
+        return warn(what, text)
     text = f"{offset_s:+.1f} s compared with this computer's clock"
     hours = round(offset_s / 3600.0)
     if hours and abs(offset_s - 3600.0 * hours) < CAMERA_CLOCK_FAIL_S:
         text += ": full hours, so the camera's time zone or daylight saving time is probably wrong"
         text += "; correct it in the camera's menu"
     if abs(offset_s) > CAMERA_CLOCK_FAIL_S:
-        return fail("camera clock", text)
-    return (warn if abs(offset_s) > CAMERA_CLOCK_WARN_S else ok)("camera clock", text)
+        return fail(what, text)
+    return (warn if abs(offset_s) > CAMERA_CLOCK_WARN_S else ok)(what, text)
 
 
 def check_pyranometer(session: Session, uri: str) -> list[Finding]:
@@ -356,7 +345,7 @@ def check_pyranometer(session: Session, uri: str) -> list[Finding]:
     if not uri:
         text = "no pyranometer stated: add --pyranometer URI, or import a logger's file"
         return [warn("pyranometer", text)]
-    with closing(open_pyranometer(uri, clock=RealClock(), session=session)) as instrument:
+    with closing(open_pyranometer(uri, clock=Clock(), session=session)) as instrument:
         return judge_pyranometer(instrument.info, instrument.read(), session.site_file().site)
 
 
@@ -367,7 +356,7 @@ def check_meter(uri: str) -> list[Finding]:
     """
     if not uri:
         return []
-    with closing(open_meter(uri, clock=RealClock())) as meter:
+    with closing(open_meter(uri, clock=Clock())) as meter:
         info, reading = meter.info, meter.read()
     who = _joined(info.model, info.serial) or info.kind
     findings = [ok("meter", f"{who} answers: {reading.illuminance_lx:.4g} lx")]
@@ -397,32 +386,25 @@ def judge_pyranometer(info: InstrumentInfo, sample: IrradianceSample, site: Site
             text = f"{name} {value:.0f} W/m2 with the sun at {altitude[0]:.0f} deg is impossible "
             text += f"(limits {low:g} to {high:.0f} W/m2): check mounting, wiring and time"
             findings.append(fail("pyranometer", text))
-    warnings: list[str] = []
-    if status := sample.status or info.status:
-        warnings.append(f"the instrument reports a fault: {status}: see its manual")
-    if info.gives == ("ghi",):
-        warnings.append(
-            "the instrument measures only global irradiance: direct and diffuse will be derived "
-            "from it, with an error of about 30 % in direct irradiance"
-        )
-    if info.guard == FORM_ALONE:
-        warnings.append(
-            "the instrument's lines have no checksum: some damaged lines are not detected and give "
-            "wrong values; let the instrument's program print a CRC-16 (profile arduino-crc), or "
-            "at least one line per second, so that each row has three lines"
-        )
     calibrated = iso_date(info.calibration_date, f"profile of the pyranometer {who}")
-    if text := age_text(calibrated, sample.t_utc.date()):
-        warnings.append(text)
-    return findings + [warn("pyranometer", text) for text in warnings]
+    status = sample.status or info.status
+    remarks = {
+        f"the instrument reports a fault: {status}: see its manual": status,
+        "the instrument measures only global irradiance: direct and diffuse will be derived from "
+        "it, with an error of about 30 % in direct irradiance": info.gives == ("ghi",),
+        "the instrument's lines have no checksum: some damaged lines are not detected and give "
+        "wrong values; let the instrument's program print a CRC-16 (profile arduino-crc), or at "
+        "least one line per second, so that each row has three lines": info.guard == FORM_ALONE,
+        (text := age_text(calibrated, sample.t_utc.date())): text,
+    }
+    return findings + [warn("pyranometer", text) for text, applies in remarks.items() if applies]
 
 
 # ----------------------------------------------------------------------------------------------
 # this computer
 
-DISK_MARGIN = 1.3  # free space over planned size; chosen, not measured
-# seconds for 1 MB; a slower disk delays the frames of a bracket. Chosen, not measured.
-SLOW_FSYNC_S = 0.5
+DISK_MARGIN = 1.3  # free space over planned size
+SLOW_FSYNC_S = 0.5  # for 1 MB; a slower disk delays the frames of a bracket
 SYNCED_FOLDERS = ("dropbox", "onedrive", "google drive", "googledrive", "icloud", "nextcloud")
 
 
@@ -432,13 +414,13 @@ def check_clock(synchronised: bool | None) -> Finding:
     synchronised: None if unknown, which is a warning too.
     """
     now = f"this computer has {datetime.now(UTC):%Y-%m-%d %H:%M:%S} UTC"
+    if synchronised:
+        return ok("clock", f"{now}, synchronised by a time server")
     if synchronised is None:
-        remedy = "compare it with a time server"
-        return warn("clock", f"{now}, and it is unknown whether it is synchronised: {remedy}")
-    if not synchronised:
-        remedy = "switch network time on, or set the clock by hand today"
-        return warn("clock", f"{now}, and its clock is not synchronised: {remedy}")
-    return ok("clock", f"{now}, synchronised by a time server")
+        why = "it is unknown whether it is synchronised: compare it with a time server"
+    else:
+        why = "its clock is not synchronised: switch network time on, or set the clock by hand"
+    return warn("clock", f"{now}, and {why}")
 
 
 def check_disk(session: Session, now_utc: datetime, free_bytes: int) -> Finding:
@@ -461,29 +443,24 @@ def check_disk(session: Session, now_utc: datetime, free_bytes: int) -> Finding:
 
 
 def check_writing(folder: Path) -> list[Finding]:
-    """Write 1 MB into the folder, flush, rename and read it back; return findings on this.
+    """Write 1 MB into the folder and flush it; return findings on this.
 
-    An error, or other bytes than those written, is a failure. A flush of over 0.5 s, or a folder
-    that a cloud service synchronises, is a warning.
+    An error is a failure. A flush of over 0.5 s, or a folder that a cloud service synchronises, is
+    a warning.
     """
     path = folder / f".doctor.{os.getpid()}.tmp"
-    payload = os.urandom(1 << 20)
     start = time.perf_counter()
     try:
         with path.open("wb") as file:
-            file.write(payload)
+            file.write(os.urandom(1 << 20))
             file.flush()
             os.fsync(file.fileno())
         took_s = time.perf_counter() - start
-        same = path.replace(path.with_suffix(".renamed")).read_bytes() == payload
     except OSError as error:
         remedy = "free space, or use a folder that can be written to"
         return [fail("writing", f"{folder}: {error.strerror}: {remedy}")]
     finally:
         path.unlink(missing_ok=True)
-        path.with_suffix(".renamed").unlink(missing_ok=True)
-    if not same:
-        return [fail("writing", f"{folder}: the bytes read differ from those written")]
     text = f"1 MB written and flushed in {took_s * 1000:.0f} ms"
     findings = [ok("writing", text)]
     if took_s > SLOW_FSYNC_S:
@@ -495,9 +472,10 @@ def check_writing(folder: Path) -> list[Finding]:
     return findings
 
 
-def has_lid() -> bool:
-    """Return whether this computer has a lid, by Linux's ACPI; False on other systems."""
-    return any(Path("/proc/acpi/button/lid").glob("*"))
+def check_awake() -> list[Finding]:
+    """Take the locks against sleep, release them, and judge them; see `check_sleep`."""
+    with kept_awake() as locks:
+        return [check_sleep(locks, lid=any(Path("/proc/acpi/button/lid").glob("*")))]
 
 
 def check_sleep(locks: str, *, lid: bool = False) -> Finding:

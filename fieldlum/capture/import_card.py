@@ -23,7 +23,6 @@ from fieldlum.core.records import (
     Slot,
     counted,
     quiet,
-    shutter_text,
 )
 from fieldlum.optics.photometry import same_exposure
 from fieldlum.optics.profiles import CameraBody, load_camera_profile
@@ -124,8 +123,10 @@ def _adopt_card(
             left_out.append(f"{whose}: {error.found}; {error.remedy}")
             continue
         clocks.append((part, offset))
-        opposed = match_card.contradiction(part, slots, utc_offset_s)
-        notes.append(opposed or match_card.doubt(part, slots, offset))
+        notes += [
+            match_card.opposed(part, utc_offset_s),
+            match_card.doubt(part, slots, offset),
+        ]
     matches, others = match_card.match_groups(clocks, slots)
     left_out += [f"{_range(group)}: {why}" for group, why in others]
     if not matches:
@@ -197,26 +198,15 @@ def lacking(group: Group, slot: Slot, setup: CameraSetup) -> list[Exposure]:
 def _lacking_text(match: Match, setup: CameraSetup) -> str:
     """Return a note on an incomplete bracket, or "".
 
-    The note also names frames that could be with or without a filter.
+    A frame that could be with or without a filter is used as one without it: `merge` finds it.
     """
     missing = lacking(match.group, match.slot, setup)
     if not missing:
         return ""
-    there = [frame.exposure for frame in match.group.frames]
-    alike = [
-        e
-        for e in missing
-        if any(same_exposure(e, f) for f in there)
-        and any(e.nd != other.nd and same_exposure(e, other) for other in match.slot.exposures)
-    ]
     shown = ", ".join(exposure_text(e) for e in missing[:3]) + (" ..." if len(missing) > 3 else "")
-    text = f"missing frames of slot {match.slot.id}: {len(missing)} ({shown})"
-    if alike:
-        text += (
-            f"; frames of {shutter_text(alike[0].shutter_s)} s may have been taken with or without "
-            "the filter, and are used as frames without it"
-        )
-    return f"{_range(match.group)}: {text}"
+    return (
+        f"{_range(match.group)}: missing frames of slot {match.slot.id}: {len(missing)} ({shown})"
+    )
 
 
 def _adopt_all(
@@ -230,15 +220,13 @@ def _adopt_all(
     Return the imported brackets, and the slots that an earlier import had filled wrongly.
     """
     journal = Journal(session)
-    new: list[Match] = []
     try:
         moved = withdraw(session, journal, read_ledger(session), matches)
         ledger = read_ledger(session)
-        for number, match in enumerate(matches, start=1):
-            progress(number, len(matches), match.slot.id)
-            if ledger.state(match.slot.id).outcome != "done":
-                _adopt(session, setup, journal, match)
-                new.append(match)
+        new = [m for m in matches if ledger.state(m.slot.id).outcome != "done"]
+        for number, match in enumerate(new, start=1):
+            progress(number, len(new), match.slot.id)
+            _adopt(session, setup, journal, match)
     finally:
         journal.close()
     return new, moved

@@ -11,13 +11,13 @@ from fieldlum.capture.disk_writer import Recorder
 from fieldlum.capture.reconnect import Keeper, error_text, plain_info
 from fieldlum.capture.utc_clock import SteadyClock
 from fieldlum.core.records import IrradianceSample
-from fieldlum.devices import Pyranometer, Streaming, open_pyranometer
+from fieldlum.devices import Pyranometer, open_pyranometer
 from fieldlum.devices.clock import Clock
 from fieldlum.session import Session, sole_user, update_session
 
-_BAD_IN_A_ROW = 3  # failed readings before the port is opened again; not measured
-# Number of rejected lines that are journalled individually in an hour. Not measured; it prevents an
-# instrument that prints remarks from filling the disk (under 100 kB a day).
+_BAD_IN_A_ROW = 3  # failed readings before the port is opened again
+# Rejected lines that are journalled in an hour: an instrument that prints remarks must not fill the
+# disk (under 100 kB a day).
 _TOLD_AN_HOUR = 20
 
 
@@ -70,8 +70,7 @@ class Logger:
 
     def _tell_refused(self, device: Pyranometer) -> None:
         """Journal rejected lines as received; above `_TOLD_AN_HOUR`, only their number."""
-        lines = device.refused() if isinstance(device, Streaming) else []
-        hour = int(self._clock.boottime() // 3600)
+        lines, hour = device.refused(), int(self._clock.boottime() // 3600)
         if hour != self._hour:
             if self._refused > _TOLD_AN_HOUR:
                 self._tell_bad(f"and {self._refused - _TOLD_AN_HOUR} more lines in that hour")
@@ -107,13 +106,11 @@ class Logger:
         while not self._stop.is_set():
             try:
                 self.poll_if_due()
-            # After any error, the irradiance of the following days must still be logged.
+            # After any error, the irradiance of the following days must still be logged; a repeated
+            # one is reported once, otherwise it would fill the disk.
             except Exception as error:
-                why = error_text(error)
-                # A repeated error is reported once, otherwise it would fill the disk.
-                if why != reported:
-                    with suppress(Exception):
-                        self._tell_bad(why)
+                if (why := error_text(error)) != reported:
+                    self._tell_bad(why)
                 reported = why
             self._stop.wait(min(self.due_in_s, 1.0) or 0.01)
 
@@ -143,23 +140,19 @@ def log(
     steady = SteadyClock(clock)
     with sole_user(session, "log"):
         recorder = Recorder(session, steady.now, reserve=".reserve-log")
-        keeper = Keeper(
-            "pyranometer",
-            lambda: open_pyranometer(uri, clock=clock, session=session),
-            steady,
-            recorder.tell,
-            60.0,
-        )
+
+        def open_device() -> Pyranometer:
+            return open_pyranometer(uri, clock=clock, session=session)
+
+        keeper = Keeper("pyranometer", open_device, steady, recorder.tell, 60.0)
         logger = Logger(keeper, recorder, steady, every_s)
         try:
             info = keeper.open_or_raise().info
             devices = session.table().get("devices", {})
             with suppress(OSError):  # the next row reports a full disk
                 update_session(session, {"devices": {**devices, "pyranometer": plain_info(info)}})
-            say(
-                f"logging {' '.join((info.model or info.kind, info.serial)).strip()} every "
-                f"{every_s:g} s; stop with Ctrl-C"
-            )
+            who = f"{info.model or info.kind} {info.serial}".strip()
+            say(f"logging {who} every {every_s:g} s; stop with Ctrl-C")
             while rows is None or recorder.rows < rows:
                 recorder.tell_all(steady.check())
                 logger.poll_if_due()

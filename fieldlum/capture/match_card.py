@@ -20,16 +20,12 @@ from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure, SiteFile, Slot, utc_text
 from fieldlum.optics.photometry import same_exposure
 
-WITHIN_S = 1200.0  # a bracket started by hand further from its slot belongs to another hour; chosen
-# Not measured, unless a source is stated. Each limit is chosen between the two cases that it must
-# separate.
+# Each limit is chosen between the two cases that it must separate.
+WITHIN_S = 1200.0  # a bracket started by hand further from its slot belongs to another hour
 _STEADY_S = 5.0  # spread of the start times of an intervalometer; starts by hand vary far more
-# shortest pause between brackets, as a multiple of the usual time between frames; chosen, not
-# measured
-_PAUSE_FACTOR = 10.0
-# additional factor for a head that is turned between two frames; chosen, not measured
-_TURN_FACTOR = 6.0
-CAMPAIGN_S = 5 * 86400.0  # a gap of more days separates campaigns; chosen
+_PAUSE_FACTOR = 10.0  # shortest pause between brackets over the usual time between frames
+_TURN_FACTOR = 6.0  # additional, for a head that is turned between two frames
+CAMPAIGN_S = 5 * 86400.0  # a gap of more days separates campaigns
 _QUARTER_S = 900.0  # civil clocks differ by multiples of a quarter of an hour (IANA tz database)
 
 
@@ -261,7 +257,6 @@ def true_time(t_camera: datetime, offset: Offset) -> datetime:
 _NIGHT_S = 4 * 3600.0
 _HOURS = range(-26, 27)  # civil time zones span UTC-12 to UTC+14: two of them differ by 26 h
 _STEP_S = 1800.0  # a smaller change is drift of the clock; chosen
-_SAME_OFFSET_S = 60.0  # EXIF states offsets in minutes
 # A change of the clock counts only if it brings this many more brackets to slots. Not measured: two
 # brackets can be early or late by chance.
 _EVIDENCE = 3
@@ -312,35 +307,20 @@ def _exif_offsets_s(groups: Sequence[Group]) -> tuple[float, ...]:
 def as_shown(frames: Sequence[CardFrame]) -> list[CardFrame]:
     """Return the frames with their times as the camera's clock showed them, not corrected by EXIF.
 
-    A stated --utc-offset applies to the clock itself. exif_offset_s remains, for `contradiction`.
+    A stated --utc-offset applies to the clock itself.
     """
     return [
         replace(f, t_camera=f.t_camera + timedelta(seconds=f.exif_offset_s or 0.0)) for f in frames
     ]
 
 
-def contradiction(groups: Sequence[Group], slots: Sequence[Slot], stated_s: float | None) -> str:
-    """Return a warning if EXIF's offset differs from the stated one by over a minute, else "".
-
-    The warning states how many frames are within 20 minutes of slots with each of the two. groups:
-    with times from `as_shown`; stated_s: clock minus UTC [s]. Without slots there is no warning.
-    """
-    if stated_s is None:
+def opposed(groups: Sequence[Group], stated_s: float | None) -> str:
+    """Return a note if EXIF's offset differs from the stated one [s] by over a minute, else ""."""
+    offsets_s = () if stated_s is None else _exif_offsets_s(groups)
+    if stated_s is None or all(abs(offset_s - stated_s) <= 60.0 for offset_s in offsets_s):
         return ""
-    own = [g for g in groups if g.frames[0].exif_offset_s is not None]
-    offsets_s = _exif_offsets_s(own)
-    if not slots or all(abs(offset_s - stated_s) <= _SAME_OFFSET_S for offset_s in offsets_s):
-        return ""
-    stated, exif = 0, 0
-    for group in own:
-        stated += len(group.frames) * _near([group], slots, stated_s)
-        exif += len(group.frames) * _near([group], slots, group.frames[0].exif_offset_s or 0.0)
-    count = f"{stated} of {sum(len(group.frames) for group in own)} frames are near planned slots"
-    remedy = "import the card again without --utc-offset, separately from the logger's file"
-    return (
-        f"--utc-offset {hms(stated_s)} was used, but EXIF states UTC {hms_list(offsets_s)}: with "
-        f"--utc-offset {count}, with the offset in EXIF {exif}{f'; {remedy}' * (exif > stated)}"
-    )
+    exif = f"EXIF states UTC {hms_list(offsets_s)}"
+    return f"--utc-offset {hms(stated_s)} was used, but {exif}: if that is right, import without it"
 
 
 def hms(seconds: float) -> str:
@@ -421,17 +401,17 @@ def clock_steps(clocks: Sequence[tuple[Sequence[Group], Offset]]) -> list[str]:
     clocks: brackets of each part, in order of time, with the fitted offset. Brackets that were
     taken an hour early on some days look the same.
     """
-    notes: list[str] = []
-    for (before, old), (after, new) in pairwise(clocks):
-        step_s = new.seconds - old.seconds
-        if abs(step_s) > _STEP_S:
-            change = f"the camera's clock was changed by {step_s / 3600:+.3g} h"
-            where = f"between {before[-1].frames[0].path} and {after[0].frames[0].path}"
-            notes.append(
-                f"the plan suggests that {change} {where}, and each part was imported with its own "
-                "offset; if brackets were taken at other hours than planned, state --utc-offset"
-            )
-    return notes
+    steps = [
+        (new.seconds - old.seconds, before[-1].frames[0].path, after[0].frames[0].path)
+        for (before, old), (after, new) in pairwise(clocks)
+    ]
+    return [
+        f"the plan suggests that the camera's clock was changed by {step_s / 3600:+.3g} h between "
+        f"{last} and {first}, and each part was imported with its own offset; if brackets were "
+        "taken at other hours than planned, state --utc-offset"
+        for step_s, last, first in steps
+        if abs(step_s) > _STEP_S
+    ]
 
 
 def doubt(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset) -> str:
@@ -451,9 +431,9 @@ def doubt(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset) -> str
         )
     if len(parts := clock_parts(groups, slots)) == 1:
         return ""
-    where = f"between {parts[0][-1].frames[0].path} and {parts[1][0].frames[0].path}"
+    last, first = parts[0][-1].frames[0].path, parts[1][0].frames[0].path
     return (
         f"one clock offset ({offset.how}) was used for all brackets, but the plan suggests that "
-        f"the camera's clock was changed {where}: import these two parts from separate folders, "
-        "each with its own --utc-offset"
+        f"the camera's clock was changed between {last} and {first}: import these two parts from "
+        "separate folders, each with its own --utc-offset"
     )

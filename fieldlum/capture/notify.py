@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import hmac
-import json
 import logging
 import os
-import re
 import threading
 import urllib.request
 import warnings
@@ -17,20 +14,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import urlsplit
 
-import msgspec
-
 from fieldlum.core.errors import InputError, input_errors, install_text
 from fieldlum.devices.clock import Backoff
-from fieldlum.session import replacing
-from fieldlum.session.inside import inside
-from fieldlum.session.permits import seal
 
-# a month without network at ten messages a day; older messages are dropped; chosen
-MAX_WAITING = 500
-FIRST_PAUSE_S = 30.0  # seconds; not measured, long enough for a service that limits requests
-# seconds; a message is sent at most a quarter of an hour after the network is back; chosen
-MAX_PAUSE_S = 900.0
-PATIENCE_AT_END_S = 10.0  # seconds; not measured, because the user waits for the command to end
+MAX_WAITING = 500  # a month without network at ten messages a day; older messages are dropped
+FIRST_PAUSE_S, MAX_PAUSE_S = 30.0, 900.0  # for services that limit requests; a quarter of an hour
+PATIENCE_AT_END_S = 10.0  # because the user waits for the command to end
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,46 +31,30 @@ class Message:
     picture: Path | None = None
 
 
-_CONTACT_SHEET = re.compile(r"panoramas/contact-[^/]+\.png")  # as merge names them
-
 Post = Callable[[Message], bool]
-Report = Callable[[str, str], None]
 
 
 class Outbox:
     """Sends messages in order, in the background.
 
-    post: sends one message and returns whether it was sent; file: stores the waiting ones for a
-    restart. `put` returns at once, whatever the network or the disk does. A message that cannot be
-    sent is tried again after 30 s, 1 min ... 15 min, and after a restart; of more than 500 waiting
-    ones the oldest are dropped. `report(event, why)` is called with ``notify-lost`` when sending
-    begins to fail, with ``notify-back`` when it works again, and with ``notify-refused`` for stored
-    messages that this user did not write on this computer for this session: they are moved to
-    NAME.refused and not sent. `why` never contains an address.
+    post: sends one message and returns whether it was sent. `put` returns at once, whatever the
+    network does. A message that cannot be sent is tried again after 30 s, 1 min ... 15 min; of more
+    than 500 waiting ones the oldest are dropped. `say` is told once when sending begins to fail,
+    and when it works again; no text contains an address.
     """
 
     def __init__(
         self,
         post: Post,
-        file: Path,
-        report: Report = lambda event, why: None,
+        say: Callable[[str], None] = lambda text: None,
         *,
         first_pause_s: float = FIRST_PAUSE_S,
     ) -> None:
-        self._post = post
-        self._file = file
-        self._report = report
+        self._post, self._say = post, say
         self._backoff = Backoff(first_pause_s, MAX_PAUSE_S)
-        messages, refused = _read(file)
-        if refused:
-            aside = file.with_name(f"{file.name}.refused")
-            with suppress(OSError):
-                file.replace(aside)
-            report("notify-refused", f"{refused} in {aside}")
-        self._waiting: deque[Message] = deque(messages, maxlen=MAX_WAITING)
+        self._waiting: deque[Message] = deque(maxlen=MAX_WAITING)
         self._changed = threading.Condition()
         self._closing = False
-        self._failing = False
         self._thread = threading.Thread(target=self._work, name="outbox", daemon=True)
         self._thread.start()
 
@@ -101,19 +74,22 @@ class Outbox:
             return len(self._waiting)
 
     def _work(self) -> None:
+        failed = ""
         while (message := self._next()) is not None:
-            self._save()
-            if self._sent(message):
-                with self._changed:
-                    if self._waiting and self._waiting[0] is message:  # not dropped meanwhile
-                        self._waiting.popleft()
-                self._save()
-                self._backoff.reset()
-                continue
+            why = self._try(message)
+            if bool(why) != bool(failed):
+                with suppress(OSError):  # the terminal may be closed
+                    lost = f"note: messages cannot be sent ({why}); they wait"
+                    self._say(lost if why else "note: messages are sent again")
+            failed = why
             with self._changed:
-                if self._closing:
+                if why and self._closing:
                     return
-                self._changed.wait_for(lambda: self._closing, timeout=self._backoff.next_s())
+                if why:
+                    self._changed.wait_for(lambda: self._closing, self._backoff.next_s())
+                elif self._waiting and self._waiting[0] is message:  # not dropped meanwhile
+                    self._waiting.popleft()
+                    self._backoff.reset()
 
     def _next(self) -> Message | None:
         """Wait for a message; return None if the outbox is closed and empty."""
@@ -121,84 +97,18 @@ class Outbox:
             self._changed.wait_for(lambda: self._waiting or self._closing)
             return self._waiting[0] if self._waiting else None
 
-    def _sent(self, message: Message) -> bool:
+    def _try(self, message: Message) -> str:
+        """Send a message; return "" or why it was not sent."""
         try:
-            sent, why = self._post(message), "a service did not accept the message"
+            return "" if self._post(message) else "a service did not accept the message"
         except Exception as error:  # a service's client can raise anything, with the address in it
-            sent, why = False, type(error).__name__
-        if sent == self._failing:
-            self._failing = not sent
-            self._report("notify-lost" if self._failing else "notify-back", "" if sent else why)
-        return sent
-
-    def _save(self) -> None:
-        with self._changed:
-            waiting = list(self._waiting)
-        # on a full disk, messages are lost at a restart, but capture continues
-        with suppress(OSError):
-            if not waiting:
-                self._file.unlink(missing_ok=True)
-                return
-            with replacing(self._file, "wb") as file:
-                file.writelines(msgspec.json.encode(_line(self._file, m)) + b"\n" for m in waiting)
-
-
-class _Line(msgspec.Struct):
-    """A message as the file stores it, with a seal of this user, computer and session."""
-
-    title: str
-    body: str
-    picture: str
-    seal: str
-
-
-def _line(file: Path, message: Message) -> _Line:
-    picture = ""
-    if message.picture is not None and message.picture.is_relative_to(file.parent):
-        picture = message.picture.relative_to(file.parent).as_posix()
-    code = _seal(file, message.title, message.body, picture)
-    return _Line(message.title, message.body, picture, code)
-
-
-def _seal(file: Path, *texts: str) -> str:
-    return seal(json.dumps([str(file.resolve()), *texts]))
-
-
-def _read(file: Path) -> tuple[list[Message], int]:
-    """Return the messages that an earlier process could not send, and the number of refused ones.
-
-    Lines without the seal of this user, computer and session are refused. A picture is attached
-    only if it is a contact sheet of this session.
-    """
-    messages: list[Message] = []
-    refused = 0
-    with suppress(OSError):
-        for line in file.read_bytes().splitlines():
-            try:
-                stored = msgspec.json.decode(line, type=_Line)
-                due = _seal(file, stored.title, stored.body, stored.picture)
-                if not hmac.compare_digest(stored.seal.encode(), due.encode()):
-                    raise ValueError("another seal")
-                picture = _contact_sheet(file, stored.picture)
-                messages.append(Message(stored.title, stored.body, picture))
-            except (ValueError, RecursionError):
-                refused += 1
-    return messages, refused
-
-
-def _contact_sheet(file: Path, name: str) -> Path | None:
-    """Return the path of a contact sheet of the session; None for any other name."""
-    if _CONTACT_SHEET.fullmatch(name) is not None:
-        with suppress(InputError):
-            return inside(file.parent, name, file)
-    return None
+            return type(error).__name__
 
 
 # ----------------------------------------------------------------------------------------------
 # where messages are sent: from a file, because an address contains a password or a token
 
 VARIABLE = "FIELDLUM_NOTIFY"
-_READABLE_BY_OTHERS = 0o077  # permission bits of group and others (POSIX)
 
 
 def read_targets(
@@ -227,7 +137,7 @@ def read_targets(
     addresses = tuple(line for line in lines if line and not line.startswith("#"))
     if not addresses:
         raise InputError(path, "no address in the file", expected, "write an address into it")
-    is_private = os.name != "posix" or not path.stat().st_mode & _READABLE_BY_OTHERS
+    is_private = os.name != "posix" or not path.stat().st_mode & 0o077
     note = f"{path} can be read by other users: run chmod 600 {path}"
     return addresses, "" if is_private else note
 
@@ -267,9 +177,7 @@ def apprise_post(targets: Sequence[str], source: Path | str = "targets") -> Post
 # ----------------------------------------------------------------------------------------------
 # heartbeats
 
-# seconds; monitors usually tolerate several missed periods; see docs/capture.md; chosen
-EVERY_S = 600.0
-TIMEOUT_S = 20.0  # seconds, for a slow mobile network; not measured
+EVERY_S = 600.0  # monitors usually tolerate several missed periods; see docs/capture.md
 
 
 def read_address(option: str) -> str:
@@ -287,7 +195,7 @@ def read_address(option: str) -> str:
 
 def fetch(address: str) -> None:
     """Fetch an address and ignore the content. Raises OSError for no answer or an HTTP error."""
-    with urllib.request.urlopen(address, timeout=TIMEOUT_S) as answer:
+    with urllib.request.urlopen(address, timeout=20.0) as answer:
         answer.read(1024)
 
 

@@ -9,9 +9,8 @@ from dataclasses import asdict
 from typing import Any, Generic, TypeVar
 
 from fieldlum.core.errors import DeviceError
-from fieldlum.devices import CameraInfo, InstrumentInfo
+from fieldlum.devices import CameraInfo, Device, InstrumentInfo
 from fieldlum.devices.clock import Backoff, Clock
-from fieldlum.devices.serial_port import Closable
 from fieldlum.session.tables import DeviceTable
 
 # Not measured: the first pause suits a loose plug, and the longest fits into a slot's window.
@@ -23,7 +22,7 @@ def error_text(error: BaseException) -> str:
     return f"{type(error).__name__}: {error}"[:300]
 
 
-D = TypeVar("D", bound=Closable)
+D = TypeVar("D", bound=Device)
 R = TypeVar("R")
 
 

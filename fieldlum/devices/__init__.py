@@ -25,7 +25,7 @@ from dataclasses import dataclass, field
 from difflib import get_close_matches
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Protocol, TypeVar, runtime_checkable
+from typing import Any, TypeVar
 from urllib.parse import parse_qsl, unquote
 
 from msgspec import Struct, ValidationError, convert
@@ -82,13 +82,22 @@ class InstrumentInfo:
     guard: str = ""
 
 
-class Camera(Protocol):
-    """A camera that takes one frame at a time."""
+class Device:
+    """A camera or an instrument that was opened by its URI."""
 
-    @property
-    def info(self) -> CameraInfo:
-        """Return what the camera reports about itself."""
-        ...
+    def close(self) -> None:
+        """Release it."""
+
+
+class Camera(Device):
+    """A camera that takes one frame at a time; a driver overrides what its camera can do.
+
+    info : what the camera reports about itself; bracket_shots : the numbers of frames of which it
+    takes a bracket by itself, after one command.
+    """
+
+    info: CameraInfo
+    bracket_shots = range(0)
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
         """Take one frame, write it to `target` plus the camera's suffix, and return the file.
@@ -97,21 +106,7 @@ class Camera(Protocol):
         others ignore or reject it. Raises DeviceError if the camera fails or does not offer this
         exposure, OSError if the disk is full.
         """
-        ...
-
-    def close(self) -> None:
-        """Release the camera."""
-        ...
-
-
-@runtime_checkable
-class BracketingCamera(Protocol):
-    """A camera that takes all frames of a bracket by itself after one command."""
-
-    @property
-    def bracket_shots(self) -> range:
-        """The possible numbers of frames in a bracket."""
-        ...
+        raise NotImplementedError
 
     def expose_bracket(self, exposures: Sequence[Exposure], targets: Sequence[Path]) -> list[Path]:
         """Take the frames of a bracket in the given order; return the files written.
@@ -119,25 +114,14 @@ class BracketingCamera(Protocol):
         targets : one path for each frame, to which its suffix is added. Raises DeviceError if the
         camera fails or cannot take the bracket, OSError if the disk is full.
         """
-        ...
-
-
-@runtime_checkable
-class ReportingCamera(Protocol):
-    """A camera that reports which exposure it took; it may differ from the requested one."""
-
-    def exposure_taken(self, written: Path) -> Exposure | None:
-        """Return the exposure of the newest frame, the file `written`; None if not reported."""
-        ...
-
-
-@runtime_checkable
-class Choosing(Protocol):
-    """A camera that can report before a capture which exposures it cannot take."""
+        raise NotImplementedError
 
     def check_offered(self, exposure: Exposure) -> None:
         """Raise DeviceError, with the reason, for an exposure that the camera cannot take."""
-        ...
+
+    def exposure_taken(self, written: Path) -> Exposure | None:
+        """Return the exposure of the newest frame, the file `written`; None if not reported."""
+        return None
 
 
 def refuse_turning(kind: str, heading_deg: float | None) -> None:
@@ -151,19 +135,14 @@ def refuse_turning(kind: str, heading_deg: float | None) -> None:
 
 
 def not_offered(camera: Camera, exposures: Iterable[Exposure]) -> list[str]:
-    """Return why the camera cannot take some of these exposures, each reason once.
-
-    The list is empty for a camera that is not a `Choosing` camera.
-    """
-    reasons: list[str] = []
-    if not isinstance(camera, Choosing):
-        return reasons
+    """Return why the camera cannot take some of these exposures, each reason once."""
+    reasons: dict[str, None] = {}
     for exposure in exposures:
         try:
             camera.check_offered(exposure)
         except DeviceError as error:
-            reasons.append(str(error))
-    return list(dict.fromkeys(reasons))
+            reasons[str(error)] = None
+    return list(reasons)
 
 
 def store_frame(path: Path, body: bytes) -> None:
@@ -191,13 +170,10 @@ def retried(
     return work()
 
 
-class Pyranometer(Protocol):
-    """An instrument that measures irradiance."""
+class Pyranometer(Device):
+    """An instrument that measures irradiance; info : what it reports about itself."""
 
-    @property
-    def info(self) -> InstrumentInfo:
-        """Return what the instrument reports about itself."""
-        ...
+    info: InstrumentInfo
 
     def read(self) -> IrradianceSample:
         """Return one reading: a new one, or the newest that the instrument sent by itself.
@@ -205,20 +181,11 @@ class Pyranometer(Protocol):
         Raises DeviceError if the instrument does not answer, or if the answer is damaged or
         impossible.
         """
-        ...
-
-    def close(self) -> None:
-        """Release the instrument."""
-        ...
-
-
-@runtime_checkable
-class Streaming(Protocol):
-    """An instrument that sends lines with readings without a request."""
+        raise NotImplementedError
 
     def refused(self) -> list[str]:
         """Return the lines rejected since the last call (the newest 100), each with the reason."""
-        ...
+        return []
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,21 +197,14 @@ class IlluminanceReading:
     raw: str = ""
 
 
-class IlluminanceMeter(Protocol):
-    """An instrument that measures illuminance."""
+class IlluminanceMeter(Device):
+    """An instrument that measures illuminance; info : its kind, model and port."""
 
-    @property
-    def info(self) -> InstrumentInfo:
-        """Return the meter's kind, model and port; nothing is sent to the meter."""
-        ...
+    info: InstrumentInfo
 
     def read(self) -> IlluminanceReading:
         """Measure and return the illuminance. Raises DeviceError if the meter cannot measure it."""
-        ...
-
-    def close(self) -> None:
-        """Release the meter."""
-        ...
+        raise NotImplementedError
 
 
 Options = TypeVar("Options", bound=Struct)

@@ -9,7 +9,6 @@ DeviceError, and none of its numbers is used. Nothing is ever sent to such an in
 from __future__ import annotations
 
 import json
-import math
 import re
 import time
 from collections import Counter, deque
@@ -129,9 +128,13 @@ def parse_line(profile: AsciiProfile, line: bytes) -> dict[str, float]:
     Raises DeviceError for a line that is damaged or does not fit the profile, and for a quantity
     outside its limits.
     """
-    text = body_of(profile, line)
-    readers = {"regex": _by_regex, "key-value": _by_keys, "json": _by_json}
-    words = readers[profile.form](profile, text)
+    return _values(profile, body_of(profile, line))
+
+
+def _values(profile: AsciiProfile, text: str) -> dict[str, float]:
+    words = {"regex": _by_regex, "key-value": _by_keys, "json": _by_json}[profile.form](
+        profile, text
+    )
     keys = [e.key for e in profile.entry]
     if missing := [key for key in keys if key not in words]:
         raise _bad(text, f"has no key {', '.join(missing)}")
@@ -199,11 +202,10 @@ def _by_json(profile: AsciiProfile, text: str) -> Mapping[str, object]:
             raise ValueError("a key occurs twice")
         return dict(pairs)
 
+    # Numbers stay text, so that their decimals can be counted.
+    as_text = dict.fromkeys(("parse_float", "parse_int", "parse_constant"), str)
     try:
-        # Read numbers as text, so that their decimals can be counted.
-        parsed = json.loads(
-            text, object_pairs_hook=once, parse_float=str, parse_int=str, parse_constant=str
-        )
+        parsed = json.loads(text, object_pairs_hook=once, **as_text)
     except (ValueError, RecursionError):
         parsed = None
     if not isinstance(parsed, dict):
@@ -215,13 +217,11 @@ def _value(word: object, entry: AsciiField, text: str) -> float:
     """Return the quantity of an entry. Raises DeviceError for a number of another form or range."""
     number = word if isinstance(word, str) else ""
     shown = number.removesuffix(entry.unit)
-    match = _NUMBER.fullmatch(shown.strip())
+    match = _NUMBER.fullmatch(shown.strip()) if number.endswith(entry.unit) else None
     if (
         match is None
-        or not number.endswith(entry.unit)
         or entry.decimals not in (None, len(match[1] or ""))
         or entry.width not in (None, len(shown))
-        or not math.isfinite(float(match[0]))
     ):
         form = f" of {entry.width} characters" if entry.width is not None else ""
         form += f" with {entry.decimals} decimals" if entry.decimals is not None else ""
@@ -248,15 +248,10 @@ def sample_of(t_utc: datetime, values: Mapping[str, float | None], raw: str) -> 
 # ----------------------------------------------------------------------------------------------
 # the driver
 
-# Number of lines whose median is taken, and largest time between them, because the light changes
-# over longer times. Effect in docs/validation.md.
-_VOTES = 3
-_MAX_VOTE_STEP_S = 2.0
+_VOTES = 3  # lines whose median is taken
+_MAX_VOTE_STEP_S = 2.0  # between them; over longer times the light changes (docs/validation.md)
 _GUARD = {"none": FORM_ALONE, "xor": "exclusive or", "crc16": "CRC-16"}
-# Number of recent lines whose form counts, and number from which on it is known. Chosen so that a
-# form is known after half a minute to some minutes; effect in docs/validation.md.
-_RECENT_LINES = 60
-_ENOUGH_LINES = 20
+_RECENT_LINES = 60  # whose form counts: half a minute to some minutes
 _NUMBER_OF_STREAM = re.compile(r"[ \t]*[+-]?\d+(?:\.(\d+))?(?:[eE][+-]?\d{1,2})?")
 
 
@@ -277,7 +272,7 @@ class LineForm:
         are rejected, then the new form is accepted.
         """
         usual, count = Counter(self._forms).most_common(1)[0] if self._forms else ("", 0)
-        known = len(self._forms) >= _ENOUGH_LINES and len(self._forms) - count <= 1
+        known = len(self._forms) >= _RECENT_LINES // 3 and len(self._forms) - count <= 1
         form = _NUMBER_OF_STREAM.sub(lambda match: "#" + "0" * len(match[1] or ""), text)
         form = re.sub(r"[ \t]+", " ", form)
         self._forms.append(form)
@@ -286,52 +281,31 @@ class LineForm:
         return f"its form is {form!r} (# and decimals), and earlier lines have {usual!r}"
 
 
-def voted(values: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    """Return the median of each quantity over some lines, which all have the same quantities.
-
-    One damaged value out of three is either outside the other two, so that the median omits it, or
-    between them, where it does no harm.
-    """
-    return {quantity: median(line[quantity] for line in values) for quantity in values[-1]}
-
-
-class LineInstrument:
-    """An instrument that sends lines; implements `Pyranometer` and `Streaming`.
+class LineInstrument(Pyranometer):
+    """An instrument that sends lines.
 
     A reading is the newest line since the last reading, or else the next line. If three or more
     lines have arrived, on average at most two seconds apart, each quantity is the median of the
-    newest three. Raises DeviceError if the port cannot be opened.
+    newest three: one damaged value is outside the other two, or does no harm between them. Raises
+    DeviceError if the port cannot be opened.
     """
 
     def __init__(
         self, place: str, profile: AsciiProfile, clock: Clock, *, silence_s: float | None = None
     ) -> None:
-        line = profile.line
+        p = profile
         self._profile, self._clock = profile, clock
-        self._silence_s = line.silence_s if silence_s is None else silence_s
-        self._port = SerialPort(place, line, timeout_s=0.05)  # sets how often it is polled
+        self._silence_s = p.line.silence_s if silence_s is None else silence_s
+        self._port = SerialPort(place, p.line, timeout_s=0.05)  # sets how often it is polled
         # None: the first line may have begun before the port was opened.
         self._rest: bytes | None = None
         self._form = LineForm()
         self._refused: deque[str] = deque(maxlen=100)  # for `refused`
         self._last_read_s = clock.boottime()
-
-    @property
-    def info(self) -> InstrumentInfo:
-        """Return what the profile states about the instrument."""
-        p = self._profile
-        gives = tuple(
-            e.quantity.removesuffix("_wm2") for e in p.entry if e.quantity.endswith("_wm2")
-        )
-        return InstrumentInfo(
-            "ascii",
-            p.model or p.name,
-            p.serial,
-            calibration_date=p.calibration_date,
-            port=self._port.name,
-            gives=gives,
-            guard=_GUARD[p.checksum],
-        )
+        quantities = (e.quantity.partition("_wm2") for e in p.entry)
+        gives = tuple(name for name, is_light, _ in quantities if is_light)
+        about = p.model or p.name, p.serial, "", p.calibration_date, "", "", self._port.name
+        self.info = InstrumentInfo("ascii", *about, gives, _GUARD[p.checksum])
 
     def read(self) -> IrradianceSample:
         """Return a reading; wait for a line if there is none.
@@ -355,8 +329,9 @@ class LineInstrument:
                 raise DeviceError(f"{self._port.name}: {why}")
 
     def _understood(self, line: bytes) -> tuple[str, dict[str, float]]:
-        values = parse_line(self._profile, line)
-        if reason := self._form.unlike(body_of(self._profile, line)):
+        text = body_of(self._profile, line)
+        values = _values(self._profile, text)
+        if reason := self._form.unlike(text):
             raise DeviceError(f"the line differs from earlier lines: {reason}; check the cable")
         return line.decode("ascii").strip(), values
 
@@ -365,9 +340,9 @@ class LineInstrument:
         apart_s = (now - self._last_read_s) / len(valid)
         self._last_read_s = now
         can_vote = len(valid) >= _VOTES and apart_s <= _MAX_VOTE_STEP_S
-        newest = valid[-_VOTES:] if can_vote else valid[-1:]
-        texts = " | ".join(dict.fromkeys(text for text, _ in newest))
-        return sample_of(self._clock.now(), voted([values for _, values in newest]), texts)
+        texts, values = zip(*valid[-_VOTES if can_vote else -1 :], strict=True)
+        middle = {q: median(line[q] for line in values) for q in values[-1]}
+        return sample_of(self._clock.now(), middle, " | ".join(dict.fromkeys(texts)))
 
     def refused(self) -> list[str]:
         """Return the lines rejected since the last call (the newest 100), each with the reason."""
@@ -393,15 +368,15 @@ class LineInstrument:
         self._port.close()
 
 
-class _Spn1Options(Struct):
-    kind: Literal["spn1", "ascii"] | None = None
+class _Options(Struct):
+    kind: Literal["spn1", "ascii"]
     baud: Annotated[int, Meta(ge=300, le=921600)] = 9600
     timeout: Annotated[float, Meta(ge=0.1, le=60.0)] = 2.0
 
 
 class _LineOptions(Struct):
     kind: str
-    profile: str = ""
+    profile: str
     silence: Annotated[float, Meta(ge=0.1, le=600.0)] | None = None
 
 
@@ -413,18 +388,15 @@ def open_pyranometer(
     Raises DeviceError for unknown options, a missing port, kind or profile, and for an SPN1 that
     does not answer; InputError for a broken profile.
     """
-    if not uri.place:
-        example = "serial:/dev/serial/by-id/NAME?kind=spn1"
-        raise DeviceError(f"{uri.text}: no port; expected a URI like {example}")
-    if uri.options.get("kind") == "ascii":
+    is_ascii = uri.options.get("kind") == "ascii"
+    if not uri.place or "kind" not in uri.options or (is_ascii and "profile" not in uri.options):
+        expected = "serial:PORT?kind=spn1 or serial:PORT?kind=ascii&profile=NAME"
+        raise DeviceError(f"{uri.text}: no port, no kind or no profile; expected {expected}")
+    if is_ascii:
         stated = uri.read(_LineOptions)
-        if not stated.profile:
-            raise DeviceError(f"{uri.text}: no profile; add &profile= and a name or a TOML file")
         profile = load_ascii_profile(stated.profile)
         return LineInstrument(uri.place, profile, clock, silence_s=stated.silence)
-    options = uri.read(_Spn1Options)
-    if not options.kind:
-        raise DeviceError(f"{uri.text}: no kind; add ?kind=spn1 or ?kind=ascii&profile=NAME")
+    options = uri.read(_Options)
     from fieldlum.devices.spn1 import Spn1
 
     return Spn1(uri.place, clock, baud=options.baud, timeout_s=options.timeout)

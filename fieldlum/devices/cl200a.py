@@ -11,12 +11,18 @@ import re
 from collections.abc import Callable
 from functools import reduce
 from operator import xor
-from typing import Literal
+from typing import Any, Literal
 
 from msgspec import Struct
 
 from fieldlum.core.errors import DeviceError
-from fieldlum.devices import DeviceUri, IlluminanceReading, InstrumentInfo, retried
+from fieldlum.devices import (
+    DeviceUri,
+    IlluminanceMeter,
+    IlluminanceReading,
+    InstrumentInfo,
+    retried,
+)
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.serial_port import SerialLine, SerialPort, closed_on_error
 
@@ -34,10 +40,7 @@ _ERRORS = {
     "5": "the light is over the meter's range; measure in less light",
     "7": "the light is out of the meter's range; measure in other light",
 }
-# Pauses that the meter needs after commands (CS-A32T): 0.5 s after PC mode, hold and measure,
-# 0.175 s after EXT_ON.
-_LONG_PAUSE_S = 0.5
-_SHORT_PAUSE_S = 0.175
+_PAUSE_S = 0.5  # that the meter needs after PC mode, hold and measure (CS-A32T)
 _ANSWER = re.compile(r"(\d{2})(\d{2})(.)(.)(.)(.)((?:[+\-=][ \d]{4}\d){3})", re.DOTALL)
 
 
@@ -46,10 +49,7 @@ class NotReady(DeviceError):
 
 
 def bcc(body: bytes) -> bytes:
-    """Return the check digits (BCC) of a frame: exclusive or of `body` and ETX, as two hex digits.
-
-    body : without STX and ETX.
-    """
+    """Return the check digits (BCC) of a body without STX and ETX: two hex digits."""
     return b"%02X" % reduce(xor, body + ETX)
 
 
@@ -104,41 +104,29 @@ def parse_answer(reply: bytes) -> IlluminanceReading:
     return IlluminanceReading(illuminance_lx, match[6] == "1", reply.decode("ascii").strip())
 
 
-class Cl200a:
-    """A CL-200A on a serial port; implements `IlluminanceMeter`.
+class Cl200a(IlluminanceMeter):
+    """A CL-200A on a serial port.
 
     place : the port; sleep : waits for a number of seconds; parity : "N" for a line of 8 bits
-    without parity. Raises DeviceError if the port cannot be opened, or if the meter does not answer
-    or its answer is damaged.
+    without parity: for converters that remove it, and for tests on a pty. Raises DeviceError if the
+    port cannot be opened, or if the meter does not answer or its answer is damaged.
     """
 
     def __init__(
-        self,
-        place: str,
-        sleep: Callable[[float], None],
-        *,
-        parity: Literal["E", "N"] = "E",
-        timeout_s: float = 1.5,
+        self, place: str, sleep: Callable[[float], None], *, parity: Literal["E", "N"] = "E"
     ) -> None:
         self._sleep = sleep
-        # "N" is for tests (a pty has neither seven bits nor parity) and for converters that remove
-        # them.
         line = SerialLine(bits=7 if parity == "E" else 8, parity=parity)
-        self._port = SerialPort(place, line, timeout_s=timeout_s)
+        self._port = SerialPort(place, line, timeout_s=1.5)
+        about: dict[str, Any] = {"port": self._port.name, "gives": ("illuminance",)}
+        self.info = InstrumentInfo("cl200a", "Konica Minolta CL-200A", **about)
         with closed_on_error(self):
             self._answer(PC_MODE)
-            sleep(_LONG_PAUSE_S)
+            sleep(_PAUSE_S)
             self._port.write(frame(HOLD))
-            sleep(_LONG_PAUSE_S)
+            sleep(_PAUSE_S)
             self._answer(EXT_ON)
-            sleep(_SHORT_PAUSE_S)
-
-    @property
-    def info(self) -> InstrumentInfo:
-        """Return the meter's kind, model and port; nothing is sent to the meter."""
-        return InstrumentInfo(
-            "cl200a", "Konica Minolta CL-200A", port=self._port.name, gives=("illuminance",)
-        )
+            sleep(_PAUSE_S)
 
     def read(self) -> IlluminanceReading:
         """Measure, up to four times until the meter is ready, and return the illuminance.
@@ -151,7 +139,7 @@ class Cl200a:
     def _measure(self) -> IlluminanceReading:
         self._port.drain()
         self._port.write(frame(MEASURE))
-        self._sleep(_LONG_PAUSE_S)
+        self._sleep(_PAUSE_S)
         return parse_answer(self._answer(READ_EVXY))
 
     def _answer(self, command: bytes) -> bytes:

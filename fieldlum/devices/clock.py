@@ -7,7 +7,6 @@ import ctypes.util
 import sys
 import time
 from datetime import UTC, datetime, timedelta
-from typing import Protocol
 
 # State of adjtimex for a clock that is not synchronised (TIME_ERROR, <sys/timex.h>).
 _TIME_ERROR = 5
@@ -49,31 +48,11 @@ class Backoff:
         return pause_s
 
 
-class Clock(Protocol):
-    """Protocol of a clock: wall time, seconds with and without the computer's sleep, waiting."""
+class Clock:
+    """The computer's own clocks: wall time, seconds with and without its sleep, waiting."""
 
     def now(self) -> datetime:
         """Return wall time, aware UTC; users and time servers may step it."""
-        ...
-
-    def monotonic(self) -> float:
-        """Return seconds since a fixed start; they stop while the computer sleeps."""
-        ...
-
-    def boottime(self) -> float:
-        """Return seconds since a fixed start; they continue while the computer sleeps."""
-        ...
-
-    def sleep(self, seconds: float) -> None:
-        """Wait for a number of seconds; not at all for a negative one."""
-        ...
-
-
-class RealClock:
-    """The computer's own clocks."""
-
-    def now(self) -> datetime:
-        """Return wall time, aware UTC."""
         return datetime.now(UTC)
 
     def monotonic(self) -> float:
@@ -82,57 +61,40 @@ class RealClock:
 
     def boottime(self) -> float:
         """Return seconds since a fixed start; on Linux they continue while the computer sleeps."""
-        # Only Linux has this clock. On macOS and Windows time.monotonic already counts sleep, or no
-        # clock does.
-        return (
-            time.clock_gettime(time.CLOCK_BOOTTIME)
-            if hasattr(time, "CLOCK_BOOTTIME")
-            else time.monotonic()
-        )
+        # On macOS and Windows time.monotonic already counts sleep, or no clock does.
+        is_linux = hasattr(time, "CLOCK_BOOTTIME")
+        return time.clock_gettime(time.CLOCK_BOOTTIME) if is_linux else time.monotonic()
 
     def sleep(self, seconds: float) -> None:
         """Wait for a number of seconds; not at all for a negative one."""
         time.sleep(max(seconds, 0.0))
 
 
-class FastClock:
+class FastClock(Clock):
     """A simulated clock: `sleep` returns at once and moves its time forward.
 
-    start : first time, aware; true_utc : time of the simulated sun, which `step` does not change;
-    `step` and `suspend` disturb it like a computer's clock. Raises ValueError for a naive start.
+    start : first time, aware; true_utc : time of the simulated sun. Raises ValueError for a naive
+    start.
     """
 
     def __init__(self, start: datetime) -> None:
         if start.tzinfo is None:
             raise ValueError(f"naive time {start}: add a time zone")
-        self.true_utc = start.astimezone(UTC)
-        self._step_s = self._boot_s = self._slept_s = 0.0
+        self.true_utc, self._boot_s = start.astimezone(UTC), 0.0
 
     def now(self) -> datetime:
-        """Return wall time, aware UTC: true time plus all steps."""
-        return self.true_utc + timedelta(seconds=self._step_s)
+        """Return the simulated time, aware UTC."""
+        return self.true_utc
 
     def monotonic(self) -> float:
-        """Return seconds since a fixed start; they stop while the computer sleeps."""
-        return self._boot_s - self._slept_s
+        """Return simulated seconds since the start."""
+        return self._boot_s
 
     def boottime(self) -> float:
-        """Return seconds since a fixed start; they continue while the computer sleeps."""
+        """Return simulated seconds since the start."""
         return self._boot_s
 
     def sleep(self, seconds: float) -> None:
         """Advance the time by `seconds`; not at all for a negative number."""
-        self._pass(max(seconds, 0.0))
-
-    def step(self, seconds: float) -> None:
-        """Set the wall clock forward by `seconds` (or back, if negative)."""
-        self._step_s += seconds
-
-    def suspend(self, seconds: float) -> None:
-        """Simulate sleep of the computer: wall and boot time continue, monotonic time does not."""
-        self._slept_s += seconds
-        self._pass(seconds)
-
-    def _pass(self, seconds: float) -> None:
-        self.true_utc += timedelta(seconds=seconds)
-        self._boot_s += seconds
+        self.true_utc += timedelta(seconds=max(seconds, 0.0))
+        self._boot_s += max(seconds, 0.0)

@@ -1,7 +1,7 @@
 """Drive a tethered camera through libgphoto2: ``gphoto:``, ``gphoto:Nikon``.
 
 The option ``?delete=1`` deletes each picture from the card after it was copied. libgphoto2 runs in
-a child process, which is killed if it hangs and restarted after a crash.
+a child process, which is killed if it hangs; after a hang or a crash the camera is opened again.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 import multiprocessing
 import re
 import signal
-import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -21,7 +20,15 @@ from msgspec import Struct
 
 from fieldlum.core.errors import DeviceError, install_text
 from fieldlum.core.records import Exposure
-from fieldlum.devices import CameraInfo, DeviceUri, nearest, refuse_turning, retried, store_frame
+from fieldlum.devices import (
+    Camera,
+    CameraInfo,
+    DeviceUri,
+    nearest,
+    refuse_turning,
+    retried,
+    store_frame,
+)
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.serial_port import closed_on_error
 from fieldlum.optics.raw import RAW_SUFFIXES
@@ -38,10 +45,8 @@ _WIDGETS = {
     "iso": ("iso", "isospeed"),
 }
 _ERRORS = {  # codes of gphoto2-port-result.h and gphoto2-result.h
-    -1: "unspecified error",
     -3: "out of memory, or the camera's card is full; delete pictures on the card",
     -7: "input/output error; check the cable",
-    -10: "timeout",
     -52: "the camera is not on USB; check the cable and switch the camera on",
     -53: "another program uses it; close that program, or run 'gio mount -s gphoto2'",
     -105: "no camera found; switch it on, set it to PTP, and check the cable",
@@ -73,17 +78,13 @@ def choose(role: str, asked: float, choices: list[str]) -> str:
     return offered[nearest(asked, offered, f"camera {role}", unit, ev_per_octave=ev_per_octave)]
 
 
-def _roles(exposure: Exposure) -> tuple[tuple[str, float], ...]:
-    return ("aperture", exposure.f_number), ("iso", exposure.iso), ("shutter", exposure.shutter_s)
+class GphotoCamera(Camera):
+    """A tethered camera, by libgphoto2 in a child process that a hang or a crash ends.
 
-
-class GphotoCamera:
-    """A tethered camera, by libgphoto2 in a child process; implements `Camera` and `Choosing`.
-
-    After a hang or a crash the next `expose` restarts the child. delete : whether copied pictures
-    are deleted from the card; readout_s : time that is added to the shutter time before a call
-    counts as hung; late_file_s : time to wait for the second file of a raw and JPEG pair. Raises
-    DeviceError if the camera cannot be opened or offers no shutter times.
+    delete : whether copied pictures are deleted from the card; readout_s : time that is added to
+    the shutter time before a call counts as hung; late_file_s : time to wait for the second file of
+    a raw and JPEG pair. Raises DeviceError if the camera cannot be opened or offers no shutter
+    times.
     """
 
     def __init__(
@@ -96,18 +97,13 @@ class GphotoCamera:
         late_file_s: float = 0.15,
     ) -> None:
         self._child = Child("gphoto", serve)
-        self._model, self._delete, self._readout_s = model, delete, readout_s
-        self._late_ms = round(1000 * late_file_s)
+        self._delete, self._readout_s, self._late_ms = delete, readout_s, round(1000 * late_file_s)
         with closed_on_error(self):
-            self._open()
-
-    def _open(self) -> None:
-        about: dict[str, Any] = self._child.ask("open", self._model, timeout_s=PATIENCE_S)
-        self._opened_at_start = self._child.starts
-        self._settings: dict[str, tuple[str, list[str]]] = about.pop("settings")
-        self.info = CameraInfo("gphoto", **about)
-        if "shutter" not in self._settings:
-            raise DeviceError("gphoto: the camera offers no shutter times; set its dial to M")
+            about: dict[str, Any] = self._child.ask("open", model, timeout_s=PATIENCE_S)
+            self._settings: dict[str, tuple[str, list[str]]] = about.pop("settings")
+            self.info = CameraInfo("gphoto", **about)
+            if "shutter" not in self._settings:
+                raise DeviceError("gphoto: the camera offers no shutter times; set its dial to M")
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
         """Set what the camera lets a computer set, take the frame and copy it; return the file.
@@ -117,8 +113,6 @@ class GphotoCamera:
         another setting, and OSError if the disk is full.
         """
         refuse_turning("gphoto", heading_deg)
-        if not self._child.alive or self._child.starts != self._opened_at_start:
-            self._open()
         for widget, text in self._chosen(exposure).items():
             shown = self._child.ask("set", widget, text, timeout_s=PATIENCE_S)
             if shown != text:
@@ -138,8 +132,10 @@ class GphotoCamera:
 
     def _chosen(self, exposure: Exposure) -> dict[str, str]:
         """Return the camera's own text of each setting, by widget."""
-        roles = ((*self._settings[r], r, v) for r, v in _roles(exposure) if r in self._settings)
-        return {widget: choose(role, value, choices) for widget, choices, role, value in roles}
+        e = exposure
+        wanted = {"aperture": e.f_number, "iso": e.iso, "shutter": e.shutter_s}
+        there = {role: self._settings[role] for role in wanted if role in self._settings}
+        return {name: choose(role, wanted[role], of) for role, (name, of) in there.items()}
 
     def close(self) -> None:
         """End the child process, which releases the camera."""
@@ -170,24 +166,20 @@ def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None)
 
 
 class Child:
-    """A child process that starts with the first command and runs one command at a time.
+    """A child process that runs one command at a time, until a hang or a crash ends it.
 
     name : for errors; serve : function that the child runs: it receives (command, arguments) and
-    answers ("ok", result) or ("error", exception); starts : number of times that it was started.
-    The next command after its end starts it again.
+    answers ("ok", result) or ("error", exception).
     """
 
     def __init__(self, name: str, serve: Serve) -> None:
-        self._name, self._serve = name, serve
-        self._lock = threading.Lock()
-        self._process: Any = None
-        self._pipe: Connection | None = None
-        self.starts = 0
-
-    @property
-    def alive(self) -> bool:
-        """Whether the process runs."""
-        return self._process is not None and self._process.is_alive()
+        self._name = name
+        # Never fork, because neither libusb nor threads survive it.
+        context = multiprocessing.get_context("spawn")
+        self._pipe, theirs = context.Pipe()
+        self._process = context.Process(target=serve, args=(theirs,), daemon=True)
+        self._process.start()
+        theirs.close()
 
     def ask(self, command: str, *arguments: Any, timeout_s: float) -> Any:
         """Send a command to the child and return its answer, or raise the error that it answers.
@@ -195,58 +187,36 @@ class Child:
         Raises DeviceError if the child dies, or does not answer within `timeout_s` (it is then
         killed).
         """
-        with self._lock:
-            pipe = self._ready()
-            try:
-                pipe.send((command, arguments))
-                if not pipe.poll(timeout_s):
-                    self._kill()
-                    why = f"did not answer within {timeout_s:g} s and its process was killed"
-                    raise DeviceError(f"{self._name}: '{command}' {why}; check cable and battery")
-                kind, result = pipe.recv()
-            except (EOFError, OSError):
-                code = self._kill(grace_s=5.0)  # the process is ending, so wait for its exit code
-                why = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
-                raise DeviceError(
-                    f"{self._name}: the driver crashed in '{command}' ({why}); check cable and "
-                    "battery, then run the command again"
-                ) from None
+        try:
+            self._pipe.send((command, arguments))
+            answer: Any = self._pipe.recv() if self._pipe.poll(timeout_s) else None
+        except (EOFError, OSError):
+            code = self._end(5.0)  # the process is ending, so wait for its exit code
+            why = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
+            why = f"the driver crashed in '{command}' ({why}); check cable and battery"
+            raise DeviceError(f"{self._name}: {why}") from None
+        if answer is None:
+            self._end(0.1)
+            why = f"did not answer within {timeout_s:g} s and its process was killed"
+            raise DeviceError(f"{self._name}: '{command}' {why}; check cable and battery")
+        kind, result = answer
         if kind == "error":
             raise result
         return result
 
-    def _ready(self) -> Connection:
-        if self._pipe is None or not self.alive:
-            self._kill()
-            # Never fork, because neither libusb nor threads survive it.
-            context = multiprocessing.get_context("spawn")
-            self._pipe, theirs = context.Pipe()
-            self._process = context.Process(target=self._serve, args=(theirs,), daemon=True)
-            self._process.start()
-            theirs.close()
-            self.starts += 1
-        return self._pipe
-
-    def _kill(self, grace_s: float = 0.1) -> int:
-        """End the process and return its exit code, 0 without a process."""
-        if self._pipe is not None:
-            self._pipe.close()
-            self._pipe = None
-        process, self._process = self._process, None
-        if process is None:
-            return 0
-        process.join(grace_s)
-        process.kill()
-        process.join(5.0)
-        return process.exitcode or 0
+    def _end(self, grace_s: float) -> int:
+        """Kill the process if it still runs after `grace_s`; return its exit code."""
+        self._process.join(grace_s)
+        self._process.kill()
+        self._process.join(5.0)
+        self._pipe.close()
+        return self._process.exitcode or 0
 
     def close(self, timeout_s: float = 3.0) -> None:
         """Tell the child to end, and kill it if it still runs after `timeout_s`."""
-        with self._lock:
-            if self._pipe is not None and self.alive:
-                with suppress(OSError, EOFError):
-                    self._pipe.send(("close", ()))
-            self._kill(timeout_s)
+        with suppress(OSError):
+            self._pipe.send(("close", ()))
+        self._end(timeout_s)
 
 
 def serve(pipe: Connection) -> None:
@@ -342,7 +312,7 @@ class _Driver:
             raise ValueError(f"{name}: {text} is not one of the camera's choices")
         if widget.get_value() != text:
             widget.set_value(text)
-            _patiently(lambda: self._camera.set_single_config(name, widget))
+            self._patiently(lambda: self._camera.set_single_config(name, widget))
         return self._camera.get_single_config(name).get_value()
 
     def expose(self, target: str, delete: bool, late_ms: int) -> str:
@@ -355,7 +325,7 @@ class _Driver:
         for _ in range(50):  # discard events of earlier pictures
             if camera.wait_for_event(1)[0] == gp.GP_EVENT_TIMEOUT:
                 break
-        first = _patiently(lambda: camera.capture(gp.GP_CAPTURE_IMAGE))
+        first = self._patiently(lambda: camera.capture(gp.GP_CAPTURE_IMAGE))
         files = [(first.folder, first.name)]
         kind, data = camera.wait_for_event(late_ms)
         while kind not in (gp.GP_EVENT_TIMEOUT, gp.GP_EVENT_CAPTURE_COMPLETE) and len(files) < 4:
@@ -373,12 +343,11 @@ class _Driver:
                 camera.file_delete(folder, name)
         return str(path)
 
+    def _patiently(self, work: Callable[[], Any]) -> Any:
+        """Call `work`; call it again while the camera reports that it is busy."""
+        return retried(work, lambda error: getattr(error, "code", 0) == _BUSY, 0.5)
+
     def close(self) -> None:
         """Release the camera."""
         with suppress(self.gp.GPhoto2Error):
             self._camera.exit()
-
-
-def _patiently(work: Callable[[], Any]) -> Any:
-    """Call `work`; call it again while the camera reports that it is busy."""
-    return retried(work, lambda error: getattr(error, "code", 0) == _BUSY, 0.5)

@@ -12,7 +12,7 @@ from __future__ import annotations
 import logging
 import math
 import struct
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import date
@@ -24,7 +24,7 @@ from msgspec import Meta, Struct
 from fieldlum.core.errors import DeviceError, InputError
 from fieldlum.core.records import IrradianceSample
 from fieldlum.core.strict_toml import build, read_toml
-from fieldlum.devices import DeviceUri, InstrumentInfo
+from fieldlum.devices import DeviceUri, InstrumentInfo, Pyranometer
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.serial_port import SerialLine, SerialPort, closed_on_error, device_errors
 from fieldlum.optics.profiles import shipped
@@ -173,11 +173,11 @@ def load_register_profile(kind: str) -> RegisterProfile:
     return profile
 
 
-def _bytes(words: Iterable[int]) -> bytes:
-    return b"".join(struct.pack(">H", word) for word in words)
+def _bytes(words: Sequence[int]) -> bytes:
+    return struct.pack(f">{len(words)}H", *words)
 
 
-def raw_value(kind: str, words: Iterable[int]) -> float:
+def raw_value(kind: str, words: Sequence[int]) -> float:
     """Return the number in `words`, 16-bit registers with the high word first.
 
     kind : u16, s16, u32, s32, f32 or date.
@@ -247,11 +247,13 @@ class _Options(Struct):
     timeout: Annotated[float, Meta(ge=0.05, le=30.0)] = 0.5
 
 
-class ModbusPyranometer:
-    """One instrument, or several of one kind, on one bus; implements `Pyranometer`.
+class ModbusPyranometer(Pyranometer):
+    """One instrument, or several of one kind, on one bus.
 
-    units : addresses by what is measured: ghi, dhi, dni. Raises DeviceError if the port cannot be
-    opened, or if an instrument does not answer or its answer is damaged or impossible.
+    units : addresses by what is measured: ghi, dhi, dni. Models, serial numbers, firmware and
+    sensitivities of several instruments are joined by " + "; the calibration date is the oldest.
+    Raises DeviceError if the port cannot be opened, or if an instrument does not answer or its
+    answer is damaged or impossible.
     """
 
     def __init__(
@@ -261,39 +263,32 @@ class ModbusPyranometer:
         line: SerialLine,
         units: Mapping[str, int],
         clock: Clock,
-        *,
         timeout_s: float,
     ) -> None:
         self._profile, self._units, self._clock = profile, units, clock
         self._client, self.name = _connected(place, line, timeout_s)
         blocks = profile.at_open + profile.poll
         with closed_on_error(self):
-            self._about = [self._ask(unit, blocks)[0] for unit in units.values()]
+            about = [self._ask(unit, blocks)[0] for unit in units.values()]
 
-    @property
-    def info(self) -> InstrumentInfo:
-        """Return what the instruments and the profile state.
+        def texts(name: str) -> list[str]:
+            numbers = [f"{d.values[name]:.10g}" if name in d.values else "" for d in about]
+            return [t for d, n in zip(about, numbers, strict=True) if (t := d.texts.get(name) or n)]
 
-        Models, serial numbers, firmware and sensitivities of several instruments are joined by
-        " + "; the calibration date is the oldest.
-        """
-
-        def texts(name: str) -> str:
-            numbers = [f"{d.values[name]:.10g}" if name in d.values else "" for d in self._about]
-            texts = [d.texts.get(name) for d in self._about]
-            return " + ".join(filter(None, (t or n for t, n in zip(texts, numbers, strict=True))))
-
-        dates = [date for d in self._about if (date := d.texts.get("calibration_date"))]
-        return InstrumentInfo(
-            self._profile.kind,
-            texts("model") or f"{self._profile.maker} {self._profile.models[0]}",
-            texts("serial"),
-            texts("firmware"),
-            min(dates, default=""),  # the oldest of several instruments
-            texts("sensitivity"),
-            " ".join(d.status for d in self._about if d.status),
+        model, *others = (
+            " + ".join(texts(n)) for n in ("model", "serial", "firmware", "sensitivity")
+        )
+        serial, firmware, sensitivity = others
+        self.info = InstrumentInfo(
+            profile.kind,
+            model or f"{profile.maker} {profile.models[0]}",
+            serial,
+            firmware,
+            min(texts("calibration_date"), default=""),
+            sensitivity,
+            " ".join(d.status for d in about if d.status),
             self.name,
-            tuple(self._units),
+            tuple(units),
             "CRC-16",
         )
 
@@ -324,7 +319,7 @@ class ModbusPyranometer:
 
     def _words(self, unit: int, block: RegisterBlock) -> list[int]:
         """Return the registers of one block. Raises DeviceError."""
-        from pymodbus.exceptions import ConnectionException, ModbusException
+        from pymodbus.exceptions import ModbusException
 
         whose = f"{self.name}: {self._profile.kind} unit {unit}"
         read = self._client.read_holding_registers
@@ -333,9 +328,7 @@ class ModbusPyranometer:
         try:
             with device_errors(self.name):
                 answer = read(block.start, count=block.count, device_id=unit)
-        except ConnectionException:
-            raise DeviceError(f"{whose}: the connection is lost; check cable and power") from None
-        except ModbusException:  # no answer, or one with a wrong checksum
+        except ModbusException:  # no answer, one with a wrong checksum, or a lost connection
             remedy = "check wiring, power, unit number, baud rate and parity"
             raise DeviceError(f"{whose} does not answer; {remedy}") from None
         if answer.isError() or len(answer.registers) != block.count:
@@ -364,7 +357,7 @@ def _connected(place: str, line: SerialLine, timeout_s: float) -> tuple[Any, str
         return client, place
     port = SerialPort(place, line, timeout_s=timeout_s)
     client = ModbusSerialClient(port.name, baudrate=line.baud, timeout=timeout_s, retries=0)
-    client.socket = port.handle
+    client.socket = port.port
     return client, port.name
 
 
@@ -391,4 +384,4 @@ def open_pyranometer(
         raise DeviceError(f"{uri.text}: a unit number occurs twice; each unit needs its own")
     stated = {"baud": options.baud, "parity": options.parity, "stop": options.stop}
     line = replace(profile.line, **{name: value for name, value in stated.items() if value})
-    return ModbusPyranometer(uri.place, profile, line, units, clock, timeout_s=options.timeout)
+    return ModbusPyranometer(uri.place, profile, line, units, clock, options.timeout)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import shutil
 from contextlib import suppress
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -15,13 +16,11 @@ from msgspec import Struct
 
 from fieldlum.core.errors import DeviceError, InputError
 from fieldlum.core.records import Exposure
-from fieldlum.devices import CameraInfo, DeviceUri
+from fieldlum.devices import Camera, CameraInfo, DeviceUri
 from fieldlum.devices.clock import Clock
 from fieldlum.optics.photometry import same_exposure
-from fieldlum.optics.raw import FrameInfo, read_exif
-from fieldlum.session import Session
-
-_NO_FRAMES = {".json", ".toml", ".csv", ".txt", ".xmp", ".exr", ".hdr", ".tmp", ".md"}
+from fieldlum.optics.raw import RAW_SUFFIXES, FrameInfo, is_jpeg, read_exif
+from fieldlum.session import Session, exposure_text
 
 
 def frames_of(folder: Path) -> list[tuple[Path, FrameInfo]]:
@@ -31,8 +30,8 @@ def frames_of(folder: Path) -> list[tuple[Path, FrameInfo]]:
     DeviceError if no frame remains.
     """
     frames = []
-    for path in sorted(p for p in folder.rglob("*") if p.is_file() and p.name[0] != "."):
-        if path.suffix.lower() not in _NO_FRAMES:
+    for path in sorted(p for p in folder.rglob("[!.]*") if p.is_file()):
+        if path.suffix.lower() in RAW_SUFFIXES or is_jpeg(path):
             with suppress(InputError):
                 frames.append((path, read_exif(path)))
     if not frames:
@@ -46,8 +45,8 @@ def frames_of(folder: Path) -> list[tuple[Path, FrameInfo]]:
     return sorted(frames, key=when)
 
 
-class ReplayCamera:
-    """Copies frames that were taken before; implements `Camera`.
+class ReplayCamera(Camera):
+    """Copies frames that were taken before.
 
     Raises DeviceError if the folder and its subfolders have no frame.
     """
@@ -56,12 +55,7 @@ class ReplayCamera:
         self._clock = clock
         self._left = frames_of(folder)
         first = self._left[0][1]
-        self._make, self._model = first.make, first.model
-
-    @property
-    def info(self) -> CameraInfo:
-        """Return the first frame's make and model, and the number of unused frames."""
-        return CameraInfo("replay", self._make, self._model, frames_left=len(self._left))
+        self.info = CameraInfo("replay", first.make, first.model, frames_left=len(self._left))
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
         """Copy the next unused frame with this exposure to `target` plus its suffix.
@@ -75,15 +69,11 @@ class ReplayCamera:
                 del self._left[i]
                 written = target.with_name(f"{target.name}{path.suffix.lower()}")
                 shutil.copyfile(path, written)
+                self.info = replace(self.info, frames_left=len(self._left))
                 self._clock.sleep(exposure.shutter_s)
                 return written
-        shown = f"{exposure.shutter_s:.5g} s f/{exposure.f_number:g} ISO {exposure.iso:g}"
-        found = f"no unused frame of {shown}, only {len(self._left)} of other exposures"
+        found = f"no unused frame of {exposure_text(exposure)}, only {len(self._left)} of others"
         raise DeviceError(f"replay: {found}; plan what the folder has")
-
-    def close(self) -> None:
-        """Forget the frames that were not replayed; their files stay."""
-        self._left = []
 
 
 def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None) -> ReplayCamera:

@@ -16,16 +16,15 @@ import os
 import re
 import signal
 import subprocess
-import sys
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from msgspec import Meta, Struct, field, json
 
 from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import Exposure, shutter_text
-from fieldlum.devices import CameraInfo, DeviceUri, refuse_turning
+from fieldlum.devices import Camera, CameraInfo, DeviceUri, refuse_turning
 from fieldlum.devices.clock import Clock
 from fieldlum.optics.photometry import SAME_SETTING_EV
 from fieldlum.session import Session
@@ -42,7 +41,7 @@ GAIN_TOLERANCE = 0.03
 ISO_OF_GAIN_1 = 100.0  # rpicam-apps writes ISO = 100 times the gain into its DNGs
 _MIN_FILE_BYTES = 100_000  # bytes: a raw frame of the smallest module has over a million; chosen
 _Positive = Annotated[float, Meta(gt=0.0)]
-_CAMERA_LINE = re.compile(r"(?m)^(\d+) : (\S+) \[([^\]]*)\]")
+_CAMERA_LINE = re.compile(r"(?m)^(\d+) : (\S+) \[")
 
 
 class FrameMetadata(Struct, frozen=True):
@@ -75,22 +74,17 @@ def parse_metadata(text: str) -> FrameMetadata:
     try:
         return json.decode(text, type=FrameMetadata)
     except (ValueError, RecursionError) as error:
-        expected = "expected JSON with ExposureTime and AnalogueGain above 0"
-        raise DeviceError(
-            f"rpicam: metadata: {str(error)[:120]}; {expected}; install a newer rpicam-apps"
-        ) from None
+        found = f"{str(error)[:120]}; expected JSON with ExposureTime and AnalogueGain above 0"
+        raise DeviceError(f"rpicam: metadata: {found}; install a newer rpicam-apps") from None
 
 
-def parse_cameras(text: str) -> dict[int, tuple[str, str]]:
-    """Return {number: (sensor, format)} of the cameras in the output of --list-cameras.
-
-    format : the text in brackets, such as "4056x3040 12-bit RGGB". Empty without cameras.
-    """
-    return {int(m[1]): (m[2], m[3]) for m in _CAMERA_LINE.finditer(text)}
+def parse_cameras(text: str) -> dict[int, str]:
+    """Return {number: sensor} of the cameras in the output of --list-cameras."""
+    return {int(m[1]): m[2] for m in _CAMERA_LINE.finditer(text)}
 
 
-class RpicamCamera:
-    """A Raspberry Pi camera; implements `Camera`, `Choosing` and `ReportingCamera`.
+class RpicamCamera(Camera):
+    """A Raspberry Pi camera, which reports the exposure that it took.
 
     place : the camera's number, "" for 0; f_number : of the lens. Raises DeviceError if the program
     is missing or fails, or does not list the camera.
@@ -103,16 +97,12 @@ class RpicamCamera:
         self._number = int(place or 0)
         cameras = parse_cameras(self._run(["--list-cameras"], START_S))
         if self._number not in cameras:
-            there = ", ".join(f"{n} ({name})" for n, (name, _) in cameras.items())
+            there = ", ".join(f"{n} ({name})" for n, name in cameras.items())
             there = there or "none: check the ribbon cable, then restart"
             raise DeviceError(f"rpicam: no camera {self._number}; {PROGRAM} names {there}")
-        self._sensor = cameras[self._number][0]
+        sensor = cameras[self._number]
+        self.info = CameraInfo("rpicam", "Raspberry Pi", sensor, clock_offset_s=0.0)
         self._taken: dict[Path, Exposure] = {}
-
-    @property
-    def info(self) -> CameraInfo:
-        """Return what the program reports about the camera; its clock is the computer's."""
-        return CameraInfo("rpicam", make="Raspberry Pi", model=self._sensor, clock_offset_s=0.0)
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
         """Take one raw frame and return its file, `target` plus .dng.
@@ -165,33 +155,32 @@ class RpicamCamera:
             found = f"ISO {exposure.iso:g} would need a gain below 1"
             raise DeviceError(f"rpicam: {found}; plan with ISO 100 or more")
 
-    def close(self) -> None:
-        """Do nothing: the camera is not held between frames."""
-
     def _run(self, arguments: list[str], timeout_s: float) -> str:
         """Run the program and return what it prints.
 
         A program that hangs is killed with all processes that it started. Raises DeviceError.
         """
+        pipes: dict[str, Any] = {
+            "stdin": subprocess.DEVNULL,
+            "stdout": subprocess.PIPE,
+            "stderr": subprocess.STDOUT,
+        }
+        command = [self._program, *arguments]
         try:
-            process = subprocess.Popen(
-                [self._program, *arguments],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                start_new_session=True,
-            )
+            process = subprocess.Popen(command, errors="replace", start_new_session=True, **pipes)
         except OSError as error:
             why, remedy = error.strerror, "install it with: sudo apt install rpicam-apps"
             raise DeviceError(f"rpicam: {self._program} does not start ({why}); {remedy}") from None
-        try:
-            printed = process.communicate(timeout=timeout_s)[0].decode("utf-8", "replace")
-        except subprocess.TimeoutExpired:
-            why = f"{PROGRAM} did not end within {timeout_s:.0f} s and was killed"
-            raise DeviceError(f"rpicam: {why}; check the camera's cable") from None
-        finally:
-            if process.returncode is None:
-                _kill(process)
+        with process:
+            try:
+                printed: str = process.communicate(timeout=timeout_s)[0]
+            except BaseException as error:
+                with suppress(OSError):
+                    os.killpg(process.pid, signal.SIGKILL)
+                if not isinstance(error, subprocess.TimeoutExpired):
+                    raise
+                why = f"{PROGRAM} did not end within {timeout_s:.0f} s and was killed"
+                raise DeviceError(f"rpicam: {why}; check the camera's cable") from None
         if "No space left on device" in printed:
             raise OSError(errno.ENOSPC, "No space left on device")
         if process.returncode != 0 or "ERROR: ***" in printed:
@@ -215,14 +204,6 @@ def _check(metadata: FrameMetadata, asked: Exposure) -> None:
     if abs(math.log2(metadata.analogue_gain / gain)) > SAME_SETTING_EV:
         found = f"gain {gain:g} requested, {metadata.analogue_gain:g} used"
         raise DeviceError(f"rpicam: {found}; plan an ISO that this camera module has")
-
-
-def _kill(process: subprocess.Popen[bytes]) -> None:
-    """Kill a program with all processes that it started."""
-    with suppress(OSError):
-        process.kill() if sys.platform == "win32" else os.killpg(process.pid, signal.SIGKILL)
-    with suppress(subprocess.TimeoutExpired):
-        process.communicate(timeout=5.0)
 
 
 class _Options(Struct):

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 from fieldlum.core.errors import DeviceError
+from fieldlum.devices import Device
 
 try:
     from termios import error as _TermiosError
@@ -28,16 +28,8 @@ def device_errors(port: str) -> Iterator[None]:
         raise DeviceError(f"{port}: {lines[0] if lines else type(error).__name__}") from None
 
 
-class Closable(Protocol):
-    """A device that can be closed."""
-
-    def close(self) -> None:
-        """Close the device."""
-        ...
-
-
 @contextmanager
-def closed_on_error(device: Closable) -> Iterator[None]:
+def closed_on_error(device: Device) -> Iterator[None]:
     """Close a device if it raises DeviceError inside the block, which talks to it at first."""
     try:
         yield
@@ -78,14 +70,15 @@ def resolve(place: str) -> str:
     from serial.tools.list_ports import comports
 
     wanted = place.removeprefix("usb=").lower()
-    there: list[str] = []
-    for port in comports():
-        if port.vid is not None:
-            name = f"{port.vid:04x}:{port.pid:04x}:{(port.serial_number or '').lower()}"
-            if f"{name}:".startswith(f"{wanted}:"):
-                return port.device
-            there.append(name.strip(":"))
-    ports = ", ".join(there) or "none"
+    there = [
+        (f"{port.vid:04x}:{port.pid:04x}:{(port.serial_number or '').lower()}", port.device)
+        for port in comports()
+        if port.vid is not None
+    ]
+    for name, device in there:
+        if f"{name}:".startswith(f"{wanted}:"):
+            return device
+    ports = ", ".join(name.strip(":") for name, _ in there) or "none"
     raise DeviceError(f"{place}: not plugged in; plug it in, or name one of these ports: {ports}")
 
 
@@ -102,49 +95,37 @@ class SerialLine:
 class SerialPort:
     """A serial port with fixed settings, locked against other programs that lock their ports.
 
-    timeout_s : of each read and write. Raises DeviceError if the port cannot be opened; so do its
-    methods, apart from `close`, if it fails later.
+    timeout_s : of each read and write; port : pyserial's own object. Raises DeviceError if the port
+    cannot be opened; so do its methods, apart from `close`, if it fails later.
     """
 
     def __init__(self, place: str, line: SerialLine, *, timeout_s: float) -> None:
         import serial
 
-        self.name, self.timeout_s = resolve(place), timeout_s
+        self.name = resolve(place)
+        how: dict[str, Any] = {"timeout": timeout_s, "write_timeout": timeout_s, "exclusive": True}
+        settings = line.baud, line.bits, line.parity, line.stop
         try:
             with device_errors(self.name):
-                self._port: Any = serial.Serial(
-                    self.name,
-                    line.baud,
-                    bytesize=line.bits,
-                    parity=line.parity,
-                    stopbits=line.stop,
-                    timeout=timeout_s,
-                    write_timeout=timeout_s,
-                    exclusive=True,
-                )
+                self.port: Any = serial.Serial(self.name, *settings, **how)
         except DeviceError as error:
             raise DeviceError(_cannot_open(self.name, str(error))) from None
-
-    @property
-    def handle(self) -> Any:
-        """The pyserial object, for libraries that need one."""
-        return self._port
 
     def drain(self) -> bytes:
         """Return the bytes already received, so that a late reply is not taken for the next one."""
         with device_errors(self.name):
-            waiting = self._port.in_waiting
-            return self._port.read(waiting) if waiting else b""
+            waiting = self.port.in_waiting
+            return self.port.read(waiting) if waiting else b""
 
     def write(self, data: bytes) -> None:
         """Write all bytes. Raises DeviceError if the port fails."""
         with device_errors(self.name):
-            self._port.write(data)
+            self.port.write(data)
 
     def read(self, count: int) -> bytes:
         """Return up to `count` bytes, fewer after the timeout. Raises DeviceError if it fails."""
         with device_errors(self.name):
-            return self._port.read(count)
+            return self.port.read(count)
 
     def read_until(self, end: bytes, limit: int = 4096) -> bytes:
         """Return all bytes up to and including `end`. Raises DeviceError if the port fails.
@@ -152,23 +133,9 @@ class SerialPort:
         After the timeout, or after `limit` bytes, `end` may be missing: the caller must check.
         """
         with device_errors(self.name):
-            return self._port.read_until(end, limit)
-
-    def read_quiet(self, quiet_s: float, longest_s: float) -> bytes:
-        """Return the bytes received until the line is silent for `quiet_s` after some bytes.
-
-        Silence from the start ends after `longest_s`.
-        """
-        out, deadline = b"", time.monotonic() + longest_s
-        last = time.monotonic()
-        while (now := time.monotonic()) < deadline and not (out and now - last >= quiet_s):
-            if data := self.drain():
-                out, last = out + data, now
-            else:
-                time.sleep(0.005)
-        return out
+            return self.port.read_until(end, limit)
 
     def close(self) -> None:
         """Close the port; ignore errors of a port that was unplugged."""
         with suppress(OSError, _TermiosError):
-            self._port.close()
+            self.port.close()

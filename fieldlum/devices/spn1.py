@@ -11,10 +11,11 @@ import re
 from collections.abc import Callable
 from datetime import datetime
 from itertools import combinations
+from typing import Any
 
 from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import IrradianceSample
-from fieldlum.devices import InstrumentInfo
+from fieldlum.devices import InstrumentInfo, Pyranometer
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.serial_port import SerialLine, SerialPort, closed_on_error
 
@@ -76,14 +77,15 @@ def _in_line(a: Reading, b: Reading, c: Reading) -> bool:
     return _apart_wm2(a, c) <= MAX_SLOPE_WM2 and _apart_wm2(b, middle) <= AGREE_WM2
 
 
-def agreed_reading(ask: Callable[[], bytes]) -> tuple[Reading, tuple[bytes, ...]]:
-    """Return the reading on which answers agree, and all answers as received.
+def agreed_sample(t_utc: datetime, ask: Callable[[], bytes]) -> IrradianceSample:
+    """Return the reading on which answers agree; `raw` has the distinct answers, joined by " | ".
 
     The answers have no checksum. `ask` queries the instrument twice, and a third time if the
     readings differ by more than the noise or exactly one answer is damaged. If two readings agree,
     the earlier of the nearest two is returned. Otherwise, if three are on a line, the light was
-    changing and the middle one is returned. Raises DeviceError if neither is the case, or at once
-    if `ask` raises it, for example because the instrument is silent.
+    changing and the middle one is returned. A total over 3 W/m2 below the diffuse gets a status.
+    Raises DeviceError if neither is the case, or at once if `ask` raises it, for example because
+    the instrument is silent.
     """
     answers: list[bytes] = []
     valid: list[Reading] = []
@@ -97,28 +99,16 @@ def agreed_reading(ask: Callable[[], bytes]) -> tuple[Reading, tuple[bytes, ...]
         if len(valid) == len(answers) == 2 and _apart_wm2(*valid) <= NOISE_WM2:
             break
     pairs = sorted(combinations(valid, 2), key=lambda pair: _apart_wm2(*pair))
+    texts = [a.decode("ascii", "backslashreplace").strip() for a in dict.fromkeys(answers)]
     if pairs and _apart_wm2(*pairs[0]) <= AGREE_WM2:
-        return pairs[0][0], tuple(answers)
-    if len(valid) == _TRIES and _in_line(*valid):
-        return valid[1], tuple(answers)
-    if valid:
-        shown = ", ".join(repr(answer[:40]) for answer in answers)
-        why = f"no two answers of the instrument agree: {shown}; check the cable"
-    raise DeviceError(why)
-
-
-def agreed_sample(t_utc: datetime, ask: Callable[[], bytes]) -> IrradianceSample:
-    """Return a reading on which two answers agree, or the middle of three evenly spaced ones.
-
-    Several answers are needed because the line has no checksum. A total over 3 W/m2 below the
-    diffuse gets a status. `raw` has the distinct answers, joined by " | ". Raises DeviceError if
-    neither two valid answers agree nor three are evenly spaced.
-    """
-    (total, diffuse), answers = agreed_reading(ask)
+        total, diffuse = pairs[0][0]
+    elif len(valid) == _TRIES and _in_line(*valid):
+        total, diffuse = valid[1]
+    else:
+        disagree = f"no two answers of the instrument agree: {', '.join(texts)}; check the cable"
+        raise DeviceError(disagree if valid else why)
     status = "total below diffuse" if total < diffuse - NOISE_WM2 else ""
-    texts = (a.decode("ascii", "backslashreplace").strip() for a in dict.fromkeys(answers))
-    raw = " | ".join(texts)
-    return IrradianceSample(t_utc, total, diffuse, status=status, raw=raw)
+    return IrradianceSample(t_utc, total, diffuse, status=status, raw=" | ".join(texts))
 
 
 def parse_status(reply: bytes) -> tuple[str, str]:
@@ -138,8 +128,8 @@ def parse_status(reply: bytes) -> tuple[str, str]:
     return firmware[1].strip() if firmware else "", serial[1] if serial else ""
 
 
-class Spn1:
-    """An SPN1 on a serial port; implements `Pyranometer`. Sends R, S and I and nothing else.
+class Spn1(Pyranometer):
+    """An SPN1 on a serial port. Sends R, S and I and nothing else.
 
     Raises DeviceError if the port cannot be opened or the instrument does not answer as an SPN1.
     """
@@ -152,21 +142,14 @@ class Spn1:
         with closed_on_error(self):
             self._wake()
             self._port.write(b"I")
-            reply = self._port.read_quiet(0.25, 3.0)
-            self._firmware, self._serial = parse_status(reply.removeprefix(b"I"))
-
-    @property
-    def info(self) -> InstrumentInfo:
-        """Return what the instrument reports about itself."""
-        return InstrumentInfo(
-            "spn1",
-            "Delta-T SPN1",
-            self._serial,
-            self._firmware,
-            port=self._port.name,
-            gives=("ghi", "dhi"),
-            guard="asked twice",
-        )
+            reply = self._port.read(400)  # its lines have no end mark: until the timeout
+            firmware, serial = parse_status(reply.removeprefix(b"I"))
+        about: dict[str, Any] = {
+            "port": self._port.name,
+            "gives": ("ghi", "dhi"),
+            "guard": "asked twice",
+        }
+        self.info = InstrumentInfo("spn1", "Delta-T SPN1", serial, firmware, **about)
 
     def read(self) -> IrradianceSample:
         """Return a reading; see `agreed_sample`. Raises DeviceError also for silence."""

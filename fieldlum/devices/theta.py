@@ -20,7 +20,7 @@ from msgspec import Struct, json
 
 from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import Exposure
-from fieldlum.devices import CameraInfo, DeviceUri, nearest, refuse_turning, store_frame
+from fieldlum.devices import Camera, CameraInfo, DeviceUri, nearest, refuse_turning, store_frame
 from fieldlum.devices.clock import Clock
 from fieldlum.session import Session
 
@@ -29,7 +29,6 @@ ADDRESS = "http://192.168.1.1"  # of the camera's own access point
 # measured.
 READOUT_S = 40.0
 POLL_S = 0.3
-_MAX_FILE_BYTES = 200_000_000  # bytes; longer answers are refused
 Reply = dict[str, Any]
 """A JSON object that the camera answered; each value is checked where it is used."""
 _MANUAL = {"captureMode": "image", "exposureProgram": 1, "whiteBalance": "daylight"}
@@ -41,8 +40,8 @@ _OFFERS = {
 }
 
 
-class ThetaCamera:
-    """A Ricoh Theta; implements `Camera`, `Choosing` and `BracketingCamera`.
+class ThetaCamera(Camera):
+    """A Ricoh Theta, which also takes brackets by itself.
 
     address : such as http://192.168.1.1; delete : whether pictures are deleted after they were
     copied. Raises DeviceError if the camera does not answer or reports an error.
@@ -60,12 +59,10 @@ class ThetaCamera:
         options = self._options(*_OFFERS.values(), "remainingPictures", "dateTimeZone")
         self._offers = {name: _numbers(options.get(key)) for name, key in _OFFERS.items()}
         level, rest = state.get("batteryLevel"), options.get("remainingPictures")
+        names = "manufacturer", "model", "serialNumber", "firmwareVersion"
         self.info = CameraInfo(
             "theta",
-            str(about.get("manufacturer", "")),
-            str(about.get("model", "")),
-            str(about.get("serialNumber", "")),
-            str(about.get("firmwareVersion", "")),
+            *(str(about.get(name, "")) for name in names),
             battery=f"{100 * level:.0f} %" if isinstance(level, int | float) else "",
             clock_offset_s=self._clock_offset(options.get("dateTimeZone")),
             frames_left=rest if isinstance(rest, int) else None,
@@ -101,7 +98,9 @@ class ThetaCamera:
         urls = [url for url in files if isinstance(url, str) and url]
         if not urls:
             raise DeviceError("theta: the camera names no file for its picture; take it again")
-        return self._fetch(urls[:1], [target], urls)[0]
+        path = self._fetch(urls[0], target)
+        self._forget(urls)
+        return path
 
     def expose_bracket(self, exposures: Sequence[Exposure], targets: Sequence[Path]) -> list[Path]:
         """Take 2 to 13 JPEG frames with one command, in the order of `exposures`; return the files.
@@ -112,9 +111,8 @@ class ThetaCamera:
         """
         count = len(exposures)
         if count not in self.bracket_shots:
-            raise DeviceError(
-                f"theta: a bracket of {count} frames; expected 2 to 13; change the plan"
-            )
+            found = f"a bracket of {count} frames; expected 2 to 13"
+            raise DeviceError(f"theta: {found}; change the plan")
         fixed = {"exposureProgram": 1, "whiteBalance": "daylight"}
         shots = [{**fixed, **self._chosen(exposure)} for exposure in exposures]
         bracket = {"_bracketNumber": count, "_bracketParameters": shots}
@@ -127,7 +125,9 @@ class ThetaCamera:
         if len(urls) != count:
             found = f"{len(urls)} frames of a bracket; expected {count}"
             raise DeviceError(f"theta: the camera took {found}; capture the bracket again")
-        return self._fetch(urls, targets, urls)
+        paths = [self._fetch(url, target) for url, target in zip(urls, targets, strict=True)]
+        self._forget(urls)
+        return paths
 
     def _chosen(self, exposure: Exposure) -> dict[str, float]:
         """Return the camera's steps for an exposure.
@@ -151,23 +151,19 @@ class ThetaCamera:
         """
         self._chosen(exposure)
 
-    def _fetch(self, urls: Sequence[str], targets: Sequence[Path], taken: list[str]) -> list[Path]:
-        """Copy the files at `urls` to `targets` plus their suffix; delete those in `taken`."""
-        paths = []
-        for url, target in zip(urls, targets, strict=True):
-            parts = urlsplit(url)
-            if parts.scheme != "http" or parts.hostname != urlsplit(self._address).hostname:
-                found = f"the camera names a file at {url}; expected a file at {self._address}"
-                raise DeviceError(f"theta: {found}; check the address in the URI")
-            path = target.with_name(f"{target.name}{Path(parts.path).suffix.lower()}")
-            store_frame(path, self._http(urllib.request.Request(url), 60.0))
-            paths.append(path)
-        if self._delete:
-            self._command("camera.delete", {"fileUrls": taken}, self._timeout_s)
-        return paths
+    def _fetch(self, url: str, target: Path) -> Path:
+        """Copy the camera's file at `url` to `target` plus its suffix; return the copy."""
+        parts = urlsplit(url)
+        if parts.scheme != "http" or parts.hostname != urlsplit(self._address).hostname:
+            found = f"the camera names a file at {url}; expected a file at {self._address}"
+            raise DeviceError(f"theta: {found}; check the address in the URI")
+        path = target.with_name(f"{target.name}{Path(parts.path).suffix.lower()}")
+        store_frame(path, self._http(urllib.request.Request(url), 60.0))
+        return path
 
-    def close(self) -> None:
-        """Do nothing: HTTP leaves no connection open."""
+    def _forget(self, urls: Sequence[str]) -> None:
+        if self._delete:
+            self._command("camera.delete", {"fileUrls": urls}, self._timeout_s)
 
     # --------------------------------------------------------------------------------------
     # protocol
@@ -205,16 +201,14 @@ class ThetaCamera:
         """Return the camera's answer to a GET, or to a POST of a body."""
         headers = {"Content-Type": "application/json;charset=utf-8", "Accept": "application/json"}
         data = None if body is None else json.encode(body)
-        answer = self._http(
-            urllib.request.Request(self._address + path, data, headers), self._timeout_s
-        )
+        request = urllib.request.Request(self._address + path, data, headers)
+        answer = self._http(request, self._timeout_s)
         try:
             return json.decode(answer, type=Reply)
         except (ValueError, RecursionError):
+            found = f"the camera answered {answer[:40]!r}; expected a JSON object"
             remedy = "check that the address in the URI is that of the Theta, and restart it"
-            raise DeviceError(
-                f"theta: the camera answered {answer[:40]!r}; expected a JSON object; {remedy}"
-            ) from None
+            raise DeviceError(f"theta: {found}; {remedy}") from None
 
     def _http(self, request: urllib.request.Request, timeout_s: float) -> bytes:
         """Return the body of the answer, also that of an HTTP error with a JSON body.
@@ -223,10 +217,7 @@ class ThetaCamera:
         """
         try:
             with urllib.request.urlopen(request, timeout=timeout_s) as response:
-                body = response.read(_MAX_FILE_BYTES)
-                if not response.length:  # number of bytes that were not read
-                    return body
-                why = f"the answer is incomplete: {len(body)} bytes"
+                return response.read()
         except urllib.error.HTTPError as error:
             with error:
                 body = error.read()
@@ -235,10 +226,8 @@ class ThetaCamera:
             why = f"HTTP {error.code}"
         except (OSError, ValueError, HTTPException) as error:
             why = f"no answer ({error or type(error).__name__})"
-        raise DeviceError(
-            f"theta: {request.full_url}: {why}; connect the computer to the camera's network, and "
-            "check the address in the URI"
-        )
+        remedy = "connect the computer to the camera's network, and check the address in the URI"
+        raise DeviceError(f"theta: {request.full_url}: {why}; {remedy}")
 
 
 def _numbers(values: object) -> list[float]:

@@ -146,7 +146,7 @@ class Session:
 
 
 # Further entries of a session's folder that fieldlum opens; hidden ones count too.
-_MORE_NAMES = ("scene", "watch", "outbox.jsonl", "journal.jsonl.torn", "alignment.csv")
+_MORE_NAMES = ("scene", "watch", "journal.jsonl.torn", "alignment.csv")
 
 
 def _checked_names() -> set[str]:

@@ -7,11 +7,9 @@ a link only if the user of this computer named it once on the command line.
 from __future__ import annotations
 
 import hashlib
-import hmac
 import json
 import os
 import platform
-import secrets
 import sys
 from contextlib import suppress
 from dataclasses import dataclass
@@ -22,7 +20,6 @@ from typing import Any
 from fieldlum.session.writing import replacing
 
 FORMAT = 1  # of the file; docs/file-formats.md
-_KEY_BYTES = 32  # as many as SHA-256 has (RFC 2104)
 _MACHINE_FILES = ("/etc/machine-id", "/var/lib/dbus/machine-id")  # machine-id(5)
 
 
@@ -104,31 +101,3 @@ def _read() -> dict[str, dict[str, str]]:
         return {str(key): dict(value) for key, value in permitted.items()}
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return {}
-
-
-def seal(text: str) -> str:
-    """Return a code of `text` that only this user can compute, and only on this computer.
-
-    The key is outside every session. If it cannot be stored, it is that of this process.
-    """
-    return hmac.new(_key(), f"{computer()}\n{text}".encode(), "sha256").hexdigest()
-
-
-@cache
-def _key_of_process() -> bytes:
-    return secrets.token_bytes(_KEY_BYTES)
-
-
-def _key() -> bytes:
-    try:
-        path = config_folder() / "key"
-        with suppress(FileNotFoundError):
-            if len(key := path.read_bytes()) == _KEY_BYTES:
-                return key
-        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        with replacing(path) as file:
-            Path(file.name).chmod(0o600)
-            file.write(_key_of_process())
-        return path.read_bytes()
-    except OSError:
-        return _key_of_process()

@@ -23,8 +23,8 @@ from fieldlum.session import Session
 TIME_CONSTANT_S = 0.1  # the SPN1 reaches 95 % within 200 ms (User Manual)
 
 
-class SimulatedSpn1:
-    """An SPN1 under a simulated sky; implements `Pyranometer`.
+class SimulatedSpn1(Pyranometer):
+    """An SPN1 under a simulated sky.
 
     noise_wm2 : standard deviation of its noise [W/m2], drawn by `seed`. Its answers have the form
     of the instrument's, and are read like those.
@@ -54,9 +54,6 @@ class SimulatedSpn1:
         # SPN1 User Manual, p. 20: sunshine where the beam is over 120 W/m2.
         sunshine = total > 1.35 * diffuse and total > 24.0
         return b"%6.1f,%6.1f,%d\r" % (total, diffuse, sunshine)
-
-    def close(self) -> None:
-        """Do nothing: no port is open."""
 
 
 _Seed = Annotated[int, Meta(ge=0, le=2**31)]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fieldlum.core.arrays import Floats, Floats32
 from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import Exposure, Panorama
-from fieldlum.devices import CameraInfo, nearest
+from fieldlum.devices import Camera, CameraInfo, nearest
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.simulated import optics
 from fieldlum.devices.simulated.world import World, detail_of
@@ -146,8 +146,8 @@ def jpeg_codes(
 # the camera
 
 
-class SimulatedCamera:
-    """A simulated camera; implements `Camera`.
+class SimulatedCamera(Camera):
+    """A simulated camera.
 
     heading_deg : its view direction unless `expose` states another; clock_offset_s : its clock
     minus the computer's; overhead_s : time of a frame in addition to its shutter time
@@ -169,24 +169,13 @@ class SimulatedCamera:
         self._heading_deg, self._seed = heading_deg, seed
         self._clock_offset_s = clock_offset_s
         self._overhead_s = profile.bracket.seconds_per_frame if overhead_s is None else overhead_s
-        self._shape = (profile.camera.height_px, profile.camera.width_px)
-        self._is_jpeg = profile.camera.kind == "jpeg"
+        body, lens = profile.camera, profile.lens[0].name
+        self._shape, self._is_jpeg = (body.height_px, body.width_px), body.kind == "jpeg"
+        about: dict[str, Any] = {"lens": lens, "clock_offset_s": clock_offset_s}
+        self.info = CameraInfo("sim", body.make, body.model, f"SIM{seed:04d}", **about)
         self._views = lru_cache(maxsize=8)(self._views_of)
         self._shading = lru_cache(maxsize=8)(self._shading_of)
         self._last: tuple[Panorama, float, Floats32] | None = None
-
-    @property
-    def info(self) -> CameraInfo:
-        """Return what the simulated camera reports about itself."""
-        body = self._profile.camera
-        return CameraInfo(
-            "sim",
-            body.make,
-            body.model,
-            f"SIM{self._seed:04d}",
-            lens=self._profile.lens[0].name,
-            clock_offset_s=self._clock_offset_s,
-        )
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
         """Take one frame and return its file, `target` plus a suffix.
@@ -208,10 +197,6 @@ class SimulatedCamera:
         path = self._write(image, set_to, true_s, target, opened, rng)
         self._clock.sleep(self._overhead_s + true_s)
         return path
-
-    def close(self) -> None:
-        """Forget the last simulated picture, which is stored for repeated exposures."""
-        self._last = None
 
     def _allowed(self, exposure: Exposure) -> float:
         """Return the true shutter time of the dial [s].

@@ -3,8 +3,9 @@
 `fieldlum simulate` writes truth/: ``<slot>.exr``, a panorama with its sun, ``<slot>.sky.npz``, the
 same around the windows as finely as the sensor, and ``irradiance.csv`` with the columns t_utc,
 ghi_wm2, dhi_wm2, dni_wm2, sorted by time. Irradiance between its rows is interpolated; before and
-after them it is 0. Without truth/ an office is simulated: a box lit by sky, ground and sun through
-its windows, fast but not physically accurate.
+after them it is 0. Without truth/ an office is simulated: a box with one level of light, with sky
+and ground behind its windows, for rehearsals.
+
 """
 
 from __future__ import annotations
@@ -20,12 +21,9 @@ import numpy as np
 
 from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import DeviceError
-from fieldlum.core.records import CameraSetup, Panorama, Room, Site, SiteFile, SunSource, Window
+from fieldlum.core.records import CameraSetup, Panorama, Room, Site, SiteFile, Window
 from fieldlum.optics import projection
 from fieldlum.room.scene import look
-from fieldlum.room.scene.patches import disc_visibility
-from fieldlum.room.scene.points import SunPoints
-from fieldlum.room.scene.view import SceneView
 from fieldlum.session import Session
 from fieldlum.session.files.irradiance_csv import CleanIrradiance
 from fieldlum.sky import sun
@@ -125,36 +123,13 @@ def _read_panorama(path: Path) -> Panorama:
 SEATTLE = Site("office", 47.6, -122.3, "America/Los_Angeles", 50.0)
 # The office of Liu, Colburn and Inanici (2020): 6 x 14 x 4.5 m, one glazed south wall.
 OFFICE = Room(window=(Window("south", left_m=0.5, width_m=5.0, sill_m=0.9, height_m=3.2, panes=3),))
-_HEIGHT = 230  # rows of the panorama; chosen for speed
-_LIGHT_STEP_S = 600  # seconds between computed skies; chosen for speed
-# Luminous efficacies of sun and sky, typical of clear skies; chosen, not computed for each sky.
-_LM_PER_W_SUN = 93.0
-_LM_PER_W_SKY = 120.0
-
-
-def _window_factors(view: SceneView) -> tuple[Floats, Floats]:
-    """Return form factor times transmittance of the windows to sky and to ground, [m] each.
-
-    They are those of the surface samples of a view. Each window is one small area at its centre.
-    """
-    sky, ground = np.zeros(len(view.box)), np.zeros(len(view.box))
-    for o in view.scene.openings:
-        (left, right), (bottom, top) = o.u_m, o.z_m
-        area, at = (right - left) * (top - bottom), np.empty(3)
-        at[[o.axis, o.along, 2]] = o.inner_m, (left + right) / 2.0, (bottom + top) / 2.0
-        way = at - view.position
-        far2 = (way**2).sum(axis=1) + area / np.pi
-        unit = way / np.sqrt(far2)[:, None]
-        cosines = np.maximum(unit[np.arange(len(unit)), view.axis] * view.sign, 0.0)
-        cosines *= np.maximum(unit[:, o.axis] * o.outward, 0.0)
-        factor = cosines * area / (np.pi * far2) * o.transmittance
-        sky += np.where(unit[:, 2] > 0, factor, 0)
-        ground += np.where(unit[:, 2] <= 0, factor, 0)
-    return sky, ground
+_HEIGHT = 230  # rows of the panorama, for speed
+_LIGHT_STEP_S = 600  # between computed skies, for speed
+_LM_PER_W = 115.0  # luminous efficacy of daylight, typical
 
 
 class Office:
-    """A `World`: an office under a sky with random clouds, by `seed`.
+    """A `World`: an office under a sky with random clouds, by `seed`; no sun shines into it.
 
     It is the room of `setup` if that is a box with windows, else a built-in office; the sun is that
     of the site of `setup` (default: Seattle).
@@ -166,7 +141,7 @@ class Office:
         self._room = room if room is not None and room.kind == "box" and room.window else OFFICE
         self._seed = seed
         self._scene_of = lru_cache(maxsize=2)(self._scene)
-        self._fixed = cache(self._view)
+        self._fixed = cache(self._shares)
         self._light_of = lru_cache(maxsize=16)(self._light_at)
 
     def irradiance(self, t_utc: datetime) -> SimulatedLight:
@@ -183,9 +158,8 @@ class Office:
         clear, clouds = sun.clearsky([t_utc], self.setup.site), self._cloudiness(t_utc)
         altitude = np.radians(sun.position([t_utc], self.setup.site).altitude_deg[0])
         dni = float(clear.dni_wm2[0]) * max(1.0 - 1.4 * clouds, 0.0)
-        dhi = float(clear.dhi_wm2[0]) * (
-            1.0 + 1.6 * clouds * (1.0 - clouds)
-        ) + 0.25 * clouds * float(clear.ghi_wm2[0])
+        scattered = float(clear.dhi_wm2[0]) * (1.0 + 1.6 * clouds * (1.0 - clouds))
+        dhi = scattered + 0.25 * clouds * float(clear.ghi_wm2[0])
         return SimulatedLight(dhi + dni * max(float(np.sin(altitude)), 0.0), dhi, dni)
 
     def _cloudiness(self, t_utc: datetime) -> float:
@@ -194,56 +168,40 @@ class Office:
         Days are clear, mixed or overcast; the hours of a day differ slightly.
         """
         hour = t_utc.timestamp() / 3600.0
-        day = np.random.default_rng([self._seed, int(hour // 24)]).choice(
-            [0.02, 0.1, 0.35, 0.6, 0.95]
-        )
-        marks = [
-            np.random.default_rng([self._seed, int(hour) + i, 7]).normal(0.0, 0.12) for i in (0, 1)
-        ]
+        days = np.random.default_rng([self._seed, int(hour // 24)])
+        hours = [np.random.default_rng([self._seed, int(hour) + i, 7]) for i in (0, 1)]
+        marks = [rng.normal(0.0, 0.12) for rng in hours]
+        day = days.choice([0.02, 0.1, 0.35, 0.6, 0.95])
         return float(np.clip(day + np.interp(hour % 1.0, [0, 1], marks), 0.0, 1.0))
 
     def scene(self, t_utc: datetime) -> Panorama:
         """Return the panorama at a time; it is computed for the start of the minute."""
         return self._scene_of(t_utc.replace(second=0, microsecond=0))
 
-    def _view(self) -> tuple[SceneView, SunPoints, Floats, Floats]:
-        """Return what does not change with time: view, sunlit points, form factors of windows."""
-        view = look(self._room, _HEIGHT, self.setup.camera.heading_deg, 1)
-        return view, view.sun_points(), *_window_factors(view)
+    def _shares(self) -> tuple[Floats, Floats]:
+        """Return each pixel's luminance per illuminance of the ground outside, and of the sky.
+
+        All surfaces indoors have one illuminance, by the average daylight factor of Crisp and
+        Littlefair (1984) for windows that see 90 degrees of an overcast sky.
+        """
+        view, room = look(self._room, _HEIGHT, self.setup.camera.heading_deg, 1), self._room
+        w, d, h = room.width_m, room.depth_m, room.height_m
+        glass = sum(np.ptp(o.u_m) * np.ptp(o.z_m) * o.transmittance for o in view.scene.openings)
+        mean = (room.reflectance_ceiling + room.reflectance_floor + 2 * room.reflectance_walls) / 4
+        factor = 0.90 * float(glass) / (2.0 * (w * d + w * h + d * h) * (1.0 - mean**2))
+        outside = np.isin(view.box, view.scene.of_kind("ground"))
+        shown = view.weight * view.scene.reflectance[view.box] * np.where(outside, 1.0, factor)
+        ground = room.reflectance_ground * view.plain.ravel()
+        upward = projection.equirect_rays(_HEIGHT, 2 * _HEIGHT, 0.0)[..., 2].ravel()
+        sky = view.sky.ravel() * 3.0 / 7.0 * (1.0 + 2.0 * np.abs(upward))  # CIE overcast sky
+        lit = np.bincount(view.pixel, shown, len(ground)) + ground
+        return lit / np.pi, sky / np.pi
 
     def _scene(self, t_utc: datetime) -> Panorama:
-        view, points, sky_factor, ground_factor = self._fixed()
-        light = self.irradiance(t_utc)
-        position = sun.position([t_utc], self.setup.site)
-        altitude = float(position.apparent_altitude_deg[0])
-        azimuth = float(position.azimuth_deg[0])
-        toward = view.scene.to_room(projection.direction(altitude, azimuth))
-        beam_lx = light.dni_wm2 * _LM_PER_W_SUN * (altitude > 0)
-        diffuse_lx = light.dhi_wm2 * _LM_PER_W_SKY
-        zenith = 9.0 / (7.0 * np.pi) * diffuse_lx + 1e-3  # CIE overcast sky
-        ground = self._room.reflectance_ground / np.pi * light.ghi_wm2 * 110.0 + 1e-3
-        sunlit = points.direct(toward) * beam_lx  # [H * W] cd/m2
-        window_lx = np.pi * (sky_factor * 0.6 * zenith + ground_factor * ground)
-        inside = ~np.isin(view.box, view.scene.of_kind("ground"))
-        # Interreflection: the mean first flux, times the sum of all further reflections.
-        room, first = self._room, view.scene.reflectance[view.box] * window_lx
-        mean = (room.reflectance_ceiling + room.reflectance_floor + 2 * room.reflectance_walls) / 4
-        indirect_lx = (first[inside].mean() + np.pi * sunlit.mean()) / (1.0 - mean)
-        level_lx = np.where(inside, window_lx + indirect_lx, diffuse_lx)
-        shown = view.weight * view.scene.reflectance[view.box] * level_lx / np.pi
-        luminance = np.bincount(view.pixel, shown, len(sunlit)) + sunlit
-        rows = projection.equirect_rays(_HEIGHT, 2 * _HEIGHT, 0.0)[..., 2].ravel()
-        luminance += view.sky.ravel() * zenith * (1.0 + 2.0 * np.abs(rows)) / 3.0
-        luminance += view.plain.ravel() * ground
-        visible, through = (part[0] for part in disc_visibility(view.scene, toward[None]))
-        disc_lx = beam_lx * float(visible * through)
-        disc = SunSource(altitude, azimuth, disc_lx, float(visible), "rendering")
-        return Panorama(
-            luminance.reshape(_HEIGHT, -1).astype(np.float32),
-            self.setup.camera.heading_deg,
-            t_utc=t_utc,
-            sun=disc if disc_lx > 0 else None,
-        )
+        light, (lit, sky) = self.irradiance(t_utc), self._fixed()
+        luminance = _LM_PER_W * (lit * light.ghi_wm2 + sky * light.dhi_wm2) + 1e-3
+        heading_deg = self.setup.camera.heading_deg
+        return Panorama(luminance.reshape(_HEIGHT, -1).astype(np.float32), heading_deg, t_utc=t_utc)
 
 
 def open_world(session: Session | None, seed: int) -> World:
