@@ -380,7 +380,6 @@ def parse_toa5(
 @pytest.mark.authority
 def test_toa5_table() -> None:
     table = parse_toa5(TOA5, timedelta(hours=-8))
-    assert table.about == "TOA5 of Roof, CR1000X 12345"
     first, second, third = table.samples
     assert first.t_utc == datetime(2027, 3, 20, 16, 0, tzinfo=UTC)
     assert (first.ghi_wm2, first.dhi_wm2, first.temperature_c) == (512.3, 88.1, 21.5)

@@ -6,24 +6,16 @@ import re
 import shutil
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
 from fieldlum.capture import match_card
 from fieldlum.capture.bracket import shots, write_capture
-from fieldlum.capture.logger_rows import Adopted, adopt_rows
-from fieldlum.capture.match_card import CardFrame, Group, Match, Offset
+from fieldlum.capture.logger_rows import adopt_rows
+from fieldlum.capture.match_card import CardFrame, Group, Match, Offset, Report
 from fieldlum.core.errors import InputError, NotEnoughDataError
-from fieldlum.core.records import (
-    CameraSetup,
-    Exposure,
-    Progress,
-    SiteFile,
-    Slot,
-    counted,
-    quiet,
-)
+from fieldlum.core.records import CameraSetup, Exposure, Progress, SiteFile, Slot, counted, quiet
 from fieldlum.optics.photometry import same_exposure
 from fieldlum.optics.profiles import CameraBody, load_camera_profile
 from fieldlum.optics.raw import RAW_SUFFIXES, is_jpeg, jpeg_size, read_exif, same_model
@@ -39,31 +31,6 @@ from fieldlum.session import (
 )
 from fieldlum.session.files.capture_json import Frame, frame_fields
 from fieldlum.session.ledger import Ledger, SlotState, read_ledger
-
-
-@dataclass(frozen=True, slots=True)
-class Report:
-    """Result of an import.
-
-    brackets, frames: number of new ones; known: number of brackets imported before. offsets: the
-    camera's clock minus UTC, for each campaign on the card. late_s: start of each bracket minus its
-    slot's time [s]. left_out: sentences on files and brackets that were not imported. notes:
-    sentences on imported brackets that may be wrong. slots: of the new brackets. moved: slots whose
-    bracket of an earlier import was removed. rows, withdrawn: rows of a logger's file that were
-    added, and removed.
-    """
-
-    brackets: int = 0
-    frames: int = 0
-    known: int = 0
-    offsets: tuple[Offset, ...] = ()
-    late_s: tuple[float, ...] = ()
-    left_out: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
-    rows: int = 0
-    withdrawn: int = 0
-    slots: tuple[str, ...] = ()
-    moved: tuple[str, ...] = ()
 
 
 def run(
@@ -88,20 +55,15 @@ def run(
     capture runs; NotEnoughDataError if no bracket matched.
     """
     with sole_user(session, "capture"):
-        adopted = Adopted(0, 0, ())
+        rows, report = Report(), Report()
         if logger is not None:
             offset_s = utc_offset_s if logger_utc_offset_s is None else logger_utc_offset_s
-            adopted = adopt_rows(session, logger, offset_s, columns, sensitivities)
-        report = Report()
+            rows = adopt_rows(session, logger, offset_s, columns, sensitivities)
         if folder is not None:
             report = _adopt_card(session, folder, utc_offset_s, progress)
-        return replace(
-            report,
-            rows=adopted.rows,
-            withdrawn=adopted.withdrawn,
-            left_out=(*report.left_out, *adopted.left_out),
-            notes=(*report.notes, *adopted.notes),
-        )
+        left_out, notes = (*report.left_out, *rows.left_out), (*report.notes, *rows.notes)
+        about = {"left_out": left_out, "notes": notes}
+        return replace(report, rows=rows.rows, withdrawn=rows.withdrawn, **about)
 
 
 def _adopt_card(
@@ -123,10 +85,7 @@ def _adopt_card(
             left_out.append(f"{whose}: {error.found}; {error.remedy}")
             continue
         clocks.append((part, offset))
-        notes += [
-            match_card.opposed(part, utc_offset_s),
-            match_card.doubt(part, slots, offset),
-        ]
+        notes += [match_card.opposed(part, utc_offset_s), match_card.doubt(part, slots, offset)]
     matches, others = match_card.match_groups(clocks, slots)
     left_out += [f"{_range(group)}: {why}" for group, why in others]
     if not matches:
@@ -210,10 +169,7 @@ def _lacking_text(match: Match, setup: CameraSetup) -> str:
 
 
 def _adopt_all(
-    session: Session,
-    setup: CameraSetup,
-    matches: Sequence[Match],
-    progress: Progress,
+    session: Session, setup: CameraSetup, matches: Sequence[Match], progress: Progress
 ) -> tuple[list[Match], tuple[str, ...]]:
     """Import every bracket that the journal does not record as done.
 

@@ -8,10 +8,10 @@ from __future__ import annotations
 import shutil
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
 
+from fieldlum.capture.match_card import Report
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import IrradianceSample, utc_text
 from fieldlum.devices.logger_files import LoggerFile, read_logger_file
@@ -30,28 +30,13 @@ from fieldlum.session import (
 from fieldlum.session.tables import LoggerFileTable
 
 
-@dataclass(frozen=True, slots=True)
-class Adopted:
-    """Result of adding a logger's file.
-
-    rows: number of rows added. withdrawn: number of rows removed, which an earlier import of a file
-    with this name had added with another clock or other columns. left_out: a sentence on each
-    unused part of the file. notes: which columns were read, and how.
-    """
-
-    rows: int
-    withdrawn: int
-    left_out: tuple[str, ...]
-    notes: tuple[str, ...] = ()
-
-
 def adopt_rows(
     session: Session,
     path: Path,
     utc_offset_s: float | None,
     columns: Mapping[str, str] | None = None,
     sensitivities: Mapping[str, float] | None = None,
-) -> Adopted:
+) -> Report:
     """Add the rows of a logger's file to the day files, except those whose time is there already.
 
     Rows that an earlier import of this file name read with another clock or other columns are
@@ -81,7 +66,7 @@ def adopt_rows(
     left_out, notes = (
         tuple(f"{path}: {text}" for text in f) for f in (logger_file.left_out, logger_file.notes)
     )
-    return Adopted(added, withdrawn, left_out, notes)
+    return Report(rows=added, withdrawn=withdrawn, left_out=left_out, notes=notes)
 
 
 def _read_as(path: Path, table: LoggerFileTable) -> LoggerFile:

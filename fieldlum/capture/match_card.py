@@ -84,6 +84,31 @@ class Match:
     offset: Offset
 
 
+@dataclass(frozen=True, slots=True)
+class Report:
+    """Result of an import.
+
+    brackets, frames: number of new ones; known: number of brackets imported before. offsets: the
+    camera's clock minus UTC, for each campaign on the card. late_s: start of each bracket minus its
+    slot's time [s]. left_out: sentences on files and brackets that were not imported. notes:
+    sentences on imported brackets that may be wrong. slots: of the new brackets. moved: slots whose
+    bracket of an earlier import was removed. rows, withdrawn: rows of a logger's file that were
+    added, and removed.
+    """
+
+    brackets: int = 0
+    frames: int = 0
+    known: int = 0
+    offsets: tuple[Offset, ...] = ()
+    late_s: tuple[float, ...] = ()
+    left_out: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    rows: int = 0
+    withdrawn: int = 0
+    slots: tuple[str, ...] = ()
+    moved: tuple[str, ...] = ()
+
+
 def group_frames(
     frames: Sequence[CardFrame], pattern: Sequence[Exposure] = (), headings: int = 1
 ) -> list[Group]:

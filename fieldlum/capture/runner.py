@@ -176,19 +176,19 @@ def refuse_what_is_not_offered(
         raise DeviceError(f"{found}: {refused[0]}; run fieldlum doctor")
 
 
+@dataclass
 class _Runner:
-    def __init__(
-        self,
-        session: Session,
-        clock: SteadyClock,
-        options: Options,
-        watch: Watch,
-        checks: FrameChecks,
-        listen: Listen,
-        open_cam: Callable[[], Camera],
-    ) -> None:
-        self.session, self.clock, self.options, self.watch = session, clock, options, watch
-        self.checks, self.setup = checks, session.site_file()
+    session: Session
+    clock: SteadyClock
+    options: Options
+    watch: Watch
+    checks: FrameChecks
+    listen: Listen
+    open_cam: Callable[[], Camera]
+
+    def __post_init__(self) -> None:
+        session, clock, options = self.session, self.clock, self.options
+        self.setup = session.site_file()
         self._plan_stamp = 0
         self._plan_stamp = self._stamp()  # before the plan is read, so that no change is missed
         self.slots = session.slots()
@@ -199,10 +199,9 @@ class _Runner:
                 clock.carry_on(parse_utc(before.opened["t_utc"]), before.opened)
             refuse_a_clock_behind(clock.now(), before.last_utc)
         refuse_a_past_plan(self.slots, before, clock.now(), timedelta(seconds=options.grace_s))
-        self.recorder = Recorder(
-            session, clock.now, options.reserve_bytes, flush=options.flush, listen=listen
-        )
-        self.camera = self._keeper("camera", open_cam)
+        reserve_bytes, how = options.reserve_bytes, {"flush": options.flush, "listen": self.listen}
+        self.recorder = Recorder(session, clock.now, reserve_bytes, **how)
+        self.camera = self._keeper("camera", self.open_cam)
         self.logger: Logger | None = None
         self.meter: Keeper[IlluminanceMeter] | None = None
         self.frame_bytes, self.bytes_per_slot, self.last_frame = 0, 0.0, ""

@@ -14,8 +14,7 @@ from fieldlum.cli import terminal
 from fieldlum.cli.options import command_of
 
 if TYPE_CHECKING:
-    from fieldlum.capture.import_card import Report
-    from fieldlum.capture.match_card import Offset
+    from fieldlum.capture.match_card import Offset, Report
 
 _SHOWN = 20  # lines of each kind; fits a terminal; chosen
 

@@ -64,26 +64,23 @@ class LoggerFile:
     """The content of a logger's file.
 
     samples : in order of time when `read_logger_file` returns them; left_out : texts about lines
-    that were not read; about : a description of the kind of file; notes : which columns were read,
-    and how.
+    that were not read; notes : which columns were read, and how.
     """
 
     samples: tuple[IrradianceSample, ...]
     left_out: tuple[str, ...]
-    about: str
     notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class _Table:
-    """The text of a table: names and units of its columns, lines below them, what it is.
+    """The text of a table: names and units of its columns, lines below them.
 
     usual : the letters of each name if it counts as a usual name; states_units : whether the format
     states the unit of each column; padded : whether spaces around cells are ignored; cut : a text
     on an incomplete last line.
     """
 
-    about: str
     names: list[str]
     units: list[str]
     usual: list[str]
@@ -125,7 +122,7 @@ def read_logger_file(
         if text.startswith(",".join(DAY_COLUMNS)):
             samples, broken = read_day(path)
             lost = (f"{broken} broken rows",) if broken else ()
-            logger_file = LoggerFile(tuple(samples), lost, "a day file of fieldlum")
+            logger_file = LoggerFile(tuple(samples), lost)
         else:
             logger_file = parse_table(path, text, *request)
     _check_readable(path, logger_file)
@@ -177,7 +174,7 @@ def _toa5(path: Path, text: str) -> _Table:
         found = "no complete TOA5 header in the first four lines"
         expected = "four header lines of a Campbell Scientific TOA5 table"
         raise InputError(path, found, expected, "copy the file from the logger again")
-    about, names, units, _ = heads
+    _, names, units, _ = heads
     if "TIMESTAMP" not in names or len(units) != len(names):
         expected = "a column TIMESTAMP, and a unit for each column"
         raise InputError(
@@ -186,9 +183,8 @@ def _toa5(path: Path, text: str) -> _Table:
     cut: tuple[str, ...] = ()
     if lines.pop():
         cut = (f"line {len(lines) + 1}: the line does not end with a line feed",)
-    kind = " ".join(f"TOA5 of {', '.join(about[1:3])} {about[3] if len(about) > 3 else ''}".split())
     body = [(n, line) for n, line in enumerate(lines[4:], start=5) if line.strip()]
-    return _Table(kind, names, units, [_letters(name) for name in names], body, True, False, cut)
+    return _Table(names, units, [_letters(name) for name in names], body, True, False, cut)
 
 
 def _csv(path: Path, text: str) -> _Table:
@@ -201,11 +197,11 @@ def _csv(path: Path, text: str) -> _Table:
     with suppress(ValueError):
         read_time(names[0])
         numbers = ["time", *(str(k) for k in range(2, len(names) + 1))]
-        return _Table("CSV", numbers, [""] * len(names), [""] * len(names), lines, False)
+        return _Table(numbers, [""] * len(names), [""] * len(names), lines, False)
     usual = [
         _letters(split_heading(name)[0]) if is_wm2(split_heading(name)[1]) else "" for name in names
     ]
-    return _Table("CSV", names, [stated_unit(name) for name in names], usual, lines[1:], False)
+    return _Table(names, [stated_unit(name) for name in names], usual, lines[1:], False)
 
 
 def _netcdf(path: Path) -> _Table:
@@ -222,7 +218,7 @@ def _netcdf(path: Path) -> _Table:
     units = ["", *(str(values.attrs.get("units", "")) for values in along.values())]
     rows = zip(times, *(values.to_numpy().tolist() for values in along.values()), strict=True)
     lines = [(number, ",".join(map(str, row))) for number, row in enumerate(rows, start=1)]
-    return _Table("netCDF", names, units, [_letters(name) for name in names], lines, True)
+    return _Table(names, units, [_letters(name) for name in names], lines, True)
 
 
 def _letters(name: str) -> str:
@@ -264,7 +260,7 @@ def _read(
             broken.append(f"line {number}: {error}")
     if clock.is_utc and utc_offset is not None:
         notes.append(f"times of {clock.name} are UTC: no offset moves them")
-    return LoggerFile(tuple(samples), (*broken, *table.cut), table.about, tuple(notes))
+    return LoggerFile(tuple(samples), (*broken, *table.cut), tuple(notes))
 
 
 def _columns(path: Path, table: _Table, asked: Mapping[str, str]) -> dict[str, int]:

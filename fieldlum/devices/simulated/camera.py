@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from datetime import datetime, timedelta
+from datetime import timedelta
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -194,7 +194,18 @@ class SimulatedCamera(Camera):
         # gives the same frames as an undisturbed one.
         name = f"{opened.timestamp():.0f} {set_to} {heading}".encode()
         rng = np.random.default_rng([self._seed, zlib.crc32(name)])
-        path = self._write(image, set_to, true_s, target, opened, rng)
+        t_camera = opened + timedelta(seconds=self._clock_offset_s)
+        body, sensor = self._profile.camera, self._profile.sensor
+        about: dict[str, Any] = {"make": body.make, "model": body.model}
+        about["t_camera"] = t_camera.replace(tzinfo=None)  # cameras write no time zone
+        path = target.with_name(f"{target.name}.{'jpg' if self._is_jpeg else 'dng'}")
+        if self._is_jpeg:
+            codes = jpeg_codes(image, self._profile, set_to, true_s, rng)
+            write_jpeg(path, codes, set_to, **about)
+        else:
+            about |= {"black_dn": sensor.black_dn, "white_dn": sensor.white_dn, "cfa": sensor.cfa}
+            counts = raw_counts(image, self._profile, set_to, true_s, rng)
+            write_dng(path, counts, set_to, **about)
         self._clock.sleep(self._overhead_s + true_s)
         return path
 
@@ -252,26 +263,3 @@ class SimulatedCamera(Camera):
             inside = distance <= 1.0
             out[inside] = vignetting_at(curve, relative)[inside]
         return out[..., None] if self._is_jpeg else out
-
-    def _write(
-        self,
-        image: Floats32,
-        exposure: Exposure,
-        true_s: float,
-        target: Path,
-        opened: datetime,
-        rng: np.random.Generator,
-    ) -> Path:
-        body, s = self._profile.camera, self._profile.sensor
-        camera_time = opened + timedelta(seconds=self._clock_offset_s)
-        t_camera = camera_time.replace(tzinfo=None)  # cameras write no time zone
-        about: dict[str, Any] = {"t_camera": t_camera, "make": body.make, "model": body.model}
-        path = target.with_name(f"{target.name}.{'jpg' if self._is_jpeg else 'dng'}")
-        if self._is_jpeg:
-            codes = jpeg_codes(image, self._profile, exposure, true_s, rng)
-            write_jpeg(path, codes, exposure, **about)
-        else:
-            about.update(black_dn=s.black_dn, white_dn=s.white_dn, cfa=s.cfa)
-            counts = raw_counts(image, self._profile, exposure, true_s, rng)
-            write_dng(path, counts, exposure, **about)
-        return path
