@@ -5,8 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import threading
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
 
@@ -15,7 +14,7 @@ from tiny_field import FAST, T0, Field, TinyCamera, make_session
 
 from fieldlum.capture.bracket import FrameChecks
 from fieldlum.core.errors import DeviceError
-from fieldlum.core.records import CameraSetup, Exposure
+from fieldlum.core.records import CameraSetup
 from fieldlum.devices.clock import FastClock
 from fieldlum.session import (
     day_files,
@@ -24,18 +23,6 @@ from fieldlum.session import (
     sha256,
 )
 from fieldlum.session.ledger import fold, slots_to_do
-
-
-@dataclass
-class OneGoCamera(TinyCamera):
-    """Brackets by itself, as a Theta does."""
-
-    brackets: int = 0
-    bracket_shots: range = range(2, 14)
-
-    def expose_bracket(self, exposures: Sequence[Exposure], targets: Sequence[Path]) -> list[Path]:
-        self.brackets += 1
-        return [self.expose(e, t) for e, t in zip(exposures, targets, strict=True)]
 
 
 @pytest.mark.contract
@@ -59,28 +46,6 @@ def test_undisturbed_run_takes_everything_once(rig: Field) -> None:
     assert rig.run()[-1] == "close" and rig.cameras[0].count == 9, (
         "nothing is owed: nothing is taken"
     )
-
-
-@pytest.mark.contract
-def test_a_camera_that_brackets_by_itself_is_asked_once_a_slot(rig: Field) -> None:
-    """And again when it failed in the middle: nothing of a half bracket is acknowledged."""
-    made: list[OneGoCamera] = []
-
-    def fault(count: int) -> None:
-        if count == 5:
-            raise DeviceError("unplugged")
-
-    def open_camera() -> OneGoCamera:
-        made.append(OneGoCamera(rig.clock, fault, sum(c.count for c in made)))
-        return made[-1]
-
-    events = rig.run(open_cam=open_camera)
-    assert rig.outcomes() == ["done"] * 3 and events.count("frame") == 9
-    assert sum(camera.brackets for camera in made) == 4
-    for slot in rig.session.slots():
-        table = json.loads((rig.session.raw / slot.id / "capture.json").read_text())
-        assert [f["exposure"]["shutter_s"] for f in table["frames"]] == [1.0, 0.5, 0.25]
-        assert not list((rig.session.raw / slot.id).glob(".*"))
 
 
 @pytest.mark.contract

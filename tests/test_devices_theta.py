@@ -25,7 +25,6 @@ from fieldlum.optics.raw import write_dng, write_jpeg
 pytestmark = pytest.mark.contract
 
 START = datetime(2027, 3, 20, 15, tzinfo=UTC)
-BRACKET = [Exposure(t, 5.6, 100.0) for t in (0.25, 0.0166666, 0.001)]
 
 
 class Theta(BaseHTTPRequestHandler):
@@ -112,16 +111,6 @@ class Theta(BaseHTTPRequestHandler):
         self.camera["polls"] = 3
         self._answer({"state": "inProgress", "id": "7"})
 
-    def _startCapture(self, parameters: dict[str, Any]) -> None:
-        assert parameters == {"_mode": "bracket"}
-        bracket = self.camera["options"]["_autoBracket"]
-        shots = bracket["_bracketParameters"]
-        assert bracket["_bracketNumber"] == len(shots)
-        frames = [Exposure(s["shutterSpeed"], s["aperture"], s["iso"]) for s in shots]
-        self.camera["results"] = {"fileUrls": [self._store(e, ".JPG") for e in frames]}
-        self.camera["polls"] = 5
-        self._answer({"state": "inProgress", "id": "8"})
-
 
 @pytest.fixture
 def theta(tmp_path: Path) -> Iterator[dict[str, Any]]:
@@ -176,16 +165,6 @@ def test_info_and_one_raw_picture(theta: dict[str, Any], tmp_path: Path) -> None
     assert theta["options"]["exposureProgram"] == 1 and theta["options"]["shutterSpeed"] == 0.004
     assert len(theta["deleted"]) == 2
     camera.close()
-
-
-def test_bracket_in_one_go(theta: dict[str, Any], tmp_path: Path) -> None:
-    targets = [tmp_path / f"f{i}" for i in range(3)]
-    paths = opened(theta).expose_bracket(BRACKET, targets)
-    assert [p.name for p in paths] == ["f0.jpg", "f1.jpg", "f2.jpg"]
-    assert [p.read_bytes() for p in paths] == list(theta["files"].values())
-    assert not theta["deleted"]
-    with pytest.raises(DeviceError, match="a bracket of 1 frames"):
-        opened(theta).expose_bracket(BRACKET[:1], targets[:1])
 
 
 def test_nothing_snaps_silently(theta: dict[str, Any], tmp_path: Path) -> None:

@@ -95,8 +95,7 @@ class BracketCapture:
             if not missing:
                 return self._complete()
             try:
-                is_whole = not have and self._takes_whole_brackets()
-                taken = self._expose(missing if is_whole else missing[:1])
+                frame = self._expose(missing[0])
             # A driver's defect may cost one frame, but must not end a capture of a month.
             except Exception as error:
                 self._failed(error)
@@ -107,14 +106,11 @@ class BracketCapture:
                 if not can_go_on:
                     return self.abort(error_text(error))
                 continue
-            for frame in taken:
-                fields = frame_fields(frame)
-                if not self.recorder.tell("frame", slot=self.slot.id, frame=fields):
-                    return self.abort("could not write the frame to the journal")
-                self._replace(frame)
-                self.between(frame)
-            for frame in taken:
-                self._again(frame)
+            if not self.recorder.tell("frame", slot=self.slot.id, frame=frame_fields(frame)):
+                return self.abort("could not write the frame to the journal")
+            self._replace(frame)
+            self.between(frame)
+            self._again(frame)
 
     def resumable(self) -> bool:
         """Return whether all frames exist, or the last one ended at most a minute ago.
@@ -166,7 +162,7 @@ class BracketCapture:
         if not doubtful.doubt or in_vain or not in_time:
             return
         try:
-            (second,) = self._expose([self.wanted[doubtful.index]], instead_of=doubtful.file)
+            second = self._expose(self.wanted[doubtful.index], instead_of=doubtful.file)
         except Exception as error:  # the doubtful frame is already in the journal, so it is used
             self._failed(error)
             return
@@ -219,44 +215,25 @@ class BracketCapture:
         sync_folder(self.folder)
         self._start(self.state.attempt + 1)
 
-    def _expose(self, wanted: Sequence[FrameRequest], instead_of: str = "") -> list[Frame]:
-        """Take one frame, or all frames of a bracket in one call; return them only if all exist."""
+    def _expose(self, shot: FrameRequest, instead_of: str = "") -> Frame:
+        """Take one frame, check it, give it its final name, and return it."""
         if self.camera.get() is None:
             raise _Away("the camera is away")
-        self.recorder.claim(self.frame_bytes * len(wanted))
+        self.recorder.claim(self.frame_bytes)
         self.folder.mkdir(parents=True, exist_ok=True)
-        begun, boot = self.clock.now(), self.clock.boottime()
-        exposures = [shot.exposure for shot in wanted]
+        begun, boot, exposure = self.clock.now(), self.clock.boottime(), shot.exposure
         # Each try has its own file name, so that a frame which a hung camera delivers late cannot
         # replace another.
-        unique = f"{os.getpid()}.{self.state.attempt}.{boot:.3f}"
-        targets = [self.folder / f".{shot.stem}.{unique}" for shot in wanted]
+        target = self.folder / f".{shot.stem}.{os.getpid()}.{self.state.attempt}.{boot:.3f}"
 
-        def take(camera: Camera) -> list[Path]:
-            if len(wanted) > 1:
-                return camera.expose_bracket(exposures, targets)
-            heading_deg = wanted[0].heading_deg
-            return [camera.expose(exposures[0], targets[0], heading_deg=heading_deg)]
+        def take(camera: Camera) -> tuple[Path, Exposure]:
+            written = camera.expose(exposure, target, heading_deg=shot.heading_deg)
+            return written, camera.exposure_taken(written) or exposure
 
-        files = self.camera.call(take, sum(e.shutter_s for e in exposures))
-        each_s = (self.clock.boottime() - boot) / len(wanted)
-        return [
-            self._stored(s, path, begun + timedelta(seconds=k * each_s), each_s, instead_of)
-            for k, (s, path) in enumerate(zip(wanted, files, strict=True))
-        ]
-
-    def _stored(
-        self, shot: FrameRequest, written: Path, begun: datetime, seconds: float, instead_of: str
-    ) -> Frame:
-        """Check a new frame, give it its final name, and return it.
-
-        begun, seconds: UTC of the request, and the time that the frame took [s].
-        """
-        camera, exposure = self.camera.get(), shot.exposure
-        if camera is not None:
-            exposure = camera.exposure_taken(written) or exposure
-        if doubt := self.checks.settings(written, exposure):
-            exposure = as_taken(written, exposure)
+        written, taken = self.camera.call(take, exposure.shutter_s)
+        seconds = self.clock.boottime() - boot
+        if doubt := self.checks.settings(written, taken):
+            taken = as_taken(written, taken)
         final = written.with_name(f"{shot.stem}{'_again' if instead_of else ''}{written.suffix}")
         if self.recorder.flush:
             with written.open("rb+") as file:
@@ -265,17 +242,8 @@ class BracketCapture:
         if self.recorder.flush:
             sync_folder(final.parent)
         self.frame_bytes = max(self.frame_bytes, final.stat().st_size)
-        about = exposure, shot.heading_deg, begun, seconds, sha256(final), doubt, instead_of
+        about = taken, shot.heading_deg, begun, seconds, sha256(final), doubt, instead_of
         return Frame(shot.index, final.name, *about)
-
-    def _takes_whole_brackets(self) -> bool:
-        """Return whether the camera can take the frames as one bracket by itself.
-
-        This is several times faster than frame by frame.
-        """
-        camera = self.camera.get()
-        still = all(shot.heading_deg is None and not shot.exposure.nd for shot in self.wanted)
-        return still and camera is not None and len(self.wanted) in camera.bracket_shots
 
     def _wait_for_room(self, pause_s: float) -> bool:
         """Wait until a frame fits on the disk; return False at the deadline.

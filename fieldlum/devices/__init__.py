@@ -20,7 +20,7 @@ import math
 import os
 import re
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from importlib import import_module
@@ -92,12 +92,10 @@ class Device:
 class Camera(Device):
     """A camera that takes one frame at a time; a driver overrides what its camera can do.
 
-    info : what the camera reports about itself; bracket_shots : the numbers of frames of which it
-    takes a bracket by itself, after one command.
+    info : what the camera reports about itself.
     """
 
     info: CameraInfo
-    bracket_shots = range(0)
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
         """Take one frame, write it to `target` plus the camera's suffix, and return the file.
@@ -105,14 +103,6 @@ class Camera(Device):
         heading_deg : view direction [deg clockwise from north], for a camera on a turning head;
         others ignore or reject it. Raises DeviceError if the camera fails or does not offer this
         exposure, OSError if the disk is full.
-        """
-        raise NotImplementedError
-
-    def expose_bracket(self, exposures: Sequence[Exposure], targets: Sequence[Path]) -> list[Path]:
-        """Take the frames of a bracket in the given order; return the files written.
-
-        targets : one path for each frame, to which its suffix is added. Raises DeviceError if the
-        camera fails or cannot take the bracket, OSError if the disk is full.
         """
         raise NotImplementedError
 

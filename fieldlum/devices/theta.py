@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import urllib.error
 import urllib.request
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from datetime import datetime
 from http.client import HTTPException
@@ -41,13 +41,11 @@ _OFFERS = {
 
 
 class ThetaCamera(Camera):
-    """A Ricoh Theta, which also takes brackets by itself.
+    """A Ricoh Theta.
 
     address : such as http://192.168.1.1; delete : whether pictures are deleted after they were
     copied. Raises DeviceError if the camera does not answer or reports an error.
     """
-
-    bracket_shots = range(2, 14)  # all models take up to 13, Z1 and V up to 19 (THETA Web API v2.1)
 
     def __init__(
         self, address: str, clock: Clock, *, delete: bool = False, timeout_s: float = 10.0
@@ -98,36 +96,15 @@ class ThetaCamera(Camera):
         urls = [url for url in files if isinstance(url, str) and url]
         if not urls:
             raise DeviceError("theta: the camera names no file for its picture; take it again")
-        path = self._fetch(urls[0], target)
-        self._forget(urls)
+        parts = urlsplit(urls[0])
+        if parts.scheme != "http" or parts.hostname != urlsplit(self._address).hostname:
+            found = f"the camera names a file at {urls[0]}; expected a file at {self._address}"
+            raise DeviceError(f"theta: {found}; check the address in the URI")
+        path = target.with_name(f"{target.name}{Path(parts.path).suffix.lower()}")
+        store_frame(path, self._http(urllib.request.Request(urls[0]), 60.0))
+        if self._delete:
+            self._command("camera.delete", {"fileUrls": urls}, self._timeout_s)
         return path
-
-    def expose_bracket(self, exposures: Sequence[Exposure], targets: Sequence[Path]) -> list[Path]:
-        """Take 2 to 13 JPEG frames with one command, in the order of `exposures`; return the files.
-
-        targets : one path for each frame, to which its suffix is added. Raises DeviceError for
-        another number of frames, or if the camera fails or does not offer an exposure, OSError if
-        the disk is full; frames that were already fetched stay on the disk.
-        """
-        count = len(exposures)
-        if count not in self.bracket_shots:
-            found = f"a bracket of {count} frames; expected 2 to 13"
-            raise DeviceError(f"theta: {found}; change the plan")
-        fixed = {"exposureProgram": 1, "whiteBalance": "daylight"}
-        shots = [{**fixed, **self._chosen(exposure)} for exposure in exposures]
-        bracket = {"_bracketNumber": count, "_bracketParameters": shots}
-        self._set({**_MANUAL, "_autoBracket": bracket})
-        patience_s = sum(e.shutter_s for e in exposures) + READOUT_S + 2.0 * count
-        # The camera reports only the number of frames; their EXIF states the settings.
-        results = self._command("camera.startCapture", {"_mode": "bracket"}, patience_s)
-        listed = results.get("fileUrls")
-        urls = [str(url) for url in listed] if isinstance(listed, list) else []
-        if len(urls) != count:
-            found = f"{len(urls)} frames of a bracket; expected {count}"
-            raise DeviceError(f"theta: the camera took {found}; capture the bracket again")
-        paths = [self._fetch(url, target) for url, target in zip(urls, targets, strict=True)]
-        self._forget(urls)
-        return paths
 
     def _chosen(self, exposure: Exposure) -> dict[str, float]:
         """Return the camera's steps for an exposure.
@@ -150,20 +127,6 @@ class ThetaCamera(Camera):
         The aperture is not checked if the camera reports no apertures.
         """
         self._chosen(exposure)
-
-    def _fetch(self, url: str, target: Path) -> Path:
-        """Copy the camera's file at `url` to `target` plus its suffix; return the copy."""
-        parts = urlsplit(url)
-        if parts.scheme != "http" or parts.hostname != urlsplit(self._address).hostname:
-            found = f"the camera names a file at {url}; expected a file at {self._address}"
-            raise DeviceError(f"theta: {found}; check the address in the URI")
-        path = target.with_name(f"{target.name}{Path(parts.path).suffix.lower()}")
-        store_frame(path, self._http(urllib.request.Request(url), 60.0))
-        return path
-
-    def _forget(self, urls: Sequence[str]) -> None:
-        if self._delete:
-            self._command("camera.delete", {"fileUrls": urls}, self._timeout_s)
 
     # --------------------------------------------------------------------------------------
     # protocol
