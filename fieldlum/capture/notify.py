@@ -39,7 +39,7 @@ class Outbox:
 
     post: sends one message and returns whether it was sent. `put` returns at once, whatever the
     network does. A message that cannot be sent is tried again after 30 s, 1 min ... 15 min; of more
-    than 500 waiting ones the oldest are dropped. `say` is told once when sending begins to fail,
+    than 500 waiting ones the oldest are dropped. `say` is called once when sending begins to fail,
     and when it works again; no text contains an address.
     """
 

@@ -10,7 +10,6 @@ and ground behind its windows, for rehearsals.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime, timedelta
 from functools import cache, lru_cache
@@ -124,7 +123,6 @@ SEATTLE = Site("office", 47.6, -122.3, "America/Los_Angeles", 50.0)
 # The office of Liu, Colburn and Inanici (2020): 6 x 14 x 4.5 m, one glazed south wall.
 OFFICE = Room(window=(Window("south", left_m=0.5, width_m=5.0, sill_m=0.9, height_m=3.2, panes=3),))
 _HEIGHT = 230  # rows of the panorama, for speed
-_LIGHT_STEP_S = 600  # between computed skies, for speed
 _LM_PER_W = 115.0  # luminous efficacy of daylight, typical
 
 
@@ -145,34 +143,18 @@ class Office:
         self._light_of = lru_cache(maxsize=16)(self._light_at)
 
     def irradiance(self, t_utc: datetime) -> SimulatedLight:
-        """Return Ineichen's clear sky changed by clouds [W/m2].
+        """Return Ineichen's clear sky changed by the day's clouds [W/m2], for each minute."""
+        return self._light_of(t_utc.replace(second=0, microsecond=0))
 
-        It is linear between steps of ten minutes.
-        """
-        part, step = math.modf(t_utc.timestamp() / _LIGHT_STEP_S)
-        before, after = self._light_of(int(step)), self._light_of(int(step) + 1)
-        return SimulatedLight(*(a + part * (b - a) for a, b in zip(before, after, strict=True)))
-
-    def _light_at(self, step: int) -> SimulatedLight:
-        t_utc = datetime.fromtimestamp(step * _LIGHT_STEP_S, UTC)
-        clear, clouds = sun.clearsky([t_utc], self.setup.site), self._cloudiness(t_utc)
+    def _light_at(self, t_utc: datetime) -> SimulatedLight:
+        day = np.random.default_rng([self._seed, t_utc.toordinal()])
+        clouds = day.choice([0.02, 0.1, 0.35, 0.6, 0.95])  # clear, mixed or overcast
+        clear = sun.clearsky([t_utc], self.setup.site)
         altitude = np.radians(sun.position([t_utc], self.setup.site).altitude_deg[0])
         dni = float(clear.dni_wm2[0]) * max(1.0 - 1.4 * clouds, 0.0)
         scattered = float(clear.dhi_wm2[0]) * (1.0 + 1.6 * clouds * (1.0 - clouds))
         dhi = scattered + 0.25 * clouds * float(clear.ghi_wm2[0])
         return SimulatedLight(dhi + dni * max(float(np.sin(altitude)), 0.0), dhi, dni)
-
-    def _cloudiness(self, t_utc: datetime) -> float:
-        """Return the cloudiness from 0 to 1.
-
-        Days are clear, mixed or overcast; the hours of a day differ slightly.
-        """
-        hour = t_utc.timestamp() / 3600.0
-        days = np.random.default_rng([self._seed, int(hour // 24)])
-        hours = [np.random.default_rng([self._seed, int(hour) + i, 7]) for i in (0, 1)]
-        marks = [rng.normal(0.0, 0.12) for rng in hours]
-        day = days.choice([0.02, 0.1, 0.35, 0.6, 0.95])
-        return float(np.clip(day + np.interp(hour % 1.0, [0, 1], marks), 0.0, 1.0))
 
     def scene(self, t_utc: datetime) -> Panorama:
         """Return the panorama at a time; it is computed for the start of the minute."""
