@@ -15,8 +15,8 @@ from fieldlum.core.records import Exposure, Flag
 from fieldlum.merge import MergeOptions, Shot, merge_frames, merge_sensor, shots_of_files
 from fieldlum.merge.project import footprint_px, u_of_edges
 from fieldlum.merge.quality import orientation_conflict, verdict
-from fieldlum.merge.ratios import beyond, fit_ratios, free_fit
-from fieldlum.merge.sensor import Findings, SensorImage, any_beyond_prior
+from fieldlum.merge.ratios import any_beyond_prior, beyond, fit_ratios, free_fit
+from fieldlum.merge.sensor import Findings, SensorImage
 from fieldlum.merge.shots import U_ISO, exposure_covariance, sorted_shots
 from fieldlum.optics.photometry import PairRatio, true_times_s, z_per_cdm2
 from fieldlum.optics.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats
 from fieldlum.core.records import Flag
-from fieldlum.merge.sensor import Findings, any_beyond_prior
+from fieldlum.merge.ratios import any_beyond_prior
+from fieldlum.merge.sensor import Findings
 from fieldlum.merge.shots import Shot
 from fieldlum.optics.profiles import CameraProfile
 from fieldlum.optics.projection import Target, signed_angle_deg

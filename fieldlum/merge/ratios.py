@@ -1,4 +1,4 @@
-"""Estimate the exposure ratios of a bracket's frames by a robust fit in the log domain.
+"""Estimate the exposures of a bracket's frames by a robust fit of their ratios in the log domain.
 
 For a pair, y_short / y_long is averaged over pixels that are well exposed in both frames. The long
 frame alone selects the pixels: its noise is small, so that noise of the short frame does not bias
@@ -6,16 +6,20 @@ the selection. Weighted least squares with priors then give one correction for e
 determine only ratios; the priors determine the common level.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fieldlum.core.arrays import Floats
 from fieldlum.core.statistics import robust_sigma
 from fieldlum.merge.estimator import Rows
-from fieldlum.merge.frames import RawSignal, Signal
-from fieldlum.optics.photometry import PairRatio
+from fieldlum.merge.frames import RawSignal, Signal, scaled
+from fieldlum.merge.shots import Shot, exposure_covariance, times_by_law
+from fieldlum.optics.photometry import PairRatio, ShutterLaw, law_of_frames
+from fieldlum.optics.profiles import CameraProfile
 from fieldlum.session.files.merge_report import NeighbourQuality
 
 _SNR_LONG = 30.0  # minimum signal-to-noise ratio of a pixel in the longer frame
@@ -286,3 +290,95 @@ def _surplus(delta: Floats, prior: Floats, prior_covariance: Floats, design: Flo
         return 0.0
     birge2 = float(delta @ prior @ delta) / freedom
     return max(birge2 - 1.0, 0.0) * float(np.diag(prior_covariance).min())
+
+
+# ----------------------------------------------------------------------------------------------
+# the exposures of a bracket
+
+
+@dataclass(frozen=True, slots=True)
+class Exposures:
+    """The exposures of a bracket and their uncertainty.
+
+    law: how nominal shutter times were read. fit: corrections of the exposures. neighbours:
+    disagreement of frames that are neighbours in exposure. log_deviation [frames]: ln of exposures
+    fitted to the frames over the profile's; u_prior [frames]: standard uncertainty that shutter,
+    filter, ISO and response explain before any fit. u_rel: relative uncertainty of a typical
+    frame's exposure. u_curve: relative uncertainty of a merged value due to exposures, by
+    luminance. tolerance: relative difference of two frames that does not count as motion.
+    """
+
+    law: ShutterLaw
+    fit: RatioFit
+    neighbours: tuple[NeighbourQuality, ...]
+    log_deviation: Floats
+    u_prior: Floats
+    u_rel: float
+    u_curve: RatioCurve
+    tolerance: float
+
+
+def any_beyond_prior(log_deviation: Floats, u_prior: Floats) -> bool:
+    """Return whether any exposure deviates by more than 2 % and by more than three u_prior."""
+    return bool((np.abs(log_deviation) > np.maximum(0.02, 3.0 * u_prior)).any())
+
+
+def exposures_of(
+    frames: list[Signal], shots: Sequence[Shot], profile: CameraProfile, law: ShutterLaw, fits: bool
+) -> tuple[list[Signal], Exposures, list[Rows]]:
+    """Return frames with corrected exposures, the exposures, and samples without the corrections.
+
+    law: that with which the frames were read. One that is derived from nominal times is tested with
+    the frames' ratios first. If `fits` is False, no exposure is corrected. Disagreement of frames
+    beyond the uncertainties of shutter and response increases the uncertainty: the light changed,
+    or the profile is wrong. Exposures that are not fitted are compared with a fit that serves only
+    this purpose.
+    """
+    samples = take_samples(frames)
+    pairs = bracket_pairs(samples)
+    if law.decided_by == "labels":
+        times_s = times_by_law(shots, profile)
+        assumed, law = law.law, law_of_frames(times_s, law, pairs)
+        if law.law != assumed:
+            frames = scaled(frames, times_s[law.law] / times_s[assumed])
+            samples = take_samples(frames)
+            pairs = bracket_pairs(samples)
+    prior = exposure_covariance([s.exposure for s in shots], replace(profile, shutter_law=law.law))
+    fit = fit_ratios(pairs if fits else [], prior)
+    exposures = _trust(law, fit, prior, samples, pairs, profile, fits)
+    return scaled(frames, fit.correction), exposures, samples
+
+
+def _trust(
+    law: ShutterLaw,
+    fit: RatioFit,
+    prior: Floats,
+    samples: Sequence[Rows],
+    pairs: list[PairRatio],
+    profile: CameraProfile,
+    fits: bool,
+) -> Exposures:
+    residuals = neighbours(pairs, fit.correction)
+    u_typical = float(np.median(fit.u_log))
+    u_response = 0.0 if profile.camera.kind == "raw" else profile.response.u_rel
+    if fits:
+        compared, disagreement = fit, u_typical
+        u_extra = unexplained(residuals, u_response)
+    else:
+        compared = free_fit(pairs, len(prior))
+        u_explained = float(np.hypot(u_response, u_typical))
+        percents = [abs(n.residual_percent) for n in residuals]
+        disagreement = float(np.median(percents)) / 100 if percents else u_typical
+        u_extra = max(unexplained(residuals, u_explained), beyond(compared, u_explained))
+    return Exposures(
+        law,
+        fit,
+        tuple(residuals),
+        np.log(compared.correction),
+        np.hypot(np.sqrt(np.diag(prior)), u_response),
+        float(np.hypot(u_typical, u_extra)),
+        ratio_curve(samples, fit.covariance, u_extra),
+        # At least the prior uncertainty of a mechanical shutter time. The error of a JPEG's
+        # response makes frames differ without any motion.
+        max(0.003, 3.0 * disagreement, u_response),
+    )

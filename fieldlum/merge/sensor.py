@@ -1,4 +1,4 @@
-"""Merge the frames of one heading on the sensor, step by step: exposures, noise, bad pixels."""
+"""Merge the frames of one heading on the sensor, step by step: noise, bad pixels, filters."""
 
 from __future__ import annotations
 
@@ -24,122 +24,13 @@ from fieldlum.merge.frames import (
     lens_crop,
     read_frames,
     saturation_and_black,
-    scaled,
 )
-from fieldlum.merge.ratios import (
-    RatioCurve,
-    RatioFit,
-    beyond,
-    bracket_pairs,
-    compare,
-    fit_ratios,
-    free_fit,
-    neighbours,
-    ratio_curve,
-    take_samples,
-    unexplained,
-)
+from fieldlum.merge.ratios import Exposures, RatioCurve, compare, exposures_of, take_samples
 from fieldlum.merge.shift import shifts
-from fieldlum.merge.shots import Shot, exposure_covariance, sorted_shots, stated_law, times_by_law
+from fieldlum.merge.shots import Shot, sorted_shots, stated_law
 from fieldlum.optics.linear_light import lens_geometry, nd_factors
-from fieldlum.optics.photometry import PairRatio, ShutterLaw, law_of_frames
 from fieldlum.optics.profiles import CameraProfile
-from fieldlum.session.files.merge_report import NeighbourQuality, ShiftQuality
-
-# ----------------------------------------------------------------------------------------------
-# exposures: shutter law, fitted corrections, uncertainty
-
-
-@dataclass(frozen=True, slots=True)
-class Exposures:
-    """The exposures of a bracket and their uncertainty.
-
-    law: how nominal shutter times were read. fit: corrections of the exposures. neighbours:
-    disagreement of frames that are neighbours in exposure. log_deviation [frames]: ln of exposures
-    fitted to the frames over the profile's; u_prior [frames]: standard uncertainty that shutter,
-    filter, ISO and response explain before any fit. u_rel: relative uncertainty of a typical
-    frame's exposure. u_curve: relative uncertainty of a merged value due to exposures, by
-    luminance. tolerance: relative difference of two frames that does not count as motion.
-    """
-
-    law: ShutterLaw
-    fit: RatioFit
-    neighbours: tuple[NeighbourQuality, ...]
-    log_deviation: Floats
-    u_prior: Floats
-    u_rel: float
-    u_curve: RatioCurve
-    tolerance: float
-
-
-def any_beyond_prior(log_deviation: Floats, u_prior: Floats) -> bool:
-    """Return whether any exposure deviates by more than 2 % and by more than three u_prior."""
-    return bool((np.abs(log_deviation) > np.maximum(0.02, 3.0 * u_prior)).any())
-
-
-def exposures_of(
-    frames: list[Signal], shots: Sequence[Shot], profile: CameraProfile, law: ShutterLaw, fits: bool
-) -> tuple[list[Signal], Exposures, SeenNoise]:
-    """Return frames with corrected exposures, the exposures, and the noise of raw frames.
-
-    law: that with which the frames were read. One that is derived from nominal times is tested with
-    the frames' ratios first. If `fits` is False, no exposure is corrected. Disagreement of frames
-    beyond the uncertainties of shutter and response increases the uncertainty: the light changed,
-    or the profile is wrong. Exposures that are not fitted are compared with a fit that serves only
-    this purpose.
-    """
-    samples = take_samples(frames)
-    pairs = bracket_pairs(samples)
-    if law.decided_by == "labels":
-        times_s = times_by_law(shots, profile)
-        assumed, law = law.law, law_of_frames(times_s, law, pairs)
-        if law.law != assumed:
-            frames = scaled(frames, times_s[law.law] / times_s[assumed])
-            samples = take_samples(frames)
-            pairs = bracket_pairs(samples)
-    prior = exposure_covariance([s.exposure for s in shots], replace(profile, shutter_law=law.law))
-    fit = fit_ratios(pairs if fits else [], prior)
-    frames, noise = scaled(frames, fit.correction), SeenNoise()
-    if fits:
-        noise = seen_noise(samples, fit.correction)
-        frames = [_with_noise(signal, noise) for signal in frames]
-    return frames, _trust(law, fit, prior, samples, pairs, profile, fits), noise
-
-
-def _trust(
-    law: ShutterLaw,
-    fit: RatioFit,
-    prior: Floats,
-    samples: Sequence[Rows],
-    pairs: list[PairRatio],
-    profile: CameraProfile,
-    fits: bool,
-) -> Exposures:
-    residuals = neighbours(pairs, fit.correction)
-    u_typical = float(np.median(fit.u_log))
-    u_response = 0.0 if profile.camera.kind == "raw" else profile.response.u_rel
-    if fits:
-        compared, disagreement = fit, u_typical
-        u_extra = unexplained(residuals, u_response)
-    else:
-        compared = free_fit(pairs, len(prior))
-        u_explained = float(np.hypot(u_response, u_typical))
-        percents = [abs(n.residual_percent) for n in residuals]
-        disagreement = float(np.median(percents)) / 100 if percents else u_typical
-        u_extra = max(unexplained(residuals, u_explained), beyond(compared, u_explained))
-    return Exposures(
-        law,
-        fit,
-        tuple(residuals),
-        np.log(compared.correction),
-        np.hypot(np.sqrt(np.diag(prior)), u_response),
-        float(np.hypot(u_typical, u_extra)),
-        ratio_curve(samples, fit.covariance, u_extra),
-        # At least the prior uncertainty of a mechanical shutter time. The error of a JPEG's
-        # response makes frames differ without any motion.
-        max(0.003, 3.0 * disagreement, u_response),
-    )
-
+from fieldlum.session.files.merge_report import ShiftQuality
 
 # ----------------------------------------------------------------------------------------------
 # noise of raw frames, from neighbouring frames
@@ -326,7 +217,9 @@ def merge_sensor(
     lenses = [lens_geometry(lens, corner_px=(crop.left, crop.top)) for lens in profile.lens]
     turns = shifts([f.small() for f in frames], lenses, [s.path.name for s in shots])
     fits = is_raw if fit is None else fit
-    frames, exposures, noise = exposures_of(frames, shots, profile, law, fits)
+    frames, exposures, samples = exposures_of(frames, shots, profile, law, fits)
+    noise = seen_noise(samples, exposures.fit.correction) if fits else SeenNoise()
+    frames = [_with_noise(signal, noise) for signal in frames]
     shape = (crop.height // 2, 2, crop.width) if is_raw else (crop.height, crop.width, 3)
     merged = merge_signals(frames, shape, u_ratio=exposures.tolerance)
     good, f_number = good_pixels(profile, crop, merged.flags), shots[0].exposure.f_number
