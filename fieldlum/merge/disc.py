@@ -26,11 +26,6 @@ _LOWEST_DEG = -0.3  # the disc's radius is 0.27 degrees
 # decreases with the disc's width, but not below the second value.
 _CENTRE_PX, _MIN_CENTRE_PX = 0.1, 0.02
 _BLUR_RAD = np.radians(0.5)  # blur of a lens; not measured
-# A compass near steel is wrong by up to 5 degrees, more than `find_disc` searches: so far to both
-# sides it searches again. There only a strong light counts, because a facade of glass mirrors up to
-# a fifth of the sun's 100 klx. Chosen.
-_HEADING_ERROR_DEG = 5.0
-_MIN_FAR_LX = 20_000.0
 MEASURED = "nd-frames"
 
 
@@ -83,20 +78,19 @@ def take_out_disc(
 def _disc_near(
     panorama: Panorama, clipped: Mask, altitude_deg: float, azimuth_deg: float
 ) -> SunDisc | None:
-    """Return the disc within 3 degrees of the stated place, else of a place by a wrong heading."""
+    """Return the disc within 3 degrees of the stated place, else of a place by a wrong heading.
 
-    def at(turn_deg: float) -> SunDisc | None:
+    A compass near steel is wrong by up to 5 degrees. There only a strong light counts, because a
+    facade of glass mirrors up to a fifth of the sun's 100 klx.
+    """
+    light, heading_deg = panorama.luminance_cdm2, panorama.heading_deg
+    for turn_deg in (0.0, 5.0, -5.0):
         near_deg = altitude_deg, (azimuth_deg + turn_deg) % 360.0
-        light, heading_deg = panorama.luminance_cdm2, panorama.heading_deg
-        return find_disc(light, heading_deg, near_deg=near_deg, clipped=clipped)
-
-    disc = at(0.0)
-    for turn_deg in (_HEADING_ERROR_DEG, -_HEADING_ERROR_DEG):
-        if disc is None:
-            far = at(turn_deg)
-            shown = far is not None and np.isfinite(far.sigma_deg)
-            disc = far if far is not None and shown and far.normal_lx > _MIN_FAR_LX else None
-    return disc
+        disc = find_disc(light, heading_deg, near_deg=near_deg, clipped=clipped)
+        strong = disc is not None and np.isfinite(disc.sigma_deg) and disc.normal_lx > 20_000.0
+        if disc is not None and (not turn_deg or strong):
+            return disc
+    return None
 
 
 def disc_px(lenses: Sequence[Lens]) -> float:

@@ -126,25 +126,26 @@ def view_through(
     u_vignetting = u_edge * np.clip((1.0 - v) / worst, 0.0, 1.0)
     coverage = r.coverage.astype(np.float64)
     light = rgb @ weights
-    if not profile.stray.angle_deg:
-        stray = None
-    elif stray is None:
-        directions = target.rays(*(np.arange(count) + 0.5 for count in target.shape))
-        stray = stray_cdm2(
-            np.where(coverage > 0, light, 0.0),
-            target.solid_angles().ravel(),
-            directions.reshape(-1, 3),
-            np.asarray(profile.stray.angle_deg),
-            np.asarray(profile.stray.per_sr),
-        )
-    remaining = light if stray is None else np.maximum(light - stray, 0.0)
+    if stray is None and profile.stray.angle_deg:
+        stray = _stray_of_lens(light, coverage > 0, profile, target)
+    remaining, u_stray = light, np.zeros(len(rgb))
     if stray is not None:
+        remaining, u_stray = np.maximum(light - stray, 0.0), profile.stray.u_rel * stray
         rgb = rgb * (remaining / np.maximum(light, 1e-12))[:, None]
-    u_stray = np.zeros(len(rgb)) if stray is None else profile.stray.u_rel * stray
     variance = var @ weights**2
     return ProjectedImage(
         remaining, variance, coverage, edge, u_vignetting, u_ratio, flags, rgb, u_stray, lens, stray
     )
+
+
+def _stray_of_lens(
+    light: Floats, seen_mask: Mask, profile: CameraProfile, target: Target
+) -> Floats:
+    """Return the stray light [n] in cd/m2 that the light within a lens's field causes."""
+    rays = target.rays(*(np.arange(count) + 0.5 for count in target.shape)).reshape(-1, 3)
+    kernel = np.asarray(profile.stray.angle_deg), np.asarray(profile.stray.per_sr)
+    seen = np.where(seen_mask, light, 0.0)
+    return stray_cdm2(seen, target.solid_angles().ravel(), rays, *kernel)
 
 
 def blend(views: Sequence[ProjectedImage]) -> ProjectedImage:

@@ -71,9 +71,7 @@ def write_dng(
     """
     from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
-    cell = np.empty((2, 2))
-    for at, value in zip(channel_positions(cfa), black_dn, strict=True):
-        cell[at] = value
+    black = dict(zip(channel_positions(cfa), black_dn, strict=True))
     height, width = counts.shape
     of_dng = {
         254: (_LONG, 0),
@@ -83,16 +81,15 @@ def write_dng(
         50707: (_BYTE, bytes((1, 1, 0, 0))),
         50708: (_ASCII, f"{make} {model or 'camera'}"),
         50713: (_SHORT, (2, 2)),
-        50714: (_RATIONAL, _fractions(cell)),
+        50714: (_RATIONAL, _fractions([black[at] for at in np.ndindex(2, 2)])),
         50717: (_LONG, round(white_dn)),
         50721: (_SRATIONAL, _fractions(colour_matrix)),
         50728: (_RATIONAL, _fractions([1, 1, 1])),
         50778: (_SHORT, 21),  # D65
     }
     directory = ImageFileDirectory_v2(prefix=b"II")
-    for number, (kind, value) in of_dng.items():
-        directory.tagtype[number] = kind
-        directory[number] = value
+    directory.tagtype.update({number: kind for number, (kind, _) in of_dng.items()})
+    directory.update({number: value for number, (_, value) in of_dng.items()})
     texts = {270: exposure.nd and f"ND={exposure.nd}", 271: make, 272: model}
     directory.update({number: text for number, text in texts.items() if text})
     # TIFF 6.0: size, 16 bits, uncompressed, colour filter array, one strip; Pillow adds to its
