@@ -12,8 +12,8 @@ from fieldlum.devices.clock import FastClock
 from fieldlum.devices.simulated.camera import SimulatedCamera
 from fieldlum.devices.simulated.world import SimulatedLight
 from fieldlum.merge import MergeOptions, Shot, merge_shots
-from fieldlum.merge.session_summary import QUALITY_COLUMNS
 from fieldlum.merge.shift import reduced, shifts
+from fieldlum.merge.stage import QUALITY_COLUMNS
 from fieldlum.optics.photometry import z_per_cdm2
 from fieldlum.optics.profiles import CameraProfile, bracket_exposures, load_camera_profile
 from fieldlum.optics.projection import LensGeometry, lens_pixels, lens_rays
