@@ -21,8 +21,7 @@ from typing import Any
 
 from fieldlum.core.errors import InputError
 from fieldlum.learn.models.data import load_pairs
-from fieldlum.learn.models.pairs_bucket import read_pairs
-from fieldlum.session.bucket import BucketStore
+from fieldlum.learn.models.pairs_bucket import BucketStore, read_pairs
 
 PORT = 5117
 URL = "s3://lab/office"

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from fieldlum.core.records import Progress
-from fieldlum.core.scheduler import in_processes
+from fieldlum.core.scheduler import Scheduler
 from fieldlum.optics.profiles import shipped
 from fieldlum.optics.projection import compass_name
 from fieldlum.session import Session, open_session
@@ -206,7 +206,7 @@ def run(
     render = {"height": how.height, "quality": how.quality, "workers": workers}
     stage("render the room", lambda p: simulate.run(session, year, progress=p, **render))
     stage("capture", lambda p: capture(session, seed, p))
-    options, pool = merge.MergeOptions(height=how.height), in_processes(workers)
+    options, pool = merge.MergeOptions(height=how.height), Scheduler(workers)
     stage("merge", lambda p: merge.run(session, options, scheduler=pool, progress=p))
     stage("pair", lambda p: (irradiance.run(session, progress=p), pair.run(session, progress=p)))
     model = session.models / MODEL

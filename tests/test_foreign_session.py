@@ -265,6 +265,15 @@ def test_a_permission_holds_for_one_computer(
     assert not is_permitted(wanted)
 
 
+def test_a_permission_that_an_earlier_version_recorded_holds() -> None:
+    wanted = subject("device", "x", "x")
+    table = {"format": 1, "permitted": {computer(): {wanted.digest: "device x"}}}
+    config_folder().mkdir(parents=True)
+    (config_folder() / "permitted.json").write_text(json.dumps(table))
+    assert is_permitted(wanted) and not is_permitted(subject("link", "x", "x"))
+    assert not is_permitted(subject("device", "x", "y"))
+
+
 @pytest.mark.parametrize("content", ["", "[]", "{}", '{"format": 1, "permitted": 7}', "\0"])
 def test_a_damaged_record_permits_nothing(content: str) -> None:
     wanted = subject("device", "x", "x")

@@ -24,7 +24,7 @@ from fieldlum.core.records import (
     slot_id,
     utc_text,
 )
-from fieldlum.core.scheduler import in_processes
+from fieldlum.core.scheduler import Scheduler
 from fieldlum.merge import MergeOptions, MergeResult, stage
 from fieldlum.optics.images import read_panorama, read_radiance_hdr
 from fieldlum.optics.photometry import z_per_cdm2
@@ -131,7 +131,7 @@ def test_two_workers_write_the_files_of_one(session: Session) -> None:
         take(session, number)
 
     def written(workers: int) -> dict[str, bytes]:
-        merge.run(session, SMALL, scheduler=in_processes(workers), force=True)
+        merge.run(session, SMALL, scheduler=Scheduler(workers), force=True)
         return {path.name: path.read_bytes() for path in session.panoramas.glob("*.*")}
 
     alone = written(1)

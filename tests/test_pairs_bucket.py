@@ -13,7 +13,7 @@ from fieldlum.cli import main
 from fieldlum.core.errors import InputError
 from fieldlum.learn.models import pairs_bucket
 from fieldlum.learn.models.data import load_pairs
-from fieldlum.session.bucket import BucketStore, check_url
+from fieldlum.learn.models.pairs_bucket import BucketStore, check_url
 
 pytestmark = pytest.mark.contract
 DAYS = ("2027-03-20", "2027-06-21")

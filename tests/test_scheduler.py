@@ -1,7 +1,6 @@
 """Units of work: the option's text, lost and hanging processes, and what tasks hold."""
 
 import multiprocessing
-import os
 import pickle
 import sys
 from dataclasses import replace
@@ -16,16 +15,15 @@ from fieldlum.core.errors import InputError
 from fieldlum.core.scheduler import (
     LOCAL,
     SHARED_VARIABLE,
+    Scheduler,
     UnitOutcome,
     WorkUnit,
-    in_processes,
     parse_scheduler,
     perform,
     run_each,
     run_units,
     task_of,
 )
-from fieldlum.session import check_writable
 
 pytestmark = pytest.mark.contract
 
@@ -40,8 +38,8 @@ def troubled(folder: Path, name: str, how: str, times: int) -> WorkUnit:
 
 def test_the_text_of_the_option_names_a_scheduler() -> None:
     notes: list[str] = []
-    assert parse_scheduler("local", notes.append) == LOCAL == in_processes(1)
-    assert parse_scheduler("processes:3", notes.append) == in_processes(3)
+    assert parse_scheduler("local", notes.append) == LOCAL == Scheduler(1)
+    assert parse_scheduler("processes:3", notes.append) == Scheduler(3)
     assert parse_scheduler("tcp://127.0.0.1:8786", notes.append).address == "tcp://127.0.0.1:8786"
     assert parse_scheduler("tls://10.0.0.7:8786", notes.append).address == "tls://10.0.0.7:8786"
     assert not notes
@@ -89,7 +87,7 @@ def test_a_number_of_workers_is_a_number_of_processes(tmp_path: Path) -> None:
 def test_each_process_has_one_thread(tmp_path: Path) -> None:
     """Else n processes on n cores start n threads each, which wait for each other."""
     some = [WorkUnit(str(k), units.thread_counts, tmp_path, None) for k in range(2)]
-    found = [outcome.result() for outcome in run_units(some, in_processes(2))]
+    found = [outcome.result() for outcome in run_units(some, Scheduler(2))]
     assert found == [{1}, {1}]
 
 
@@ -119,23 +117,13 @@ def test_a_lost_process_costs_its_unit_alone(tmp_path: Path) -> None:
         troubled(tmp_path, "poison", "kill", 9),
         *(WorkUnit(f"u{k}", units.doubled, tmp_path, k) for k in range(4)),
     ]
-    outcomes = {o.unit.name: o for o in run_units(some, in_processes(2))}
+    outcomes = {o.unit.name: o for o in run_units(some, Scheduler(2))}
     assert len(outcomes) == len(some)
     assert [outcomes[f"u{k}"].result() for k in range(4)] == [0, 2, 4, 6]
     assert [outcomes[name].result() for name in ("killed", "full")] == ["killed", "full"]
     assert outcomes["poison"].trouble == "given up after 4 tries, the last: its process was killed"
     with pytest.raises(InputError, match="unit of work poison: given up after 4 tries"):
         outcomes["poison"].result()
-
-
-def test_scraps_of_killed_runs_are_removed_after_a_day(tmp_path: Path) -> None:
-    old, new = tmp_path / ".1234.tmp.a.exr", tmp_path / ".5678.tmp.b.exr"
-    for path in (old, new):
-        path.touch()
-    os.utime(old, (0.0, 0.0))
-    (tmp_path / ".maps.zarr.tmp").mkdir()
-    check_writable(tmp_path)  # as each stage does before it writes
-    assert not old.exists() and new.exists() and (tmp_path / ".maps.zarr.tmp").is_dir()
 
 
 # ----------------------------------------------------------------------------------------------
@@ -191,5 +179,5 @@ def test_an_error_of_the_caller_ends_the_crew(tmp_path: Path) -> None:
         raise ValueError("enough")
 
     with pytest.raises(ValueError, match="enough"):
-        run_each(some, in_processes(2), take)
+        run_each(some, Scheduler(2), take)
     assert len(given) == 1 and not multiprocessing.active_children()

@@ -1,5 +1,7 @@
 """Session folder: plan round trip, append-only files that survive being cut anywhere."""
 
+import os
+import sys
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -18,6 +20,7 @@ from fieldlum.session import (
     DayFiles,
     Journal,
     Session,
+    check_writable,
     create_session,
     day_files,
     decode_sample,
@@ -104,7 +107,11 @@ def test_exposure_text_round_trips(shutter: float, f_number: float, iso: int, nd
 
 @pytest.mark.contract
 @pytest.mark.parametrize(
-    "exposure", ["1/0 f/5.6 ISO100", "nan f/5.6 ISO100", "1/4 f/0 ISO100", "\xff"]
+    "exposure",
+    [
+        *("1/0 f/5.6 ISO100", "nan f/5.6 ISO100", "1/4 f/0 ISO100", "\xff"),
+        *("1/4 5.6 ISO100", "1/4 f/5.6 100", "1/4 f/5.6 XXX100"),
+    ],
 )
 def test_a_plan_with_an_impossible_exposure_is_an_input_error(
     tmp_path: Path, exposure: str
@@ -219,8 +226,6 @@ def test_day_files_split_at_utc_midnight_and_recover(session: Session) -> None:
 def test_full_disk_takes_half_a_line_back(
     session: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import os
-
     journal = Journal(session)
     journal.append("started", NOON)
     before = session.journal.read_bytes()
@@ -240,12 +245,24 @@ def test_full_disk_takes_half_a_line_back(
 
 @pytest.mark.contract
 def test_only_one_capture_at_a_time(session: Session) -> None:
+    number = "" if sys.platform == "win32" else rf" \(process {os.getpid()}\)"
     with (
         sole_user(session, "capture"),
-        pytest.raises(InputError, match="another"),
+        pytest.raises(InputError, match=f"another fieldlum{number} captures"),
         sole_user(session, "capture"),
     ):
         pass
+
+
+@pytest.mark.contract
+def test_scraps_of_killed_runs_are_removed_after_a_day(tmp_path: Path) -> None:
+    old, new = tmp_path / ".1234.tmp.a.exr", tmp_path / ".5678.tmp.b.exr"
+    for path in (old, new):
+        path.touch()
+    os.utime(old, (0.0, 0.0))
+    (tmp_path / ".maps.zarr.tmp").mkdir()
+    check_writable(tmp_path)  # as each stage does before it writes
+    assert not old.exists() and new.exists() and (tmp_path / ".maps.zarr.tmp").is_dir()
 
 
 WRONG_EVENTS = (

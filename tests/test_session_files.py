@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -19,7 +19,9 @@ from fieldlum.core.records import Exposure, SiteFile, Slot
 from fieldlum.plan import makeup
 from fieldlum.session import Session, create_session, store_grace
 from fieldlum.session.files.capture_json import CaptureFile, Frame
+from fieldlum.session.files.held_out_npz import MAX_MAPS, HeldOutMaps
 from fieldlum.session.files.hourly_csv import HOUR_COLUMNS, VIEW_COLUMNS, HourlyFile
+from fieldlum.session.files.irradiance_csv import CleanIrradiance
 from fieldlum.session.files.merge_report import MergeReport
 from fieldlum.session.files.model_config import ModelConfig
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
@@ -175,3 +177,29 @@ def test_files_of_a_predicted_year_carry_their_version(tmp_path: Path) -> None:
     (tmp_path / "predict.json").write_text('{"format": 0, "hours": 2, "azimuths_deg": [180]}')
     with pytest.raises(InputError, match="format 0; expected format 1 to 1; restore the file"):
         PredictFile.read(tmp_path)
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize("count", [3, 150, 151, 299, 400])
+def test_held_out_maps_are_kept_from_the_best_to_the_worst(tmp_path: Path, count: int) -> None:
+    error = np.random.default_rng(count).permutation(count).astype(float)
+    arrays = {f.name: error + 0.5 for f in fields(HeldOutMaps)}
+    arrays |= {"slots": np.array([f"{k:03}" for k in range(count)]), "log10_mse": error}
+    HeldOutMaps(**arrays).write(tmp_path)
+    kept = HeldOutMaps.find(tmp_path)
+    assert kept is not None and len(kept) == len(set(kept.slots)) == min(count, MAX_MAPS)
+    assert {kept.log10_mse.min(), kept.log10_mse.max()} == {0.0, count - 1.0}
+    rows = kept.slots.astype(int)
+    assert (np.diff(rows) > 0).all() and (kept.dgp_measured == error[rows] + 0.5).all()
+
+
+@pytest.mark.contract
+def test_simulated_irradiance_is_in_order_of_time(tmp_path: Path) -> None:
+    path, head = tmp_path / "irradiance.csv", "t_utc,ghi_wm2,dhi_wm2,dni_wm2"
+    first, second = (f"2027-12-21T20:0{minute}:00Z,3,1,2" for minute in range(2))
+    path.write_text("\n".join((head, first, second)))
+    assert (CleanIrradiance.read_truth(path).dni_wm2 == 2.0).all()
+    for rows in ((first,), (first, first), (second, first), (first, second.replace(",2", ","))):
+        path.write_text("\n".join((head, *rows)))
+        with pytest.raises(InputError, match="expected two or more rows in order of time"):
+            CleanIrradiance.read_truth(path)

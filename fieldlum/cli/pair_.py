@@ -34,10 +34,11 @@ def command(
     from fieldlum.pair import irradiance
     from fieldlum.pair.irradiance.day_curves import draw_days
     from fieldlum.session import open_session
-    from fieldlum.session.bucket import BucketStore, check_url
     from fieldlum.sky.sky_view import SkyView
 
     if pairs_to:
+        from fieldlum.learn.models.pairs_bucket import BucketStore, check_url
+
         check_url(pairs_to, "--pairs-to", "the pairs are in the session without --pairs-to")
         BucketStore(pairs_to)  # an absent client is reported before the work
 

@@ -70,11 +70,6 @@ class Scheduler:
 LOCAL = Scheduler()
 
 
-def in_processes(count: int) -> Scheduler:
-    """Return the scheduler for `count` processes here; 1 or less means the current process."""
-    return Scheduler(max(count, 1))
-
-
 def parse_scheduler(text: str, say: Callable[[str], None] = _silent) -> Scheduler:
     """Return the scheduler that `text` names: local, processes:N (or N), an address or FILE.json.
 
@@ -147,12 +142,9 @@ class UnitOutcome:
         if self.error is not None:
             raise self.error
         if self.trouble:
-            raise InputError(
-                f"unit of work {self.unit.name}",
-                self.trouble,
-                "a worker that completes it",
-                "check memory and disk of the workers, then start the command again",
-            )
+            source, expected = f"unit of work {self.unit.name}", "a worker that completes it"
+            remedy = "check memory and disk of the workers, then start the command again"
+            raise InputError(source, self.trouble, expected, remedy)
         return self.value
 
 
@@ -304,12 +296,9 @@ def task_of(unit: WorkUnit) -> Task:
     try:
         folder = unit.folder.resolve().relative_to(shared.resolve()).as_posix()
     except ValueError:
-        raise InputError(
-            unit.folder,
-            f"this folder is outside the shared folder {shared}",
-            "a folder inside it, so that workers can use it too",
-            f"start the command above it, or set {SHARED_VARIABLE} here and on each worker",
-        ) from None
+        found = f"this folder is outside the shared folder {shared}"
+        remedy = f"start the command above it, or set {SHARED_VARIABLE} here and on each worker"
+        raise InputError(unit.folder, found, "a folder inside it", remedy) from None
     inputs = tuple((name, _digest(unit.folder / name)) for name in unit.files)
     return Task(unit.call, folder, unit.argument, inputs, software())
 

@@ -51,16 +51,13 @@ def read_text(path: Path, expected: str, remedy: str = "check the path") -> str:
     for start, kind in _NOT_TEXT.items():
         if data.startswith(start):
             raise InputError(path, kind, expected, "export it as csv")
+    utf16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     try:
-        if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-            text = data.decode("utf-16")
-        else:
-            text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        if error.encoding.startswith("utf-16"):
-            raise InputError(
-                path, "damaged UTF-16 text", expected, "save it again as UTF-8"
-            ) from None
+        text = data.decode("utf-16" if utf16 else "utf-8-sig")
+    except UnicodeDecodeError:
+        if utf16:
+            remedy = "save it again as UTF-8"
+            raise InputError(path, "damaged UTF-16 text", expected, remedy) from None
         text = _western(data)
     if text.count("\0") > _MAX_ZERO_BYTES * len(text):
         found = "a binary file, or UTF-16 without its byte order mark"
@@ -127,19 +124,12 @@ def split_header(path: Path, line: Line, mark: str = ",") -> list[str]:
 
     Raises InputError for a stray quotation mark, and for another separator than commas.
     """
-    try:
+    where, remedy = f"{path}: line {line[0]}", "correct that line"
+    with input_errors(where, "a line of names", remedy, ValueError):
         names = split_row(line[1], mark)
-    except ValueError as error:
-        raise InputError(
-            path, f"line {line[0]}: {error}", "a line of names", "correct that line"
-        ) from None
     if len(names) == 1 and mark == "," and (other := re.search(r"[;\t|]", names[0])):
-        raise InputError(
-            path,
-            f"columns separated by {other[0]!r}",
-            "commas",
-            "save it as CSV with commas between and points in the numbers",
-        )
+        remedy = "save it as CSV with commas between and points in the numbers"
+        raise InputError(path, f"columns separated by {other[0]!r}", "commas", remedy)
     return names
 
 
@@ -156,9 +146,8 @@ def split_rows(
         try:
             rows.append((number, tuple(split_row(line, mark))))
         except ValueError as error:
-            raise InputError(
-                path, f"line {number}: {error}", "paired quotation marks", "correct that line"
-            ) from None
+            found, expected = f"line {number}: {error}", "paired quotation marks"
+            raise InputError(path, found, expected, "correct that line") from None
     if count is None:
         count = Counter(len(cells) for _, cells in rows).most_common(1)[0][0] if rows else 0
     wrong = [row for row in rows if len(row[1]) != count]
@@ -166,15 +155,10 @@ def split_rows(
         line, cells = wrong[0]
         others = f" (and {len(wrong) - 1} more such lines)" if len(wrong) > 1 else ""
         commas = decimal_commas(cells, count, [cells for _, cells in rows if len(cells) == count])
-        why = COMMAS if commas else ""
-        raise InputError(
-            path,
-            f"line {line}: {len(cells)} cells{why}{others}",
-            f"{count} cells, one for each column",
-            "write decimals with a point"
-            if commas
-            else "correct that line, or write the file again",
-        )
+        found = f"line {line}: {len(cells)} cells{COMMAS if commas else ''}{others}"
+        remedy = "correct that line, or write the file again"
+        remedy = "write decimals with a point" if commas else remedy
+        raise InputError(path, found, f"{count} cells, one for each column", remedy)
     return rows
 
 
@@ -238,9 +222,8 @@ def table_of(path: Path, lines: Sequence[Line], mark: str = ",") -> CsvTable:
     width = max((k + 1 for k, name in enumerate(names) if name), default=0)
     for line, cells in rows:
         if any(cells[width:]):
-            raise InputError(
-                path, f"line {line}: a cell without a column name", "a name", "name its column"
-            )
+            found = f"line {line}: a cell without a column name"
+            raise InputError(path, found, "a name", "name its column")
     return CsvTable(path, tuple(names[:width]), tuple((n, cells[:width]) for n, cells in rows))
 
 
@@ -248,12 +231,8 @@ def check_names(path: Path, names: Sequence[str]) -> None:
     """Raise InputError for a column name that occurs twice; empty names are no names."""
     counts = Counter(name for name in names if name)
     if twice := [name for name, count in counts.items() if count > 1]:
-        raise InputError(
-            path,
-            f"{counts[twice[0]]} columns named {twice[0]}",
-            "each name once",
-            "rename or remove one of the columns",
-        )
+        found = f"{counts[twice[0]]} columns named {twice[0]}"
+        raise InputError(path, found, "each name once", "rename or remove one of the columns")
 
 
 # ----------------------------------------------------------------------------------------------

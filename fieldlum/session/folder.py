@@ -46,12 +46,9 @@ class _SlotPlace:
     def __get__(self, session: Session, owner: type[Session]) -> Callable[[str], Path]:
         def place(slot: str) -> Path:
             if not is_plain(slot):  # from the journal or another file that anybody may have written
-                raise InputError(
-                    session.root,
-                    f"the slot name {slot!r}",
-                    "a name such as 20270320T153000Z",
-                    "restore the file that names the slot from a copy",
-                )
+                found, expected = f"the slot name {slot!r}", "a name such as 20270320T153000Z"
+                remedy = "restore the file that names the slot from a copy"
+                raise InputError(session.root, found, expected, remedy)
             return session.root.joinpath(*(part.format(slot) for part in self._parts))
 
         return place
@@ -170,12 +167,8 @@ def open_session(root: Path) -> Session:
     """
     session = Session(root)
     if not session.toml.is_file():
-        raise InputError(
-            root,
-            "no session.toml in this folder",
-            "a session folder",
-            "correct the path, or plan a session with: fieldlum plan SITE.toml",
-        )
+        remedy = "correct the path, or plan a session with: fieldlum plan SITE.toml"
+        raise InputError(root, "no session.toml in this folder", "a session folder", remedy)
     remedy = "correct that place, or restore session.toml from a copy"
     refuse_links(root, _checked_names())
     with input_errors(session.toml, "TOML", remedy, ValueError):
@@ -196,27 +189,16 @@ def create_session(
     """
     session = Session(root)
     if session.toml.exists():
-        raise InputError(
-            root,
-            "this folder is already a session",
-            "a new folder",
-            "choose another --out; to plan missed hours again: fieldlum plan SESSION --replan",
-        )
-    if session.plan.is_file() and not session.plan.read_bytes().startswith(
-        ",".join(PLAN_COLUMNS).encode()
-    ):
-        raise InputError(
-            session.plan, "a plan.csv of another program", "a new folder", "choose another --out"
-        )
-    write_plan(session.plan, slots, setup.site.timezone)
-    update_session(
-        session,
-        {
-            "setup": site_table(setup),
-            "plan": {**plan_about, "sha256": sha256(session.plan)},
-            "software": {"fieldlum": __version__},
-        },
-    )
+        remedy = "choose another --out; to plan missed hours again: fieldlum plan SESSION --replan"
+        raise InputError(root, "this folder is already a session", "a new folder", remedy)
+    head, plan = ",".join(PLAN_COLUMNS).encode(), session.plan
+    if plan.is_file() and not plan.read_bytes().startswith(head):
+        found = "a plan.csv of another program"
+        raise InputError(plan, found, "a new folder", "choose another --out")
+    write_plan(plan, slots, setup.site.timezone)
+    about: PlanTable = {**plan_about, "sha256": sha256(plan)}
+    software = {"fieldlum": __version__}
+    update_session(session, {"setup": site_table(setup), "plan": about, "software": software})
     return session
 
 
@@ -257,12 +239,8 @@ def sole_user(session: Session, purpose: Literal["capture", "log"]) -> Iterator[
         with suppress(OSError, ValueError):  # on Windows nobody can read a locked file
             number = int(path.read_text(encoding="utf-8"))
         other = f"another fieldlum (process {number})" if number else "another fieldlum"
-        raise InputError(
-            session.root,
-            f"{other} {_LOCKED[purpose]} this session",
-            "one process at a time for this work",
-            "stop the other process first",
-        ) from None
+        found, remedy = f"{other} {_LOCKED[purpose]} this session", "stop the other process first"
+        raise InputError(session.root, found, "one process at a time", remedy) from None
     try:
         with suppress(OSError):  # if the disk is full
             path.write_text(f"{os.getpid()}\n", encoding="utf-8")

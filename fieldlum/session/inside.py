@@ -48,12 +48,9 @@ def inside(root: Path, name: str, source: Path | str, folder: str = "") -> Path:
         parts.pop(0)
     path = root.joinpath(*base, *parts)
     if not parts or not all(map(is_plain, parts)):
-        raise InputError(
-            source,
-            f"the file name {name!r}",
-            "the plain name of a file in this session",
-            "correct the name, or restore the file from a copy",
-        )
+        expected = "the plain name of a file in this session"
+        remedy = "correct the name, or restore the file from a copy"
+        raise InputError(source, f"the file name {name!r}", expected, remedy)
     refuse_link(root, path)
     return path
 
@@ -84,12 +81,12 @@ def refuse_link(root: Path, path: Path) -> None:
 
 
 def _link_error(link: Path) -> InputError:
+    remedy = "replace it by its content, or, if the link is yours: fieldlum permit "
     return InputError(
         link,
         f"a symbolic link to {link.readlink()}",
         "files and folders of the session itself",
-        "replace it by its content, or, if the link is yours: fieldlum permit "
-        f"{shlex.quote(str(link))}",
+        remedy + shlex.quote(str(link)),
     )
 
 

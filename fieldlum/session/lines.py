@@ -73,12 +73,8 @@ def cut_torn_tail(path: Path, sound: Callable[[bytes], bool]) -> int:
         lines = file.readlines()
         kept = next((k for k in range(len(lines), 0, -1) if sound(lines[k - 1])), 0)
         if not kept and b"".join(lines).count(b"\n") > 2:
-            raise InputError(
-                path,
-                "no valid line at the end of the file",
-                "a file written by fieldlum",
-                "restore the file from a copy, or move it away",
-            )
+            found, remedy = "no valid line at the end of the file", "restore it, or move it away"
+            raise InputError(path, found, "a file written by fieldlum", remedy)
         if rest := b"".join(lines[kept:]):
             flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT
             with os.fdopen(open_file(path.with_name(f"{path.name}.torn"), flags), "ab") as torn:

@@ -26,13 +26,9 @@ def mark_slot(session: Session, slot: str, state: str) -> str:
     slots = {planned.id for planned in session.slots()}
     slots |= {path.stem for path in session.panoramas.glob("*.exr")}
     if slot not in slots:
-        example = min(slots, default="20270320T153000Z")
-        raise InputError(
-            session.root,
-            f"no slot {slot} in this session",
-            f"a slot's id such as {example}",
-            "choose a slot of plan.csv",
-        )
+        found = f"no slot {slot} in this session"
+        expected = f"a slot's id such as {min(slots, default='20270320T153000Z')}"
+        raise InputError(session.root, found, expected, "choose a slot of plan.csv")
     remedy = "name the slot and its state, for example lamp=on"
     with input_errors(session.root, USAGE, remedy, ValueError):
         result = merged_state(marks(session).get(slot, ""), state)

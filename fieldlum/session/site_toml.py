@@ -40,25 +40,19 @@ def site_from_table(table: TomlTable, where: str) -> SiteFile:
     site = setup.site
     for name, low, high, hint in _RANGES:
         if not low <= (value := getattr(site, name)) <= high:
-            raise InputError(
-                where, f"{name} = {value:g}", f"{low} to {high}", f"correct it; {hint}"
-            )
+            expected = f"{low} to {high}"
+            raise InputError(where, f"{name} = {value:g}", expected, f"correct it; {hint}")
     try:
         ZoneInfo(site.timezone)
     except (ZoneInfoNotFoundError, ValueError, OSError):
         found = f"unknown time zone '{site.timezone}'"
         raise InputError(where, found, "a name like Europe/Rome", "correct timezone") from None
-    if (
-        abs(site.latitude_deg) < _MERIDIANS_MEET_DEG
-        and abs(off_h := sun.zone_off_sun_h(site)) > _MAX_OFF_SUN_H
-    ):
-        raise InputError(
-            where,
-            f"longitude_deg = {site.longitude_deg:g} with timezone {site.timezone}, "
-            f"whose clock is {abs(off_h):.1f} h from solar time",
-            f"at most {_MAX_OFF_SUN_H:g} h",
-            "correct one of the two; east is positive, west negative",
-        )
+    off_h = abs(sun.zone_off_sun_h(site))
+    if abs(site.latitude_deg) < _MERIDIANS_MEET_DEG and off_h > _MAX_OFF_SUN_H:
+        found = f"longitude_deg = {site.longitude_deg:g} with timezone {site.timezone}, "
+        found += f"whose clock is {off_h:.1f} h from solar time"
+        remedy = "correct one of the two; east is positive, west negative"
+        raise InputError(where, found, f"at most {_MAX_OFF_SUN_H:g} h", remedy)
     return setup
 
 
@@ -124,18 +118,11 @@ def load_site(path: Path) -> SiteFile:
     if isinstance(camera, dict) and isinstance(room, dict):
         height = camera.get("height_m", room.get("camera_z_m", CameraSetup().height_m))
         if room.setdefault("camera_z_m", height) != camera.setdefault("height_m", height):
-            raise InputError(
-                path,
-                f"[camera] height_m = {height} and [room] camera_z_m = {room['camera_z_m']}",
-                "one height of the camera",
-                "remove one of the two keys",
-            )
+            found = f"[camera] height_m = {height} and [room] camera_z_m = {room['camera_z_m']}"
+            remedy = "remove one of the two keys"
+            raise InputError(path, found, "one height of the camera", remedy)
     setup = site_from_table(table, str(path))
     if wrong := wrong_sign_text(setup.site):
-        raise InputError(
-            path,
-            wrong,
-            "a place near its time zone",
-            "correct the sign (north and east are positive), or state a nearer time zone",
-        )
+        remedy = "correct the sign (north and east are positive), or state a nearer time zone"
+        raise InputError(path, wrong, "a place near its time zone", remedy)
     return setup

@@ -40,12 +40,9 @@ def check_writable(folder: Path) -> None:
     places = (folder.absolute(), *folder.absolute().parents)
     existing = next((place for place in places if os.path.lexists(place)), None)
     if existing is None or not existing.exists():
-        raise InputError(
-            folder,
-            "a place on a disk that is not there",
-            "a folder, or a new one in a folder that exists",
-            "mount the disk, or choose another place",
-        )
+        expected = "a folder, or a new one in a folder that exists"
+        remedy = "mount the disk, or choose another place"
+        raise InputError(folder, "a place on a disk that is not there", expected, remedy)
     try:
         with tempfile.TemporaryFile(dir=existing):
             pass
