@@ -7,6 +7,7 @@ import math
 from dataclasses import fields, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -183,7 +184,7 @@ def test_files_of_a_predicted_year_carry_their_version(tmp_path: Path) -> None:
 @pytest.mark.parametrize("count", [3, 150, 151, 299, 400])
 def test_held_out_maps_are_kept_from_the_best_to_the_worst(tmp_path: Path, count: int) -> None:
     error = np.random.default_rng(count).permutation(count).astype(float)
-    arrays = {f.name: error + 0.5 for f in fields(HeldOutMaps)}
+    arrays: dict[str, Any] = {f.name: error + 0.5 for f in fields(HeldOutMaps)}
     arrays |= {"slots": np.array([f"{k:03}" for k in range(count)]), "log10_mse": error}
     HeldOutMaps(**arrays).write(tmp_path)
     kept = HeldOutMaps.find(tmp_path)

@@ -22,8 +22,7 @@ from fieldlum.session.folder import (
     store_grace,
     update_session,
 )
-from fieldlum.session.journal import Journal, read_journal
-from fieldlum.session.marks import mark_slot, marks
+from fieldlum.session.journal import Journal, mark_slot, marks, read_journal
 from fieldlum.session.plan_file import (
     PLAN_COLUMNS,
     exposure_text,

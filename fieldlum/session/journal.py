@@ -8,11 +8,13 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Iterator
-from datetime import datetime
+from contextlib import closing
+from datetime import UTC, datetime
 from typing import Unpack
 
+from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.records import counted, parse_utc, utc_text
-from fieldlum.core.room_states import merged_state
+from fieldlum.core.room_states import USAGE, merged_state
 from fieldlum.session.codec import convert
 from fieldlum.session.files.capture_json import frame_from
 from fieldlum.session.folder import Session
@@ -64,20 +66,6 @@ class Journal:
         os.close(self._handle)
 
 
-def append_event(
-    session: Session, event: str, t_utc: datetime, **fields: Unpack[EventFields]
-) -> None:
-    """Append one event to the journal, even while another process captures.
-
-    Raises OSError on a full disk, InputError if the end of the journal has no valid line.
-    """
-    journal = Journal(session)
-    try:
-        journal.append(event, t_utc, **fields)
-    finally:
-        journal.close()
-
-
 def read_journal(session: Session) -> list[JournalEvent]:
     """Return all valid events in the order of writing; damaged lines are skipped.
 
@@ -127,3 +115,45 @@ def decode_event(line: bytes) -> JournalEvent | None:
         return row
     except (KeyError, TypeError, ValueError, ArithmeticError, AttributeError):
         return None
+
+
+# ----------------------------------------------------------------------------------------------
+# marks of slots with the state of the room: lamps on, a blind down, snow outside
+
+# Events that programs other than the capture write, with the time of their own clock. They are no
+# evidence about the capture's clock.
+BY_PEOPLE = frozenset({"marked", "note", "paused", "resumed"})
+
+
+def mark_slot(session: Session, slot: str, state: str) -> str:
+    """Append a mark such as ``lamp=on;blind=half`` to the journal; return the slot's full state.
+
+    The full state also has the words of earlier marks. This is safe during a capture. Raises
+    InputError for an id that is neither in the plan nor that of a panorama, and for an unknown
+    word.
+    """
+    slots = {planned.id for planned in session.slots()}
+    slots |= {path.stem for path in session.panoramas.glob("*.exr")}
+    if slot not in slots:
+        found = f"no slot {slot} in this session"
+        expected = f"a slot's id such as {min(slots, default='20270320T153000Z')}"
+        raise InputError(session.root, found, expected, "choose a slot of plan.csv")
+    remedy = "name the slot and its state, for example lamp=on"
+    with input_errors(session.root, USAGE, remedy, ValueError):
+        result = merged_state(marks(session).get(slot, ""), state)
+    with closing(Journal(session)) as journal:
+        journal.append("marked", datetime.now(UTC), slot=slot, state=state)
+    return result
+
+
+def marks(session: Session) -> dict[str, str]:
+    """Return the room's state, such as ``lamp=on;blind=half``, by slot id, for the marked slots.
+
+    A later mark replaces an earlier one with the same word.
+    """
+    states: dict[str, str] = {}
+    for event in read_journal(session):
+        if event["event"] == "marked" and "slot" in event:
+            slot = str(event["slot"])
+            states[slot] = merged_state(states.get(slot, ""), str(event.get("state", "")))
+    return states

@@ -10,8 +10,7 @@ from typing import Literal
 from fieldlum.core.records import Slot, parse_utc
 from fieldlum.session.files.capture_json import Frame, frame_from
 from fieldlum.session.folder import Session
-from fieldlum.session.journal import read_journal
-from fieldlum.session.marks import BY_PEOPLE
+from fieldlum.session.journal import BY_PEOPLE, read_journal
 from fieldlum.session.tables import JournalEvent
 
 Outcome = Literal["", "started", "done", "missed", "aborted"]
