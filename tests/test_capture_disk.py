@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
@@ -18,7 +19,6 @@ from fieldlum.session import (
     day_files,
     read_day,
 )
-from fieldlum.session import lines as lines
 
 
 @pytest.mark.contract
@@ -42,14 +42,14 @@ def test_a_disk_that_was_away_costs_its_frames_at_most(
     nothing ends.
     """
     away = [T0 + timedelta(hours=1, minutes=-2), T0 + timedelta(hours=1, minutes=20)]
-    really = lines.append_durably
+    really = os.write
 
-    def append(handle: int, data: bytes, *, flush: bool = True) -> None:
+    def write(handle: int, data: bytes) -> int:
         if away[0] <= rig.clock.true_utc < away[1]:
             raise OSError(errno.EIO, "Input/output error")
-        really(handle, data, flush=flush)
+        return really(handle, data)
 
-    monkeypatch.setattr(lines, "append_durably", append)
+    monkeypatch.setattr(os, "write", write)
     rig.run(replace(FAST, log_around_s=None, log_every_s=30.0))
     assert rig.outcomes() == ["done", "aborted", "done"]
     (path,) = day_files(rig.session)
