@@ -22,9 +22,15 @@ import numpy as np
 
 from fieldlum.optics.images import radiance_program
 from fieldlum.year.glare.metrics import glare_directions
-from fieldlum.year.glare.picture_view import picture_centres, picture_rays, picture_views
-from fieldlum.year.glare.pictures import read_picture
-from fieldlum.year.glare.reference import FLAGS, reference_glare_of_file, reference_version
+from fieldlum.year.glare.pictures import (
+    FLAGS,
+    picture_centres,
+    picture_rays,
+    picture_views,
+    read_picture,
+    reference_glare_of_file,
+    reference_version,
+)
 
 # Official answer of evalglare's test (src/cmake_tests/test_evalglare.cmake of NREL/Radiance
 # @2fcca99): omega, mean, median, standard deviation, 75 %, 95 %, least, most.

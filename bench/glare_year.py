@@ -33,8 +33,8 @@ from fieldlum.year.glare import (
     reference_version,
     view_azimuths_deg,
 )
-from fieldlum.year.glare.contrast import ViewRegions
 from fieldlum.year.glare.geometry import panorama_views
+from fieldlum.year.glare.metrics import ViewRegions
 from fieldlum.year.predict.blocks import ModelRoom, blocks
 from fieldlum.year.predict.hours_unit import view_figures
 from fieldlum.year.predict.year import light_of

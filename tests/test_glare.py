@@ -24,7 +24,7 @@ from fieldlum.year.glare import (
     view_azimuths_deg,
 )
 from fieldlum.year.glare.metrics import combine
-from fieldlum.year.glare.picture_view import HEMISPHERE_SOURCES_SR, parse_view, picture_views
+from fieldlum.year.glare.pictures import HEMISPHERE_SOURCES_SR, parse_view, picture_views
 from fieldlum.year.glare.sources import group_pixels, sources_of, widen
 from fieldlum.year.glare.standards import disturbed_share
 

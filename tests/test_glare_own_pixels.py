@@ -13,11 +13,15 @@ from click.testing import CliRunner
 from fieldlum.cli import main
 from fieldlum.core.records import SunSource
 from fieldlum.optics.images import write_radiance_hdr
-from fieldlum.year.glare.contrast import ViewRegions
-from fieldlum.year.glare.fisheye import disc_pixels
-from fieldlum.year.glare.metrics import map_ev_lx
-from fieldlum.year.glare.picture_view import PictureView, parse_view, picture_rays, picture_views
-from fieldlum.year.glare.reference import reference_glare_of_file
+from fieldlum.year.glare.metrics import ViewRegions, map_ev_lx
+from fieldlum.year.glare.pictures import (
+    PictureView,
+    disc_pixels,
+    parse_view,
+    picture_rays,
+    picture_views,
+    reference_glare_of_file,
+)
 from fieldlum.year.glare.single import picture_glare
 
 LEVEL = "-vd 0 -1 0 -vu 0 0 1"

@@ -15,7 +15,7 @@ from fieldlum.core.records import Flag, Panorama, SunSource
 from fieldlum.optics.images import write_panorama, write_radiance_hdr
 from fieldlum.optics.projection import equirect_solid_angles
 from fieldlum.year.glare import FISHEYE_VIEW, panorama_to_fisheye, panorama_views
-from fieldlum.year.glare.contrast import (
+from fieldlum.year.glare.metrics import (
     ViewRegions,
     contrast_levels,
     local_contrast,

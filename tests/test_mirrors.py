@@ -32,9 +32,8 @@ from fieldlum.sky.sun_images import (
     tolerance_rad,
 )
 from fieldlum.weather import read_weather
-from fieldlum.year.glare.contrast import ViewRegions
 from fieldlum.year.glare.geometry import panorama_views
-from fieldlum.year.glare.metrics import glare_directions
+from fieldlum.year.glare.metrics import ViewRegions, glare_directions
 from fieldlum.year.predict import run as predict
 from fieldlum.year.predict.blocks import blocks, room_of
 from fieldlum.year.predict.hours_unit import view_figures

@@ -47,6 +47,7 @@ def frame(session: Session, *, gps: bool = False) -> None:
 def pack(session: Session, *more: str) -> Result:
     out = str(session.root.parent / "out.zip")
     about = ["--title", "Office", "--author", "Roe, Jo", "--licence", "CC-BY-4.0"]
+    about += ["--publisher", "Zenodo"]
     return CliRunner().invoke(
         main, ["pack", str(session.root), out, *about, "--people", "none", *more]
     )
@@ -63,6 +64,7 @@ def test_a_packed_session_has_metadata_and_checksums_and_no_addresses(session: S
     assert not any(b"secret-host" in data for data in content.values())
     assert "outbox.jsonl" not in content
     assert json.loads(content["datacite.json"])["dates"][0]["date"] == "2027-03-20/2027-03-20"
+    assert json.loads(content["datacite.json"])["publisher"] == {"name": "Zenodo"}
     for line in content["MANIFEST.sha256"].decode().splitlines():
         digest, _, name = line.partition("  ")
         assert hashlib.sha256(content[name]).hexdigest() == digest
@@ -125,6 +127,7 @@ def test_a_session_named_by_a_dot_is_packed_below_its_name(
 ) -> None:
     monkeypatch.chdir(session.root)
     about = ["--title", "Office", "--author", "Daylight Group", "--people", "none"]
+    about += ["--publisher", "Zenodo"]
     ran = CliRunner().invoke(main, ["pack", ".", "../dot.zip", *about, "--licence", "CC0-1.0"])
     assert ran.exit_code == 0, ran.output
     with zipfile.ZipFile("../dot.zip") as archive:
@@ -133,7 +136,9 @@ def test_a_session_named_by_a_dot_is_packed_below_its_name(
 
 
 @pytest.mark.contract
-@pytest.mark.parametrize("more", [["--title", " "], ["--licence", "CC BY"], ["--author", ""]])
+@pytest.mark.parametrize(
+    "more", [["--title", " "], ["--licence", "CC BY"], ["--author", ""], ["--publisher", ""]]
+)
 def test_an_empty_statement_is_a_usage_error(session: Session, more: list[str]) -> None:
     assert pack(session, *more).exit_code == 2
 

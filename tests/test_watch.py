@@ -23,6 +23,7 @@ import numpy as np
 import pytest
 from browser import CHROMIUM, chromium
 from click.testing import CliRunner
+from fieldlum.web.server import qr_lines
 from places import SEATTLE
 from test_session import WRONG_EVENTS
 from tiny_field import LADDER, T0, Field, make_session
@@ -34,11 +35,9 @@ from fieldlum.optics.images import write_panorama
 from fieldlum.session import DayFiles, Journal, Session, create_session, read_journal
 from fieldlum.session.files.sidecar import Sidecar
 from fieldlum.session.lines import encode_line
-from fieldlum.web.access import Access
 from fieldlum.web.answer import Moment, Worker, answer_table
-from fieldlum.web.follow import DayBins, JournalFollower
-from fieldlum.web.qr import qr_lines
-from fieldlum.web.snapshot import Snapshots
+from fieldlum.web.server import Access
+from fieldlum.web.snapshot import DayBins, JournalFollower, Snapshots
 
 HOSTILE = '<img src=x onerror="document.body.dataset.hacked=1">'
 ANSWER = (

@@ -56,8 +56,7 @@ class RoomModel:
         import xarray as xr
 
         from fieldlum.year.predict.annual import unit_of
-        from fieldlum.year.predict.blocks import blocks
-        from fieldlum.year.predict.maps import map_coordinates
+        from fieldlum.year.predict.blocks import blocks, map_coordinates
 
         parts = list(blocks(self.fitted, self.room, self._checked(light)))
         heading_deg = self.room.heading_deg

@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from fieldlum.bench import charts, stress
-from fieldlum.bench.cost import radiance_row
-from fieldlum.bench.rows import BenchData, score_row
+from fieldlum.bench.rows import BenchData, radiance_row, score_row
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.records import JsonTable, Progress, counted, quiet
 from fieldlum.learn.model_registry import MODELS

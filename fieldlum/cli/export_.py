@@ -17,7 +17,7 @@ def command(
     """Write a session's results for other programs.
 
     maps/SLOT-AZIMUTH.hdr: Radiance fisheyes with VIEW, for evalglare; sky_view.csv: the share of
-    the sun's beam that arrives from each direction, for obstruction masks; room.rad: the fitted or
+    the sun's beam that arrives from each direction, and sky_view_mask.png; room.rad: the fitted or
     stated room; pairs.nc and year.nc: netCDF with units, for xarray. pairs.csv and hourly.csv of
     the session are tables already.
 

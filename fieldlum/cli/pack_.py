@@ -20,6 +20,7 @@ def command(
     title: str,
     authors: tuple[str, ...],
     licence: str,
+    publisher: str,
     people: str,
     coarse_position: bool = False,
 ) -> None:
@@ -31,23 +32,24 @@ def command(
     \b
     Example:
       fieldlum pack office-2027 office-2027.zip --title "Office" --author "Roe, Jo" \
---licence CC-BY-4.0 --people "nobody is visible"
+--licence CC-BY-4.0 --publisher Zenodo --people "nobody is visible"
 
     Options:
       --title: Title of the data set.
       --author NAME: Author as "Family, Given"; can be repeated.
       --licence SPDX: Licence of the data, such as CC-BY-4.0.
+      --publisher TEXT: Who publishes it and gives the DOI, such as Zenodo or a university.
       --people TEXT: Who can be seen, and how they consented.
       --coarse-position: Round latitude and longitude to 0.01 degrees (about 1 km).
     """
-    from fieldlum.report.publish import Statement, pack
+    from fieldlum.report.export import Statement, pack
     from fieldlum.session import open_session
 
-    if not all(text.strip() for text in (title, *authors, people)):
-        raise click.UsageError("--title, --author and --people: write a text")
+    if not all(text.strip() for text in (title, *authors, publisher, people)):
+        raise click.UsageError("--title, --author, --publisher and --people: write a text")
     if not re.fullmatch(r"[A-Za-z0-9.+-]+", licence):
         raise click.BadParameter("write an SPDX identifier, like CC-BY-4.0", param_hint="--licence")
-    statement = Statement(title, authors, licence, people)
+    statement = Statement(title, authors, licence, publisher, people)
     with progress("packing") as shown:
         notes = pack(
             open_session(session_folder),

@@ -34,9 +34,8 @@ def command(
     Options:
       --out FILE.png|FILE.html: False-colour picture (.png), or a page that works offline
           (.html). [default: FILE-view.html of the first picture]
-      --region REGION: Statistics of rect:x,y,w,h, circle:x,y,r, polygon:x1,y1,x2,y2,...
-          (pixels from the top left) or cone:AZ,ALT,RADIUS (degrees; azimuth from north);
-          can be repeated.
+      --region REGION: Statistics of rect:x,y,w,h, circle:x,y,r (pixels from the top left) or
+          cone:AZ,ALT,RADIUS (degrees; azimuth from north); can be repeated.
       --csv FILE: Write the statistics of the regions.
     """
     from fieldlum.core.errors import InputError

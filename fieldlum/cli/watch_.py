@@ -70,7 +70,7 @@ def command(
 
 
 def _show_lan(address: str) -> None:
-    from fieldlum.web.qr import qr_lines
+    from fieldlum.web.server import qr_lines
 
     terminal.say("note: --lan is plain HTTP without encryption: use it in a network that you trust")
 

@@ -37,8 +37,7 @@ from fieldlum.room.scene.view import look
 from fieldlum.session import Session, replacing
 from fieldlum.session.panorama_sun import read_panorama_with_sun
 from fieldlum.sky.sun import hour_of_year
-from fieldlum.year.glare.picture_view import picture_rays
-from fieldlum.year.glare.pictures import Picture, read_picture
+from fieldlum.year.glare.pictures import Picture, picture_rays, read_picture
 from fieldlum.year.glare.single import seen_pixels, valid_pixels
 from fieldlum.year.glare.standards import DISTURBING_DGP
 from fieldlum.year.predict import Annual

@@ -9,6 +9,7 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,32 +17,27 @@ from fieldlum.core.arrays import Floats, Floats32, Mask
 from fieldlum.core.false_colour import colour_table, luminance_ends, shared_scale
 from fieldlum.core.records import JsonTable
 from fieldlum.optics.projection import direction, equirect_rays, equirect_solid_angles
-from fieldlum.year.glare.picture_view import PictureView, picture_centres, picture_rays
-from fieldlum.year.glare.pictures import Picture, read_picture
+from fieldlum.year.glare.pictures import (
+    Picture,
+    PictureView,
+    picture_centres,
+    picture_rays,
+    read_picture,
+)
 from fieldlum.year.glare.single import judged
 from fieldlum.year.glare.sources import Sources
 
 _COUNTS = {"rect": 4, "circle": 3, "cone": 3}
-FORMS = "rect:x,y,w,h, circle:x,y,r, polygon:x1,y1,x2,y2,x3,y3... or cone:AZ,ALT,RADIUS"
-COLUMNS = (
-    "file",
-    "region",
-    "pixels",
-    "solid_angle_sr",
-    "mean_cdm2",
-    "median_cdm2",
-    "min_cdm2",
-    "max_cdm2",
-    "sd_cdm2",
-)
+FORMS = "rect:x,y,w,h, circle:x,y,r or cone:AZ,ALT,RADIUS"
+_FIGURES = ("mean_cdm2", "median_cdm2", "min_cdm2", "max_cdm2", "sd_cdm2")
+COLUMNS = ("file", "region", "pixels", "solid_angle_sr", *_FIGURES)
 
 
-@dataclass(frozen=True, slots=True)
-class Region:
+class Region(NamedTuple):
     """A region of a picture; `text` is as the user wrote it.
 
     values by kind, in pixels from the top left corner: rect left, top, width, height; circle x, y,
-    radius; polygon x, y of each corner; in deg: cone azimuth, altitude, radius (half its width).
+    radius; in deg: cone azimuth, altitude, radius (half its width).
     """
 
     kind: str
@@ -59,11 +55,9 @@ def parse_region(text: str) -> Region:
         values = tuple(float(part) for part in rest.split(","))
     except ValueError:
         values = ()
-    polygon = kind == "polygon" and len(values) >= 6 and len(values) % 2 == 0
-    if not np.isfinite(values).all() or not (polygon or len(values) == _COUNTS.get(kind)):
+    if not np.isfinite(values).all() or len(values) != _COUNTS.get(kind):
         raise ValueError(f"{text!r}: write {FORMS}")
-    sizes = {"rect": values[2:], "polygon": ()}.get(kind, values[-1:])
-    if any(size <= 0 for size in sizes):
+    if any(size <= 0 for size in values[2:]):
         raise ValueError(f"{text!r}: its size must be above 0")
     return Region(kind, values, text)
 
@@ -78,11 +72,6 @@ def region_mask(region: Region, picture: MeasuredPicture) -> Mask:
     if region.kind == "circle":
         cx, cy, radius = region.values
         return np.hypot(x - cx, y - cy) <= radius
-    if region.kind == "polygon":
-        from skimage.draw import polygon2mask
-
-        corners = np.array(region.values).reshape(-1, 2)[:, ::-1] - 0.5  # rows, columns
-        return np.asarray(polygon2mask((height, width), corners), bool)
     azimuth, altitude, radius = region.values
     return picture.cosine_to(direction(altitude, azimuth)) >= np.cos(np.radians(radius))
 
@@ -101,19 +90,14 @@ def region_statistics(region: Region, picture: MeasuredPicture) -> dict[str, flo
     row |= {"file": picture.name, "region": region.text, "pixels": float(len(values))}
     if len(values) == 0:
         return row
-    mean = float(np.average(values, weights=weights))
-    return row | {
-        "solid_angle_sr": float(weights.sum()),
-        "mean_cdm2": mean,
-        "median_cdm2": float(np.median(values)),
-        "min_cdm2": float(values.min()),
-        "max_cdm2": float(values.max()),
-        "sd_cdm2": float(np.sqrt(np.average((values - mean) ** 2, weights=weights))),
-    }
+    mean = np.average(values, weights=weights)
+    sd = np.sqrt(np.average((values - mean) ** 2, weights=weights))
+    figures = (weights.sum(), mean, np.median(values), values.min(), values.max(), sd)
+    return row | dict(zip(COLUMNS[3:], map(float, figures), strict=True))
 
 
 _DRAWN_SOURCES = 12  # strongest sources with an outline; not measured
-Outline = tuple[tuple[int, int], ...]
+Outline = list[tuple[int, int]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,10 +107,9 @@ class MeasuredPicture:
     luminance_cdm2 : [H, W], NaN where no lens saw. solid_angle_sr : [H, W] of complete pixels, 0
     where the view has no direction. u_cdm2 : standard uncertainty [H, W], None if unknown. view :
     None for a panorama. heading_deg : azimuth of the centre column, clockwise from true north.
-    ev_lx, dgp : in the view direction, None if unknown; edi_lx : melanopic EDI there with its
-    standard uncertainty, None without calibrated colour. outlines : pixels (x, y) from the top
-    left, around the strongest glare sources of a fisheye; none for a panorama. notes : warnings of
-    the glare figures.
+    figures : Ev, melanopic EDI and DGP in the view direction, as text. outlines : pixels (x, y)
+    from the top left, around the strongest glare sources of a fisheye; none for a panorama. notes :
+    warnings of the glare figures.
     """
 
     name: str
@@ -135,16 +118,14 @@ class MeasuredPicture:
     u_cdm2: Floats32 | None
     view: PictureView | None
     heading_deg: float
-    ev_lx: float | None
-    dgp: float | None
-    edi_lx: tuple[float, float] | None
-    outlines: tuple[Outline, ...]
-    notes: tuple[str, ...]
+    figures: str
+    outlines: list[Outline]
+    notes: list[str]
 
     @property
-    def ends_cdm2(self) -> tuple[float, float] | None:
-        """The `luminance_ends` of the pixels with a direction."""
-        return luminance_ends(np.where(self.solid_angle_sr > 0, self.luminance_cdm2, np.nan))
+    def shown_cdm2(self) -> Floats32:
+        """The luminance, NaN also where the picture has no direction."""
+        return np.where(self.solid_angle_sr > 0, self.luminance_cdm2, np.float32(np.nan))
 
     def cosine_to(self, towards: Floats) -> Floats:
         """Return the cosine between pixels and a unit vector (x east, y north, z up), [H, W].
@@ -170,19 +151,21 @@ def read_measured_picture(path: Path, part: str = "") -> MeasuredPicture:
     azimuths_deg = (panorama.heading_deg,) if picture.view is None else ()
     answer, sources = judged(picture, path, azimuths_deg)
     row = answer["views"][0]
-    edi, u_edi = row["melanopic_edi_lx"], row["u_melanopic_edi_lx"]
+    texts = {"ev_lx": "Ev {:.0f} lx", "melanopic_edi_lx": "m-EDI {:.0f}", "dgp": "DGP {:.3f}"}
+    if row["u_melanopic_edi_lx"] is None:
+        del texts["melanopic_edi_lx"]
+    else:
+        texts["melanopic_edi_lx"] += f" ± {row['u_melanopic_edi_lx']:.0f} lx"
     return MeasuredPicture(
-        name=path.name,
-        luminance_cdm2=luminance,
-        solid_angle_sr=_solid_angles(picture),
-        u_cdm2=panorama.u_cdm2,
-        view=picture.view,
-        heading_deg=panorama.heading_deg,
-        ev_lx=row["ev_lx"],
-        dgp=row["dgp"],
-        edi_lx=None if edi is None or u_edi is None else (edi, u_edi),
-        outlines=() if picture.view is None else _outlines(sources, luminance.shape),
-        notes=tuple(answer["warnings"]),
+        path.name,
+        luminance,
+        _solid_angles(picture),
+        panorama.u_cdm2,
+        picture.view,
+        panorama.heading_deg,
+        "; ".join(text.format(row[k]) for k, text in texts.items() if row[k] is not None),
+        [] if picture.view is None else _outlines(sources, luminance.shape),
+        answer["warnings"],
     )
 
 
@@ -195,7 +178,7 @@ def _solid_angles(picture: Picture) -> Floats32:
     return (picture_rays(picture.view, x, y)[1] / (height * width)).astype(np.float32)
 
 
-def _outlines(sources: Sources, shape: tuple[int, ...]) -> tuple[Outline, ...]:
+def _outlines(sources: Sources, shape: tuple[int, ...]) -> list[Outline]:
     """Return polygons around the strongest sources of a single view."""
     import cv2
 
@@ -206,36 +189,25 @@ def _outlines(sources: Sources, shape: tuple[int, ...]) -> tuple[Outline, ...]:
         contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
         for contour in sorted(contours, key=len, reverse=True)[:20]:
             points = cv2.approxPolyDP(contour, 1.0, True).reshape(-1, 2)
-            outlines.append(tuple((int(x), int(y)) for x, y in points))
-    return tuple(outlines)
+            outlines.append([(int(x), int(y)) for x, y in points])
+    return outlines
 
 
 # ----------------------------------------------------------------------------------------------
 # PNG and page
-
-_INCHES, _DPI = 6.4, 150  # 960 pixels wide
 
 
 def write_png(path: Path, pictures: Sequence[MeasuredPicture], regions: Sequence[Region]) -> None:
     """Draw the pictures next to each other on one scale, with the regions; write a PNG."""
     from fieldlum.report.figures import picture_grid, png
 
-    low, high = shared_scale(picture.ends_cdm2 for picture in pictures)
-    maps = [
-        np.where(picture.solid_angle_sr > 0, picture.luminance_cdm2, np.nan) for picture in pictures
-    ]
-    figure, cells = picture_grid(maps, map(_title, pictures), len(maps), _INCHES, (low, high))
+    maps = [picture.shown_cdm2 for picture in pictures]
+    titles = [f"{picture.name}  {picture.figures}" for picture in pictures]
+    scale = shared_scale(map(luminance_ends, maps))
+    figure, cells = picture_grid(maps, titles, len(maps), 6.4, scale)
     for axis, picture in zip(cells, pictures, strict=True):
         _draw_marks(axis, picture, regions)
-    path.write_bytes(png(figure, _DPI))
-
-
-def _title(picture: MeasuredPicture) -> str:
-    figures = [] if picture.ev_lx is None else [f"Ev {picture.ev_lx:.0f} lx"]
-    if picture.edi_lx is not None:
-        figures.append("m-EDI {:.0f} ± {:.0f} lx".format(*picture.edi_lx))
-    figures += [] if picture.dgp is None else [f"DGP {picture.dgp:.3f}"]
-    return "  ".join([picture.name, *figures])
+    path.write_bytes(png(figure, 150))  # 960 pixels wide
 
 
 def _draw_marks(axis, picture: MeasuredPicture, regions: Sequence[Region]) -> None:
@@ -293,7 +265,7 @@ def encode_uncertainty(picture: MeasuredPicture) -> str:
 
 def write_page(path: Path, pictures: Sequence[MeasuredPicture], rows: Sequence[JsonTable]) -> None:
     """Write one self-contained page: pictures, their figures, and the rows of the regions."""
-    low, high = shared_scale(picture.ends_cdm2 for picture in pictures)
+    low, high = shared_scale(luminance_ends(picture.shown_cdm2) for picture in pictures)
     about = {
         "pictures": [_about(picture) for picture in pictures],
         "rows": list(rows),
@@ -307,9 +279,10 @@ def write_page(path: Path, pictures: Sequence[MeasuredPicture], rows: Sequence[J
     text = Path(__file__).with_name("view.html").read_text(encoding="utf-8")
     # "<" cannot end the script early, whatever a file is called
     data = json.dumps(about).replace("<", "\\u003c")
+    tag = '<script type="application/octet-stream" id="{}{}">{}</script>'
     pixels = "".join(
-        _data_script(f"pixels{k}", encode_luminance(picture.luminance_cdm2))
-        + _data_script(f"u{k}", encode_uncertainty(picture))
+        tag.format("pixels", k, encode_luminance(picture.luminance_cdm2))
+        + tag.format("u", k, encode_uncertainty(picture))
         for k, picture in enumerate(pictures)
     )
     title = html.escape(", ".join(picture.name for picture in pictures)[:120])
@@ -317,25 +290,19 @@ def write_page(path: Path, pictures: Sequence[MeasuredPicture], rows: Sequence[J
     path.write_text(text, encoding="utf-8")
 
 
-def _data_script(name: str, text: str) -> str:
-    return f'<script type="application/octet-stream" id="{name}">{text}</script>'
-
-
 def _about(picture: MeasuredPicture) -> JsonTable:
     height, width = picture.luminance_cdm2.shape
     view = None
     if picture.view is not None:
-        view = asdict(picture.view) | {"frame": picture.view.frame.tolist()}
-        view |= {"forward": None, "up": None}
+        arrays = {"frame": picture.view.frame.tolist(), "forward": None, "up": None}
+        view = asdict(picture.view) | arrays
+    figures = "; ".join(filter(None, (picture.figures, f"{width} x {height} pixels")))
     return {
         "name": picture.name,
         "width": width,
         "height": height,
         "view": view,
         "heading": picture.heading_deg,
-        "ev": picture.ev_lx,
-        "dgp": picture.dgp,
-        "edi": picture.edi_lx,
+        "figures": "; ".join((figures, *picture.notes)),
         "outlines": picture.outlines,
-        "notes": picture.notes,
     }

@@ -30,9 +30,8 @@ from fieldlum.room.scene.drawing import outline_pixels, wind
 from fieldlum.session import Session, replacing, update_session
 from fieldlum.session.site_toml import site_table
 from fieldlum.sky import sun
-from fieldlum.web.access import json_body
-from fieldlum.web.pictures import scale_of
-from fieldlum.web.server import picture_routes, static_route
+from fieldlum.web.server import json_body, picture_routes, static_route
+from fieldlum.web.snapshot import scale_of
 
 _PATCH_HEIGHT_PX = 90  # of the sun patch that is drawn: 2 degrees a pixel; chosen
 _LEAST_PATCH = 0.05  # of the brightest patch: its dim rim is no outline; chosen

@@ -34,9 +34,13 @@ from fieldlum.sky.light import Light, light_at
 from fieldlum.sky.sky_view.disc_in_view import disc_lx
 from fieldlum.sky.sun_disc import add_disc
 from fieldlum.year.glare import Views, glare_directions, panorama_views, view_azimuths_deg
-from fieldlum.year.glare.contrast import RAMMG_LEVELS, contrast_levels
-from fieldlum.year.glare.metrics import dgp_with_disc, sun_per_lx
-from fieldlum.year.glare.unseen import view_coverage
+from fieldlum.year.glare.metrics import (
+    RAMMG_LEVELS,
+    contrast_levels,
+    dgp_with_disc,
+    sun_per_lx,
+    view_coverage,
+)
 
 FLOOR_CDM2 = 1.0  # paper
 RAMMG_CUT = 500.0  # cut in the authors' code, cd/m2; chosen there by Liu, Colburn and Inanici 2020

@@ -1,24 +1,31 @@
-"""Compute vertical illuminance, DGP, DGPs, UGR and DGI for all directions around a panorama.
+"""Compute glare metrics, contrast and bounds of DGP for all directions around a panorama.
 
 Vertical illuminance of all hours and directions is one matrix product with exact solid angles.
 Glare sources are grouped once for each hour (see `sources`) and summed for all directions by small
 products. The sun must not be in the pixels: it is a separate source with a direction, a normal
 illuminance at the lens and a solid angle.
+
+RAMMG is the mean local contrast over the levels of a picture pyramid (Rizzi, Algeri, Medeghini and
+Marini 2004). In cd/m2 it follows the code of Liu, Colburn and Inanici 2020: five levels, halved by
+OpenCV's bilinear resize; eight neighbours weighted 1 and 1/sqrt(2) over 4 + 2 sqrt(2); border
+pixels count as no contrast; no solid angles; no wrap at the seam.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fieldlum.core.arrays import Floats
+from fieldlum.core.arrays import Floats, Mask
+from fieldlum.optics.projection import PARTLY_SEEN, SEEN, seen_words
 from fieldlum.sky.sun import SUN_SOLID_ANGLE_SR
 from fieldlum.year.glare.geometry import Views, angles_from_view, position_index
-from fieldlum.year.glare.sources import Sources, glare_sources
+from fieldlum.year.glare.sources import SOURCE_CDM2, Sources, glare_sources
 
 # What a disc of 1 lx adds, by `sun_per_lx`, and its illuminance [..., n] in lx.
 DiscLight = tuple[tuple[Floats, Floats], Floats]
@@ -298,3 +305,216 @@ def combine(
     )
     parts = {"contrast": view.contrast, "sun_contrast": sun_contrast, "sun_ev_lx": all_ev}
     return parts | {name: metric.formula(view) for name, metric in METRICS.items()}
+
+
+# ----------------------------------------------------------------------------------------------
+# unseen parts: they are not dark. One luminance, from 0 up to the brightest that is likely, gives
+# the minimum and maximum DGP. More light on the eye can lower DGP (the contrast term falls with
+# Ev), so that the lower bound is not always at 0 cd/m2.
+
+# Share of the seen solid angle that is brighter than the brightest likely luminance: a window pane
+# is larger, a single bright pixel of a reflection smaller. Chosen, not measured.
+BRIGHTEST_SHARE = 0.01
+_LEVELS = 12  # number of luminances between 1 cd/m2 and the brightest; chosen
+_COMPLETE_SHARE = 0.999  # exactness of a picture's weights (`picture_views`)
+_SAMPLES = 20_000  # pixels from which a percentile is taken; chosen
+
+
+@dataclass(frozen=True, slots=True)
+class ViewCoverage:
+    """The seen and unseen parts of d view directions.
+
+    seen_share [d] : share (0 to 1) of the vertical illuminance of a uniform field that comes from
+    seen pixels; unseen_illuminance [d] : integral over the unseen part of the cosine, sr;
+    unseen_sources [d] : of 1 over the square of the position index, sr. Times a luminance and a
+    squared luminance, the last two give what the unseen part adds to Ev and to `contrast`; they are
+    0 for a complete direction. words [d] : "seen" (a share of 0.98 or more), "partly
+    seen" (0.5 or more) or "not seen".
+    """
+
+    seen_share: Floats
+    unseen_illuminance: Floats
+    unseen_sources: Floats
+    words: tuple[str, ...]
+
+    def is_any(self, *words: str) -> Mask:
+        """Return a mask [d], True for directions whose word is one of `words`."""
+        return np.array([word in words for word in self.words])
+
+    @property
+    def judged(self) -> Mask:
+        """Mask [d], True for directions that are seen or partly seen and therefore have figures."""
+        return self.is_any(SEEN, PARTLY_SEEN)
+
+
+def view_coverage(views: Views) -> ViewCoverage:
+    """Return how much of each view direction the pixels with a weight in `views` cover.
+
+    The unseen part is the hemisphere in front without them. A single source of all of it has the
+    position index of its centre, which may be smaller than that of its pixels.
+    """
+    seen = np.zeros_like(views.hemisphere)
+    seen[0] = views.illuminance.sum(axis=0, dtype=float)
+    share = np.minimum(seen[0] / views.hemisphere[0], 1.0)
+    incomplete = share < _COMPLETE_SHARE
+    for first in range(0, len(views.moments) if incomplete.any() else 0, _BLOCK):
+        rows = slice(first, first + _BLOCK)
+        part = views.moments[rows].astype(float)  # [n, 3, d]
+        area = np.maximum(part[:, 0], 1e-30)
+        index = position_index(part[:, 1] / area, part[:, 2] / area)
+        seen[1:4] += part.sum(axis=0)
+        seen[4] += (part[:, 0] / index**2).sum(axis=0)
+    unseen = (views.hemisphere - seen) * incomplete
+    illuminance, area, right, up, apart = unseen
+    area = np.maximum(area, 1e-30)
+    # the centre is at most 90 degrees from the line of sight
+    shrink = np.minimum(1.0 / area, 0.5 * np.pi / np.maximum(np.hypot(right, up), 1e-30))
+    together = area / position_index(right * shrink, up * shrink) ** 2
+    return ViewCoverage(share, illuminance, np.maximum(apart, together), seen_words(share))
+
+
+def brightest_cdm2(luminance_cdm2: Floats, views: Views) -> Floats:
+    """Return the luminance exceeded in the brightest hundredth of the seen solid angle, [n].
+
+    luminance_cdm2 : [n, H, W] of n maps; views : their weights; only seen directions count. 0
+    without any.
+    """
+    step = luminance_cdm2[0].size // _SAMPLES | 1  # odd: not every time the same columns
+    weights = views.moments[::step, 0].max(axis=1)
+    flat = luminance_cdm2.reshape(len(luminance_cdm2), -1)[:, ::step]
+    order = np.argsort(flat, axis=1)[:, ::-1]
+    share = np.cumsum(weights[order], axis=1, dtype=float) / max(weights.sum(dtype=float), 1e-30)
+    place = (share < BRIGHTEST_SHARE).sum(axis=1)[:, None].clip(max=flat.shape[1] - 1)
+    found = np.take_along_axis(flat, np.take_along_axis(order, place, 1), 1)[:, 0]
+    return np.where(weights.any(), found, 0.0).astype(float)
+
+
+def unseen_dgp_bounds(
+    coverage: ViewCoverage, ev_lx: Floats, contrast: Floats, max_cdm2: Floats
+) -> tuple[Floats, Floats]:
+    """Return the minimum and maximum DGP over possible luminances of the unseen part, [n, d].
+
+    ev_lx, contrast : [n, d] of the seen part, as of `glare_directions`; max_cdm2 : [n] the
+    brightest likely luminance of the unseen part. If nothing is unseen, both are the DGP of the
+    seen part.
+    """
+    low = high = dgp(ev_lx, contrast)
+    if not coverage.unseen_illuminance.any():
+        return low, high
+    for share in np.linspace(0.0, 1.0, _LEVELS):
+        level = np.maximum(max_cdm2, 1.0)[:, None] ** share  # [n, 1], 1 cd/m2 up to the brightest
+        power = np.where(level > SOURCE_CDM2, level, 0.0) ** 2
+        value = dgp(
+            ev_lx + level * coverage.unseen_illuminance,
+            contrast + power * coverage.unseen_sources,
+        )
+        low, high = np.minimum(low, value), np.maximum(high, value)
+    return low, high
+
+
+# ----------------------------------------------------------------------------------------------
+# contrast
+
+RAMMG_LEVELS = 5  # as the authors' code (Liu, Colburn and Inanici 2020)
+# The task is a cone around a desk in front of an observer who looks horizontally. Chosen.
+TASK_ALTITUDE_DEG = -30.0
+TASK_RADIUS_DEG = 15.0
+BAND_DEG = 20.0  # the 40-degree horizontal band of Van Den Wymelenberg and Inanici 2014
+WINDOW_CDM2 = 2000.0  # brighter pixels are window, the limit of a glare source; not measured
+# Share of task cone or band that must be seen: 58 rows of pixels give the cone to 5 %. Chosen.
+_MIN_REGION_SHARE = 0.9
+
+
+def local_contrast(image: Floats) -> Floats:
+    """Return the weighted mean absolute difference of each pixel to its eight neighbours, [H, W].
+
+    Diagonal neighbours have the weight 1 / sqrt(2), the others 1. Pixels on the border of the image
+    [H, W] are 0.
+    """
+    values = np.asarray(image, np.float64)
+    inner, out = values[1:-1, 1:-1], np.zeros_like(values)
+    height, width = inner.shape
+    for row, column in product((0, 1, 2), (0, 1, 2)):
+        near = values[row : height + row, column : width + column]
+        diagonal = row != 1 and column != 1
+        out[1:-1, 1:-1] += np.abs(inner - near) / (np.sqrt(2.0) if diagonal else 1.0)
+    return out / (4.0 + 2.0 * np.sqrt(2.0))
+
+
+def contrast_levels(image: Floats) -> Floats:
+    """Return the mean local contrast of each of five pyramid levels of an image [H, W], [5].
+
+    The first level is the image; each further one has half the rows and columns of the level
+    before.
+    """
+    import cv2
+
+    level = np.asarray(image, np.float64)
+    means = np.zeros(RAMMG_LEVELS)
+    for k in range(RAMMG_LEVELS):
+        means[k] = local_contrast(level).mean()
+        height, width = level.shape
+        half = (max(1, width // 2), max(1, height // 2))
+        level = np.asarray(cv2.resize(level, half, interpolation=cv2.INTER_LINEAR), np.float64)
+    return means
+
+
+def rammg(luminance_cdm2: Floats) -> float:
+    """Return RAMMG [cd/m2] of a map [H, W] in cd/m2: the mean contrast of five pyramid levels.
+
+    Remove a sun disc from the map first, because it dominates the result.
+    """
+    return float(contrast_levels(luminance_cdm2).mean())
+
+
+class ViewRegions:
+    """The pixels of a picture in three regions of the view, for d view directions.
+
+    Each region is [P, d]: the solid angle of a pixel in it, sr; 0 outside. task : a cone of 15
+    degrees radius around the direction 30 degrees below the line of sight. band : within 20 degrees
+    of the horizon, in front of the observer. half : the hemisphere in front. `ratios` computes the
+    figures of maps.
+    """
+
+    def __init__(self, views: Views) -> None:
+        """Compute the weights."""
+        rays, omega = views.rays()
+        _, up, forward = np.moveaxis(rays, 1, 0)
+        self.half = omega * views.ahead  # a pixel on the edge of a fisheye is often half black
+        below, radius = np.radians(TASK_ALTITUDE_DEG), np.radians(TASK_RADIUS_DEG)
+        self.task = self.half * (up * np.sin(below) + forward * np.cos(below) > np.cos(radius))
+        self.band = self.half * (np.abs(up) < np.sin(np.radians(BAND_DEG)))
+        task_sr, band_sr = (
+            2 * np.pi * (1 - np.cos(radius)),
+            2 * np.pi * np.sin(np.radians(BAND_DEG)),
+        )
+        self._task_known = self.task.sum(axis=0) >= _MIN_REGION_SHARE * task_sr
+        self._band_known = self.band.sum(axis=0) >= _MIN_REGION_SHARE * band_sr
+
+    def ratios(self, luminance_cdm2: Floats) -> dict[str, Floats]:
+        """Return three figures by name, [n, d] each, of n maps in d view directions.
+
+        luminance_cdm2 : [n, H, W]. task_cdm2 : mean luminance of the task cone, which has 15
+        degrees radius and is 30 degrees below the line of sight. window_to_task : mean luminance of
+        the pixels above 2000 cd/m2 in the front hemisphere, over task_cdm2; NaN without such
+        pixels. uniformity : harmonic over arithmetic mean luminance of the band within 20 degrees
+        of the horizon: 1 if the band is uniform, less with dark corners. Figures are of the seen
+        pixels; NaN if they are less than 90 % of the task cone, or of the band.
+        """
+        flat = np.asarray(luminance_cdm2, np.float32).reshape(len(luminance_cdm2), -1)
+        bright = flat > WINDOW_CDM2
+        with np.errstate(divide="ignore", invalid="ignore"):  # regions outside the picture
+            task = flat @ self.task / self.task.sum(axis=0)
+            window = (flat * bright) @ self.half / (bright.astype(np.float32) @ self.half)
+            mean, inverse = (
+                values @ self.band / self.band.sum(axis=0)
+                for values in (flat, 1.0 / np.maximum(flat, 0.1))
+            )
+            figures = {
+                "task_cdm2": np.where(self._task_known, task, np.nan),
+                "window_to_task": np.where(
+                    self._task_known, window / np.maximum(task, 1e-6), np.nan
+                ),
+                "uniformity": np.where(self._band_known, 1.0 / (inverse * mean), np.nan),
+            }
+        return {name: values.astype(float) for name, values in figures.items()}

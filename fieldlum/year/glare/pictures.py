@@ -1,27 +1,45 @@
-"""Read any luminance picture with its view direction.
+"""Read any luminance picture with its view, compute its pixels' directions, resample panoramas.
 
 A picture states its view: by `VIEW=` with Radiance's options in a .hdr, by the attribute `view` in
 an .exr, or by a mark that it is a panorama. For a missing or contradictory view, the error names
-the option that helps.
+the option that helps. The mappings are those of Radiance's viewray (src/common/image.c): x and y
+run from -1/2 to 1/2 over the picture, plus shift (-vs) and lift (-vl) in picture widths and
+heights.
+
+evalglare of pyradiance is the reference. It is by J. Wienold, EPFL and Fraunhofer ISE. Its version
+and flags are reported with every figure, because both change the result: the threshold in 2.05, the
+low-light correction in 2.14 and 3.05, the position index in 2.12 to 3.02.
 """
 
 from __future__ import annotations
 
+import shlex
+import subprocess
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import product
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from fieldlum.core.errors import InputError
-from fieldlum.core.records import Panorama
+from fieldlum.core.arrays import Floats, Floats32, Mask
+from fieldlum.core.errors import FieldlumError, InputError
+from fieldlum.core.records import Panorama, SunSource
 from fieldlum.optics.images import (
     RadianceHeader,
+    radiance_program,
     read_exr,
     read_panorama,
     read_radiance_hdr,
+    write_radiance_hdr,
 )
+from fieldlum.optics.projection import altitude_azimuth_deg, direction, equirect_pixel
 from fieldlum.session.panorama_sun import read_panorama_with_sun
-from fieldlum.year.glare.picture_view import HOW, PictureView, check_proportion, parse_view
+from fieldlum.sky.sun import SUN_SOLID_ANGLE_SR
+from fieldlum.sky.sun_disc import SUN_RADIUS_RAD
+from fieldlum.year.glare.geometry import Views, angles_from_view
 
 HOW_PANORAMA = "a panorama needs FIELDLUM_VIEW= equirect heading_deg=180 in its header"
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
@@ -123,3 +141,425 @@ def _stated(text: str, path: Path) -> str:
             path, "no VIEW in the header", "the picture's view", f"{HOW}; {HOW_PANORAMA}"
         )
     return text
+
+
+# ----------------------------------------------------------------------------------------------
+# views
+
+# Sum of solid angle over squared position index of a hemisphere, sr: the integral of
+# `position_index` (test_a_hemisphere_has_its_sources).
+HEMISPHERE_SOURCES_SR = 0.84636
+_BLOCK_PIXELS = 250_000  # pixels processed at a time: about 40 MB of temporary arrays; chosen
+# Samples along an edge of the picture and most along an edge of a pixel, with which solid angles
+# are exact to 5e-3 (test_a_uniform_hemisphere_gives_pi_l_in_every_mapping).
+_FINE_SAMPLES, _MAX_PIXEL_SAMPLES = 1000, 8
+
+
+def picture_views(
+    view: PictureView, height: int, width: int, seen_mask: Mask | None = None
+) -> Views:
+    """Return the weights of each pixel of a picture of height x width pixels with a Radiance view.
+
+    seen_mask : pixels that a lens saw [H, W]; None for all. A pixel on the edge of the hemisphere
+    has the weight of its part in front. The weights need 16 bytes of memory for each pixel.
+    """
+    fine = np.ceil(_FINE_SAMPLES / min(height, width)).clip(1, _MAX_PIXEL_SAMPLES).astype(int)
+    steps = (np.arange(fine) + 0.5) / fine - 0.5
+    weights, ahead = np.zeros((height, width, 4), np.float32), np.zeros((height, width), bool)
+    pixel = 1.0 / (height * width * fine**2)
+    block = max(1, _BLOCK_PIXELS // width)
+    for first in range(0, height, block):
+        rows = slice(first, first + block)
+        y, x = picture_centres(height, width, rows)
+        ahead[rows] = picture_rays(view, x, y)[0][..., 2] > 0.0
+        for dy, dx in product(steps / height, steps / width):
+            rays, density = picture_rays(view, x + dx, y + dy)
+            right, up, cosine = angles_from_view(rays, np.eye(3))
+            part = np.where(cosine > 0.0, density * pixel, 0.0)
+            weights[rows] += np.stack([part * cosine, part, part * right, part * up], axis=-1)
+    if seen_mask is not None:
+        weights[~seen_mask] = 0.0
+        ahead &= seen_mask
+    flat, azimuths = weights.reshape(-1, 4, 1), np.array([view.azimuth_deg])
+    return Views(
+        azimuths,
+        view.frame[None],
+        flat[:, 0],
+        flat[:, 1:],
+        ahead.reshape(-1, 1),
+        np.array([[np.pi], [2.0 * np.pi], [0.0], [0.0], [HEMISPHERE_SOURCES_SR]]),
+        is_panorama=False,
+    )
+
+
+def picture_centres(height: int, width: int, rows: slice = slice(None)) -> tuple[Floats, Floats]:
+    """Return y [k, 1] and x [1, W] of the centres of pixels in the k rows of the slice `rows`.
+
+    Both run from -1/2 to 1/2 over the picture of height x width pixels, x to the right, y upwards;
+    row 0 is at the top.
+    """
+    y = 0.5 - (np.arange(height)[rows] + 0.5) / height
+    return y[:, None], (np.arange(width)[None, :] + 0.5) / width - 0.5
+
+
+EXAMPLE_VIEW = "-vta -vd 0 -1 0 -vu 0 0 1 -vh 180 -vv 180"
+HOW = f'state the true view, such as --view "{EXAMPLE_VIEW}" for a fisheye that looks south'
+# Angles that Radiance accepts for equidistant (a), hemispherical, stereographic and perspective
+# views, and the numbers after each view option (rpict -v).
+_MAX_DEG = {"a": 360.0, "h": 180.0, "s": 359.0, "v": 179.0}
+_ARGUMENTS = {"vp": 3, "vd": 3, "vu": 3, "vh": 1, "vv": 1, "vo": 1, "va": 1, "vs": 1, "vl": 1}
+# The solid angle of -vth is infinite at its rim; directions with a smaller cosine are 0.1 % of the
+# hemisphere. Chosen.
+_MIN_COSINE = 1e-3
+_SAME_PROPORTION = 0.02  # relative; -vh and -vv are often rounded to degrees; chosen
+
+
+@dataclass(frozen=True, slots=True)
+class PictureView:
+    """A Radiance view, which gives the direction of each point of a picture.
+
+    kind : mapping: a (equidistant), h (hemispherical), s (stereographic) or v (perspective);
+    forward, up : perpendicular unit vectors (x east, y north, z up); horizontal_deg, vertical_deg :
+    full angles of view; shift, lift : offset to the right and upwards in picture widths and
+    heights.
+    """
+
+    kind: str
+    forward: Floats
+    up: Floats
+    horizontal_deg: float
+    vertical_deg: float
+    shift: float = 0.0
+    lift: float = 0.0
+
+    @property
+    def azimuth_deg(self) -> float:
+        """Azimuth of the view direction, clockwise from north, in [0, 360)."""
+        return float(np.degrees(np.arctan2(self.forward[0], self.forward[1])) % 360.0)
+
+    @property
+    def altitude_deg(self) -> float:
+        """Altitude of the view direction above the horizon, negative for a view downwards."""
+        return float(np.degrees(np.arcsin(np.clip(self.forward[2], -1.0, 1.0))))
+
+    @property
+    def frame(self) -> Floats:
+        """Unit vectors right, up and forward of the view as rows, [3, 3]; x east, y north, z up."""
+        return np.stack([np.cross(self.forward, self.up), self.up, self.forward])
+
+    @property
+    def text(self) -> str:
+        """The view as Radiance's options, such as "-vta -vp 0 0 0 -vd 0 -1 0 ..."."""
+        vectors = [" ".join(f"{v:.9g}" for v in vector) for vector in (self.forward, self.up)]
+        return (
+            f"-vt{self.kind} -vp 0 0 0 -vd {vectors[0]} -vu {vectors[1]} "
+            f"-vh {self.horizontal_deg:.9g} -vv {self.vertical_deg:.9g} "
+            f"-vo 0 -va 0 -vs {self.shift:.9g} -vl {self.lift:.9g}"
+        )
+
+
+def picture_rays(view: PictureView, x: ArrayLike, y: ArrayLike) -> tuple[Floats, Floats]:
+    """Return directions [..., 3] of points of a picture, and their solid angle over area [...].
+
+    x, y : [...] coordinates of the points, from -1/2 to 1/2 over the picture, x to the right, y
+    upwards; the view's shift and lift are added to them. A direction is a unit vector (right, up,
+    forward) along the axes of the view. The solid angle, in sr, is that of the complete picture if
+    it had the same everywhere; 0 where the mapping has no direction.
+    """
+    reach = [_reach(view.kind, angle) for angle in (view.horizontal_deg, view.vertical_deg)]
+    across, upwards = np.broadcast_arrays(
+        (np.asarray(x, float) + view.shift) * 2.0 * reach[0],
+        (np.asarray(y, float) + view.lift) * 2.0 * reach[1],
+    )
+    square = across**2 + upwards**2
+    if view.kind == "a":
+        angle = np.sqrt(square)
+        shrink = np.sinc(angle / np.pi)  # sin(angle) / angle
+        forward, density = np.cos(angle), np.where(angle < np.pi, shrink, 0.0)
+    elif view.kind == "h":
+        shrink, forward = np.ones_like(square), np.sqrt(np.maximum(1.0 - square, 0.0))
+        density = np.where(square < 1.0, 1.0 / np.maximum(forward, _MIN_COSINE), 0.0)
+    elif view.kind == "s":
+        shrink = 4.0 / (4.0 + square)
+        forward, density = 2.0 * shrink - 1.0, shrink**2
+    else:
+        shrink = forward = 1.0 / np.sqrt(1.0 + square)
+        density = forward**3
+    rays = np.stack([across * shrink, upwards * shrink, forward], axis=-1)
+    return rays, density * 4.0 * reach[0] * reach[1]
+
+
+def _reach(kind: str, angle_deg: float) -> float:
+    """Return the radius of half an angle in a mapping with focal length 1."""
+    half = np.radians(angle_deg) / 2.0
+    return float(
+        {"a": half, "h": np.sin(half), "s": 2.0 * np.tan(half / 2.0), "v": np.tan(half)}[kind]
+    )
+
+
+def check_proportion(
+    view: PictureView, height: int, width: int, pixel_aspect: float, source: Path
+) -> None:
+    """Raise InputError if a picture's width over height contradicts the view's angles by over 2 %.
+
+    height, width : in pixels, one pixel more is tolerated. pixel_aspect : height over width of a
+    pixel, from the header's PIXASPECT lines. source : the file that the error names.
+    """
+    expected = _reach(view.kind, view.horizontal_deg) / _reach(view.kind, view.vertical_deg)
+    actual = width / height / pixel_aspect
+    if abs(actual / expected - 1.0) > _SAME_PROPORTION + 1.0 / min(width, height):
+        raise InputError(
+            source,
+            f"{width} x {height} pixels with -vh {view.horizontal_deg:g} -vv {view.vertical_deg:g}",
+            f"width over height {expected:.3f}",
+            "the picture was cropped, or its VIEW is wrong: state the true view with --view",
+        )
+
+
+# ----------------------------------------------------------------------------------------------
+# options
+
+
+def parse_view(text: str, source: Path, heading_deg: float = 0.0) -> PictureView:
+    """Return the view that Radiance's view options `text` describe.
+
+    The last of repeated options counts; unknown ones are ignored. Without -vd the view is
+    horizontal and faces `heading_deg`, clockwise from north (Radiance's own default is north).
+    Raises InputError, which names `source`, for a missing or unknown view type, and for impossible
+    numbers.
+    """
+    options = _options(text, source)
+    kind = options.get("vt", "")
+    if kind not in _MAX_DEG:
+        forms = "-vta, -vth, -vts or -vtv"
+        if kind:
+            remedy = "render the picture with -vta"
+            raise InputError(source, f"the view type -vt{kind}", forms, remedy)
+        raise InputError(source, "a VIEW without a view type", forms, HOW)
+    forward = direction(0.0, heading_deg)
+    if "vd" in options:
+        forward = _vector(options["vd"], "-vd", source)
+    up = _vector(options.get("vu", "0 0 1"), "-vu", source)
+    if abs(float(forward @ up)) > 0.9999:
+        remedy = "write -vu 0 1 0 for a picture of the sky"
+        raise InputError(source, "-vd and -vu are parallel", "two different directions", remedy)
+    default = "45" if kind == "v" else "180"
+    angles = [_number(options.get(name, default), f"-{name}", source) for name in ("vh", "vv")]
+    for name, angle in zip(("-vh", "-vv"), angles, strict=True):
+        if not 0.0 < angle <= _MAX_DEG[kind]:
+            expected = f"an angle above 0 and at most {_MAX_DEG[kind]:g} deg"
+            raise InputError(source, f"{name} {angle:g} with -vt{kind}", expected, HOW)
+    up = up - forward * float(up @ forward)
+    shift, lift = (_number(options.get(name, "0"), f"-{name}", source) for name in ("vs", "vl"))
+    return PictureView(kind, forward, up / np.linalg.norm(up), angles[0], angles[1], shift, lift)
+
+
+def _options(text: str, source: Path) -> dict[str, str]:
+    """Return options by name; ignore unknown ones.
+
+    For example vt = "a" for -vta, and vd = "x y z" for -vd x y z.
+    """
+    try:
+        words = shlex.split(text)
+    except ValueError as error:
+        found = f"VIEW {text[:80]!r} ({error})"
+        raise InputError(source, found, "Radiance's view options", HOW) from None
+    options: dict[str, str] = {}
+    at = 0
+    while at < len(words):
+        name = words[at].lstrip("-")
+        at += 1
+        if name.startswith("vt") and len(name) == 3:
+            options["vt"] = name[2]
+        elif name in _ARGUMENTS:
+            options[name] = " ".join(words[at : at + _ARGUMENTS[name]])
+            at += _ARGUMENTS[name]
+    return options
+
+
+def _number(text: str, name: str, source: Path) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = np.nan
+    if not np.isfinite(value):
+        raise InputError(source, f"{name} {text[:40]!r}", "a number", HOW)
+    return value
+
+
+def _vector(text: str, name: str, source: Path) -> Floats:
+    values = np.array([_number(part, name, source) for part in text.split()])
+    length = float(np.linalg.norm(values)) if len(values) == 3 else 0.0
+    if not 0.0 < length < np.inf:
+        raise InputError(source, f"{name} {text[:80]!r}", "three numbers that are not all 0", HOW)
+    return values / length
+
+
+# ----------------------------------------------------------------------------------------------
+# fisheyes of a panorama: by flux; the sun by its energy
+
+FISHEYE_VIEW = "-vta -vh 180 -vv 180"
+
+
+def panorama_to_fisheye(
+    luminance_cdm2: Floats,
+    heading_deg: float,
+    azimuth_deg: float,
+    *,
+    size: int = 800,
+    sun: SunSource | None = None,
+) -> Floats32:
+    """Return an equidistant 180-degree picture (`FISHEYE_VIEW`) of a panorama, [size, size], cd/m2.
+
+    luminance_cdm2 : the panorama [H, W = 2H]; heading_deg : azimuth of its centre column.
+    azimuth_deg : the horizontal view direction of the picture. Azimuths are clockwise from north.
+    sun : its light is added to the pixels of its disc; nothing is added for None or a sun behind
+    the observer.
+
+    A pixel is the mean of samples of the panorama, fine enough for both grids, so that the flux is
+    preserved. Pixels outside the circle are 0.
+    """
+    height, width = luminance_cdm2.shape
+    view = PictureView("a", direction(0.0, azimuth_deg), direction(90.0, 0.0), 180.0, 180.0)
+    samples = max(2, int(np.ceil(2.0 * height / size)))
+    y, x = picture_centres(size * samples, size * samples)
+    rays = picture_rays(view, x, y)[0]
+    inside = rays[..., 2] > 0.0
+    places = equirect_pixel(
+        *altitude_azimuth_deg(rays[inside] @ view.frame), height, width, heading_deg
+    )
+    row, column = (
+        np.minimum(p.astype(int), n - 1) for p, n in zip(places, (height, width), strict=True)
+    )
+    values = np.zeros(inside.shape, np.float32)
+    values[inside] = luminance_cdm2[row, column]
+    cells = (size, samples, size, samples)
+    shares = inside.reshape(cells).sum(axis=(1, 3))
+    picture = values.reshape(cells).sum(axis=(1, 3)) / np.maximum(shares, 1)
+    y, x = picture_centres(size, size)
+    picture[np.hypot(x, y) > 0.5] = 0.0
+    if sun is not None:
+        picture += disc_pixels(picture_views(view, size, size), picture.shape, sun)
+    return picture.astype(np.float32)
+
+
+def disc_pixels(views: Views, shape: tuple[int, int], sun: SunSource) -> Floats32:
+    """Return the luminance [H, W] that the sun's disc adds to the pixels of a picture, in cd/m2.
+
+    views : weights of the picture of this shape, in its own direction. The nearest pixels that have
+    the disc's solid angle together, at least one, get the same luminance, so that they have its
+    energy. A sun behind the observer or outside the picture, over a pixel's diagonal from the
+    nearest one, adds nothing.
+    """
+    out = np.zeros(shape, np.float32)
+    rays, omega = views.rays()
+    towards = views.frames[0] @ direction(sun.altitude_deg, sun.azimuth_deg)
+    off = np.linalg.norm(rays[:, :, 0] - towards.astype(np.float32), axis=1)  # chords, rad
+    off[omega[:, 0] <= 0.0] = np.inf
+    near = np.argsort(off)
+    diagonal_rad = np.sqrt(2.0 * omega[near[0], 0])
+    if towards[2] <= 0.0 or off[near[0]] > SUN_RADIUS_RAD + diagonal_rad:
+        return out
+    total = np.cumsum(omega[near, 0], dtype=float)
+    disc = near[: int(np.argmin(np.abs(total - SUN_SOLID_ANGLE_SR))) + 1]
+    out.flat[disc] = sun.normal_illuminance_lx / omega[disc, 0].sum(dtype=float)
+    return out
+
+
+# ----------------------------------------------------------------------------------------------
+# evalglare
+
+FLAGS = ("-b", "2000", "-C", "l-", "-d")  # threshold 2000 cd/m2, no low-light correction, detailed
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceGlare:
+    """evalglare's figures of one picture; NaN for figures that its version does not print.
+
+    dgp, dgi, ugr, ugp, cgi : its indices. ev_lx : vertical illuminance. background_cdm2 :
+    background luminance. veiling_cdm2 : veiling luminance of Stiles and Holladay without the age
+    term (evalglare's Lveil_cie). sources : number of glare sources. version, flags : of the
+    evalglare that was run.
+    """
+
+    dgp: float
+    ev_lx: float
+    dgi: float
+    ugr: float
+    background_cdm2: float
+    ugp: float
+    cgi: float
+    veiling_cdm2: float
+    sources: int
+    version: str
+    flags: str
+
+
+_NAMES = {  # of the figures in evalglare's output
+    "dgp": "dgp",
+    "ev_lx": "E_v",
+    "dgi": "dgi",
+    "ugr": "ugr",
+    "background_cdm2": "lum_backg",
+    "ugp": "ugp",
+    "cgi": "cgi",
+    "veiling_cdm2": "Lveil_cie",
+}
+
+
+@lru_cache(maxsize=1)
+def reference_version() -> str:
+    """Return the version text that evalglare prints."""
+    shown = subprocess.run(
+        [radiance_program("evalglare"), "-v"],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    return (shown.stdout or shown.stderr).strip()
+
+
+def reference_glare(picture_cdm2: Floats, *, view: str = FISHEYE_VIEW) -> ReferenceGlare:
+    """Return evalglare's figures for a picture [H, W] in cd/m2.
+
+    view : its view as Radiance's options, by default an equidistant 180-degree one. Raises
+    FieldlumError if evalglare prints no figures.
+    """
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "view.hdr"
+        write_radiance_hdr(path, picture_cdm2, view=view)
+        return reference_glare_of_file(path)
+
+
+def reference_glare_of_file(path: Path) -> ReferenceGlare:
+    """Return evalglare's figures for a .hdr picture on disk whose header states its VIEW.
+
+    Raises FieldlumError if evalglare prints no figures.
+    """
+    process = subprocess.run(
+        [radiance_program("evalglare"), *FLAGS, str(path)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    return _parse(process.stdout, f"{process.stderr.strip()} (exit {process.returncode})")
+
+
+def _parse(text: str, trouble: str) -> ReferenceGlare:
+    """Parse the line ``dgp,av_lum,E_v,lum_backg,...: 0.34 ...`` and the number of sources."""
+    line = next((line for line in text.splitlines() if line.startswith("dgp,")), "")
+    names, _, figures = line.partition(":")
+    row = dict(zip(names.split(","), figures.split(), strict=False))
+    if "dgp" not in row:
+        raise FieldlumError(
+            f"evalglare printed no result: {trouble}; expected a line that begins with 'dgp,'; "
+            "install pyradiance again"
+        )
+    head = text.split(maxsplit=1)[0]
+    return ReferenceGlare(
+        **{field: float(row.get(name, "nan")) for field, name in _NAMES.items()},
+        sources=int(head) if head.isdigit() else 0,
+        version=reference_version(),
+        flags=" ".join(FLAGS),
+    )

@@ -23,16 +23,26 @@ from fieldlum.optics.projection import (
     signed_angle_deg,
 )
 from fieldlum.sky.sun_disc import find_disc, without_disc
-from fieldlum.year.glare.contrast import ViewRegions, rammg
-from fieldlum.year.glare.fisheye import disc_pixels, panorama_to_fisheye
 from fieldlum.year.glare.geometry import Views, panorama_views, view_azimuths_deg
-from fieldlum.year.glare.metrics import METRICS, glare_directions
-from fieldlum.year.glare.picture_view import picture_views
-from fieldlum.year.glare.pictures import Picture, read_picture
-from fieldlum.year.glare.reference import reference_glare
+from fieldlum.year.glare.metrics import (
+    METRICS,
+    ViewRegions,
+    brightest_cdm2,
+    glare_directions,
+    rammg,
+    unseen_dgp_bounds,
+    view_coverage,
+)
+from fieldlum.year.glare.pictures import (
+    Picture,
+    disc_pixels,
+    panorama_to_fisheye,
+    picture_views,
+    read_picture,
+    reference_glare,
+)
 from fieldlum.year.glare.sources import Sources, glare_sources
 from fieldlum.year.glare.standards import disturbed_share
-from fieldlum.year.glare.unseen import brightest_cdm2, unseen_dgp_bounds, view_coverage
 
 # Upper limits of DGP of the four grades (Wienold 2009; Mardaljevic et al. 2012).
 VERDICTS = (

@@ -19,20 +19,21 @@ from fieldlum.session import sha256
 from fieldlum.sky.light import Light
 from fieldlum.sky.sky_view.disc_in_view import disc_lx, drawn_discs_lx
 from fieldlum.year.glare.budget import U_DISC
-from fieldlum.year.glare.contrast import ViewRegions
 from fieldlum.year.glare.geometry import Views, panorama_views
 from fieldlum.year.glare.metrics import (
     DiscLight,
+    ViewRegions,
+    brightest_cdm2,
     dgp_with_disc,
     glare_directions,
     map_ev_lx,
     sun_per_lx,
+    unseen_dgp_bounds,
+    view_coverage,
 )
 from fieldlum.year.glare.sources import SOURCE_CDM2
 from fieldlum.year.glare.standards import DgpUncertainty, dgp_uncertainty, disturbed_share
-from fieldlum.year.glare.unseen import brightest_cdm2, unseen_dgp_bounds, view_coverage
-from fieldlum.year.predict.blocks import BLOCK, HourBlock, ModelRoom, blocks, room_of
-from fieldlum.year.predict.maps import write_maps
+from fieldlum.year.predict.blocks import BLOCK, HourBlock, ModelRoom, blocks, room_of, write_maps
 from fieldlum.year.predict.melanopic import MelanopicYear
 
 NORMAL_95 = 1.96  # standard deviations of a 95 % interval; quantile of the normal distribution

@@ -33,9 +33,16 @@ from fieldlum.year.glare.budget import BUDGET_FILE, Budget, write_budgets, year_
 from fieldlum.year.glare.geometry import view_azimuths_deg
 from fieldlum.year.glare.metrics import METRICS
 from fieldlum.year.glare.standards import DgpUncertainty, dgp_per_scale, protection
-from fieldlum.year.predict import maps as map_store
 from fieldlum.year.predict.annual import Annual, Pictures, read_annual, write_pictures
-from fieldlum.year.predict.blocks import ModelRoom, blocks, room_of
+from fieldlum.year.predict.blocks import (
+    DRAFT,
+    NAME,
+    ModelRoom,
+    begin_maps,
+    blocks,
+    finish_maps,
+    room_of,
+)
 from fieldlum.year.predict.glare_summary import best_and_worst, poor, summary_of_year
 from fieldlum.year.predict.hours_unit import HourFigures, measure
 from fieldlum.year.predict.melanopic import has_colour, year_of_captures
@@ -102,7 +109,7 @@ def run(
     colours = year_of_captures(pairs, room, azimuths) if pairs else None
     _delete_earlier_year(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    store = map_store.begin_maps(folder, light.t_utc, room) if maps else None
+    store = begin_maps(folder, light.t_utc, room) if maps else None
     found = measure(
         model_folder,
         room,
@@ -117,7 +124,7 @@ def run(
     found.hours["trusted"] *= not poor(config)
     found.hours["occupied"][:] = occupancy.at(light.t_utc, zone)
     if store:
-        map_store.finish_maps(folder, found.hours["disc_lx"], found.hours["trusted"])
+        finish_maps(folder, found.hours["disc_lx"], found.hours["trusted"])
     annual = Annual(folder, PredictFile(), light.t_utc, azimuths, found.hours, _columns(found))
     rows, budgets = _protection(annual, found.doubt, hours_used, session, seed)
     annual = replace(
@@ -341,7 +348,7 @@ def _already(folder: Path, inputs: Mapping[str, object]) -> Annual | None:
     table = next((candidate for candidate in tables if candidate is not None), None)
     if table is None or table.get("software", {}).get("fieldlum") != __version__:
         return None
-    if inputs["maps"] and not (folder / map_store.NAME).is_dir():
+    if inputs["maps"] and not (folder / NAME).is_dir():
         return None
     try:
         return read_annual(folder)
@@ -355,5 +362,5 @@ def _delete_earlier_year(folder: Path) -> None:
     Otherwise an interruption could leave the hours of one weather file with the classes of another.
     """
     (folder / "predict.json").unlink(missing_ok=True)
-    for name in (map_store.NAME, map_store.DRAFT):
+    for name in (NAME, DRAFT):
         shutil.rmtree(folder / name, ignore_errors=True)
