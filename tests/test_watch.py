@@ -23,7 +23,6 @@ import numpy as np
 import pytest
 from browser import CHROMIUM, chromium
 from click.testing import CliRunner
-from fieldlum.web.server import qr_lines
 from places import SEATTLE
 from test_session import WRONG_EVENTS
 from tiny_field import LADDER, T0, Field, make_session
@@ -36,7 +35,7 @@ from fieldlum.session import DayFiles, Journal, Session, create_session, read_jo
 from fieldlum.session.files.sidecar import Sidecar
 from fieldlum.session.lines import encode_line
 from fieldlum.web.answer import Moment, Worker, answer_table
-from fieldlum.web.server import Access
+from fieldlum.web.server import Access, qr_lines
 from fieldlum.web.snapshot import DayBins, JournalFollower, Snapshots
 
 HOSTILE = '<img src=x onerror="document.body.dataset.hacked=1">'
@@ -82,8 +81,8 @@ def _session(folder: Path) -> Session:
         days.append(IrradianceSample(t, ghi, 100.0, 400.0, status=status))
     days.close()
     (session.root / "watch").mkdir()
-    answers = [_answer(0.38, 8), _answer(0.36, 12)]
-    (session.root / "watch" / "answers.json").write_text(json.dumps(answers), encoding="utf-8")
+    answer = json.dumps(_answer(0.36, 12))
+    (session.root / "watch" / "answer.json").write_text(answer, encoding="utf-8")
     return session
 
 
@@ -323,7 +322,7 @@ def test_before_the_first_slot_it_counts_down(tmp_path: Path) -> None:
 def test_followed_files_give_what_a_whole_reading_gives(tmp_path: Path) -> None:
     """A line that is written in two pieces, a torn tail that is cut, a file that is replaced."""
     plain = make_session(tmp_path / "s")
-    follower = JournalFollower(plain)
+    follower = JournalFollower(plain.journal)
     journal = Journal(plain)
     for k in range(3):
         journal.append("bad-reading", T0 + timedelta(minutes=k), device="pyranometer", why=str(k))

@@ -22,7 +22,7 @@ from typing import IO, NamedTuple
 import psutil
 
 from fieldlum.core.errors import InputError
-from fieldlum.core.records import JsonTable, utc_text
+from fieldlum.core.records import JsonTable, parse_utc, utc_text
 from fieldlum.session import Session, replacing
 from fieldlum.session.codec import to_json
 from fieldlum.session.files.predict_json import PredictFile
@@ -35,7 +35,6 @@ _LOOK_EVERY_S = 5.0  # not measured
 _LOWEST_PRIORITY = 19  # of POSIX nice
 ANSWER_EVERY = timedelta(hours=6)  # fitting takes minutes: at most a few times a day; chosen
 MIN_CAPTURES = 8  # fewer leave every class open; chosen
-_DAYS_KEPT = 400  # a year and a month of answers; chosen
 PROGRAM = (
     sys.executable,
     "-c",
@@ -77,7 +76,7 @@ class Worker:
 
     @property
     def folder(self) -> Path:
-        """The session's folder watch/, with the model, the year and the history of answers."""
+        """The session's folder watch/, with the model, the year and the last answer."""
         return self.session.root / "watch"
 
     def start(self) -> None:
@@ -120,8 +119,8 @@ class Worker:
             self._answer(now.captured)
 
     def _is_old(self) -> bool:
-        times = (datetime.fromisoformat(row["t_utc"]) for row in read_answers(self.session)[-1:])
-        return all(datetime.now(UTC) - t >= ANSWER_EVERY for t in times)
+        last = read_answer(self.session)
+        return last is None or datetime.now(UTC) - parse_utc(last["t_utc"]) >= ANSWER_EVERY
 
     def _answer(self, captured: int) -> None:
         model, annual, root = self.folder / "model", self.folder / "annual", str(self.session.root)
@@ -137,12 +136,12 @@ class Worker:
             self._answered_at = captured
 
     def _keep(self, captured: int, annual: Path) -> None:
-        """Append the classes to the history of answers."""
+        """Write the classes into answer.json."""
         year = PredictFile.read(annual)
         hours: list[JsonTable] = []
         with suppress(OSError, ValueError, KeyError):
             hours = json.loads((self.folder / "useful hours.out").read_text("utf-8"))["hours"]
-        row = {
+        answer = {
             "t_utc": utc_text(datetime.now(UTC)),
             "captures": captured,
             "weather": year.weather.name,
@@ -151,9 +150,8 @@ class Worker:
             "protection": to_json(year.protection),
             "useful": hours[:8],
         }
-        rows = [*read_answers(self.session), row][-_DAYS_KEPT:]
-        with replacing(self.folder / "answers.json", "w", encoding="utf-8") as file:
-            json.dump(rows, file)
+        with replacing(self.folder / "answer.json", "w", encoding="utf-8") as file:
+            json.dump(answer, file)
 
     def _run(self, name: str, *arguments: str) -> bool:
         """Run one command at the lowest priority and return whether it succeeded.
@@ -167,8 +165,7 @@ class Worker:
         out, notes = self.folder / f"{name}.out", self.folder / f"{name}.err"
         try:
             with out.open("wb") as answer, notes.open("wb") as errors:
-                process = self._started(arguments, answer, errors)
-                code = self._attended(process)
+                code = self._attended(self._started(arguments, answer, errors))
         finally:
             self.step = ""
         if code == 0:
@@ -220,39 +217,27 @@ def _each(process: subprocess.Popen[bytes], act: Callable[[psutil.Process], obje
                 act(one)
 
 
-def read_answers(session: Session) -> list[JsonTable]:
-    """Return the stored answers (rows of watch/answers.json), oldest first.
+def read_answer(session: Session) -> JsonTable | None:
+    """Return the stored answer (watch/answer.json); None for a missing or damaged file.
 
-    An answer is the result of one run of `Worker`: its time, number of captures, weather, warnings,
-    the glare class of each view direction over a predicted year, and hours to capture next. A
-    damaged row is skipped; the list is empty for a missing or damaged file.
+    It is the result of one run of `Worker`: its time, number of captures, weather, warnings, the
+    glare class of each view direction over a predicted year, and useful coming hours.
     """
     try:
-        rows = json.loads((session.root / "watch" / "answers.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return []
-    return [row for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []
+        answer = json.loads((session.root / "watch" / "answer.json").read_text(encoding="utf-8"))
+        parse_utc(answer["t_utc"])
+    except (OSError, ValueError, TypeError, KeyError):
+        return None
+    return answer
 
 
 def answer_table(session: Session, worker: Worker | None) -> JsonTable:
-    """Return the last answer, the DGP of each direction in all answers, and the present step.
+    """Return the last answer (None without one) and the present step.
 
-    The last answer is None without one; worker: None if nothing is computed here.
+    worker: None if nothing is computed here.
     """
-    rows = read_answers(session)
-    history = [
-        {
-            "t_utc": row["t_utc"],
-            "captures": row["captures"],
-            "dgp": [p["dgp_exceeded"] for p in row["protection"]],
-            "low": [p["low"] for p in row["protection"]],
-            "high": [p["high"] for p in row["protection"]],
-        }
-        for row in rows
-    ]
     return {
-        "last": rows[-1] if rows else None,
-        "history": history,
+        "last": read_answer(session),
         "computes": worker is not None,
         "step": worker.step if worker else "",
         "problem": worker.problem if worker else "",

@@ -227,8 +227,8 @@ def watch_routes(
     """
 
     def state() -> Mapping[str, object]:
-        answers = session.root / "watch" / "answers.json"
-        written = answers.stat().st_mtime_ns if answers.is_file() else 0
+        answer = session.root / "watch" / "answer.json"
+        written = answer.stat().st_mtime_ns if answer.is_file() else 0
         doing = [worker.step, worker.problem] if worker else []
         return {**snapshots.state(), "answer": " ".join([str(written), *doing])}
 

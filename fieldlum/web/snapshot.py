@@ -17,7 +17,7 @@ from dataclasses import asdict
 from datetime import UTC, date, datetime, timedelta
 from functools import lru_cache
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, Self
 from zoneinfo import ZoneInfo
 
 import numpy as np
@@ -30,8 +30,6 @@ from fieldlum.core.errors import InputError
 from fieldlum.core.false_colour import colour_table, coloured, luminance_ends, png_of, shared_scale
 from fieldlum.core.records import JsonTable, Site, Slot, parse_utc, utc_text
 from fieldlum.optics.images import read_panorama
-from fieldlum.plan.coverage import sun_band_percent
-from fieldlum.plan.days import hours_of
 from fieldlum.session import Session, decode_sample
 from fieldlum.session.files.sidecar import Sidecar
 from fieldlum.session.journal import decode_event
@@ -42,64 +40,60 @@ from fieldlum.web.answer import QUIET_BEFORE_S, Moment
 
 BIN_S = 120  # 720 points a day: more cannot be seen in a curve as wide as a page; chosen
 _BINS = 86400 // BIN_S
-_DAYS_KEPT = 6  # in memory; bounds it; chosen
 _EVENTS_KEPT = 60  # in memory; more than a page shows; chosen
 
 
 class LineTail:
-    """Reads the lines of a growing file that are new since the last reading."""
+    """State that follows from the lines of a growing file; `update` reads those that are new."""
 
     def __init__(self, path: Path) -> None:
         self._path, self._offset, self._inode = path, 0, 0
+        self.clear()
 
-    def read(self) -> tuple[bool, list[bytes]]:
-        """Return whether the file is new, replaced or shortened, and its complete unread lines.
+    def clear(self) -> None:
+        """Begin with the state of an empty file."""
 
-        A missing or unreadable file gives False and no lines.
+    def add(self, line: bytes) -> None:
+        """Change the state by one line; skip a damaged one."""
+
+    def update(self) -> Self:
+        """Add the complete unread lines, all of a file that was replaced or shortened.
+
+        A missing or unreadable file changes nothing: it may be on a share that is away.
         """
-        try:
-            with self._path.open("rb") as file:
-                about = os.fstat(file.fileno())
-                again = about.st_ino != self._inode or about.st_size < self._offset
-                if again:
-                    self._offset, self._inode = 0, about.st_ino
-                file.seek(self._offset)
-                data = file.read()
-        except OSError:  # not there yet, or a share that is away: look again later
-            return False, []
-        end = data.rfind(b"\n") + 1
-        self._offset += end
-        return again, data[:end].splitlines(keepends=True)
+        with suppress(OSError), self._path.open("rb") as file:
+            about = os.fstat(file.fileno())
+            if about.st_ino != self._inode or about.st_size < self._offset:
+                self._offset, self._inode = 0, about.st_ino
+                self.clear()
+            file.seek(self._offset)
+            data = file.read()
+            end = data.rfind(b"\n") + 1
+            self._offset += end
+            for line in data[:end].splitlines(keepends=True):
+                self.add(line)
+        return self
 
 
-class JournalFollower:
-    """State that follows from the journal so far; `update` reads what is new.
+class JournalFollower(LineTail):
+    """What the journal states so far.
 
     ledger: state of each slot. events: the latest 60 for the page, without frames, starts of
     brackets and illuminances. away: devices that do not answer now, with the time since when.
     opened: the last `open` event (start of a capture) without a `close`, or None.
     """
 
-    def __init__(self, session: Session) -> None:
-        self._tail = LineTail(session.journal)
-        self._clear()
-
-    def _clear(self) -> None:
+    def clear(self) -> None:
+        """Begin with the state of an empty file."""
         self.ledger = Ledger()
         self.events: deque[JournalEvent] = deque(maxlen=_EVENTS_KEPT)
         self.away: dict[str, datetime] = {}
         self.opened: JournalEvent | None = None
 
-    def update(self) -> JournalFollower:
-        """Read the journal's new lines, skip damaged ones; return itself."""
-        again, lines = self._tail.read()
-        if again:
-            self._clear()
-        for event in filter(None, map(decode_event, lines)):
-            self._add(event)
-        return self
-
-    def _add(self, event: JournalEvent) -> None:
+    def add(self, line: bytes) -> None:
+        """Change the state by one line; skip a damaged one."""
+        if (event := decode_event(line)) is None:
+            return
         kind, device = event["event"], str(event.get("device", ""))
         fold((event,), self.ledger)
         if kind == "open":
@@ -114,39 +108,32 @@ class JournalFollower:
             self.events.append(event)
 
 
-class DayBins:
+class DayBins(LineTail):
     """Mean irradiances in 720 bins of two minutes, from the logger's file of one UTC day.
 
     flagged: mask of bins, True with an error that the instrument reported; status: number of rows
     by such an error; last: time and global irradiance of the last row, or None.
     """
 
-    def __init__(self, path: Path) -> None:
-        self._tail = LineTail(path)
-        self._clear()
-
-    def _clear(self) -> None:
+    def clear(self) -> None:
+        """Begin with the state of an empty file."""
         self._sum, self._count = np.zeros((2, _BINS, 3))
         self.flagged = np.zeros(_BINS, bool)
         self.status: Counter[str] = Counter()
         self.last: tuple[datetime, float | None] | None = None
 
-    def update(self) -> DayBins:
-        """Add the new rows of the file; begin again if it was replaced. Return itself."""
-        again, lines = self._tail.read()
-        if again:
-            self._clear()
-        for sample in filter(None, map(decode_sample, lines)):
-            t = sample.t_utc
-            k = (t.hour * 3600 + t.minute * 60 + t.second) // BIN_S
-            row = np.array([sample.ghi_wm2, sample.dni_wm2, sample.dhi_wm2], float)
-            self._sum[k] += np.nan_to_num(row)
-            self._count[k] += np.isfinite(row)
-            if sample.status:
-                self.flagged[k] = True
-                self.status[sample.status] += 1
-            self.last = t, sample.ghi_wm2
-        return self
+    def add(self, line: bytes) -> None:
+        """Change the state by one line; skip a damaged one."""
+        if (sample := decode_sample(line)) is None:
+            return
+        k = _bin_of(sample.t_utc)
+        row = np.array([sample.ghi_wm2, sample.dni_wm2, sample.dhi_wm2], float)
+        self._sum[k] += np.nan_to_num(row)
+        self._count[k] += np.isfinite(row)
+        if sample.status:
+            self.flagged[k] = True
+            self.status[sample.status] += 1
+        self.last = sample.t_utc, sample.ghi_wm2
 
     @property
     def means(self) -> Floats:
@@ -154,20 +141,20 @@ class DayBins:
         return np.where(self._count > 0, self._sum / np.maximum(self._count, 1), np.nan)
 
 
+def _bin_of(t_utc: datetime) -> int:
+    return (t_utc.hour * 3600 + t_utc.minute * 60 + t_utc.second) // BIN_S
+
+
 class IrradianceFollower:
     """Irradiance of UTC days, read when requested; the last six requested days stay in memory."""
 
     def __init__(self, session: Session) -> None:
-        self._session = session
-        self._days: dict[date, DayBins] = {}
+        folder = session.irradiance
+        self._bins = lru_cache(6)(lambda day: DayBins(folder / f"{day.isoformat()}.csv"))
 
     def day(self, day_utc: date) -> DayBins:
         """Return the irradiance bins of a UTC day, with the file's newest rows."""
-        path = self._session.irradiance / f"{day_utc.isoformat()}.csv"
-        self._days[day_utc] = self._days.pop(day_utc, None) or DayBins(path)  # now the newest
-        while len(self._days) > _DAYS_KEPT:
-            del self._days[next(iter(self._days))]
-        return self._days[day_utc].update()
+        return self._bins(day_utc).update()
 
     def latest(self, now: datetime) -> tuple[datetime, float | None] | None:
         """Return time and global irradiance of the last row of today or yesterday (UTC).
@@ -248,9 +235,8 @@ def day_curve(day: date, site: Site, followed: IrradianceFollower) -> JsonTable:
     times = [t for t in times if t.astimezone(zone).date() == day]
     index = {d: followed.day(d) for d in sorted({t.date() for t in times})}
     means = {d: bins.means for d, bins in index.items()}
-    of = [(t.date(), (t.hour * 3600 + t.minute * 60 + t.second) // BIN_S) for t in times]
-    values = np.array([means[d][k] for d, k in of])  # [bins, 3]
-    flagged = np.array([index[d].flagged[k] for d, k in of])
+    values = np.array([means[t.date()][_bin_of(t)] for t in times])  # [bins, 3]
+    flagged = np.array([index[t.date()].flagged[_bin_of(t)] for t in times])
     present = np.isfinite(values).any(axis=1)
     impossible, clear = np.zeros(len(times), bool), np.full(len(times), np.nan)
     if present.any():
@@ -303,8 +289,6 @@ _WORDS: dict[str, tuple[Level, str]] = {
     "open": ("info", "The capture was started."),
     "close": ("info", "The capture was ended."),
     "marked": ("info", "Bracket {slot} was marked: {state}."),
-    "paused": ("warn", "The capture was paused until {until_utc}."),
-    "resumed": ("info", "The pause was ended."),
     "note": ("info", "Note: {text}"),
 }
 
@@ -320,7 +304,7 @@ def event_words(event: JournalEvent) -> tuple[Level, str] | None:
         return None
     if kind not in _WORDS:
         return "info", kind
-    blank = dict.fromkeys(("slot", "state", "until_utc", "text"), "") | {"device": "a device"}
+    blank = dict.fromkeys(("slot", "state", "text"), "") | {"device": "a device"}
     words = {
         "by_s": 0.0,
         **event,
@@ -399,12 +383,14 @@ class Snapshots:
     ) -> None:
         self._session, self._wall_clock = session, wall_clock
         self._lock = threading.Lock()
-        self._journal, self._irradiance = JournalFollower(session), IrradianceFollower(session)
+        self._journal, self._irradiance = (
+            JournalFollower(session.journal),
+            IrradianceFollower(session),
+        )
         self._setup = session.site_file()
         self._zone = ZoneInfo(self._setup.site.timezone)
         self._plan: tuple[int, list[Slot]] = (-1, [])
         self._findings: tuple[datetime, list[JsonTable]] | None = None
-        self._band: tuple[object, dict[str, float]] = (None, {})
 
     def state(self) -> JsonTable:
         """Return the present state: next slot, counts, newest picture, devices, events, checks."""
@@ -447,10 +433,9 @@ class Snapshots:
             return Moment(not busy, captured)
 
     def calendar(self) -> JsonTable:
-        """Return the local days of the plan with the state of each slot, and their coverage.
+        """Return the local days of the plan with the state of each slot.
 
-        The states are done, missed, aborted, made up (by another slot), running, to do. Coverage:
-        shares of the sun's positions in a year that plan and captures reach [%].
+        The states are done, missed, aborted, made up (by another slot), running, to do.
         """
         with self._lock:
             _, slots, _, _, states, merged = self._present()
@@ -458,10 +443,7 @@ class Snapshots:
             for slot in slots:
                 row = self._slot_row(slot, states) | {"picture": slot.id in merged}
                 days.setdefault(self._local_day(slot.t_utc).isoformat(), []).append(row)
-            return {
-                "days": [{"date": day, "slots": rows} for day, rows in sorted(days.items())],
-                "coverage": self._coverage(slots, states),
-            }
+            return {"days": [{"date": day, "slots": rows} for day, rows in sorted(days.items())]}
 
     def day(self, day: date) -> JsonTable:
         """Return a local day's slots with verdicts and pictures, and its irradiance.
@@ -600,18 +582,6 @@ class Snapshots:
         findings = doctor.run(self._session, "", "", now, only=doctor.WITHOUT_DEVICES)
         self._findings = now, [asdict(finding) for finding in findings]
         return self._findings[1]
-
-    def _coverage(self, slots: list[Slot], states: dict[str, str]) -> dict[str, float]:
-        """Return the share of the year's sun band that the plan and the captures reach, in %."""
-        captured = [slot for slot in slots if states[slot.id] == "done"]
-        key = len(slots), tuple(slot.id for slot in captured)
-        if self._band[0] != key:
-            band = {
-                name: round(sun_band_percent(hours_of(some), self._setup.site), 1)
-                for name, some in (("planned", slots), ("captured", captured))
-            }
-            self._band = key, band
-        return self._band[1]
 
     def _local_day(self, t_utc: datetime) -> date:
         return t_utc.astimezone(self._zone).date()

@@ -190,12 +190,6 @@ function drawLatest(latest) {
 
 function drawCalendar(c) {
   view.calendar = c;
-  const k = c.coverage;
-  show(
-    "coverage",
-    `The plan reaches ${k.planned} % of the year's sun positions, ` +
-      `the captures so far ${k.captured} %.`,
-  );
   const months = new Map();
   for (const day of c.days) {
     const name = day.date.slice(0, 7);
@@ -431,44 +425,6 @@ const WINDS = [
 function wind(azimuth) {
   return `${WINDS[Math.round(azimuth / 22.5) % 16]} ${Math.round(azimuth)}°`;
 }
-function spark(history, k) {
-  const W = 144,
-    H = 34,
-    days = history.filter(row => row.dgp[k] !== null && row.dgp[k] !== undefined);
-  const svg = draw("svg", {
-    viewBox: `0 0 ${W} ${H}`,
-    role: "img",
-    "aria-label": days.length
-      ? `from ${number(days[0].dgp[k], 2)} to ` +
-        `${number(days[days.length - 1].dgp[k], 2)} in ${days.length} answers`
-      : "no figure",
-  });
-  const all = days.flatMap(row => [row.low[k] ?? row.dgp[k], row.high[k] ?? row.dgp[k]]);
-  const low = Math.min(0.3, ...all),
-    high = Math.max(0.5, ...all);
-  const x = i => (days.length > 1 ? 3 + (i / (days.length - 1)) * (W - 6) : W / 2);
-  const y = v => H - 3 - ((v - low) / (high - low)) * (H - 6);
-  for (const limit of [0.35, 0.4, 0.45])
-    svg.append(draw("line", {x1: 0, x2: W, y1: y(limit), y2: y(limit)}));
-  const at = (i, v) => `${x(i).toFixed(1)},${y(v).toFixed(1)}`;
-  if (days.length === 1) {
-    svg.append(
-      draw("polyline", {points: `${at(0, all[0])} ${at(0, all[1])}`}),
-      draw("circle", {cx: x(0), cy: y(days[0].dgp[k]), r: 3}),
-    );
-  } else if (days.length) {
-    svg.append(
-      draw("polygon", {
-        points: [
-          ...days.map((row, i) => at(i, row.high[k] ?? row.dgp[k])),
-          ...days.map((row, i) => at(i, row.low[k] ?? row.dgp[k])).reverse(),
-        ].join(" "),
-      }),
-    );
-    svg.append(draw("polyline", {points: days.map((row, i) => at(i, row.dgp[k])).join(" ")}));
-  }
-  return svg;
-}
 function drawAnswer(a) {
   const last = a.last,
     lines = [];
@@ -489,7 +445,7 @@ function drawAnswer(a) {
   if (a.problem) lines.push(`The last step failed: ${a.problem}`);
   show("answer-line", lines.join(" "));
   byId("answer-rows").replaceChildren(
-    ...(last ? last.protection : []).map((row, k) =>
+    ...(last ? last.protection : []).map(row =>
       put(
         "tr",
         {},
@@ -511,7 +467,6 @@ function drawAnswer(a) {
             : `${number(row.dgp_exceeded, 3)}` +
                 (row.low === null ? "" : ` (${number(row.low, 3)} to ${number(row.high, 3)})`),
         ),
-        put("td", {}, spark(a.history, k)),
       ),
     ),
   );
