@@ -34,7 +34,6 @@ from fieldlum.year.glare import (
     view_azimuths_deg,
 )
 from fieldlum.year.glare.geometry import panorama_views
-from fieldlum.year.glare.metrics import ViewRegions
 from fieldlum.year.predict.blocks import ModelRoom, blocks
 from fieldlum.year.predict.hours_unit import view_figures
 from fieldlum.year.predict.year import light_of
@@ -107,7 +106,6 @@ def year(
     """
     azimuths = view_azimuths_deg(room.heading_deg, views)
     weights = panorama_views(room.height, room.width, room.heading_deg, azimuths)
-    regions = ViewRegions(weights)
     rng = np.random.default_rng(0)
     asked = set(rng.choice(len(light), sample, replace=False).tolist())
     kept, maps_s, metrics_s = [], np.zeros(2), np.zeros(2)
@@ -115,7 +113,7 @@ def year(
     for block in blocks(fitted, room, light):
         now = _clocks()
         maps_s += now - begin
-        view_figures(block, weights, regions)
+        view_figures(block, weights)
         metrics_s += _clocks() - now
         here = [
             k - block.rows.start for k in sorted(asked) if block.rows.start <= k < block.rows.stop

@@ -13,7 +13,7 @@ from click.testing import CliRunner
 from fieldlum.cli import main
 from fieldlum.core.records import SunSource
 from fieldlum.optics.images import write_radiance_hdr
-from fieldlum.year.glare.metrics import ViewRegions, map_ev_lx
+from fieldlum.year.glare.metrics import map_ev_lx, region_ratios
 from fieldlum.year.glare.pictures import (
     PictureView,
     disc_pixels,
@@ -163,7 +163,7 @@ def test_authority_the_sun_in_view_agrees(tmp_path: Path) -> None:
 
 
 def _ratios(view: PictureView, size: int) -> dict[str, np.ndarray]:
-    return ViewRegions(picture_views(view, size, size)).ratios(_scene(view, size)[None])
+    return region_ratios(_scene(view, size)[None], picture_views(view, size, size))
 
 
 @pytest.mark.slow

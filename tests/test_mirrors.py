@@ -33,7 +33,7 @@ from fieldlum.sky.sun_images import (
 )
 from fieldlum.weather import read_weather
 from fieldlum.year.glare.geometry import panorama_views
-from fieldlum.year.glare.metrics import ViewRegions, glare_directions
+from fieldlum.year.glare.metrics import glare_directions
 from fieldlum.year.predict import run as predict
 from fieldlum.year.predict.blocks import blocks, room_of
 from fieldlum.year.predict.hours_unit import view_figures
@@ -214,9 +214,8 @@ def test_the_warning_is_in_every_result(tmp_path: Path) -> None:
     assert len(shown) > 3
     north = int(np.argmin(np.abs((year.azimuths_deg + 180.0) % 360.0 - 180.0)))
     views = panorama_views(room.height, room.width, room.heading_deg, year.azimuths_deg)
-    regions = ViewRegions(views)
     (alone,) = blocks(fitted, bare, light[:64])
-    without = view_figures(alone, views, regions)["dgp"]
+    without = view_figures(alone, views)["dgp"]
     gain = year.views["dgp"][:64] - without
     assert gain[shown, north].min() > 0.1
     np.testing.assert_allclose(gain[image.shown_lx == 0.0], 0.0, atol=1e-4)

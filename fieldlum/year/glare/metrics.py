@@ -467,54 +467,33 @@ def rammg(luminance_cdm2: Floats) -> float:
     return float(contrast_levels(luminance_cdm2).mean())
 
 
-class ViewRegions:
-    """The pixels of a picture in three regions of the view, for d view directions.
+def region_ratios(luminance_cdm2: Floats, views: Views) -> dict[str, Floats]:
+    """Return three figures by name, [n, d] each, of n maps in d view directions.
 
-    Each region is [P, d]: the solid angle of a pixel in it, sr; 0 outside. task : a cone of 15
-    degrees radius around the direction 30 degrees below the line of sight. band : within 20 degrees
-    of the horizon, in front of the observer. half : the hemisphere in front. `ratios` computes the
-    figures of maps.
+    luminance_cdm2 : [n, H, W]. task_cdm2 : mean luminance of the task cone, which has 15 degrees
+    radius and is 30 degrees below the line of sight. window_to_task : mean luminance of the pixels
+    above 2000 cd/m2 in the front hemisphere, over task_cdm2; NaN without such pixels. uniformity :
+    harmonic over arithmetic mean luminance of the band within 20 degrees of the horizon: 1 if the
+    band is uniform, less with dark corners. Figures are of the seen pixels; NaN if they are less
+    than 90 % of the task cone, or of the band.
     """
-
-    def __init__(self, views: Views) -> None:
-        """Compute the weights."""
-        rays, omega = views.rays()
-        _, up, forward = np.moveaxis(rays, 1, 0)
-        self.half = omega * views.ahead  # a pixel on the edge of a fisheye is often half black
-        below, radius = np.radians(TASK_ALTITUDE_DEG), np.radians(TASK_RADIUS_DEG)
-        self.task = self.half * (up * np.sin(below) + forward * np.cos(below) > np.cos(radius))
-        self.band = self.half * (np.abs(up) < np.sin(np.radians(BAND_DEG)))
-        task_sr, band_sr = (
-            2 * np.pi * (1 - np.cos(radius)),
-            2 * np.pi * np.sin(np.radians(BAND_DEG)),
-        )
-        self._task_known = self.task.sum(axis=0) >= _MIN_REGION_SHARE * task_sr
-        self._band_known = self.band.sum(axis=0) >= _MIN_REGION_SHARE * band_sr
-
-    def ratios(self, luminance_cdm2: Floats) -> dict[str, Floats]:
-        """Return three figures by name, [n, d] each, of n maps in d view directions.
-
-        luminance_cdm2 : [n, H, W]. task_cdm2 : mean luminance of the task cone, which has 15
-        degrees radius and is 30 degrees below the line of sight. window_to_task : mean luminance of
-        the pixels above 2000 cd/m2 in the front hemisphere, over task_cdm2; NaN without such
-        pixels. uniformity : harmonic over arithmetic mean luminance of the band within 20 degrees
-        of the horizon: 1 if the band is uniform, less with dark corners. Figures are of the seen
-        pixels; NaN if they are less than 90 % of the task cone, or of the band.
-        """
-        flat = np.asarray(luminance_cdm2, np.float32).reshape(len(luminance_cdm2), -1)
-        bright = flat > WINDOW_CDM2
-        with np.errstate(divide="ignore", invalid="ignore"):  # regions outside the picture
-            task = flat @ self.task / self.task.sum(axis=0)
-            window = (flat * bright) @ self.half / (bright.astype(np.float32) @ self.half)
-            mean, inverse = (
-                values @ self.band / self.band.sum(axis=0)
-                for values in (flat, 1.0 / np.maximum(flat, 0.1))
-            )
-            figures = {
-                "task_cdm2": np.where(self._task_known, task, np.nan),
-                "window_to_task": np.where(
-                    self._task_known, window / np.maximum(task, 1e-6), np.nan
-                ),
-                "uniformity": np.where(self._band_known, 1.0 / (inverse * mean), np.nan),
-            }
-        return {name: values.astype(float) for name, values in figures.items()}
+    rays, omega = views.rays()
+    _, up, forward = np.moveaxis(rays, 1, 0)
+    half = omega * views.ahead  # a pixel on the edge of a fisheye is often half black
+    below, radius, reach = np.radians((TASK_ALTITUDE_DEG, TASK_RADIUS_DEG, BAND_DEG))
+    task = half * (up * np.sin(below) + forward * np.cos(below) > np.cos(radius))
+    band = half * (np.abs(up) < np.sin(reach))
+    for part, complete_sr in ((task, 1 - np.cos(radius)), (band, np.sin(reach))):
+        part[:, part.sum(axis=0) < _MIN_REGION_SHARE * 2 * np.pi * complete_sr] = np.nan
+    flat = np.asarray(luminance_cdm2, np.float32).reshape(len(luminance_cdm2), -1)
+    bright = flat > WINDOW_CDM2
+    with np.errstate(divide="ignore", invalid="ignore"):  # regions outside the picture
+        mean = flat @ task / task.sum(axis=0)
+        window = (flat * bright) @ half / (bright.astype(np.float32) @ half)
+        inverse = (1.0 / np.maximum(flat, 0.1)) @ band
+        figures = {
+            "task_cdm2": mean,
+            "window_to_task": window / np.maximum(mean, 1e-6),
+            "uniformity": band.sum(axis=0) ** 2 / (inverse * (flat @ band)),
+        }
+    return {name: values.astype(float) for name, values in figures.items()}

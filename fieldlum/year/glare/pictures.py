@@ -20,6 +20,7 @@ from functools import lru_cache
 from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -472,8 +473,7 @@ def disc_pixels(views: Views, shape: tuple[int, int], sun: SunSource) -> Floats3
 FLAGS = ("-b", "2000", "-C", "l-", "-d")  # threshold 2000 cd/m2, no low-light correction, detailed
 
 
-@dataclass(frozen=True, slots=True)
-class ReferenceGlare:
+class ReferenceGlare(NamedTuple):
     """evalglare's figures of one picture; NaN for figures that its version does not print.
 
     dgp, dgi, ugr, ugp, cgi : its indices. ev_lx : vertical illuminance. background_cdm2 :
@@ -495,28 +495,14 @@ class ReferenceGlare:
     flags: str
 
 
-_NAMES = {  # of the figures in evalglare's output
-    "dgp": "dgp",
-    "ev_lx": "E_v",
-    "dgi": "dgi",
-    "ugr": "ugr",
-    "background_cdm2": "lum_backg",
-    "ugp": "ugp",
-    "cgi": "cgi",
-    "veiling_cdm2": "Lveil_cie",
-}
+_NAMES = ("dgp", "E_v", "dgi", "ugr", "lum_backg", "ugp", "cgi", "Lveil_cie")  # in the output
 
 
 @lru_cache(maxsize=1)
 def reference_version() -> str:
     """Return the version text that evalglare prints."""
-    shown = subprocess.run(
-        [radiance_program("evalglare"), "-v"],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=60,
-    )
+    command = [radiance_program("evalglare"), "-v"]
+    shown = subprocess.run(command, capture_output=True, text=True, check=False)
     return (shown.stdout or shown.stderr).strip()
 
 
@@ -537,12 +523,8 @@ def reference_glare_of_file(path: Path) -> ReferenceGlare:
 
     Raises FieldlumError if evalglare prints no figures.
     """
-    process = subprocess.run(
-        [radiance_program("evalglare"), *FLAGS, str(path)],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    command = [radiance_program("evalglare"), *FLAGS, str(path)]
+    process = subprocess.run(command, capture_output=True, text=True, check=False)
     return _parse(process.stdout, f"{process.stderr.strip()} (exit {process.returncode})")
 
 
@@ -557,9 +539,6 @@ def _parse(text: str, trouble: str) -> ReferenceGlare:
             "install pyradiance again"
         )
     head = text.split(maxsplit=1)[0]
-    return ReferenceGlare(
-        **{field: float(row.get(name, "nan")) for field, name in _NAMES.items()},
-        sources=int(head) if head.isdigit() else 0,
-        version=reference_version(),
-        flags=" ".join(FLAGS),
-    )
+    figures = (float(row.get(name, "nan")) for name in _NAMES)
+    sources = int(head) if head.isdigit() else 0
+    return ReferenceGlare(*figures, sources, reference_version(), " ".join(FLAGS))

@@ -26,10 +26,10 @@ from fieldlum.sky.sun_disc import find_disc, without_disc
 from fieldlum.year.glare.geometry import Views, panorama_views, view_azimuths_deg
 from fieldlum.year.glare.metrics import (
     METRICS,
-    ViewRegions,
     brightest_cdm2,
     glare_directions,
     rammg,
+    region_ratios,
     unseen_dgp_bounds,
     view_coverage,
 )
@@ -133,7 +133,7 @@ def judged(
     picture covers; 1 for a panorama. rammg_cdm2 : of a panorama, see `contrast`.
 
     views, a table for each direction : azimuth_deg, altitude_deg (of a single picture) : its
-    direction. The names of `METRICS` and of `ViewRegions.ratios`. melanopic_edi_lx : by the
+    direction. The names of `METRICS` and of `region_ratios`. melanopic_edi_lx : by the
     camera's colour, or the estimate; u_melanopic_edi_lx : its standard uncertainty, or None.
     verdict : the grade of DGP; "A to B" if dgp_low and dgp_high have different ones; "not seen".
     seen : "seen", "partly seen" or "not seen", by seen_share (see `ViewCoverage`). dgp_low,
@@ -204,7 +204,7 @@ def _view_rows(
         picture.panorama, pixels.ravel(), views.illuminance, sun, parts["sun_ev_lx"][0], lamps=lamps
     )
     figures = {name: parts[name][0] for name in METRICS}
-    figures |= {name: ratio[0] for name, ratio in ViewRegions(views).ratios(pixels[None]).items()}
+    figures |= {name: ratio[0] for name, ratio in region_ratios(pixels[None], views).items()}
     figures["melanopic_edi_lx"] = edi
     figures["u_melanopic_edi_lx"] = np.full_like(edi, np.nan) if u_edi is None else u_edi
     rows = []
@@ -256,11 +256,11 @@ def _add_reference(
     for row in rows:
         if picture.view is not None:
             disc = 0.0 if sun is None else disc_pixels(views, pixels.shape, sun)
-            row["reference"] = asdict(reference_glare(pixels + disc, view=picture.view.text))
+            row["reference"] = reference_glare(pixels + disc, view=picture.view.text)._asdict()
         elif row["seen"] == SEEN:
             heading_deg, azimuth_deg = picture.panorama.heading_deg, row["azimuth_deg"]
             shown = panorama_to_fisheye(pixels, heading_deg, azimuth_deg, sun=sun)
-            row["reference"] = asdict(reference_glare(shown))
+            row["reference"] = reference_glare(shown)._asdict()
 
 
 def _check_azimuths(azimuth_deg: float, asked: Sequence[float], path: Path) -> None:

@@ -22,11 +22,11 @@ from fieldlum.year.glare.budget import U_DISC
 from fieldlum.year.glare.geometry import Views, panorama_views
 from fieldlum.year.glare.metrics import (
     DiscLight,
-    ViewRegions,
     brightest_cdm2,
     dgp_with_disc,
     glare_directions,
     map_ev_lx,
+    region_ratios,
     sun_per_lx,
     unseen_dgp_bounds,
     view_coverage,
@@ -74,7 +74,7 @@ class HourJudge:
         """Compute the weights of the views."""
         size = room.height, room.width, room.heading_deg
         self.views = panorama_views(*size, azimuths_deg, room.seen)
-        self._coverage, self._regions = view_coverage(self.views), ViewRegions(self.views)
+        self._coverage = view_coverage(self.views)
 
     def figures(
         self,
@@ -89,7 +89,7 @@ class HourJudge:
         index of the first hour; melanopic: colours by the captures, None without any.
         """
         views, light, coverage = self.views, block.light, self._coverage
-        figures = view_figures(block, views, self._regions)
+        figures = view_figures(block, views)
         u_ev_rel, u_source_rel = relative_uncertainty(block, views, figures)
         ev_lx, contrast = figures["ev_lx"], figures["contrast"]
         if melanopic is not None:
@@ -138,7 +138,7 @@ class HourJudge:
         return unseen_dgp_bounds(self._coverage, ev_lx, contrast, brightest)
 
 
-def view_figures(block: HourBlock, views: Views, regions: ViewRegions) -> dict[str, Floats]:
+def view_figures(block: HourBlock, views: Views) -> dict[str, Floats]:
     """Return the figures of k hours in d view directions, by column of hourly.csv, [k, d] each.
 
     Those of uncertainty and of measured colour are missing. All further keys of `glare_directions`
@@ -152,7 +152,7 @@ def view_figures(block: HourBlock, views: Views, regions: ViewRegions) -> dict[s
         np.stack([block.disc_lx, *(image.shown_lx for image in block.images)]),
     )
     figures["melanopic_edi_lx_estimate"] = figures["ev_lx"].copy()
-    return figures | regions.ratios(maps)
+    return figures | region_ratios(maps, views)
 
 
 def relative_uncertainty(
