@@ -247,12 +247,7 @@ def _geometry(data: Dataset, test: Dataset) -> Iterator[Case]:
 
 
 def run(
-    spec: Spec,
-    data: Dataset,
-    test: Dataset,
-    *,
-    budget_s: float = 60.0,
-    progress: Progress = quiet,
+    spec: Spec, data: Dataset, test: Dataset, *, budget_s: float = 60.0, progress: Progress = quiet
 ) -> list[JsonTable]:
     """Fit the model under each condition that the data allow; return one row per condition.
 

@@ -7,9 +7,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any, NamedTuple
-
-import tomli_w
+from typing import NamedTuple
 
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.records import Progress, Site, quiet, slot_id
@@ -54,28 +52,6 @@ def find(session: Session) -> SessionArtefacts:
     if newest is None:
         return SessionArtefacts(None, None, None, annual)
     return SessionArtefacts(newest, read_config(newest), ScoresFile.find(newest), annual)
-
-
-def _settings(session: Session, artefacts: SessionArtefacts) -> Section:
-    """Return the settings of session, model and year as TOML."""
-    groups: dict[str, Any] = {"fieldlum": __version__, "session": session.table()}
-    if artefacts.config is not None:
-        keep = ("model", "patch", "seed", "software", "training")
-        groups["model"] = {k: v for k, v in artefacts.config.state.items() if k in keep}
-    if artefacts.annual is not None:
-        groups["prediction"] = dict(artefacts.annual.summary.inputs)
-        groups["weather"] = artefacts.annual.about["weather"]
-    plain = json.loads(json.dumps(groups, default=str), object_hook=_without_none)
-    return Section("settings", "Settings and versions", code=tomli_w.dumps(plain))
-
-
-def _without_none(table: dict[str, Any]) -> dict[str, Any]:
-    """Return a table without what TOML cannot store, and with long lists as their length."""
-    short = {
-        key: f"{len(value)} entries" if isinstance(value, list) and len(value) > 12 else value
-        for key, value in table.items()
-    }
-    return {key: value for key, value in short.items() if value is not None}
 
 
 def _budget_section(year: Annual) -> list[Section]:
@@ -128,7 +104,7 @@ def _page(session: Session, artefacts: SessionArtefacts) -> str:
         answer,
         why,
         _facts(site, artefacts, pairs),
-        [*sections, _settings(session, artefacts)],
+        sections,
         _warnings(session, year),
         None if year is None else annual.polar(year),
     )
@@ -200,6 +176,7 @@ def run(
     summary = {
         "site": session.site_file().site.name,
         "fieldlum": __version__,
+        "session": session.table(),
         "model": artefacts.model.name if artefacts.model else None,
         "scores": artefacts.scores.table() if artefacts.scores else {},
         "annual": artefacts.annual.about if artefacts.annual else None,

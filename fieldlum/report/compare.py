@@ -98,12 +98,8 @@ def compare(
         return _compare_pictures(session, model, out, progress)
     hours = read_model_hours(model, azimuths_deg)
     if annual is None:
-        raise InputError(
-            session.root,
-            "no predicted year",
-            "a year to compare hours with",
-            "run fieldlum predict with the weather file of the model",
-        )
+        remedy = "run fieldlum predict with the weather file of the model"
+        raise InputError(session.root, "no predicted year", "a year to compare with", remedy)
     return _compare_hours(annual, hours, session.site_file().site.timezone, model, out)
 
 
@@ -148,12 +144,9 @@ def _compare_pictures(session: Session, model: Path, out: Path, progress: Progre
     pictures = sorted(p for p in model.iterdir() if p.suffix.lower() in PICTURES)
     shared = [path for path in pictures if path.stem in measured]
     if not shared:
-        raise InputError(
-            model,
-            f"{len(pictures)} pictures, none named as a capture of {session.root}",
-            "pictures named by slots, such as 20270320T193000Z.hdr",
-            "name each picture by the slot whose sun and sky it has (fieldlum status lists them)",
-        )
+        found = f"{len(pictures)} pictures, none named as a capture of {session.root}"
+        expected = "pictures named by slots, such as 20270320T193000Z.hdr"
+        raise InputError(model, found, expected, "name each by the slot whose sun and sky it has")
     if twice := [path for k, path in enumerate(shared[1:]) if path.stem == shared[k].stem]:
         raise InputError(
             twice[0], f"a second picture of {twice[0].stem}", "one for each slot", "remove one"
@@ -206,12 +199,8 @@ def _on_one_grid(capture: Panorama, path: Path, model: Path) -> tuple[Floats, Fl
         sun = direction(capture.sun.altitude_deg, capture.sun.azimuth_deg)
         weight[rays @ sun > np.cos(np.radians(_SUN_MARGIN_DEG))] = 0.0
     if not (weight * light).sum() > 0.0 or not (weight * model_light).sum() > 0.0:
-        raise InputError(
-            model,
-            "no light in the directions of the capture",
-            "a picture of the same directions in cd/m2",
-            "check its VIEW, its north (y axis) and its unit",
-        )
+        found, expected = "no light in the capture's directions", "the same directions in cd/m2"
+        raise InputError(model, found, expected, "check VIEW, north (y axis) and unit")
     return light, model_light, weight
 
 
@@ -347,12 +336,8 @@ def read_model_hours(path: Path, azimuths_deg: Sequence[float]) -> pd.DataFrame:
 def _azimuth(place: str, azimuths_deg: Sequence[float], path: Path) -> float:
     """Return the direction of a column: that in its name, else the only one of `azimuths_deg`."""
     if not place and len(azimuths_deg) != 1:
-        raise InputError(
-            path,
-            "figures of a view without its direction",
-            "one --view-azimuth",
-            "state the direction of the view, clockwise from true north: --view-azimuth 180",
-        )
+        found, remedy = "figures of a view without its direction", "state --view-azimuth 180"
+        raise InputError(path, found, "one --view-azimuth, clockwise from true north", remedy)
     with input_errors(path, "a view such as dgp@180", "correct that name", ValueError):
         if not np.isfinite(azimuth := float(place or azimuths_deg[0])):
             raise ValueError(f"a view to {place} deg")
@@ -386,12 +371,9 @@ def _times_of(table: CsvTable, columns: dict[str, int]) -> Floats:
         ok &= (hour >= 0) & (hour <= 24)
         if not ok.all():
             (line, _), k = table.rows[int(np.argmin(ok))], int(np.argmin(ok))
-            raise InputError(
-                table.path,
-                f"line {line}: month {month[k]:g}, day {day[k]:g}, hour {hour[k]:g}",
-                "days of a year without 29 February, hours 0 to 24",
-                "leave out other days",
-            )
+            found = f"line {line}: month {month[k]:g}, day {day[k]:g}, hour {hour[k]:g}"
+            expected = "days of a year without 29 February, hours 0 to 24"
+            raise InputError(table.path, found, expected, "leave out other days")
         return ((np.cumsum(_DAYS) - _DAYS)[index] + day - 1) * 24 + _centred(table.path, hour, 24)
     name = next((name for name in _HOUR_NAMES if name in columns), None)
     if name is None:
@@ -417,22 +399,16 @@ def _read_honeybee(folder: Path, azimuths_deg: Sequence[float]) -> pd.DataFrame:
 
     files = sorted((*folder.glob("*.dgp"), *folder.glob("*.ill")))
     if len(files) != 1 or not azimuths_deg:
-        raise InputError(
-            folder,
-            f"{len(files)} files .dgp or .ill and {len(azimuths_deg)} --view-azimuth",
-            "one grid, and --view-azimuth for each of its sensors, in their order",
-            "name a folder with one grid, and its view directions",
-        )
+        found = f"{len(files)} files .dgp or .ill and {len(azimuths_deg)} --view-azimuth"
+        expected = "one grid, and --view-azimuth for each of its sensors, in their order"
+        raise InputError(folder, found, expected, "name a folder with one grid")
     with input_errors(folder, "a matrix of numbers", "run the recipe again", ValueError):
         hours = np.loadtxt(folder / SUN_UP_HOURS, ndmin=1)
         values = np.loadtxt(files[0], ndmin=2)
     if values.shape != (len(azimuths_deg), len(hours)):
-        raise InputError(
-            files[0],
-            f"{values.shape[0]} sensors x {values.shape[1]} hours",
-            f"{len(azimuths_deg)} x {len(hours)}, by --view-azimuth and {SUN_UP_HOURS}",
-            "repeat --view-azimuth for each sensor",
-        )
+        found = f"{values.shape[0]} sensors x {values.shape[1]} hours"
+        expected = f"{len(azimuths_deg)} x {len(hours)}, by --view-azimuth and {SUN_UP_HOURS}"
+        raise InputError(files[0], found, expected, "repeat --view-azimuth for each sensor")
     figure = "dgp" if files[0].suffix == ".dgp" else "ev_lx"
     columns = pd.MultiIndex.from_tuples([(figure, azimuth % 360.0) for azimuth in azimuths_deg])
     return pd.DataFrame(_values(files[0], figure, values.T), hours, columns)
@@ -454,12 +430,11 @@ def hours_begun(path: Path, times: Floats, daylight: Mask) -> tuple[Array, list[
     if not (times % 1).any():
         off_begin, off_end = (_differing(h, daylight) for h in (hours, hours - 1))
         if max(off_begin, off_end) < 3 * min(off_begin, off_end) + 1:
-            raise InputError(
-                path,
-                "integer hours that may be the begin or the end of each hour",
-                "hours with a fraction, such as 9.5 from 9:00 to 10:00",
-                "add 0.5 to hours at which each begins, subtract 0.5 from those at which it ends",
+            found = "integer hours that may be the begin or the end of each hour"
+            remedy = (
+                "add 0.5 to hours at which each begins, subtract 0.5 from those at which it ends"
             )
+            raise InputError(path, found, "hours with a fraction, such as 9.5", remedy)
         word = "begins" if off_begin < off_end else "ends"
         hours = hours if off_begin < off_end else hours - 1
         note = [f"Integer hours in the table: each {word} then, by the daylight of the year."]
@@ -507,12 +482,9 @@ def _same_view(annual: Annual, azimuth_deg: float, path: Path) -> int:
     """Return the index of the predicted view within 6 degrees of a direction."""
     off = np.abs(signed_angle_deg(annual.azimuths_deg - azimuth_deg))
     if off.min() > 6.0:
-        raise InputError(
-            path,
-            f"a view to {azimuth_deg:.0f} deg",
-            f"one of the predicted views: {', '.join(f'{a:g}' for a in annual.azimuths_deg)}",
-            "predict that view: fieldlum predict --views 36",
-        )
+        expected = f"one of the views {', '.join(f'{a:g}' for a in annual.azimuths_deg)}"
+        remedy = "predict that view: fieldlum predict --views 36"
+        raise InputError(path, f"a view to {azimuth_deg:.0f} deg", expected, remedy)
     return int(np.argmin(off))
 
 

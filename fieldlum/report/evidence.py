@@ -13,7 +13,7 @@ import numpy as np
 from fieldlum.core.arrays import Floats
 from fieldlum.core.records import Site, counted
 from fieldlum.core.strict_csv import read_table
-from fieldlum.report.figures import agreement_svg, captured_svg, comparison_png
+from fieldlum.report.figures import captured_svg, comparison_png
 from fieldlum.report.page import Figure, Section, Table
 from fieldlum.session import Session
 from fieldlum.session.files.held_out_npz import HeldOutMaps
@@ -45,11 +45,11 @@ def accuracy_section(
         if held is None:
             text += " The model has no held-out maps: train it again to show them here."
     tables = [] if scores is None or not scores.models else [_score_table(scores)]
-    rows = [] if held is None else [(f,) for f in _held_out_figures(held, names or {})]
+    rows = [] if held is None else [(_held_out_figure(held, names or {}),)]
     return Section("evidence", "How good the numbers are", text, rows, tables)
 
 
-def _held_out_figures(held: HeldOutMaps, names: Mapping[str, str]) -> tuple[Figure, Figure]:
+def _held_out_figure(held: HeldOutMaps, names: Mapping[str, str]) -> Figure:
     order, n = np.argsort(held.log10_mse), len(held)
     picks = list(dict.fromkeys(int(order[i]) for i in (n // 2, min(int(0.9 * n), n - 1), n - 1)))
     slots = [names.get(str(held.slots[i]), str(held.slots[i])) for i in picks]
@@ -58,19 +58,12 @@ def _held_out_figures(held: HeldOutMaps, names: Mapping[str, str]) -> tuple[Figu
         10.0 ** maps[picks].astype(np.float32)
         for maps in (held.measured_log10, held.predicted_log10)
     )
-    return (
-        Figure(
-            comparison_png(measured, predicted, labels),
-            "Measured and predicted luminance panoramas with their ratio.",
-            "Measured, predicted and their ratio for held-out hours "
-            f"({', '.join(SHOWN[: len(picks)])}), without the sun's disc. Red is predicted too "
-            "bright, blue too dark.",
-        ),
-        Figure(
-            agreement_svg(held.dgp_measured, held.dgp_predicted, "DGP"),
-            "Predicted against measured DGP of ten directions.",
-            "DGP of ten directions around each held-out hour.",
-        ),
+    return Figure(
+        comparison_png(measured, predicted, labels),
+        "Measured and predicted luminance panoramas with their ratio.",
+        "Measured, predicted and their ratio for held-out hours "
+        f"({', '.join(SHOWN[: len(picks)])}), without the sun's disc. Red is predicted too bright, "
+        "blue too dark.",
     )
 
 

@@ -66,12 +66,7 @@ def export(
     if not panoramas and not session.annual_folders():
         raise InputError(session.root, "no merged map and no year", "results", "run fieldlum merge")
     out.mkdir(parents=True, exist_ok=True)
-    files = [
-        *_sky(session, out),
-        *_room(session, out),
-        *_pairs(session, out),
-        *_year(session, out),
-    ]
+    files = [*_sky(session, out), *_room(session, out), *_pairs(session, out), *_year(session, out)]
     (out / "maps").mkdir(exist_ok=True)
     for number, path in enumerate(panoramas):
         progress(number, len(panoramas), "maps")
@@ -218,14 +213,12 @@ def pack(
     stated = [(path, _private_exif(path)) for path in files]
     private = [text for _, text in stated if text]
     if private:
-        raise InputError(
-            session.root,
-            f"{counted(len(private), 'frame')} with private EXIF, such as {private[0]}",
-            "frames without position, owner and serial number",
+        found = f"{counted(len(private), 'frame')} with private EXIF, such as {private[0]}"
+        remedy = (
             "remove them in a copy: exiftool -gps:all= -OwnerName= -Artist= -SerialNumber= "
-            "-LensSerialNumber= -CameraSerialNumber= -r COPY/raw "
-            "(merge it again, because checksums change)",
+            "-LensSerialNumber= -CameraSerialNumber= -r COPY/raw (merge it again)"
         )
+        raise InputError(session.root, found, "frames without position, owner, serial", remedy)
     notes = _notes(session)
     if unread := [path.name for path, text in stated if text is None]:
         found = counted(len(unread), "frame")

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 from fieldlum.core.arrays import Floats, Floats32
 from fieldlum.core.false_colour import COLOUR_MAP, RANGE_CDM2
-from fieldlum.core.plot_style import BLUE, GREEN, INK, PALE, RED, styled
+from fieldlum.core.plot_style import GREEN, INK, PALE, RED, styled
 from fieldlum.year.glare.standards import CLASSES
 
 POLAR_RANGE = (0.15, 0.6)  # of DGP; points above it are drawn at the rim; chosen
@@ -167,24 +167,4 @@ def polar_svg(azimuths_deg: Floats, dgp_exceeded: Floats, low: Floats, high: Flo
         axes.set_xticks(np.radians(np.arange(0, 360, 45)), names)
         axes.grid(color=PALE, lw=0.5)
         axes.spines["polar"].set_visible(False)
-        return _svg(figure)
-
-
-def agreement_svg(measured: Floats, predicted: Floats, quantity: str) -> str:
-    """Plot predicted against measured values of the same shape, with the 1:1 line and r2.
-
-    quantity: its name and unit, for the axes. r2: squared correlation; omitted for under three
-    values or constant ones. Return SVG text.
-    """
-    x, y = np.ravel(measured), np.ravel(predicted)
-    some = len(x) > 2 and x.std() > 0 and y.std() > 0
-    known = f"r² = {np.corrcoef(x, y)[0, 1] ** 2:.3f}, " if some else ""
-    span = [float(min(x.min(), y.min())), float(max(x.max(), y.max()))]
-    with styled():
-        figure = Figure(figsize=(3.6, 3.6))
-        axes = figure.add_subplot()
-        axes.plot(span, span, color=PALE, lw=1)
-        axes.scatter(x, y, s=8, c=BLUE, alpha=0.5, lw=0)
-        axes.set(xlabel=f"{quantity}, measured", ylabel=f"{quantity}, predicted", aspect="equal")
-        axes.set_title(f"{known}n = {len(x)}", fontsize=9, loc="left")
         return _svg(figure)

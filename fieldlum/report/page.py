@@ -65,7 +65,7 @@ class Table(NamedTuple):
 
 
 class Section(NamedTuple):
-    """One section of the page: text, rows of figures, tables, `heat_map`, and code."""
+    """One section of the page: text, rows of figures, tables and `heat_map`."""
 
     id: str
     title: str
@@ -73,7 +73,6 @@ class Section(NamedTuple):
     rows: Sequence[Sequence[Figure]] = ()
     tables: Sequence[Table] = ()
     heatmap: JsonTable | None = None
-    code: str = ""
 
 
 class Quantity(NamedTuple):

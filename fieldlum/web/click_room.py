@@ -20,12 +20,7 @@ from fieldlum.core.records import JsonTable, Room, parse_utc
 from fieldlum.optics.images import read_panorama
 from fieldlum.optics.projection import direction
 from fieldlum.room.scene import sun_patches
-from fieldlum.room.scene.clicked import (
-    ClickedRoom,
-    ClickGrid,
-    clicks_from_rows,
-    room_from_clicks,
-)
+from fieldlum.room.scene.clicked import ClickedRoom, ClickGrid, clicks_from_rows, room_from_clicks
 from fieldlum.room.scene.drawing import outline_pixels, wind
 from fieldlum.session import Session, replacing, update_session
 from fieldlum.session.site_toml import site_table

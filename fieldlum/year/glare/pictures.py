@@ -309,12 +309,13 @@ def check_proportion(
     expected = _reach(view.kind, view.horizontal_deg) / _reach(view.kind, view.vertical_deg)
     actual = width / height / pixel_aspect
     if abs(actual / expected - 1.0) > _SAME_PROPORTION + 1.0 / min(width, height):
-        raise InputError(
-            source,
-            f"{width} x {height} pixels with -vh {view.horizontal_deg:g} -vv {view.vertical_deg:g}",
+        angles = f"-vh {view.horizontal_deg:g} -vv {view.vertical_deg:g}"
+        found, ratio = (
+            f"{width} x {height} pixels with {angles}",
             f"width over height {expected:.3f}",
-            "the picture was cropped, or its VIEW is wrong: state the true view with --view",
         )
+        remedy = "the picture was cropped, or its VIEW is wrong: state the true view with --view"
+        raise InputError(source, found, ratio, remedy)
 
 
 # ----------------------------------------------------------------------------------------------

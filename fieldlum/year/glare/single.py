@@ -89,12 +89,8 @@ def picture_glare(
         return judge(reference=reference)[0]
     ev = judge()[0]["views"][0]["ev_lx"]
     if not ev or ev <= 0.0:
-        raise InputError(
-            path,
-            "no light was seen in the first view direction",
-            "light there, so that the picture can be scaled to the measured illuminance",
-            "check the view direction, or omit the measured illuminance (--calibrate-ev)",
-        )
+        found, expected = "no light was seen in the first view direction", "light to scale"
+        raise InputError(path, found, expected, "check the direction, or omit --calibrate-ev")
     factor = measured_ev_lx / ev
     return judge(reference=reference, factor=factor)[0] | {"calibration_factor": factor}
 

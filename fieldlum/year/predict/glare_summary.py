@@ -71,19 +71,12 @@ def summary_of_year(
         first=utc_text(annual.t_utc[0]),
         last=utc_text(annual.t_utc[-1]),
         occupancy=YearOccupancy(
-            occupancy.text,
-            occupied_hours,
-            int(used.sum()),
-            untrusted,
-            untrusted + wide,
+            occupancy.text, occupied_hours, int(used.sum()), untrusted, untrusted + wide
         ),
         disc_from=room.disc_from,
         seen_share=_shares(room, annual),
         model_warnings=tuple(config.state.get("warnings", ())),
-        notes=(
-            *_notes(weather, room, untrusted, wide, days),
-            *_unseen_notes(rows),
-        ),
+        notes=(*_notes(weather, room, untrusted, wide, days), *_unseen_notes(rows)),
         protection=rows,
     )
 
@@ -155,9 +148,7 @@ def _notes(
     return notes
 
 
-def best_and_worst(
-    rows: Sequence[DirectionYear],
-) -> tuple[DirectionYear, DirectionYear] | None:
+def best_and_worst(rows: Sequence[DirectionYear]) -> tuple[DirectionYear, DirectionYear] | None:
     """Return the directions with the least and with the most glare; None if none has a class.
 
     The order is by the DGP exceeded in 5 % of the occupied hours, then by the hours above the

@@ -308,12 +308,8 @@ def check_session(model_folder: Path, room: ModelRoom, scene: UsedScene | None =
 
 
 def _refuse(model_folder: Path, found: str, expected: str) -> NoReturn:
-    raise InputError(
-        model_folder,
-        f"a model {found}",
-        f"{expected}, as in this session",
-        "merge, pair and train again, or use the model that was trained on this session",
-    )
+    remedy = "merge, pair and train again, or use the model that was trained on this session"
+    raise InputError(model_folder, f"a model {found}", f"{expected}, as in this session", remedy)
 
 
 def _files(model: Path, weather: Path, sky_view: Path | None) -> dict[str, object]:
