@@ -540,6 +540,6 @@ def _parse(text: str, trouble: str) -> ReferenceGlare:
             "install pyradiance again"
         )
     head = text.split(maxsplit=1)[0]
-    figures = (float(row.get(name, "nan")) for name in _NAMES)
+    figures = [float(row.get(name, "nan")) for name in _NAMES]
     sources = int(head) if head.isdigit() else 0
-    return ReferenceGlare(*figures, sources, reference_version(), " ".join(FLAGS))
+    return ReferenceGlare._make([*figures, sources, reference_version(), " ".join(FLAGS)])
