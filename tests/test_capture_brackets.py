@@ -109,14 +109,6 @@ def test_a_hung_camera_is_left_behind(rig: Field) -> None:
 
 
 @pytest.mark.contract
-def test_two_misses_run_the_hook(rig: Field, tmp_path: Path) -> None:
-    rig.clock = FastClock(T0 + timedelta(hours=1, minutes=30))
-    told = tmp_path / "told"
-    events = rig.run(replace(FAST, on_misses=f"echo missed > {told}"))
-    assert events.count("hook") == 1
-
-
-@pytest.mark.contract
 def test_no_camera_at_the_start_is_said_at_once(rig: Field) -> None:
     def refuse() -> TinyCamera:
         raise DeviceError("no camera found")

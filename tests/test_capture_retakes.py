@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 from tiny_field import FAST, LADDER, Field, make_session
 
+from fieldlum.capture.alerts import Alerts
 from fieldlum.capture.bracket import FrameChecks
+from fieldlum.capture.notify import Message
 from fieldlum.capture.verify import doubts
 from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import Exposure, Panorama
@@ -135,15 +137,15 @@ def test_pictures_that_nothing_here_reads_are_not_taken_twice_each(rig: Field) -
 
 
 @pytest.mark.contract
-def test_brackets_that_cannot_be_read_count_as_misses(rig: Field, tmp_path: Path) -> None:
-    told: list[str] = []
-    hook = replace(FAST, on_misses=f"touch {tmp_path / 'called'}")
+def test_brackets_that_cannot_be_read_count_as_misses(rig: Field) -> None:
+    told: list[Message] = []
+    alerts = Alerts("office", "UTC", told.append)
     rig.run(
-        hook,
         checks=FrameChecks(pixels=lambda path: "" if path.name.startswith("00") else "no raw file"),
-        listen=lambda event, t_utc, fields: told.append(event),
+        listen=alerts.listen,
     )
-    assert rig.outcomes() == ["aborted"] * 3 and told.count("hook") == 1
+    assert rig.outcomes() == ["aborted"] * 3
+    assert [m.title for m in told] == ["fieldlum office: 2 slots in a row gave no bracket"]
     assert not captured_ids(rig.session), "--replan adds make-up slots for them"
 
 

@@ -59,9 +59,6 @@ def test_a_display_that_fails_costs_nothing(tmp_path: Path) -> None:
         watch=watch,
     )
     assert outcomes(session) == ["done", "done"]
-    assert [e["why"] for e in read_journal(session) if e["event"] == "display-lost"] == [
-        "BrokenPipeError: [Errno 32] Broken pipe"
-    ]
 
 
 @pytest.mark.parametrize("columns", [40, 60, 120])

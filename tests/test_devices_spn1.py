@@ -210,17 +210,6 @@ def test_what_nobody_confirms_is_no_number(answers: tuple[bytes, ...], said: str
 
 
 @pytest.mark.contract
-def test_the_edge_of_a_shadow_is_no_damage() -> None:
-    wire = Wire()
-    with spn1(wire) as device:
-        wire.fault = _changed(b"S 812.4, 104.9,1\r", b"S 760.0, 108.9,1\r", b"S 710.4, 111.9,1\r")
-        assert device.read().ghi_wm2 == 760.0, "light that falls evenly"
-        wire.fault = _changed(b"S 812.4, 104.9,1\r", b"S 760.0, 108.9,1\r", b"S 812.4, 911.9,1\r")
-        with pytest.raises(DeviceError, match="no two answers of the instrument agree"):
-            device.read()
-
-
-@pytest.mark.contract
 def test_of_three_answers_the_nearest_two_count() -> None:
     wire = Wire()
     with spn1(wire) as device:

@@ -1,4 +1,4 @@
-"""Decide which events of a running capture are reported by message, or by a command of the user.
+"""Decide which events of a running capture are reported by message.
 
 The capture passes on its journal events and, about once a second, its state. Each fault causes one
 message. A fault of the same kind causes another message only after it was over, or after six hours.
@@ -6,9 +6,6 @@ message. A fault of the same kind causes another message only after it was over,
 
 from __future__ import annotations
 
-import os
-import subprocess
-import threading
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -16,7 +13,6 @@ from dataclasses import dataclass, field
 from datetime import date, datetime, timedelta
 from pathlib import Path
 from threading import Lock
-from typing import Any
 from zoneinfo import ZoneInfo
 
 from fieldlum.capture.live import Live
@@ -24,7 +20,7 @@ from fieldlum.capture.notify import Heartbeat, Message, Outbox, Post
 from fieldlum.core.records import parse_utc
 from fieldlum.session import Session
 from fieldlum.session.inside import link_on_the_way
-from fieldlum.session.ledger import SETTLED, SlotState
+from fieldlum.session.ledger import SETTLED
 from fieldlum.session.tables import EventFields
 
 # A message means that somebody should act: faults which the capture repairs itself cause none. A
@@ -33,8 +29,6 @@ DEVICE_AWAY = timedelta(minutes=10)
 LOW_DISK_DAYS = 3.0  # leaves a weekend to bring a disk
 MISSES_IN_A_ROW = 2  # a single missed slot can be due to a slow bracket before it
 QUIET = timedelta(hours=6)
-Tell = Callable[..., object]
-_HOOK_TIMEOUT_S = 300.0  # the time until the next slot is usually longer
 
 
 @dataclass(slots=True)
@@ -159,32 +153,6 @@ class Alerts:
 
 def _minutes(duration: timedelta) -> str:
     return f"{duration.total_seconds() / 60.0:.0f} minutes"
-
-
-def run_hook(command: str, folder: Path, slot: str, state: SlotState, tell: Tell) -> None:
-    """Run the user's command for missed slots in the background, and journal a failure of it.
-
-    It is run by the shell in the session's folder. Environment variables FIELDLUM_SLOT, _OUTCOME,
-    _REASON and _SESSION describe the last slot.
-    """
-    root = str(folder.resolve())
-    about = {"SLOT": slot, "OUTCOME": state.outcome, "REASON": state.why, "SESSION": root}
-    environment = os.environ | {f"FIELDLUM_{name}": text for name, text in about.items()}
-    how: dict[str, Any] = {"shell": True, "cwd": folder, "stdin": subprocess.DEVNULL}
-
-    def run() -> None:
-        try:
-            ran = subprocess.run(
-                command, env=environment, timeout=_HOOK_TIMEOUT_S, check=False, **how
-            )
-            why = f"exit code {ran.returncode}" if ran.returncode else ""
-        except (OSError, subprocess.SubprocessError) as error:
-            why = type(error).__name__
-        if why:
-            tell("hook-failed", why=why)
-
-    tell("hook", command=command)
-    threading.Thread(target=run, daemon=True).start()
 
 
 @contextmanager

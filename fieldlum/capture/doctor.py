@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import sys
-import time
 from collections.abc import Callable, Container, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass
@@ -36,7 +34,7 @@ from fieldlum.optics.profiles import (
     uncalibrated_text,
 )
 from fieldlum.optics.raw import same_model
-from fieldlum.session import DEFAULT_GRACE_S, Session, sha256
+from fieldlum.session import DEFAULT_GRACE_S, Session, check_writable, sha256
 from fieldlum.session.journal import damage_text, damaged_lines
 from fieldlum.session.ledger import read_ledger, slots_ahead, without_capture
 from fieldlum.sky import sun
@@ -404,7 +402,6 @@ def judge_pyranometer(info: InstrumentInfo, sample: IrradianceSample, site: Site
 # this computer
 
 DISK_MARGIN = 1.3  # free space over planned size
-SLOW_FSYNC_S = 0.5  # for 1 MB; a slower disk delays the frames of a bracket
 SYNCED_FOLDERS = ("dropbox", "onedrive", "google drive", "googledrive", "icloud", "nextcloud")
 
 
@@ -443,33 +440,16 @@ def check_disk(session: Session, now_utc: datetime, free_bytes: int) -> Finding:
 
 
 def check_writing(folder: Path) -> list[Finding]:
-    """Write 1 MB into the folder and flush it; return findings on this.
+    """Write into the folder, and warn of one that a cloud service synchronises.
 
-    An error is a failure. A flush of over 0.5 s, or a folder that a cloud service synchronises, is
-    a warning.
+    Raises OSError or InputError if nothing can be written.
     """
-    path = folder / f".doctor.{os.getpid()}.tmp"
-    start = time.perf_counter()
-    try:
-        with path.open("wb") as file:
-            file.write(os.urandom(1 << 20))
-            file.flush()
-            os.fsync(file.fileno())
-        took_s = time.perf_counter() - start
-    except OSError as error:
-        remedy = "free space, or use a folder that can be written to"
-        return [fail("writing", f"{folder}: {error.strerror}: {remedy}")]
-    finally:
-        path.unlink(missing_ok=True)
-    text = f"1 MB written and flushed in {took_s * 1000:.0f} ms"
-    findings = [ok("writing", text)]
-    if took_s > SLOW_FSYNC_S:
-        findings = [warn("writing", f"{text}, which delays frames: use a faster disk")]
+    check_writable(folder)
+    text = "the folder's path has the name of a cloud service, which can lock files that it "
+    text += "synchronises: if it does, move the session to a local folder"
     if any(name in str(folder.resolve()).lower() for name in SYNCED_FOLDERS):
-        text = "the folder's path has the name of a cloud service, which can lock files that it "
-        text += "synchronises: if it does, move the session to a local folder"
-        findings.append(warn("writing", text))
-    return findings
+        return [warn("writing", text)]
+    return [ok("writing", f"files can be written into {folder}")]
 
 
 def check_awake() -> list[Finding]:

@@ -108,29 +108,20 @@ class Outbox:
 # ----------------------------------------------------------------------------------------------
 # where messages are sent: from a file, because an address contains a password or a token
 
-VARIABLE = "FIELDLUM_NOTIFY"
 
-
-def read_targets(
-    option: str, variable: str = "", *, name: str = "--notify"
-) -> tuple[tuple[str, ...], str]:
+def read_targets(option: str, *, name: str = "--notify") -> tuple[tuple[str, ...], str]:
     """Return the addresses in ``@FILE``, and a note about the file, "" if there is none.
 
-    option: value of the option `name`; if it is empty, `variable`, the content of the environment
-    variable, is used, which is ``@FILE`` or addresses separated by blanks; without both there is no
-    address. A file has one address per line; empty lines and lines that begin with # are skipped.
-    Raises InputError for an option that is not ``@FILE``, and for a file that cannot be read or is
-    empty; no error contains an address.
+    option: value of the option `name`; without it there is no address. A file has one address per
+    line; empty lines and lines that begin with # are skipped. Raises InputError for an option that
+    is not ``@FILE``, and for a file that cannot be read or is empty; no error contains an address.
     """
-    if not option and variable and not variable.startswith("@"):
-        return tuple(variable.split()), ""
-    text = option or variable
-    if not text:
+    if not option:
         return (), ""
-    if not text.startswith("@"):
+    if not option.startswith("@"):
         found = "an address on the command line, where every user can see it"
         raise InputError(name, found, "@FILE", "write it into a file, and name that with an @")
-    path, expected = Path(text[1:]), "a UTF-8 file with one apprise address per line"
+    path, expected = Path(option[1:]), "a UTF-8 file with one apprise address per line"
     kinds = OSError, UnicodeDecodeError
     with input_errors(path, expected, "check the path, its permissions and encoding", *kinds):
         lines = [line.strip() for line in path.read_text(encoding="utf-8").splitlines()]

@@ -12,7 +12,6 @@ from functools import partial
 from shutil import disk_usage
 from typing import Any
 
-from fieldlum.capture.alerts import MISSES_IN_A_ROW, run_hook
 from fieldlum.capture.bracket import NO_CHECKS, BracketCapture, FrameChecks, shots
 from fieldlum.capture.disk_writer import RESERVE_BYTES, Listen, Recorder
 from fieldlum.capture.live import Live, Watch
@@ -50,15 +49,14 @@ _PUNCTUAL_S = 10.0  # a bracket that begins later is journalled as late; chosen
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """Settings of a running capture that are not in the plan: times, watchdog, hook, disk.
+    """Settings of a running capture that are not in the plan: times, watchdog, disk.
 
     grace_s: how late a bracket may start; after that its slot is missed. log_around_s: log
     irradiance only from this time before a slot, in simulated time; None: always. threaded: whether
     the log has its own thread; else the loop polls, as a simulated clock requires. watchdog_s: a
-    device that does not answer for longer is closed and reopened. on_misses: shell command after
-    two slots in a row without a bracket. reserve_bytes: disk space for journal and rows. flush:
-    with False, files survive a killed process but not a power cut. boot: identifies the computer's
-    boot, to detect a clock step after a restart.
+    device that does not answer for longer is closed and reopened. reserve_bytes: disk space for
+    journal and rows. flush: with False, files survive a killed process but not a power cut. boot:
+    identifies the computer's boot, to detect a clock step after a restart.
     """
 
     grace_s: float = DEFAULT_GRACE_S
@@ -66,7 +64,6 @@ class Options:
     log_around_s: float | None = None
     threaded: bool = True
     watchdog_s: float = 60.0
-    on_misses: str = ""
     reserve_bytes: int = RESERVE_BYTES
     flush: bool = True
     boot: str = ""
@@ -208,7 +205,6 @@ class _Runner:
         begun = [slot for slot in self.slots if self.states.get(slot.id, SlotState()).frames]
         if begun:
             self._learn_sizes(begun[-1], self.states[begun[-1].id])
-        self._watched, self._misses = True, 0
         self._state, self._next = "waiting", ""
 
     def _keeper(self, name: str, open_device: Callable[[], Any]) -> Keeper[Any]:
@@ -276,9 +272,6 @@ class _Runner:
             else:
                 state = self._take(bracket, late_s)
             self.states[slot.id] = state
-            self._misses = 0 if state.outcome == "done" else self._misses + 1
-            if self._misses == MISSES_IN_A_ROW and (command := self.options.on_misses):
-                run_hook(command, self.session.root, slot.id, state, self.recorder.tell)
             following = self._next_to_do()
             self._state, self._next = "waiting", following.id if following else ""
             self._show()
@@ -402,12 +395,8 @@ class _Runner:
 
         Causes are a closed terminal, a pipe without a reader, a network share that is away.
         """
-        try:
+        with suppress(Exception):
             self.watch(self.live())
-        except Exception as error:
-            if self._watched:
-                self._watched = False
-                self.recorder.tell("display-lost", why=error_text(error))
 
     def live(self) -> Live:
         """Return the state of the capture."""

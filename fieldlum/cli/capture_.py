@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, suppress
@@ -36,7 +35,6 @@ def command(
     clock: Literal["real", "fast"] = "real",
     grace_s: Annotated[float | None, click.FloatRange(min=0)] = None,
     every_s: Annotated[float, click.FloatRange(min=0.1)] = 5.0,
-    on_misses: str = "",
     notify: str = "",
     notify_picture: bool = False,
     heartbeat: str = "",
@@ -55,12 +53,8 @@ def command(
       --grace S: How late a bracket may start, after which its slot is missed; stored in the
           session. [default: 300]
       --every S: Seconds between irradiance rows.
-      --on-misses COMMAND: Run this command when two slots in a row gave no bracket. Its
-          environment has FIELDLUM_SLOT, FIELDLUM_OUTCOME, FIELDLUM_REASON and
-          FIELDLUM_SESSION.
       --notify @FILE: Send faults and a daily summary to the apprise addresses in FILE, one
-          per line (mailto://, ntfy://, tgram:// ...). The variable FIELDLUM_NOTIFY can
-          state them instead.
+          per line (mailto://, ntfy://, tgram:// ...).
       --notify-picture: Attach the latest contact sheet to the daily summary; it may show
           people.
       --heartbeat @FILE: Fetch the address in FILE after each slot and every 10 minutes, for
@@ -93,7 +87,7 @@ def command(
         )
     ticking, options = capture.prepare(session, fast=clock == "fast")
     grace = options.grace_s if grace_s is None else grace_s
-    options = replace(options, grace_s=grace, log_every_s=every_s, on_misses=on_misses)
+    options = replace(options, grace_s=grace, log_every_s=every_s)
     awake = nullcontext() if clock == "fast" else terminal.awake()
     post, address = _post(notify), read_address(heartbeat) if heartbeat else ""
     checks = FrameChecks(doubts, unreadable, bracket_doubts)
@@ -137,12 +131,12 @@ def _show_end(root: Path, slots: list[SlotState]) -> None:
 
 def _post(option: str) -> Post | None:
     """Return the function that sends a message to the targets of --notify; None without targets."""
-    from fieldlum.capture.notify import VARIABLE, apprise_post, read_targets
+    from fieldlum.capture.notify import apprise_post, read_targets
 
-    targets, note = read_targets(option, os.environ.get(VARIABLE, ""))
+    targets, note = read_targets(option)
     if note:
         terminal.say(f"note: {note}")
-    return apprise_post(targets, option.removeprefix("@") or VARIABLE) if targets else None
+    return apprise_post(targets, option.removeprefix("@")) if targets else None
 
 
 def _real(*uris: str) -> str:

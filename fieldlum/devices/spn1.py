@@ -24,13 +24,10 @@ MAX_WM2 = 2500.0  # beyond the range of the instrument, which ends at 2000 (User
 # padded to six characters with blanks or zeros
 _SIX = rb"(?=.{6},)( *(?:0|[1-9]\d{0,3})\.\d|0\d{3}\.\d)"
 _READING = re.compile(rb"S?" + _SIX + rb"," + _SIX + rb",[01]\r")  # tttt.t,dddd.d,s
-# Three differences of answers that are a tenth of a second apart [W/m2] (docs/validation.md):
-# the instrument's noise; the largest difference under a steady sky; the largest from the first to
-# the third answer at the edge of a shadow, which the sun's half degree and the cloud's own edge
-# blur.
+# Differences of answers that are a tenth of a second apart (docs/validation.md): the instrument's
+# noise, and the largest under a steady sky [W/m2].
 NOISE_WM2 = 3.0
 AGREE_WM2 = 25.0
-MAX_SLOPE_WM2 = 200.0
 _STATUS_REPLY = re.compile(rb"(?:[\x20-\x7e]*\r\n?){2,8}")
 _SERIAL = re.compile(r"(?m)^ *([A-Z]\d+) *$")
 _FIRMWARE = re.compile(r"SPN1 +(v[\w.]+.*)")
@@ -68,24 +65,13 @@ def _apart_wm2(a: Reading, b: Reading) -> float:
     return max(abs(x - y) for x, y in zip(a, b, strict=True))
 
 
-def _in_line(a: Reading, b: Reading, c: Reading) -> bool:
-    """Return whether `b`, read between `a` and `c`, is half way between them, to 25 W/m2.
-
-    `a` and `c` may differ by at most 200 W/m2. It is so in light that rises or falls steadily.
-    """
-    middle = (a[0] + c[0]) / 2.0, (a[1] + c[1]) / 2.0
-    return _apart_wm2(a, c) <= MAX_SLOPE_WM2 and _apart_wm2(b, middle) <= AGREE_WM2
-
-
 def agreed_sample(t_utc: datetime, ask: Callable[[], bytes]) -> IrradianceSample:
     """Return the reading on which answers agree; `raw` has the distinct answers, joined by " | ".
 
     The answers have no checksum. `ask` queries the instrument twice, and a third time if the
-    readings differ by more than the noise or exactly one answer is damaged. If two readings agree,
-    the earlier of the nearest two is returned. Otherwise, if three are on a line, the light was
-    changing and the middle one is returned. A total over 3 W/m2 below the diffuse gets a status.
-    Raises DeviceError if neither is the case, or at once if `ask` raises it, for example because
-    the instrument is silent.
+    readings differ by more than the noise or exactly one answer is damaged; the earlier of the
+    nearest two is returned. A total over 3 W/m2 below the diffuse gets a status. Raises DeviceError
+    if no two agree, or at once if `ask` raises it, for example because the instrument is silent.
     """
     answers: list[bytes] = []
     valid: list[Reading] = []
@@ -102,8 +88,6 @@ def agreed_sample(t_utc: datetime, ask: Callable[[], bytes]) -> IrradianceSample
     texts = [a.decode("ascii", "backslashreplace").strip() for a in dict.fromkeys(answers)]
     if pairs and _apart_wm2(*pairs[0]) <= AGREE_WM2:
         total, diffuse = pairs[0][0]
-    elif len(valid) == _TRIES and _in_line(*valid):
-        total, diffuse = valid[1]
     else:
         disagree = f"no two answers of the instrument agree: {', '.join(texts)}; check the cable"
         raise DeviceError(disagree if valid else why)
