@@ -86,7 +86,7 @@ def capture(session: Session, seed: int, progress: Progress) -> None:
     """
     from fieldlum import capture as stage
     from fieldlum.capture.bracket import FrameChecks
-    from fieldlum.capture.live import Live
+    from fieldlum.capture.runner import Live
     from fieldlum.capture.verify import doubts
 
     def watch(live: Live) -> None:

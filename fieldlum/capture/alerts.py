@@ -15,8 +15,8 @@ from pathlib import Path
 from threading import Lock
 from zoneinfo import ZoneInfo
 
-from fieldlum.capture.live import Live
 from fieldlum.capture.notify import Heartbeat, Message, Outbox, Post
+from fieldlum.capture.runner import Live
 from fieldlum.core.records import parse_utc
 from fieldlum.session import Session
 from fieldlum.session.inside import link_on_the_way

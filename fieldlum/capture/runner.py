@@ -14,7 +14,6 @@ from typing import Any
 
 from fieldlum.capture.bracket import NO_CHECKS, BracketCapture, FrameChecks, shots
 from fieldlum.capture.disk_writer import RESERVE_BYTES, Listen, Recorder
-from fieldlum.capture.live import Live, Watch
 from fieldlum.capture.logger import Logger
 from fieldlum.capture.reconnect import Keeper, error_text, plain_info
 from fieldlum.capture.utc_clock import SteadyClock, boot_id
@@ -45,6 +44,39 @@ from fieldlum.version import __version__
 
 FAST_LEAD_S = 20.0  # simulated seconds before a slot: four rows of irradiance at 5 s; chosen
 _PUNCTUAL_S = 10.0  # a bracket that begins later is journalled as late; chosen
+
+
+@dataclass(frozen=True, slots=True)
+class Live:
+    """State of a running capture: counts of slots, next slot, irradiance, devices, disk.
+
+    state: waiting, capturing or finished; left: slots still to capture; next_in_s,
+    ghi_age_s: seconds; camera, pyranometer: ok, closed or lost; bytes_missing: what the next
+    bracket needs and the disk lacks, without the space reserved for journal and rows; disk_days:
+    days of captures that fit. None: unknown.
+    """
+
+    state: str
+    t_utc: datetime
+    planned: int
+    done: int
+    missed: int
+    aborted: int
+    left: int
+    next_slot: str
+    next_in_s: float | None
+    last_frame: str
+    ghi_wm2: float | None
+    ghi_age_s: float | None
+    camera: str
+    pyranometer: str
+    bytes_free: int
+    bytes_missing: int
+    disk_days: float | None
+    last_event: str
+
+
+Watch = Callable[[Live], None]
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ import numpy as np
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure
 from fieldlum.optics.photometry import SAME_SETTING_EV
-from fieldlum.optics.raw import FrameInfo, is_jpeg, read_exif, read_jpeg, read_mosaic
+from fieldlum.optics.raw import is_jpeg, read_exif, read_jpeg, read_mosaic
 
 ALL_CLIPPED = 0.5  # share of clipped pixels above which the shortest frame is useless; not measured
 
@@ -23,13 +23,10 @@ ALL_CLIPPED = 0.5  # share of clipped pixels above which the shortest frame is u
 def doubts(path: Path, asked: Exposure) -> str:
     """Return how a new frame's EXIF differs from the requested exposure, or why it is unreadable.
 
-    The text is "" for a good frame.
+    The text is "" for a good frame. A setting that EXIF does not state is not compared; others may
+    differ by 1/6 EV.
     """
-    try:
-        info = read_exif(path, lens_f_number=asked.f_number)
-    except InputError as error:
-        return error.found
-    return wrong_settings(info, asked)
+    return _judged(path, asked)[0]
 
 
 def as_taken(path: Path, asked: Exposure) -> Exposure:
@@ -37,31 +34,26 @@ def as_taken(path: Path, asked: Exposure) -> Exposure:
 
     This is EXIF's exposure if it is readable and differs from the request, else the request.
     """
+    return _judged(path, asked)[1]
+
+
+def _judged(path: Path, asked: Exposure) -> tuple[str, Exposure]:
     try:
-        info = read_exif(path, lens_f_number=asked.f_number)
-    except InputError:
-        return asked
-    taken = info.exposure
-    is_complete = taken.shutter_s > 0 and taken.f_number > 0 and taken.iso > 0
-    return replace(taken, nd=asked.nd) if is_complete and wrong_settings(info, asked) else asked
-
-
-def wrong_settings(info: FrameInfo, asked: Exposure) -> str:
-    """Return the settings that differ between EXIF and request by over 1/6 EV, as text, or "".
-
-    A setting that EXIF does not state is not compared.
-    """
-    taken = info.exposure
+        taken = read_exif(path, lens_f_number=asked.f_number).exposure
+    except InputError as error:
+        return error.found, asked
     pairs = (
         ("shutter", taken.shutter_s, asked.shutter_s, 1.0),
         ("f-number", taken.f_number, asked.f_number, 2.0),
         ("ISO", taken.iso, asked.iso, 1.0),
     )
-    return ", ".join(
+    text = ", ".join(
         f"{name} {is_:g} instead of {should:g}"
         for name, is_, should, per_octave in pairs
         if is_ > 0 and should > 0 and abs(per_octave * math.log2(is_ / should)) > SAME_SETTING_EV
     )
+    is_complete = all(is_ > 0 for _, is_, _, _ in pairs)
+    return text, replace(taken, nd=asked.nd) if text and is_complete else asked
 
 
 def clipped_share(path: Path) -> float:

@@ -20,8 +20,8 @@ from fieldlum.core.errors import DeviceError
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from fieldlum.capture.live import Live, Watch
     from fieldlum.capture.notify import Post
+    from fieldlum.capture.runner import Live, Watch
     from fieldlum.core.records import Site
     from fieldlum.session.ledger import SlotState
 
