@@ -15,11 +15,11 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from faulty_clock import FaultyClock  # pyright: ignore[reportMissingImports]
-from fieldlum.cli.capture_ import panel
 from rich.console import Console
 
 from fieldlum import capture
 from fieldlum.capture.runner import Live
+from fieldlum.cli.capture_ import panel
 from fieldlum.core.records import Site, SiteFile, Slot
 from fieldlum.optics.profiles import bracket_exposures, load_camera_profile
 from fieldlum.session import create_session
