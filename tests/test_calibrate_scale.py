@@ -102,7 +102,7 @@ def test_scale_names_slips_of_units_and_refuses_what_contradicts_itself(tmp_path
     )
     with pytest.raises(
         InputError,
-        match=r"t.csv: 3 of 6 readings differ from the fitted factor k by more than 10 %.*one unit",
+        match=r"t.csv: 3 of 6 readings differ from the fitted k by over 10 %.*one unit",
     ):
         scale.fit(_readings([80.0, 20.0, 300.0, 9.0, 4000.0, 60.0], picture), source="t.csv")
     right = scale.fit(_readings(picture, picture))

@@ -29,24 +29,24 @@ def test_the_smallest_of_equals_is_chosen() -> None:
     same = model_selection.choose(
         "x",
         [
-            model_selection.Candidate("small", 0, noise * 1.001),
-            model_selection.Candidate("large", 3, noise),
+            ("small", 0, noise * 1.001),
+            ("large", 3, noise),
         ],
     )
     assert same.index == 0 or "large" in same.line
     better = model_selection.choose(
         "x",
         [
-            model_selection.Candidate("small", 0, noise * 2),
-            model_selection.Candidate("large", 3, noise),
+            ("small", 0, noise * 2),
+            ("large", 3, noise),
         ],
     )
     assert better.index == 1
     shuffled = model_selection.choose(
         "x",
         [
-            model_selection.Candidate("small", 0, rng.permutation(noise)),
-            model_selection.Candidate("large", 3, noise),
+            ("small", 0, rng.permutation(noise)),
+            ("large", 3, noise),
         ],
     )
     assert shuffled.index == 0

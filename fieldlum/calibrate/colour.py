@@ -21,6 +21,7 @@ from fieldlum.calibrate.model_selection import (
     held_out_errors,
 )
 from fieldlum.calibrate.readings import (
+    READING_U,
     LinearFrame,
     Place,
     columns_of,
@@ -35,20 +36,14 @@ from fieldlum.optics.images import RADIANCE_CHROMATICITIES, rgb_to_xyz
 from fieldlum.optics.melanopic import MELANOPIC_FROM_XYZ, U_CHART, U_MATRIX
 from fieldlum.optics.profiles import CameraProfile, Colour
 
-READING_U = 0.02  # relative u of a spot reading if none is stated; chosen, not measured
 # Weight of the prior relative to one reading, from strong to weak; candidates of the selection.
 PULLS = ((1.0, "near the prior"), (0.1, "half-way"), (0.01, "mostly the readings"), (1e-4, "free"))
 MIN_READINGS = 4  # three coefficients, and one reading to hold out; chosen
-# ln of luminance over the best start's: an isolated reading that is further away is a gross error.
-# Chosen, not measured.
-MIN_OUTLIER = 0.5
 # a larger held-out error means that readings and colours do not belong together; chosen
 MAX_U_REL = 0.2
-CHART_U = 0.03  # relative u of a printed chart's patch; chosen, not measured
+CHART_U = 0.03  # relative u of a printed chart's patch: of its mean Y between two publications
 # Stated corners in another order leave a misfit of 0.5 and more; uneven light up to 0.2. Chosen.
 _MAX_MISFIT = 0.4
-# The greys, patches 19 to 24, have the colour of the daylight itself. Chosen.
-_GREY_WEIGHT = 10.0
 _CHART_XYZ = Path(__file__).with_name("chart_daylight.csv")  # written by bench/melanopic.py
 
 
@@ -222,7 +217,7 @@ def _without_outliers(colours: Colours, priors: Sequence[Floats]) -> tuple[Colou
     """
     offs = [np.log((colours.rgb @ prior) / colours.y) for prior in priors]
     off = min((o - np.median(o) for o in offs), key=lambda o: float(np.median(np.abs(o))))
-    far = gross_errors(off, sigmas=5.0, minimum=MIN_OUTLIER)
+    far = gross_errors(off, 0.5)  # ln of luminance: further away is a wrong factor
     if not far.any() or (~far).sum() < MIN_READINGS:
         return colours, ""
     notes = [
@@ -263,7 +258,8 @@ def xyz_from_chart(rgb: Floats, y_from_rgb: Sequence[float], cct_k: float) -> Fl
     each patch is its own luminance by the camera, so that uneven light does no harm.
     """
     patches = chart_xyz(cct_k)
-    weight = np.where(np.arange(24) < 18, 1.0, _GREY_WEIGHT)[:, None]
+    # The greys, patches 19 to 24, have the colour of the daylight itself.
+    weight = np.where(np.arange(24) < 18, 1.0, 10.0)[:, None]
     relative = weight * rgb / (rgb @ np.array(y_from_rgb))[:, None]
     matrix = np.linalg.lstsq(relative, weight * patches / patches[:, 1:2], rcond=None)[0].T
     matrix[1] = y_from_rgb

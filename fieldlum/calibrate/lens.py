@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.calibrate.model_selection import OrderSelection, fit_and_choose, gross_errors
-from fieldlum.calibrate.readings import read_table, require
+from fieldlum.calibrate.readings import beyond_lens, columns, read_table, require
 from fieldlum.core.arrays import Array, Mask
 from fieldlum.core.errors import InputError
 from fieldlum.core.statistics import robust_sigma
@@ -33,13 +33,9 @@ POWERS = {
     "three odd terms": (1, 3, 5),
     "four terms": (1, 2, 3, 4),
 }
-# A target is a gross error if it misses by more than both: this many standard deviations, and this
-# share of the radius. It is omitted and listed. Chosen, not measured.
-OUTLIER_SIGMA, MIN_OUTLIER = 4.0, 0.02
-MAX_OUTLIERS = 0.2  # largest share of targets that may be omitted; chosen
-MISS_RADIUS = 0.01  # of the radius: with a larger median miss no lens fits the targets; chosen
-BEYOND = 1.06  # of half of the full angle: targets further from the axis are errors; chosen
-TURNED_DEG = 30.0  # a larger difference from the profile's pose causes a warning; chosen
+# Shares of the radius. A target that misses by more than twice this is no reading error of a
+# pixel, and with a larger median no lens fits the targets. Chosen, not measured.
+MAX_MISS = 0.01
 _WANTED = "x right and y down in pixels, azimuth clockwise from the camera's heading, altitude up"
 
 Model = tuple[str, tuple[int, ...]]  # the mapping, and the powers of a polynomial
@@ -88,9 +84,7 @@ def from_table(path: Path) -> Targets:
     is to the right, y_px down. Raises InputError for an invalid csv.
     """
     names = ("x_px", "y_px", "azimuth_deg", "altitude_deg")
-    x, y, azimuth, altitude = np.array(
-        [[row[n] for n in names] for row in read_table(path, names)]
-    ).T
+    x, y, azimuth, altitude = columns(read_table(path, names), *names)
     return Targets(x, y, direction(altitude, azimuth), path)
 
 
@@ -103,9 +97,9 @@ def fit(targets: Targets, lens: Lens) -> LensFit:
 
     The fit starts from `lens`; with `targets.pose_known` the pose does not change. Mappings with
     none to three free terms are compared on held-out targets. Targets that no lens explains, at
-    most a fifth, are omitted and listed in `doubts`. Raises NotEnoughDataError for fewer than eight
-    targets; InputError for directions that are mirrored, outside the lens's full angle, or fit no
-    lens.
+    most a quarter, are omitted and listed in `doubts`. Raises NotEnoughDataError for fewer than
+    eight targets; InputError for directions that are mirrored, outside the lens's full angle, or
+    fit no lens.
     """
     n, pose = len(targets.x_px), not targets.pose_known
     require(n, MIN_TARGETS, "targets for a lens", "add targets all over the circle to the csv")
@@ -190,18 +184,17 @@ def _near(targets: Targets, start: Lens, models: Sequence[Model]) -> Mask:
         geometry = _geometry(start, figures, *model, not targets.pose_known)
         misses.append(_misses(geometry, targets)[0])
     best = min(misses, key=lambda missed: float(np.median(missed)))
-    limit = MIN_OUTLIER * start.radius_px
-    return ~gross_errors(best, sigmas=OUTLIER_SIGMA, minimum=limit, max_share=MAX_OUTLIERS)
+    return ~gross_errors(best, 2.0 * MAX_MISS * start.radius_px)
 
 
 def _check(geometry: LensGeometry, missed: Array, angle: Array, targets: Targets) -> None:
     """Raise InputError for a lens that its own targets contradict."""
-    if np.median(missed) > MISS_RADIUS * geometry.radius_px:
+    if np.median(missed) > MAX_MISS * geometry.radius_px:
         finding = f"the best lens misses half of the targets by over {np.median(missed):.0f} px"
         remedy = "check the targets' signs and units, and the columns x_px and y_px"
         raise InputError(targets.source, finding, _WANTED, remedy)
     widest_deg, half_deg = np.degrees(angle.max()), np.degrees(geometry.half_angle_rad)
-    if widest_deg > BEYOND * half_deg:
+    if beyond_lens(widest_deg / half_deg):
         finding = f"a target is {widest_deg:.0f} deg from the axis, the lens ends at {half_deg:.0f}"
         remedy = "correct the targets, or full_angle_deg in the profile"
         raise InputError(targets.source, finding, _WANTED, remedy)
@@ -217,7 +210,7 @@ def _doubts(
     texts = [f"left out because no lens explains them: {'; '.join(far)}"] if far else []
     turn = new.axes() @ before.axes().T
     turned_deg = float(np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1))))
-    if turned_deg > TURNED_DEG:
+    if turned_deg > 30.0:  # no camera is mounted that badly
         texts.append(
             f"the fitted pose (azimuth {new.azimuth_deg:.1f}, tilt {new.tilt_deg:.1f}, roll "
             f"{new.roll_deg:.1f} deg) is turned by {turned_deg:.0f} deg from the profile's: if the "
@@ -255,11 +248,11 @@ def _turn(directions: Array, true: Array) -> tuple[float, Array]:
     """
     from scipy.spatial.transform import Rotation
 
-    weight, turn, off = np.ones(len(directions)), np.eye(3), np.zeros(len(directions))
+    off, turn = np.zeros(len(directions)), np.eye(3)
     for _ in range(10):
+        weight = 1.0 / np.maximum(off, 0.02)
         turn = Rotation.align_vectors(true, directions, weights=weight)[0].as_matrix()
         off = np.linalg.norm(true - directions @ turn.T, axis=1)
-        weight = 1.0 / np.maximum(off, 0.02)
     return float(np.median(off)), turn
 
 
@@ -388,7 +381,6 @@ def _bundle(
 # ----------------------------------------------------------------------------------------------
 # image circle
 
-EDGE_DIRECTIONS = 720  # rays along which the circle's edge is measured; chosen
 # Share of the rays inside the picture whose edge is on the circle; how near, of the radius and in
 # px. Evenly lit fields have 1.0, six exposures of a real room (8 mm fisheye) at most 0.71.
 _MIN_ON_CIRCLE, _ON_CIRCLE_REL, _ON_CIRCLE_PX = 0.9, 0.005, 2.0
@@ -471,7 +463,7 @@ def _edge_points(picture: NDArray[np.uint8], around: Circle, reach: float) -> tu
     from scipy.ndimage import gaussian_filter, map_coordinates
 
     smooth = 255 * gaussian_filter((picture.astype(np.float32) / 255) ** 2.2, 1.0)
-    turn = np.arange(EDGE_DIRECTIONS) * 2 * np.pi / EDGE_DIRECTIONS
+    turn = np.linspace(0, 2 * np.pi, 720, endpoint=False)
     out = around.radius_px * (1.0 - reach) + np.arange(0.0, 2 * reach * around.radius_px, 0.25)
     x, y = around.centre_px
     columns, rows = x + np.outer(np.cos(turn), out) - 0.5, y + np.outer(np.sin(turn), out) - 0.5

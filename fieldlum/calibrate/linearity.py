@@ -29,12 +29,8 @@ ORDERS = range(5)
 MIN_TIMES = 6
 # of the full scale: the frames must reach below the first and above the second; chosen
 LOWEST, HIGHEST = 0.05, 0.8
-_MIN_DN = 5.0  # counts above black: darker blocks contain little but the black level; chosen
-_REPEATS = 5e-4  # relative stability of a lamp over minutes; limits the weight of any frame; chosen
 _BLACK_DN = 0.2  # uncertainty of a black level [DN]; chosen
-_NEGLIGIBLE = 2e-5  # of light: an order that lowers the held-out rms by less gains nothing; chosen
-# standard errors that an offset must have to be written into the profile; chosen
-_OFFSET_SIGMA = 4.0
+_REPEATS = 5e-4  # relative stability of a lamp over minutes; limits the weight of any frame; chosen
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,9 +95,9 @@ def _blocks(mosaic: Mosaic, profile: CameraProfile) -> Floats:
         cut = cell[:rows, :columns].reshape(shape).transpose(0, 2, 1, 3).reshape(BLOCKS**2, -1)
         mean = cut.mean(axis=1) - black
         error = np.hypot(cut.std(axis=1) / np.sqrt(cut.shape[1]), _BLACK_DN)
-        good = (cut.max(axis=1) < black + FULL * (top - black)) & (mean > _MIN_DN)
+        good = (cut.max(axis=1) < black + FULL * (top - black)) & (mean > 25 * _BLACK_DN)
         share = np.where(good, mean, np.nan) / (profile.sensor.white_dn - black)
-        parts.append((share, 1.0 / (_REPEATS**2 + (error / np.maximum(mean, _MIN_DN)) ** 2)))
+        parts.append((share, 1.0 / (_REPEATS**2 + (error / np.maximum(mean, 25 * _BLACK_DN)) ** 2)))
     return np.concatenate(parts, axis=1)
 
 
@@ -126,11 +122,11 @@ def fit(levels: Levels) -> LinearityFit:
         lambda order, rows: _solve(levels, rows, order),
         lambda order, solved, held: _held_out(levels, solved[0], held),
         unit="% of light",
-        negligible=_NEGLIGIBLE,
+        negligible=0.04 * _REPEATS,
     )
     coefficients = tuple(round(float(a), 7) for a in solution[1:])
     u_offset = float(np.sqrt(covariance[0, 0]))
-    sure = abs(solution[0]) > _OFFSET_SIGMA * u_offset
+    sure = abs(solution[0]) > 4.0 * u_offset
     offset = float(f"{solution[0]:.4g}") if sure else 0.0
     return LinearityFit(coefficients, offset, u_offset, max(round(choice.rms, 5), _REPEATS), choice)
 

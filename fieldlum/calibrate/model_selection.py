@@ -18,22 +18,6 @@ from fieldlum.core.statistics import is_no_worse, robust_sigma
 Model = TypeVar("Model")
 Parameters = TypeVar("Parameters")
 
-# up to this number of groups each group is held out separately; chosen, limits the time
-LEAVE_ONE_OUT = 24
-
-
-@dataclass(frozen=True, slots=True)
-class Candidate:
-    """One model among those to choose from.
-
-    name : for the line of text; size : number of free parameters, or a rank in their order; errors
-    [n] : squared errors of n held-out data, which are the same for every candidate.
-    """
-
-    name: str
-    size: int
-    errors: Floats
-
 
 @dataclass(frozen=True, slots=True)
 class OrderSelection:
@@ -50,36 +34,34 @@ class OrderSelection:
 
 def choose(
     what: str,
-    candidates: Sequence[Candidate],
+    candidates: Sequence[tuple[str, int, Floats]],
     unit: str = "%",
     scale: float = 100.0,
     negligible: float = 0.0,
 ) -> OrderSelection:
     """Return the smallest candidate within one standard error of the best, with a line of text.
 
-    The best has the smallest mean of `errors`; the smallest has the lowest `size`. what : name of
-    the fit, for the line of text; unit, scale : unit of the rms in that line, and the factor that
-    converts it to that unit. negligible : a candidate whose rms is larger by at most this (in the
-    unit of the errors' root) counts as equal to the best.
+    A candidate has a name, a size (number of free parameters, or a rank in their order), and the
+    squared errors [n] of held-out data, which are the same for every candidate. The best has the
+    smallest mean of them; the smallest has the lowest size. what : name of the fit; unit, scale :
+    unit of the rms in that line, and the factor that converts it to that unit. negligible : a
+    candidate whose rms is larger by at most this (in the unit of the errors' root) counts as equal
+    to the best.
     """
-    means = np.array([candidate.errors.mean() for candidate in candidates])
-    best = int(np.argmin(means))
-    allowed = []
-    for i, candidate in enumerate(candidates):
-        small = np.sqrt(means[i]) - np.sqrt(means[best]) <= negligible
-        if small or is_no_worse(candidate.errors, candidates[best].errors):
-            allowed.append(i)
-    chosen = min(allowed, key=lambda i: (candidates[i].size, means[i]))
-    tried = ", ".join(
-        f"{c.name} {scale * np.sqrt(m):.3g} {unit}" for c, m in zip(candidates, means, strict=True)
-    )
-    why = (
-        "the best"
-        if chosen == best
-        else f"smaller than the best, {candidates[best].name}, and not significantly worse"
-    )
-    line = f"{what}: {candidates[chosen].name} ({why}); held-out rms: {tried}"
-    return OrderSelection(chosen, float(np.sqrt(means[chosen])), line)
+    names, sizes, errors = zip(*candidates, strict=True)
+    rms = np.sqrt([e.mean() for e in errors])
+    best = int(np.argmin(rms))
+    allowed = [
+        i
+        for i, e in enumerate(errors)
+        if rms[i] - rms[best] <= negligible or is_no_worse(e, errors[best])
+    ]
+    chosen = min(allowed, key=lambda i: (sizes[i], rms[i]))
+    tried = ", ".join(f"{n} {scale * r:.3g} {unit}" for n, r in zip(names, rms, strict=True))
+    smaller = f"smaller than the best, {names[best]}, and not significantly worse"
+    why = "the best" if chosen == best else smaller
+    line = f"{what}: {names[chosen]} ({why}); held-out rms: {tried}"
+    return OrderSelection(chosen, float(rms[chosen]), line)
 
 
 def fit_and_choose(
@@ -95,14 +77,13 @@ def fit_and_choose(
 ) -> tuple[Model, Parameters, OrderSelection]:
     """Return the model that held-out data choose, its parameters by all data, and the choice.
 
-    models : each with its name and size, as in `Candidate`. groups [n] : of the data, see `folds`.
+    models : each with its name and size, as in `choose`. groups [n] : of the data, see `folds`.
     solve : fits a model to the data of a mask. errors : squared errors of the data of a mask by a
     model's parameters, NaN for a datum that cannot be predicted. what, unit, scale, negligible : as
     in `choose`.
     """
     candidates = [
-        Candidate(name, size, held_out_errors(model, groups, solve, errors))
-        for name, size, model in models
+        (name, size, held_out_errors(model, groups, solve, errors)) for name, size, model in models
     ]
     choice = choose(what, candidates, unit, scale, negligible)
     chosen = models[choice.index][2]
@@ -129,17 +110,17 @@ def folds(groups: NDArray[np.integer], count: int = 8) -> Iterator[Mask]:
     is held out alone; with more, they are divided into `count` sets. Each datum is held out once.
     """
     names = np.unique(groups)
-    parts = len(names) if len(names) <= LEAVE_ONE_OUT else count
+    parts = len(names) if len(names) <= 24 else count  # limits the time
     for part in range(parts):
         yield np.isin(groups, names[part::parts])
 
 
-def gross_errors(off: Floats, *, sigmas: float, minimum: float, max_share: float = 0.25) -> Mask:
+def gross_errors(off: Floats, minimum: float) -> Mask:
     """Return a mask [n] of the residuals that are gross errors of single readings.
 
-    off [n] : residuals about 0. A gross error exceeds `minimum` and `sigmas` times their robust
-    standard deviation. All are False if more than `max_share` of them would be True, because the
-    model is then wrong and not the readings.
+    off [n] : residuals about 0. A gross error exceeds `minimum` and five robust standard
+    deviations. All are False if more than a quarter would be True, because the model is then wrong
+    and not the readings.
     """
-    far = np.abs(off) > max(sigmas * robust_sigma(off, 0.0), minimum)
-    return far if far.mean() <= max_share else np.zeros(len(off), bool)
+    far = np.abs(off) > max(5.0 * robust_sigma(off, 0.0), minimum)
+    return far if far.mean() <= 0.25 else np.zeros(len(off), bool)

@@ -1,8 +1,8 @@
 """Find hot and stuck pixels: they deviate from their neighbours in dark frames.
 
-The neighbours are those of the same colour. A pixel must deviate in three quarters of the frames,
-or in more if good pixels would otherwise do so by chance. If even all are too few, there is no
-result. A dead pixel is dark like the others; a merge averages it with its neighbours.
+The neighbours are those of the same colour. A pixel must deviate in all frames. If good pixels
+would do so by chance, there is no result. A dead pixel is dark like the others; a
+merge averages it with its neighbours.
 """
 
 from __future__ import annotations
@@ -22,11 +22,9 @@ from fieldlum.optics.raw import channel_positions, is_jpeg, possible_frames
 
 # Limits are chosen so that simulated defects are found and noise is not (tests); not measured on
 # real sensors.
-MIN_FRAMES = 2
 MAX_SHARE = 1e-3  # largest share of bad pixels; more are not a list of defects
 _SIGMA = 6.0  # of the noise
 _SPREAD = 4.0  # largest multiple of the neighbours' median deviation from their own median
-_CHANCE = 0.5  # largest number of pixels expected to deviate everywhere by chance
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,42 +53,30 @@ def find(sources: Sequence[Path], profile: CameraProfile) -> PixelDefects:
         raise InputError(profile.camera.name, finding, "a profile of a raw camera", remedy)
     folders = [possible_frames(path) if path.is_dir() else [path] for path in sources]
     frames = tuple(path for folder in folders for path in folder)
-    require(len(frames), MIN_FRAMES, "bad pixels: dark frames", "take more with the cap on")
+    require(len(frames), 2, "bad pixels: dark frames", "take more with the cap on")
     deviating = [_deviating(path, profile) for path in frames]
     pixels, times = np.unique(np.concatenate(deviating), return_counts=True)
-    need, by_chance = _needed_frames(deviating, profile.camera.pixels)
-    bad = pixels[times >= need]
+    bad = pixels[times == len(frames)]
+    share = float(np.mean([len(px) for px in deviating])) / profile.camera.pixels
+    by_chance = profile.camera.pixels * share ** len(frames)
+    if by_chance > 0.5:
+        raise NotEnoughDataError(
+            f"bad pixels: {100 * share:.2g} % deviate in each of {len(frames)} frames, so "
+            f"{by_chance:.2g} good pixels would deviate in all of them by chance; take more dark "
+            "frames"
+        )
     if len(bad) > MAX_SHARE * profile.camera.pixels:
         raise NotEnoughDataError(
             f"bad pixels: {len(bad)} of {profile.camera.pixels}; expected at most "
             f"{100 * MAX_SHARE:g} %; check gain and read noise under [sensor] in the profile"
         )
     line = (
-        f"bad pixels: {len(bad)}, which deviate from their neighbours in {need} or more of "
-        f"{len(frames)} dark frames; {by_chance:.2g} good pixels would do so by chance"
+        f"bad pixels: {len(bad)}, which deviate from their neighbours in each of {len(frames)} "
+        f"dark frames; {by_chance:.2g} good pixels would do so by chance"
     )
     rows, columns = np.unravel_index(bad, (profile.camera.height_px, profile.camera.width_px))
     places = tuple(zip(columns.tolist(), rows.tolist(), strict=True))
     return PixelDefects(places, frames, by_chance, line)
-
-
-def _needed_frames(deviating: Sequence[Indices], pixels: int) -> tuple[int, float]:
-    """Return in how many frames a bad pixel must deviate, and how many good pixels would by chance.
-
-    It is three quarters of the frames, or more. Raises NotEnoughDataError if all are too few.
-    """
-    from scipy.stats import binom
-
-    count, share = len(deviating), float(np.mean([len(px) / pixels for px in deviating]))
-    by_chance = 0.0
-    for need in range(max(MIN_FRAMES, int(np.ceil(0.75 * count))), count + 1):
-        by_chance = pixels * float(binom.sf(need - 1, count, share))
-        if by_chance <= _CHANCE:
-            return need, by_chance
-    raise NotEnoughDataError(
-        f"bad pixels: {100 * share:.2g} % of the pixels deviate in each of {count} frames, so "
-        f"{by_chance:.2g} good pixels would deviate in all of them by chance; take more dark frames"
-    )
 
 
 def _deviating(path: Path, profile: CameraProfile) -> Indices:

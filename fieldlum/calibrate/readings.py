@@ -35,7 +35,10 @@ from fieldlum.session.panorama_sun import read_panorama_with_sun
 from fieldlum.version import __version__
 
 FULL = 0.97  # of the saturation; brighter pixels do not count. Chosen, not measured.
-_MAX_CLIPPED = 0.2  # largest share of clipped pixels in a patch. Chosen, not measured.
+# Relative u of a luminance meter's calibration, and of one reading (aim, flicker, a passing cloud)
+# if none is stated; typical of data sheets.
+READING_U = 0.02
+SPOT_DEG = 0.5  # half of the field of a spot meter of 1 degree; data sheets of spot meters
 CsvRow = dict[str, Any]
 """The cells of a line by column: numbers and paths."""
 
@@ -80,6 +83,19 @@ def read_table(
     if not readings:
         raise InputError(path, "no readings", "one reading on each line", "add a reading")
     return readings
+
+
+def columns(rows: Sequence[CsvRow], *names: str) -> Floats:
+    """Return columns of numbers of a table, [names, rows]."""
+    return np.array([[row[name] for row in rows] for name in names], float)
+
+
+def beyond_lens(share: float) -> bool:
+    """Return whether an angle over half of a lens's full angle is an error of the reading.
+
+    Data sheets round full angles, so that true readings are up to 5 % beyond.
+    """
+    return share > 1.05
 
 
 def columns_of(path: Path) -> tuple[str, ...]:
@@ -162,10 +178,9 @@ class LinearFrame:
         yy, xx = np.mgrid[cut]
         disc = (xx + 0.5 - x) ** 2 + (yy + 0.5 - y) ** 2 <= r**2
         values, bad = self.rgb[cut][disc].astype(float), self.bad[cut][disc]
-        if bad.mean() > _MAX_CLIPPED:
+        if bad.mean() > 0.2:
             finding = f"{100 * bad.mean():.0f} % of {name} is clipped, or too dark for the response"
-            expected = f"at most {100 * _MAX_CLIPPED:.0f} %"
-            raise InputError(self.path, finding, expected, "use a frame that exposes it well")
+            raise InputError(self.path, finding, "at most 20 %", "use a frame that exposes it well")
         rgb = np.asarray(trim_mean(values[~bad], 0.1, axis=0), float)
         error = float(np.nan_to_num(standard_error(values[~bad, 1])))
         return Patch(rgb, error / max(float(rgb[1]), 1e-12))

@@ -31,20 +31,15 @@ from fieldlum.optics.photometry import (
 from fieldlum.optics.profiles import CameraProfile, Response
 from fieldlum.optics.raw import is_jpeg, read_jpeg
 
-PLACES = 500  # places used from a bracket; more did not change the table; chosen
 BLOCKS = 60_000  # blocks in which places are searched; limits memory; chosen
 LOW = 27  # codes from LOW to HIGH count for the residual, and have weight in a merge; chosen
 HIGH = 228  # chosen, as LOW
-# codes: largest difference of a place's neighbours in a frame that exposes it well; chosen
-FLAT = 3.0
-NEGLIGIBLE = 0.002  # of light: smaller differences between candidates do not matter; chosen
 DOUBTFUL = 0.10  # of light: a still scene in steady light leaves 1 to 5 %
 SMOOTH = (3000.0, 300.0, 30.0, 3.0)  # stiffness of the tables that are tried
 _MIN_PLACES = 20  # places for which a step counts as measured; chosen
 _SYSTEMATIC = 0.0025  # of light: rounding of codes and stray light; bench/bracket_steps.py
 _LABEL_U = 0.05  # ln of light: prior of a label, of the order of rounding to thirds (6.7 %); chosen
 _MEASURED_U = 0.02  # ln of light: a step with a larger uncertainty is the label's; chosen
-_COVERAGE = 2.0  # standard uncertainties beyond which the overlap contradicts a label; chosen
 _ROUNDS, _SETTLED = 12, 2e-4  # the response adapts to the steps; ends below this change of ln light
 
 
@@ -100,7 +95,7 @@ def steps_by_overlap(codes: NDArray[np.uint8], log_exposure: Floats, bracket: In
     measured = u < _MEASURED_U
     power = float(np.median((deviation / step)[measured])) if measured.any() else 0.0
     against = np.where(measured, deviation - power * step, 0.0)
-    kept = np.where(np.abs(against) > _COVERAGE * u, against, 0.0)
+    kept = np.where(np.abs(against) > 2.0 * u, against, 0.0)
     return Steps(log_exposure + np.r_[0.0, np.cumsum(_without_stretch(kept, u, step))], kept)
 
 
@@ -312,11 +307,11 @@ def _flat_places(paths: Sequence[Path], profile: CameraProfile, rng: np.random.G
     codes = np.stack(blocks)  # [frames, places, 9, 3]
     holds = ((codes >= LOW) & (codes <= HIGH)).all(axis=(2, 3))  # [frames, places]
     spread = np.where(holds, np.ptp(codes[..., 1], axis=2), 0)  # of green
-    flat = np.flatnonzero((spread.max(axis=0) <= 3 * FLAT) & (holds.sum(axis=0) >= 2))
+    flat = np.flatnonzero((spread.max(axis=0) <= 9) & (holds.sum(axis=0) >= 2))
     what = f"{paths[0].parent}: even places exposed well (JPEG codes {LOW} to {HIGH}) by two frames"
     require(len(flat), 50, what, "use steps of at most 2 EV, and picture walls and sky")
     brightness = codes[:, flat][..., 1].mean(axis=(0, 2)) + rng.uniform(0, 1e-3, len(flat))
-    chosen = flat[_spread(brightness, min(PLACES, len(flat)))]
+    chosen = flat[_spread(brightness, min(500, len(flat)))]  # more did not change the table
     means = np.rint(codes[:, chosen].mean(axis=2)).astype(np.uint8).transpose(1, 0, 2)
     return _Part(means, exposures, paths[0].parent)
 
@@ -382,7 +377,7 @@ def fit(places: Places) -> ResponseFit:
         return np.divide(total, count, out=np.full(len(total), np.nan), where=count > 0)
 
     model, tables, choice = fit_and_choose(
-        "response", models, groups, tables_of, misfit, unit="% of light", negligible=NEGLIGIBLE
+        "response", models, groups, tables_of, misfit, unit="% of light", negligible=_SYSTEMATIC
     )
     rms = [
         float(np.sqrt(np.nanmean(residuals(t, codes[..., c], log_e, low))))

@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from fieldlum.calibrate.readings import (
+    READING_U,
+    SPOT_DEG,
     CsvRow,
     Place,
     disc_radius_rad,
@@ -25,21 +27,9 @@ from fieldlum.optics.images import calibration_mark
 from fieldlum.optics.photometry import illuminance_lx
 from fieldlum.optics.profiles import CameraProfile
 
-SPOT_DEG = 0.5  # half of the field of a spot meter of 1 degree; data sheets of spot meters
-# relative u of a meter's calibration, common to its readings; typical of data sheets
-METER_U = 0.02
-READING_U = 0.02  # relative u of one reading: aim, flicker, a passing cloud. Chosen, not measured.
-HUBER = 2.0  # standard uncertainties beyond which a reading counts less; chosen
-# Readings that differ by more than this many u, and by this share, are outliers. Chosen, not
-# measured.
-OUTLIER_SIGMA, MIN_OUTLIER = 3.0, 0.1
-# largest share of outliers: with more, the picture is wrong and not the readings; chosen
-MAX_OUTLIERS = 1 / 3
-UNEVEN = 0.1  # relative u of a spot's mean; a larger one means an edge in its field; chosen
-# Range of k (R + G + B) for cameras whose white_dn is their white level, without a filter. Chosen
-# around 1.
-SENSIBLE_K = 0.5, 2.0
-MAX_FACTOR = 10.0  # largest change of a profile's k; a larger factor means another unit; chosen
+# Relative difference from the fit beyond which a reading is an outlier, if it is above three u
+# too; and relative u of a spot's mean that means an edge in its field. Chosen, not measured.
+MIN_OUTLIER = 0.1
 # Ratios of reading to picture that typing errors cause (1 fL = 3.426 cd/m2, 1 fc = 10.764 lx).
 SLIPS = {
     1 / 3.426: "fL entered as cd/m2",
@@ -49,7 +39,6 @@ SLIPS = {
     0.1: "a factor of ten",
     10.0: "a factor of ten",
 }
-_SAME = 0.06  # largest relative difference from a ratio of `SLIPS`; chosen
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +94,7 @@ def from_table(
     for row in rows:
         reading, u_image = _reading(path, row, pictures[row["panorama"]], to_k[row["panorama"]])
         readings.append(reading)
-        uneven += [reading.label] if u_image > UNEVEN else []
+        uneven += [reading.label] if u_image > MIN_OUTLIER else []
     notes = []
     if unmarked := [file.name for file, shown in pictures.items() if "k" not in shown.attributes]:
         names = ", ".join(unmarked)
@@ -194,7 +183,7 @@ def spot_cdm2(
 
 
 def fit(
-    readings: list[LuminanceReading], meter_u: float = METER_U, source: Path | str = "scale"
+    readings: list[LuminanceReading], meter_u: float = READING_U, source: Path | str = "scale"
 ) -> ScaleFit:
     """Fit one factor on k by weighted least squares of ln(meter / picture) with Huber weights.
 
@@ -211,17 +200,13 @@ def fit(
         raise InputError(bad.label, finding, "values above zero", "remove it from the csv")
     log = np.log(meter / image)
     centre, weight = _centre(log, u)
-    off = np.abs(log - centre) / np.maximum(u, MIN_OUTLIER / OUTLIER_SIGMA)
-    far = tuple(r.label for r, o in zip(readings, off, strict=True) if o > OUTLIER_SIGMA)
-    if len(far) > MAX_OUTLIERS * len(log):
-        raise InputError(
-            source,
-            f"{len(far)} of {len(log)} readings differ from the fitted factor k by more than "
-            f"{100 * MIN_OUTLIER:g} % and {OUTLIER_SIGMA:g} u_rel: {', '.join(far[:4])}",
-            "this of at most a third of the readings",
-            "check the azimuths (clockwise from north), that all readings have one unit, and that "
-            "the light was steady",
-        )
+    off = np.abs(log - centre) > np.maximum(3.0 * u, MIN_OUTLIER)
+    far = tuple(r.label for r, is_far in zip(readings, off, strict=True) if is_far)
+    if len(far) > len(log) / 3:  # the picture is wrong and not the readings
+        finding = f"{len(far)} of {len(log)} readings differ from the fitted k by over 10 % and 3 u"
+        expected = "this of at most a third of the readings"
+        remedy = "check azimuths (clockwise from north), one unit for all, and steady light"
+        raise InputError(source, f"{finding}: {', '.join(far[:4])}", expected, remedy)
     scatter = float((weight * (log - centre) ** 2).sum() / max(len(log) - 1, 1))
     u_rel = math.hypot(math.sqrt(max(scatter, 1.0) / weight.sum()), meter_u)
     each = range(len(log)) if len(log) > 1 else ()
@@ -238,9 +223,9 @@ def _centre(log: Floats, u: Floats) -> tuple[float, Floats]:
     from scipy.optimize import least_squares
 
     start = float(np.median(log))
-    solved = least_squares(lambda c: (log - c[0]) / u, start, loss="huber", f_scale=HUBER)
+    solved = least_squares(lambda c: (log - c[0]) / u, start, loss="huber", f_scale=2.0)
     pull = np.abs(solved.fun)
-    return float(solved.x[0]), np.minimum(1.0, HUBER / np.maximum(pull, 1e-12)) / u**2
+    return float(solved.x[0]), np.minimum(1.0, 2.0 / np.maximum(pull, 1e-12)) / u**2
 
 
 def slips(readings: list[LuminanceReading], scale_fit: ScaleFit) -> list[str]:
@@ -252,7 +237,7 @@ def slips(readings: list[LuminanceReading], scale_fit: ScaleFit) -> list[str]:
     texts = []
     for reading in (r for r in readings if r.label in scale_fit.far):
         ratio = reading.meter / (reading.image * scale_fit.factor)
-        near = (f" ({why}?)" for factor, why in SLIPS.items() if abs(ratio / factor - 1) < _SAME)
+        near = (f" ({why}?)" for factor, why in SLIPS.items() if abs(ratio / factor - 1) < 0.06)
         what = f"the reading of {reading.meter:g} is {ratio:.3g} times the picture's value"
         texts.append(f"{reading.label}: {what}{next(near, '')}")
     return texts
@@ -265,13 +250,11 @@ def check_level(scale_fit: ScaleFit, profile: CameraProfile, path: Path) -> str:
     differs from the profile's k by more than a factor of ten, either way.
     """
     level = profile.scale.k * scale_fit.factor * sum(profile.colour.y_from_rgb)
-    low, high = SENSIBLE_K
-    if low <= level <= high:
+    if 0.5 <= level <= 2.0:
         return ""
-    doubt = f"the factor k, summed over R, G and B, would be {level:.3g}; cameras have "
-    doubt += f"{low:g} to {high:g}"
+    doubt = f"the factor k, summed over R, G and B, would be {level:.3g}; cameras have 0.5 to 2"
     remedy = "check the units (1 fL = 3.426 cd/m2, 1 fc = 10.76 lx, 1 klx = 1000 lx)"
-    if not 1 / MAX_FACTOR <= scale_fit.factor <= MAX_FACTOR:
+    if not 0.1 <= scale_fit.factor <= 10.0:  # another unit
         finding = f"{doubt}; this is {scale_fit.factor:.3g} times the profile's k"
         remedy += "; for a filter or another white_dn, first write a k near it under [scale]"
         raise InputError(path, finding, "readings in cd/m2 and lx", remedy)

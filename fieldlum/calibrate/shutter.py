@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldlum.calibrate.model_selection import Candidate, choose, folds
+from fieldlum.calibrate.model_selection import choose, folds
 from fieldlum.calibrate.readings import require
 from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError, NotEnoughDataError
@@ -37,8 +37,6 @@ MIN_BRACKETS = 5  # with a pair of times; chosen so that a median is robust
 # largest relative spread of a pair over brackets; a larger one means unsteady light or shutter;
 # chosen
 MAX_SPREAD = 0.02
-_NOISY = 0.01  # relative u of one bracket's pair; less certain pairs do not count; chosen
-_FLOOR = 2e-4  # smallest relative u of a time; chosen, not measured
 _LINEAR = 5e-4  # relative u of a pair's ratio by linearity, as in merge.ratios; not measured
 
 Pair = tuple[float, float]  # nominal times of the longer and the shorter frame [s]
@@ -160,7 +158,7 @@ def readings_of(sidecar: Sidecar) -> list[ShutterReading]:
         if max(max(n.long, n.short) for n in run) >= len(frames):
             return []  # damaged: the sidecar lists frames that do not exist
         readings += [_reading(frames[n.long], frames[n.short], n) for n in run]
-    return [r for r in readings if r is not None and 0.0 < r.u_log < _NOISY]
+    return [r for r in readings if r is not None and 0.0 < r.u_log < 0.01]
 
 
 def _reading(
@@ -238,8 +236,8 @@ def fit(brackets: Sequence[Bracket], profile: CameraProfile) -> ShutterFit:
             f"{'; '.join(left_out) or 'no frames overlap'}; capture more brackets in steady light"
         )
     assumed, fitted = _held_out(brackets, steady)
-    as_assumed = Candidate("times as assumed", 0, assumed)
-    choice = choose("shutter", [as_assumed, Candidate("table", len(steady), fitted)])
+    candidates = [("times as assumed", 0, assumed), ("table", len(steady), fitted)]
+    choice = choose("shutter", candidates)
     if choice.index == 0:
         raise NotEnoughDataError(
             f"a table of fitted shutter times is no better than the profile's times: "
@@ -256,7 +254,7 @@ def fit(brackets: Sequence[Bracket], profile: CameraProfile) -> ShutterFit:
         mine = [ratio for pair, ratio in steady.items() if time in pair]
         u_rel = math.hypot(u_log, min(ratio.spread for ratio in mine))
         true_s = float(f"{from_s * math.exp(log):.7g}")
-        times.append(ShutterTime(time, true_s, round(max(u_rel, _FLOOR), 6)))
+        times.append(ShutterTime(time, true_s, round(max(u_rel, _LINEAR), 6)))
         counts.append(max(ratio.brackets for ratio in mine))
     return ShutterFit(tuple(times), assumed_s, tuple(counts), left_out, choice.line)
 

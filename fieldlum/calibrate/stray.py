@@ -15,6 +15,7 @@ import numpy as np
 
 from fieldlum.calibrate.model_selection import OrderSelection, fit_and_choose
 from fieldlum.calibrate.readings import (
+    SPOT_DEG,
     Place,
     disc_radius_rad,
     is_flagged,
@@ -40,11 +41,6 @@ NODE_SETS: tuple[tuple[float, ...], ...] = (
     (1.5, 3.0, 6.0, 12.0, 24.0, 48.0, 96.0),
 )
 MIN_READINGS = 8  # twice the nodes of the fourth kernel; chosen, not measured
-TRAP_RADIUS_DEG = 0.5  # radius of the place that is averaged, unless the csv states another; chosen
-# of the stray light: interpolation on a grid of 3 degrees is not better; not measured
-MIN_U_REL = 0.1
-# of a source's light; with more, the lens is fogged or the place was not black; chosen
-MAX_SHARE = 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +82,7 @@ def from_table(path: Path, profile: CameraProfile) -> list[StrayReading]:
     invalid line, for a place that `reading` rejects, and for a picture that was merged with another
     calibration or with a stray-light kernel.
     """
-    optional = {"luminance_cdm2": 0.0, "radius_deg": TRAP_RADIUS_DEG}
+    optional = {"luminance_cdm2": 0.0, "radius_deg": SPOT_DEG}
     rows = read_table(path, ("panorama", "azimuth_deg", "altitude_deg"), optional)
     plain = replace(profile, stray=StrayLight())
     pictures = read_panoramas(rows, plain, ", after removing [stray] from the profile")
@@ -104,7 +100,7 @@ def reading(
     profile: CameraProfile,
     at_deg: tuple[float, float],
     true_cdm2: float = 0.0,
-    radius_deg: float = TRAP_RADIUS_DEG,
+    radius_deg: float = SPOT_DEG,
 ) -> StrayReading:
     """Return the stray light at a dark place of a picture, and the light that may cause it.
 
@@ -168,11 +164,11 @@ def fit(readings: Sequence[StrayReading], source: Path | str = "stray") -> Stray
         unit="% of it",
     )
     share = total_share(nodes, values)
-    if share > MAX_SHARE:
+    if share > 0.3:  # the lens is fogged, or the place was not black
         finding = f"the fitted stray light is {100 * share:.0f} % of the light in the lens"
         remedy = "check that places are really black, and luminance_cdm2 of the others right"
-        raise InputError(source, finding, f"at most {100 * MAX_SHARE:.0f} %", remedy)
-    u_rel = max(choice.rms, MIN_U_REL)
+        raise InputError(source, finding, "at most 30 %", remedy)
+    u_rel = max(choice.rms, 0.1)  # interpolation on a grid of 3 degrees is not better
     kernel = StrayLight(nodes, tuple(float(f"{v:.4g}") for v in values), min(round(u_rel, 3), 0.99))
     return StrayFit(kernel, designs[nodes] @ values, share, choice)
 

@@ -15,6 +15,8 @@ import numpy as np
 from fieldlum.calibrate.model_selection import OrderSelection, fit_and_choose, gross_errors
 from fieldlum.calibrate.readings import (
     Place,
+    beyond_lens,
+    columns,
     columns_of,
     linear_frame,
     nearest_lens,
@@ -30,15 +32,10 @@ from fieldlum.optics.projection import angle_of_radius, relative_radius
 
 # of the even polynomials that are tried; chosen, held-out readings select one
 ORDERS = (0, 2, 4, 6, 8)
-BINS = 60  # number of rings of an evenly lit frame; chosen
 MIN_READINGS = 5  # chosen
-# A reading is a gross error if it misses by more than both (sigma; relative) and its neighbours do
-# not. Chosen, not measured.
-OUTLIER_SIGMA, MIN_OUTLIER = 5.0, 0.03
-NEIGHBOURS = 0.12  # of the half angle: distance within which readings are neighbours; chosen
-SAME = 0.02  # of the half angle: distance within which readings have one angle; chosen
-BEYOND = 1.02  # of the half angle: readings further out are errors; chosen
-RISING = 0.03  # a parabola that rises by more than this to the edge means a wrong sign; chosen
+# Relative error of a reading that is no noise: of a gross error whose neighbours agree, and of a
+# rise to the edge, which is a wrong sign. Chosen, not measured.
+MAX_ERROR = 0.03
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,11 +88,10 @@ def from_table(path: Path, profile: CameraProfile, lens: int = 0) -> Samples:
         return _from_patches(path, profile)
     optional = {"reference": 1.0, "u_rel": 0.005, "f_number": profile.bracket.f_number}
     rows = read_table(path, ("angle_deg", "value"), optional)
-    names = ("angle_deg", "value", "reference", "u_rel")
-    angle, value, reference, u_rel = np.array([[row[name] for name in names] for row in rows]).T
+    angle, value, reference, u_rel = columns(rows, "angle_deg", "value", "reference", "u_rel")
     half = profile.lens[lens].full_angle_deg / 2
     r = np.abs(angle) / half
-    if r.max() > BEYOND:
+    if beyond_lens(r.max()):
         expected = f"at most {half:g} deg, half of the profile's full_angle_deg"
         remedy = "check that angles are from the optical axis, or correct full_angle_deg"
         raise InputError(path, f"an angle_deg of {half * r.max():g} deg", expected, remedy)
@@ -159,13 +155,13 @@ def from_uniform(paths: Sequence[Path], profile: CameraProfile, lens: int = 0) -
 
 def _rings(r: Array, value: Array, good: Mask) -> list[tuple[float, float, float]]:
     """Return the middle r, the median and its relative u of each ring with 20 good pixels."""
-    ring, rings = np.minimum((r * BINS).astype(int), BINS - 1), []
-    for number in range(BINS):
+    ring, rings = np.minimum((r * 60).astype(int), 59), []
+    for number in range(60):
         inside = value[good & (ring == number)]
         if len(inside) >= 20:
             middle = float(np.median(inside))
             u_rel = median_standard_error(robust_sigma(inside), len(inside)) / middle
-            rings.append(((number + 0.5) / BINS, middle, float(np.hypot(u_rel, 0.001))))
+            rings.append(((number + 0.5) / 60, middle, float(np.hypot(u_rel, 0.001))))
     return rings
 
 
@@ -261,12 +257,12 @@ def _contradicting(samples: Samples) -> Mask:
     start = np.eye(design.shape[1])[0]
     solved = least_squares(lambda t: design @ t / scaled - 1.0, start, loss="cauchy", f_scale=0.01)
     off = scaled / (design @ solved.x) - 1.0
-    outliers = gross_errors(off, sigmas=OUTLIER_SIGMA, minimum=MIN_OUTLIER)
+    outliers = gross_errors(off, MAX_ERROR)
     for i in np.flatnonzero(outliers):
         away = np.where(np.arange(len(r)) == i, np.inf, np.abs(r - r[i]))
         # Compare with readings at the same angle, or else with readings on both sides.
-        near = away < SAME if (away < SAME).any() else (away < NEIGHBOURS) & (r[i] < r.max())
-        outliers[i] = near.any() and np.median(np.abs(off[near])) < MIN_OUTLIER / 2
+        near = away < 0.02 if (away < 0.02).any() else (away < 0.12) & (r[i] < r.max())
+        outliers[i] = near.any() and np.median(np.abs(off[near])) < MAX_ERROR / 2
     return outliers
 
 
@@ -277,7 +273,7 @@ def _refuse_rising(r: Array, value: Array, u_rel: Array, source: Path) -> None:
     """
     axis, change = np.polynomial.polynomial.polyfit(r**2, value, 1, w=1.0 / (u_rel * value))
     rise = float(change / axis)
-    if rise > RISING:
+    if rise > MAX_ERROR:
         finding = f"the readings rise by {100 * rise:.0f} % from the axis to the edge"
         remedy = "state readings, not correction factors, of one patch in the same light"
         raise InputError(source, finding, "a loss towards the edge", remedy)
