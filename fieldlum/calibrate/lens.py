@@ -103,7 +103,7 @@ def fit(targets: Targets, lens: Lens) -> LensFit:
     """
     n, pose = len(targets.x_px), not targets.pose_known
     require(n, MIN_TARGETS, "targets for a lens", "add targets all over the circle to the csv")
-    start = _posed(targets, lens) if pose else _level(lens)
+    start = _posed(targets, lens) if pose else level_lens(lens)
     models: dict[str, Model] = {"equidistant": ("equidistant", ()), "equisolid": ("equisolid", ())}
     for name, powers in POWERS.items():
         if n >= 3 * (len(powers) + 5):
@@ -130,7 +130,8 @@ def fit(targets: Targets, lens: Lens) -> LensFit:
     return LensFit(new, choice.rms, choice.rms * deg_per_px, residual, widest_deg, choice, doubts)
 
 
-def _level(lens: Lens) -> Lens:
+def level_lens(lens: Lens) -> Lens:
+    """Return the lens with its axis along the heading, which is the pose of chessboards."""
     return replace(lens, azimuth_deg=0.0, tilt_deg=0.0, roll_deg=0.0)
 
 
@@ -225,7 +226,7 @@ def _posed(targets: Targets, lens: Lens) -> Lens:
     This lets the fit succeed for a turned camera. The pose is the rotation from measured to true
     directions. Raises InputError if only mirrored directions fit, which means that a sign is wrong.
     """
-    directions = lens_rays(_level(lens), targets.x_px, targets.y_px)
+    directions = lens_rays(level_lens(lens), targets.x_px, targets.y_px)
     (miss, turn), (mirrored, _) = (
         _turn(directions * (sign, 1.0, 1.0), targets.rays) for sign in (1.0, -1.0)
     )
@@ -314,7 +315,7 @@ def fit_boards(
     require(len(corners), MIN_BOARDS, "pictures in which the chessboard was detected", remedy)
     points = np.zeros((rows * columns, 3))
     points[:, :2] = np.mgrid[:columns, :rows].T.reshape(-1, 2)
-    level, at = _level(lens), np.stack(corners)  # [boards, points, 2]
+    level, at = level_lens(lens), np.stack(corners)  # [boards, points, 2]
     poses = np.array([_board_pose(level, c, points) for c in at])
     _, poses, _ = _bundle(level, ("polynomial", POWERS["four terms"]), at, points, poses)
     x, y = at.reshape(-1, 2).T
@@ -322,7 +323,7 @@ def fit_boards(
     start = fit(targets, lens)
     powers = tuple(i + 1 for i, c in enumerate(start.lens.coefficients) if c)
     geometry, _, solved = _bundle(
-        _level(start.lens), (start.lens.mapping, powers), at, points, poses
+        level_lens(start.lens), (start.lens.mapping, powers), at, points, poses
     )
     rms = float(np.sqrt(2.0 * np.mean(solved.fun**2)))
     u_px = rms / np.sqrt(2) * np.sqrt(np.diag(np.linalg.pinv(solved.jac.T @ solved.jac))[:2].max())

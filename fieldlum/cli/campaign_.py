@@ -95,26 +95,23 @@ def _commands(
     campaign: CampaignFile, room: CampaignRoom, stage: str, options: Sequence[str]
 ) -> list[list[str]]:
     """Return the commands of a stage for one room; none if the room is already planned."""
-    folder = campaign.session_folder(room)
-    if stage == "merge":
-        merge = ["merge", str(folder), "--size", room.size, *options]
-        return [merge, ["pair", str(folder), *options]]
-    if stage == "train":
-        budget = ["--budget", f"{room.budget_min:g}", "--seed", str(room.seed)]
-        return [["train", str(folder), "--model", room.model, *budget]]
-    if stage == "predict":
-        synthetic = room.weather == "synthetic"
-        weather = room.weather if synthetic else str(campaign.file(room.weather))
-        settings = ["--weather", weather, "--views", str(room.views)]
-        return [["predict", str(folder / "models" / room.model), *settings, *options]]
-    if stage == "status":
-        return [["status", str(folder)]]
-    if (folder / "session.toml").is_file():
+    if stage == "plan" and (campaign.session_folder(room) / "session.toml").is_file():
         return []
-    if not room.site:
+    folder = str(campaign.session_folder(room))
+    if stage == "plan" and not room.site:
         remedy = "add site = SITE.toml to the room in CAMPAIGN.toml"
         raise InputError(folder, "neither a session nor a site file", "one of these", remedy)
-    return [["plan", str(campaign.file(room.site)), "--set", room.set, "--out", str(folder)]]
+    weather = room.weather
+    weather = weather if weather == "synthetic" else str(campaign.file(weather))
+    training = ["--budget", f"{room.budget_min:g}", "--seed", str(room.seed)]
+    year = ["--weather", weather, "--views", str(room.views)]
+    return {
+        "plan": [["plan", str(campaign.file(room.site)), "--set", room.set, "--out", folder]],
+        "status": [["status", folder]],
+        "merge": [["merge", folder, "--size", room.size, *options], ["pair", folder, *options]],
+        "train": [["train", folder, "--model", room.model, *training]],
+        "predict": [["predict", str(Path(folder, "models", room.model)), *year, *options]],
+    }[stage]
 
 
 for _stage, _text in STAGES.items():

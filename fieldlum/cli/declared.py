@@ -121,34 +121,29 @@ def _parameter(parameter: inspect.Parameter, hint: Any, entry: _Entry | None) ->
         hint, extras = hint.__origin__, hint.__metadata__
     if typing.get_origin(hint) in (typing.Union, types.UnionType):  # X | None
         hint = next(part for part in typing.get_args(hint) if part is not type(None))
-    is_required = parameter.default is inspect.Parameter.empty
-    settings: dict[str, Any] = {"required": is_required}
-    if not is_required:
-        settings["default"] = parameter.default
+    default = parameter.default
+    is_required = default is inspect.Parameter.empty
+    settings: dict[str, Any] = {"required": True} if is_required else {"default": default}
     parts = typing.get_args(hint) if typing.get_origin(hint) is tuple else ()
-    base = parts[0] if parts else hint
+    base, is_many = parts[0] if parts else hint, parts[-1:] == (Ellipsis,)
     if typing.get_origin(base) is Literal:
         settings["type"] = click.Choice(typing.get_args(base))
     elif base is not bool and base is not Any:
         settings["type"] = PATH if base is Path else base
-    for extra in extras:
-        if callable(extra):
-            settings["type"] = extra
-    is_many = bool(parts) and parts[-1] is Ellipsis
+    for extra in filter(callable, extras):
+        settings["type"] = extra
     if entry is None:
         metavar = next((extra for extra in extras if isinstance(extra, str)), None)
-        return click.Argument(
-            [parameter.name], nargs=-1 if is_many else 1, metavar=metavar, **settings
-        )
+        count = -1 if is_many else 1
+        return click.Argument([parameter.name], nargs=count, metavar=metavar, **settings)
     if parts:
         settings |= {"multiple": True} if is_many else {"nargs": len(parts), "type": str}
-    if "count" in extras:
-        settings |= {"count": True, "type": None}
     if base is bool:
         settings |= {"is_flag": True}
     if base is float:
         settings["callback"] = _finite
-    is_empty = parameter.default is False or parameter.default in (None, "", ())
-    settings["show_default"] = not (is_required or is_empty or "count" in extras)
+    settings["show_default"] = (
+        not is_required and default not in (None, "", ()) and default is not False
+    )
     declarations = [parameter.name, entry.names]
     return click.Option(declarations, metavar=entry.metavar, help=entry.help, **settings)

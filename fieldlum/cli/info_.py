@@ -82,12 +82,12 @@ def _size(picture: Any) -> str:
 
 
 def _light(luminance_cdm2: Any) -> Facts:
-    """Return median and largest finite luminance."""
+    """Return size, median and largest finite luminance."""
     import numpy as np
 
     values = luminance_cdm2[np.isfinite(luminance_cdm2)]
-    figures = float(np.median(values)), float(values.max())
-    return {"median_cdm2": round(figures[0], 3), "largest_cdm2": round(figures[1], 1)}
+    median, largest = round(float(np.median(values)), 3), round(float(values.max()), 1)
+    return {"size": _size(luminance_cdm2), "median_cdm2": median, "largest_cdm2": largest}
 
 
 def _exr(path: Path, part: str) -> Facts:
@@ -99,23 +99,17 @@ def _exr(path: Path, part: str) -> Facts:
     from fieldlum.session.panorama_sun import read_panorama_with_sun
 
     picture, view = read_exr(path, part)
-    is_panorama = view == "equirect"
-    if is_panorama:
+    facts: Facts = {"kind": "EXR picture", "view": view or "missing"}
+    if view == "equirect":
         picture = read_panorama_with_sun(path, part=part)
+        facts = {"kind": "panorama", "heading_deg": picture.heading_deg}
     if not np.isfinite(picture.luminance_cdm2).any():
         expected, remedy = "a picture with luminances", "merge or convert it again"
         raise InputError(path, "no finite luminance", expected, remedy)
     flagged = 0.0 if picture.flags is None else 100.0 * float((picture.flags > 0).mean())
-    return {
-        "kind": "panorama" if is_panorama else "EXR picture",
-        "size": _size(picture.luminance_cdm2),
-        **({"heading_deg": picture.heading_deg} if is_panorama else {"view": view or "missing"}),
-        "t_utc": utc_text(picture.t_utc) if picture.t_utc else "",
-        **_light(picture.luminance_cdm2),
-        "flagged_percent": round(flagged, 2),
-        "sun": str(picture.sun) if picture.sun else "none",
-        **picture.attributes,
-    }
+    time = utc_text(picture.t_utc) if picture.t_utc else ""
+    facts |= {"t_utc": time, **_light(picture.luminance_cdm2), "flagged_percent": round(flagged, 2)}
+    return {**facts, "sun": str(picture.sun) if picture.sun else "none", **picture.attributes}
 
 
 def _radiance(path: Path) -> Facts:
@@ -123,12 +117,8 @@ def _radiance(path: Path) -> Facts:
 
     image = read_radiance_hdr(path)
     is_panorama = image.header.heading_deg is not None
-    return {
-        "kind": "panorama" if is_panorama else "Radiance picture",
-        "size": _size(image.rgb),
-        "view": image.header.view or ("equirect" if is_panorama else "missing"),
-        **_light(image.luminance_cdm2),
-    }
+    kind, view = ("panorama", "equirect") if is_panorama else ("Radiance picture", "missing")
+    return {"kind": kind, "view": image.header.view or view, **_light(image.luminance_cdm2)}
 
 
 def _toml(path: Path) -> Facts:
@@ -170,13 +160,12 @@ def _instrument(path: Path, lines_form: bool) -> Facts:
 
     if lines_form:
         lines = load_ascii_profile(str(path))
-        facts = {"kind": "instrument profile (lines)", "name": lines.name, "form": lines.form}
-        return {**facts, "gives": ", ".join(e.quantity for e in lines.entry)}
-    registers = load_register_profile(str(path))
-    models = f"{registers.maker} {', '.join(registers.models)}"
-    facts = {"kind": "instrument profile (Modbus)", "name": registers.kind, "instruments": models}
-    gives = ", ".join(e.name for e in registers.entry)
-    return {**facts, "gives": gives, "source": registers.source}
+        kind, gives = "instrument profile (lines)", [e.quantity for e in lines.entry]
+        return {"kind": kind, "name": lines.name, "form": lines.form, "gives": ", ".join(gives)}
+    of = load_register_profile(str(path))
+    facts = {"kind": "instrument profile (Modbus)", "name": of.kind}
+    facts["instruments"] = f"{of.maker} {', '.join(of.models)}"
+    return {**facts, "gives": ", ".join(e.name for e in of.entry), "source": of.source}
 
 
 def _csv(path: Path) -> Facts:

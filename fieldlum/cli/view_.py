@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import click
 
@@ -13,11 +12,17 @@ from fieldlum.cli.options import command_of, new_file
 from fieldlum.cli.terminal import say
 
 
+def _region(text: str) -> Any:
+    from fieldlum.report.view import parse_region
+
+    return parse_region(text)
+
+
 @command_of("view")
 def command(
     files: tuple[Path, ...],
     out: Annotated[Path | None, FILE_PATH] = None,
-    region_texts: tuple[str, ...] = (),
+    regions: Annotated[tuple[Any, ...], _region] = (),
     csv_path: Annotated[Path | None, FILE_PATH] = None,
     part: str = "",
     force: bool = False,
@@ -39,12 +44,7 @@ def command(
       --csv FILE: Write the statistics of the regions.
     """
     from fieldlum.core.errors import InputError
-    from fieldlum.report.view import (
-        MeasuredPicture,
-        parse_region,
-        read_measured_picture,
-        region_statistics,
-    )
+    from fieldlum.report import view
     from fieldlum.session.codec import write_csv
 
     for path in (out, csv_path):
@@ -53,32 +53,24 @@ def command(
     out = out or files[0].with_name(f"{files[0].stem}-view.html")
     if out.suffix.lower() not in (".png", ".html"):
         raise click.BadParameter(f"{out}: expected a .png or .html file", param_hint="--out")
-    try:
-        regions = [parse_region(text) for text in region_texts]
-    except ValueError as error:
-        raise click.BadParameter(str(error), param_hint="--region") from None
-    pictures: list[MeasuredPicture] = []
+    pictures: list[view.MeasuredPicture] = []
     for path in files:
         try:
-            pictures.append(read_measured_picture(path, part))
+            pictures.append(view.read_measured_picture(path, part))
         except InputError as error:
             say(f"fieldlum view: {error}")
-    rows = [region_statistics(region, picture) for picture in pictures for region in regions]
-    if pictures:
-        from fieldlum.report.view import write_page, write_png
-
-        if out.suffix.lower() == ".png":
-            write_png(out, pictures, regions)
-        else:
-            write_page(out, pictures, rows)
+    rows = [view.region_statistics(region, picture) for picture in pictures for region in regions]
+    if pictures and out.suffix.lower() == ".png":
+        view.write_png(out, pictures, regions)
+    elif pictures:
+        view.write_page(out, pictures, rows)
     for picture in pictures:
         for note in picture.notes:
             say(f"fieldlum view: {picture.name}: {note}")
-    _print_rows(rows)
+    for line in (*map(_region_line, rows), *([str(out)] if pictures else ())):
+        click.echo(line)
     if csv_path is not None:
         write_csv(csv_path, rows)
-    if pictures:
-        click.echo(str(out))
     if len(pictures) < len(files):
         raise SystemExit(InputError.exit_code)
 
@@ -97,13 +89,10 @@ def _latest_panorama(path: Path) -> Path:
     return panoramas[-1]
 
 
-def _print_rows(rows: Sequence[dict[str, float | str | None]]) -> None:
-    for row in rows:
-        if row["mean_cdm2"] is None:
-            click.echo(f"{row['file']}  {row['region']}: no pixel in this region")
-            continue
-        click.echo(
-            f"{row['file']}  {row['region']}: mean {row['mean_cdm2']:.4g}, median "
-            f"{row['median_cdm2']:.4g}, {row['min_cdm2']:.4g} to {row['max_cdm2']:.4g}, sd "
-            f"{row['sd_cdm2']:.3g} cd/m², {row['solid_angle_sr']:.4g} sr"
-        )
+def _region_line(row: dict[str, float | str | None]) -> str:
+    name = f"{row['file']}  {row['region']}"
+    if row["mean_cdm2"] is None:
+        return f"{name}: no pixel in this region"
+    middle = f"mean {row['mean_cdm2']:.4g}, median {row['median_cdm2']:.4g}"
+    ends = f"{row['min_cdm2']:.4g} to {row['max_cdm2']:.4g}, sd {row['sd_cdm2']:.3g} cd/m²"
+    return f"{name}: {middle}, {ends}, {row['solid_angle_sr']:.4g} sr"
