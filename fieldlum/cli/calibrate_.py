@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import click
 
 from fieldlum.cli import terminal
-from fieldlum.cli.declared import EXISTING_PATH, PATH, declare, numbers
+from fieldlum.cli.declared import EXISTING_PATH, declare, numbers
 from fieldlum.cli.options import SHARED
 
 if TYPE_CHECKING:
@@ -21,14 +21,18 @@ if TYPE_CHECKING:
 
 LensNumber = Annotated[int, click.IntRange(min=1)]
 Paths = tuple[Path, ...]
-_EVERY = (
-    click.Option(
-        ["--camera"], required=True, help="The profile to start from: a file, or a shipped name."
-    ),
-    click.Option(["--out"], type=PATH, required=True, help="The profile to write."),
-    click.Option(["--picture"], type=PATH, help="Draw readings, fit and residuals (PNG, SVG)."),
-    SHARED["as_json"],
-)
+
+
+def _every(camera: str, out: Path, picture: Path | None = None, as_json: bool = False) -> None:
+    """Declare the options of every part.
+
+    Options:
+      --camera TEXT: The profile to start from: a file, or a shipped name.
+      --out PATH: The profile to write.
+      --picture PATH: Draw readings, fit and residuals (PNG, SVG).
+    """
+
+
 _READINGS = {
     "reading": ("reading", "<"),
     "meter": ("meter", ".4g"),
@@ -124,7 +128,10 @@ def _part(fit: Callable[..., FittedPart]) -> click.Command:
     own = list(signature.parameters.values())[1:]
     fit.__signature__ = signature.replace(parameters=own)  # type: ignore[attr-defined]
     made = declare(fit, fit.__name__, SHARED)
-    made.callback, made.params = partial(_run, fit), [*made.params, *_EVERY]
+    made.callback, made.params = (
+        partial(_run, fit),
+        [*made.params, *declare(_every, "", SHARED).params],
+    )
     command.add_command(made)
     return made
 

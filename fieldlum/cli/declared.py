@@ -8,9 +8,10 @@
           --every S: Seconds between rows.
         '''
 
-A line of `Options:` belongs to the parameter of the same name, which may end with a unit or an s
-(`--every` is `every_s`). A bool is a flag, a Literal a choice, `tuple[X, ...]` can be repeated. A
-parameter without a line is a shared option, by its name (`options.SHARED`), or an argument.
+A line of `Options:` belongs to the parameter of the same name, which may end with a unit or an s,
+or begin with as_ (`--every` is `every_s`). A bool is a flag, a Literal a choice, `tuple[X, ...]`
+can be repeated; a function in `Annotated` reads the text. A parameter without a line is a shared
+option, by its name (`options.SHARED`), or an argument.
 """
 
 from __future__ import annotations
@@ -83,7 +84,7 @@ class _Entry(NamedTuple):
     def is_of(self, parameter: str) -> bool:
         """Return whether the option is that of a parameter of the function."""
         name = self.names.split("/")[0].removeprefix("--").replace("-", "_")
-        return re.fullmatch(rf"{name}s?(_\w*)?", parameter) is not None
+        return re.fullmatch(rf"(as_)?{name}s?(_\w*)?", parameter) is not None
 
 
 def declare(

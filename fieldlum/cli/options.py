@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import click
 
-from fieldlum.cli.declared import FILE_PATH, PATH, declare
+from fieldlum.cli.declared import FILE_PATH, declare
 
 if TYPE_CHECKING:
     from fieldlum.core.scheduler import Scheduler
@@ -23,71 +23,49 @@ Year = Annotated[int | None, click.IntRange(1950, 2100)]
 
 DAY = click.DateTime(["%Y-%m-%d"])
 
-DEVICES = {
-    "camera": "For example sim:office?seed=1, gphoto: or theta:http://192.168.1.1.",
-    "pyranometer": "For example serial:/dev/ttyUSB0?kind=spn1.",
-    "meter": "Illuminance meter at the lens, like cl200a:/dev/ttyUSB1.",
-}
+DEVICES = ("camera", "pyranometer", "meter")
 
 
-def flag(parameter: str, name: str, text: str) -> click.Option:
-    """Return an option without a value."""
-    return click.Option([parameter, name], is_flag=True, help=text)
+def _shared(
+    session_folder: Annotated[Path, "SESSION"],
+    pairs: Annotated[Path, "SESSION|PAIRS.csv"],
+    as_json: bool = False,
+    force: bool = False,
+    camera: str | None = None,
+    pyranometer: str | None = None,
+    meter: str | None = None,
+    label_shift_min: Annotated[float, click.FloatRange(-720, 720)] = 0.0,
+    site: Path | None = None,
+    scene: str = "",
+    sky_view: Annotated[Path | None, FILE_PATH] = None,
+    scheduler_text: str = "local",
+    part: str = "",
+) -> None:
+    """Declare the options and arguments that several commands share, by name.
+
+    Options:
+      --json: Print the answer as one JSON object.
+      --force: Compute again if nothing changed, and replace existing files.
+      --camera URI: For example sim:office?seed=1, gphoto: or theta:http://192.168.1.1.
+          [default: as in the last capture]
+      --pyranometer URI: For example serial:/dev/ttyUSB0?kind=spn1. [default: as in the last
+          capture]
+      --meter URI: Illuminance meter at the lens, like cl200a:/dev/ttyUSB1. [default: as in the
+          last capture]
+      --label-shift MIN: Minutes to add to the times of the weather file, if they are known to be
+          wrong.
+      --site: SITE.toml. [default: the session's, or site.toml in the folder of the csv]
+      --scene DIR|none: Folder of a fitted scene, or the word none. [default: scene/ next to the
+          pairs, if it exists]
+      --sky-view FILE: sky_view.exr that decides when the sun's disc is seen. [default: that of
+          the session or the model, else estimated from the panoramas]
+      --scheduler local|N|tcp://HOST:PORT|FILE.json: Where the work runs: here, in N processes,
+          or on a Dask cluster (needs dask).
+      --part NAME: Read this part, layer or stereo view of an .exr that has several.
+    """
 
 
-SHARED: dict[str, click.Parameter] = {
-    "session_folder": click.Argument(["session_folder"], metavar="SESSION", type=PATH),
-    "pairs": click.Argument(["pairs"], metavar="SESSION|PAIRS.csv", type=PATH),
-    "as_json": flag("as_json", "--json", "Print the answer as one JSON object."),
-    "force": flag(
-        "force", "--force", "Compute again if nothing changed, and replace existing files."
-    ),
-    **{
-        name: click.Option(
-            [f"--{name}"], metavar="URI", help=f"{text} [default: as in the last capture]"
-        )
-        for name, text in DEVICES.items()
-    },
-    "label_shift_min": click.Option(
-        ["label_shift_min", "--label-shift"],
-        type=click.FloatRange(-720, 720),
-        default=0.0,
-        metavar="MIN",
-        help="Minutes to add to the times of the weather file, if they are known to be wrong.",
-    ),
-    "site": click.Option(
-        ["--site"],
-        type=PATH,
-        help="SITE.toml. [default: the session's, or site.toml in the folder of the csv]",
-    ),
-    "scene": click.Option(
-        ["--scene"],
-        metavar="DIR|none",
-        default="",
-        help="Folder of a fitted scene, or the word none. [default: scene/ next to the pairs, if "
-        "it exists]",
-    ),
-    "sky_view": click.Option(
-        ["--sky-view"],
-        type=FILE_PATH,
-        metavar="FILE",
-        help="sky_view.exr that decides when the sun's disc is seen. [default: that of the "
-        "session or the model, else estimated from the panoramas]",
-    ),
-    "scheduler_text": click.Option(
-        ["scheduler_text", "--scheduler"],
-        default="local",
-        show_default=True,
-        metavar="local|N|tcp://HOST:PORT|FILE.json",
-        help="Where the work runs: here, in N processes, or on a Dask cluster (needs dask).",
-    ),
-    "part": click.Option(
-        ["--part"],
-        default="",
-        metavar="NAME",
-        help="Read this part, layer or stereo view of an .exr that has several.",
-    ),
-}
+SHARED = {str(parameter.name): parameter for parameter in declare(_shared, "shared", {}).params}
 """Options and arguments of several commands, by the name of the function's parameter."""
 
 
