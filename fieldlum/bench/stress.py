@@ -1,7 +1,7 @@
 """Test conditions in which methods fail: error over a normal case, and whether the tool reports it.
 
 A condition changes the training data, the test data, or both, relative to its own normal case.
-"Reported" means one of three: the training warned (`train.notes.doubts`,
+"Reported" means one of three: the training warned (`learn.train.doubts`,
 `room.fit.setting.settle`); the model expected, on average, more than a third of the error; or it
 did not trust most of the hours, or most of those with a large error.
 

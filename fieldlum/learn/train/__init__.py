@@ -32,6 +32,7 @@ from fieldlum.learn.models.mirrors import Mirror, split_images
 from fieldlum.learn.models.scores import YearExpectation, expect, light_of_year, summary
 from fieldlum.learn.train.outliers import without_changes
 from fieldlum.learn.train.trials import (
+    MIN_FOLD_S,
     ModelSelection,
     OutOfTime,
     Spent,
@@ -39,7 +40,6 @@ from fieldlum.learn.train.trials import (
     Trial,
     choose_model,
     day_folds,
-    dense_folds,
     evaluate_folds,
     fit_timed,
     how_many,
@@ -49,16 +49,16 @@ from fieldlum.learn.train.trials import (
 from fieldlum.learn.transport import Transport
 from fieldlum.room.fit.setting import Setting, scan, settle, with_right_clock
 from fieldlum.session import check_writable, sha256
-from fieldlum.session.files.held_out_npz import HeldOutMaps
 from fieldlum.session.files.scores_json import ScoreRow, ScoresFile, TrainAnswer
 from fieldlum.session.provenance import data_digest, digest, made_from
 from fieldlum.version import __version__
 
 SCORES, MODEL_FILES = "scores.json", ("config.json", "weights.npz")
-# share of the time of slow models that their held-out days get; the stored model gets the rest; not
-# measured
-FOLD_SHARE = 0.5
-_NO_TIME = "not judged: the budget was used up; raise --budget"
+# log10 MSE, an error factor of 1.4, which a steady room with correct irradiance does not reach
+POOR_MSE = 0.02
+EXCEPTION_TIMES = 4.0  # a day this many times worse than the median day is reported
+# share of the captures; clean sets have under 2 %, with a lamp or a moved camera 20 to 60 %
+HARD_SHARE = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,14 +77,9 @@ class Result:
     choice: ModelSelection
     fit_s: float
     data: Dataset
-    notes: tuple[str, ...] = ()
-    year: YearExpectation | None = None
-    mirrors: tuple[Mirror, ...] = ()
-
-    @property
-    def held_out(self) -> HeldOutMaps | None:
-        """Held-out maps of the chosen model."""
-        return next((t.scores.maps for t in self.trials if t.name == self.choice.name), None)
+    notes: tuple[str, ...]
+    year: YearExpectation | None
+    mirrors: tuple[Mirror, ...]
 
     def table(self, seed: int) -> list[ScoreRow]:
         """Return a row for each trial, as in `train --json` (docs/design.md, Command line)."""
@@ -124,64 +119,75 @@ def fit_and_score(
     captures = len(data)
     data, mirrors = split_images(with_sky_view(data, progress=progress))
     data, setting, changed = usable_captures(data, patch, progress)
-    folds = day_folds(data)
-    if not folds:
+    if not day_folds(data):
         raise NotEnoughDataError(
             f"{data.source}: {counted(len(data), 'usable hour')}; at least 2 are needed to train "
             "and to test; capture more hours"
         )
+    more: dict[str, Any] = {"patch": patch, "seed": seed}
+    trials, left_out = _trials(data, model, budget, progress, **more)
+    choice = choose_model(trials) if model == "auto" else ModelSelection(model, "requested")
+    try:
+        fitted, spent = _stored_fit(choice.name, data, budget, checkpoint, progress, **more)
+    except (OutOfTime, NotEnoughDataError):  # the network refuses a time without one pass
+        late = f"{choice.name} was not fitted within the time of --budget"
+        if model != "auto":
+            raise NotEnoughDataError(f"{data.source}: {late}; raise --budget") from None
+        choice = choose_model([trial for trial in trials if trial.name in baselines()])
+        left_out.append(
+            f"WARNING: {late}, although it is better on held-out days: the model is {choice.name}, "
+            "the best that was; raise --budget and train again"
+        )
+        fitted, spent = _stored_fit(choice.name, data, budget, checkpoint, progress, **more)
+    fitted, doubted = findings(fitted, data, setting)
+    mirror = [f"WARNING: {m.captures} of {captures} captures {m.warning}" for m in mirrors]
+    notes = [*notes_of(data, patch, model, trials), *left_out, *seen_skies(fitted), *mirror]
+    notes += [*changed, *doubted]
+    try:
+        year = year_of(fitted, data, patch, seed, budget.watched(progress))
+    except OutOfTime:
+        year = None
+        notes.append("the error of a year was not computed: the budget was used up")
+    return Result(fitted, tuple(trials), choice, spent.wall_s, data, tuple(notes), year, mirrors)
+
+
+def _trials(
+    data: Dataset, model: str, budget: TimeBudget, progress: Progress, **more: Any
+) -> tuple[list[Trial], list[str]]:
+    """Test the models on held-out days; return the trials, and notes on those without time."""
     names = tuple(MODELS) if model == "auto" else tuple(dict.fromkeys((*baselines(), model)))
-    trials: list[Trial] = []
-    left_out: list[str] = []
+    trials, left_out = [], []
     for name in names:
         slow = MODELS[name].slow
-        limit = FOLD_SHARE * budget.slow_s if slow else budget.quick_s
-        some = dense_folds(folds, limit) if slow else tuple(folds)
+        # a slow model's held-out days get half of its time, the stored model the rest
+        limit = 0.5 * budget.slow_s if slow else budget.quick_s
+        folds = day_folds(data)
+        some = folds[: max(1, int(limit / MIN_FOLD_S))] if slow else folds
+        show = budget.of_model(name, progress)
+        more |= {"budget_s": limit, "keep_maps": True, "clock": budget.clock, "progress": show}
         try:
-            trials.append(
-                evaluate_folds(
-                    name,
-                    data,
-                    some,
-                    patch=patch,
-                    seed=seed,
-                    budget_s=limit,
-                    keep_maps=True,
-                    clock=budget.clock,
-                    left_s=None if name in baselines() else lambda: budget.left_s,
-                    progress=_watched(name, budget, progress),
-                )
-            )
+            trials.append(evaluate_folds(name, data, some, **more))
         except OutOfTime:
-            left_out.append(f"{name}: {_NO_TIME}")
+            left_out.append(f"{name}: not judged: the budget was used up; raise --budget")
         except NotEnoughDataError as error:
             if model == name:
                 raise
             left_out.append(f"{name} was not tried: {error}")
-    choice = choose_model(trials) if model == "auto" else ModelSelection(model, "requested")
-    more: dict[str, Any] = {"patch": patch, "seed": seed}
-    try:
-        fitted, spent = _stored_fit(choice.name, data, budget, checkpoint, progress, **more)
-    except (OutOfTime, NotEnoughDataError):  # the network refuses a time without one pass
-        name, before = choice.name, "within the time of --budget"
-        if model != "auto":
-            text = f"{data.source}: {name} was not fitted {before}; raise --budget"
-            raise NotEnoughDataError(text) from None
-        choice = choose_model([trial for trial in trials if trial.name in baselines()])
-        left_out.append(
-            f"WARNING: {name} is better on held-out days, but was not fitted {before}: the model "
-            f"is {choice.name}, the best that was; raise --budget and train again"
-        )
-        fitted, spent = _stored_fit(choice.name, data, budget, checkpoint, progress, **more)
-    fitted, doubted = findings(fitted, data, setting)
-    skies = seen_skies(fitted)
-    mirror = [f"WARNING: {m.captures} of {captures} captures {m.warning}" for m in mirrors]
-    notes = (*notes_of(data, patch, model, trials), *left_out, *skies, *mirror, *changed, *doubted)
-    try:
-        year = year_of(fitted, data, patch, seed, budget.watched(progress))
-    except OutOfTime:
-        year, notes = None, (*notes, "the error of a year was not computed: the budget was used up")
-    return Result(fitted, tuple(trials), choice, spent.wall_s, data, notes, year, mirrors)
+    return trials, left_out
+
+
+def _stored_fit(
+    name: str,
+    data: Dataset,
+    budget: TimeBudget,
+    checkpoint: Path | None,
+    progress: Progress,
+    **more: Any,
+) -> tuple[Fitted, Spent]:
+    if checkpoint is not None and MODELS[name].slow:
+        more["checkpoint"] = checkpoint
+    show = budget.of_model(name, progress)
+    return fit_timed(name, data, budget_s=budget.slow_s, progress=show, **more)
 
 
 def year_of(
@@ -199,32 +205,6 @@ def year_of(
     light = light_of_year(data, np.random.default_rng(seed))
     year = expect(fitted, data, light, progress)
     return year if math.isfinite(year.expected_log10_mse) else None
-
-
-def _watched(name: str, budget: TimeBudget, progress: Progress) -> Progress:
-    """Return the progress of a model's fit, which ends with the budget.
-
-    A baseline takes a second and is always fitted; a slow model divides its own time.
-    """
-    ends_itself = MODELS[name].slow or name in baselines()
-    return progress if ends_itself else budget.watched(progress)
-
-
-def _stored_fit(
-    name: str,
-    data: Dataset,
-    budget: TimeBudget,
-    checkpoint: Path | None,
-    progress: Progress,
-    **more: Any,
-) -> tuple[Fitted, Spent]:
-    if checkpoint is not None and MODELS[name].slow:
-        more["checkpoint"] = checkpoint
-    watched = _watched(name, budget, progress)
-    return fit_timed(name, data, budget_s=budget.slow_s, progress=watched, **more)
-
-
-_NO_CURVE = "no learning curve, because the time budget was used up; raise --budget"
 
 
 def usable_captures(
@@ -248,7 +228,7 @@ def findings(fitted: Fitted, data: Dataset, setting: Setting | None) -> tuple[Fi
     near patches; otherwise it is `fitted`. setting: result of `scan`.
     """
     fitted, warned = settle(fitted, data, setting)
-    return fitted, [*doubts(fitted, data), *hard_captures(fitted, data), *warned]
+    return fitted, [*doubts(fitted, data), *warned]
 
 
 def default_folder(pairs: Path, model: str) -> Path:
@@ -308,8 +288,9 @@ def run(
         curve = how_many(
             result.data, mode, seed=seed, budget=budget, fit_s=fit_s, progress=progress
         )
+        if curve is None:
+            notes.append("no learning curve: the time budget was used up; raise --budget")
         enough = curve or {}
-        notes += [_NO_CURVE] if curve is None else []
     answer = {
         "models": result.table(seed),
         "chosen": result.choice.name,
@@ -338,8 +319,9 @@ def run(
             warnings=[note for note in result.notes if note.startswith("WARNING")],
         )
         (out / "held_out.npz").unlink(missing_ok=True)
-        if result.held_out is not None:
-            result.held_out.write(out)
+        chosen = (trial for trial in result.trials if trial.name == result.choice.name)
+        if (trial := next(chosen, None)) and trial.scores.maps is not None:
+            trial.scores.maps.write(out)
         answer["model_sha256"] = _model_sha256(out)
         ScoresFile.from_table({**answer}, out / SCORES).write(out)
         checkpoint.unlink(missing_ok=True)
@@ -363,17 +345,6 @@ def _model_sha256(folder: Path) -> str:
 
 # ----------------------------------------------------------------------------------------------
 # notes and warnings for the reader of the scores
-
-
-# log10 MSE, an error factor of 1.4, which a steady room with correct irradiance does not reach;
-# chosen
-POOR_MSE = 0.02
-EXCEPTION_TIMES = 4.0  # a day this many times worse than the median day is reported; not measured
-
-
-# share of the captures; clean sets have under 2 %, with a lamp or a moved camera 20 to 60 %; chosen
-# between the two
-HARD_SHARE = 0.1
 
 
 def seen_skies(fitted: Fitted) -> list[str]:
@@ -439,57 +410,43 @@ def doubted_hours(data: Dataset) -> list[str]:
     ]
 
 
-def hard_captures(fitted: Fitted, data: Dataset) -> list[str]:
-    """Return a list with one warning if other days predict over 10 % of the captures wrongly.
-
-    Otherwise, and for a model without held-out errors, the list is empty. Wrongly means by more
-    than the factor up to which hours are trusted (`TRUSTED_FACTOR`).
-    """
-    if fitted.held_out_mse is None or len(fitted.held_out_mse) != len(data):
-        return []
-    wrong = np.nan_to_num(fitted.held_out_mse, nan=np.inf) > TRUSTED_MSE
-    share = float(np.average(wrong, weights=choice_weights(data)))
-    if share <= HARD_SHARE:
-        return []
-    return [
-        f"WARNING: for {share:.0%} of the captures, a prediction from the other days is wrong by a "
-        f"factor of over {TRUSTED_FACTOR:g}: the room, the camera or the light changed in a way "
-        f"that the model does not know; hours with similar light are not trusted"
-    ]
-
-
 def doubts(fitted: Fitted, data: Dataset) -> list[str]:
     """Return warnings about large errors of the model on captures with their day held out.
 
     One warning names days that are much worse than the median day; one is about large errors on
-    all days. The list is empty if there are none, and for a model without held-out errors.
+    all days; one about over 10 % of the captures predicted wrongly by more than the factor up to
+    which hours are trusted. The list is empty if there are none, and for a model without held-out
+    errors.
     """
     if fitted.held_out_mse is None or len(fitted.held_out_mse) != len(data):
         return []
     weight = choice_weights(data)
-    errors = np.nan_to_num(fitted.held_out_mse, nan=np.inf)[weight > 0.0]
-    weight, day = weight[weight > 0.0], data.days[weight > 0.0]
+    some = weight > 0.0
+    errors, weight = np.nan_to_num(fitted.held_out_mse, nan=np.inf)[some], weight[some]
+    day, texts = data.days[some], []
     days = np.unique(day)
     means = np.array([trimmed_mean(errors[day == d], weight[day == d]) for d in days])
-    mean = trimmed_mean(errors, weight)
-    texts = []
     exceptions = days[(means > POOR_MSE) & (means > EXCEPTION_TIMES * np.median(means))]
     if len(exceptions):
-        shown = ", ".join(str(day) for day in exceptions[:5]) + (
-            " ..." if len(exceptions) > 5 else ""
-        )
+        shown = ", ".join(map(str, exceptions[:5])) + (" ..." if len(exceptions) > 5 else "")
         texts.append(
             f"WARNING: the held-out error of {shown} is over {EXCEPTION_TIMES:g} times that of the "
             "median day: a blind was probably moved, a lamp was on, or the irradiance is wrong; "
             "these captures are used in the training: mark what was different (fieldlum status "
             "SESSION --mark SLOT blind=half), or set ok = 0 in pairs.csv, and train again"
         )
+    mean = trimmed_mean(errors, weight)
     if np.median(errors) > POOR_MSE / 4 or mean > POOR_MSE:
-        factor = 10.0 ** np.sqrt(mean)
         texts.append(
-            f"WARNING: predictions of held-out days are wrong by a factor of {factor:.2f} (rms); "
-            "likely causes are "
-            f"broken cloud, wrong irradiance, or a room that changed (a wrong north or clock has "
-            f"its own warning); {POOR_WORDS}"
+            f"WARNING: predictions of held-out days are wrong by a factor of {10.0**mean**0.5:.2f} "
+            "(rms); likely causes are broken cloud, wrong irradiance, or a room that changed (a "
+            f"wrong north or clock has its own warning); {POOR_WORDS}"
+        )
+    share = float(np.average(errors > TRUSTED_MSE, weights=weight))
+    if share > HARD_SHARE:
+        texts.append(
+            f"WARNING: for {share:.0%} of the captures, a prediction from the other days is wrong "
+            f"by a factor of over {TRUSTED_FACTOR:g}: the room, the camera or the light changed in "
+            "a way that the model does not know; hours with similar light are not trusted"
         )
     return texts

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -27,18 +28,14 @@ from fieldlum.learn.models.scores import Scores, evaluate, join, truth
 from fieldlum.session.files.scores_json import CaptureCurve, CurvePoint
 from fieldlum.sky.light import Kernel, facades_of, greedy_hours, light_features
 
-MIN_FOLDS = 2  # one fold has few days for a standard error; chosen
-_STORED_FIT = 1.5  # time of the fit to all captures over that of a fold; chosen with a margin
-MIN_FOLD_S = 60.0  # a shorter training of a dense fold is no measure of the network; not measured
-_MIN_DAYS = 2  # on which a model that was tested on fewer hours must be better; chosen
+MIN_FOLDS = 2  # one fold has few days for a standard error
+MIN_FOLD_S = 120.0  # for a fold of the dense network: shorter ones are no measure of it
 MAX_FOLDS = 5  # Hastie et al., The Elements of Statistical Learning, 7.10: 5 or 10
 # Shares of the budget. The quick models' held-out days come first. A slow model (the dense network)
 # gets half of the rest for its held-out days and half for the stored model. The reserve is for the
 # scan of north and clock and for the learning curve: together about a fifth of the time of a
-# training with the default budget (108 captures at 230 x 115). Chosen.
-QUICK_SHARE = 0.4
-KEPT_BACK_SHARE = 0.2
-_MIN_S = 1e-3  # a slow model without time still takes one step, and is then not judged; chosen
+# training with the default budget (108 captures at 230 x 115).
+QUICK_SHARE, KEPT_BACK_SHARE = 0.4, 0.2
 
 
 class OutOfTime(Exception):
@@ -79,9 +76,9 @@ class TimeBudget:
     def slow_s(self) -> float:
         """Seconds that remain for a slow model: `left_s` less a reserve of 20 % of the total.
 
-        It is never below 0.001 s.
+        It is never below 0.001 s: a slow model then takes one step, and is not judged.
         """
-        return max(self.left_s - KEPT_BACK_SHARE * self.total_s, _MIN_S)
+        return max(self.left_s - KEPT_BACK_SHARE * self.total_s, 1e-3)
 
     def watched(self, progress: Progress) -> Progress:
         """Return `progress` such that it raises OutOfTime once the budget is used up.
@@ -95,6 +92,14 @@ class TimeBudget:
             progress(finished, total, text)
 
         return report
+
+    def of_model(self, name: str, progress: Progress) -> Progress:
+        """Return the progress of a model's fit, which ends with the budget.
+
+        A baseline takes a second and is always fitted; a slow model divides its own time.
+        """
+        kind = MODELS[name]
+        return progress if kind.slow or kind.baseline else self.watched(progress)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -186,53 +191,39 @@ def evaluate_folds(
     data: Dataset,
     folds: Sequence[Fold],
     *,
-    patch: Patch,
-    seed: int,
     budget_s: float | None = None,
     glare: bool = True,
     keep_maps: bool = False,
-    clock: Callable[[], float] = time.monotonic,
-    left_s: Callable[[], float] | None = None,
     progress: Progress = quiet,
-    **more: Any,
+    **how: Any,
 ) -> Trial:
     """Fit to each fold's training rows and compare with its held-out rows.
 
     The scores of all folds are joined. budget_s: for all folds together [s], None for no limit. A
-    slow model divides it among the folds. A quick model skips the remaining folds if the next one
-    would exceed it, but runs two, or one if `left_s()` [s] is too short for another one and for the
-    fit of the stored model. glare, keep_maps: as in `truth` and `evaluate`.
+    slow model divides it among the folds. A quick model runs two folds, and skips the others if the
+    next one would exceed it. glare, keep_maps: as in `truth` and `evaluate`; how: patch, seed and
+    further arguments of `fit_timed`.
     """
     parts: list[Scores] = []
-    wall_s, cpu_s, taught = 0.0, 0.0, 0
-    share = budget_s / len(folds) if budget_s else None
+    times: list[Spent] = []
+    limit = math.inf if budget_s is None or MODELS[name].slow else budget_s
+    share = None if budget_s is None else budget_s / len(folds)
+    clock = how.get("clock", time.monotonic)
     started = clock()
     for fold in folds:
-        if budget_s is not None and not MODELS[name].slow and parts:
-            used = clock() - started
-            each_s = used / len(parts)
-            if len(parts) >= MIN_FOLDS and used + each_s > budget_s:  # with the next fold
-                break
-            if left_s is not None and left_s() < (1.0 + _STORED_FIT) * each_s:
-                break
-        fitted, spent = fit_timed(
-            name,
-            data.take(fold.teach),
-            patch=patch,
-            seed=seed,
-            budget_s=share,
-            clock=clock,
-            progress=progress,
-            **more,
-        )
+        if len(parts) >= MIN_FOLDS and (clock() - started) * (1 + 1 / len(parts)) > limit:
+            break
+        taught = data.take(fold.teach)
+        fitted, spent = fit_timed(name, taught, budget_s=share, progress=progress, **how)
         test = truth(data.take(fold.check), glare=glare)
         scores = evaluate(fitted, test, keep_maps=keep_maps, progress=progress)
         if scores.maps is not None:
             scores.maps = replace(scores.maps, season_deg=_season_deg(scores, data, fold))
         parts.append(scores)
-        wall_s, cpu_s, taught = wall_s + spent.wall_s, cpu_s + spent.cpu_s, taught + len(fold.teach)
-    n = len(parts)
-    return Trial(name, join(parts), wall_s / n, cpu_s / n, round(taught / n), n)
+        times.append(spent)
+    count = round(np.mean([len(fold.teach) for fold in folds[: len(parts)]]))
+    wall_s, cpu_s = np.mean(times, axis=0).tolist()
+    return Trial(name, join(parts), wall_s, cpu_s, count, len(parts))
 
 
 def _season_deg(scores: Scores, data: Dataset, fold: Fold) -> Floats:
@@ -242,11 +233,6 @@ def _season_deg(scores: Scores, data: Dataset, fold: Fold) -> Floats:
     suns = data.light.sun_direction
     cosine = suns[[row[slot] for slot in scores.maps.slots.tolist()]] @ suns[fold.teach].T
     return np.degrees(np.arccos(np.clip(cosine.max(axis=1), -1.0, 1.0)))
-
-
-def dense_folds(folds: Sequence[Fold], budget_s: float) -> tuple[Fold, ...]:
-    """Return the first folds, as many as fit into `budget_s` at two minutes each: one to five."""
-    return tuple(folds[: max(1, min(MAX_FOLDS, int(budget_s / MIN_FOLD_S / 2)))])
 
 
 # ----------------------------------------------------------------------------------------------
@@ -286,7 +272,7 @@ def choose_model(trials: list[Trial]) -> ModelSelection:
     for trial in (t for t in trials if len(t.scores) < widest):
         shared = set(trial.scores.slots) & set(winner.scores.slots)
         pair = [errors_of(t, shared) for t in (winner, trial)]
-        if len(np.unique(pair[0].day)) < _MIN_DAYS:
+        if len(np.unique(pair[0].day)) < 2:  # one day is no proof
             continue
         choice = choose(pair)
         if choice.best == 1 and choice.by:
