@@ -282,6 +282,7 @@ def _rising_through_0(value: Floats, times: Sequence[datetime]) -> datetime | No
 # Below this altitude a horizontal error of 10 W/m2 is over 100 W/m2 of DNI: mark such values.
 # Chosen.
 LOW_SUN_DEG = 5.0
+ZERO_OFFSET_WM2 = 2.0  # of a horizontal reading (ISO 9060, zero offset B of class A)
 # Above this altitude shares and ratios of horizontal readings can be tested. Chosen, not measured.
 CLEAR_SUN_DEG = 10.0
 # Global over extraterrestrial light, at least; the darkest storm transmits ten times as much, a

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Array, Floats, Indices, Mask
 from fieldlum.core.statistics import standard_error
+from fieldlum.sky.sun import ZERO_OFFSET_WM2
 
 if TYPE_CHECKING:
     from fieldlum.learn.models.data import Dataset
@@ -146,7 +147,6 @@ LOWEST_SUN_DEG = 1.0
 UNMEASURED_SUN_DEG = 3.0
 UNMEASURED_VARIANCE = 1.0  # relative variance: such a sun may give as much light as the sky; chosen
 UNSURE = 1e-2  # relative variance of an hour or a pixel that has half weight; not measured
-READING_WM2 = 2.0  # error of a horizontal reading: a pyranometer's zero offset (ISO 9060, class A)
 # As `pair` marks it: under 5 degrees 2 W/m2 in the horizontal are 23 W/m2 and more in the normal.
 LOW_SUN_DEG = 5.0
 BEAM_WM2 = 20.0  # DNI of an overcast hour, within the errors of two horizontal readings; chosen
@@ -206,7 +206,7 @@ def is_badly_measured(data: Dataset) -> Mask:
     light = data.light
     upwards = np.sin(np.radians(np.maximum(light.sun_altitude_deg, 0.0)))
     total_wm2 = light.dhi_wm2 + light.dni_wm2 * upwards
-    return beam_is_doubted(data) | (UNSURE * total_wm2**2 < READING_WM2**2)
+    return beam_is_doubted(data) | (UNSURE * total_wm2**2 < ZERO_OFFSET_WM2**2)
 
 
 def choice_weights(data: Dataset) -> Floats:
