@@ -15,7 +15,6 @@ from fieldlum.learn.models import ModelState, Patch, Prediction
 from fieldlum.learn.models.data import Dataset
 from fieldlum.sky.light import Light
 
-MIN_CDM2 = 1e-3  # for logarithms; well below what any camera resolves
 # with less direct light the sun lights a room less than the sky does
 SUNNY_WM2 = 60.0
 # About 50 minutes of the sun's path, or three weeks of its declination near an equinox.
@@ -120,7 +119,8 @@ def fit_mean(data: Dataset, **_: object) -> MeanFitted:
     log10 = np.zeros(data.shape)
     # one by one, because the logarithm of all maps would double the memory
     for luminance in data.luminance_cdm2:
-        log10 += np.log10(np.maximum(luminance, MIN_CDM2)) / len(data)
+        # for logarithms; well below what any camera resolves
+        log10 += np.log10(np.maximum(luminance, 1e-3)) / len(data)
     return MeanFitted(log10.astype(np.float32), captured(data.light))
 
 

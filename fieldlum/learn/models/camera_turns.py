@@ -39,23 +39,12 @@ from fieldlum.optics.projection import (
 from fieldlum.optics.turn_fit import Contrasts, fit_turn
 from fieldlum.session.codec import read_rows, write_csv
 
-_MIN_SEEN = 0.8  # a pixel is compared if this share of captures has a value; not measured
-_MIN_WEIGHT = 0.5  # pixels with less weight by interpolation teach nothing; chosen
-_MIN_CDM2 = 1e-3  # for logarithms; well below what any camera resolves; chosen
 MIN_CAPTURES = 5  # fewer captures have no clear majority; not measured
 MIN_ROWS = 40  # in smaller pictures an edge is as wide as a wall; not measured
-_WORKING_ROWS = 230  # larger pictures are averaged to 230 to 459 rows; chosen
-_FLOOR_CDM2 = 0.1  # in darker places edges are noise; chosen
 # Smoothing [px], coarse to fine. The first value corrects turns of five pixels; the last is as wide
 # as an edge in a rendering. Measured; no command repeats it.
 _SMOOTH_PX = (3.0, 1.0, 0.7)
 _TILES = (6, 12)  # independent parts of the picture, for the standard errors; not measured
-# above it columns are very narrow; below -70 the tripod is in the picture; chosen
-_HIGHEST_DEG = 70.0
-_EDGES = 0.6  # share of the pixels that is compared, those with the strongest edges; not measured
-_MAX_PIXELS = 6000  # most pixels that are compared, to limit the time; not measured
-# Most captures, evenly spaced, whose median shows the room's edges, to limit the memory. Chosen.
-_MAX_SHOWN = 200
 # Light from another direction moves edges a little. In clean captures of the office and of eight
 # simulated rooms at 116 x 58 pixels, medians over a day differ from zero by at most 0.03 px in
 # heading, 0.13 px in tilt and 0.07 px in roll; 95 % of the single captures by at most 0.06, 0.25
@@ -77,8 +66,6 @@ MOVE_COST = 4.8
 # 30 px have at most 0.26, in the office of Liu et al. 2 % of them 0.36. Measured; no command
 # repeats it.
 MIN_CORRELATION = 0.35
-UNKNOWN_TURN_DEG = 180.0  # uncertainty of a turn that the edges do not determine
-MAX_TURN_PX = 10.0  # a larger turn is too far for the search to converge; not measured
 # Direct light on one side of a window's reveal moves edges, so that a still camera seems to turn in
 # the same way on each clear day. Light is alike within these; chosen: an hour of the sun, and the
 # scatter of clear days.
@@ -203,9 +190,12 @@ class _RoomEdges:
     def __init__(self, edges: Array, seen_mask: Mask, heading_deg: float) -> None:
         height, width = seen_mask.shape
         strength = np.hypot(edges[0], edges[1])
-        inside = seen_mask & (np.abs(row_altitudes_deg(height))[:, None] < _HIGHEST_DEG)
-        pixels = np.flatnonzero(inside & (strength >= np.quantile(strength[inside], 1.0 - _EDGES)))
-        self.pixels = pixels[:: -(-len(pixels) // _MAX_PIXELS)]  # [m]
+        # above it columns are very narrow; below -70 the tripod is in the picture
+        inside = seen_mask & (np.abs(row_altitudes_deg(height))[:, None] < 70.0)
+        # share of the pixels that is compared, those with the strongest edges
+        pixels = np.flatnonzero(inside & (strength >= np.quantile(strength[inside], 1.0 - 0.6)))
+        # most pixels that are compared, to limit the time
+        self.pixels = pixels[:: -(-len(pixels) // 6000)]  # [m]
         self.values = self.at_pixels(edges)  # [2 m]
         row, column = np.divmod(self.pixels, width)
         tile = row * _TILES[0] // height * _TILES[1] + column * _TILES[1] // width
@@ -234,7 +224,8 @@ class _RoomEdges:
         values = self.at_pixels(edges)
         contrasts = Contrasts(self.values, self.tiles)  # of the edges in each tile
         fit = fit_turn(self.changes, values, self.tiles, weights=self.weights, contrasts=contrasts)
-        turn, covariance = fit or (np.zeros(3), np.full((3, 3), UNKNOWN_TURN_DEG**2))
+        # uncertainty of a turn that the edges do not determine
+        turn, covariance = fit or (np.zeros(3), np.full((3, 3), 180.0**2))
         both, own, room = (
             np.bincount(self.tiles, product)
             for product in (values * self.values, values**2, self.values**2)
@@ -261,13 +252,15 @@ def _motion_px(shape: tuple[int, int], heading_deg: float) -> Array:
 
 def _smaller(luminance_cdm2: Floats, seen_mask: Mask) -> tuple[Floats32, Mask]:
     """Return ln L of maps [n, h, w] and seen pixels [h, w] at the working size."""
-    step = max(1, luminance_cdm2.shape[1] // _WORKING_ROWS)
+    # larger pictures are averaged to 230 to 459 rows
+    step = max(1, luminance_cdm2.shape[1] // 230)
     if luminance_cdm2.shape[1] % step or luminance_cdm2.shape[2] % step:
         step = 1
     height, width = (size // step for size in seen_mask.shape)
     logs = np.empty((len(luminance_cdm2), height, width), np.float32)
     for k, image in enumerate(luminance_cdm2):
-        log = np.log(np.maximum(image, _FLOOR_CDM2))
+        # in darker places edges are noise
+        log = np.log(np.maximum(image, 0.1))
         logs[k] = log.reshape(height, step, width, step).mean(axis=(1, 3))
     return logs, np.asarray(seen_mask.reshape(height, step, width, step).all(axis=(1, 3)))
 
@@ -294,7 +287,8 @@ def camera_turns(
     if count < MIN_CAPTURES or height < MIN_ROWS or not seen_mask.any():
         return CameraTurns(angles, u_deg, np.ones(count, bool))
     logs, seen_mask = _smaller(luminance_cdm2, seen_mask)
-    shown = np.unique(np.linspace(0, count - 1, min(count, _MAX_SHOWN)).round().astype(int))
+    # Most captures, evenly spaced, whose median shows the room's edges, to limit the memory
+    shown = np.unique(np.linspace(0, count - 1, min(count, 200)).round().astype(int))
     for k, smooth_px in enumerate(_SMOOTH_PX):
         progress(k, len(_SMOOTH_PX), "comparing the camera's poses")
         stored = {int(i): _edges_of(logs[i], heading_deg, angles[i], smooth_px) for i in shown}
@@ -309,7 +303,8 @@ def camera_turns(
         angles -= np.median(angles, axis=0)
     pixel_deg = 180.0 / seen_mask.shape[0]
     u_deg = np.hypot(u_deg, _LIGHT_PX * pixel_deg)
-    near = np.abs(angles).max(axis=1) < MAX_TURN_PX * pixel_deg
+    # a larger turn is too far for the search to converge
+    near = np.abs(angles).max(axis=1) < 10.0 * pixel_deg
     aligned = (correlation >= MIN_CORRELATION) & near
     if light is not None:
         angles = angles - pixel_deg * turns_by_light(angles / pixel_deg, light)
@@ -463,7 +458,8 @@ def find_turns(
             np.array([(r.u_heading_deg, r.u_tilt_deg, r.u_roll_deg) for r in rows]),
             np.array([r.aligned for r in rows]),
         )
-    compared = has_value.mean(axis=0) > _MIN_SEEN
+    # a pixel is compared if this share of captures has a value
+    compared = has_value.mean(axis=0) > 0.8
     turns = camera_turns(np.nan_to_num(maps), compared, heading_deg, light=light, progress=progress)
     if len(maps) >= MIN_CAPTURES and maps.shape[1] >= MIN_ROWS:
         table = [
@@ -501,10 +497,12 @@ def align(
     """
     for k in np.flatnonzero(turns.turned):
         angles = turns.angles_deg[k]
-        logs = np.log(np.maximum(np.nan_to_num(maps[k]), _MIN_CDM2))
+        # for logarithms; well below what any camera resolves
+        logs = np.log(np.maximum(np.nan_to_num(maps[k]), 1e-3))
         maps[k] = np.exp(turned_back(logs, heading_deg, angles))
         weight = weight_of_variance(interpolation_u(logs, heading_deg, angles) ** 2)
-        weight = np.where(weight < _MIN_WEIGHT, 0.0, weight)
+        # pixels with less weight by interpolation teach nothing
+        weight = np.where(weight < 0.5, 0.0, weight)
         share = turned_back(has_value[k].astype(float), heading_deg, angles)
         has_value[k] = share > 1.0 - 1e-6
         if (count := counts[k]) is not None:

@@ -30,7 +30,6 @@ from fieldlum.sky.perez import reinhart_patches
 LOG_TOP = 9.2  # log10 of 1.6e9 cd/m2, the sun's disc (paper)
 POWER = 1.0 / 1.5  # of the paper's preprocessing
 DNI_TOP_WM2, DHI_TOP_WM2 = 1100.0, 700.0  # normalisation of the paper's inputs
-PREDICT_PIXELS = 16384  # pixels of a chunk that fits into the processor's cache; not measured
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,9 +236,10 @@ class DenseFitted:
             if patch_cdm2 is not None and self.patch != "none":
                 encoded = torch.from_numpy(encode(patch_cdm2[k].reshape(-1, 1)))
                 direct = encoded.to(self._device)
+            # pixels of a chunk that fits into the processor's cache
             parts = [
                 self.net(inputs.scene(torch.full_like(pixel, k), pixel), direct[pixel])
-                for pixel in pixels.split(PREDICT_PIXELS)
+                for pixel in pixels.split(16384)
             ]
             yield torch.cat(parts).float().cpu().numpy()
 

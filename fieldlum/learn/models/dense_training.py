@@ -47,7 +47,6 @@ __all__ = ["fit", "from_state"]  # what `model_registry` promises of a model's m
 RATE, RER_SHARE = 1e-3, 10.0  # highest learning rate, weight of the relative error (paper)
 PASSES = 90  # largest number of uses of a training pixel, on average (paper)
 EPOCHS = 25  # number of validations and checkpoints
-VALIDATION_PIXELS = 60_000
 # Updates to reach before batches become larger than the smallest; pixels of a batch
 STEPS, MIN_BATCH, MAX_BATCH = 3000, 512, {"cpu": 8192, "cuda": 131_072}
 
@@ -321,7 +320,7 @@ def fit(
         plan, best = _restore(checkpoint, trainer, run, shape, mark)
         start_s, start_cpu_s = start_s - run.elapsed_s, start_cpu_s - run.cpu_s
     chance = torch.Generator().manual_seed(seed)
-    numbers = torch.randperm(len(exam), generator=chance)[:VALIDATION_PIXELS].to(device)
+    numbers = torch.randperm(len(exam), generator=chance)[:60_000].to(device)
     last = math.inf if stop_after_epochs is None else run.epoch + stop_after_epochs
     while run.share(plan, budget_s) < 1.0 and run.epoch < last:
         # the random order depends only on the epoch: a resumed training has the same batches

@@ -140,16 +140,9 @@ def choose(candidates: Sequence[HeldOutErrors]) -> HeldOutChoice:
 # weights of hours, by how well their irradiance was measured
 
 
-# lowest sun for which horizontal readings give the sun's normal irradiance; chosen
-LOWEST_SUN_DEG = 1.0
-# At a lower sun, closure divides by less than 0.05, so that 2 W/m2 in the horizontal become 40 W/m2
-# in the normal; sun.dni_by_closure gives 0 under 2 degrees. Chosen.
-UNMEASURED_SUN_DEG = 3.0
-UNMEASURED_VARIANCE = 1.0  # relative variance: such a sun may give as much light as the sky; chosen
 UNSURE = 1e-2  # relative variance of an hour or a pixel that has half weight; not measured
 # As `pair` marks it: under 5 degrees 2 W/m2 in the horizontal are 23 W/m2 and more in the normal.
 LOW_SUN_DEG = 5.0
-BEAM_WM2 = 20.0  # DNI of an overcast hour, within the errors of two horizontal readings; chosen
 # Below this share of the hours, those that were not measured well are needed: at 62 degrees north
 # all winter hours have a sun below 5 degrees. Chosen.
 MIN_MEASURED_SHARE = 2.0 / 3.0
@@ -162,7 +155,9 @@ def sun_is_unmeasured(light: Light, direct: Array) -> Mask:
     That is so if the sun is under 3 degrees and `direct` is zero or less. direct [n]: irradiance,
     illuminance or share of light of the sun.
     """
-    return (light.sun_altitude_deg < UNMEASURED_SUN_DEG) & (direct <= 0.0)
+    # At a lower sun, closure divides by less than 0.05, so that 2 W/m2 in the horizontal become 40
+    # W/m2 in the normal; sun.dni_by_closure gives 0 under 2 degrees
+    return (light.sun_altitude_deg < 3.0) & (direct <= 0.0)
 
 
 def light_variance(data: Dataset) -> Array:
@@ -175,10 +170,12 @@ def light_variance(data: Dataset) -> Array:
     is added.
     """
     light = data.light
-    altitude = np.radians(np.maximum(light.sun_altitude_deg, LOWEST_SUN_DEG))
+    # lowest sun for which horizontal readings give the sun's normal irradiance
+    altitude = np.radians(np.maximum(light.sun_altitude_deg, 1.0))
     variance = (data.steadiness / (np.sqrt(12.0) * np.sin(altitude))) ** 2
     unknown = sun_is_unmeasured(light, light.dni_wm2)
-    return variance + np.where(unknown, UNMEASURED_VARIANCE, 0.0)
+    # relative variance: such a sun may give as much light as the sky
+    return variance + np.where(unknown, 1.0, 0.0)
 
 
 def weight_of_variance(variance: Floats) -> Floats:
@@ -193,7 +190,8 @@ def beam_is_doubted(data: Dataset) -> Mask:
     whose irradiance `pair` marked (`Dataset.doubted`).
     """
     light = data.light
-    low = (light.sun_altitude_deg < LOW_SUN_DEG) & (light.dni_wm2 > BEAM_WM2)
+    # DNI of an overcast hour, within the errors of two horizontal readings
+    low = (light.sun_altitude_deg < LOW_SUN_DEG) & (light.dni_wm2 > 20.0)
     doubted = low | sun_is_unmeasured(light, light.dni_wm2)
     return doubted if data.doubted is None else doubted | data.doubted
 

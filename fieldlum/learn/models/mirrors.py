@@ -41,9 +41,6 @@ from fieldlum.sky.sun_images import (
 )
 
 TO_SHOW = 0.5  # an image with a larger chance is predicted
-MAX_DOUBT = 0.05  # an hour is not trusted if the chance of a wrong decision is larger; chosen
-# Standard deviation of an image's place over `tolerance_rad`, which no place exceeds; chosen
-_PLACE_SIGMA = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +65,8 @@ class MirroredSun:
     @property
     def doubtful(self) -> Mask:
         """Mask [n], True where the chance that `shown` is wrong exceeds 5 %."""
-        return np.where(self.shown, 1.0 - self.chance, self.chance) > MAX_DOUBT
+        # an hour is not trusted if the chance of a wrong decision is larger
+        return np.where(self.shown, 1.0 - self.chance, self.chance) > 0.05
 
     @property
     def place_deg(self) -> tuple[Floats, Floats]:
@@ -110,7 +108,8 @@ class Mirror:
         """
         suns = light.shown_sun_direction
         towards, cosine = mirrored(suns, self.normal), suns @ self.normal
-        reach = _PLACE_SIGMA * tolerance_rad(len(self.chance))
+        # Standard deviation of an image's place over `tolerance_rad`, which no place exceeds
+        reach = 0.5 * tolerance_rad(len(self.chance))
         chances = np.stack(
             [
                 self.chance.reshape(-1)[pixels(way, self.chance.shape, heading_deg)]
@@ -221,19 +220,10 @@ def read_mirrors(folder: Path, config: ModelConfig) -> tuple[Mirror, ...]:
 # from captures
 
 
-# Kernel of the labels; chosen. In three views of a mirroring facade, other widths (6 to 18 degrees,
-# 0.05 to 0.2) change the error of DGP by -25 to +30 %, some by a factor of two
-# (docs/decisions.md).
-_NEAR_DEG = 9.0
-_ALIKE_LOG10 = 0.1  # rms difference of log10 luminance over the captures
-_FAR_WEIGHT = 0.01  # of a label at any distance whose pixel is alike; chosen
 _PRIOR_WEIGHT = 1e-4  # of a label with a chance of one half; less than any alike label; chosen
-_MAX_MAPS = 40  # captures that compare pixels; chosen, limits the time
 _PIXELS_AT_ONCE = 4096  # limits the memory
 # A label that is further than two widths away, or not alike, does not make an image certain.
 _SUPPORTED = float(np.exp(-2.0))
-_UNSUPPORTED_CHANCE = 0.9  # chosen
-_TO_BE_FOUND = 2.0  # multiple of the luminance of `bright_spots` that shows an image; chosen
 
 
 def split_images(data: Dataset) -> tuple[Dataset, tuple[Mirror, ...]]:
@@ -272,7 +262,8 @@ def _mirror(plane: MirrorPlane, data: Dataset) -> Mirror:
     bright = factor * full_lx / equirect_solid_angles(*data.shape).reshape(-1)[at]  # cd/m2
     # An image next to the sun, which is not searched, is at a grazing angle.
     front = suns @ plane.normal > np.sin(near_sun_rad(data.shape[0]) / 2.0)
-    shows = (bright > _TO_BE_FOUND * limit) & front & data.seen.reshape(-1)[at]
+    # multiple of the luminance of `bright_spots` that shows an image
+    shows = (bright > 2.0 * limit) & front & data.seen.reshape(-1)[at]
     label = np.flatnonzero(visible | shows)
     chance, wrong = _chance(data, label, towards[label], at[label], visible[label])
     u_deg, count = plane.u_deg, len(rows)
@@ -294,7 +285,8 @@ def _chance(
     label: captures [k]; towards, at, visible: direction [k, 3], pixel [k] and label [k] of their
     images.
     """
-    some = np.unique(np.linspace(0, len(data) - 1, _MAX_MAPS).round().astype(int))
+    # captures that compare pixels; chosen, limits the time
+    some = np.unique(np.linspace(0, len(data) - 1, 40).round().astype(int))
     maps = np.log10(np.maximum(data.luminance_cdm2[some], 1.0)).reshape(len(some), -1)
     rays = equirect_rays(*data.shape, data.heading_deg).reshape(-1, 3)
     chance = np.empty(len(rays), np.float32)
@@ -317,11 +309,16 @@ def _voted(cosine: Floats, here: Floats32, there: Floats32, visible: Mask) -> Fl
     captures; visible [k].
     """
     square = (here**2).sum(axis=0)[:, None] + (there**2).sum(axis=0) - 2.0 * here.T @ there
-    unlike = np.maximum(square, 0.0) / len(here) / _ALIKE_LOG10**2
+    # rms difference of log10 luminance over the captures
+    unlike = np.maximum(square, 0.0) / len(here) / 0.1**2
     alike = np.exp(-0.5 * unlike.astype(float))  # [m, k]
     angle_deg = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
-    near = alike * np.exp(-0.5 * (angle_deg / _NEAR_DEG) ** 2)
-    weight = near + _FAR_WEIGHT * alike
+    # Kernel of the labels; chosen. In three views of a mirroring facade, other widths (6 to 18
+    # degrees, 0.05 to 0.2) change the error of DGP by -25 to +30 %, some by a factor of two
+    # (docs/decisions.md).
+    near = alike * np.exp(-0.5 * (angle_deg / 9.0) ** 2)
+    # of a label at any distance whose pixel is alike
+    weight = near + 0.01 * alike
     share = (weight @ visible + 0.5 * _PRIOR_WEIGHT) / (weight.sum(axis=1) + _PRIOR_WEIGHT)
     supported = near.max(axis=1, initial=0.0) >= _SUPPORTED
-    return np.where(supported, share, np.minimum(share, _UNSUPPORTED_CHANCE))
+    return np.where(supported, share, np.minimum(share, 0.9))

@@ -43,17 +43,14 @@ from fieldlum.year.glare.metrics import (
 )
 
 FLOOR_CDM2 = 1.0  # paper
-RAMMG_CUT = 500.0  # cut in the authors' code, cd/m2; chosen there by Liu, Colburn and Inanici 2020
 # most maps for which DGP and RAMMG are computed, spread evenly; chosen, limits the time
 GLARE_MAPS = 150
-KEPT_HEIGHT = 58  # least number of rows of stored maps: that of the smallest panoramas of a demo
 CHUNK = 24  # maps predicted at a time; chosen, limits the memory
 # fields of `Scores` that need glare
 _GLARE = (
     *("dgp_mse", "dgp_mse_own_disc", "dgp_mae", "dgp_mean", "dgp_square"),
     *("rammg_error", "rammg_truth", "ev_error"),
 )
-BAND_90 = 1.6449  # standard deviations of a 90 % interval of a normal distribution
 
 
 @dataclass(slots=True)
@@ -234,7 +231,8 @@ def compare(prediction: Prediction, data: Dataset, weights: Floats) -> Scores:
     blank = np.full(len(data), np.nan)
     in_band = blank
     if prediction.log10_sd is not None:
-        in_band = (np.abs(error) <= BAND_90 * prediction.log10_sd[:, seen_mask]).mean(axis=1)
+        # standard deviations of a 90 % interval of a normal distribution
+        in_band = (np.abs(error) <= 1.6449 * prediction.log10_sd[:, seen_mask]).mean(axis=1)
     glare = {name: blank.copy() for name in _GLARE}
     return Scores(
         mse_weighted=e2 @ w / w.sum(),
@@ -279,8 +277,9 @@ def _glare_errors(
     scores.rammg_error[asked] = contrast.mean(axis=1) - true_contrast.mean(axis=1)
     if not keep_maps:
         return
+    # least number of rows of stored maps: that of the smallest panoramas of a demo
     measured, predicted = (
-        np.log10(np.maximum(m.thin(KEPT_HEIGHT).luminance_cdm2, FLOOR_CDM2)).astype(np.float16)
+        np.log10(np.maximum(m.thin(58).luminance_cdm2, FLOOR_CDM2)).astype(np.float16)
         for m in (some, replace(some, luminance_cdm2=maps))
     )
     scores.maps = HeldOutMaps(
@@ -312,7 +311,8 @@ def summary(scores: Scores) -> ScoreFigures:
 
     A figure that was not computed is None.
     """
-    kept, errors = scores.rammg_truth < RAMMG_CUT, scores.errors
+    # cut in the authors' code, cd/m2; chosen there by Liu, Colburn and Inanici 2020
+    kept, errors = scores.rammg_truth < 500.0, scores.errors
     return {
         "log10_mse_weighted": float(scores.mse_weighted.mean()),
         "rer_weighted": float(

@@ -57,8 +57,6 @@ SCORES, MODEL_FILES = "scores.json", ("config.json", "weights.npz")
 # log10 MSE, an error factor of 1.4, which a steady room with correct irradiance does not reach
 POOR_MSE = 0.02
 EXCEPTION_TIMES = 4.0  # a day this many times worse than the median day is reported
-# share of the captures; clean sets have under 2 %, with a lamp or a moved camera 20 to 60 %
-HARD_SHARE = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -443,7 +441,8 @@ def doubts(fitted: Fitted, data: Dataset) -> list[str]:
             f"wrong north or clock has its own warning); {POOR_WORDS}"
         )
     share = float(np.average(errors > TRUSTED_MSE, weights=weight))
-    if share > HARD_SHARE:
+    # share of the captures; clean sets have under 2 %, with a lamp or a moved camera 20 to 60 %
+    if share > 0.1:
         texts.append(
             f"WARNING: for {share:.0%} of the captures, a prediction from the other days is wrong "
             f"by a factor of over {TRUSTED_FACTOR:g}: the room, the camera or the light changed in "

@@ -24,18 +24,14 @@ from fieldlum.sky.light import LAMP_LX, Kernel
 
 MIN_DAYS = 4  # with fewer days it is unclear which day is the exception
 _HEIGHT, _PIXELS = 20, 200  # rows and pixels of the maps that are compared
-OVERCAST = 0.05  # largest share of the sun in the light of an hour without sun patches
 _NOISES = (1e-3, 3e-3, 1e-2, 3e-2, 1e-1)  # relative variances of a capture
 # Log likelihood that a change must gain, and its price for a day and for a capture. Clean captures
 # of the demo, of two rooms by other programs and of the tests' room under clouds gain up to 9; the
 # tests' lamps and blinds 19 to 108.
 _MIN_GAIN, _DAY_PRICE, _CAPTURE_PRICE = 8.0, 2.0, 0.5
-_MIN_FACTOR = 1.2  # a smaller factor on the light is weather
 _MAX_SHARE = 0.5  # of the captures: a larger set is the usual state, and the rest the exception
-_MAX_CAPTURES = 250  # that are compared, evenly spaced: the time grows with their third power
 _EVENINGS_H, _MORNINGS_H = range(14, 19), range(8, 11)  # lamps are on from, or until, these
 _PARTS_H = range(11, 15)  # of a blind's move
-_MIN_BLOCK = 3  # captures of a day that show a common factor
 _NO_ROWS = np.empty(0, np.intp)
 
 
@@ -76,7 +72,8 @@ def process_of(data: Dataset, *, with_patch: bool, seen_skies: bool = False) -> 
     judged = np.median(luminance, axis=1) > 1.0  # the floor of the scores, cd/m2
     valid = ~arrays.filled
     if arrays.patch is None:  # without a computed sun patch, direct sun looks like a change
-        judged &= arrays.features.beam < OVERCAST
+        # largest share of the sun in the light of an hour without sun patches
+        judged &= arrays.features.beam < 0.05
     elif small.patch_cdm2 is not None:
         modes = ("nearest", "nearest", "wrap")
         wide = maximum_filter(small.patch_cdm2, (1, 3, 3), mode=modes)  # pyright: ignore[reportArgumentType]
@@ -209,13 +206,15 @@ def _other_level(found: Evidence) -> Indices:
     at, days = process.hours[rows], process.days[rows]
     halves = [part for h in _PARTS_H for part in (at < h, at >= h)]
     parts = [rows[(days == day) & half] for day in np.unique(days) for half in halves]
-    parts = [part for part in parts if len(part) >= _MIN_BLOCK]
+    # captures of a day that show a common factor
+    parts = [part for part in parts if len(part) >= 3]
 
     def gain(chosen: Indices, darker: bool) -> float:
         if not len(chosen):
             return 0.0
         gained, factor = found.level_change(chosen)
-        near_one = abs(np.log(factor)) < np.log(_MIN_FACTOR)
+        # a smaller factor on the light is weather
+        near_one = abs(np.log(factor)) < np.log(1.2)
         if near_one or (factor < 1.0) != darker or len(chosen) > _MAX_SHARE * len(rows):
             return -np.inf
         return gained - _price(process, chosen)
@@ -273,7 +272,8 @@ def find_changes(data: Dataset, *, with_patch: bool) -> RoomChanges | None:
     with_patch: use the sun patches of `data`.
     """
     count = len(data)
-    some = np.unique(np.linspace(0, count - 1, min(count, _MAX_CAPTURES)).round().astype(int))
+    # that are compared, evenly spaced: the time grows with their third power
+    some = np.unique(np.linspace(0, count - 1, min(count, 250)).round().astype(int))
     few = data.take(some)
     process = process_of(few, with_patch=with_patch)
     judged = np.flatnonzero(process.judged)

@@ -28,7 +28,6 @@ from fieldlum.learn.models.scores import Scores, evaluate, join, truth
 from fieldlum.session.files.scores_json import CaptureCurve, CurvePoint
 from fieldlum.sky.light import Kernel, facades_of, greedy_hours, light_features
 
-MIN_FOLDS = 2  # one fold has few days for a standard error
 MIN_FOLD_S = 120.0  # for a fold of the dense network: shorter ones are no measure of it
 MAX_FOLDS = 5  # Hastie et al., The Elements of Statistical Learning, 7.10: 5 or 10
 # Shares of the budget. The quick models' held-out days come first. A slow model (the dense network)
@@ -211,7 +210,8 @@ def evaluate_folds(
     clock = how.get("clock", time.monotonic)
     started = clock()
     for fold in folds:
-        if len(parts) >= MIN_FOLDS and (clock() - started) * (1 + 1 / len(parts)) > limit:
+        # one fold has few days for a standard error
+        if len(parts) >= 2 and (clock() - started) * (1 + 1 / len(parts)) > limit:
             break
         taught = data.take(fold.teach)
         fitted, spent = fit_timed(name, taught, budget_s=share, progress=progress, **how)
@@ -325,10 +325,6 @@ def _reason(trials: list[Trial], errors: list[HeldOutErrors], choice: HeldOutCho
 
 SHARES = (0.125, 0.25, 0.5, 0.75, 1.0)  # points of the learning curve; chosen
 FOLDS = 3  # enough for a curve, and faster than `folds.MAX_FOLDS`; chosen
-MIN_CAPTURES = 12  # least number of captures; fewer give too few points for a curve; chosen
-THIN_HEIGHT = 20  # number of rows; the mean errors are the same, and fits take seconds; chosen
-# largest time of the next point over that of the last one, as captures at most double; chosen
-_NEXT_POINT = 2.0
 
 
 def order_of_use(data: Dataset) -> np.ndarray:
@@ -360,9 +356,11 @@ def how_many(
     budget. Return an empty dict for under 12 captures or three days, None if the budget ends before
     the last point.
     """
-    if len(data) < MIN_CAPTURES or len(np.unique(data.days)) < 3:
+    # least number of captures; fewer give too few points for a curve
+    if len(data) < 12 or len(np.unique(data.days)) < 3:
         return {}
-    small = data.thin(THIN_HEIGHT)
+    # number of rows; the mean errors are the same, and fits take seconds
+    small = data.thin(20)
     folds = day_folds(small, FOLDS)
     next_s = FOLDS * fit_s
     curve: list[CurvePoint] = []
@@ -381,7 +379,8 @@ def how_many(
         mse = errors.figure("log10")
         curve.append({"captures": trial.n_train, "mse": mse, "se": errors.standard_error("log10")})
         if budget is not None:
-            next_s = _NEXT_POINT * (left_s - budget.left_s)
+            # largest time of the next point over that of the last one, as captures at most double
+            next_s = 2.0 * (left_s - budget.left_s)
     best = tested[int(np.argmin([point["mse"] for point in curve]))]
     gaps = [difference(errors, best, "log10") for errors in tested]
     enough = next(p["captures"] for p, (gap, se) in zip(curve, gaps, strict=True) if gap <= se)

@@ -62,8 +62,6 @@ MIN_HOURS = 3  # least number of hours from which a kernel can be chosen; not me
 # Relative variances of a captured value, from that of a camera to that of a room that changes; the
 # second one compares inputs. Not measured.
 NOISES = (3e-3, 1e-2, 3e-2)
-LAMP_GAIN = 0.3  # share of the held-out error that a constant lamp must explain; not measured
-SKY_DAYS = 4  # fewer days do not show that other skies teach more; chosen
 
 
 class SurfaceMaps(NamedTuple):
@@ -217,7 +215,9 @@ class Transport:
         dark = np.maximum(luminance * (1.0 - share), np.float32(MIN_CDM2))
         slip = LOG10_E**2 * slip_variance(patch, self.seen, dark, unsure.slip_deg)
         off = slip @ (weights / weights.sum())
-        return np.hypot(sd, np.sqrt(slip)), expected + off, trusted & (off < SLIP_MSE)
+        # log10 MSE: an hour that a shift of its sun patch would change by over a quarter is not
+        # trusted
+        return np.hypot(sd, np.sqrt(slip)), expected + off, trusted & (off < 0.01)
 
     def with_displaced_patches(self, slip_deg: float) -> Transport:
         """Return the same model, with a larger uncertainty near the edges of sun patches.
@@ -391,7 +391,8 @@ def _chosen(
     lit = _with_lamp(best, kernel)
     without, with_lamp = (_errors(i, pixels) for i in (best, lit))
     gain, error = difference(without, with_lamp, "log10")
-    if gain > max(LAMP_GAIN * without.figure("log10"), 2.0 * error):
+    # share of the held-out error that a constant lamp must explain
+    if gain > max(0.3 * without.figure("log10"), 2.0 * error):
         best = lit
     noises = NOISES[robust or one_season(days) :]
     return best, noises[choose([_errors(best, pixels, noise) for noise in noises]).best]
@@ -444,7 +445,8 @@ def _inputs(
         bounced = physics.features(arrays.light, sunlight)
         arrays = replace(arrays, features=replace(arrays.features, bounced=bounced))
     light = arrays.light
-    sky = seen_sky(arrays) if len(np.unique(arrays.days)) >= SKY_DAYS else None
+    # fewer days do not show that other skies teach more
+    sky = seen_sky(arrays) if len(np.unique(arrays.days)) >= 4 else None
     out = [_compared(arrays, kernel, arrays.features)]
     if sky is not None:
         shown = replace(arrays, features=sky.features(arrays))
@@ -469,25 +471,14 @@ def _inputs(
 
 LOG10_E = float(np.log10(np.e))
 NORMAL_90 = 1.6449  # standard deviations around the mean with 90 % of a normal distribution
-MIN_SD = 1e-4  # avoids division by zero; chosen
 # Largest standard deviation of ln L: with more than a factor of ten, one pixel would dominate the
 # hour's mean. Chosen: ln 10.
 MAX_SD = 2.3
 # Hours are alike within this chord of the sun's direction, this difference of its share, and this
-# ratio (ln) of predictive variances. FEW is the weight of all tests with this
-# share of sun next to similar ones. Not
-# measured.
+# ratio (ln) of predictive variances. FEW is the weight of all tests with this share of sun next to
+# similar ones.
 NEAR_SUN, NEAR_BEAM, NEAR_LOG, FEW = 0.2, 0.1, 1.0, 0.1
-# An hour may be this many times further from the captures than a held-out day and still be trusted.
-# Chosen.
-NOVEL = 1.5
-# captures with a smaller range of the sun's declination are from one season; chosen
-ONE_SEASON_DEG = 20.0
-SEASONS_APART_DEG = 10.0  # least gap between the declinations of two seasons' days; chosen
-MIN_VARIANCE = 1e-9  # avoids division by zero; chosen
-# log10 MSE: an hour that a shift of its sun patch would change by over a quarter is not trusted;
-# chosen
-SLIP_MSE = 0.01
+MIN_VARIANCE = 1e-9  # avoids division by zero
 
 
 def _declination_deg(days: NDArray) -> Array:
@@ -501,7 +492,8 @@ def one_season(days: NDArray) -> bool:
 
     days: dates [n] (datetime64). If True, held-out days do not test other seasons.
     """
-    return float(np.ptp(_declination_deg(days))) < ONE_SEASON_DEG
+    # captures with a smaller range of the sun's declination are from one season
+    return float(np.ptp(_declination_deg(days))) < 20.0
 
 
 def seasons(days: NDArray) -> Indices:
@@ -512,7 +504,8 @@ def seasons(days: NDArray) -> Indices:
     """
     declination = _declination_deg(days)
     values = np.unique(declination)
-    starts = values[1:][np.diff(values) > SEASONS_APART_DEG]
+    # least gap between the declinations of two seasons' days
+    starts = values[1:][np.diff(values) > 10.0]
     return np.searchsorted(starts, declination, side="right")
 
 
@@ -565,7 +558,9 @@ class Uncertainty:
 
         Their `variance` [m] is at most 1.5 times `novelty`.
         """
-        return variance <= NOVEL * self.novelty
+        # An hour may be this many times further from the captures than a held-out day and still be
+        # trusted
+        return variance <= 1.5 * self.novelty
 
     def experience(
         self, hours: Features, captured: Features, variance: Array, guess: Array, careful: bool
@@ -658,7 +653,8 @@ def calibrate(
     expected = out.experience(features, features, out.variance_of[some], guess[some], careful)
     square = squares[0] * (expected / guess[some])[:, None]
     sd = np.sqrt(square + LOG10_E**2 * arrays.unsure[:, None])
-    ratio = np.abs(tests[0].held.error) / np.maximum(sd, MIN_SD)
+    # avoids division by zero
+    ratio = np.abs(tests[0].held.error) / np.maximum(sd, 1e-4)
     return replace(out, band=float(np.quantile(ratio[~arrays.filled], 0.9)) / NORMAL_90)
 
 

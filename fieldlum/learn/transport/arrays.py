@@ -29,28 +29,13 @@ from fieldlum.sky.perez import reinhart_patches
 
 MIN_CDM2 = 0.1  # in darker pixels relative errors have no meaning; not measured
 DISC_MARGIN = 2  # pixels around the sun that may have changed when its disc was removed; chosen
-WINDOW_SHARE = 0.05  # a pixel with a smaller share of open sky counts as a surface; chosen
-# Largest ratio of two scatters for a window pixel: of its luminance over the sky behind it, and
-# over the total light. Chosen.
-WINDOW_SCATTER = 0.5
 # How far the patches of a fitted scene are displaced, seen from the camera. In rooms of
 # bench/scene_judge.py edges are 1 to 2 cm off, at some 3 m, and the sun 0.2 degrees. With 1 degree
 # errors are the same within 3 %.
 SCENE_SLIP_DEG = 0.5
-# Standard deviation of ln L at which a value next to an edge has half weight; that of the robust
-# rounds.
-_HALF_WEIGHT_SD = 0.15
-# Cells of a picture whose patches are compared, about 8 x 16 degrees each; not measured
-CELLS = 23
-# Upper limit in these cells: the luminance of a sunlit white wall. Brighter pixels show a window or
-# a disc. Chosen.
-MAX_PATCH_CDM2 = 3e4
-FAINT_SUN_LX = 20.0  # less direct light is not visible in a room; not measured
 # Weights of the cells and of their sum beside the sun's light in a coarse model of the room, whose
 # variance is 5 (`Kernel.bounced`): variances of 0.5 and 1. Not measured.
 CELL_WEIGHT, FLUX_WEIGHT = float(np.sqrt(0.1)), float(np.sqrt(0.2))
-# Computed light has no meaning below; far under that of any wall by day. Chosen.
-MIN_COMPUTED_CDM2 = 1e-3
 # Largest gain of a pixel's computed light over the median of all pixels; chosen: black to white
 MAX_GAIN = 20.0
 
@@ -137,7 +122,10 @@ def open_sky_from_captures(
     low, middle, high = nan_percentiles(ratio, (10, 50, 90))
     spread = np.subtract(*nan_percentiles(plain, (90, 10)))
     share = np.exp(low)
-    keep = (high - low < WINDOW_SCATTER * spread) & (share > WINDOW_SHARE) & (middle < np.log(1.2))
+    # a pixel with a smaller share of open sky counts as a surface
+    # Largest ratio of two scatters for a window pixel: of its luminance over the sky behind it, and
+    # over the total light
+    keep = (high - low < 0.5 * spread) & (share > 0.05) & (middle < np.log(1.2))
     return OpenSky(above[keep], share[keep].astype(np.float32), rays[above[keep]])
 
 
@@ -159,7 +147,8 @@ class PatchLight:
     def of(cls, patch: Floats, light: Light, window: Mask) -> PatchLight:
         """Return the divisors for captures; arguments as for `features`."""
         cells = _patch_cells(patch, window)
-        sunny = light.direct_lx > FAINT_SUN_LX
+        # less direct light is not visible in a room
+        sunny = light.direct_lx > 20.0
         if not cells[sunny].any():
             return cls(np.ones(2))
         size = np.stack((np.linalg.norm(cells, axis=1), cells @ _cell_roots(patch.shape)))
@@ -183,7 +172,8 @@ def _in_cells(picture: Floats) -> Floats:
     """Return the sums of a picture [H, W] over its cells, [c]."""
     for axis in (0, 1):
         size = picture.shape[axis]
-        edges = np.unique(np.linspace(0, size, min(CELLS, size) + 1).astype(int))[:-1]
+        # Cells of a picture whose patches are compared, about 8 x 16 degrees each
+        edges = np.unique(np.linspace(0, size, min(23, size) + 1).astype(int))[:-1]
         picture = np.add.reduceat(picture, edges, axis=axis)
     return picture.ravel()
 
@@ -196,7 +186,9 @@ def _cell_roots(shape: tuple[int, ...]) -> Floats:
 def _patch_cells(patch: Floats, window: Mask) -> Floats:
     """Return the light of sun patches in each cell over the root of its solid angle, [n, c]."""
     weights = np.where(window, 0.0, equirect_solid_angles(*window.shape))
-    lit = (np.minimum(picture, MAX_PATCH_CDM2) * weights for picture in patch)
+    # Upper limit in these cells: the luminance of a sunlit white wall. Brighter pixels show a
+    # window or a disc
+    lit = (np.minimum(picture, 3e4) * weights for picture in patch)
     return np.array([_in_cells(picture) for picture in lit]) / _cell_roots(patch.shape)
 
 
@@ -363,7 +355,9 @@ def edge_weights(patch: Floats, seen: Mask, luminance: Floats, total_lx: Floats)
     total = total_lx[:, None]  # [n, 1]
     dark = np.median(luminance / total, axis=0) * total  # [n, P]
     variance = slip_variance(patch, seen, dark, SCENE_SLIP_DEG)
-    return cauchy_weights(np.sqrt(variance), _HALF_WEIGHT_SD)
+    # Standard deviation of ln L at which a value next to an edge has half weight; that of the
+    # robust rounds.
+    return cauchy_weights(np.sqrt(variance), 0.15)
 
 
 def pixel_scale(arrays: TrainingArrays, per: Floats | None = None) -> Array:
@@ -398,7 +392,8 @@ def computed_light(
     The gain is captured over computed luminance, limited to a factor of 20 below or above the
     median of all pixels. perez: see `ComputedLight`, None if `luminance` is under Perez's skies.
     """
-    gain = pixel_scale(arrays, np.maximum(luminance, np.float32(MIN_COMPUTED_CDM2)))
+    # Computed light has no meaning below; far under that of any wall by day
+    gain = pixel_scale(arrays, np.maximum(luminance, np.float32(1e-3)))
     middle = np.median(gain)
     gain = np.clip(gain, middle / MAX_GAIN, middle * MAX_GAIN).astype(np.float32)
     gain[arrays.open_sky.index] = 0.0
@@ -413,13 +408,7 @@ def computed_light(
 # Chord over which clouds change the ratio, and noise over the field's standard deviation: the best
 # of six pairs in mitsuba_a; the likeliest of each room (0.1 to 1.0, 0.01 to 0.25) is no better.
 WIDTH, NOISE_SHARE = 0.3, 0.2
-# of a window pixel's luminance: with more direct sun the pixel does not show the sky; chosen
-LIT_SHARE = 0.02
-# cd/m2: a darker sky cannot be separated from the room's reflection in the glass; chosen
-MIN_SKY_CDM2 = 5.0
-MIN_CHANGE = 0.05  # least rms of ln luminance that is worth a test: under that of any cloud
 MIN_HOURS = 5  # captures that show a sky patch, so that its median is its usual share
-MAX_PATCHES = 80  # that are used, to limit the time
 
 
 @dataclass(frozen=True, slots=True)
@@ -478,7 +467,8 @@ def seen_sky(arrays: TrainingArrays) -> SeenSky | None:
     ratios, directions = _patch_ratios(arrays)  # [n, k], [k, 3]
     finite = ratios[np.isfinite(ratios)]
     sd = float(np.sqrt((finite**2).mean())) if len(finite) else 0.0
-    if sd < MIN_CHANGE:
+    # least rms of ln luminance that is worth a test: under that of any cloud
+    if sd < 0.05:
         return None
     field = SkyField(sd, WIDTH, NOISE_SHARE * sd)
     patches = reinhart_patches()
@@ -499,9 +489,11 @@ def _patch_ratios(arrays: TrainingArrays) -> tuple[Array, Array]:
     window = arrays.open_sky.index
     perez = arrays.sky[:, window]  # [n, w]
     captured = np.maximum(arrays.luminance[:, window], MIN_CDM2)
-    valid = ~arrays.filled[:, window] & (perez > MIN_SKY_CDM2)
+    # cd/m2: a darker sky cannot be separated from the room's reflection in the glass
+    valid = ~arrays.filled[:, window] & (perez > 5.0)
     if arrays.patch is not None:
-        valid &= arrays.patch[:, window] < LIT_SHARE * captured
+        # of a window pixel's luminance: with more direct sun the pixel does not show the sky
+        valid &= arrays.patch[:, window] < 0.02 * captured
     # omit hours with a blind, or with a lamp that the glass reflects
     if arrays.light.states is not None:
         valid &= np.array([not state for state in arrays.light.states])[:, None]
@@ -515,7 +507,8 @@ def _patch_ratios(arrays: TrainingArrays) -> tuple[Array, Array]:
     one = np.eye(len(names))[member]  # [w, k]
     counts, sums = valid @ one, np.where(valid, ratios, 0.0) @ one
     means = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
-    some = np.unique(np.linspace(0, len(names) - 1, min(len(names), MAX_PATCHES)).astype(int))
+    # that are used, to limit the time
+    some = np.unique(np.linspace(0, len(names) - 1, min(len(names), 80)).astype(int))
     return means[:, some], everywhere[names[some]]
 
 

@@ -32,8 +32,6 @@ QUALITY = "draft"
 # Numbers of modes of computed light from the sun and from the sky. With 200 sun modes two days have
 # 6 to 14 % more error than with 500; the basis of 64 skies costs nothing.
 SUN_MODES, SKY_MODES = 300, 64
-FEATURES = 48  # number of patterns of reflected sunlight that compare hours; not measured
-_BOUNCES = 20  # each leaves less than half of the light, so the rest is below a millionth
 _SKY_STEP_H = 41.0  # all hours of the day in all seasons; chosen
 
 
@@ -171,7 +169,8 @@ def _physics_of(setup: SiteFile) -> Physics:
     first = truth.from_points[:, FIRST_PIECE:].T @ (truth.to_pixels.T @ pictures)  # [p, k]
     bounces = truth.from_pieces[:, FIRST_PIECE:].T.tocsr()
     total = first
-    for _ in range(_BOUNCES):
+    # each leaves less than half of the light, so the rest is below a millionth
+    for _ in range(20):
         total = first + bounces @ (reflect * total)
     modes = np.linalg.qr(reflect * total)[0].astype(np.float32)  # [p, k]
     sky_modes = _sky_modes(setup.site)
@@ -179,7 +178,8 @@ def _physics_of(setup: SiteFile) -> Physics:
     sun_light = truth.pixels_cdm2(truth.columns(dark, modes)).T.astype(np.float32)  # [k, 2 h^2]
     weighted = sun_light * root.ravel()
     values, vectors = np.linalg.eigh(weighted @ weighted.T)
-    comparison = (vectors * np.sqrt(np.maximum(values, 0.0)))[:, ::-1][:, :FEATURES]
+    # number of patterns of reflected sunlight that compare hours
+    comparison = (vectors * np.sqrt(np.maximum(values, 0.0)))[:, ::-1][:, :48]
     physics = Physics(
         setup.room,
         modes.T.copy(),

@@ -27,19 +27,13 @@ RANK = 100  # number of features; chosen, limits memory and time
 # Pixels per core at a time, which limits the memory of the normal matrices to some 100 MB each.
 # Chosen.
 CHUNK = 1024
-HELD_OUT_CHUNK = 128  # smaller, because each pixel has a hat matrix; chosen
-MAX_THREADS = 8  # limits the memory; chosen
 # Prior variances of the gains of computed light (next to its level in the captures), sun patch and
 # window sky. Errors with 1e-6 for computed light differ by 4 % or less, except 30 % less and 12 %
 # more in two of twelve fits; the others are not measured.
 COMPUTED_VARIANCE, PATCH_VARIANCE, SKY_VARIANCE = 0.04, 0.0625, 0.04
 ROUNDS = 1  # of robust solves; a second changes DGP and maps by under 1.5 %; measured
 ROBUST_WIDTH = 0.15  # log residual at which a capture has half weight; not measured
-# of a pixel's usual light: darker values (a hand in front of the lens) get no more weight than this
-# one; chosen
-DARK_SHARE = 0.03
 MIN_SHARE = 0.3  # of a pixel's darkest value: predictions are never lower; not measured
-FLOOR_CDM2 = 1.0  # for scores, lower values are raised to it (floor of the paper)
 # Chord between two sun directions over which the second stage corrects the log residual. Without
 # the second stage, the error of a Radiance room with a fitted scene is 1.2 times as large.
 SECOND_WIDTH = 0.15
@@ -140,7 +134,8 @@ def each_chunk(work: Callable[[slice], None], count: int, size: int = CHUNK) -> 
     each other.
     """
     parts = [slice(start, min(start + size, count)) for start in range(0, count, size)]
-    workers = min(os.cpu_count() or 1, MAX_THREADS)
+    # limits the memory
+    workers = min(os.cpu_count() or 1, 8)
     with threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(workers) as pool:
         for part, _ in zip(parts, pool.map(work, parts), strict=True):
             yield part.stop
@@ -242,7 +237,9 @@ def fit_chunk(
     target = np.maximum(arrays.luminance, MIN_CDM2) / unit
     computed = None if arrays.computed is None else arrays.computed.luminance
     columns = Columns.of(arrays, unit, computed)
-    dark = DARK_SHARE * np.exp(np.mean(np.log(target), axis=0))
+    # of a pixel's usual light: darker values (a hand in front of the lens) get no more weight than
+    # this one
+    dark = 0.03 * np.exp(np.mean(np.log(target), axis=0))
     response, weights = target, arrays.trust / np.maximum(target, dark) ** 2
     b, gains = solve(basis.values, columns, response, weights, noise, products)
     for _ in range(ROUNDS):
@@ -396,7 +393,8 @@ def hold_out(arrays: TrainingArrays, basis: Basis, noise: float) -> HeldOutFit:
             arrays[part], scale[part], basis, noise, products
         )
 
-    for _ in each_chunk(one, len(scale), HELD_OUT_CHUNK):
+    # smaller, because each pixel has a hat matrix
+    for _ in each_chunk(one, len(scale), 128):
         pass
     residual = known(arrays) * np.log(target / predicted)
     inverse = second_inverse(arrays)
@@ -406,7 +404,8 @@ def hold_out(arrays: TrainingArrays, basis: Basis, noise: float) -> HeldOutFit:
         left = np.linalg.solve(inverse[np.ix_(rows, rows)], solved[rows])
         predicted[rows] *= np.exp(residual[rows] - left)
     luminance = predicted * arrays.light.total_lx[:, None] * scale
-    floored = (np.maximum(values, FLOOR_CDM2) for values in (luminance, arrays.luminance))
+    # for scores, lower values are raised to it (floor of the paper)
+    floored = (np.maximum(values, 1.0) for values in (luminance, arrays.luminance))
     error = known(arrays) * np.subtract(*(np.log10(values) for values in floored))
     unknown, log10 = np.full(len(luminance), np.nan), (error**2).mean(axis=1)
     errors = HeldOutErrors(unknown, unknown, log10, arrays.days, arrays.sureness, trim=0.0)
