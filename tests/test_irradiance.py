@@ -56,6 +56,19 @@ def test_direct_follows_from_global_and_diffuse() -> None:
 
 
 @pytest.mark.analytic
+@pytest.mark.parametrize(("offset", "known"), [(1.2, False), (3.0, True)])
+def test_a_zero_offset_is_no_sun(offset: float, known: bool) -> None:
+    """At 5.7 degrees, 1.2 W/m2 between two pyranometers would be a sun of 12 W/m2."""
+    evening = datetime(2027, 12, 22, 23, 30, tzinfo=UTC)
+    noise = 0.5 * np.random.default_rng(0).standard_normal(60)
+    times = [evening + timedelta(seconds=5 * k) for k in range(60)]
+    series = checked(
+        [IrradianceSample(t, 13.0 + offset + e, 13.0) for t, e in zip(times, noise, strict=True)]
+    )
+    assert (series.dni_wm2 > 0.0).all() == known and series.dni_wm2.any() == known
+
+
+@pytest.mark.analytic
 def test_diffuse_and_global_follow_where_they_are_missing() -> None:
     altitude = sun.position([NOON], SEATTLE).altitude_deg[0]
     beam = 700.0 * np.sin(np.radians(altitude))
