@@ -17,6 +17,7 @@ from fieldlum.capture.notify import Message
 from fieldlum.capture.verify import doubts
 from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import Exposure, Panorama
+from fieldlum.devices import Camera
 from fieldlum.devices.clock import FastClock
 from fieldlum.devices.simulated.camera import SimulatedCamera
 from fieldlum.optics.profiles import load_camera_profile
@@ -31,7 +32,7 @@ from fieldlum.session.ledger import fold
 EVEN_LIGHT = Panorama(np.full((46, 92), 100.0, np.float32), 180.0)
 
 
-class SlippingCamera:
+class SlippingCamera(Camera):
     """The simulated camera, whose dial slips to twice the time at the frames in `slips` (counted
     from 1).
     """

@@ -1,9 +1,11 @@
 """Preflight: every check's good and bad case, and the exit codes."""
 
 import json
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import pytest
 from click.testing import CliRunner
@@ -53,6 +55,10 @@ def _session(
     return create_session(folder / "s", setup, slots, {"megabytes_per_slot": megabytes})
 
 
+def every(check: Callable[..., Iterable[doctor.Finding]], *asked: Any) -> list[doctor.Finding]:
+    return list(check(*asked))
+
+
 def _verdicts(findings: list[doctor.Finding]) -> dict[str, str]:
     return {finding.what: finding.verdict for finding in findings}
 
@@ -83,7 +89,7 @@ def test_done_slots_are_not_owed(tmp_path: Path) -> None:
     journal.append("done", NOW, slot=session.slots()[0].id)
     journal.close()
     assert len(doctor.slots_ahead(session, NOW)) == 9
-    assert doctor.check_plan(session, NOW + timedelta(days=40))[0].verdict == "warn"
+    assert every(doctor.check_plan, session, NOW + timedelta(days=40))[0].verdict == "warn"
 
 
 @pytest.mark.contract
@@ -95,12 +101,12 @@ def test_make_up_slots_are_advised_only_for_what_was_not_captured(tmp_path: Path
     journal = Journal(session)
     for slot in slots[2:]:
         journal.append("done", NOW, slot=slot.id)
-    missed = doctor.check_plan(session, NOW + timedelta(days=40))[-1]
+    missed = every(doctor.check_plan, session, NOW + timedelta(days=40))[-1]
     assert "2 of 10 were not captured" in missed.text and "--replan" in missed.text
     for slot in (slots[0], instead):
         journal.append("done", NOW, slot=slot.id)
     journal.close()
-    complete = doctor.check_plan(session, NOW + timedelta(days=40))[-1]
+    complete = every(doctor.check_plan, session, NOW + timedelta(days=40))[-1]
     assert complete.verdict == "warn" and "--replan" not in complete.text
 
 
@@ -146,27 +152,29 @@ def test_disk_counts_what_is_owed(tmp_path: Path) -> None:
     ],
 )
 def test_camera(info: CameraInfo, verdicts: dict[str, str]) -> None:
-    findings = doctor.judge_camera(info, "x:", 20)
+    findings = every(doctor.judge_camera, info, "x:", 20)
     assert _verdicts(findings) == {"camera": "ok", **verdicts}
     assert all("larger card" not in f.text for f in findings if f.verdict == "ok")
 
 
 @pytest.mark.contract
 def test_what_the_camera_does_not_offer_is_told_before_anybody_leaves() -> None:
-    found = doctor.judge_exposures([f"camera shutter: {i} s is not offered" for i in range(5)], 10)
+    found = every(
+        doctor.judge_exposures, [f"camera shutter: {i} s is not offered" for i in range(5)], 10
+    )
     assert [f.verdict for f in found] == ["fail"] and found[0].text.startswith(
         "the camera cannot set some of the 10 planned exposures"
     )
     assert "plan a new session (fieldlum plan SITE.toml --out NEW)" in found[0].text
-    assert "camera shutter: 2 s is not offered; 2 more" in found[
-        0
-    ].text and not doctor.judge_exposures([], 10)
+    assert "camera shutter: 2 s is not offered; 2 more" in found[0].text and not every(
+        doctor.judge_exposures, [], 10
+    )
 
 
 @pytest.mark.contract
 def test_another_camera_than_the_profiles_is_told() -> None:
     profile = load_camera_profile("sim-dual-fisheye")
-    told = doctor.judge_model(CameraInfo("gphoto", model="D750"), profile)
+    told = every(doctor.judge_model, CameraInfo("gphoto", model="D750"), profile)
     assert [f.verdict for f in told] == ["warn"] and "D750 is not the camera of profile" in told[
         0
     ].text
@@ -175,16 +183,16 @@ def test_another_camera_than_the_profiles_is_told() -> None:
         CameraInfo("gphoto"),
         CameraInfo("gphoto", model=profile.camera.model),
     ):
-        assert not doctor.judge_model(info, profile)
+        assert not every(doctor.judge_model, info, profile)
 
 
 @pytest.mark.contract
 def test_a_clock_off_by_whole_hours_is_called_so() -> None:
-    clock = doctor.judge_camera(CameraInfo("x", clock_offset_s=-3599.0), "x:", 20)[1]
+    clock = every(doctor.judge_camera, CameraInfo("x", clock_offset_s=-3599.0), "x:", 20)[1]
     assert clock.verdict == "fail" and "-3599.0 s" in clock.text and "daylight saving" in clock.text
     assert (
         "daylight"
-        not in doctor.judge_camera(CameraInfo("x", clock_offset_s=1000.0), "x:", 20)[1].text
+        not in every(doctor.judge_camera, CameraInfo("x", clock_offset_s=1000.0), "x:", 20)[1].text
     )
 
 
@@ -203,23 +211,25 @@ def test_disk_goes_by_what_the_camera_really_writes(tmp_path: Path) -> None:
 @pytest.mark.contract
 def test_pyranometer_readings() -> None:
     spn1 = InstrumentInfo("spn1", "SPN1", "A1", calibration_date="2026-06-01", gives=("ghi", "dhi"))
-    good = doctor.judge_pyranometer(spn1, IrradianceSample(NOON, 500.0, 80.0), SEATTLE)
+    good = every(doctor.judge_pyranometer, spn1, IrradianceSample(NOON, 500.0, 80.0), SEATTLE)
     assert [f.verdict for f in good] == ["ok"]
-    night = doctor.judge_pyranometer(
-        spn1, IrradianceSample(NOON + timedelta(hours=12), 500.0), SEATTLE
+    night = every(
+        doctor.judge_pyranometer, spn1, IrradianceSample(NOON + timedelta(hours=12), 500.0), SEATTLE
     )
     assert "fail" in [f.verdict for f in night]
     wrong = InstrumentInfo("ascii", "rig", calibration_date="2022")
     with pytest.raises(InputError, match="profile of the pyranometer rig: date '2022'"):
-        doctor.judge_pyranometer(wrong, IrradianceSample(NOON, 500.0), SEATTLE)
+        every(doctor.judge_pyranometer, wrong, IrradianceSample(NOON, 500.0), SEATTLE)
     old = InstrumentInfo("smp", calibration_date="2022-01-01")
     said = " ".join(
         f.text
-        for f in doctor.judge_pyranometer(old, IrradianceSample(NOON, 500.0, status="9"), SEATTLE)
+        for f in every(
+            doctor.judge_pyranometer, old, IrradianceSample(NOON, 500.0, status="9"), SEATTLE
+        )
     )
     assert "reports a fault" in said and "only global" in said and "years ago" in said
     rig = InstrumentInfo("ascii", gives=("ghi", "dhi"), guard=FORM_ALONE)
-    told = doctor.judge_pyranometer(rig, IrradianceSample(NOON, 500.0, 80.0), SEATTLE)
+    told = every(doctor.judge_pyranometer, rig, IrradianceSample(NOON, 500.0, 80.0), SEATTLE)
     assert [f.verdict for f in told] == [
         "ok",
         "warn",
@@ -249,17 +259,17 @@ def test_this_computer_answers_or_is_not_asked() -> None:
 def test_a_read_only_or_cloud_folder(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(OSError, match="Not a directory"):
-        doctor.check_writing(tmp_path / "file")
+        every(doctor.check_writing, tmp_path / "file")
     cloud = tmp_path / "Dropbox"
     cloud.mkdir()
-    assert doctor.check_writing(cloud)[-1].verdict == "warn"
+    assert every(doctor.check_writing, cloud)[-1].verdict == "warn"
 
 
 @pytest.mark.contract
 def test_sun_in_view_without_a_filter(tmp_path: Path) -> None:
     """Also with a planned filter it is a warning: a person must move the filter."""
     session = _session(tmp_path, ("sun-in-view",))
-    finding = doctor.check_sun(session, NOW)[-1]
+    finding = every(doctor.check_sun, session, NOW)[-1]
     assert finding.verdict == "warn" and "computed from DNI" in finding.text
 
 
@@ -271,7 +281,7 @@ def test_a_plan_of_an_earlier_version_with_filter_frames_is_asked_for_them(tmp_p
     setup = SiteFile(SEATTLE, CameraSetup(profile=_profile(tmp_path)))
     session = create_session(tmp_path / "s", setup, [slot], {})
     assert session.slots()[0].exposures == exposures and not session.site_file().camera.filter
-    finding = doctor.check_sun(session, NOW)[-1]
+    finding = every(doctor.check_sun, session, NOW)[-1]
     assert "through the filter nd3: a person must put it on" in finding.text
 
 
@@ -284,7 +294,7 @@ def test_an_unknown_filter_is_a_bad_profile(tmp_path: Path) -> None:
         nd=(NeutralDensity("nd3", (1000.0, 1000.0, 1000.0)),),
     )
     slot = Slot(NOW, 30.0, 180.0, (Exposure(0.5, 5.6, nd="nd4"), Exposure(0.5, 5.6, nd="nd3")))
-    assert ["nd4" in f.text for f in doctor.judge_calibration(profile, [slot])] == [True]
+    assert ["nd4" in f.text for f in every(doctor.judge_calibration, profile, [slot])] == [True]
     assert doctor.judge_age(profile, date(2027, 1, 1)).verdict == "ok"
     never = replace(profile, camera=replace(profile.camera, date=""))
     assert doctor.judge_age(never, date(2027, 1, 1)).verdict == "warn"
@@ -301,12 +311,12 @@ def test_a_meter_is_asked_where_there_is_one(monkeypatch: pytest.MonkeyPatch) ->
         def close(self) -> None: ...
 
     monkeypatch.setattr(doctor, "open_meter", lambda uri, clock: Meter())
-    found = doctor.check_meter("cl200a:/dev/ttyUSB1")
+    found = every(doctor.check_meter, "cl200a:/dev/ttyUSB1")
     assert [(f.verdict, f.text) for f in found] == [
         ("ok", "CL-200A 10001 answers: 1234 lx"),
         ("warn", "the meter's battery is low: change it"),
     ]
-    assert doctor.check_meter("") == []
+    assert every(doctor.check_meter, "") == []
 
 
 @pytest.mark.slow

@@ -120,7 +120,9 @@ def test_a_black_picture_is_doubted(tmp_path: Path) -> None:
 
 def test_a_maker_is_named_once() -> None:
     info = CameraInfo("gphoto", make="Canon", model="Canon EOS 5D Mark II", serial="7")
-    assert judge_camera(info, "gphoto:", 1)[0].text.startswith("Canon EOS 5D Mark II 7 answers")
+    assert next(iter(judge_camera(info, "gphoto:", 1))).text.startswith(
+        "Canon EOS 5D Mark II 7 answers"
+    )
 
 
 def test_a_bad_logger_file_is_refused_before_the_card_is_imported(tmp_path: Path) -> None:

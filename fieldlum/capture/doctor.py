@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import sys
-from collections.abc import Callable, Container, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass
 from datetime import UTC, date, datetime
@@ -111,7 +111,7 @@ def run(
     progress: called with the number of checks done, their total and the name of the next one. An
     empty URI means that the device is not used. only: names of the checks to run.
     """
-    checks: dict[str, Callable[[], list[Finding]]] = {
+    checks: dict[str, Callable[[], Iterable[Finding]]] = {
         "plan": lambda: check_plan(session, now_utc),
         "journal": lambda: check_journal(session),
         "profile": lambda: check_profile(session, now_utc.date()),
@@ -153,53 +153,49 @@ def as_table(findings: Sequence[Finding]) -> JsonTable:
 # the plan and the camera profile
 
 
-def check_plan(session: Session, now_utc: datetime) -> list[Finding]:
-    """Return findings on plan.csv: it fails if changed since it was planned.
+def check_plan(session: Session, now_utc: datetime) -> Iterator[Finding]:
+    """Yield findings on plan.csv: it fails if changed since it was planned.
 
     It is a warning if no slot can still be captured.
     """
-    planned = session.table().get("plan", {}).get("sha256", "")
     slots, ahead = session.slots(), slots_ahead(session, now_utc)
-    findings = []
-    if planned != sha256(session.plan):
+    if session.table().get("plan", {}).get("sha256", "") != sha256(session.plan):
         text = "plan.csv differs from the plan that session.toml records: restore it from a copy, "
         text += "or plan a new session (fieldlum plan SITE.toml --set SET --out NEW)"
-        findings.append(fail("plan", text, 3))
+        yield fail("plan", text, 3)
     if ahead:
         first = ahead[0].t_utc.astimezone(ZoneInfo(session.site_file().site.timezone))
         text = f"{len(ahead)} of {len(slots)} slots are in the future, the next on "
-        return [*findings, ok("plan", f"{text}{first:%a %Y-%m-%d at %H:%M %Z}")]
+        yield ok("plan", f"{text}{first:%a %Y-%m-%d at %H:%M %Z}")
+        return
     states = read_ledger(session).slots
     captured = {slot for slot, state in states.items() if state.outcome == "done"}
     missing, count = without_capture(slots, captured)
-    remedy = f"add make-up slots with fieldlum plan {session.root} --replan"
-    which = f", and {missing} of {count} were not captured: {remedy}"
-    which = which if missing else f": all {count} were captured"
-    return [*findings, warn("plan", f"no slot of the plan can still be captured{which}")]
+    text = f", and {missing} of {count} were not captured: add make-up slots with fieldlum plan "
+    text = f"{text}{session.root} --replan" if missing else f": all {count} were captured"
+    yield warn("plan", f"no slot of the plan can still be captured{text}")
 
 
-def check_journal(session: Session) -> list[Finding]:
-    """Return a warning that names the journal's damaged lines; none without such a line."""
-    text = damage_text(damaged_lines(session))
-    remedy = "; what they recorded is lost: restore the journal from a copy if there is one"
-    return [warn("journal", text + remedy)] if text else []
+def check_journal(session: Session) -> Iterator[Finding]:
+    """Yield a warning that names the journal's damaged lines."""
+    if text := damage_text(damaged_lines(session)):
+        remedy = "what they recorded is lost: restore the journal from a copy if there is one"
+        yield warn("journal", f"{text}; {remedy}")
 
 
-def check_profile(session: Session, today: date) -> list[Finding]:
-    """Return findings on the camera profile: its age, calibration and coverage of the view.
+def check_profile(session: Session, today: date) -> Iterator[Finding]:
+    """Yield findings on the camera profile: its age, calibration and coverage of the view.
 
     See `judge_age` and `judge_calibration`. Directions that no lens covers are a warning. Raises
     InputError for an unreadable profile.
     """
     setup = session.site_file()
     profile = load_camera_profile(setup.camera.profile)
-    blind = coverage_text(profile, setup.camera)
-    return [
-        *(warn("camera", text) for text in assumed_texts(setup.camera)),
-        judge_age(profile, today),
-        *judge_calibration(profile, session.slots()),
-        *([warn("coverage", blind)] if blind else []),
-    ]
+    yield from (warn("camera", text) for text in assumed_texts(setup.camera))
+    yield judge_age(profile, today)
+    yield from judge_calibration(profile, session.slots())
+    if blind := coverage_text(profile, setup.camera):
+        yield warn("coverage", blind)
 
 
 def judge_age(profile: CameraProfile, today: date) -> Finding:
@@ -216,31 +212,29 @@ def judge_age(profile: CameraProfile, today: date) -> Finding:
     return ok("profile", f"{name}, calibrated {calibrated}")
 
 
-def judge_calibration(profile: CameraProfile, slots: Sequence[Slot]) -> list[Finding]:
-    """Return a failed finding for apertures without a scale, and one for unknown filters.
+def judge_calibration(profile: CameraProfile, slots: Sequence[Slot]) -> Iterator[Finding]:
+    """Yield a failed finding for apertures without a scale, and one for unknown filters.
 
-    slots: with the planned exposures; the list is empty if all are in the profile.
+    slots: with the planned exposures.
     """
     planned = {exposure for slot in slots for exposure in slot.exposures}
     name, scaled = profile.camera.name, set(profile.scale.f_numbers)
-    findings = []
     if scaled and (other := sorted({e.f_number for e in planned} - scaled)):
         shown = ", ".join(f"f/{f:g}" for f in other)
         text = f"{name} has no scale k for {shown}: calibrate this aperture, or plan again"
-        findings.append(fail("profile", text, 3))
+        yield fail("profile", text, 3)
     if missing := {e.nd for e in planned if e.nd} - {nd.name for nd in profile.nd}:
         text = f"{name} has no filter {sorted(missing)[0]}: add it to [[nd]], or plan again"
-        findings.append(fail("profile", text, 3))
-    return findings
+        yield fail("profile", text, 3)
 
 
-def check_sun(session: Session, now_utc: datetime) -> list[Finding]:
-    """Return a warning if coming slots have the sun in view of the lens, else an empty list.
+def check_sun(session: Session, now_utc: datetime) -> Iterator[Finding]:
+    """Yield a warning if coming slots have the sun in view of the lens.
 
     It asks who moves a planned filter, or names the way without one.
     """
-    text = sun_text(slots_ahead(session, now_utc))
-    return [warn("sun", text)] if text else []
+    if text := sun_text(slots_ahead(session, now_utc)):
+        yield warn("sun", text)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -254,7 +248,7 @@ def _joined(*parts: str) -> str:
     return " ".join(part for part in parts if part)
 
 
-def check_camera(session: Session, uri: str, now_utc: datetime) -> list[Finding]:
+def check_camera(session: Session, uri: str, now_utc: datetime) -> Iterator[Finding]:
     """Check that the camera opens, has the planned exposures, and is that of the profile.
 
     The findings also report its name, its clock and the free space of its card. An empty URI is a
@@ -262,62 +256,61 @@ def check_camera(session: Session, uri: str, now_utc: datetime) -> list[Finding]
     the profile.
     """
     if not uri:
-        text = "no camera stated: add --camera URI, or import its card afterwards"
-        return [warn("camera", text)]
+        yield warn("camera", "no camera stated: add --camera URI, or import its card afterwards")
+        return
     with closing(open_camera(uri, clock=Clock(), session=session)) as camera:
         ahead, setup = slots_ahead(session, now_utc), session.site_file().camera
         exposures = dict.fromkeys(e for slot in ahead for e in slot.exposures)
         frames = sum(len(slot.exposures) for slot in ahead) * max(len(setup.headings), 1)
-        return [
-            *judge_camera(camera.info, uri, frames),
-            *judge_exposures(not_offered(camera, exposures), len(exposures)),
-            *judge_model(camera.info, load_camera_profile(setup.profile)),
-        ]
+        yield from judge_camera(camera.info, uri, frames)
+        yield from judge_exposures(not_offered(camera, exposures), len(exposures))
+        yield from judge_model(camera.info, load_camera_profile(setup.profile))
 
 
-def judge_exposures(refused: Sequence[str], planned: int) -> list[Finding]:
-    """Return one failed finding if the camera cannot be set to some planned exposures, else [].
+def judge_exposures(refused: Sequence[str], planned: int) -> Iterator[Finding]:
+    """Yield one failed finding if the camera cannot be set to some planned exposures.
 
     refused: a sentence on each of these; planned: number of planned exposures.
     """
-    if not refused:
-        return []
-    shown = "; ".join(refused[:3]) + (f"; {len(refused) - 3} more" if len(refused) > 3 else "")
-    text = f"the camera cannot set some of the {planned} planned exposures: {shown}; edit [bracket]"
-    text += " in the profile and plan a new session (fieldlum plan SITE.toml --out NEW)"
-    return [fail("camera", text)]
+    if refused:
+        shown = "; ".join([*refused[:3], *([f"{len(refused) - 3} more"] * (len(refused) > 3))])
+        text = f"the camera cannot set some of the {planned} planned exposures: {shown}; edit "
+        text += (
+            "[bracket] in the profile and plan a new session (fieldlum plan SITE.toml --out NEW)"
+        )
+        yield fail("camera", text)
 
 
-def judge_model(info: CameraInfo, profile: CameraProfile) -> list[Finding]:
-    """Return a warning if the camera's model is not that of the profile, else an empty list.
+def judge_model(info: CameraInfo, profile: CameraProfile) -> Iterator[Finding]:
+    """Yield a warning if the camera's model is not that of the profile.
 
     Simulated and replayed cameras, and unknown models, give none. Frames of another camera cannot
     be merged, and the planned exposures may be impossible.
     """
     model, body = info.model, profile.camera
-    is_unknown = not model or not body.model or info.kind in ("sim", "replay")
-    if is_unknown or same_model(model, body.model):
-        return []
-    text = f"{model} is not the camera of profile {body.name} ({body.model}), for which the "
-    text += f"exposures were planned: use a profile of the {model}, and plan again"
-    return [warn("profile", text)]
+    is_known = model and body.model and info.kind not in ("sim", "replay")
+    if is_known and not same_model(model, body.model):
+        text = f"{model} is not the camera of profile {body.name} ({body.model}), for which the "
+        text += f"exposures were planned: use a profile of the {model}, and plan again"
+        yield warn("profile", text)
 
 
-def judge_camera(info: CameraInfo, uri: str, frames: int) -> list[Finding]:
-    """Return the findings about a camera's name, clock and card.
+def judge_camera(info: CameraInfo, uri: str, frames: int) -> Iterator[Finding]:
+    """Yield the findings about a camera's name, clock and card.
 
     frames: number that is planned. The clock warns over 5 s from the computer's and fails over 300
     s; an unknown time is a warning, and so is a card with less space than planned.
     """
     make = "" if info.model.startswith(info.make) else info.make  # "Canon", "Canon EOS 5D"
     who = _joined(make, info.model, info.serial) or info.kind
-    battery = f", battery {info.battery}" if info.battery else ""
-    findings = [ok("camera", f"{who} answers at {uri}{battery}"), _clock_of(info.clock_offset_s)]
+    yield ok(
+        "camera", f"{who} answers at {uri}{f', battery {info.battery}' if info.battery else ''}"
+    )
+    yield _clock_of(info.clock_offset_s)
     if info.frames_left is not None:
         text = f"space for {info.frames_left} frames; {frames} are planned"
         full = warn("camera card", f"{text}: use a larger card, or empty this one")
-        findings.append(full if info.frames_left < frames else ok("camera card", text))
-    return findings
+        yield full if info.frames_left < frames else ok("camera card", text)
 
 
 def _clock_of(offset_s: float | None) -> Finding:
@@ -335,46 +328,49 @@ def _clock_of(offset_s: float | None) -> Finding:
     return (warn if abs(offset_s) > CAMERA_CLOCK_WARN_S else ok)(what, text)
 
 
-def check_pyranometer(session: Session, uri: str) -> list[Finding]:
+def check_pyranometer(session: Session, uri: str) -> Iterator[Finding]:
     """Check that the instrument opens, gives a plausible reading, and is calibrated.
 
     An empty URI is a warning. Raises DeviceError if it does not open or answer.
     """
     if not uri:
         text = "no pyranometer stated: add --pyranometer URI, or import a logger's file"
-        return [warn("pyranometer", text)]
+        yield warn("pyranometer", text)
+        return
     with closing(open_pyranometer(uri, clock=Clock(), session=session)) as instrument:
-        return judge_pyranometer(instrument.info, instrument.read(), session.site_file().site)
+        sample, site = instrument.read(), session.site_file().site
+        yield from judge_pyranometer(instrument.info, sample, site)
 
 
-def check_meter(uri: str) -> list[Finding]:
+def check_meter(uri: str) -> Iterator[Finding]:
     """Check that the illuminance meter next to the lens answers; nothing for an empty URI.
 
     Raises DeviceError if it does not answer.
     """
     if not uri:
-        return []
+        return
     with closing(open_meter(uri, clock=Clock())) as meter:
         info, reading = meter.info, meter.read()
     who = _joined(info.model, info.serial) or info.kind
-    findings = [ok("meter", f"{who} answers: {reading.illuminance_lx:.4g} lx")]
+    yield ok("meter", f"{who} answers: {reading.illuminance_lx:.4g} lx")
     if reading.low_battery:
-        findings.append(warn("meter", "the meter's battery is low: change it"))
-    return findings
+        yield warn("meter", "the meter's battery is low: change it")
 
 
-def judge_pyranometer(info: InstrumentInfo, sample: IrradianceSample, site: Site) -> list[Finding]:
-    """Return findings on an instrument: its reading, faults, and age of calibration.
+def judge_pyranometer(
+    info: InstrumentInfo, sample: IrradianceSample, site: Site
+) -> Iterator[Finding]:
+    """Yield findings on an instrument: its reading, faults, and age of calibration.
 
     A reading that is impossible for the sun's altitude fails. A reported fault, an instrument of
     global irradiance only, lines without a checksum, and a calibration over two years ago are
     warnings.
     """
-    who = _joined(info.model or info.kind, info.serial)
+    what, who = "pyranometer", _joined(info.model or info.kind, info.serial)
     parts = {"global": sample.ghi_wm2, "diffuse": sample.dhi_wm2, "direct": sample.dni_wm2}
     measured = {name: value for name, value in parts.items() if value is not None}
     reading = ", ".join(f"{name} {value:.0f}" for name, value in measured.items())
-    findings = [ok("pyranometer", f"{who} answers: {reading} W/m2")]
+    yield ok(what, f"{who} answers: {reading} W/m2")
     altitude = sun.position([sample.t_utc], site).altitude_deg
     limits = sun.bsrn_limits(altitude, sun.extraterrestrial_wm2([sample.t_utc]))
     possible = {"global": limits.ghi_wm2, "diffuse": limits.dhi_wm2, "direct": limits.dni_wm2}
@@ -383,19 +379,19 @@ def judge_pyranometer(info: InstrumentInfo, sample: IrradianceSample, site: Site
         if not low <= value <= high:
             text = f"{name} {value:.0f} W/m2 with the sun at {altitude[0]:.0f} deg is impossible "
             text += f"(limits {low:g} to {high:.0f} W/m2): check mounting, wiring and time"
-            findings.append(fail("pyranometer", text))
+            yield fail(what, text)
+    if status := sample.status or info.status:
+        yield warn(what, f"the instrument reports a fault: {status}: see its manual")
+    if info.gives == ("ghi",):
+        text = "the instrument measures only global irradiance: direct and diffuse will be derived "
+        yield warn(what, f"{text}from it, with an error of about 30 % in direct irradiance")
+    if info.guard == FORM_ALONE:
+        text = "the instrument's lines have no checksum: some damaged lines give wrong values; let "
+        text += "the instrument's program print a CRC-16 (profile arduino-crc), or a line a second"
+        yield warn(what, text)
     calibrated = iso_date(info.calibration_date, f"profile of the pyranometer {who}")
-    status = sample.status or info.status
-    remarks = {
-        f"the instrument reports a fault: {status}: see its manual": status,
-        "the instrument measures only global irradiance: direct and diffuse will be derived from "
-        "it, with an error of about 30 % in direct irradiance": info.gives == ("ghi",),
-        "the instrument's lines have no checksum: some damaged lines are not detected and give "
-        "wrong values; let the instrument's program print a CRC-16 (profile arduino-crc), or at "
-        "least one line per second, so that each row has three lines": info.guard == FORM_ALONE,
-        (text := age_text(calibrated, sample.t_utc.date())): text,
-    }
-    return findings + [warn("pyranometer", text) for text, applies in remarks.items() if applies]
+    if text := age_text(calibrated, sample.t_utc.date()):
+        yield warn(what, text)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -439,23 +435,22 @@ def check_disk(session: Session, now_utc: datetime, free_bytes: int) -> Finding:
     return ok("disk", f"{free}, enough: {need}")
 
 
-def check_writing(folder: Path) -> list[Finding]:
+def check_writing(folder: Path) -> Iterator[Finding]:
     """Write into the folder, and warn of one that a cloud service synchronises.
 
     Raises OSError or InputError if nothing can be written.
     """
     check_writable(folder)
-    text = "the folder's path has the name of a cloud service, which can lock files that it "
-    text += "synchronises: if it does, move the session to a local folder"
+    yield ok("writing", f"files can be written into {folder}")
     if any(name in str(folder.resolve()).lower() for name in SYNCED_FOLDERS):
-        return [warn("writing", text)]
-    return [ok("writing", f"files can be written into {folder}")]
+        text = "the folder's path has the name of a cloud service, which can lock files that it "
+        yield warn("writing", f"{text}synchronises: if it does, move the session to a local folder")
 
 
-def check_awake() -> list[Finding]:
+def check_awake() -> Iterator[Finding]:
     """Take the locks against sleep, release them, and judge them; see `check_sleep`."""
     with kept_awake() as locks:
-        return [check_sleep(locks, lid=any(Path("/proc/acpi/button/lid").glob("*")))]
+        yield check_sleep(locks, lid=any(Path("/proc/acpi/button/lid").glob("*")))
 
 
 def check_sleep(locks: str, *, lid: bool = False) -> Finding:
