@@ -47,7 +47,6 @@ if TYPE_CHECKING:
 
 PICTURES = (".hdr", ".exr", ".pic")
 SUN_UP_HOURS = "sun-up-hours.txt"  # honeybee-radiance
-_SUN_MARGIN_DEG = 2.0  # around the sun, where one of the pictures has the disc; chosen
 # A camera is right to 5 %, a Radiance rendering of a known room to about 10 % (Mardaljevic 1995).
 _ALIKE_REL = 0.10
 # Surfaces that differ this many times are not materials but another view: a reflectance of 0.9 is
@@ -197,7 +196,8 @@ def _on_one_grid(capture: Panorama, path: Path, model: Path) -> tuple[Floats, Fl
     weight[~inside] = 0.0
     if capture.sun is not None:
         sun = direction(capture.sun.altitude_deg, capture.sun.azimuth_deg)
-        weight[rays @ sun > np.cos(np.radians(_SUN_MARGIN_DEG))] = 0.0
+        # within 2 degrees of the sun, one of the pictures may have the disc
+        weight[rays @ sun > np.cos(np.radians(2.0))] = 0.0
     if not (weight * light).sum() > 0.0 or not (weight * model_light).sum() > 0.0:
         found, expected = "no light in the capture's directions", "the same directions in cd/m2"
         raise InputError(model, found, expected, "check VIEW, north (y axis) and unit")

@@ -175,8 +175,6 @@ _FRAMES = (*_JPEG, ".tif", ".tiff", ".png", ".heic", *RAW_SUFFIXES)
 # Artist; BodySerialNumber, LensSerialNumber, and CameraSerialNumber of DNG 1.4
 _GPS, _GPS_VERSION, _OWNER, _SERIAL = 0x8825, 0, (0xA430, 0x013B), (0xA431, 0xA435, 0xC62F)
 _PLACE = re.compile(r'(l(?:at|ong)itude_deg"?\s*[:=]\s*)(-?[\d.]+(?:[eE][-+]?\d+)?)')
-_MOVED_SHARE = 0.02  # of the view: something as large as a person 3 m away moved; chosen
-_POSITION_DIGITS = 2  # decimals of a coarse position: 1.1 km, 0.01 degrees of the sun
 
 
 class Statement(NamedTuple):
@@ -309,7 +307,8 @@ def _session_toml(session: Session, coarse_position: bool) -> str:
 
 def _coarse(text: str) -> str:
     """Return a TOML or JSON text with rounded latitudes and longitudes."""
-    return _PLACE.sub(lambda m: f"{m[1]}{round(float(m[2]), _POSITION_DIGITS)}", text)
+    # 1.1 km, 0.01 degrees of the sun
+    return _PLACE.sub(lambda m: f"{m[1]}{round(float(m[2]), 2)}", text)
 
 
 def _notes(session: Session) -> list[str]:
@@ -317,7 +316,8 @@ def _notes(session: Session) -> list[str]:
     notes, moved = [], []
     for path in session.panorama_files():
         flags = read_panorama(path).flags
-        if flags is not None and float(((flags & Flag.MOTION) > 0).mean()) > _MOVED_SHARE:
+        # a person 3 m away covers 2 % of the view
+        if flags is not None and float(((flags & Flag.MOTION) > 0).mean()) > 0.02:
             moved.append(path.stem)
     if moved:
         listed = ", ".join(moved[:5]) + (" ..." if len(moved) > 5 else "")

@@ -96,7 +96,6 @@ def region_statistics(region: Region, picture: MeasuredPicture) -> dict[str, flo
     return row | dict(zip(COLUMNS[3:], map(float, figures), strict=True))
 
 
-_DRAWN_SOURCES = 12  # strongest sources with an outline; not measured
 Outline = list[tuple[int, int]]
 
 
@@ -183,7 +182,8 @@ def _outlines(sources: Sources, shape: tuple[int, ...]) -> list[Outline]:
     import cv2
 
     outlines: list[Outline] = []
-    for number in np.argsort(sources.contrast[:, 0])[::-1][:_DRAWN_SOURCES]:
+    # the 12 strongest
+    for number in np.argsort(sources.contrast[:, 0])[::-1][:12]:
         mask = np.zeros(shape, np.uint8)
         mask.flat[sources.pixels[number]] = 1
         contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)

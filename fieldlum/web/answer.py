@@ -31,8 +31,6 @@ from fieldlum.session.files.sidecar import newest_sidecar
 # A bracket begins with the camera waking up: a minute before it the computer is the capture's.
 # Chosen.
 QUIET_BEFORE_S = 90.0
-_LOOK_EVERY_S = 5.0  # not measured
-_LOWEST_PRIORITY = 19  # of POSIX nice
 ANSWER_EVERY = timedelta(hours=6)  # fitting takes minutes: at most a few times a day; chosen
 MIN_CAPTURES = 8  # fewer leave every class open; chosen
 PROGRAM = (
@@ -66,7 +64,7 @@ class Worker:
     moment: Callable[[], Moment]
     weather: str = "synthetic"
     program: Sequence[str] = PROGRAM
-    look_every_s: float = _LOOK_EVERY_S
+    look_every_s: float = 5.0
     problem: str = ""
     step: str = ""
     _stop: threading.Event = field(default_factory=threading.Event)
@@ -189,7 +187,8 @@ class Worker:
             start_new_session=True,
         )
         with suppress(psutil.Error):
-            lowest = getattr(psutil, "IDLE_PRIORITY_CLASS", _LOWEST_PRIORITY)
+            # the lowest priority of POSIX
+            lowest = getattr(psutil, "IDLE_PRIORITY_CLASS", 19)
             psutil.Process(process.pid).nice(lowest)
         return process
 

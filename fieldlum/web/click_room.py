@@ -29,8 +29,6 @@ from fieldlum.web.server import json_body, picture_routes, static_route
 from fieldlum.web.snapshot import scale_of
 
 _PATCH_HEIGHT_PX = 90  # of the sun patch that is drawn: 2 degrees a pixel; chosen
-_LEAST_PATCH = 0.05  # of the brightest patch: its dim rim is no outline; chosen
-_MAX_BODY = 200_000  # bytes; far more than the clicks of a room; not measured
 _NUMBERS_KEPT = ("width_m", "depth_m", "height_m", "camera_x_m", "camera_y_m", "wall_azimuth_deg")
 
 
@@ -142,7 +140,8 @@ def click_routes(picture: ClickedPicture, camera_height_m: float) -> list[Route]
             return make(clicked, asked.get("replace") is True)
 
         async def handle(request: Request) -> Response:
-            asked = await json_body(request, _MAX_BODY)
+            # bytes: far more than the clicks of a room
+            asked = await json_body(request, 200_000)
             try:
                 return JSONResponse(await asyncio.to_thread(answer, asked))
             except InputError as error:
@@ -179,7 +178,8 @@ def _patches(room: Room, picture: ClickedPicture) -> list[list[float]]:
     heading = picture.grid.heading_deg
     patches = sun_patches(room, toward, 1.0, height=_PATCH_HEIGHT_PX, heading_deg=heading, sub=1)
     light = patches.luminance_cdm2[0]  # [H, W]
-    lit = light > _LEAST_PATCH * max(float(light.max()), 1e-12)
+    # the dim rim of a patch is no outline
+    lit = light > 0.05 * max(float(light.max()), 1e-12)
     mask = np.ascontiguousarray(lit.astype(np.uint8))
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
     factor = picture.grid.height_px / _PATCH_HEIGHT_PX

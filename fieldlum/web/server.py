@@ -58,8 +58,6 @@ async def json_body(request: Request, max_bytes: int) -> Mapping[str, Any]:
     return asked
 
 
-TOKEN_BYTES = 32  # 256 random bits cannot be guessed, so wrong tokens need no counting; chosen
-
 SECURITY_HEADERS = {
     "Content-Security-Policy": (
         "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
@@ -84,7 +82,8 @@ class Access:
 
     def __init__(self, port: int, names: Iterable[str]) -> None:
         """names: host names and addresses without a port, an IPv6 address in brackets."""
-        self.token, cookie = secrets.token_urlsafe(TOKEN_BYTES), secrets.token_urlsafe(TOKEN_BYTES)
+        # 256 random bits cannot be guessed, so wrong tokens need no counting
+        self.token, cookie = secrets.token_urlsafe(32), secrets.token_urlsafe(32)
         # Cookies are shared by all ports of a host: two sessions that are watched need two names.
         self._cookie = f"fieldlum-{port}={cookie}"
         self.hosts = frozenset(f"{name}:{port}".lower() for name in names)
@@ -130,8 +129,6 @@ def _same(text: str, wanted: str) -> bool:
 # ----------------------------------------------------------------------------------------------
 # server
 
-_REQUEST_S = 5.0  # for the headers of the first request; a phone on slow Wi-Fi needs under one
-
 
 class PatientProtocol(H11Protocol):
     """A connection that is closed if its first request is not complete after five seconds.
@@ -142,7 +139,8 @@ class PatientProtocol(H11Protocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Accept a connection."""
         super().connection_made(transport)
-        self.loop.call_later(_REQUEST_S, self._end_if_silent)
+        # a phone on slow Wi-Fi needs under a second
+        self.loop.call_later(5.0, self._end_if_silent)
 
     def _end_if_silent(self) -> None:
         if self.cycle is None:  # no request arrived with all its headers

@@ -40,7 +40,6 @@ from fieldlum.web.answer import QUIET_BEFORE_S, Moment
 
 BIN_S = 120  # 720 points a day: more cannot be seen in a curve as wide as a page; chosen
 _BINS = 86400 // BIN_S
-_EVENTS_KEPT = 60  # in memory; more than a page shows; chosen
 
 
 class LineTail:
@@ -86,7 +85,8 @@ class JournalFollower(LineTail):
     def clear(self) -> None:
         """Begin with the state of an empty file."""
         self.ledger = Ledger()
-        self.events: deque[JournalEvent] = deque(maxlen=_EVENTS_KEPT)
+        # more than a page shows
+        self.events: deque[JournalEvent] = deque(maxlen=60)
         self.away: dict[str, datetime] = {}
         self.opened: JournalEvent | None = None
 
@@ -168,9 +168,6 @@ class IrradianceFollower:
 # ----------------------------------------------------------------------------------------------
 # pictures
 
-MAX_WIDTH = 1840  # four times a panorama of 460; bounds the memory; chosen
-_KEPT_PICTURES = 48  # of about 100 kB: what a page shows at once, and no more; chosen
-
 
 def scale_of(paths: Iterable[Path]) -> tuple[float, float]:
     """Return the ends of one scale for several panoramas in cd/m2, see `shared_scale`.
@@ -197,10 +194,12 @@ def picture_png(path: Path, width: int, low: float, high: float) -> bytes:
     The scale is logarithmic from low to high [cd/m2]. Raises InputError for a damaged file, OSError
     for a missing one.
     """
-    return _png(path, path.stat().st_mtime_ns, min(width, MAX_WIDTH), low, high)
+    # at most four times a panorama of 460 pixels, which bounds the memory
+    return _png(path, path.stat().st_mtime_ns, min(width, 1840), low, high)
 
 
-@lru_cache(maxsize=_KEPT_PICTURES)
+# as many as a page shows at once, of about 100 kB
+@lru_cache(maxsize=48)
 def _png(path: Path, stamp: int, width: int, low: float, high: float) -> bytes:
     import cv2
 
@@ -350,7 +349,6 @@ def battery() -> JsonTable | None:
 
 
 _FINDINGS_EVERY = timedelta(minutes=5)  # not measured
-_EVENTS_SHOWN = 25  # not measured: about a screen
 # A journal this far ahead of the computer's clock comes from `capture --clock fast`. Chosen.
 _REHEARSAL = timedelta(hours=1)
 
@@ -570,7 +568,8 @@ class Snapshots:
             local = parse_utc(event["t_utc"]).astimezone(self._zone)
             at = f"{local:%a %d %b %H:%M}"
             rows.append({"level": words[0], "text": words[1], "local": at, "times": 1})
-        return rows[:_EVENTS_SHOWN]
+        # about a screen
+        return rows[:25]
 
     def _doctor(self, now: datetime) -> list[JsonTable]:
         """Return doctor's findings that need no device; a capture may be using the devices."""

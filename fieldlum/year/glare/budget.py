@@ -39,7 +39,6 @@ from fieldlum.year.glare.standards import (
 # relative u of a disc's illuminance by DNI: luminous efficacy and glass together; not measured
 U_DISC = 0.05
 BUDGET_FILE = "budget.csv"  # of a predicted year
-NOISE_DRAWS = 100  # their standard deviation, a small part of the budget, is known to 7 %
 _NORMAL, _RECTANGULAR = "normal", "rectangular"
 
 
@@ -268,7 +267,8 @@ def _of_pixels(scene: _Scene) -> Iterator[tuple[Source, Mapping[str, Floats]]]:
     if stated:
         name = "noise, edges and other parts of single pixels"
         rng = np.random.default_rng(0)
-        draws = [scene.figures(rest * rng.standard_normal(rest.shape)) for _ in range(NOISE_DRAWS)]
+        # their standard deviation, a small part of the budget, is known to 7 %
+        draws = [scene.figures(rest * rng.standard_normal(rest.shape)) for _ in range(100)]
         change = {name: np.std([d[name] for d in draws], axis=0, ddof=1) for name in draws[0]}
         yield Source(name, "A", _NORMAL, mean, "%", "no other pixel"), change
     elif rest.any():

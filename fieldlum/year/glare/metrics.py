@@ -30,7 +30,6 @@ from fieldlum.year.glare.sources import SOURCE_CDM2, Sources, glare_sources
 # What a disc of 1 lx adds, by `sun_per_lx`, and its illuminance [..., n] in lx.
 DiscLight = tuple[tuple[Floats, Floats], Floats]
 
-_VEILING_AGE = 70.0  # CIE 146:2002, age-adjusted Stiles-Holladay: 1 + (age / 70)^4
 YOUNG_AGE, OLD_AGE = 25.0, 70.0  # years, of the two veiling luminances; at 70 CIE 146 doubles it
 _MIN_GLARE_ANGLE_RAD = float(np.radians(1.0))  # Stiles-Holladay is valid from 1 to 30 degrees
 
@@ -112,7 +111,8 @@ def veiling_cdm2(veiling_sum: ArrayLike, age_years: float) -> Floats:
     their angle from the line of sight [deg], of at least 1 degree. age_years : of the observer.
     This is the age-adjusted Stiles-Holladay formula (CIE 146:2002).
     """
-    return 10.0 * (1.0 + (age_years / _VEILING_AGE) ** 4) * np.asarray(veiling_sum, float)
+    # CIE 146:2002, age-adjusted Stiles-Holladay: 1 + (age / 70)^4
+    return 10.0 * (1.0 + (age_years / 70.0) ** 4) * np.asarray(veiling_sum, float)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -312,13 +312,6 @@ def combine(
 # the minimum and maximum DGP. More light on the eye can lower DGP (the contrast term falls with
 # Ev), so that the lower bound is not always at 0 cd/m2.
 
-# Share of the seen solid angle that is brighter than the brightest likely luminance: a window pane
-# is larger, a single bright pixel of a reflection smaller. Chosen, not measured.
-BRIGHTEST_SHARE = 0.01
-_LEVELS = 12  # number of luminances between 1 cd/m2 and the brightest; chosen
-_COMPLETE_SHARE = 0.999  # exactness of a picture's weights (`picture_views`)
-_SAMPLES = 20_000  # pixels from which a percentile is taken; chosen
-
 
 @dataclass(frozen=True, slots=True)
 class ViewCoverage:
@@ -356,7 +349,8 @@ def view_coverage(views: Views) -> ViewCoverage:
     seen = np.zeros_like(views.hemisphere)
     seen[0] = views.illuminance.sum(axis=0, dtype=float)
     share = np.minimum(seen[0] / views.hemisphere[0], 1.0)
-    incomplete = share < _COMPLETE_SHARE
+    # a picture's weights are exact to 0.1 % (`picture_views`)
+    incomplete = share < 0.999
     for first in range(0, len(views.moments) if incomplete.any() else 0, _BLOCK):
         rows = slice(first, first + _BLOCK)
         part = views.moments[rows].astype(float)  # [n, 3, d]
@@ -379,12 +373,13 @@ def brightest_cdm2(luminance_cdm2: Floats, views: Views) -> Floats:
     luminance_cdm2 : [n, H, W] of n maps; views : their weights; only seen directions count. 0
     without any.
     """
-    step = luminance_cdm2[0].size // _SAMPLES | 1  # odd: not every time the same columns
+    step = luminance_cdm2[0].size // 20_000 | 1  # odd: not every time the same columns
     weights = views.moments[::step, 0].max(axis=1)
     flat = luminance_cdm2.reshape(len(luminance_cdm2), -1)[:, ::step]
     order = np.argsort(flat, axis=1)[:, ::-1]
     share = np.cumsum(weights[order], axis=1, dtype=float) / max(weights.sum(dtype=float), 1e-30)
-    place = (share < BRIGHTEST_SHARE).sum(axis=1)[:, None].clip(max=flat.shape[1] - 1)
+    # a window pane is larger than a hundredth, a bright pixel of a reflection smaller; chosen
+    place = (share < 0.01).sum(axis=1)[:, None].clip(max=flat.shape[1] - 1)
     found = np.take_along_axis(flat, np.take_along_axis(order, place, 1), 1)[:, 0]
     return np.where(weights.any(), found, 0.0).astype(float)
 
@@ -401,7 +396,8 @@ def unseen_dgp_bounds(
     low = high = dgp(ev_lx, contrast)
     if not coverage.unseen_illuminance.any():
         return low, high
-    for share in np.linspace(0.0, 1.0, _LEVELS):
+    # levels from 1 cd/m2 to the brightest
+    for share in np.linspace(0.0, 1.0, 12):
         level = np.maximum(max_cdm2, 1.0)[:, None] ** share  # [n, 1], 1 cd/m2 up to the brightest
         power = np.where(level > SOURCE_CDM2, level, 0.0) ** 2
         value = dgp(
@@ -419,9 +415,6 @@ RAMMG_LEVELS = 5  # as the authors' code (Liu, Colburn and Inanici 2020)
 TASK_ALTITUDE_DEG = -30.0
 TASK_RADIUS_DEG = 15.0
 BAND_DEG = 20.0  # the 40-degree horizontal band of Van Den Wymelenberg and Inanici 2014
-WINDOW_CDM2 = 2000.0  # brighter pixels are window, the limit of a glare source; not measured
-# Share of task cone or band that must be seen: 58 rows of pixels give the cone to 5 %. Chosen.
-_MIN_REGION_SHARE = 0.9
 
 
 def local_contrast(image: Floats) -> Floats:
@@ -483,9 +476,11 @@ def region_ratios(luminance_cdm2: Floats, views: Views) -> dict[str, Floats]:
     task = half * (up * np.sin(below) + forward * np.cos(below) > np.cos(radius))
     band = half * (np.abs(up) < np.sin(reach))
     for part, complete_sr in ((task, 1 - np.cos(radius)), (band, np.sin(reach))):
-        part[:, part.sum(axis=0) < _MIN_REGION_SHARE * 2 * np.pi * complete_sr] = np.nan
+        # Share of task cone or band that must be seen: 58 rows of pixels give the cone to 5 %.
+        # Chosen.
+        part[:, part.sum(axis=0) < 0.9 * 2 * np.pi * complete_sr] = np.nan
     flat = np.asarray(luminance_cdm2, np.float32).reshape(len(luminance_cdm2), -1)
-    bright = flat > WINDOW_CDM2
+    bright = flat > SOURCE_CDM2
     with np.errstate(divide="ignore", invalid="ignore"):  # regions outside the picture
         mean = flat @ task / task.sum(axis=0)
         window = (flat * bright) @ half / (bright.astype(np.float32) @ half)

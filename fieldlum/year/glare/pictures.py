@@ -150,7 +150,6 @@ def _stated(text: str, path: Path) -> str:
 # Sum of solid angle over squared position index of a hemisphere, sr: the integral of
 # `position_index` (test_a_hemisphere_has_its_sources).
 HEMISPHERE_SOURCES_SR = 0.84636
-_BLOCK_PIXELS = 250_000  # pixels processed at a time: about 40 MB of temporary arrays; chosen
 # Samples along an edge of the picture and most along an edge of a pixel, with which solid angles
 # are exact to 5e-3 (test_a_uniform_hemisphere_gives_pi_l_in_every_mapping).
 _FINE_SAMPLES, _MAX_PIXEL_SAMPLES = 1000, 8
@@ -168,7 +167,8 @@ def picture_views(
     steps = (np.arange(fine) + 0.5) / fine - 0.5
     weights, ahead = np.zeros((height, width, 4), np.float32), np.zeros((height, width), bool)
     pixel = 1.0 / (height * width * fine**2)
-    block = max(1, _BLOCK_PIXELS // width)
+    # about 40 MB of temporary arrays at a time
+    block = max(1, 250_000 // width)
     for first in range(0, height, block):
         rows = slice(first, first + block)
         y, x = picture_centres(height, width, rows)
@@ -209,10 +209,6 @@ HOW = f'state the true view, such as --view "{EXAMPLE_VIEW}" for a fisheye that 
 # views, and the numbers after each view option (rpict -v).
 _MAX_DEG = {"a": 360.0, "h": 180.0, "s": 359.0, "v": 179.0}
 _ARGUMENTS = {"vp": 3, "vd": 3, "vu": 3, "vh": 1, "vv": 1, "vo": 1, "va": 1, "vs": 1, "vl": 1}
-# The solid angle of -vth is infinite at its rim; directions with a smaller cosine are 0.1 % of the
-# hemisphere. Chosen.
-_MIN_COSINE = 1e-3
-_SAME_PROPORTION = 0.02  # relative; -vh and -vv are often rounded to degrees; chosen
 
 
 @dataclass(frozen=True, slots=True)
@@ -279,7 +275,8 @@ def picture_rays(view: PictureView, x: ArrayLike, y: ArrayLike) -> tuple[Floats,
         forward, density = np.cos(angle), np.where(angle < np.pi, shrink, 0.0)
     elif view.kind == "h":
         shrink, forward = np.ones_like(square), np.sqrt(np.maximum(1.0 - square, 0.0))
-        density = np.where(square < 1.0, 1.0 / np.maximum(forward, _MIN_COSINE), 0.0)
+        # infinite at the rim; directions with a smaller cosine are 0.1 % of the hemisphere
+        density = np.where(square < 1.0, 1.0 / np.maximum(forward, 1e-3), 0.0)
     elif view.kind == "s":
         shrink = 4.0 / (4.0 + square)
         forward, density = 2.0 * shrink - 1.0, shrink**2
@@ -308,7 +305,8 @@ def check_proportion(
     """
     expected = _reach(view.kind, view.horizontal_deg) / _reach(view.kind, view.vertical_deg)
     actual = width / height / pixel_aspect
-    if abs(actual / expected - 1.0) > _SAME_PROPORTION + 1.0 / min(width, height):
+    # -vh and -vv are often rounded to degrees
+    if abs(actual / expected - 1.0) > 0.02 + 1.0 / min(width, height):
         angles = f"-vh {view.horizontal_deg:g} -vv {view.vertical_deg:g}"
         found, ratio = (
             f"{width} x {height} pixels with {angles}",

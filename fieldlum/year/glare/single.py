@@ -51,7 +51,6 @@ VERDICTS = (
     (0.45, "disturbing"),
     (np.inf, "intolerable"),
 )
-SHOWN_SOURCES = 20  # strongest ones that are listed: a noisy picture can have thousands; chosen
 # More than sun and sky give: the sun's illuminance outside the atmosphere is 133 100 lx (IES
 # Lighting Handbook). Chosen above it, for sunlit snow. A picture in cd/m2 instead of Radiance's
 # W/sr/m2 is 179 times too bright.
@@ -237,7 +236,8 @@ def _source_rows(sources: Sources) -> list[dict[str, float]]:
         "up_deg": np.degrees(sources.up_rad),
         "ev_lx": sources.ev_lx,
     }
-    order = np.argsort(sources.contrast[:, 0])[::-1][:SHOWN_SOURCES]
+    # the 20 strongest: a noisy picture can have thousands
+    order = np.argsort(sources.contrast[:, 0])[::-1][:20]
     return [{name: float(values[i, 0]) for name, values in figures.items()} for i in order]
 
 

@@ -23,9 +23,6 @@ from fieldlum.year.glare.geometry import Views, position_index
 SOURCE_CDM2 = 2000.0
 PEAK_CDM2 = 50_000.0
 REACH_RAD = 0.1
-# Rows of a panorama of directions on which bright pixels of other pictures are grouped: 0.25
-# degrees, a twentieth of the distance within which they form one source. Chosen.
-_DIRECTION_ROWS = 720
 
 
 def widen(mask: Mask, radius_rad: float) -> Mask:
@@ -149,7 +146,9 @@ def sources_of(luminance_cdm2: Floats, views: Views | None = None) -> list[NDArr
         return []
     row, column = np.unravel_index(pixels, shape)
     if views is not None:  # grouped on a panorama of the directions
-        shape = (_DIRECTION_ROWS, 2 * _DIRECTION_ROWS)
+        # Rows of a panorama of directions on which bright pixels of other pictures are grouped:
+        # 0.25 degrees, a twentieth of the distance within which they form one source. Chosen.
+        shape = (720, 2 * 720)
         right, up, forward = np.moveaxis(views.rays(pixels)[0][:, :, 0], 1, 0)
         altitude_deg, azimuth_deg = altitude_azimuth_deg(np.stack([right, forward, up], axis=-1))
         row, column = (

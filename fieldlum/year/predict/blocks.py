@@ -181,7 +181,6 @@ def blocks(
 # stored maps
 
 NAME, DRAFT = "maps.zarr", ".maps.zarr.tmp"
-CHUNK = 8  # hours that must be decompressed to read one hour; not measured
 MAPS = "luminance_cdm2"
 
 
@@ -217,7 +216,7 @@ def begin_maps(folder: Path, t_utc: Sequence[datetime], room: ModelRoom) -> Path
         MAPS,
         shape=(len(t_utc), height, width),
         dtype="float32",
-        chunks=(CHUNK, height, width),
+        chunks=(8, height, width),  # hours that are decompressed to read one
         shards=(BLOCK, height, width),  # one file for each unit
         fill_value=float("nan"),
         dimension_names=("time", "y", "x"),

@@ -32,8 +32,6 @@ HOURLY_MEANS = (
     "hours can be too low or too high."
 )
 # a larger share of occupied hours outside the captures is reported; not measured
-_MAX_UNCERTAIN_SHARE = 0.05
-WHOLE_YEAR_DAYS = 360  # a year may lack some days in a weather file; chosen
 _WIDE_DGP = 0.2  # an interval of this width spans all classes (EN 17037: 0.35 to 0.45)
 
 
@@ -128,14 +126,15 @@ def _notes(
     weather: Weather, room: ModelRoom, untrusted: float, wide: float, days: int
 ) -> list[str]:
     notes = [HOURLY_MEANS]
-    if days < WHOLE_YEAR_DAYS:
+    # a weather file of a year may lack some days
+    if days < 360:
         notes.append(
             f"the weather has {days} days, not a year: glare classes are for these days only"
         )
     if weather.synthetic:
         notes.append("the weather is synthetic: it must not be used to judge this place")
     notes += list(room.sky_view.notes) if room.sky_view else [room.disc_from]
-    if untrusted + wide > _MAX_UNCERTAIN_SHARE:
+    if untrusted + wide > 0.05:
         mirror = "a mirrored sun may be in view, " if room.mirrors else ""
         notes.append(
             f"DGP is uncertain in {100 * (untrusted + wide):.0f} % of the occupied hours with "

@@ -36,8 +36,6 @@ from fieldlum.year.glare.standards import DgpUncertainty, dgp_uncertainty, distu
 from fieldlum.year.predict.blocks import BLOCK, HourBlock, ModelRoom, blocks, room_of, write_maps
 from fieldlum.year.predict.melanopic import MelanopicYear
 
-NORMAL_95 = 1.96  # standard deviations of a 95 % interval; quantile of the normal distribution
-
 
 @dataclass(frozen=True, slots=True)
 class HourFigures:
@@ -106,7 +104,7 @@ class HourJudge:
             dgp_uncertainty(ev_lx, contrast, u_ev_rel, u_source_rel),
         )
         off = doubt.drawn - figures["dgp"].astype(np.float32)  # [m, k, d]
-        reach = NORMAL_95 * np.nan_to_num(doubt.u_maps)
+        reach = 1.96 * np.nan_to_num(doubt.u_maps)  # 95 %
         low, high = np.percentile(off, (2.5, 97.5), axis=0)
         figures["dgp_low"] = np.clip(doubt.minimum + np.minimum(low, 0.0) - reach, 0.0, 1.0)
         figures["dgp_high"] = np.clip(doubt.maximum + np.maximum(high, 0.0) + reach, 0.0, 1.0)

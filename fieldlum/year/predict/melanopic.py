@@ -34,13 +34,10 @@ from fieldlum.year.glare.geometry import panorama_views
 from fieldlum.year.glare.metrics import map_ev_lx
 from fieldlum.year.predict.blocks import ModelRoom
 
-_MAX_CAPTURES = 80  # that are read, which limits the time; chosen
-_NOISE = 1e-2  # relative variance of a capture, as the transport model's middle one
 # Where captures do not decide: the ratio of an overcast sky, what a clear sky adds, and the sun's
 # over `sun_ratio` (fits to two simulated rooms with a coloured sky), with the weight of _PRIOR
 # captures.
 _TYPICAL, _PRIOR = np.array([1.0, 0.25, 0.95]), 2.0
-_U_SUN = 0.07  # relative u of the visible sun's melanopic illuminance; chosen
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +87,8 @@ class MelanopicYear:
         of_map = (views["ev_lx"] - views["sun_ev_lx"]) * self.ratio(light)
         of_sun = views["sun_ev_lx"] * sun_ratio(light.shown_altitude_deg)[:, None]
         edi = of_map + of_sun
-        u = np.hypot(np.hypot(of_map * self.u_rel, of_sun * _U_SUN), edi * u_ev_rel)
+        # 7 % of the visible sun's melanopic illuminance; chosen
+        u = np.hypot(np.hypot(of_map * self.u_rel, of_sun * 0.07), edi * u_ev_rel)
         return {"melanopic_edi_lx": edi, "u_melanopic_edi_lx": u}
 
 
@@ -123,7 +121,8 @@ def fit_year(
     def fitted(rows: Mask) -> MelanopicYear:
         kernel, some = Kernel(facades), light[rows]
         features = light_features(some)
-        covariance = kernel(features, features) + _NOISE * np.eye(len(some))
+        # variance of a capture, as the transport model's middle one
+        covariance = kernel(features, features) + 1e-2 * np.eye(len(some))
         relative = photopic_lx[rows] / some.total_lx[:, None]
         coefficients = np.linalg.solve(covariance, relative)
         year = MelanopicYear(kernel, features, coefficients, _TYPICAL, np.ones(0), 0.0)
@@ -174,7 +173,8 @@ def year_of_captures(pairs: Path, room: ModelRoom, azimuths_deg: Floats) -> Mela
     """
     views = panorama_views(room.height, room.width, room.heading_deg, azimuths_deg, room.seen)
     usable = [row for row in PairsFile.find(pairs).usable if row.panorama and not row.sun_in_map]
-    step = -(-len(usable) // _MAX_CAPTURES) if usable else 1
+    # at most 80 captures are read, which limits the time
+    step = -(-len(usable) // 80) if usable else 1
     rows: list[PairRow] = []
     photopic, melanopic, u_rel = [], [], 0.0
     for row in usable[::step]:

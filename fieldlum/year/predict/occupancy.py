@@ -17,7 +17,6 @@ from fieldlum.core.strict_csv import read_table
 from fieldlum.sky.sun import hour_of_year, position, standard_date, standard_offset
 
 DAYS = ("mon", "tue", "wed", "thu", "fri", "sat", "sun")
-HOURS_OF_YEAR = 8760  # of 365 days
 _HOUR = timedelta(hours=1)
 HOW = (
     "columns days,start,end (mon-fri,08:00,18:00), or a column occupied with 8760 rows of 0 or 1, "
@@ -106,7 +105,7 @@ def _days(text: str) -> Iterator[int]:
 
 
 def _hourly(path: Path, rows: Sequence[tuple[int, tuple[str, ...]]], column: int) -> Occupancy:
-    if len(rows) != HOURS_OF_YEAR:
+    if len(rows) != 8760:
         raise InputError(path, f"{len(rows)} rows", HOW, "write a row for each hour")
     for number, row in rows:
         if row[column] not in ("0", "1"):
