@@ -24,6 +24,7 @@ import pytest
 from browser import CHROMIUM, chromium
 from click.testing import CliRunner
 from places import SEATTLE
+from starlette.responses import PlainTextResponse
 from test_session import WRONG_EVENTS
 from tiny_field import LADDER, T0, Field, make_session
 
@@ -35,7 +36,7 @@ from fieldlum.session import DayFiles, Journal, Session, create_session, read_jo
 from fieldlum.session.files.sidecar import Sidecar
 from fieldlum.session.lines import encode_line
 from fieldlum.web.answer import Moment, Worker, answer_table
-from fieldlum.web.server import Access, qr_lines
+from fieldlum.web.server import Guard, qr_lines
 from fieldlum.web.snapshot import DayBins, JournalFollower, Snapshots
 
 HOSTILE = '<img src=x onerror="document.body.dataset.hacked=1">'
@@ -157,10 +158,10 @@ def cookie(address: str) -> str:
 def test_without_the_token_nothing_is_answered(address: str, cookie: str) -> None:
     for path in ("/", "/state.json", "/watch.js", "/picture/20270320T153000Z.png", "/nothing"):
         assert _ask(address, path)[0] == 401
-    other = Access(1, ("127.0.0.1",))
+    other = Guard(PlainTextResponse(""), 1, ("127.0.0.1",))
     for token in ("", "x", other.token, "%00", "é".encode().hex(), "a" * 5000):
         assert _ask(address, f"/?token={token}")[0] == 401
-    for old in (other.set_cookie.split(";")[0], cookie + "x", cookie[:-1], "fieldlum-1=", ";;=;"):
+    for old in (f"fieldlum-1={other.token}", cookie + "x", cookie[:-1], "fieldlum-1=", ";;=;"):
         assert _ask(address, "/state.json", {"Cookie": old})[0] == 401
     status, headers, _ = _ask(address, "/state.json", {"Cookie": f"other=1; {cookie}"})
     assert status == 200

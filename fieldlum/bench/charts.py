@@ -22,18 +22,6 @@ COLOURS = {
 }
 
 
-def _figure(width: float, height: float, panels: int = 1) -> tuple[Any, Any]:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(width, height), layout="constrained", dpi=150)
-    axes = figure.subplots(1, panels)
-    for axis in np.atleast_1d(axes):
-        axis.grid(True, which="major", color=GRID, linewidth=0.7)
-        axis.set_axisbelow(True)
-        open_axes(axis)
-    return figure, axes
-
-
 def _colour(name: str) -> str:
     return next((colour for key, colour in COLOURS.items() if name.startswith(key)), "#111827")
 
@@ -50,9 +38,14 @@ def pareto(points: Sequence[tuple[float, float]]) -> list[int]:
 
 def speed_accuracy(path: Path, rows: Sequence[Mapping[str, Any]], machine: str) -> None:
     """Draw each model's log10 MSE (paper mode) over its CPU seconds of training and of one map."""
-    figure, axes = _figure(11.0, 4.8, 2)
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11.0, 4.8), layout="constrained", dpi=150)
     labels = {"fit_cpu_s": "training", "predict_cpu_s_per_map": "one map"}
-    for axis, (key, label) in zip(axes, labels.items(), strict=True):
+    for axis, (key, label) in zip(figure.subplots(1, 2), labels.items(), strict=True):
+        axis.grid(True, which="major", color=GRID, linewidth=0.7)
+        axis.set_axisbelow(True)
+        open_axes(axis)
         _points(axis, [row for row in rows if _is_finite(row, key, "paper_log10_mse")], key)
         star = {"marker": "*", "linestyle": "none", "markersize": 14, "color": COLOURS["dense"]}
         axis.plot(PAPER[key], PAPER["error"], markerfacecolor="white", label=PAPER_LABEL, **star)

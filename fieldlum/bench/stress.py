@@ -96,12 +96,6 @@ def _patched(data: Dataset) -> Dataset:
     return with_patches(data) if stated else data
 
 
-def shifted(data: Dataset, pixels: int) -> Dataset:
-    """Return the data with sun patches moved by some pixels to the right."""
-    assert data.patch_cdm2 is not None
-    return replace(data, patch_cdm2=np.roll(data.patch_cdm2, pixels, axis=2))
-
-
 def _noise(shape: tuple[int, ...], share: float, seed: int) -> Floats:
     """Return log-normal factors; share: standard deviation of their ln."""
     return np.exp(share * np.random.default_rng(seed).standard_normal(shape))
@@ -111,12 +105,6 @@ def noisy_pixels(data: Dataset, share: float, seed: int) -> Dataset:
     """Return the data with each pixel's luminance times log-normal noise."""
     factor = _noise(data.luminance_cdm2.shape, share, seed).astype(np.float32)
     return replace(data, luminance_cdm2=data.luminance_cdm2 * factor)
-
-
-def noisy_irradiance(data: Dataset, share: float, seed: int) -> Dataset:
-    """Return the data with the DNI and DHI of each hour times independent log-normal noise."""
-    dni, dhi = (data.light.dni_wm2, data.light.dhi_wm2) * _noise((2, len(data)), share, seed)
-    return with_light(data, dni_wm2=dni, dhi_wm2=dhi)
 
 
 def disagreeing(data: Dataset, share: float, seed: int) -> Dataset:
@@ -186,17 +174,10 @@ def cases(data: Dataset, test: Dataset) -> Iterator[Case]:
     yield from _asked("sun disc in view", data, test, test.disc_lx > 0.0)
     yield from _asked("low sun, under 10 degrees", data, test, low)
     yield from _seasons(data, test)
-    yield Case("every capture twice", data.take(np.repeat(np.arange(len(data)), 2)), test)
     yield Case("pixel noise 5 %", noisy_pixels(data, 0.05, 1), test)
-    yield Case("irradiance noise 5 %", noisy_irradiance(data, 0.05, 2), test)
     yield Case("mixed sky: DNI off by 30 %, global kept", disagreeing(data, 0.3, 3), test)
     yield Case("DNI derived from global", from_global(data), test)
     yield Case("blind down in a third of the days", blind_moved(data, 1 / 3, 4), test)
-    if data.patch_cdm2 is not None:
-        for pixels in (1, 2):
-            yield Case(
-                f"sun patch off by {pixels} px", shifted(data, pixels), shifted(test, pixels)
-            )
     if data.setup.room is not None and data.patch_cdm2 is not None:
         yield from _geometry(data, test)
 

@@ -95,9 +95,9 @@ def _commands(
     campaign: CampaignFile, room: CampaignRoom, stage: str, options: Sequence[str]
 ) -> list[list[str]]:
     """Return the commands of a stage for one room; none if the room is already planned."""
-    if stage == "plan" and (campaign.session_folder(room) / "session.toml").is_file():
+    if stage == "plan" and (campaign.file(room.session) / "session.toml").is_file():
         return []
-    folder = str(campaign.session_folder(room))
+    folder = str(campaign.file(room.session))
     if stage == "plan" and not room.site:
         remedy = "add site = SITE.toml to the room in CAMPAIGN.toml"
         raise InputError(folder, "neither a session nor a site file", "one of these", remedy)

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from fieldlum.core.errors import FieldlumError, InputError
 from fieldlum.core.records import Progress, counted, quiet
@@ -58,17 +58,12 @@ class _Tables:
     room: tuple[dict[str, Any], ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class CampaignFile:
+class CampaignFile(NamedTuple):
     """The content of a CAMPAIGN.toml: its name, and its rooms with the values of [common]."""
 
     path: Path
     name: str
     rooms: tuple[CampaignRoom, ...]
-
-    def session_folder(self, room: CampaignRoom) -> Path:
-        """Return the path of a room's session, resolved from the folder of the campaign file."""
-        return self.file(room.session)
 
     def file(self, name: str) -> Path:
         """Return the path `name`, resolved from the folder of the campaign file."""
@@ -131,11 +126,10 @@ class RoomOverview:
 def overview_of(campaign: CampaignFile, room: CampaignRoom) -> RoomOverview:
     """Read one room; after any error, the overview's text `broken` states what is wrong."""
     try:
-        return _read(open_session(campaign.session_folder(room)), room)
-    except (FieldlumError, OSError) as error:
-        return RoomOverview(room.session, broken=" ".join(str(error).split()))
+        return _read(open_session(campaign.file(room.session)), room)
     except Exception as error:
-        return RoomOverview(room.session, broken=f"defect: {type(error).__name__}: {error}")
+        defect = "" if isinstance(error, FieldlumError | OSError) else f"{type(error).__name__}: "
+        return RoomOverview(room.session, broken=defect + " ".join(str(error).split()))
 
 
 def _read(session: Session, room: CampaignRoom) -> RoomOverview:

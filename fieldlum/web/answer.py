@@ -17,7 +17,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import NamedTuple
 
 import psutil
 
@@ -161,59 +161,49 @@ class Worker:
         self.folder.mkdir(exist_ok=True)
         self.step = name
         out, notes = self.folder / f"{name}.out", self.folder / f"{name}.err"
+        threads = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
         try:
             with out.open("wb") as answer, notes.open("wb") as errors:
-                code = self._attended(self._started(arguments, answer, errors))
+                process = psutil.Popen(
+                    [*self.program, *arguments],
+                    stdin=subprocess.DEVNULL,
+                    stdout=answer,
+                    stderr=errors,
+                    env={**os.environ, **dict.fromkeys(threads, "1")},
+                    start_new_session=True,
+                )
+                with suppress(psutil.Error):  # 19 is the lowest priority of POSIX
+                    process.nice(getattr(psutil, "IDLE_PRIORITY_CLASS", 19))
+                code = self._attended(process)
         finally:
             self.step = ""
         if code == 0:
             self.problem = ""
-            return True
-        if not self._stop.is_set():
+        elif not self._stop.is_set():
             lines = notes.read_text("utf-8", "replace").strip().splitlines()
             self.problem = (lines or [f"{name}: exit code {code}"])[-1][:400]
-        return False
+        return code == 0
 
-    def _started(
-        self, arguments: Sequence[str], out: IO[bytes], errors: IO[bytes]
-    ) -> subprocess.Popen[bytes]:
-        threads = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-        process = subprocess.Popen(
-            [*self.program, *arguments],
-            stdin=subprocess.DEVNULL,
-            stdout=out,
-            stderr=errors,
-            env={**os.environ, **dict.fromkeys(threads, "1")},
-            start_new_session=True,
-        )
-        with suppress(psutil.Error):
-            # the lowest priority of POSIX
-            lowest = getattr(psutil, "IDLE_PRIORITY_CLASS", 19)
-            psutil.Process(process.pid).nice(lowest)
-        return process
-
-    def _attended(self, process: subprocess.Popen[bytes]) -> int:
+    def _attended(self, process: psutil.Popen) -> int | None:
         """Wait until a process ends, pause it near slots, and return its exit code."""
         stopped = False
         while True:
-            with suppress(subprocess.TimeoutExpired):
+            with suppress(psutil.TimeoutExpired, subprocess.TimeoutExpired):
                 return process.wait(min(self.look_every_s, 1.0))
             if self._stop.is_set():
-                _each(process, psutil.Process.kill)
+                _each(process, "kill")
                 return process.wait()
-            quiet = self.moment().is_quiet
-            if quiet == stopped:
-                _each(process, psutil.Process.resume if stopped else psutil.Process.suspend)
+            if self.moment().is_quiet == stopped:
+                _each(process, "resume" if stopped else "suspend")
                 stopped = not stopped
 
 
-def _each(process: subprocess.Popen[bytes], act: Callable[[psutil.Process], object]) -> None:
-    """Call `act` for a process and its children; those that have ended are skipped."""
+def _each(process: psutil.Popen, act: str) -> None:
+    """Kill, suspend or resume a process and its children; those that have ended are skipped."""
     with suppress(psutil.Error):
-        parent = psutil.Process(process.pid)
-        for one in (parent, *parent.children(recursive=True)):
+        for one in (process, *process.children(recursive=True)):
             with suppress(psutil.Error):
-                act(one)
+                getattr(one, act)()
 
 
 def read_answer(session: Session) -> JsonTable | None:

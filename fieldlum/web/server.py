@@ -13,16 +13,14 @@ import json
 import secrets
 import socket
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
-from typing import Any
-from urllib.parse import parse_qs
+from typing import Any, NamedTuple
 
 import numpy as np
 import uvicorn
 from starlette.applications import Starlette
-from starlette.datastructures import Headers, MutableHeaders
+from starlette.datastructures import MutableHeaders
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response
@@ -74,58 +72,6 @@ SECURITY_HEADERS = {
 """Sent with each answer."""
 
 
-class Access:
-    """The token of one run of the server, its cookie, and the host names that the server has.
-
-    names: without the port. After the first request with the token the browser uses the cookie.
-    """
-
-    def __init__(self, port: int, names: Iterable[str]) -> None:
-        """names: host names and addresses without a port, an IPv6 address in brackets."""
-        # 256 random bits cannot be guessed, so wrong tokens need no counting
-        self.token, cookie = secrets.token_urlsafe(32), secrets.token_urlsafe(32)
-        # Cookies are shared by all ports of a host: two sessions that are watched need two names.
-        self._cookie = f"fieldlum-{port}={cookie}"
-        self.hosts = frozenset(f"{name}:{port}".lower() for name in names)
-
-    @property
-    def set_cookie(self) -> str:
-        """Value of the Set-Cookie header whose cookie replaces the token."""
-        return f"{self._cookie}; Path=/; HttpOnly; SameSite=Strict"
-
-    def rule(
-        self, method: str, path: str, query: str, headers: Mapping[str, str]
-    ) -> tuple[int, str]:
-        """Decide about one request by its names, origin, method, and token or cookie.
-
-        method: in capitals; query: without the question mark; headers: by name in lower case. The
-        first result is 200: answer it; 303: turn the token into a cookie and remove it from the
-        address; or the status of a refusal, whose text is the second result.
-        """
-        if headers.get("host", "").lower() not in self.hosts:
-            return 421, "This server does not have that name."
-        origin = headers.get("origin", "")
-        own = not origin or origin.lower() in {f"http://{host}" for host in self.hosts}
-        if not own or headers.get("sec-fetch-site", "none") not in ("none", "same-origin"):
-            return 403, "The request comes from another site."
-        if method not in ("GET", "HEAD", "POST"):
-            return 405, "Only GET, HEAD and POST are answered."
-        if method == "POST" and not origin:
-            return 403, "A change needs the header Origin."
-        tokens = parse_qs(query).get("token", [])
-        cookies = (part.strip() for part in headers.get("cookie", "").split(";"))
-        if any(_same(cookie, self._cookie) for cookie in cookies):
-            return (303 if path == "/" and tokens else 200), ""
-        if path == "/" and method == "GET" and tokens and _same(tokens[0], self.token):
-            return 303, ""
-        return 401, "Open the address with the token that the terminal printed first."
-
-
-def _same(text: str, wanted: str) -> bool:
-    """Compare in constant time."""
-    return hmac.compare_digest(text.encode(), wanted.encode())
-
-
 # ----------------------------------------------------------------------------------------------
 # server
 
@@ -148,33 +94,28 @@ class PatientProtocol(H11Protocol):
 
 
 STATIC = Path(__file__).parent / "static"
-_FIRST_YEAR, _LAST_YEAR = 1970, 2999  # of days with a curve; chosen
 # The address of a picture has the stamp of its file: one that is merged again has another address.
 _CACHED = {"Cache-Control": "private, max-age=31536000, immutable"}  # 365 days
 
 
 class Guard:
-    """ASGI layer: refuse requests that `Access` does not allow; add security headers.
+    """ASGI layer: answer the requests of the page itself, with the token or its cookie.
 
-    Refused requests get the headers too.
+    All answers, also refusals, get security headers. After the first request with the token the
+    browser uses the cookie. names: host names and addresses of this computer without the port.
     """
 
-    def __init__(self, app: ASGIApp, access: Access) -> None:
-        self._app, self._access = app, access
+    def __init__(self, app: ASGIApp, port: int, names: Iterable[str]) -> None:
+        # 256 random bits cannot be guessed, so wrong tokens need no counting
+        self._app, self.token = app, secrets.token_urlsafe(32)
+        # Cookies are shared by all ports of a host: two sessions that are watched need two names.
+        self._name, self._cookie = f"fieldlum-{port}", secrets.token_urlsafe(32)
+        self.hosts = frozenset(f"{name}:{port}".lower() for name in names)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer a request, or refuse it."""
         if scope["type"] != "http":  # no web sockets here
             return
-        headers = dict(Headers(scope=scope).items())
-        query = scope["query_string"].decode("latin-1")
-        status, text = self._access.rule(scope["method"], scope["path"], query, headers)
-        answer: ASGIApp = self._app
-        if status == 303:
-            cookie = {"location": "/", "set-cookie": self._access.set_cookie}
-            answer = Response(status_code=303, headers=cookie)
-        elif status != 200:
-            answer = PlainTextResponse(f"{text}\n", status, {"connection": "close"})
 
         async def secured(message: Message) -> None:
             if message["type"] == "http.response.start":
@@ -183,7 +124,39 @@ class Guard:
                     added.setdefault(name, value)
             await send(message)
 
+        answer: ASGIApp = self._other_answer(Request(scope)) or self._app
         await answer(scope, receive, secured)
+
+    def _other_answer(self, request: Request) -> Response | None:
+        """Return a refusal, or what turns the token into a cookie; None to answer the request."""
+
+        def refused(status: int, text: str) -> Response:
+            return PlainTextResponse(f"{text}\n", status, {"connection": "close"})
+
+        headers, method = request.headers, request.method
+        if headers.get("host", "").lower() not in self.hosts:
+            return refused(421, "This server does not have that name.")
+        origin = headers.get("origin", "")
+        own = not origin or origin.lower() in {f"http://{host}" for host in self.hosts}
+        if not own or headers.get("sec-fetch-site", "none") not in ("none", "same-origin"):
+            return refused(403, "The request comes from another site.")
+        if method not in ("GET", "HEAD", "POST"):
+            return refused(405, "Only GET, HEAD and POST are answered.")
+        if method == "POST" and not origin:
+            return refused(403, "A change needs the header Origin.")
+        token = request.query_params.get("token", "") if request.scope["path"] == "/" else ""
+        known = _same(request.cookies.get(self._name, ""), self._cookie)
+        if known and not token:
+            return None
+        if known or (method == "GET" and _same(token, self.token)):  # no token in the address
+            cookie = f"{self._name}={self._cookie}; Path=/; HttpOnly; SameSite=Strict"
+            return Response(status_code=303, headers={"location": "/", "set-cookie": cookie})
+        return refused(401, "Open the address with the token that the terminal printed first.")
+
+
+def _same(text: str, wanted: str) -> bool:
+    """Compare in constant time."""
+    return hmac.compare_digest(text.encode(), wanted.encode())
 
 
 def static_route(path: str, name: str) -> Route:
@@ -235,7 +208,7 @@ def watch_routes(
             wanted = date.fromisoformat(request.path_params["day"])
         except ValueError:
             raise HTTPException(404) from None
-        if not _FIRST_YEAR <= wanted.year <= _LAST_YEAR:
+        if not 1970 <= wanted.year <= 2999:
             raise HTTPException(404)
         return _table(lambda: snapshots.day(wanted))
 
@@ -259,8 +232,7 @@ def _table(make: Callable[[], Mapping[str, object]]) -> Response:
         return JSONResponse({"error": str(error)}, 503)
 
 
-@dataclass(frozen=True, slots=True)
-class Served:
+class Served(NamedTuple):
     """A server that is ready to run: the socket, which listens, and the address with the token."""
 
     app: ASGIApp
@@ -294,19 +266,16 @@ def prepare(routes: Sequence[Route], port: int, *, lan: bool) -> Served:
         listener.listen()  # the printed address works at once
     except OSError as error:
         listener.close()
-        raise DeviceError(
-            f"port {port} cannot be used ({error.strerror}); "
-            f"give another --port N, or --port 0 for a free one"
-        ) from None
+        remedy = "give another --port N, or --port 0 for a free one"
+        raise DeviceError(f"port {port} cannot be used ({error.strerror}); {remedy}") from None
     port = listener.getsockname()[1]
     names, host = {"127.0.0.1", "localhost"}, "127.0.0.1"
     if lan:
         name = socket.gethostname()
         host = _lan_address() or host
         names |= {host, *((name, f"{name}.local") if name else ())}
-    access = Access(port, names)
-    app = Guard(Starlette(routes=list(routes)), access)
-    return Served(app, listener, f"http://{host}:{port}/?token={access.token}")
+    app = Guard(Starlette(routes=list(routes)), port, names)
+    return Served(app, listener, f"http://{host}:{port}/?token={app.token}")
 
 
 def _lan_address() -> str:

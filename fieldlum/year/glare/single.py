@@ -141,7 +141,9 @@ def judged(
     pixels, warnings = valid_pixels(panorama, path)
     pixels *= np.float32(factor)
     height, width = pixels.shape
-    sun, share = _scaled_sun(panorama.sun, factor), 1.0
+    sun, share = panorama.sun, 1.0
+    if sun is not None:
+        sun = replace(sun, normal_illuminance_lx=sun.normal_illuminance_lx * factor)
     if view is None:
         azimuths = (
             np.asarray(azimuths_deg or view_azimuths_deg(panorama.heading_deg), float) % 360.0
@@ -301,12 +303,6 @@ def valid_pixels(panorama: Panorama, path: Path) -> tuple[Floats32, list[str]]:
     np.maximum(pixels, 0.0, out=pixels)
     warning = f"luminance below 0 cd/m2 counts as 0: {counted(dark, 'pixel')}"
     return pixels, [warning] if dark else []
-
-
-def _scaled_sun(sun: SunSource | None, factor: float) -> SunSource | None:
-    if sun is None:
-        return None
-    return replace(sun, normal_illuminance_lx=sun.normal_illuminance_lx * factor)
 
 
 def take_out_sun(

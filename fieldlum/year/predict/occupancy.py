@@ -45,12 +45,10 @@ class Occupancy:
         if self.hourly is not None:
             rows = [hour_of_year(t, timezone) for t in times_utc]
             return self.hourly[np.array(rows, int)] if rows else np.zeros(0, bool)
-        zone = ZoneInfo(timezone)
-        local = [t.astimezone(zone) for t in times_utc]
-        return np.array([self._is_in_period(t) for t in local], bool)
+        local = [t.astimezone(ZoneInfo(timezone)) for t in times_utc]
+        return np.array([self._is_in_period(t.weekday(), t.time()) for t in local], bool)
 
-    def _is_in_period(self, local: datetime) -> bool:
-        day, at = local.weekday(), local.time()
+    def _is_in_period(self, day: int, at: time) -> bool:
         return any(d == day and start <= at < end for d, start, end in self.periods)
 
 

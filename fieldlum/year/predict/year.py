@@ -46,7 +46,12 @@ from fieldlum.year.predict.blocks import (
 from fieldlum.year.predict.glare_summary import best_and_worst, poor, summary_of_year
 from fieldlum.year.predict.hours_unit import HourFigures, measure
 from fieldlum.year.predict.melanopic import has_colour, year_of_captures
-from fieldlum.year.predict.occupancy import default_occupancy, occupied_hours, read_occupancy
+from fieldlum.year.predict.occupancy import (
+    Occupancy,
+    default_occupancy,
+    occupied_hours,
+    read_occupancy,
+)
 
 
 class PredictedYear(NamedTuple):
@@ -94,7 +99,8 @@ def run(
     options = {"views": views, "occupancy": occupancy.text, "maps": maps, "seed": seed}
     inputs = _files(model_folder, weather_path, sky_view) | options
     inputs |= {"label_shift_min": label_shift_min} if label_shift_min else {}
-    inputs |= {"lamps": _lamps_text(lamps)} if lamps else {}
+    lit = None if not lamps else Occupancy("off") if lamps == "off" else read_occupancy(Path(lamps))
+    inputs |= {} if lit is None else {"lamps": lit.text}
     pairs = session.pairs if session is not None and has_colour(session.pairs) else None
     inputs |= {"melanopic": "colour"} if pairs else {}
     if not force and (existing := _already(folder, inputs)) is not None:
@@ -103,7 +109,7 @@ def run(
     if sky_view is not None:
         room = replace(room, sky_view=SkyView.read(sky_view), sky_view_file=sky_view.name)
     weather = read_weather(weather_path, room.setup.site, label_shift_min=label_shift_min)
-    light, zone = _with_lamps(_daylight(weather, weather_path), lamps, room), weather.site.timezone
+    light, zone = _daylight(weather, weather_path, lit), weather.site.timezone
     azimuths = view_azimuths_deg(room.heading_deg, views)
     hours_used, days = occupied_hours(occupancy, weather.t_utc, weather.site)
     colours = year_of_captures(pairs, room, azimuths) if pairs else None
@@ -184,29 +190,17 @@ def light_of(weather: Weather) -> Light:
     return light_at(weather.t_utc, weather.site, weather.dni_wm2, weather.dhi_wm2)
 
 
-def _daylight(weather: Weather, path: Path) -> Light:
+def _daylight(weather: Weather, path: Path, lamps: Occupancy | None) -> Light:
+    """Return the light of the hours with the sun up; lamps: when they are on, None as captured."""
     hours = weather.daylight()
     if len(hours) == 0:
-        raise NotEnoughDataError(
-            f"{path}: no hour with irradiance while the sun is up; check the file's irradiance and "
-            "time zone"
-        )
-    return light_of(hours)
-
-
-def _with_lamps(light: Light, lamps: str, room: ModelRoom) -> Light:
-    """Return `light` with lamps as captured (""), "off", or on in the hours of a csv `lamps`."""
-    if not lamps:
+        remedy = "check the file's irradiance and time zone"
+        raise NotEnoughDataError(f"{path}: no hour with irradiance while the sun is up; {remedy}")
+    light = light_of(hours)
+    if lamps is None:
         return light
-    if lamps == "off":
-        return replace(light, states=(OFF,) * len(light))
-    on = read_occupancy(Path(lamps)).at(light.t_utc, room.setup.site.timezone)  # [n]
+    on = lamps.at(light.t_utc, weather.site.timezone)
     return replace(light, states=tuple("lamp=on" if lit else OFF for lit in on))
-
-
-def _lamps_text(lamps: str) -> str:
-    """Return the text on lamps for predict.json: "off", or the schedule of the csv."""
-    return lamps if lamps == "off" else read_occupancy(Path(lamps)).text
 
 
 # ----------------------------------------------------------------------------------------------
