@@ -27,7 +27,7 @@ VERDICT_MODULES = (
     "scene_fit/stated_box",
     "scene_fit/fit",
     "glare/",
-    "predict/glare_summary",
+    "predict/year",
     "pair/irradiance",
     "doctor/",
     "capture/verify",

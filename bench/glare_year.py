@@ -34,8 +34,7 @@ from fieldlum.year.glare import (
     view_azimuths_deg,
 )
 from fieldlum.year.glare.geometry import panorama_views
-from fieldlum.year.predict.blocks import ModelRoom, blocks
-from fieldlum.year.predict.hours_unit import view_figures
+from fieldlum.year.predict.blocks import ModelRoom, blocks, view_figures
 from fieldlum.year.predict.year import light_of
 
 

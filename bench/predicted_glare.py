@@ -14,8 +14,7 @@ from fieldlum.learn.models import Fitted
 from fieldlum.learn.models.data import Dataset
 from fieldlum.year.glare import view_azimuths_deg
 from fieldlum.year.glare.standards import class_of, exceeded_in_share, protection
-from fieldlum.year.predict.blocks import room_of
-from fieldlum.year.predict.hours_unit import measure
+from fieldlum.year.predict.blocks import measure, room_of
 from fieldlum.year.predict.occupancy import default_occupancy
 
 TOLERANCE = 1e-3  # of DGP: half a digit of what a report prints

@@ -35,8 +35,7 @@ from fieldlum.weather import read_weather
 from fieldlum.year.glare.geometry import panorama_views
 from fieldlum.year.glare.metrics import glare_directions
 from fieldlum.year.predict import run as predict
-from fieldlum.year.predict.blocks import blocks, room_of
-from fieldlum.year.predict.hours_unit import view_figures
+from fieldlum.year.predict.blocks import blocks, room_of, view_figures
 from fieldlum.year.predict.year import light_of
 
 DAYS = ("2027-03-19", "2027-03-21", "2027-05-02", "2027-06-21", "2027-09-24", "2027-10-20")

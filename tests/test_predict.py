@@ -329,8 +329,7 @@ def test_the_disc_has_its_own_uncertainty(year: Annual) -> None:
     """A map known exactly leaves only the disc's share."""
     from fieldlum.learn.models import Prediction
     from fieldlum.year.glare import panorama_views
-    from fieldlum.year.predict.blocks import HourBlock
-    from fieldlum.year.predict.hours_unit import U_DISC, relative_uncertainty
+    from fieldlum.year.predict.blocks import U_DISC, HourBlock, relative_uncertainty
 
     light = DATA.light[[3]]
     maps = np.full((1, *DATA.shape), 50.0, np.float32)

@@ -92,7 +92,7 @@ class RoomModel:
         """
         from fieldlum.year.glare.geometry import view_azimuths_deg
         from fieldlum.year.predict.annual import dataset_of
-        from fieldlum.year.predict.hours_unit import room_figures
+        from fieldlum.year.predict.blocks import room_figures
 
         azimuths_deg = view_azimuths_deg(self.room.heading_deg, views)
         found = room_figures(self.fitted, self.room, self._checked(light), azimuths_deg)

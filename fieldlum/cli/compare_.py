@@ -57,11 +57,10 @@ def command(
     """
     from fieldlum.report.compare import compare
     from fieldlum.session import open_session
-    from fieldlum.year.predict import read_annual
+    from fieldlum.year.predict import newest_annual
 
     session = open_session(session_folder)
-    years = sorted(session.annual_folders(), key=lambda f: (f / "predict.json").stat().st_mtime)
-    annual = read_annual(years[-1]) if years else None
+    annual = newest_annual(session)
     with progress("comparing") as shown:
         found = compare(
             session, result, out or session.root / "compare", view_azimuths, annual, shown

@@ -21,7 +21,7 @@ from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.files.scores_json import ScoresFile
 from fieldlum.version import __version__
 from fieldlum.year.glare.budget import BUDGET_FILE
-from fieldlum.year.predict import Annual, read_annual, read_pictures
+from fieldlum.year.predict import Annual, newest_annual, read_pictures
 
 
 class SessionArtefacts(NamedTuple):
@@ -40,10 +40,7 @@ def find(session: Session) -> SessionArtefacts:
     """
     from fieldlum.learn.models import read_config
 
-    years = sorted(
-        session.annual_folders(), key=lambda folder: (folder / "predict.json").stat().st_mtime
-    )
-    annual = read_annual(years[-1]) if years else None
+    annual = newest_annual(session)
     models = [path for path in session.model_folders() if (path / "weights.npz").is_file()]
     named = annual.summary.inputs["model"] if annual else ""
     newest = max(

@@ -10,7 +10,6 @@ import numpy as np
 from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.records import SunSource
 from fieldlum.optics.projection import NOT_SEEN, PARTLY_SEEN
-from fieldlum.report.figures import picture_grid, png, polar_svg
 from fieldlum.report.page import (
     DGP,
     EV,
@@ -21,6 +20,9 @@ from fieldlum.report.page import (
     chip,
     heat_map,
     named,
+    picture_grid,
+    png,
+    polar_svg,
     sentence,
 )
 from fieldlum.session.files.predict_json import DirectionYear
@@ -28,7 +30,7 @@ from fieldlum.sky.sun import shown_altitude_deg, standard_time
 from fieldlum.year.glare import panorama_to_fisheye
 from fieldlum.year.predict import Annual
 from fieldlum.year.predict.annual import Pictures
-from fieldlum.year.predict.glare_summary import best_and_worst
+from fieldlum.year.predict.year import best_and_worst
 
 _FISHEYE_PX = 220  # of a fisheye's edge: about its size on the page
 

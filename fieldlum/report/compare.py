@@ -31,7 +31,7 @@ from fieldlum.optics.projection import (
     equirect_solid_angles,
     signed_angle_deg,
 )
-from fieldlum.report.figures import comparison_png, png
+from fieldlum.report.page import comparison_png, png
 from fieldlum.room.scene.geometry import WALLS, wall_named
 from fieldlum.room.scene.view import look
 from fieldlum.session import Session, replacing

@@ -13,8 +13,7 @@ import numpy as np
 from fieldlum.core.arrays import Floats
 from fieldlum.core.records import Site, counted
 from fieldlum.core.strict_csv import read_table
-from fieldlum.report.figures import captured_svg, comparison_png
-from fieldlum.report.page import Figure, Section, Table
+from fieldlum.report.page import Figure, Section, Table, captured_svg, comparison_png
 from fieldlum.session import Session
 from fieldlum.session.files.held_out_npz import HeldOutMaps
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile

@@ -38,7 +38,7 @@ from fieldlum.sky.sky_view import SkyView
 from fieldlum.version import __version__
 from fieldlum.year.glare.pictures import FISHEYE_VIEW, panorama_to_fisheye, picture_centres
 from fieldlum.year.glare.single import valid_pixels
-from fieldlum.year.predict import read_annual
+from fieldlum.year.predict import newest_annual
 from fieldlum.year.predict.annual import time_coordinate
 
 if TYPE_CHECKING:
@@ -149,8 +149,8 @@ def _pairs(session: Session, out: Path) -> list[Path]:
 
 
 def _year(session: Session, out: Path) -> list[Path]:
-    years = sorted(session.annual_folders(), key=lambda f: (f / "predict.json").stat().st_mtime)
-    return [_netcdf(read_annual(years[-1]).to_xarray(), out / "year.nc")] if years else []
+    annual = newest_annual(session)
+    return [] if annual is None else [_netcdf(annual.to_xarray(), out / "year.nc")]
 
 
 def _netcdf(data: xr.Dataset, path: Path) -> Path:

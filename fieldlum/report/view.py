@@ -199,7 +199,7 @@ def _outlines(sources: Sources, shape: tuple[int, ...]) -> list[Outline]:
 
 def write_png(path: Path, pictures: Sequence[MeasuredPicture], regions: Sequence[Region]) -> None:
     """Draw the pictures next to each other on one scale, with the regions; write a PNG."""
-    from fieldlum.report.figures import picture_grid, png
+    from fieldlum.report.page import picture_grid, png
 
     maps = [picture.shown_cdm2 for picture in pictures]
     titles = [f"{picture.name}  {picture.figures}" for picture in pictures]

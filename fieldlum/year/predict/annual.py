@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from fieldlum.core.arrays import Floats, Floats32, Mask
 from fieldlum.core.errors import input_errors
 from fieldlum.core.records import JsonTable
-from fieldlum.session import replacing
+from fieldlum.session import Session, replacing
 from fieldlum.session.codec import NPZ_ERRORS
 from fieldlum.session.files.hourly_csv import HourlyFile
 from fieldlum.session.files.predict_json import PredictFile
@@ -111,8 +111,7 @@ class Annual:
         return np.asarray(np.isfinite(self.views["dgp"]).any(axis=0))
 
 
-@dataclass(frozen=True, slots=True)
-class Pictures:
+class Pictures(NamedTuple):
     """Maps of k hours for the report, [k, H, W] cd/m2, without the sun's disc.
 
     kinds: why each hour was chosen, such as "p95 of best view 180" [k]; rows: index of each
@@ -129,15 +128,9 @@ class Pictures:
 
 def write_pictures(path: Path, pictures: Pictures) -> None:
     """Write `pictures` to the npz file `path`, with luminances rounded to 0.01 %."""
+    maps = rounded(pictures.luminance_cdm2)
     with replacing(path) as file:
-        np.savez_compressed(
-            file,
-            kinds=np.array(pictures.kinds),
-            rows=pictures.rows,
-            luminance_cdm2=rounded(pictures.luminance_cdm2),
-            disc_lx=pictures.disc_lx,
-            heading_deg=pictures.heading_deg,
-        )
+        np.savez_compressed(file, **pictures._replace(luminance_cdm2=maps)._asdict())
 
 
 def rounded(values: Floats32) -> Floats32:
@@ -163,6 +156,13 @@ def read_annual(folder: Path) -> Annual:
     return Annual(folder, summary, rows.t_utc, rows.azimuths_deg, rows.hours, rows.views)
 
 
+def newest_annual(session: Session) -> Annual | None:
+    """Return the predicted year of a session that was written last; None without one."""
+    folders = session.annual_folders()
+    newest = max(folders, key=lambda f: (f / "predict.json").stat().st_mtime, default=None)
+    return None if newest is None else read_annual(newest)
+
+
 def read_pictures(folder: Path) -> Pictures:
     """Read pictures.npz in `folder`. Raises InputError if the file is missing or damaged."""
     path = folder / "pictures.npz"
@@ -172,10 +172,6 @@ def read_pictures(folder: Path) -> Pictures:
         path.open("rb") as file,
         np.load(file, allow_pickle=False) as stored,
     ):
-        return Pictures(
-            tuple(str(kind) for kind in stored["kinds"]),
-            stored["rows"],
-            stored["luminance_cdm2"],
-            stored["disc_lx"],
-            float(stored["heading_deg"]),
-        )
+        table = {name: stored[name] for name in Pictures._fields}
+    kinds, heading_deg = tuple(table["kinds"].tolist()), float(table["heading_deg"])
+    return Pictures(**table)._replace(kinds=kinds, heading_deg=heading_deg)

@@ -1,34 +1,55 @@
-"""Predict the maps of a year in blocks of hours, so that memory does not grow with the year.
+"""Predict the maps of a year and their glare in blocks of hours: memory does not grow.
 
 With --maps they are stored in one Zarr v3 store; each unit of work writes one shard.
 """
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from fieldlum.core.arrays import Floats, Floats32, Mask
+from fieldlum.core.arrays import Array, Floats, Floats32, Mask
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Progress, SiteFile, quiet
-from fieldlum.learn.models import Fitted, Prediction, seen_of, trusted_hours
+from fieldlum.core.scheduler import LOCAL, Scheduler, WorkUnit, run_each
+from fieldlum.learn.models import Fitted, Prediction, load, read_config, seen_of, trusted_hours
 from fieldlum.learn.models.mirrors import Mirror, MirroredSun, read_mirrors
 from fieldlum.optics.projection import column_azimuths_deg, row_altitudes_deg
 from fieldlum.room.scene import sun_patches
+from fieldlum.session import sha256
+from fieldlum.session.files.hourly_csv import HOUR_COLUMNS
 from fieldlum.session.files.model_config import ModelConfig
 from fieldlum.session.site_toml import site_from_table
 from fieldlum.sky.light import Light
 from fieldlum.sky.sky_view import SkyView
-from fieldlum.sky.sky_view.disc_in_view import disc_lx, disc_source
+from fieldlum.sky.sky_view.disc_in_view import disc_lx, disc_source, drawn_discs_lx
 from fieldlum.sky.sky_view.view import NAME as SKY_VIEW
 from fieldlum.sky.sun_disc import add_source
+from fieldlum.year.glare.budget import U_DISC
+from fieldlum.year.glare.geometry import Views, panorama_views
+from fieldlum.year.glare.metrics import (
+    DiscLight,
+    brightest_cdm2,
+    dgp_with_disc,
+    glare_directions,
+    map_ev_lx,
+    region_ratios,
+    sun_per_lx,
+    unseen_dgp_bounds,
+    view_coverage,
+)
+from fieldlum.year.glare.sources import SOURCE_CDM2
+from fieldlum.year.glare.standards import DgpUncertainty, dgp_uncertainty, disturbed_share
 from fieldlum.year.predict.annual import rounded, time_coordinate
+from fieldlum.year.predict.melanopic import MelanopicYear
 
 BLOCK = 64  # hours; about 30 MB for each map layer at 460 x 230; chosen
 
@@ -254,3 +275,267 @@ def finish_maps(folder: Path, disc_lx: Floats, trusted: Floats) -> None:
     hours.to_zarr(folder / DRAFT, mode="a", zarr_format=3, consolidated=False)
     shutil.rmtree(folder / NAME, ignore_errors=True)
     (folder / DRAFT).rename(folder / NAME)
+
+
+# ----------------------------------------------------------------------------------------------
+# glare of the hours
+
+
+@dataclass(frozen=True, slots=True)
+class HourFigures:
+    """Figures of n consecutive hours of a year, in d view directions.
+
+    start: index in the year of the first hour, from 0; hours: columns of hourly.csv without a
+    direction, [n] each, with `occupied` 0; views: those for each direction, [n, d] each, NaN in
+    directions of which lenses saw less than half, and the further keys of `glare_directions`;
+    doubt: what is uncertain about DGP.
+    """
+
+    start: int
+    hours: dict[str, Array]
+    views: dict[str, Floats]
+    doubt: DgpUncertainty
+
+
+def joined(parts: Sequence[HourFigures]) -> HourFigures:
+    """Return the figures of all parts, which may be in any order."""
+    parts = sorted(parts, key=lambda part: part.start)
+    first = parts[0]
+    return HourFigures(
+        first.start,
+        {name: np.concatenate([part.hours[name] for part in parts]) for name in first.hours},
+        {name: np.concatenate([part.views[name] for part in parts]) for name in first.views},
+        DgpUncertainty.joined([part.doubt for part in parts]),
+    )
+
+
+class HourJudge:
+    """Computes the figures of predicted hours in some view directions of a room."""
+
+    def __init__(self, room: ModelRoom, azimuths_deg: Floats) -> None:
+        """Compute the weights of the views."""
+        size = room.height, room.width, room.heading_deg
+        self.views = panorama_views(*size, azimuths_deg, room.seen)
+        self._coverage = view_coverage(self.views)
+
+    def figures(
+        self,
+        block: HourBlock,
+        discs_lx: Floats,
+        start: int = 0,
+        melanopic: MelanopicYear | None = None,
+    ) -> HourFigures:
+        """Return all figures of the k hours of a block.
+
+        discs_lx: illuminance of the sun's disc in random draws of its visibility [m, k]; start:
+        index of the first hour; melanopic: colours by the captures, None without any.
+        """
+        views, light, coverage = self.views, block.light, self._coverage
+        figures = view_figures(block, views)
+        u_ev_rel, u_source_rel = relative_uncertainty(block, views, figures)
+        ev_lx, contrast = figures["ev_lx"], figures["contrast"]
+        if melanopic is not None:
+            figures |= melanopic.figures(light, figures, u_ev_rel)
+        doubt = DgpUncertainty(
+            coverage.words,
+            *self._bounds(block, ev_lx, contrast),
+            dgp_with_disc(
+                figures,
+                sun_per_lx(light.shown_sun_direction, views),
+                discs_lx,
+                drawn_images(block, views, len(discs_lx)),
+            ).astype(np.float32),
+            dgp_uncertainty(ev_lx, contrast, u_ev_rel, u_source_rel),
+        )
+        off = doubt.drawn - figures["dgp"].astype(np.float32)  # [m, k, d]
+        reach = 1.96 * np.nan_to_num(doubt.u_maps)  # 95 %
+        low, high = np.percentile(off, (2.5, 97.5), axis=0)
+        figures["dgp_low"] = np.clip(doubt.minimum + np.minimum(low, 0.0) - reach, 0.0, 1.0)
+        figures["dgp_high"] = np.clip(doubt.maximum + np.maximum(high, 0.0) + reach, 0.0, 1.0)
+        figures["u_dgp"] = np.hypot(doubt.u_maps, np.sqrt((off**2).mean(axis=0)))
+        for values in figures.values():
+            values[:, ~coverage.judged] = np.nan
+        hours = {
+            **{name: getattr(light, name) for name in HOUR_COLUMNS[:4]},
+            "disc_lx": block.disc_lx,
+            "occupied": np.zeros(len(light)),
+            "trusted": block.trusted.astype(float),
+            "expected_log10_mse": block.prediction.expected_mse,
+            "disturbed_share": disturbed_share(figures["dgp"]),
+        }
+        return HourFigures(start, hours, figures, doubt)
+
+    def _bounds(self, block: HourBlock, ev_lx: Floats, contrast: Floats) -> tuple[Floats, Floats]:
+        """Return the minimum and maximum DGP over possible light in the unseen part of each view.
+
+        It has between 0 cd/m2 and the sky's mean or the brightest seen hundredth.
+        """
+        brightest = block.light.diffuse_lx / np.pi
+        if self._coverage.unseen_illuminance.any():
+            maps = block.prediction.luminance_cdm2
+            brightest = np.maximum(brightest, brightest_cdm2(maps, self.views))
+        return unseen_dgp_bounds(self._coverage, ev_lx, contrast, brightest)
+
+
+def view_figures(block: HourBlock, views: Views) -> dict[str, Floats]:
+    """Return the figures of k hours in d view directions, by column of hourly.csv, [k, d] each.
+
+    Those of uncertainty and of measured colour are missing. All further keys of `glare_directions`
+    are included.
+    """
+    maps = block.prediction.luminance_cdm2
+    figures = glare_directions(
+        maps,
+        views,
+        np.stack([block.light.shown_sun_direction, *(image.towards for image in block.images)]),
+        np.stack([block.disc_lx, *(image.shown_lx for image in block.images)]),
+    )
+    figures["melanopic_edi_lx_estimate"] = figures["ev_lx"].copy()
+    return figures | region_ratios(maps, views)
+
+
+def relative_uncertainty(
+    block: HourBlock, views: Views, figures: dict[str, Floats]
+) -> tuple[Floats, Floats]:
+    """Return the relative standard uncertainties of Ev and of the sources' luminance.
+
+    Both are [k, d], of k hours in d directions. They are NaN where the model does not state its
+    error. Errors of the pixels of one picture count as fully correlated, because a model is often
+    too bright or too dark on a complete wall. The disc has 5 %. figures: the result of
+    `glare_directions`.
+    """
+    map_ev, map_source = _relative_of_map(block, views)
+    share_ev = figures["sun_ev_lx"] / np.maximum(figures["ev_lx"], 1e-6)
+    share = figures["sun_contrast"] / np.maximum(figures["contrast"], 1e-30)
+    return (
+        np.hypot((1.0 - share_ev) * map_ev, share_ev * U_DISC),
+        np.hypot((1.0 - share) * map_source, share * U_DISC),
+    )
+
+
+def _relative_of_map(block: HourBlock, views: Views) -> tuple[Floats, Floats]:
+    predicted = block.prediction
+    shape = (len(predicted.trusted), len(views.azimuths_deg))
+    if predicted.log10_sd is None:
+        same = np.log(10.0) * np.sqrt(np.asarray(predicted.expected_mse, float))[:, None]
+        return np.broadcast_to(same, shape), np.broadcast_to(same, shape)
+    spread = np.float32(np.log(10.0)) * predicted.log10_sd
+    maps = predicted.luminance_cdm2
+    ev, power = (
+        map_ev_lx(light * spread, views) / np.maximum(map_ev_lx(light, views), 1e-6)
+        for light in (maps, np.where(maps > SOURCE_CDM2, maps, np.float32(0.0)) ** 2)
+    )
+    return ev, power
+
+
+def drawn_images(block: HourBlock, views: Views, count: int) -> list[DiscLight]:
+    """Return what 1 lx of each mirror's image adds to Ev and contrast, and `count` random draws.
+
+    The draws are the image's illuminance in lx [count, n], or 0 where it is hidden. Draw i (from 0)
+    shows it in the hours whose chance of a visible image exceeds (i + 0.5) / count.
+    """
+    draws = (np.arange(count)[:, None] + 0.5) / count
+    return [
+        (sun_per_lx(image.towards, views), np.where(draws < image.chance, image.normal_lx, 0.0))
+        for image in block.images
+    ]
+
+
+def room_figures(
+    fitted: Fitted, room: ModelRoom, light: Light, azimuths_deg: Floats, seed: int = 0
+) -> HourFigures:
+    """Predict the n hours of `light` in this process, and return their figures in d directions."""
+    best_lx, discs_lx = discs_of(room, light, seed)
+    judge = HourJudge(room, azimuths_deg)
+    return joined(
+        [
+            judge.figures(block, discs_lx[:, block.rows], block.rows.start)
+            for block in blocks(fitted, room, light, best_lx)
+        ]
+    )
+
+
+def discs_of(room: ModelRoom, light: Light, seed: int) -> tuple[Floats, Floats]:
+    """Return the disc's illuminance normal to the sun, [n] lx, and random draws of it, [k, n]."""
+    rng = np.random.default_rng([seed, 2])
+    view, setup = room.sky_view, room.setup
+    return disc_lx(view, setup, light), drawn_discs_lx(view, setup, light, rng)
+
+
+# ----------------------------------------------------------------------------------------------
+# units of work
+
+
+class _HoursJob(NamedTuple):
+    """The input of a worker, with folders relative to the unit's.
+
+    digest: of the model's files; light, disc_lx [n], discs_lx [k, n]: of the block; store: of maps,
+    "" for none.
+    """
+
+    model: str
+    digest: str
+    start: int
+    light: Light
+    azimuths_deg: tuple[float, ...]
+    disc_lx: Floats
+    discs_lx: Floats
+    store: str
+    melanopic: MelanopicYear | None
+
+
+def measure(
+    model_folder: Path,
+    room: ModelRoom,
+    light: Light,
+    azimuths_deg: Floats,
+    *,
+    store: Path | None = None,
+    melanopic: MelanopicYear | None = None,
+    seed: int = 0,
+    scheduler: Scheduler = LOCAL,
+    progress: Progress = quiet,
+) -> HourFigures:
+    """Predict every hour of `light`, and return the figures in d view directions.
+
+    store: of maps, None to write none; melanopic: colours by the captures, None without any. A unit
+    of work has 64 hours; the last may have fewer.
+    """
+    model = model_folder.resolve()
+    folder = Path(os.path.commonpath([model, *([store.resolve()] if store else [])]))
+    name = model.relative_to(folder).as_posix()
+    files = [f for f in ("config.json", "weights.npz") if (model / f).is_file()]
+    digest = " ".join(sha256(model / file) for file in files)
+    place = store.resolve().relative_to(folder).as_posix() if store else ""
+    best_lx, discs_lx = discs_of(room, light, seed)
+    azimuths, units = tuple(float(a) for a in azimuths_deg), []
+    for start in range(0, len(light), BLOCK):
+        rows = slice(start, min(start + BLOCK, len(light)))
+        of_sun = best_lx[rows], discs_lx[:, rows]
+        job = _HoursJob(name, digest, start, light[rows], azimuths, *of_sun, place, melanopic)
+        title, paths = f"hours-{start}-{rows.stop}", tuple(f"{name}/{file}" for file in files)
+        units.append(WorkUnit(title, predict_hours, folder, job, files=paths))
+    parts: list[HourFigures] = []
+    run_each(units, scheduler, lambda outcome: parts.append(outcome.result()), progress)
+    return joined(parts)
+
+
+def predict_hours(folder: Path, job: _HoursJob) -> HourFigures:
+    """Predict the hours of a unit and compute their glare; write the maps if `job.store` is set.
+
+    folder: that of the unit, to which the paths in `job` are relative.
+    """
+    fitted, room, judge = _prepared(folder / job.model, job.digest, job.azimuths_deg)
+    (block,) = blocks(fitted, room, job.light, job.disc_lx)
+    if job.store:
+        write_maps(folder / job.store, job.start, block.pictures_cdm2(room.heading_deg))
+    return judge.figures(block, job.discs_lx, job.start, job.melanopic)
+
+
+@lru_cache(maxsize=1)
+def _prepared(
+    model_folder: Path, digest: str, azimuths_deg: tuple[float, ...]
+) -> tuple[Fitted, ModelRoom, HourJudge]:
+    """Load a model and its views once per process; `digest` is of the folder's content."""
+    room = room_of(read_config(model_folder), model_folder)
+    return load(model_folder), room, HourJudge(room, np.array(azimuths_deg))

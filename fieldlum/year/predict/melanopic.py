@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -32,7 +33,9 @@ from fieldlum.sky.light import (
 )
 from fieldlum.year.glare.geometry import panorama_views
 from fieldlum.year.glare.metrics import map_ev_lx
-from fieldlum.year.predict.blocks import ModelRoom
+
+if TYPE_CHECKING:
+    from fieldlum.year.predict.blocks import ModelRoom
 
 # Where captures do not decide: the ratio of an overcast sky, what a clear sky adds, and the sun's
 # over `sun_ratio` (fits to two simulated rooms with a coloured sky), with the weight of _PRIOR
