@@ -43,7 +43,7 @@ def test_values_come_from_the_room_then_from_common(tmp_path: Path) -> None:
     assert [room.session for room in found.rooms] == ["a", "b"]
     assert [room.views for room in found.rooms] == [4, 6]
     assert {room.model for room in found.rooms} == {"transport"}
-    assert found.session_folder(found.rooms[0]) == tmp_path / "a"
+    assert found.file(found.rooms[0].session) == tmp_path / "a"
 
 
 @pytest.mark.contract
