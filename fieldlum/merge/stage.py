@@ -419,22 +419,9 @@ def summary_due(session: Session) -> bool:
 
 
 QUALITY_COLUMNS = (
-    "slot",
-    "t_utc",
-    "verdict",
-    "frames",
-    "residual_percent",
-    "exposure_span_percent",
-    "shift_px",
-    "shift_u_px",
-    "motion_percent",
-    "clipped_percent",
-    "bloom_percent",
-    "below_noise_percent",
-    "outside_percent",
-    "u_ratio_percent",
-    "sun_lx",
-    "sun_origin",
+    *("slot", "t_utc", "verdict", "frames", "residual_percent", "exposure_span_percent"),
+    *("shift_px", "shift_u_px", "motion_percent", "clipped_percent", "bloom_percent"),
+    *("below_noise_percent", "outside_percent", "u_ratio_percent", "sun_lx", "sun_origin"),
     "vertical_illuminance_lx",
 )
 """Of quality.csv; sun_lx: on a plane normal to the sun; an empty cell could not be determined."""

@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -80,16 +79,11 @@ def stated_exposure(path: Path) -> tuple[float, float, float]:
     Raises InputError for an invalid one.
     """
     table = path.parent / EXPOSURES_CSV
-    try:
-        modified_ns = table.stat().st_mtime_ns
-    except OSError:
-        return _NO_EXPOSURE
-    return _rows(table, modified_ns).get(path.name, _NO_EXPOSURE)
+    return _rows(table).get(path.name, _NO_EXPOSURE) if table.is_file() else _NO_EXPOSURE
 
 
-@lru_cache(maxsize=16)  # each frame of a bracket asks for it
-def _rows(path: Path, modified_ns: int) -> dict[str, tuple[float, float, float]]:
-    """Return the exposures by file name. modified_ns: only a key of the cache."""
+def _rows(path: Path) -> dict[str, tuple[float, float, float]]:
+    """Return the exposures by file name."""
     expected = f"the columns {','.join(COLUMNS)}"
     exposures: dict[str, tuple[float, float, float]] = {}
     for line, row in read_table(path, expected, "write one frame a line", needed=COLUMNS).dicts():
