@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum.calibrate.readings import own_mosaic, require
+from fieldlum.calibrate.readings import own_mosaic, require, require_raw
 from fieldlum.core.arrays import Indices
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.optics.linear_light import black_dn, gain_e_per_dn
@@ -48,9 +48,7 @@ def find(sources: Sequence[Path], profile: CameraProfile) -> PixelDefects:
     this camera, and for a frame with light; NotEnoughDataError for fewer than two frames, or if too
     many pixels deviate.
     """
-    if profile.camera.kind != "raw":
-        finding, remedy = "the profile is of a JPEG camera", "use the camera's raw files"
-        raise InputError(profile.camera.name, finding, "a profile of a raw camera", remedy)
+    require_raw(profile, "use the camera's raw files")
     folders = [possible_frames(path) if path.is_dir() else [path] for path in sources]
     frames = tuple(path for folder in folders for path in folder)
     require(len(frames), 2, "bad pixels: dark frames", "take more with the cap on")

@@ -49,6 +49,13 @@ def require(count: int, minimum: int, what: str, remedy: str) -> None:
         raise NotEnoughDataError(f"{what}: {count}; expected at least {minimum}; {remedy}")
 
 
+def require_raw(profile: CameraProfile, remedy: str) -> None:
+    """Raise InputError for a profile of a JPEG camera."""
+    if profile.camera.kind != "raw":
+        finding = "the profile is of a JPEG camera"
+        raise InputError(profile.camera.name, finding, "a profile of a raw camera", remedy)
+
+
 # ----------------------------------------------------------------------------------------------
 # tables
 
@@ -65,13 +72,11 @@ def read_table(
     missing or unknown column, an invalid or empty cell, or a csv without readings.
     """
     table, mark = _table(path)
-    expected = f"columns {', '.join((*required, *optional))}"
-    for name in required:
-        if name not in table.names:
-            raise InputError(path, f"no column {name}", expected, "name it in the first line")
-    for name in table.names:
-        if name not in (*required, *optional):
-            raise InputError(path, f"unknown column {name}", expected, "remove or rename it")
+    known, expected = (*required, *optional), f"columns {', '.join((*required, *optional))}"
+    wrong = [f"no column {name}" for name in required if name not in table.names]
+    wrong += [f"unknown column {name}" for name in table.names if name not in known]
+    if wrong:
+        raise InputError(path, wrong[0], expected, "correct the first line")
     readings = []
     for line, cells in table.dicts():
         row = {name: _cell(path, line, name, text, mark) for name, text in cells.items() if text}

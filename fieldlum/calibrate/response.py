@@ -72,15 +72,11 @@ class Steps:
     @property
     def text(self) -> str:
         """One line on the corrected steps, "" if there is none."""
-        changed = np.flatnonzero(self.deviation)
-        if not changed.size:
-            return ""
-        largest = 100.0 * float(np.abs(self.deviation).max())
-        return (
-            f"exposure steps: the overlap of the frames contradicts {changed.size} of "
-            f"{len(self.deviation)} steps by the labels, by up to {largest:.1f} %, and was used; "
-            "the span of all steps is the labels'"
-        )
+        changed, count = np.count_nonzero(self.deviation), len(self.deviation)
+        off = f"{changed} of {count} steps by the labels, by up to "
+        off += f"{100.0 * float(np.abs(self.deviation).max(initial=0.0)):.1f} %"
+        text = f"exposure steps: the overlap of the frames contradicts {off}, and was used"
+        return f"{text}; the span of all steps is the labels'" if changed else ""
 
 
 def steps_by_overlap(codes: NDArray[np.uint8], log_exposure: Floats, bracket: Indices) -> Steps:

@@ -90,39 +90,35 @@ def from_table(
     rows = read_table(path, ("panorama", "azimuth_deg", "altitude_deg"), optional)
     pictures = read_panoramas(rows, profile)
     to_k = {file: _to_k(file, picture, profile) for file, picture in pictures.items()}
-    readings, uneven = [], []
-    for row in rows:
-        reading, u_image = _reading(path, row, pictures[row["panorama"]], to_k[row["panorama"]])
-        readings.append(reading)
-        uneven += [reading.label] if u_image > MIN_OUTLIER else []
-    notes = []
-    if unmarked := [file.name for file, shown in pictures.items() if "k" not in shown.attributes]:
-        names = ", ".join(unmarked)
-        notes.append(f"no factor k is stored in {names}: the profile's is assumed; merge again")
-    if uneven:
-        notes.append(
-            "the luminance is uneven around these readings, which have a low weight: "
-            f"{', '.join(uneven)}: measure places that are even over two degrees"
-        )
-    return readings, list(pictures), tuple(notes)
+    read = [_reading(path, r, pictures[r["panorama"]], to_k[r["panorama"]]) for r in rows]
+    unmarked = ", ".join(file.name for file, p in pictures.items() if "k" not in p.attributes)
+    uneven = ", ".join(reading.label for reading, u_image in read if u_image > MIN_OUTLIER)
+    low = "the luminance is uneven around these readings, which have a low weight"
+    notes = {
+        f"no factor k is stored in {unmarked}: the profile's is assumed; merge again": unmarked,
+        f"{low}: {uneven}: measure places that are even over two degrees": uneven,
+    }
+    found = tuple(note for note, names in notes.items() if names)
+    return [reading for reading, _ in read], list(pictures), found
 
 
 def _reading(
     path: Path, row: CsvRow, picture: Panorama, to_k: float
 ) -> tuple[LuminanceReading, float]:
     """Return a line of the csv as a reading, and the relative u of the picture's value."""
-    file, at = row["panorama"], (row["azimuth_deg"], row["altitude_deg"])
+    at = Place(row["panorama"], row["azimuth_deg"], row["altitude_deg"])
     spot, plane = row["luminance_cdm2"], row["illuminance_lx"]
     if (spot is None) == (plane is None):
         count = "neither" if spot is None else "both"
-        finding = f"{at[0]:g}/{at[1]:g} deg has {count} of luminance_cdm2 and illuminance_lx"
+        finding = f"{at.x:g}/{at.y:g} deg has {count} of luminance_cdm2 and illuminance_lx"
         raise InputError(path, finding, "one of the two in each line", "correct that line")
+    kind, image, u_image = "spot", 0.0, 0.0
     if spot is not None:
-        kind, meter, (image, u_image) = "spot", spot, spot_cdm2(picture, *at, file)
+        image, u_image = spot_cdm2(picture, at.x, at.y, at.path)
     else:
-        kind, meter, image, u_image = "illuminance", plane, _plane_lx(picture, *at, file), 0.0
-    u_rel, label = math.hypot(row["u_rel"], u_image), f"{file.stem} {at[0]:g}/{at[1]:g} deg"
-    return LuminanceReading(kind, label, meter, image * to_k, u_rel, Place(file, *at)), u_image
+        kind, image = "illuminance", _plane_lx(picture, at.x, at.y, at.path)
+    u_rel, label = math.hypot(row["u_rel"], u_image), f"{at.path.stem} {at.x:g}/{at.y:g} deg"
+    return LuminanceReading(kind, label, spot or plane, image * to_k, u_rel, at), u_image
 
 
 def _to_k(file: Path, picture: Panorama, profile: CameraProfile) -> float:
@@ -194,8 +190,8 @@ def fit(
     """
     require(len(readings), 1, f"{source}: readings", "add a line to the csv")
     meter, image, u = np.array([(r.meter, r.image, r.u_rel) for r in readings], float).T
-    if min(meter.min(), image.min()) <= 0:
-        bad = readings[int(np.argmin(np.minimum(meter, image)))]
+    bad = readings[int(np.argmin(np.minimum(meter, image)))]
+    if min(bad.meter, bad.image) <= 0:
         finding = f"the meter reads {bad.meter:g}, the picture {bad.image:g} ({bad.kind})"
         raise InputError(bad.label, finding, "values above zero", "remove it from the csv")
     log = np.log(meter / image)
@@ -209,11 +205,10 @@ def fit(
         raise InputError(source, f"{finding}: {', '.join(far[:4])}", expected, remedy)
     scatter = float((weight * (log - centre) ** 2).sum() / max(len(log) - 1, 1))
     u_rel = math.hypot(math.sqrt(max(scatter, 1.0) / weight.sum()), meter_u)
-    each = range(len(log)) if len(log) > 1 else ()
-    held = [log[i] - _centre(np.delete(log, i), np.delete(u, i))[0] for i in each]
     line = "scale: one factor from one reading; no held-out error, which needs two readings"
-    if held:
-        rms_percent = 100 * float(np.sqrt(np.mean(np.square(held))))
+    if len(log) > 1:
+        others = [_centre(np.delete(log, i), np.delete(u, i))[0] for i in range(len(log))]
+        rms_percent = 100 * float(np.sqrt(np.mean((log - others) ** 2)))
         line = f"scale: one factor; held-out rms: {rms_percent:.3g} %"
     return ScaleFit(math.exp(centre), u_rel, np.exp(log - centre) - 1.0, far, line)
 
@@ -235,11 +230,11 @@ def slips(readings: list[LuminanceReading], scale_fit: ScaleFit) -> list[str]:
     the likely error. The list is empty without outliers.
     """
     texts = []
-    for reading in (r for r in readings if r.label in scale_fit.far):
-        ratio = reading.meter / (reading.image * scale_fit.factor)
+    for r in (r for r in readings if r.label in scale_fit.far):
+        ratio = r.meter / (r.image * scale_fit.factor)
         near = (f" ({why}?)" for factor, why in SLIPS.items() if abs(ratio / factor - 1) < 0.06)
-        what = f"the reading of {reading.meter:g} is {ratio:.3g} times the picture's value"
-        texts.append(f"{reading.label}: {what}{next(near, '')}")
+        what = f"the reading of {r.meter:g} is {ratio:.3g} times the picture's value"
+        texts.append(f"{r.label}: {what}{next(near, '')}")
     return texts
 
 

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldlum.calibrate.model_selection import choose, folds
-from fieldlum.calibrate.readings import require
+from fieldlum.calibrate.readings import require, require_raw
 from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import counted, shutter_text
@@ -222,10 +222,7 @@ def fit(brackets: Sequence[Bracket], profile: CameraProfile) -> ShutterFit:
     of the times stays that of the assumed ones. Raises NotEnoughDataError if brackets are too few
     or disagree, or if the fit is not better than the assumed times; InputError for a JPEG camera.
     """
-    if profile.camera.kind != "raw":
-        finding = "the profile is of a JPEG camera, whose response and times cannot both be fitted"
-        remedy = "leave the shutter times as they are, and calibrate only the response"
-        raise InputError(profile.camera.name, finding, "a profile of a raw camera", remedy)
+    require_raw(profile, "calibrate only the response: it and the times cannot both be fitted")
     pooled = pool(brackets)
     why = {pair: _why_not(pair, ratio) for pair, ratio in pooled.items()}
     left_out = tuple(text for text in why.values() if text)
@@ -250,10 +247,10 @@ def fit(brackets: Sequence[Bracket], profile: CameraProfile) -> ShutterFit:
     u_drift_per_s = median_standard_error(robust_sigma(rates), len(rates))
     delta, u = _levelled(steady, nominal, np.array(u_assumed), u_drift_per_s)
     times, counts = [], []
-    for time, from_s, log, u_log in zip(nominal, assumed_s, delta, u, strict=True):
+    for k, time in enumerate(nominal):
         mine = [ratio for pair, ratio in steady.items() if time in pair]
-        u_rel = math.hypot(u_log, min(ratio.spread for ratio in mine))
-        true_s = float(f"{from_s * math.exp(log):.7g}")
+        u_rel = math.hypot(u[k], min(ratio.spread for ratio in mine))
+        true_s = float(f"{assumed_s[k] * math.exp(delta[k]):.7g}")
         times.append(ShutterTime(time, true_s, round(max(u_rel, _LINEAR), 6)))
         counts.append(max(ratio.brackets for ratio in mine))
     return ShutterFit(tuple(times), assumed_s, tuple(counts), left_out, choice.line)

@@ -104,13 +104,12 @@ def _from_patches(path: Path, profile: CameraProfile) -> Samples:
     places = tuple(Place(row["file"], row["x_px"], row["y_px"]) for row in rows)
     lens = nearest_lens(profile, places[0].x, places[0].y)
     readings, f_numbers = [], {}
-    for row, (file, x, y) in zip(rows, places, strict=True):
-        frame = linear_frame(file, profile)
-        patch = frame.patch(x, y, row["radius_px"])
-        value = float(patch.rgb @ weights) / row["reference"]
-        u_rel = float(np.hypot(patch.u_rel, 0.002))
-        readings.append((relative_angle(profile.lens[lens], x, y), value, u_rel))
-        f_numbers[file] = frame.exposure.f_number
+    for row, at in zip(rows, places, strict=True):
+        frame = linear_frame(at.path, profile)
+        patch = frame.patch(at.x, at.y, row["radius_px"])
+        value, r = float(patch.rgb @ weights), relative_angle(profile.lens[lens], at.x, at.y)
+        readings.append((r, value / row["reference"], float(np.hypot(patch.u_rel, 0.002))))
+        f_numbers[at.path] = frame.exposure.f_number
     f_number = _one_aperture(path, f_numbers, "write one table for each aperture")
     r, value, u_rel = np.array(readings).T
     return Samples(r, value, u_rel, f_number, lens, tuple(f_numbers), places)
@@ -118,14 +117,12 @@ def _from_patches(path: Path, profile: CameraProfile) -> Samples:
 
 def _one_aperture(source: Path, f_numbers: dict[Path, float], remedy: str) -> float:
     """Return the f-number of all frames. Raises InputError if they have several."""
-    several: dict[float, list[str]] = {}
-    for file, f_number in sorted(f_numbers.items(), key=lambda item: item[1]):
-        several.setdefault(f_number, []).append(file.name)
-    if len(several) > 1:
-        shown = "; ".join(f"f/{n:g}: {', '.join(names[:3])}" for n, names in several.items())
+    files = {f_number: file.name for file, f_number in f_numbers.items()}
+    if len(files) > 1:
+        shown = "; ".join(f"f/{f_number:g}: {files[f_number]}" for f_number in sorted(files))
         finding = f"frames with several apertures ({shown})"
         raise InputError(source, finding, "frames with one aperture", remedy)
-    return next(iter(several))
+    return next(iter(files))
 
 
 def from_uniform(paths: Sequence[Path], profile: CameraProfile, lens: int = 0) -> Samples:
