@@ -37,9 +37,7 @@ def test_frames_of_several_apertures_are_named(tmp_path: Path) -> None:
         raw_frame(tmp_path / f"{number}.dng", field, Exposure(1 / 60, f_number), rng)
         for number, f_number in enumerate((5.6, 5.6, 8.0))
     ]
-    with pytest.raises(
-        InputError, match=r"\(f/5.6: 1.dng; f/8: 2.dng\).*each aperture separately"
-    ):
+    with pytest.raises(InputError, match=r"\(f/5.6: 1.dng; f/8: 2.dng\).*each aperture separately"):
         vignette.from_uniform(paths, PROFILE)
 
 

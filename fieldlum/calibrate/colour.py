@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -68,8 +68,7 @@ class Colours:
     melanopic: Floats | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class ColourFit:
+class ColourFit(NamedTuple):
     """Fitted coefficients, their relative uncertainty, and relative residuals of the readings.
 
     y_from_rgb : weights of R, G, B in the luminance. scale : luminance of the readings over

@@ -9,8 +9,8 @@ the offset the darkest frames would bend the curve.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -33,8 +33,7 @@ _BLACK_DN = 0.2  # uncertainty of a black level [DN]; chosen
 _REPEATS = 5e-4  # relative stability of a lamp over minutes; limits the weight of any frame; chosen
 
 
-@dataclass(frozen=True, slots=True)
-class Levels:
+class Levels(NamedTuple):
     """Mean raw counts of blocks of each frame, for a fit of linearity.
 
     share: mean counts above black over the full scale, [frames, blocks], NaN where a block is
@@ -48,8 +47,7 @@ class Levels:
     frames: tuple[Path, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class LinearityFit:
+class LinearityFit(NamedTuple):
     """A fitted linearity.
 
     coefficients: (a1, a2, ...) of the factor 1 + a1 x + a2 x^2 + ... that corrects the counts above

@@ -8,8 +8,8 @@ merge averages it with its neighbours.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,8 +27,7 @@ _SIGMA = 6.0  # of the noise
 _SPREAD = 4.0  # largest multiple of the neighbours' median deviation from their own median
 
 
-@dataclass(frozen=True, slots=True)
-class PixelDefects:
+class PixelDefects(NamedTuple):
     """Bad pixels (column, row) on the sensor, and the evidence.
 
     frames : the frames that were read; by_chance : number of good pixels expected among bad_px by

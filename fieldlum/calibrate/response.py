@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,8 +59,7 @@ _DOUBT = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Steps:
+class Steps(NamedTuple):
     """The exposures of a bracket by its overlap, and how much single steps contradict the labels.
 
     log_exposure [exposures] : ln, corrected, with the labels' span. deviation [exposures - 1] : of
@@ -180,8 +180,7 @@ class Places:
     frames: tuple[Path, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class ResponseFit:
+class ResponseFit(NamedTuple):
     """A fitted JPEG response, its residuals, and the choice among the tried responses.
 
     residual : for R, G, B the rms relative difference of a frame's light at a place from the mean
@@ -193,8 +192,7 @@ class ResponseFit:
     choice: OrderSelection
 
 
-@dataclass(frozen=True, slots=True)
-class _Part:
+class _Part(NamedTuple):
     """Flat places of one bracket: codes [places, frames, 3], and the exposures that EXIF states."""
 
     codes: NDArray[np.uint8]

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -41,8 +41,7 @@ SLIPS = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class LuminanceReading:
+class LuminanceReading(NamedTuple):
     """One comparison of a meter's reading with the picture's value at the same place.
 
     label : name of the reading, for messages. meter, image : value by the meter and by the picture,
@@ -58,8 +57,7 @@ class LuminanceReading:
     place: Place | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class ScaleFit:
+class ScaleFit(NamedTuple):
     """A fitted factor on k, its relative uncertainty, and how well the readings agree with it.
 
     u_rel: of the new k, the meter's calibration included. far: labels of outliers, which count

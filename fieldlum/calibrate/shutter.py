@@ -13,7 +13,7 @@ import math
 from collections import defaultdict
 from collections.abc import Container, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import groupby, pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -74,8 +74,7 @@ class TimeRatio(NamedTuple):
     seconds: float
 
 
-@dataclass(frozen=True, slots=True)
-class ShutterFit:
+class ShutterFit(NamedTuple):
     """Fitted shutter times; each replaces the profile's time with the same nominal value.
 
     times : longest first. assumed_s : true time [s] by the profile before the fit, for each of

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -59,8 +60,7 @@ class StrayReading:
     flux: Floats
 
 
-@dataclass(frozen=True, slots=True)
-class StrayFit:
+class StrayFit(NamedTuple):
     """A fitted kernel of stray light.
 
     kernel: the table [stray] for a profile; predicted_cdm2: stray light that it predicts for each

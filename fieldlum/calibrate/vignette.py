@@ -6,9 +6,10 @@ Its order is the smallest that the readings support.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import comb
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -38,8 +39,7 @@ MIN_READINGS = 5  # chosen
 MAX_ERROR = 0.03
 
 
-@dataclass(frozen=True, slots=True)
-class Samples:
+class Samples(NamedTuple):
     """Readings [n] of one aperture and lens.
 
     r : angle from the axis over half of the lens's full angle; value : in any linear unit; u_rel :
@@ -56,8 +56,7 @@ class Samples:
     places: tuple[Place, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class VignettingFit:
+class VignettingFit(NamedTuple):
     """A fitted vignetting curve: transmission relative to the axis, in powers of r of `Samples`.
 
     u_rel : relative rms of held-out readings; residual_rel [n] : reading over fit minus 1, also
