@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from calibration_frames import PROFILE
+from calibration_frames import PROFILE, SIZE, raw_frame
 from click.testing import CliRunner
 
 from fieldlum.calibrate import colour
@@ -160,3 +160,38 @@ def test_glare_states_melanopic_edi_with_its_uncertainty(tmp_path: Path) -> None
     assert estimate["views"][0]["u_melanopic_edi_lx"] is None
     text = CliRunner().invoke(main, ["glare", str(tmp_path / "a.exr"), "--lamps"])
     assert "by the camera's colour" in text.output
+
+
+def _jeti(path: Path, spectrum: np.ndarray) -> Path:
+    """A file as JETI's programs export it, with two equal lines."""
+    values = "; ".join(f"{value:.6E}" for value in spectrum)
+    line = f"Date and Time:; 3/20/2027; 09:00:00am; ; Spectral Values (380 nm - 1000 nm); {values}"
+    path.write_text(f"{line}\n{line}\n", encoding="latin-1")
+    return path
+
+
+@pytest.mark.authority
+def test_a_spectrometers_file_gives_luminance_and_melanopic_light(tmp_path: Path) -> None:
+    """Melanopic daylight efficacy ratios of illuminants A and E by the toolbox of CIE S 026."""
+    nm = np.arange(380.0, 1001.0)
+    planck = 1.0 / (nm**5 * np.expm1(1.435e7 / (2848.0 * nm)))  # CIE 015: illuminant A
+    for spectrum, ratio in ((planck, 0.496), (np.full(len(nm), 1e-3), 0.906)):
+        y, melanopic = colour.read_spectrum(_jeti(tmp_path / "s.cap", spectrum))
+        assert melanopic / y == pytest.approx(ratio, abs=0.001)
+    assert y == pytest.approx(683.002 * 1e-3 * 106.857, rel=1e-3)  # the sum of V in steps of 1 nm
+    (tmp_path / "no.csv").write_text("wavelength;value\n380;1\n")
+    with pytest.raises(InputError, match=r"no spectrum; expected lines with .*; export it again"):
+        colour.read_spectrum(tmp_path / "no.csv")
+
+
+@pytest.mark.contract
+def test_spots_with_spectra_are_a_reference_of_melanopic_light(tmp_path: Path) -> None:
+    nm = np.arange(380.0, 1001.0)
+    picture = np.full((SIZE, SIZE, 3), 200.0)
+    raw_frame(tmp_path / "a.dng", picture, Exposure(1 / 60, 5.6), np.random.default_rng(1))
+    _jeti(tmp_path / "s.cap", np.full(len(nm), 1e-3))
+    table = tmp_path / "spots.csv"
+    table.write_text(f"file,x_px,y_px,spectrum\na.dng,{SIZE / 2},{SIZE / 2},s.cap\n")
+    read = colour.from_table(table, PROFILE)
+    assert read.melanopic is not None
+    assert read.melanopic[0] / read.y[0] == pytest.approx(0.906, abs=0.001)

@@ -6,6 +6,7 @@ as the readings support it.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -24,6 +25,7 @@ from fieldlum.calibrate.readings import (
     READING_U,
     LinearFrame,
     Place,
+    columns,
     columns_of,
     linear_frame,
     read_table,
@@ -32,6 +34,7 @@ from fieldlum.calibrate.readings import (
 )
 from fieldlum.core.arrays import Array, Floats, Mask
 from fieldlum.core.errors import InputError
+from fieldlum.core.strict_csv import read_text
 from fieldlum.optics.images import RADIANCE_CHROMATICITIES, rgb_to_xyz
 from fieldlum.optics.melanopic import MELANOPIC_FROM_XYZ, U_CHART, U_MATRIX
 from fieldlum.optics.profiles import CameraProfile, Colour
@@ -44,6 +47,8 @@ MAX_U_REL = 0.2
 CHART_U = 0.03  # relative u of a printed chart's patch: of its mean Y between two publications
 # Stated corners in another order leave a misfit of 0.5 and more; uneven light up to 0.2. Chosen.
 _MAX_MISFIT = 0.4
+_WEIGHTS = Path(__file__).with_name("melanopic_weights.csv")
+_SPECTRUM = re.compile(r"Spectral Values \((\d+) nm - (\d+) nm\)\s*;(.*)")
 _CHART_XYZ = Path(__file__).with_name("chart_daylight.csv")  # written by bench/melanopic.py
 
 
@@ -94,11 +99,12 @@ def from_table(path: Path, profile: CameraProfile) -> Colours:
     x_px, y_px : place of the reading on the sensor. Optional columns: radius_px of the averaged
     disc (default 12), u_rel of the reading (default 0.02) and melanopic_cdm2, its melanopic
     equivalent daylight luminance, in all rows or none. The profile's vignetting is corrected.
-    Raises InputError for an invalid csv, an unreadable frame, or a place that is clipped or outside
-    the picture.
+    A column spectrum with files of a JETI spectrometer replaces both. Raises InputError for an
+    invalid csv, an unreadable frame, or a place that is clipped or outside the picture.
     """
-    extra = [name for name in ("melanopic_cdm2",) if name in columns_of(path)]
-    required = ("file", "x_px", "y_px", "luminance_cdm2", *extra)
+    extra = [name for name in ("melanopic_cdm2", "spectrum") if name in columns_of(path)]
+    light = extra if "spectrum" in extra else ["luminance_cdm2", *extra]
+    required = ("file", "x_px", "y_px", *light)
     rows = read_table(path, required, {"radius_px": 12.0, "u_rel": READING_U})
     frames = {file: linear_frame(file, profile) for file in dict.fromkeys(r["file"] for r in rows)}
     places = tuple(Place(row["file"], row["x_px"], row["y_px"]) for row in rows)
@@ -107,11 +113,37 @@ def from_table(path: Path, profile: CameraProfile) -> Colours:
         for place, row in zip(places, rows, strict=True)
     ]
     rgb, u_rel = (np.array(values) for values in zip(*patches, strict=True))
-    y = np.array([row["luminance_cdm2"] for row in rows])
+    if "spectrum" in extra:
+        figures = np.array([read_spectrum(row["spectrum"]) for row in rows]).T
+    else:
+        figures = columns(rows, *light)
+    y, *melanopic = figures
     labels = tuple(f"{at.path.stem} {at.x:g},{at.y:g}" for at in places)
     matrix = next((f.colour_matrix for f in frames.values() if f.colour_matrix is not None), None)
-    melanopic = np.array([row["melanopic_cdm2"] for row in rows]) if extra else None
-    return Colours(rgb, y, u_rel, labels, tuple(frames), matrix, places, melanopic)
+    by_meter = melanopic[0] if melanopic else None
+    return Colours(rgb, y, u_rel, labels, tuple(frames), matrix, places, by_meter)
+
+
+def read_spectrum(path: Path) -> tuple[float, float]:
+    """Return luminance and melanopic equivalent daylight luminance by a JETI spectrometer's file.
+
+    Each line has `Spectral Values (380 nm - 1000 nm)`, then the values between semicolons, of
+    radiance [W/(m2 sr nm)]; the result [cd/m2] is the mean of the lines. Irradiance gives lx.
+    Raises InputError for a file without a spectrum.
+    """
+    nm, v, s_mel = np.loadtxt(_WEIGHTS, delimiter=",").T
+    weights = np.stack([683.002 * v, s_mel / 1.3262e-3]) * (nm[1] - nm[0])  # CIE S 026:2018
+    figures = []
+    with suppress(ValueError):
+        for low, high, text in _SPECTRUM.findall(read_text(path, "a file of a spectrometer")):
+            values = [float(cell.replace(",", ".")) for cell in text.split(";") if cell.strip()]
+            own_nm = np.linspace(float(low), float(high), len(values))
+            figures.append(weights @ np.interp(nm, own_nm, values))
+    if not figures:
+        expected = "lines with 'Spectral Values (380 nm - 1000 nm);' and numbers"
+        raise InputError(path, "no spectrum", expected, "export it again from JETI LiVal")
+    y, melanopic = np.mean(figures, axis=0).tolist()
+    return y, melanopic
 
 
 def _patch(

@@ -63,7 +63,7 @@ def require_raw(profile: CameraProfile, remedy: str) -> None:
 def read_table(
     path: Path, required: Sequence[str], optional: Mapping[str, Any] = MappingProxyType({})
 ) -> list[CsvRow]:
-    """Return the rows of a csv as dicts: numbers, and paths in the columns `file` and `panorama`.
+    """Return the rows of a csv as dicts: numbers, and paths (`file`, `panorama`, `spectrum`).
 
     required : columns with a value in every line; optional : other columns, with the value of a
     missing column or an empty cell; a zero counts as empty unless that value is zero or None. Paths
@@ -116,7 +116,7 @@ def _table(path: Path) -> tuple[CsvTable, str]:
 
 
 def _cell(path: Path, line: int, name: str, text: str, mark: str) -> Any:
-    if name in ("file", "panorama"):
+    if name in ("file", "panorama", "spectrum"):
         return path.parent / text
     try:
         return float(text if mark == "," else text.replace(",", "."))

@@ -321,7 +321,8 @@ def colour(
     """Fit luminance and melanopic light by spot readings or a chart.
 
     SPOTS.csv has the columns file, x_px, y_px, luminance_cdm2, for surfaces of many colours, and
-    optionally melanopic_cdm2 of a spectrometer. FRAME shows a 24-patch chart in even light.
+    optionally melanopic_cdm2; or spectrum in place of both, with files of a JETI spectrometer.
+    FRAME shows a 24-patch chart in even light.
 
     \b
     Example:
