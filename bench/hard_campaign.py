@@ -40,7 +40,7 @@ from fieldlum.room.simulate import Troubles, load_troubles
 from fieldlum.session import create_session, open_session
 from fieldlum.session.site_toml import load_site
 from fieldlum.sky import sun
-from fieldlum.sky.sky_view.disc_in_view import disc_lx
+from fieldlum.sky.sky_view.disc import disc_lx
 from fieldlum.year.glare import glare_directions, panorama_views, view_azimuths_deg
 
 HARD = shipped("capture_plans") / "troubles" / "hard.toml"

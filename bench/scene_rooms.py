@@ -44,7 +44,7 @@ from fieldlum.room.simulate.troubles import (
 )
 from fieldlum.sky import sun
 from fieldlum.sky.light import Light, light_at
-from fieldlum.sky.sky_view.sun_path import sun_earlier
+from fieldlum.sky.sky_view.sun_discs import sun_earlier
 
 Array = NDArray[Any]
 YEAR = 2027

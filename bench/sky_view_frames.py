@@ -204,7 +204,7 @@ def judge(made: Case, merges: list[MergeResult], with_discs: bool, axis_deg: flo
         np.array([s.sigma_deg for _, s in measured]),
         tuple(light.t_utc[k] for k, _ in measured),
     )
-    pose = pose_of_discs(discs, made.setup.site, axis_deg, shares[[k for k, _ in measured]])
+    pose = pose_of_discs(discs, made.setup.site, axis_deg)
     latitude_deg = made.setup.site.latitude_deg
     view = estimate(
         captured, lambda rays: in_lens(rays, axis_deg), pose=pose, latitude_deg=latitude_deg
@@ -217,9 +217,10 @@ def judge(made: Case, merges: list[MergeResult], with_discs: bool, axis_deg: flo
     seen = ~np.isnan(drawn).any(axis=0)
     low, high = np.percentile(np.nan_to_num(drawn), [2.5, 97.5], axis=0)
     inside = (true >= low - 0.02) & (true <= high + 0.02)
-    open_hours = seen & (high - low > 0.3)
+    open_hours = seen & (low <= 0.02) & (high > 0.02)  # whether there is a disc
     partly = (made.visible[sunny] > 0.05) & (made.visible[sunny] < 0.95)
     shown, there = own > 0.02, true > 0.02
+    told = seen & ~open_hours
     rms = float(np.sqrt(np.mean((own - true)[partly] ** 2))) if partly.any() else float("nan")
     dgp, wrong = glare(made, sunny, own)
     off = f"{view.pose.heading_deg:+.2f}+-{view.pose.heading_sd_deg:.2f}"
@@ -228,7 +229,8 @@ def judge(made: Case, merges: list[MergeResult], with_discs: bool, axis_deg: flo
         f"phantom {(shown & ~there).sum()}/{(~there).sum()}, "
         f"partly rms {rms:.3f} ({partly.sum()}), "
         f"interval holds {inside[seen].mean():.3f} (with disc {inside[seen & there].mean():.3f}), "
-        f"cannot tell {open_hours.sum()}, "
+        f"cannot tell {open_hours.sum()}, of the others shown {(shown & there & told).sum()}/"
+        f"{(there & told).sum()}, phantom {(shown & ~there & told).sum()}/{(~there & told).sum()}, "
         f"DGP MSE of the disc {dgp:.1e}, other class {wrong}"
     )
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from fieldlum.learn.models.data import Dataset, load_pairs, with_sky_view
 from fieldlum.sky.sky_view import SkyView, disc_of_hours
-from fieldlum.sky.sky_view.disc_in_view import drawn_discs_lx
+from fieldlum.sky.sky_view.disc import drawn_discs_lx
 from fieldlum.year.glare import glare_directions, panorama_views, view_azimuths_deg
 
 sys.path.insert(0, str(Path(__file__).parent / "outside_rooms"))

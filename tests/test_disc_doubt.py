@@ -17,7 +17,7 @@ from fieldlum.optics.profiles import shipped
 from fieldlum.room.scene import build, disc_visibility
 from fieldlum.session.site_toml import load_site
 from fieldlum.sky.light import Light, light_at
-from fieldlum.sky.sky_view.disc_in_view import disc_lx, disc_source, drawn_discs_lx
+from fieldlum.sky.sky_view.disc import disc_lx, disc_source, drawn_discs_lx
 from fieldlum.weather import shipped_seattle
 from fieldlum.year.glare import glare_directions, panorama_views
 from fieldlum.year.glare.metrics import dgp_with_disc, sun_per_lx

@@ -69,7 +69,7 @@ def test_a_camera_sees_the_finer_part(tmp_path: Path) -> None:
     light[20] = 900.0
     light[:10, :10] = np.nan
     grid = SkyGrid(20.0, -20.0, 1.0, 30.0, 40, 40)
-    write_sky_picture(tmp_path / "a.npz", SkyPicture(light, np.isnan(light), grid, T_UTC))
+    write_sky_picture(tmp_path / "a.npz", SkyPicture(light, np.isnan(light), grid))
     detail = read_sky_picture(tmp_path / "a.npz")
     panorama = DetailedPanorama(np.full((45, 90), 100.0, np.float32), 30.0, detail=detail)
     view = optics.look(LENS, SENSOR, (45, 90), grid)

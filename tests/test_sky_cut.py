@@ -103,4 +103,4 @@ def test_merge_keeps_bars_that_the_panorama_cannot_show(tmp_path: Path) -> None:
     side = (np.abs(azimuth - 180.0) > 40.0) & (np.abs(azimuth - 180.0) < 60.0)
     assert np.isnan(sky.luminance_cdm2[np.ix_(rows, side)]).all()
     assert not sky.clipped.any()
-    assert sky.dark_cdm2 is not None and 30.0 < sky.dark_cdm2 < 45.0
+    assert 30.0 < sky.dark_cdm2 < 45.0

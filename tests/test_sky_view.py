@@ -25,7 +25,7 @@ from fieldlum.sky.sky_view import (
     drawn_shares,
     estimate,
 )
-from fieldlum.sky.sky_view.disc_in_view import disc_lx, disc_source
+from fieldlum.sky.sky_view.disc import disc_lx, disc_source
 from fieldlum.sky.sky_view.pose import CameraPose
 from fieldlum.sky.sky_view.view import CHANNELS
 
@@ -74,7 +74,7 @@ def _view(
     clipped = np.zeros((32, 32), bool)
 
     def read(k: int) -> SkyPicture:
-        return SkyPicture(pictures[k].astype(np.float32), clipped, GRID, LIGHT.t_utc[k])
+        return SkyPicture(pictures[k].astype(np.float32), clipped, GRID)
 
     captured = Captured(LIGHT, read, shares)
     taken = captured if rows is None else captured.take(rows.tolist())
@@ -175,8 +175,8 @@ def test_edges_and_bars_of_coarse_pictures_are_where_openness_puts_them() -> Non
     full, grid = np.full_like(openness, 0.8), SkyGrid(36.0, -18.0, 3.0, 180.0, 12, 12)
     through = openness * full
     view = SkyView(grid, openness, 0 * full, full, full, 0 * full, full)
-    sharp, size = view.sharp, view.sharp.grid.width // 12
-    mean = sharp.best.reshape(12, size, 12, size).mean(axis=(1, 3))
+    fine = SkyGrid(36.0, -18.0, 0.125, 180.0, 288, 288)
+    mean = view.shares(fine.rays())[0].reshape(12, 24, 12, 24).mean(axis=(1, 3))
     assert mean[1:-1, :] == pytest.approx(through[1:-1, :], abs=0.04)
     for column, share in ((2.2, 0.0), (2.6, 0.8), (5.9, 0.8), (6.5, 0.8), (6.9, 0.0), (7.4, 0.8)):
         light = _at(view, 6.5, column)

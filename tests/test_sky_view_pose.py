@@ -105,18 +105,6 @@ def test_two_lamps_do_not_turn_the_camera() -> None:
     assert pose_of_discs(discs, SEATTLE, AXIS_DEG).heading_deg == pytest.approx(12.0, abs=0.3)
 
 
-@pytest.mark.property
-def test_a_partly_hidden_disc_counts_less() -> None:
-    discs = measured(np.array([1.0, 0.0, 0.0, 0.0]), 6)
-    bent = discs.azimuth_deg.copy()
-    bent[0] += 0.15
-    moved = MeasuredDiscs(discs.altitude_deg, bent, discs.sigma_deg, discs.t_utc)
-    shares = np.array([0.3, 0.8, 0.8, 0.8, 0.8, np.nan])
-    alike = pose_of_discs(moved, SEATTLE, AXIS_DEG).heading_deg
-    less = pose_of_discs(moved, SEATTLE, AXIS_DEG, shares).heading_deg
-    assert abs(less - 1.0) < abs(alike - 1.0)
-
-
 @pytest.mark.analytic
 def test_merge_finds_a_strong_disc_5_degrees_away() -> None:
     def seen_from(illuminance_lx: float) -> tuple[bool, float]:

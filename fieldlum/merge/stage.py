@@ -226,7 +226,7 @@ def _write(session: Session, job: _MergeJob, result: MergeResult, recipe: JsonTa
     if result.sky is None:
         sky.unlink(missing_ok=True)  # of an earlier merge
     else:
-        write_sky_picture(sky, replace(result.sky, t_utc=result.panorama.t_utc))
+        write_sky_picture(sky, result.sky)
     p, sun = job.profile, result.panorama.sun
     sidecar_sun = None
     if sun is not None:

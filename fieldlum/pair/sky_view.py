@@ -29,7 +29,7 @@ from fieldlum.sky.sky_view import (
     read_sky_picture,
     sky_view_of,
 )
-from fieldlum.sky.sky_view.disc_in_view import room_shares
+from fieldlum.sky.sky_view.disc import room_shares
 from fieldlum.sky.sky_view.measured_discs import read_discs
 from fieldlum.version import __version__
 

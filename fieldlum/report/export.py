@@ -96,7 +96,7 @@ def _sky(session: Session, out: Path) -> list[Path]:
     if view is None:
         return []
     altitude, azimuth = (part.ravel() for part in np.mgrid[0:91, 0:360].astype(float))
-    through = view.sharp.at(direction(altitude, azimuth))
+    through = view.shares(direction(altitude, azimuth))
     table, picture = out / "sky_view.csv", out / "sky_view_mask.png"
     with replacing(table, "w", newline="", encoding="utf-8") as file:
         rows = csv.writer(file)
@@ -106,7 +106,7 @@ def _sky(session: Session, out: Path) -> list[Path]:
     y, x = 2.0 * np.array(np.broadcast_arrays(*picture_centres(_FISHEYE_PX, _FISHEYE_PX)))
     radius = np.hypot(x, y)
     rays = direction(90.0 * (1.0 - radius), np.degrees(np.arctan2(-x, y)))
-    share = view.sharp.at(rays)[0]
+    share = view.shares(rays)[0]
     grey = np.where(np.isnan(share), 128.0, 255.0 * share) * (radius <= 1.0)
     with replacing(picture) as file:
         file.write(png_of(np.repeat(grey[..., None], 3, axis=2).astype(np.uint8)))

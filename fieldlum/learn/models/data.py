@@ -652,7 +652,7 @@ def with_sky_view(
 
     def read(k: int) -> SkyPicture:
         shown = np.where(data.seen, data.luminance_cdm2[k], np.nan)
-        return cut_panorama(Panorama(shown, data.heading_deg, t_utc=light.t_utc[k]))
+        return cut_panorama(Panorama(shown, data.heading_deg))
 
     captured = Captured(light, read, data.disc_lx / np.maximum(light.direct_lx, 1.0))
     site, discs = data.setup.site, _discs(data)

@@ -31,7 +31,7 @@ from fieldlum.session.files.held_out_npz import HeldOutMaps
 from fieldlum.session.files.scores_json import ScoreFigures
 from fieldlum.sky import sun
 from fieldlum.sky.light import Light, light_at
-from fieldlum.sky.sky_view.disc_in_view import disc_lx
+from fieldlum.sky.sky_view.disc import disc_lx
 from fieldlum.sky.sun_disc import add_disc
 from fieldlum.year.glare import Views, glare_directions, panorama_views, view_azimuths_deg
 from fieldlum.year.glare.metrics import (

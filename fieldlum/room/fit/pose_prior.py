@@ -15,7 +15,7 @@ from fieldlum.sky.sky_view.sun_discs import LEAST_DISCS, NAMES, PoseFit, fit_pos
 
 # uncertainty of an equidistant model without a lens calibration; chosen, not measured
 _LENS_SCALE_SD = 0.01
-# names in `discs.NAMES`, in the order of `POSE_NAMES`
+# names in `sun_discs.NAMES`, in the order of `POSE_NAMES`
 _FITTED = ("heading_deg", "tilt_deg", "roll_deg", "clock_min")
 
 
@@ -61,16 +61,8 @@ def pose_of(
     """
     if len(discs) < LEAST_DISCS:
         return None
-    prior = (NORTH_SD_DEG, LEVEL_SD_DEG, LEVEL_SD_DEG, clock_sd_min, _LENS_SCALE_SD)
-    return fit_pose(
-        discs.altitude_deg,
-        discs.azimuth_deg,
-        discs.sigma_deg,
-        discs.t_utc,
-        site,
-        heading_deg,
-        prior,
-    )
+    prior = (NORTH_SD_DEG, LEVEL_SD_DEG, LEVEL_SD_DEG, _LENS_SCALE_SD, clock_sd_min)
+    return fit_pose(discs, site, heading_deg, prior)
 
 
 def prior_of(pose: PoseFit) -> PosePrior:
@@ -87,8 +79,7 @@ def prior_of(pose: PoseFit) -> PosePrior:
 def pose_note(pose: PoseFit, discs: int) -> str:
     """Return a sentence on the fitted pose and clock, from `discs` discs.
 
-    It has values with uncertainties, the residual, the number of gross errors, and what the discs
-    did not determine.
+    It has values with uncertainties, the residual, and the number of gross errors.
     """
     differences = ", ".join(
         f"{kind} {pose[name]:+.2f} +- {pose.u[name]:.2f} {unit}"
@@ -96,8 +87,7 @@ def pose_note(pose: PoseFit, discs: int) -> str:
         for kind, _, unit in [name.rpartition("_")]
     )
     left_out = f"; {len(pose.dropped)} discs omitted as gross errors" if pose.dropped else ""
-    open_ = f"; not determined by the discs alone: {', '.join(pose.open)}" if pose.open else ""
     return (
         f"correction by {discs} measured sun discs (residual {pose.rms_deg:.2f} degrees rms): "
-        f"{differences}{left_out}{open_}"
+        f"{differences}{left_out}"
     )

@@ -71,7 +71,7 @@ class FineWindows:
         out = np.full(self.grid.height * self.grid.width, np.nan, np.float32)
         out[self.pixel] = value
         shape = (self.grid.height, self.grid.width)
-        return SkyPicture(out.reshape(shape), np.zeros(shape, bool), self.grid, light.t_utc[0])
+        return SkyPicture(out.reshape(shape), np.zeros(shape, bool), self.grid)
 
     def _coarse_pixels(self, height: int) -> Indices:
         """Return the flat index of the panorama pixel that holds each fine pixel, [p]."""

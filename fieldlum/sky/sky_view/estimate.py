@@ -13,49 +13,41 @@ import numpy as np
 
 from fieldlum.core.arrays import Array, Floats, Floats32, Indices, Mask
 from fieldlum.core.errors import NotEnoughDataError
-from fieldlum.core.records import Progress, quiet
+from fieldlum.core.records import Progress, Site, quiet
 from fieldlum.core.room_states import parse_state
 from fieldlum.sky.light import Light
 from fieldlum.sky.sky_view.disc import disc_of_hours
+from fieldlum.sky.sky_view.measured_discs import MeasuredDiscs
 from fieldlum.sky.sky_view.panes import pane_transmittance
 from fieldlum.sky.sky_view.picture import SkyGrid, SkyPicture
-from fieldlum.sky.sky_view.pose import CameraPose
-from fieldlum.sky.sky_view.ratio import (
-    FOLLOWS,
-    FOLLOWS_NOT,
-    follow,
-    sky_reference,
-    unmixed,
-)
-from fieldlum.sky.sky_view.sky_heading import heading_by_sky
+from fieldlum.sky.sky_view.pose import CameraPose, pose_of_discs
+from fieldlum.sky.sky_view.ratio import BEAM_LX, SOME, follow, sky_reference, unmixed
+from fieldlum.sky.sky_view.sky_heading import LEAST_U_DEG, heading_by_sky
 from fieldlum.sky.sky_view.view import SkyView
+from fieldlum.sky.sun import SUN_SOLID_ANGLE_SR
 
 # Sunlight inside a room also follows the sky a little: interior surfaces reach 1.2 % of the sky's
-# luminance in the rooms of docs/sky-view.md. Less counts as shut.
-LEAST_THROUGH = 0.02
+# luminance in the rooms of docs/sky-view.md. Less counts as shut, and as no disc.
+_SHUT = 0.02
+_OPEN = 0.9  # openness that counts as all open; chosen
 # Luminous efficacy (5 %), camera scale (5 %), pyranometer (5 %) and the mean of real skies against
 # Perez's (12 %), together; this scale is common to all directions.
-SCALE_SD = 0.2
-# Least ratio to the sky of a pane, as a share of the room's brightest: interior surfaces of the
-# rooms of docs/sky-view.md reach 0.2, but do not follow the sky; a darker pane has bounds. Chosen.
-_LEAST_SHARE = 0.05
-_OPEN_U = 0.05  # of a pane's own transmittance, from direction to direction; chosen
-_OPEN, _LEAST_OPEN = 0.9, 0.02  # openness that counts as all open, and as shut; chosen
-_DISC_DEG2 = 0.223  # solid angle of the sun's disc
-# What scatters (curtain, fabric) is this bright, as a share of the brightest ratio, and brighter by
-# this logarithm with the sun behind it: a curtain by 1.1, a facade by less than 0.6.
-_SCATTER_SHARE, _SCATTER_GLOW = 0.15, 0.6
-# Share of the brightest ratio from which a direction may be sky behind glass; chosen.
-_BRIGHT_SHARE, _BRIGHT_RATIO = 0.3, 0.25
+_SCALE_SD = 0.2
+# Spread of the logarithm of the ratio to the sky, relative to that against other light, below which
+# a direction follows the sky, and above which it does not. Sky reaches 0.3, sunlit facades 1.0
+# (rooms of docs/sky-view.md).
+_FOLLOWS, _FOLLOWS_NOT = 0.5, 1.0
+# Shares of the brightest ratio: of a pane at least (interior surfaces reach 0.2 in the rooms of
+# docs/sky-view.md, but do not follow the sky; a darker pane has bounds); of what scatters; and of
+# what may be sky behind glass. Chosen.
+_PANE_SHARE, _SCATTER_SHARE, _BRIGHT_SHARE = 0.05, 0.15, 0.3
+# What scatters is brighter by this logarithm with the sun behind it: a curtain by 1.1, a facade by
+# less than 0.6.
+_SCATTER_GLOW = 0.6
 LEAST_CAPTURES = 6  # fewer do not separate the sky from other light; chosen
 _MOST_VALUES = 60_000_000  # captures times directions in memory: 240 MB; chosen
-# What merge left out as too dark is between 0 and `SkyPicture.dark_cdm2`; its mean. Chosen.
-_DARK_SHARE = 0.5
 _TROPIC_DEG = 23.44  # the sun's largest declination
-_HEADING_KNOWN_DEG = 0.3  # by discs; the sky alone is not better. Chosen.
-_INSIDE_DEG, _HEADING_DIRECTIONS = 0.5, 400  # of open sky, for the heading; chosen
-_DISC_LX = 1000.0  # beam whose disc cannot be missed in a picture; chosen
-_SHOWN = 0.01  # share of the beam that counts as a disc in a check; chosen
+_DISC_DEG = 0.2665  # radius of the sun's disc
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,30 +81,45 @@ def usual_rows(states: Sequence[str] | None, count: int) -> list[int]:
     return plain or list(range(count))
 
 
+def sky_view_of(
+    captured: Captured,
+    discs: MeasuredDiscs,
+    site: Site,
+    heading_deg: float,
+    seen: Callable[[Floats], Mask] | None = None,
+    progress: Progress = quiet,
+) -> SkyView:
+    """Return the sky view of captures. Those with blinds or snow are not used, unless all are.
+
+    discs: that merge measured; heading_deg: stated azimuth of the pictures' centre column; seen,
+    progress: as of `estimate`. Raises NotEnoughDataError without a capture by daylight.
+    """
+    usual = captured.take(usual_rows(captured.light.states, len(captured.light)))
+    pose = pose_of_discs(discs, site, heading_deg)
+    return estimate(usual, seen, progress, pose, site.latitude_deg)
+
+
 def estimate(
     captured: Captured,
-    shut: Callable[[Floats], Mask] | None = None,
+    seen: Callable[[Floats], Mask] | None = None,
     progress: Progress = quiet,
     pose: CameraPose | None = None,
     latitude_deg: float | None = None,
 ) -> SkyView:
     """Return the sky view of captures of one state of the room.
 
-    shut: returns, for directions [p, 3], whether a lens saw them; where a lens saw a direction, but
+    seen: returns, for directions [p, 3], whether a lens saw them; where a lens saw a direction, but
     no sky picture has it, merge found it too dark for the sky. latitude_deg: of the room;
     the sun never reaches some directions. Raises NotEnoughDataError without a capture with light.
     """
-    lit = np.flatnonzero(captured.light.diffuse_lx > _DISC_LX)
+    lit = np.flatnonzero(captured.light.diffuse_lx > BEAM_LX)
     if not len(lit):
         raise NotEnoughDataError("a sky view needs captures by daylight; none has 1 000 lx outside")
-    used = captured.take(lit.tolist())
-    stack = _stack(used, shut, progress)
-    pose = pose or CameraPose(axis_deg=stack.grid.heading_deg)
-    light = used.light[stack.rows]
-    decided = _decided(stack, light, pose, latitude_deg)
-    turned = _turned(stack, light, decided)
-    if turned is not pose:
-        decided = _decided(stack, light, turned, latitude_deg)
+    stack = _stack(captured.take(lit.tolist()), seen, progress)
+    decided = _decided(stack, pose or CameraPose(axis_deg=stack.grid.heading_deg), latitude_deg)
+    turned = _turned(stack, decided.view)
+    if turned is not decided.view.pose:
+        decided = _decided(stack, turned, latitude_deg)
     return _checked(decided, captured)
 
 
@@ -122,14 +129,14 @@ def estimate(
 
 @dataclass(frozen=True, slots=True)
 class _Stack:
-    """Pictures of the captures `rows` on one grid, only pixels `kept` that have a value.
+    """Pictures of n captures in `light` on one grid, only pixels `kept` that have a value.
 
     luminance_cdm2 [n, p]: NaN where clipped or not seen. dark [h, w]: pixels that a lens saw, but
     that no picture has.
     """
 
     grid: SkyGrid
-    rows: list[int]
+    light: Light
     kept: Mask  # [h, w]
     dark: Mask
     luminance_cdm2: Floats32
@@ -140,19 +147,17 @@ class _Stack:
         out[self.kept] = values
         return out
 
-    def columns(self, pixels: Indices | None = None) -> Indices:
-        """Return the column in the pictures of flat indices of pixels; None: of all, [h, w]."""
-        columns = np.maximum(np.cumsum(self.kept) - 1, 0)
-        return columns.reshape(self.kept.shape) if pixels is None else columns[pixels]
+    @property
+    def columns(self) -> Indices:
+        """Column of each pixel in the pictures, flat [h w]."""
+        return np.maximum(np.cumsum(self.kept) - 1, 0)
 
 
 def _stack(captured: Captured, seen: Callable[[Floats], Mask] | None, progress: Progress) -> _Stack:
     count = len(captured.light)
-    some = sorted({0, count // 2, count - 1})
-    grid = _common([captured.read(k).grid for k in some])
-    kept = np.zeros((grid.height, grid.width), bool)
-    for k in some:
-        kept |= np.isfinite(_placed(captured.read(k), grid))
+    some = [captured.read(k) for k in sorted({0, count // 2, count - 1})]
+    grid = max((picture.grid for picture in some), key=lambda grid: grid.height * grid.width)
+    kept = np.any([np.isfinite(_placed(picture, grid)) for picture in some], axis=0)
     most = max(LEAST_CAPTURES, _MOST_VALUES // max(int(kept.sum()), 1))
     rows = np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)).tolist()
     in_lens = np.zeros(kept.shape, bool)
@@ -163,44 +168,20 @@ def _stack(captured: Captured, seen: Callable[[Floats], Mask] | None, progress: 
         progress(n, len(rows), "sky view")
         picture = captured.read(k)
         values = _placed(picture, grid)
-        if picture.dark_cdm2 is not None:
-            values = np.where(np.isnan(values) & in_lens, _DARK_SHARE * picture.dark_cdm2, values)
+        # what merge left out as too dark is between 0 and this: half of it
+        values = np.where(np.isnan(values) & in_lens, 0.5 * picture.dark_cdm2, values)
         light[n] = np.where(np.isinf(values), np.nan, values)[kept]
-    return _Stack(grid, rows, kept, in_lens & ~kept, light)
-
-
-def _common(grids: Sequence[SkyGrid]) -> SkyGrid:
-    """Return a grid that covers all `grids`, which have one step and one heading."""
-    first = grids[0]
-    step = first.step_deg
-    top = max(g.first_altitude_deg for g in grids)
-    left = min(g.first_azimuth_deg for g in grids)
-    bottom = min(g.first_altitude_deg - g.height * step for g in grids)
-    right = max(g.first_azimuth_deg + g.width * step for g in grids)
-    return replace(
-        first,
-        first_altitude_deg=top,
-        first_azimuth_deg=left,
-        height=round((top - bottom) / step),
-        width=round((right - left) / step),
-    )
+    return _Stack(grid, captured.light[rows], kept, in_lens & ~kept, light)
 
 
 def _placed(picture: SkyPicture, grid: SkyGrid) -> Floats32:
-    """Return a picture's luminance on a grid of the same step: NaN not seen, infinite clipped."""
-    own = picture.grid
+    """Return a picture's luminance on a grid: NaN not seen, infinite clipped."""
     shown = np.where(picture.clipped, np.float32(np.inf), picture.luminance_cdm2)
-    if own == grid:
+    if picture.grid == grid:
         return shown
-    light = np.full((grid.height, grid.width), np.nan, np.float32)
-    i = round((grid.first_altitude_deg - own.first_altitude_deg) / grid.step_deg)
-    j = round((own.first_azimuth_deg - grid.first_azimuth_deg) / grid.step_deg)
-    top, left = max(i, 0), max(j, 0)
-    bottom, right = min(i + own.height, grid.height), min(j + own.width, grid.width)
-    if bottom > top and right > left:
-        source = (slice(top - i, bottom - i), slice(left - j, right - j))
-        light[top:bottom, left:right] = shown[source]
-    return light
+    i, j = (np.floor(at).astype(int) for at in picture.grid.pixels(grid.rays()))
+    inside = (i >= 0) & (i < shown.shape[0]) & (j < shown.shape[1])
+    return np.where(inside, shown[np.where(inside, i, 0), np.where(inside, j, 0)], np.nan)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -220,36 +201,33 @@ class _Decided:
     scatters: Mask
 
 
-def _decided(stack: _Stack, light: Light, pose: CameraPose, latitude_deg: float | None) -> _Decided:
+def _decided(stack: _Stack, pose: CameraPose, latitude_deg: float | None) -> _Decided:
     """Return openness, transmittance and bounds in each direction."""
+    luminance, light, step_deg = stack.luminance_cdm2, stack.light, stack.grid.step_deg
     rays = pose.true_directions(stack.grid.rays()[stack.kept])
-    reference = sky_reference(stack.luminance_cdm2, light, rays)
-    seen = follow(stack.luminance_cdm2, light, rays, reference)
+    reference = sky_reference(luminance, light, rays)
+    seen = follow(luminance, light, rays, reference)
     ratio, spread = stack.placed(seen.ratio), stack.placed(seen.spread)
     relative = ratio / reference.brightest  # NaN if nothing follows the sky
-    sky = (spread < FOLLOWS) & (relative > _LEAST_SHARE) & (ratio > LEAST_THROUGH)
-    pane = np.minimum(pane_transmittance(ratio, sky, stack.grid.step_deg), 1.0)  # [h, w]
-    openness = np.where(sky, np.clip(ratio / pane, 0.0, 1.0), 0.0)
-    u = np.where(sky, _OPEN_U, 0.0)
+    sky = (spread < _FOLLOWS) & (relative > _PANE_SHARE)
+    pane = np.minimum(pane_transmittance(ratio, sky, step_deg), 1.0)  # [h, w]
+    openness, u = np.where(sky, np.clip(ratio / pane, 0.0, 1.0), 0.0), np.zeros(sky.shape)
     mixed = _near(sky) & ~np.isnan(ratio) & (openness < _OPEN)
     shut = stack.kept & ~_near(sky)
     if mixed.any() and shut.any():
-        at, front = (stack.columns(pixels)[mixed] for pixels in (None, _nearest(shut)))
-        luminance = stack.luminance_cdm2
-        open_sky = reference.sky(light, rays[at])
-        openness[mixed], u[mixed] = unmixed(
-            luminance[:, at], open_sky, luminance[:, front], pane[mixed]
-        )
-    openness[openness < _LEAST_OPEN] = 0.0
-    low, high = _bounds(openness, u, mixed, pane, stack.grid.step_deg)
+        at, front = stack.columns[mixed.ravel()], stack.columns[_nearest(shut)[mixed]]
+        open_sky = reference.sky(light, rays[at]) * pane[mixed].astype(np.float32)
+        openness[mixed], u[mixed] = unmixed(luminance[:, at], open_sky, luminance[:, front])
+    openness[openness < _SHUT] = 0.0
+    low, high = _bounds(openness, u, mixed, pane, step_deg)
     apart = ~sky & ~mixed & (stack.placed(_sun_can_stand(rays, latitude_deg, pose)) > 0.0)
     scatters = apart & (stack.placed(seen.glow) > _SCATTER_GLOW) & (relative > _SCATTER_SHARE)
-    bright = apart & (relative > _BRIGHT_SHARE) & (spread < FOLLOWS_NOT)
-    bright |= np.isnan(relative) & (ratio > _BRIGHT_RATIO)
+    bright = apart & (relative > _BRIGHT_SHARE) & (spread < _FOLLOWS_NOT)
+    bright |= np.isnan(relative) & (ratio > _BRIGHT_SHARE)
     few = len(light) < LEAST_CAPTURES
     low = np.zeros_like(low) if few else low
     high = np.where(scatters | bright | few, np.clip(1.3 * ratio, high, 1.0), high)
-    u = np.minimum(np.hypot(u, SCALE_SD * openness), 1.0)
+    u = np.minimum(np.hypot(u, _SCALE_SD * openness), 1.0)
     count = np.where(stack.dark, len(light), stack.placed(seen.count))
     channels = openness, u, count, np.where(stack.dark, 0.0, pane), low, high
     blind = np.isnan(ratio) & ~stack.dark
@@ -268,26 +246,24 @@ def _sun_can_stand(rays: Floats, latitude_deg: float | None, pose: CameraPose) -
     latitude = np.radians(latitude_deg)
     pole = np.array([0.0, np.cos(latitude), np.sin(latitude)])
     declination = np.arcsin(np.clip(rays @ pole, -1.0, 1.0))
-    margin_deg = 0.5 + 2.0 * float(np.hypot(pose.heading_sd_deg, pose.level_sd_deg))
+    margin_deg = 1.5 + 2.0 * pose.heading_sd_deg  # half a degree, and two of the level
     return np.abs(declination) < np.radians(_TROPIC_DEG + margin_deg)
 
 
-def _turned(stack: _Stack, light: Light, decided: _Decided) -> CameraPose:
+def _turned(stack: _Stack, view: SkyView) -> CameraPose:
     """Return the pose with the heading by the open sky, if discs do not give it better."""
     from scipy.ndimage import binary_erosion
 
-    pose = decided.view.pose
-    if pose.heading_sd_deg < _HEADING_KNOWN_DEG:
-        return pose
-    pixels = int(np.ceil(_INSIDE_DEG / stack.grid.step_deg))
-    square = np.ones((3, 3))
-    open_sky = stack.kept & (decided.view.openness >= _OPEN)
-    at = np.flatnonzero(binary_erosion(open_sky, square, iterations=pixels))
-    at = at[:: max(1, len(at) // _HEADING_DIRECTIONS)]
-    luminance = stack.luminance_cdm2[:, stack.columns(at)]
-    rays = pose.true_directions(stack.grid.rays().reshape(-1, 3)[at])
-    correction = heading_by_sky(luminance, light, rays, pose.axis_deg)
-    return pose if correction is None else pose.with_heading(*correction)
+    if view.pose.heading_sd_deg < LEAST_U_DEG:
+        return view.pose
+    inside = int(np.ceil(0.5 / stack.grid.step_deg))  # half a degree from an edge
+    open_sky = stack.kept & (view.openness >= _OPEN)
+    at = np.flatnonzero(binary_erosion(open_sky, np.ones((3, 3)), iterations=inside))
+    at = at[:: max(1, len(at) // SOME)]
+    rays = view.pose.true_directions(stack.grid.rays().reshape(-1, 3)[at])
+    luminance = stack.luminance_cdm2[:, stack.columns[at]]
+    correction = heading_by_sky(luminance, stack.light, rays, view.pose.axis_deg)
+    return view.pose if correction is None else view.pose.with_heading(*correction)
 
 
 def _near(sky: Mask) -> Mask:
@@ -316,13 +292,14 @@ def _bounds(
     """
     from scipy.ndimage import maximum_filter, minimum_filter
 
-    larger = np.where(mixed, max(1.0, step_deg**2 / _DISC_DEG2), 1.0)
+    pixel_sr = np.radians(step_deg) ** 2
+    larger = np.where(mixed, max(1.0, pixel_sr / SUN_SOLID_ANGLE_SR), 1.0)
     around = np.where(mixed, maximum_filter(openness, 3), openness)
     within = np.where(mixed, minimum_filter(openness, 3), openness)
     most = np.where(around > 0.0, np.clip((around + 2.0 * u) * larger, 0.0, 1.0), 0.0)
     least = 1.0 - np.clip((1.0 - within + 2.0 * u) * larger, 0.0, 1.0)
-    high = np.minimum(most * pane * (1.0 + 2.0 * SCALE_SD), 1.0)
-    return least * pane * (1.0 - 2.0 * SCALE_SD), high
+    high = np.minimum(most * pane * (1.0 + 2.0 * _SCALE_SD), 1.0)
+    return least * pane * (1.0 - 2.0 * _SCALE_SD), high
 
 
 def _notes(decided: _Decided) -> tuple[str, ...]:
@@ -358,47 +335,53 @@ def _notes(decided: _Decided) -> tuple[str, ...]:
 
 def _checked(decided: _Decided, captured: Captured) -> SkyView:
     """Return the view, corrected where captures show a disc or none; contradictions are named."""
-    light, share = captured.light, captured.disc_share
-    view, scatters = decided.view, decided.scatters
-    strong = np.flatnonzero((light.direct_lx > _DISC_LX) & ~np.isnan(share))
-    if not len(strong):
-        return replace(view, notes=_notes(decided) + view.pose.notes)
-    some, measured = light[strong], share[strong]
-    disc_deg = 0.2665 + 0.5 * view.grid.step_deg
-    near = _near_shares(view, some, disc_deg + view.pose.heading_sd_deg)
-    inside = _near_shares(view, some, disc_deg)
-    phantom = (measured < _SHOWN) & (near[0] > _SHOWN)
-    missed = (measured > _SHOWN) & (near[1] <= _SHOWN)
-    expected = disc_of_hours(view, some).best_lx / some.direct_lx
-    both = (measured > _SHOWN) & (expected > _SHOWN) & (inside[0] > 0.5 * expected)
-    arrays = {name: getattr(view, name).copy() for name in ("openness", "low", "high")}
-    suns = view.pose.in_pictures(some.shown_sun_direction)
-    without = _panes_without_disc(view, scatters, suns, measured)
-    for values in arrays.values():
-        values[without] = 0.0
-    if both.sum() >= 3:
-        gain = float(np.clip(np.median(measured[both] / expected[both]), 0.5, 1.5))
-        arrays["transmittance"] = np.minimum(view.transmittance * gain, 1.0).astype(np.float32)
-        arrays["low"] = np.minimum(arrays["low"] * gain, 1.0)
-        arrays["high"] = np.minimum(arrays["high"] * gain, 1.0)
-    cosine = np.cos(np.radians(0.2665 + 0.5 * view.grid.step_deg))
-    rays = view.grid.rays()
-    for k in np.flatnonzero(phantom | missed):
-        at = rays @ suns[k] >= cosine
-        pane = np.maximum(np.nan_to_num(view.transmittance[at]), LEAST_THROUGH)
-        arrays["openness"][at] = np.clip(measured[k] / pane, 0.0, 1.0)
-        arrays["low"][at] = 0.0 if phantom[k] else 0.8 * measured[k]
-        arrays["high"][at] = 0.0 if phantom[k] else min(1.2 * measured[k], 1.0)
-    named = [
-        f"{some.t_utc[k]:%Y-%m-%d %H:%M} UTC ({'no disc' if phantom[k] else 'a disc'} captured)"
-        for k in np.flatnonzero(phantom | missed)
-    ]
+    view, share, direct_lx = decided.view, captured.disc_share, captured.light.direct_lx
+    strong = np.flatnonzero((direct_lx > BEAM_LX) & ~np.isnan(share))
+    light, measured = captured.light[strong], share[strong]
+    suns = view.pose.in_pictures(light.shown_sun_direction)
+    without = _panes_without_disc(view, decided.scatters, suns, measured)
+    names = ("openness", "transmittance", "low", "high")
+    arrays = {name: getattr(view, name).copy() for name in names}
+    for name in ("openness", "low", "high"):
+        arrays[name][without] = 0.0
+    disc = disc_of_hours(view, light)
+    sure = (measured > _SHUT) & (disc.low_lx > 0.5 * disc.best_lx) & (disc.best_lx > 0.0)
+    if sure.sum() >= 3:
+        gain = np.median(measured[sure] * light.direct_lx[sure] / disc.best_lx[sure])
+        for name in names[1:]:
+            arrays[name] = np.minimum(arrays[name] * np.clip(gain, 0.5, 1.5), 1.0, dtype=np.float32)
+    wrong = _correct(arrays, view, suns, measured)
+    named = [f"{light.t_utc[k]:%Y-%m-%d %H:%M} UTC ({what} captured)" for k, what in wrong]
     note = (
         f"{len(named)} captures contradict the sky view, which was corrected there: "
         f"{', '.join(named[:3])}; check the heading and the clock",
     )
-    notes = _notes(replace(decided, scatters=scatters & ~without)) + view.pose.notes
+    notes = _notes(replace(decided, scatters=decided.scatters & ~without)) + view.pose.notes
     return replace(view, **arrays, notes=notes + (note if named else ()))
+
+
+def _correct(
+    arrays: dict[str, Floats32], view: SkyView, suns: Floats, measured: Floats
+) -> list[tuple[int, str]]:
+    """Correct `arrays` where captures contradict the view; return their index and what they show.
+
+    suns [n, 3]; measured [n]: share of the beam.
+    """
+    rays, wrong = view.grid.rays(), []
+    disc_deg = _DISC_DEG + 0.5 * view.grid.step_deg
+    for k, (sun, share) in enumerate(zip(suns, measured, strict=True)):
+        off_deg = np.degrees(np.arccos(np.clip(rays @ sun, -1.0, 1.0)))
+        near, at = off_deg <= disc_deg + view.pose.heading_sd_deg, off_deg <= disc_deg
+        if not at.any() or np.isnan(view.low[near]).any():
+            continue
+        missed = share > _SHUT >= view.high[near].max()
+        if missed or share < _SHUT < view.low[near].min():
+            pane = np.maximum(np.nan_to_num(view.transmittance[at]), _SHUT)
+            arrays["openness"][at] = np.clip(share / pane, 0.0, 1.0)
+            bounds = missed * np.minimum((0.8 * share, 1.2 * share), 1.0)
+            arrays["low"][at], arrays["high"][at] = bounds
+            wrong.append((k, "a disc" if missed else "no disc"))
+    return wrong
 
 
 def _panes_without_disc(view: SkyView, scatters: Mask, suns: Floats, measured: Floats) -> Mask:
@@ -413,18 +396,6 @@ def _panes_without_disc(view: SkyView, scatters: Mask, suns: Floats, measured: F
     row, column = view.grid.pixels(suns)
     inside = (row >= 0) & (row < view.grid.height) & (column < view.grid.width)
     at = panes[row[inside].astype(int), column[inside].astype(int)]
-    shown = measured[inside] > _SHOWN
+    shown = measured[inside] > _SHUT
     hidden = [k for k in np.unique(at[at > 0]) if (at == k).sum() >= 3 and not shown[at == k].any()]
     return np.isin(panes, hidden)
-
-
-def _near_shares(view: SkyView, light: Light, reach: float) -> tuple[Floats, Floats]:
-    """Return the lowest low and the highest high within `reach` degrees of the sun, [n] each."""
-    rays = view.grid.rays().reshape(-1, 3)
-    low, high = view.low.ravel(), view.high.ravel()
-    least, most = np.zeros(len(light)), np.ones(len(light))
-    for k, sun in enumerate(view.pose.in_pictures(light.shown_sun_direction)):
-        at = rays @ sun >= np.cos(np.radians(reach))
-        if at.any() and not np.isnan(low[at]).any():
-            least[k], most[k] = low[at].min(), high[at].max()
-    return least, most

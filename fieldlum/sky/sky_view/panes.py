@@ -9,8 +9,8 @@ from fieldlum.core.arrays import Floats, Mask
 # A pane this small takes the transmittance of the nearest larger one: gaps between leaves and slats
 # are not panes. A pane of 40 cm at 8 m has 8 square degrees. Chosen.
 _LEAST_PANE_DEG2 = 8.0
-_NEAR_DEG = 5.0  # to a larger pane; chosen
-_SMOOTH_DEG = 5.0  # transmittance changes by 5 % in 10 degrees at 60 degrees of incidence (EN 410)
+# Transmittance changes by 5 % in 10 degrees at 60 degrees of incidence (EN 410).
+_SMOOTH_DEG = 5.0
 _OPEN_SHARE = 0.75  # of the pane's bright tenth: less is a partly open pixel; chosen
 
 
@@ -44,7 +44,7 @@ def pane_transmittance(through: Floats, sky: Mask, step_deg: float) -> Floats:
     distance_transform_edt(~of_large, return_distances=False, return_indices=True, indices=nearest)
     row, column = nearest
     far = np.hypot(*(nearest - np.indices(sky.shape)))
-    near = ~of_large & (far * step_deg <= _NEAR_DEG)
+    near = ~of_large & (far * step_deg <= _SMOOTH_DEG)
     taken = level[row, column]
     own = np.maximum(np.nan_to_num(through), 1e-6)
     return np.where(of_large, level, np.where(near, np.maximum(taken, own), own))

@@ -6,8 +6,7 @@ cut from the panorama, at the panorama's own size.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from datetime import datetime
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +14,7 @@ from numpy.typing import ArrayLike
 
 from fieldlum.core.arrays import Floats, Floats32, Mask
 from fieldlum.core.errors import input_errors
-from fieldlum.core.records import Flag, Panorama, parse_utc, utc_text
-from fieldlum.optics.images import read_panorama
+from fieldlum.core.records import Flag, Panorama
 from fieldlum.optics.projection import altitude_azimuth_deg, direction
 from fieldlum.session.codec import NPZ_ERRORS
 from fieldlum.session.writing import replacing
@@ -56,11 +54,8 @@ class SkyGrid:
     @property
     def azimuths_deg(self) -> Floats:
         """Azimuth of each column's centre, clockwise from true north, [width]."""
-        return (
-            self.heading_deg
-            + self.first_azimuth_deg
-            + (np.arange(self.width) + 0.5) * self.step_deg
-        )
+        left_deg = self.heading_deg + self.first_azimuth_deg
+        return left_deg + (np.arange(self.width) + 0.5) * self.step_deg
 
     def rays(self, rows: slice = slice(None)) -> Floats:
         """Return the unit vector to each pixel's centre, of some rows, [rows, width, 3]."""
@@ -82,38 +77,33 @@ class SkyPicture:
     """The luminance of one capture in the directions that can be sky.
 
     luminance_cdm2 [h, w] : NaN where no lens saw or where merge did not keep it. clipped [h, w] :
-    True where the luminance is a lower bound. rgb [h, w, 3] : None without colour. dark_cdm2 : what
-    merge saw but did not keep is darker than this; None if it kept all.
+    True where the luminance is a lower bound. dark_cdm2 : what merge saw but did not keep is darker
+    than this; NaN if it kept all.
     """
 
     luminance_cdm2: Floats32
     clipped: Mask
     grid: SkyGrid
-    t_utc: datetime | None = None
-    rgb: Floats32 | None = None
-    dark_cdm2: float | None = None
+    dark_cdm2: float = float("nan")
 
 
 def write_sky_picture(path: Path, picture: SkyPicture) -> None:
-    """Write a picture as .npz: luminance coded in 16 bits, to 0.04 %; colour is not stored."""
+    """Write a picture as .npz: luminance coded in 16 bits, to 0.04 %."""
     least, most = _LOG10_RANGE
     light = np.asarray(picture.luminance_cdm2, np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
         step = (np.log10(np.maximum(light, 10.0**least)) - least) / (most - least)
     code = np.where(np.isfinite(light), 1.0 + np.clip(step, 0.0, 1.0) * (_MOST_CODE - 1), 0.0)
-    grid = picture.grid
+    table = asdict(picture.grid)
+    del table["height"], table["width"]
     with replacing(path) as file:
         np.savez_compressed(
             file,
             format=FORMAT,
             code=np.round(code).astype(np.uint16),
             clipped=np.packbits(picture.clipped),
-            first_altitude_deg=grid.first_altitude_deg,
-            first_azimuth_deg=grid.first_azimuth_deg,
-            step_deg=grid.step_deg,
-            heading_deg=grid.heading_deg,
-            t_utc=utc_text(picture.t_utc) if picture.t_utc else "",
-            dark_cdm2=np.nan if picture.dark_cdm2 is None else picture.dark_cdm2,
+            dark_cdm2=picture.dark_cdm2,
+            **table,
         )
 
 
@@ -135,59 +125,21 @@ def read_sky_picture(path: Path) -> SkyPicture:
         )
         table[0] = np.nan
         clipped = np.unpackbits(stored["clipped"], count=height * width).reshape(height, width)
-        grid = SkyGrid(
-            float(stored["first_altitude_deg"]),
-            float(stored["first_azimuth_deg"]),
-            float(stored["step_deg"]),
-            float(stored["heading_deg"]),
-            height,
-            width,
-        )
-        moment, dark = str(stored["t_utc"]), float(stored["dark_cdm2"])
-        return SkyPicture(
-            table.astype(np.float32)[code],
-            clipped.astype(bool),
-            grid,
-            parse_utc(moment) if moment else None,
-            dark_cdm2=None if np.isnan(dark) else dark,
-        )
+        names = ("first_altitude_deg", "first_azimuth_deg", "step_deg", "heading_deg")
+        corner = {name: float(stored[name]) for name in names}
+        grid = SkyGrid(**corner, height=height, width=width)
+        light = table.astype(np.float32)[code]
+        return SkyPicture(light, clipped.astype(bool), grid, float(stored["dark_cdm2"]))
 
 
-def cut_panorama(panorama: Panorama, heading_deg: float | None = None) -> SkyPicture:
-    """Return the rows of a panorama that can be sky, at the panorama's own size.
-
-    heading_deg: azimuth of the centre column, None for that of the panorama.
-    """
+def cut_panorama(panorama: Panorama) -> SkyPicture:
+    """Return the rows of a panorama that can be sky, at the panorama's own size."""
     height, width = panorama.luminance_cdm2.shape
     step_deg = 180.0 / height
     rows = min(height, int(np.ceil((90.0 - LOWEST_ALTITUDE_DEG) / step_deg)))
     light = np.array(panorama.luminance_cdm2[:rows], np.float32)
     flags = np.zeros(light.shape, np.uint16) if panorama.flags is None else panorama.flags[:rows]
     light[(flags & Flag.OUTSIDE_LENS) > 0] = np.nan
-    return SkyPicture(
-        light,
-        (flags & (Flag.CLIPPED_HIGH | Flag.BLOOM)) > 0,
-        SkyGrid(
-            90.0,
-            -180.0,
-            step_deg,
-            panorama.heading_deg if heading_deg is None else heading_deg,
-            rows,
-            width,
-        ),
-        panorama.t_utc,
-        None if panorama.rgb is None else np.asarray(panorama.rgb[:rows], np.float32),
-    )
-
-
-def sky_picture(panorama: Path, heading_deg: float | None = None) -> SkyPicture:
-    """Return the sky picture of a panorama's file.
-
-    It is that of merge, SLOT.sky.npz in the same folder; without one it is cut from the panorama.
-    heading_deg: azimuth of the centre column where the panorama's file has none. Raises InputError
-    for an unusable file.
-    """
-    own = panorama.with_name(panorama.name.removesuffix(panorama.suffix) + SUFFIX)
-    if own.is_file():
-        return read_sky_picture(own)
-    return cut_panorama(read_panorama(panorama), heading_deg)
+    clipped = (flags & (Flag.CLIPPED_HIGH | Flag.BLOOM)) > 0
+    grid = SkyGrid(90.0, -180.0, step_deg, panorama.heading_deg, rows, width)
+    return SkyPicture(light, clipped, grid)

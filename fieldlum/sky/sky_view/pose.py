@@ -14,27 +14,19 @@ from fieldlum.core.arrays import Floats
 from fieldlum.core.records import JsonTable, Site
 from fieldlum.optics.projection import rotation
 from fieldlum.sky.sky_view.measured_discs import MeasuredDiscs
-from fieldlum.sky.sky_view.sun_discs import NAMES, PoseFit, fit_pose, scaled
+from fieldlum.sky.sky_view.sun_discs import LEAST_DISCS, PoseFit, fit_pose, scaled
 
 # Standard uncertainties of a stated pose: a compass near steel is within 5 degrees (two standard
 # deviations), a spirit level on a camera within 1 degree, a lens profile within 1 %. Chosen.
 STATED_SD = (2.5, 0.5, 0.5, 0.005)
-# Recorded times of `capture` with NTP, and of `import` after comparing clocks. Chosen.
-CLOCK_SD_MIN = 0.3
-# Distance of a measured disc that the lens model and the mount explain: a calibrated lens is right
-# to 0.1 degrees (docs/calibration.md). Chosen.
+_CLOCK_SD_MIN = 0.3  # of `capture` with NTP, and of `import` after comparing clocks; chosen
+# Distance of a measured disc that the lens model, the mount and bars before the disc explain: a
+# calibrated lens is right to 0.1 degrees (docs/calibration.md). Chosen.
 _LENS_U_DEG = 0.07
-# A partly hidden disc's centre is away from the sun's by up to half of its radius.
-_PARTLY_HIDDEN_U_DEG = 0.13
-_PARTLY_HIDDEN_SHARE = (
-    0.8  # of the illuminance of the brightest discs, relative to the beam; chosen
-)
 # Fewer than three discs cannot tell a reflection from a wrong pose: beyond this many standard
 # uncertainties of the stated pose they are not used.
 _CONTRADICTION = 3.5
-_SITE = "heading_deg in SITE.toml"
 _OPEN_DEG = 0.1  # a combination less certain than this is stated; half of the disc's radius
-_SHOWN_SHARE = 0.3  # of a combination's largest part, below which a part is not named
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,11 +59,6 @@ class CameraPose:
         """Standard uncertainty of the heading."""
         return float(np.sqrt(self.covariance[0][0]))
 
-    @property
-    def level_sd_deg(self) -> float:
-        """Standard uncertainty of tilt or roll, the larger."""
-        return float(np.sqrt(max(self.covariance[1][1], self.covariance[2][2])))
-
     @classmethod
     def from_table(cls, table: JsonTable) -> CameraPose:
         """Build from a JSON object of the fields. Raises TypeError or KeyError for another one."""
@@ -83,6 +70,13 @@ class CameraPose:
         covariance = np.asarray(self.covariance, float)
         return rng.multivariate_normal(self.values, covariance, count, method="eigh")
 
+    def moved(self, values: Floats, covariance: Floats, discs: int, *notes: str) -> CameraPose:
+        """Return the pose with other values [4] and covariance [4, 4], and more notes."""
+        rows = tuple(tuple(map(float, row)) for row in covariance)
+        heading, tilt, roll, scale = map(float, values)
+        notes = (*self.notes, *notes)
+        return CameraPose(heading, tilt, roll, scale, rows, self.axis_deg, discs, notes)
+
     def with_heading(self, by_deg: float, u_deg: float) -> CameraPose:
         """Return the pose with a measured correction to its heading; what is correlated follows.
 
@@ -90,17 +84,15 @@ class CameraPose:
         """
         covariance = np.asarray(self.covariance, float)
         variance = float(covariance[0, 0]) + u_deg**2
-        text = f"{by_deg:+.1f} +- {u_deg:.1f} degrees by the sky's brightness about the sun"
+        text = f"heading {by_deg:+.1f} +- {u_deg:.1f} degrees by the sky's brightness about the sun"
         if abs(by_deg) > _CONTRADICTION * np.sqrt(variance):
-            return replace(self, notes=(*self.notes, f"heading {text}: not used; check {_SITE}"))
+            note = f"{text}: not used; check heading_deg in SITE.toml"
+            return replace(self, notes=(*self.notes, note))
         gain = covariance[:, 0] / variance  # [4]: Kalman
-        after = covariance - np.outer(gain, covariance[0])
-        heading, tilt, roll, scale = (float(v) for v in self.values + gain * by_deg)
-        rows = tuple(tuple(float(v) for v in row) for row in after)
-        note = f"heading {text}; used: {heading:+.1f} +- {np.sqrt(after[0, 0]):.1f}"
-        return CameraPose(
-            heading, tilt, roll, scale, rows, self.axis_deg, self.discs, (*self.notes, note)
-        )
+        after = np.asarray(covariance - np.outer(gain, covariance[0]), float)
+        values = self.values + gain * by_deg
+        note = f"{text}; used: {values[0]:+.1f} +- {np.sqrt(after[0, 0]):.1f}"
+        return self.moved(values, after, self.discs, note)
 
     def in_pictures(self, suns: Floats, values: Floats | None = None) -> Floats:
         """Return where the pictures show true directions [n, 3], in the stated pose, [n, 3].
@@ -117,56 +109,34 @@ class CameraPose:
         return scaled(shown, self.lens_scale, self.axis_deg) @ turn.T
 
 
-def pose_of_discs(
-    discs: MeasuredDiscs,
-    site: Site,
-    axis_deg: float,
-    shares: Floats | None = None,
-    clock_sd_min: float = CLOCK_SD_MIN,
-) -> CameraPose:
+def pose_of_discs(discs: MeasuredDiscs, site: Site, axis_deg: float) -> CameraPose:
     """Return the pose that the discs of a session's captures give, together with the stated one.
 
-    axis_deg: stated azimuth of the lens's axis. shares: illuminance of each disc over that of the
-    beam [n], NaN if unknown; dim discs are partly hidden, and their centre counts less.
-    clock_sd_min: standard uncertainty of the recorded times. The result is the stated pose without
-    a disc, and with one or two that contradict it.
+    axis_deg: stated azimuth of the lens's axis. The result is the stated pose without a disc, and
+    with one or two that contradict it.
     """
+    stated = CameraPose(axis_deg=axis_deg)
     if not len(discs):
-        return CameraPose(axis_deg=axis_deg, notes=(_NO_DISC,))
-    sigma = np.hypot(discs.sigma_deg, _LENS_U_DEG)
-    if shares is not None and np.isfinite(shares).any():
-        full = float(np.nanpercentile(shares, 90))
-        hidden = np.nan_to_num(shares, nan=full) < _PARTLY_HIDDEN_SHARE * full
-        sigma = np.where(hidden, np.hypot(sigma, _PARTLY_HIDDEN_U_DEG), sigma)
-    heading, tilt, roll, scale = STATED_SD
-    prior = (heading, tilt, roll, clock_sd_min, scale)
-    fit = fit_pose(
-        discs.altitude_deg,
-        discs.azimuth_deg,
-        sigma,
-        discs.t_utc,
-        site,
-        axis_deg,
-        prior,
-        least=1,
-    )
+        return replace(stated, notes=(_NO_DISC,))
+    prior = (*STATED_SD, _CLOCK_SD_MIN)
+    blurred = replace(discs, sigma_deg=np.hypot(discs.sigma_deg, _LENS_U_DEG))
+    fit = fit_pose(blurred, site, axis_deg, prior, least=1)
     used = len(discs) - len(fit.dropped)
-    off = float(np.max(np.abs(fit.values) / np.array(prior)))
-    if used < 3 and off > _CONTRADICTION:
-        return CameraPose(axis_deg=axis_deg, notes=(_contradiction(fit, used),))
-    rows = [NAMES.index(f"{name}_deg") for name in ("heading", "tilt", "roll")]
-    rows.append(NAMES.index("lens_scale"))
-    covariance = fit.covariance[np.ix_(rows, rows)]
-    return CameraPose(
-        fit["heading_deg"],
-        fit["tilt_deg"],
-        fit["roll_deg"],
-        fit["lens_scale"],
-        tuple(tuple(float(v) for v in row) for row in covariance),
-        axis_deg,
-        used,
-        _notes(fit, covariance, len(discs)),
+    if used < LEAST_DISCS and np.max(np.abs(fit.values) / prior) > _CONTRADICTION:
+        note = (
+            f"{used} measured sun discs contradict the stated pose ({_angles(fit)}) and are not "
+            "used: check the heading in SITE.toml, or capture three clear hours with the sun in "
+            "view"
+        )
+        return replace(stated, notes=(note,))
+    dropped = f"; {len(fit.dropped)} omitted as gross errors" if fit.dropped else ""
+    note = (
+        f"pose by {len(discs)} measured sun discs{dropped}: {_angles(fit)}, lens scale "
+        f"{100 * fit['lens_scale']:+.2f} +- {100 * fit.u['lens_scale']:.2f} %"
     )
+    covariance = fit.covariance[:4, :4]
+    notes = filter(None, (note, open_combination(covariance)))
+    return stated.moved(fit.values[:4], covariance, used, *notes)
 
 
 _NO_DISC = (
@@ -174,27 +144,12 @@ _NO_DISC = (
     f"and {2 * STATED_SD[1]:g} degrees; a capture of a clear hour with the sun in view would "
     "settle them"
 )
+_ANGLES = ("heading", "tilt", "roll")
 
 
-def _contradiction(fit: PoseFit, used: int) -> str:
-    parts = f"heading {fit['heading_deg']:+.1f}, tilt {fit['tilt_deg']:+.1f} degrees"
-    return (
-        f"{used} measured sun discs contradict the stated pose ({parts}) and are not used: check "
-        "the heading in SITE.toml, or capture three clear hours with the sun in view"
-    )
-
-
-def _notes(fit: PoseFit, covariance: Floats, discs: int) -> tuple[str, ...]:
-    names = ("heading", "tilt", "roll")
-    sd = np.sqrt(np.diag(covariance))
-    parts = ", ".join(
-        f"{name} {fit[f'{name}_deg']:+.2f} +- {sd[k]:.2f}" for k, name in enumerate(names)
-    )
-    scale = f"lens scale {100 * fit['lens_scale']:+.2f} +- {100 * sd[3]:.2f} %"
-    dropped = f"; {len(fit.dropped)} omitted as gross errors" if fit.dropped else ""
-    first = f"pose by {discs} measured sun discs{dropped}: {parts} degrees, {scale}"
-    open_text = open_combination(covariance)
-    return (first, open_text) if open_text else (first,)
+def _angles(fit: PoseFit) -> str:
+    parts = (f"{n} {fit[f'{n}_deg']:+.2f} +- {fit.u[f'{n}_deg']:.2f}" for n in _ANGLES)
+    return f"{', '.join(parts)} degrees"
 
 
 def open_combination(covariance: Floats) -> str:
@@ -202,14 +157,13 @@ def open_combination(covariance: Floats) -> str:
 
     covariance [4, 4]: of heading, tilt, roll [deg] and lens scale.
     """
-    names = ("heading", "tilt", "roll")
     variances, parts = np.linalg.eigh(np.asarray(covariance)[:3, :3])
     sd, part = float(np.sqrt(max(variances[-1], 0.0))), parts[:, -1]
     if sd < _OPEN_DEG:
         return ""
     part = part * np.sign(part[np.argmax(np.abs(part))])
-    shown = [k for k in range(3) if abs(part[k]) > _SHOWN_SHARE * abs(part).max()]
-    together = " with ".join(f"{sd * part[k]:+.2f} {names[k]}" for k in shown)
+    shown = np.flatnonzero(np.abs(part) > 0.3 * np.abs(part).max())
+    together = " with ".join(f"{sd * part[k]:+.2f} {_ANGLES[k]}" for k in shown)
     return (
         f"the discs leave open by {sd:.2f} degrees (standard uncertainty): {together}; a clear "
         "hour with the sun elsewhere in the window would settle it"

@@ -22,24 +22,17 @@ from fieldlum.sky.light import Light
 # Directions this close to the sun are not used: circumsolar brightness and a lens's flare are not
 # modelled well there (Perez's gradation is steep within 10 degrees).
 _NEAR_SUN_DEG = 10.0
-_SUN_LX = 1000.0  # a weaker beam has no circumsolar region that exceeds the sky; chosen
+BEAM_LX = 1000.0  # a weaker beam shows no disc and has no bright region around it; chosen
 # Spread of the logarithm of a real sky over Perez's (Perez et al. 1993: 10 to 40 % by type of sky).
 _MOST_SKY_SPREAD = 0.45
-# Spread relative to that against other light, below which a direction follows the sky, and above
-# which it does not. Sky reaches 0.3, sunlit facades 1.0 (rooms of docs/sky-view.md).
-FOLLOWS, FOLLOWS_NOT = 0.5, 1.0
-# First reference: at least this share of the brightest ratio; then tinted panes too.
-_REFERENCE_FOLLOWS = 0.8
-_FIRST_SHARE, _REFERENCE_SHARE = 0.5, 0.15
-_ROUNDS = 6  # of adding what follows the sky that was found; chosen
-_BRIGHTEST = 0.98  # quantile of the ratio that counts as the brightest; chosen
-_THIN_DIRECTIONS = 5000  # among which the reference is found; only for speed
-_SKY_DIRECTIONS = 500  # at most, of the reference; only for speed
+# Relative spread of the reference; and its share of the brightest ratio, without tinted panes at
+# first. Chosen.
+_REFERENCE_FOLLOWS, _REFERENCE_SHARES = 0.8, (0.5, *5 * (0.15,))
+SOME = 500  # directions of the open sky are enough; only for speed
 # Clouds are alike within this angle; farther away the sky's mean deviation counts, with this weight
 # relative to one direction nearby. Chosen.
 _CLOUD_DEG, _FAR_WEIGHT = 5.0, 0.3
 _CHUNK_VALUES = 4_000_000  # captures times directions at a time: 100 MB; chosen
-_LEAST_CDM2 = 0.01  # of a logarithm
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,27 +80,24 @@ def sky_reference(luminance: Floats32, light: Light, rays: Floats) -> SkyReferen
     Those that follow Perez's sky better than other light and are bright come first; what follows
     the sky that they show is added.
     """
-    thin = max(1, len(rays) // _THIN_DIRECTIONS)
-    luminance, rays = luminance[:, ::thin], rays[::thin]
-    measured = _usable_log(luminance, light, rays)
+    some = max(1, len(rays) // (10 * SOME))
+    luminance, rays = luminance[:, ::some], rays[::some]
+    measured = usable_log(luminance, light, rays)
     reference = SkyReference(np.empty((0, 3)), np.empty((len(light), 0)), float("nan"))
     level, spread = _level_spread(measured - np.log(reference.sky(light, rays)))
     rest = _rest_spread(measured, light)
     plausible = (spread < _MOST_SKY_SPREAD) & (spread < rest)
     if not plausible.any():
         return reference
-    brightest = float(np.quantile(level[plausible], _BRIGHTEST))
-    follows, share, count = plausible, _FIRST_SHARE, 0
-    for _ in range(_ROUNDS):
+    brightest = float(np.quantile(level[plausible], 0.98))
+    follows = plausible
+    for share in _REFERENCE_SHARES:
         index = np.flatnonzero(plausible & follows & (level > brightest + np.log(share)))
-        if len(index) == count:
-            break
-        count = len(index)
-        index = index[:: max(1, len(index) // _SKY_DIRECTIONS)]
+        index = index[:: max(1, len(index) // SOME)]
         off = measured[:, index] - np.log(light.sky_at(rays[index])) - level[index]
         reference = SkyReference(rays[index], off, float(np.exp(brightest)))
         spread = _level_spread(measured - np.log(reference.sky(light, rays)))[1]
-        follows, share = spread < _REFERENCE_FOLLOWS * rest, _REFERENCE_SHARE
+        follows = spread < _REFERENCE_FOLLOWS * rest
     return reference
 
 
@@ -117,7 +107,7 @@ def follow(luminance: Floats32, light: Light, rays: Floats, reference: SkyRefere
     parts = []
     for k in range(0, max(len(rays), 1), step):
         some = slice(k, k + step)
-        measured = _usable_log(luminance[:, some], light, rays[some])
+        measured = usable_log(luminance[:, some], light, rays[some])
         level, spread = _level_spread(measured - np.log(reference.sky(light, rays[some])))
         rest = np.maximum(_rest_spread(measured, light), 1e-3)
         count = (~np.isnan(measured)).sum(axis=0)
@@ -125,17 +115,14 @@ def follow(luminance: Floats32, light: Light, rays: Floats, reference: SkyRefere
     return Followed(*(np.concatenate(values).astype(float) for values in zip(*parts, strict=True)))
 
 
-def unmixed(
-    luminance: Floats32, sky: Floats32, front: Floats32, pane: Floats
-) -> tuple[Floats, Floats]:
+def unmixed(luminance: Floats32, sky: Floats32, front: Floats32) -> tuple[Floats, Floats]:
     """Return the share of the sky in p mixed pixels and its standard uncertainty, [p] each.
 
-    luminance, sky, front [n, p]: of the pixel, of the sky there, of the foreground; pane [p]:
-    transmittance. NaN is ignored.
+    luminance, sky, front [n, p]: of the pixel, of the sky behind the pane, of the foreground. NaN
+    is ignored.
     """
-    open_ = sky * pane
-    scale = np.maximum(open_, front)
-    x = np.nan_to_num((open_ - front) / scale)
+    scale = np.maximum(sky, front)
+    x = np.nan_to_num((sky - front) / scale)
     y = (luminance - front) / scale
     usable = np.isfinite(y)
     x, y = np.where(usable, x, 0.0), np.where(usable, y, 0.0)
@@ -149,11 +136,11 @@ def unmixed(
     return share, np.sqrt(variance + (other * (1.0 - share)) ** 2)
 
 
-def _usable_log(luminance: Floats32, light: Light, rays: Floats) -> Floats32:
+def usable_log(luminance: Floats32, light: Light, rays: Floats) -> Floats32:
     """Return the logarithm of luminance [n, p], NaN near the sun and where luminance is."""
     near = light.shown_sun_direction @ rays.T > np.cos(np.radians(_NEAR_SUN_DEG))
-    near &= (light.direct_lx > _SUN_LX)[:, None]
-    return np.where(near, np.nan, np.log(np.maximum(luminance, _LEAST_CDM2))).astype(np.float32)
+    near &= (light.direct_lx > BEAM_LX)[:, None]
+    return np.where(near, np.nan, np.log(np.maximum(luminance, 0.01))).astype(np.float32)
 
 
 def _rest_spread(measured: Floats32, light: Light) -> Floats:
@@ -169,7 +156,7 @@ def _glow(measured: Floats32, light: Light, rays: Floats) -> Floats:
     over = measured - np.log(light.diffuse_lx)[:, None]
     level = rays[:, :2] / np.maximum(np.hypot(rays[:, 0], rays[:, 1]), 1e-9)[:, None]
     behind = light.sun_direction[:, :2] @ level.T > 0.3
-    behind &= (light.direct_lx > 10.0 * _SUN_LX)[:, None]
+    behind &= (light.direct_lx > 10.0 * BEAM_LX)[:, None]
     lit = _level_spread(np.where(behind, over, np.nan))[0]
     return lit - _level_spread(np.where(behind, np.nan, over))[0]
 

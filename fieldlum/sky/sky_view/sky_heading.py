@@ -13,16 +13,14 @@ import numpy as np
 from fieldlum.core.arrays import Floats, Floats32
 from fieldlum.optics.projection import rotation
 from fieldlum.sky.light import Light
+from fieldlum.sky.sky_view.ratio import BEAM_LX, usable_log
 
-_SUNNY_LX = 5000.0  # beam of an hour that is used; chosen
-_NEAR_SUN_DEG = 10.0  # not used: flare, and Perez's steep gradation
 _LEAST_HOURS, _LEAST_DIRECTIONS = 5, 10  # of the estimate, and of an hour in it; chosen
-_ROUNDS, _STEP_DEG = 10, 0.1
-_MOST_STEP_DEG = 3.0
+_STEP_DEG = 0.1
 _HUBER = 1.5  # standard uncertainties, beyond which an hour counts less
-# Errors in rooms of other renderers (docs/sky-view.md) are 1.3 times the estimate's own; at least
-# 0.2 degrees, because the sun moves so far in the seconds of a bracket. Chosen.
-_TIMES, _LEAST_U_DEG = 1.5, 0.2
+# Errors in rooms of other renderers (docs/sky-view.md) are twice the estimate's own; at least 0.2
+# degrees, because the sun moves so far in the seconds of a bracket. Chosen.
+_TIMES, LEAST_U_DEG = 2.0, 0.2
 _NORMAL_MEDIAN = 0.455  # of chi squared with one degree of freedom
 
 
@@ -35,12 +33,12 @@ def heading_by_sky(
     their true directions by the heading so far; axis_deg: azimuth of the lens's axis. At least five
     sunny hours with ten directions are needed.
     """
-    sunny = np.flatnonzero(light.direct_lx > _SUNNY_LX)
+    sunny = np.flatnonzero(light.direct_lx > 5.0 * BEAM_LX)
     if len(sunny) < _LEAST_HOURS or len(rays) < _LEAST_DIRECTIONS:
         return None
     some, days = light[sunny], np.array([t.toordinal() for t in light.t_utc])[sunny]
     heading, u = 0.0, np.inf
-    for _ in range(_ROUNDS):
+    for _ in range(10):
         turned = [rays @ rotation(h, 0.0, 0.0, axis_deg).T for h in (heading, heading + _STEP_DEG)]
         level = np.nanmedian(_log_ratio(luminance, light, turned[0]), axis=0)
         off, ahead = (_log_ratio(luminance[sunny], some, to) - level for to in turned)
@@ -49,21 +47,20 @@ def heading_by_sky(
         if usable.sum() < _LEAST_HOURS:
             return None
         step, u = _mean(turns[usable], variances[usable], days[usable])
-        heading += float(np.clip(step, -_MOST_STEP_DEG, _MOST_STEP_DEG))
+        heading += float(np.clip(step, -3.0, 3.0))
         if abs(step) < 0.1 * u:
             break
-    return heading, float(np.hypot(_TIMES * u, _LEAST_U_DEG))
+    return heading, float(np.hypot(_TIMES * u, LEAST_U_DEG))
 
 
 def _log_ratio(luminance: Floats32, light: Light, rays: Floats) -> Floats:
-    return np.log(np.maximum(luminance, 1e-2)) - np.log(np.maximum(light.sky_at(rays), 1e-3))
+    return usable_log(luminance, light, rays) - np.log(np.maximum(light.sky_at(rays), 1e-3))
 
 
 def _turns(off: Floats, slope: Floats, light: Light, rays: Floats) -> tuple[Floats, Floats]:
     """Return the turn [n] that explains each hour's `off` [n, p], and its variance; NaN if none."""
     altitude = np.arcsin(np.clip(rays[:, 2], -1.0, 1.0))
-    usable = light.shown_sun_direction @ rays.T < np.cos(np.radians(_NEAR_SUN_DEG))
-    usable &= np.isfinite(off)
+    usable = np.isfinite(off) & np.isfinite(slope)
     sky = np.log(np.maximum(light.sky_at(rays), 1e-3))
     turns, variances = np.full(len(off), np.nan), np.full(len(off), np.nan)
     for k, at in enumerate(usable):

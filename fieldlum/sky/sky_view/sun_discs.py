@@ -10,32 +10,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import datetime
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fieldlum.core.arrays import Floats, Mask
+from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.records import Site
 from fieldlum.optics.projection import rotation
 from fieldlum.sky import sun
-from fieldlum.sky.sky_view.sun_path import sun_earlier
+from fieldlum.sky.sky_view.measured_discs import MeasuredDiscs
 
-NAMES = ("heading_deg", "tilt_deg", "roll_deg", "clock_min", "lens_scale")
-# Standard uncertainties before any disc was measured: a compass near steel, a camera set by hand, a
-# camera clock compared with NTP (`import` and `capture` record this), an equidistant lens model.
-# Chosen.
-PRIOR_SD = (5.0, 1.0, 1.0, 0.1, 0.01)
-LEAST_DISCS = 3  # least number of discs: six coordinates, one more than the five parameters
-# Chosen, not measured: distance from the other discs at which one is a reflection or a lamp; four
-# times the steps that errors of a few degrees need; half of the prior's uncertainty, above which
-# the discs did not determine a parameter; correlation at which only a combination of two parameters
-# is known.
+NAMES = ("heading_deg", "tilt_deg", "roll_deg", "lens_scale", "clock_min")
+LEAST_DISCS = 3  # six coordinates, one more than the five parameters
+# Distance from the other discs at which one is a reflection or a lamp, in standard uncertainties;
+# chosen.
 _GROSS_SIGMAS = 5.0
-_STEPS = 12
-_OPEN_SHARE = 0.5
-_VALLEY_CORRELATION = 0.98
+# Apparent rotation of the sky: 360 degrees in a mean solar day; the sun's own motion in declination
+# (at most 0.4 degrees a day) is below 0.003 degrees in ten minutes.
+_SKY_TURN_DEG_PER_MIN = 0.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,18 +36,16 @@ class PoseFit:
     """What measured sun discs determine: values [5] and covariance [5, 5] in the order of `NAMES`.
 
     heading_deg: correction to add to the stated heading. tilt_deg: how far the view axis points up;
-    roll_deg: how far the picture's right-hand side is low. clock_min: recorded time less
-    true time. lens_scale: true over stated angle from the lens's axis, minus 1. rms_deg: distance
-    of measured from computed discs without gross errors. dropped: indices from 0 of the discs that
-    are gross errors. open: names of parameters with over half of their uncertainty before the fit,
-    and "A and B" for pairs correlated by over 0.98.
+    roll_deg: how far the picture's right-hand side is low. lens_scale: true over stated angle from
+    the lens's axis, minus 1. clock_min: recorded time less true time. rms_deg: distance of measured
+    from computed discs without gross errors. dropped: indices from 0 of the discs that are gross
+    errors.
     """
 
     values: Floats
     covariance: Floats
     rms_deg: float
     dropped: tuple[int, ...]
-    open: tuple[str, ...]
 
     @property
     def u(self) -> dict[str, float]:
@@ -66,134 +57,54 @@ class PoseFit:
 
 
 def fit_pose(
-    altitude_deg: ArrayLike,
-    azimuth_deg: ArrayLike,
-    sigma_deg: ArrayLike,
-    t_utc: Sequence[datetime],
+    discs: MeasuredDiscs,
     site: Site,
     axis_deg: float,
-    prior_sd: Sequence[float] = PRIOR_SD,
+    prior_sd: Sequence[float],
     least: int = LEAST_DISCS,
 ) -> PoseFit:
-    """Fit north, level, clock and lens scale to n measured centres of the sun's disc.
+    """Fit north, level, lens scale and clock to n measured centres of the sun's disc.
 
-    altitude_deg (apparent), azimuth_deg: [n], by the stated heading, level and lens; sigma_deg:
-    [n], their standard uncertainty along each axis. t_utc: recorded times [n]. axis_deg: the stated
-    azimuth of the lens's axis. prior_sd: standard uncertainties [5] before the fit, in the order of
-    `NAMES`; each prior's mean is 0. The sun's position is by NREL SPA. Gross errors (5 sigma) are
-    omitted, as long as four discs remain. Raises NotEnoughDataError for fewer than `least` discs.
+    discs: by the stated heading, level and lens. axis_deg: the stated azimuth of the lens's axis.
+    prior_sd: standard uncertainties [5] before the fit, in the order of `NAMES`; each prior's mean
+    is 0. The sun's position is by NREL SPA. Gross errors (5 sigma) are omitted, as long as four
+    discs remain. Raises NotEnoughDataError for fewer than `least` discs.
     """
-    altitude, azimuth, sigma = (
-        np.atleast_1d(np.asarray(v, float)) for v in (altitude_deg, azimuth_deg, sigma_deg)
-    )
-    if len(altitude) < least:
+    from scipy.optimize import least_squares
+
+    if len(discs) < least:
         raise NotEnoughDataError(
-            f"{len(altitude)} measured sun discs, but at least {least} are needed to "
+            f"{len(discs)} measured sun discs, but at least {least} are needed to "
             "fit north, level and clock: capture clear hours with the sun in view"
         )
-    place = sun.position(list(t_utc), site)
+    place = sun.position(list(discs.t_utc), site)
     bent = place.apparent_altitude_deg - place.altitude_deg  # refraction [n] deg
-    problem = _Problem(
-        sun.direction(altitude - bent, azimuth),
-        sun.direction(place.altitude_deg, place.azimuth_deg),
-        np.radians(sigma),
-        site.latitude_deg,
-        axis_deg,
-        np.asarray(prior_sd, float),
-    )
-    keep = np.ones(len(altitude), bool)
-    while keep.sum() > LEAST_DISCS + 1:
-        worst, sigmas = _least_explained(problem, keep)
-        if sigmas < _GROSS_SIGMAS:
-            break
-        keep[worst] = False
-    values, _ = problem.solve(keep)
-    residual = problem.residuals(values)[keep]  # [m, 3] in sigmas
-    excess = float((residual**2).sum()) / max(2.0 * keep.sum() - len(NAMES), 1.0)
-    values, covariance = problem.solve(keep, max(1.0, excess))
-    off_deg = np.degrees(np.linalg.norm(residual, axis=1) * problem.sigma[keep])
-    return PoseFit(
-        values,
-        covariance,
-        float(np.sqrt((off_deg**2).mean())),
-        tuple(int(k) for k in np.flatnonzero(~keep)),
-        _undetermined(covariance, problem.prior_sd),
-    )
+    shown = sun.direction(discs.altitude_deg - bent, discs.azimuth_deg)
+    suns = sun.direction(place.altitude_deg, place.azimuth_deg)
+    sigma, prior = np.radians(discs.sigma_deg)[:, None], np.asarray(prior_sd, float)
+    keep, excess = np.ones(len(discs), bool), 1.0
 
+    def off(values: Floats) -> Floats:  # measured minus true directions, in sigmas [n, 3]
+        heading, tilt, roll, scale, clock = values
+        true = scaled(shown, scale, axis_deg) @ rotation(heading, tilt, roll, axis_deg).T
+        return (true - sun_earlier(suns, clock, site.latitude_deg)) / sigma
 
-@dataclass(frozen=True, slots=True)
-class _Problem:
-    """The measurements and priors of a fit to n discs.
+    def cost(units: Floats) -> Floats:  # of the values in units of the prior
+        return np.append(off(units * prior)[keep] / np.sqrt(excess), units)
 
-    measured, expected: directions [n, 3]; sigma: [n] rad; axis_deg: azimuth of the lens's axis;
-    prior_sd: of heading, tilt, roll, clock and lens scale.
-    """
-
-    measured: Floats
-    expected: Floats
-    sigma: Floats
-    latitude_deg: float
-    axis_deg: float
-    prior_sd: Floats
-
-    def residuals(self, values: Floats) -> Floats:
-        """Return measured minus true directions of the sun, in standard uncertainties, [n, 3]."""
-        heading, tilt, roll, clock, scale = values
-        true = scaled(self.measured, scale, self.axis_deg) @ (
-            rotation(heading, tilt, roll, self.axis_deg).T
-        )
-        suns = sun_earlier(self.expected, clock, self.latitude_deg)
-        return (true - suns) / self.sigma[:, None]
-
-    def solve(self, keep: Mask, excess: float = 1.0) -> tuple[Floats, Floats]:
-        """Return the parameters [5] and their covariance [5, 5], fitted with the priors.
-
-        keep: which discs count [n]. excess: factor on the discs' variance, sigma squared.
-        """
-        values = np.zeros(len(NAMES))
-        normal = np.eye(len(NAMES))
-        for _ in range(_STEPS):
-            base = self.residuals(values)[keep].ravel()
-            slopes = np.stack(
-                [
-                    (self.residuals(values + step)[keep].ravel() - base) / step.max()
-                    for step in np.diag(1e-4 * self.prior_sd)
-                ],
-                axis=1,
-            )  # [3 m, 5]
-            normal = slopes.T @ slopes / excess + np.diag(self.prior_sd**-2)
-            values = values - np.linalg.solve(
-                normal, slopes.T @ base / excess + values / self.prior_sd**2
-            )
-        return values, np.asarray(np.linalg.inv(normal), float)
-
-
-def _least_explained(problem: _Problem, keep: Mask) -> tuple[int, float]:
-    """Return the disc whose removal improves the fit of the others most, and its distance.
-
-    The distance from that fit is in standard uncertainties of the disc and of the others' fit; the
-    scatter of the others increases these.
-    """
-    worst, most, gain = -1, 0.0, 0.0
-    for k in np.flatnonzero(keep):
-        others = keep.copy()
-        others[k] = False
-        values, covariance = problem.solve(others)
-        residuals = problem.residuals(values)
-        chi2 = float((residuals[others] ** 2).sum())
-        spread = max(1.0, chi2 / max(2.0 * others.sum() - len(NAMES), 1.0))
-        slopes = np.stack(
-            [
-                (problem.residuals(values + step)[k] - residuals[k]) / step.max()
-                for step in np.diag(1e-4 * problem.prior_sd)
-            ],
-            axis=1,
-        )  # [3, 5]
-        own = spread * (slopes @ covariance @ slopes.T + np.eye(3))
-        sigmas = float(np.sqrt(residuals[k] @ np.linalg.solve(own, residuals[k])))
-        if worst < 0 or chi2 < gain:
-            worst, most, gain = int(k), sigmas, chi2
-    return worst, most
+    robust = least_squares(cost, np.zeros(len(NAMES)), loss="cauchy").x
+    distance = np.linalg.norm(off(robust * prior), axis=1)
+    gross = distance > _GROSS_SIGMAS * max(1.0, float(np.median(distance)))
+    if len(discs) - gross.sum() > LEAST_DISCS:
+        keep = ~gross
+    found = least_squares(cost, robust)
+    left = off(found.x * prior)[keep]
+    excess = max(1.0, float((left**2).sum()) / max(2.0 * keep.sum() - len(NAMES), 1.0))
+    found = least_squares(cost, found.x)
+    covariance = np.linalg.inv(found.jac.T @ found.jac) * np.outer(prior, prior)
+    rms_deg = np.degrees(np.sqrt(((left * sigma[keep]) ** 2).sum(axis=1).mean()))
+    dropped = tuple(int(k) for k in np.flatnonzero(~keep))
+    return PoseFit(found.x * prior, covariance, float(rms_deg), dropped)
 
 
 def scaled(directions: Floats, scale: float, axis_deg: float) -> Floats:
@@ -212,22 +123,15 @@ def scaled(directions: Floats, scale: float, axis_deg: float) -> Floats:
     return np.cos(wide)[:, None] * axis + np.sin(wide)[:, None] * side
 
 
-def _undetermined(covariance: Floats, prior_sd: Floats) -> tuple[str, ...]:
-    """Return the names of undetermined parameters, and of strongly correlated pairs.
+def sun_earlier(sun_direction: ArrayLike, minutes: float, latitude_deg: float) -> Floats:
+    """Return the sun's directions `minutes` earlier (negative: later), [n, 3].
 
-    An undetermined parameter has more than half of the prior's uncertainty.
+    sun_direction: [n, 3] unit vectors (x east, y north, z up); latitude_deg: north positive. The
+    sky turns about the celestial pole from east to west.
     """
-    sd = np.sqrt(np.diag(covariance))
-    correlation = covariance / np.outer(sd, sd)
-    names = [
-        name
-        for name, after, before in zip(NAMES, sd, prior_sd, strict=True)
-        if after > _OPEN_SHARE * before
-    ]
-    names += [
-        f"{NAMES[i]} and {NAMES[j]}"
-        for i in range(len(NAMES))
-        for j in range(i)
-        if abs(correlation[i, j]) > _VALLEY_CORRELATION
-    ]
-    return tuple(names)
+    from scipy.spatial.transform import Rotation
+
+    latitude = np.radians(latitude_deg)
+    pole = np.array([0.0, np.cos(latitude), np.sin(latitude)])  # counter-clockwise about it
+    turn = Rotation.from_rotvec(np.radians(_SKY_TURN_DEG_PER_MIN * minutes) * pole)
+    return turn.apply(np.asarray(sun_direction, float))

@@ -24,13 +24,13 @@ from fieldlum.sky.sky_view.pose import CameraPose
 FORMAT = 1  # of the file; docs/file-formats.md
 NAME = "sky_view.exr"
 CHANNELS = ("openness", "u", "count", "transmittance", "low", "high")
-# Sharp edges of coarse pictures are drawn at this size: half of the disc. Chosen.
-_FINE_DEG = 0.13
-_SHUT, _OPEN = 0.2, 0.8  # neighbours of an edge between no sky and open sky; chosen
+_FINE_DEG = 0.13  # pixels of sharp edges: half of the disc; chosen
+_LENS_PIXEL_DEG = 1.0  # larger pixels are means of a lens's; chosen
 _OPEN_PIXEL = 0.95  # openness of a pixel that has no edge: known to 0.05; chosen
-_EDGE_ROUNDS = 6  # of shortening; chosen
-_LENS_PIXEL_DEG = 1.0  # larger pixels are not a lens's own; chosen
-_EDGE_DOUBT = (0.75, 0.25)  # interpolated openness where an edge is at the latest, and at the least
+# A lens blurs an edge over two pixels: less open is shut, and as much less than 1 is open. Chosen.
+_LENS_BLUR = 0.2
+# Shares of a pixel that is drawn open by which best, low and high are open; chosen for the bounds.
+_DOUBT = (0.5, 0.75, 0.25)
 FRAME = "true north"  # of the grid's azimuths
 _EXPECTED = "a sky view as docs/sky-view.md describes it"
 _REMEDY = "run fieldlum pair, or fieldlum train, again"
@@ -44,8 +44,7 @@ class SkyView:
     openness: share of the direction's solid angle through which the sky is seen, 0 to 1; u: its
     standard uncertainty; count: captures behind it; transmittance: of the pane for the beam; low,
     high: 95 % bounds of openness times transmittance. captures: number of captures used; pose: of
-    the pictures; state: of the room in these captures; notes: texts for the user; inputs: what the
-    view was computed from.
+    the pictures; notes: texts for the user; inputs: what the view was computed from.
     """
 
     grid: SkyGrid
@@ -57,7 +56,6 @@ class SkyView:
     high: Floats32
     captures: int = 0
     pose: CameraPose = field(default_factory=CameraPose)
-    state: str = ""
     notes: tuple[str, ...] = ()
     inputs: JsonTable = field(default_factory=dict)
 
@@ -81,7 +79,6 @@ class SkyView:
             "grid": asdict(self.grid),
             "captures": self.captures,
             "pose": asdict(self.pose),
-            "state": self.state,
             "notes": list(self.notes),
             "inputs": self.inputs,
         }
@@ -116,7 +113,6 @@ class SkyView:
                 **arrays,
                 captures=about.get("captures", 0),
                 pose=pose,
-                state=about.get("state", ""),
                 notes=tuple(about.get("notes", ())),
                 inputs=about.get("inputs", {}),
             )
@@ -128,47 +124,27 @@ class SkyView:
         """Read a view; None for a missing file. Raises InputError for other content."""
         return cls.read(path) if path.is_file() else None
 
-    @cached_property
-    def sharp(self) -> SharpView:
-        """The shares of the beam at half of the disc's size or finer, for sampling.
+    def shares(self, towards: Floats) -> Floats32:
+        """Return best, low and high shares of the beam in directions [..., 3], NaN if not seen.
 
-        In a coarse picture, an edge between shut and open sky is sharp at the place where the
-        interpolated openness is one half. Slats and leaves, finer than a pixel, keep their mean.
+        The result is [3, ...]. Slats and leaves that are finer than a pixel have their mean.
         """
+        grid, maps = self._sharp
+        place = grid.pixels(towards)
+        i, j = (np.floor(at).astype(int) for at in place)
+        inside = (i >= 0) & (i < grid.height) & (j >= 0) & (j < grid.width)
+        i, j = np.where(inside, i, 0), np.where(inside, j, 0)
+        return np.where(inside, maps[:, i, j], np.float32(np.nan))
+
+    @cached_property
+    def _sharp(self) -> tuple[SkyGrid, Floats32]:
+        """Best, low and high on a grid that resolves the disc, with sharp edges, [3, h, w]."""
         factor = max(1, int(np.ceil(self.grid.step_deg / _FINE_DEG)))
-        values = [self.through, self.low, self.high]
+        maps = np.stack([self.through, self.low, self.high]).astype(np.float32)
         if factor > 1:
-            values = _fine_edges(values, self.openness, factor)
-        grid = replace(
-            self.grid,
-            step_deg=self.grid.step_deg / factor,
-            height=self.grid.height * factor,
-            width=self.grid.width * factor,
-        )
-        return SharpView(grid, *(np.asarray(v, np.float32) for v in values))
-
-
-@dataclass(frozen=True, slots=True)
-class SharpView:
-    """Shares of the beam on a grid that resolves the disc: best, low and high, [h, w]."""
-
-    grid: SkyGrid
-    best: Floats32
-    low: Floats32
-    high: Floats32
-
-    def at(self, towards: Floats) -> tuple[Floats32, Floats32, Floats32]:
-        """Return best, low and high in directions [..., 3], NaN where not seen, [...] each."""
-        row, column = self.grid.pixels(towards)
-        i, j = np.floor(row).astype(int), np.floor(column).astype(int)
-        outside = (i < 0) | (i >= self.grid.height) | (j >= self.grid.width)
-        i = np.clip(i, 0, self.grid.height - 1)
-        j = np.clip(j, 0, self.grid.width - 1)
-        best, low, high = (
-            np.where(outside, np.float32(np.nan), values[i, j])
-            for values in (self.best, self.low, self.high)
-        )
-        return best, low, high
+            maps = _fine_edges(maps, self.openness, factor)
+        step_deg, (height, width) = self.grid.step_deg / factor, maps.shape[1:]
+        return replace(self.grid, step_deg=step_deg, height=height, width=width), maps
 
 
 def _check(grid: SkyGrid, arrays: dict[str, Floats32], frame: str) -> None:
@@ -208,40 +184,36 @@ def _content(path: Path) -> tuple[dict[str, Any], dict[str, Floats32]]:
     return about, channels
 
 
-def _fine_edges(values: list[Floats32], openness: Floats32, factor: int) -> list[Floats]:
-    """Return best, low and high enlarged by `factor`, with sharp edges between open sky and none.
+def _fine_edges(maps: Floats32, openness: Floats32, factor: int) -> Floats32:
+    """Return best, low and high [3, h, w] enlarged by `factor`, with sharp edges.
 
-    A lens blurs an edge over two pixels; where exactly it is, is known to half of that. Pixels of
-    a degree are means of a lens's pixels: the shortest edges give each its openness.
+    The shortest edges between sky and what is in front of it give each pixel its openness. Where
+    mixed pixels fill a square, slats or leaves keep their mean.
     """
-    from scipy.ndimage import binary_opening, maximum_filter, minimum_filter
+    from scipy.ndimage import binary_opening, maximum_filter
 
-    shown = np.nan_to_num(openness)
-    coarse = factor * _FINE_DEG > _LENS_PIXEL_DEG
-    size = 3 if coarse else 5
-    most, least = maximum_filter(shown, size), minimum_filter(shown, size)
-    if coarse:
-        mixed = (shown > 0.0) & (shown < _OPEN_PIXEL)
-        texture = np.asarray(binary_opening(mixed, np.ones((3, 3))), bool)
-        edge, smooth = _enlarged((most > 0.0) & ~texture, factor), _shortest_edges(shown, factor)
-    else:
-        edge = _enlarged((most > _OPEN) & (least < _SHUT), factor)
-        smooth = _interpolated(shown, factor)
-    outside = _enlarged(np.isnan(openness), factor)
-    maps = []
-    for value, half in zip(values, (0.5, *_EDGE_DOUBT), strict=True):
-        pane = maximum_filter(np.nan_to_num(value), size)  # value of the open neighbour
-        sharp = np.where(smooth >= half, _enlarged(pane, factor), 0.0)
-        fine = np.where(edge, sharp, _enlarged(np.nan_to_num(value), factor))
-        maps.append(np.where(outside, np.nan, fine))
-    return maps
+    shown, size = np.nan_to_num(openness), 3
+    lens = factor * _FINE_DEG <= _LENS_PIXEL_DEG
+    if lens:
+        shown, size = np.clip((shown - _LENS_BLUR) / (1.0 - 2.0 * _LENS_BLUR), 0.0, 1.0), 5
+    mixed = (shown > 0.0) & (shown < _OPEN_PIXEL)
+    texture = np.asarray(binary_opening(mixed, np.ones((size, size))), bool)
+    edge = _enlarged((maximum_filter(shown, size) > 0.0) & ~texture, factor)
+    drawn, own = _shortest_edges(shown, factor), _enlarged(maps, factor)
+    out = own.copy()
+    for fine, values, least in zip(out, maps, _DOUBT, strict=True):
+        pane = maximum_filter(np.nan_to_num(values), size)  # value of the open neighbour
+        fine[edge] = np.where(drawn >= least, _enlarged(pane, factor), 0.0)[edge]
+    if lens:  # slats of a pixel look like a blurred edge: the pixel's own bounds hold too
+        out[1], out[2] = np.minimum(out[1], own[1]), np.maximum(out[2], own[2])
+    return np.where(np.isnan(own), own, out)
 
 
-def _shortest_edges(openness: Floats, factor: int) -> Floats:
+def _shortest_edges(openness: Floats32, factor: int) -> Floats32:
     """Return a fine map that is above one half in the open share of each pixel, with short edges.
 
-    Motion by mean curvature (Merriman, Bence, Osher 1994) with the area of each pixel kept: blur,
-    then in each pixel the brightest parts, as many as its openness, are open.
+    Motion by mean curvature (Merriman, Bence, Osher 1994) with the area of each pixel kept: in each
+    pixel the brightest parts, as many as its openness, are open; then blur.
     """
     from scipy.ndimage import gaussian_filter
 
@@ -250,7 +222,7 @@ def _shortest_edges(openness: Floats, factor: int) -> Floats:
     count = np.round(openness[mixed] * n)[:, None]
     smooth = sharp = _interpolated(openness, factor)
     pixels = np.repeat((openness >= _OPEN_PIXEL)[..., None], n, axis=-1).astype(np.float32)
-    for _ in range(_EDGE_ROUNDS):
+    for _ in range(6):
         parts = smooth.reshape(height, factor, width, factor).swapaxes(1, 2)[mixed].reshape(-1, n)
         rank = np.argsort(np.argsort(-parts, axis=1, kind="stable"), axis=1)
         pixels[mixed] = rank < count
@@ -262,16 +234,13 @@ def _shortest_edges(openness: Floats, factor: int) -> Floats:
 
 
 def _enlarged(values: np.ndarray, factor: int) -> np.ndarray:
-    return np.repeat(np.repeat(values, factor, axis=0), factor, axis=1)
+    return values.repeat(factor, axis=-2).repeat(factor, axis=-1)
 
 
-def _interpolated(values: Floats, factor: int) -> Floats:
+def _interpolated(values: Floats32, factor: int) -> Floats32:
     """Return a map enlarged by `factor`, linear between the centres of pixels."""
-    for axis in (0, 1):
-        size = values.shape[axis]
-        at = np.clip((np.arange(size * factor) + 0.5) / factor - 0.5, 0.0, size - 1.0)
-        below = np.minimum(at.astype(int), max(size - 2, 0))
-        share = np.expand_dims(at - below, 1 - axis)
-        above = np.minimum(below + 1, size - 1)
-        values = np.take(values, below, axis) * (1.0 - share) + np.take(values, above, axis) * share
-    return values
+    from scipy.ndimage import map_coordinates
+
+    places = [(np.arange(size * factor) + 0.5) / factor - 0.5 for size in values.shape]
+    grid = np.meshgrid(*places, indexing="ij")
+    return np.asarray(map_coordinates(values, grid, order=1, mode="nearest"), np.float32)

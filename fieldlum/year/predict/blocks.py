@@ -30,7 +30,7 @@ from fieldlum.session.files.model_config import ModelConfig
 from fieldlum.session.site_toml import site_from_table
 from fieldlum.sky.light import Light
 from fieldlum.sky.sky_view import SkyView
-from fieldlum.sky.sky_view.disc_in_view import disc_lx, disc_source, drawn_discs_lx
+from fieldlum.sky.sky_view.disc import disc_lx, disc_source, drawn_discs_lx
 from fieldlum.sky.sky_view.view import NAME as SKY_VIEW
 from fieldlum.sky.sun_disc import add_source
 from fieldlum.year.glare.budget import U_DISC
