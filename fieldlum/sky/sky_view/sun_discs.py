@@ -92,7 +92,8 @@ def fit_pose(
     def cost(units: Floats) -> Floats:  # of the values in units of the prior
         return np.append(off(units * prior)[keep] / np.sqrt(excess), units)
 
-    robust = least_squares(cost, np.zeros(len(NAMES)), loss="cauchy").x
+    start = least_squares(cost, np.zeros(len(NAMES))).x
+    robust = least_squares(cost, start, loss="cauchy").x
     distance = np.linalg.norm(off(robust * prior), axis=1)
     gross = distance > _GROSS_SIGMAS * max(1.0, float(np.median(distance)))
     if len(discs) - gross.sum() > LEAST_DISCS:
