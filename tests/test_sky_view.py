@@ -22,10 +22,9 @@ from fieldlum.sky.sky_view import (
     SkyPicture,
     SkyView,
     disc_of_hours,
-    drawn_shares,
     estimate,
 )
-from fieldlum.sky.sky_view.disc import disc_lx, disc_source
+from fieldlum.sky.sky_view.disc import disc_lx, disc_source, drawn_shares
 from fieldlum.sky.sky_view.pose import CameraPose
 from fieldlum.sky.sky_view.view import CHANNELS
 

@@ -70,17 +70,6 @@ class Captured:
         )
 
 
-def usual_rows(states: Sequence[str] | None, count: int) -> list[int]:
-    """Return the captures that show the usual view out: blinds up, no snow; lamps do not matter.
-
-    states: of `count` captures, None if all are usual. If no capture is usual, all are returned.
-    """
-    if states is None:
-        return list(range(count))
-    plain = [k for k in range(count) if all(p.startswith("lamp=") for p in parse_state(states[k]))]
-    return plain or list(range(count))
-
-
 def sky_view_of(
     captured: Captured,
     discs: MeasuredDiscs,
@@ -89,14 +78,16 @@ def sky_view_of(
     seen: Callable[[Floats], Mask] | None = None,
     progress: Progress = quiet,
 ) -> SkyView:
-    """Return the sky view of captures. Those with blinds or snow are not used, unless all are.
+    """Return the sky view of captures. Those with blinds or snow are not used, unless all are so.
 
     discs: that merge measured; heading_deg: stated azimuth of the pictures' centre column; seen,
     progress: as of `estimate`. Raises NotEnoughDataError without a capture by daylight.
     """
-    usual = captured.take(usual_rows(captured.light.states, len(captured.light)))
+    marks = [parse_state(state) for state in captured.light.states or ()]
+    usual = [k for k, parts in enumerate(marks) if all(p.startswith("lamp=") for p in parts)]
+    captured = captured.take(usual) if usual else captured
     pose = pose_of_discs(discs, site, heading_deg)
-    return estimate(usual, seen, progress, pose, site.latitude_deg)
+    return estimate(captured, seen, progress, pose, site.latitude_deg)
 
 
 def estimate(
