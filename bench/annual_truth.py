@@ -30,8 +30,8 @@ from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.mirrors import split_images
 from fieldlum.learn.train.trials import fit_timed
 from fieldlum.sky.sun_disc import add_disc
-from fieldlum.year.glare.geometry import panorama_views
 from fieldlum.year.glare.metrics import glare_directions
+from fieldlum.year.glare.sources import panorama_views
 
 # raytraverse 1.4.4, validations/base1compdv, its own check.py: mean absolute errors.
 OF_RAYTRAVERSE = {"01_glz": (4.2, 0.0109), "03_shd": (3.1, 0.0038), "05_ngl": (6.5, 0.0070)}

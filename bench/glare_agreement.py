@@ -36,7 +36,7 @@ from fieldlum.year.glare import (
     reference_version,
     view_azimuths_deg,
 )
-from fieldlum.year.glare.geometry import angles_from_view, view_frame
+from fieldlum.year.glare.sources import angles_from_view, view_frame
 
 HEADING_DEG = 180.0
 DISC_CDM2 = 1e5

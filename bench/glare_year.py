@@ -33,7 +33,7 @@ from fieldlum.year.glare import (
     reference_version,
     view_azimuths_deg,
 )
-from fieldlum.year.glare.geometry import panorama_views
+from fieldlum.year.glare.sources import panorama_views
 from fieldlum.year.predict.blocks import ModelRoom, blocks, view_figures
 from fieldlum.year.predict.year import light_of
 

@@ -32,8 +32,8 @@ from fieldlum.sky.sun_images import (
     tolerance_rad,
 )
 from fieldlum.weather import read_weather
-from fieldlum.year.glare.geometry import panorama_views
 from fieldlum.year.glare.metrics import glare_directions
+from fieldlum.year.glare.sources import panorama_views
 from fieldlum.year.predict import run as predict
 from fieldlum.year.predict.blocks import blocks, room_of, view_figures
 from fieldlum.year.predict.year import light_of

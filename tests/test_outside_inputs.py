@@ -30,7 +30,7 @@ from fieldlum.core.records import Exposure, Site, SiteFile, Slot
 from fieldlum.core.strict_csv import is_wm2, microvolts, split_heading, stated_unit
 from fieldlum.devices.logger_files import LoggerFile, read_logger_file
 from fieldlum.learn.models.camera_turns import AlignmentRow, find_alignment, write_alignment
-from fieldlum.report.evidence import read_quality
+from fieldlum.report.sections import read_quality
 from fieldlum.session import create_session, day_files, read_day
 from fieldlum.session.files.irradiance_csv import CleanIrradiance
 from fieldlum.session.files.pairs_csv import PairsFile

@@ -21,10 +21,9 @@ from fieldlum import report
 from fieldlum.cli import main
 from fieldlum.core.records import Exposure, Slot
 from fieldlum.learn import models, train
-from fieldlum.report import annual as annual_page
-from fieldlum.report import evidence
-from fieldlum.report.annual import melanopic_section, melanopic_shares
+from fieldlum.report import sections as annual_page
 from fieldlum.report.page import NOTHING, Quantity, heat_map
+from fieldlum.report.sections import melanopic_section, melanopic_shares
 from fieldlum.session import Session, create_session
 from fieldlum.session.files.held_out_npz import HeldOutMaps
 from fieldlum.session.files.pairs_csv import PairsFile
@@ -123,9 +122,11 @@ def test_the_evidence_has_the_figures_and_maps_of_training(session: Session, pag
 def test_a_model_without_held_out_maps_shows_its_scores(tmp_path: Path) -> None:
     """As models of 0.1.0 and trials that were too short."""
     row = {"name": "mean", "median": 0.04, "worst": 0.09, "n_test": 1}
-    text = evidence.accuracy_section(None, ScoresFile((row,), "mean")).text
+    text = annual_page.accuracy_section(None, ScoresFile((row,), "mean")).text
     assert "1 held-out map," in text and "1.58" in text and "train it again" in text
-    short = evidence.accuracy_section(None, ScoresFile(({"name": "mean", "median": None},), "mean"))
+    short = annual_page.accuracy_section(
+        None, ScoresFile(({"name": "mean", "median": None},), "mean")
+    )
     assert "not checked" in short.text and HeldOutMaps.find(tmp_path) is None
 
 
@@ -156,7 +157,7 @@ def test_a_session_without_pairs_has_nothing_to_report(tmp_path: Path) -> None:
 def test_without_a_usable_bracket_nothing_is_stated_about_its_irradiance(tmp_path: Path) -> None:
     session = create_session(tmp_path / "s", SETUP, [], {})
     pairs = PairsFile(session.pairs, ())
-    text = evidence.captures_section(session, SETUP.site, pairs, {}).text
+    text = annual_page.captures_section(session, SETUP.site, pairs, {}).text
     assert text == "0 usable of 0 planned brackets, on 0 days."
 
 

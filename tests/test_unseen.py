@@ -29,7 +29,7 @@ from fieldlum.optics.projection import (
     seen_shares,
     seen_words,
 )
-from fieldlum.report import annual as annual_page
+from fieldlum.report import sections as annual_page
 from fieldlum.year import predict
 from fieldlum.year.glare import glare_directions, panorama_views
 from fieldlum.year.glare.metrics import (

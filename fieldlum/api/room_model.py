@@ -90,7 +90,7 @@ class RoomModel:
         standard uncertainty. views: number of view directions, evenly around from the model's
         heading.
         """
-        from fieldlum.year.glare.geometry import view_azimuths_deg
+        from fieldlum.year.glare.sources import view_azimuths_deg
         from fieldlum.year.predict.annual import dataset_of
         from fieldlum.year.predict.blocks import room_figures
 

@@ -76,34 +76,34 @@ def _budget_section(year: Annual) -> list[Section]:
 
 
 def _page(session: Session, artefacts: SessionArtefacts) -> str:
-    from fieldlum.report import annual, evidence
+    from fieldlum.report import sections
 
     site, pairs = session.site_file().site, PairsFile.read(session.pairs)
     zone, year = site.timezone, artefacts.annual
-    sections: list[Section] = []
+    shown: list[Section] = []
     answer = "No year has been predicted yet."
     why = "Train a model and run fieldlum predict to get the answer here."
     if year is not None:
-        answer, why = annual.answer(year)
-        sections += [annual.directions_section(year), annual.when_section(year, zone)]
-        sections.append(annual.looks_section(year, read_pictures(year.folder), zone))
-        sections.append(annual.melanopic_section(year, zone))
-        sections += _budget_section(year)
+        answer, why = sections.answer(year)
+        shown += [sections.directions_section(year), sections.when_section(year, zone)]
+        shown.append(sections.looks_section(year, read_pictures(year.folder), zone))
+        shown.append(sections.melanopic_section(year, zone))
+        shown += _budget_section(year)
     if artefacts.model is not None:
         held = HeldOutMaps.find(artefacts.model)
         names = {slot_id(r.t_utc): Path(r.panorama).stem for r in pairs.usable if r.panorama}
-        sections.append(evidence.accuracy_section(held, artefacts.scores, names))
-    sections.append(
-        evidence.captures_section(session, site, pairs, {} if year is None else year.hours)
+        shown.append(sections.accuracy_section(held, artefacts.scores, names))
+    shown.append(
+        sections.captures_section(session, site, pairs, {} if year is None else year.hours)
     )
     return render(
         site.name,
         answer,
         why,
         _facts(site, artefacts, pairs),
-        sections,
+        shown,
         _warnings(session, year),
-        None if year is None else annual.polar(year),
+        None if year is None else sections.polar(year),
     )
 
 

@@ -13,7 +13,8 @@ import numpy as np
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import SiteFile
 from fieldlum.optics.profiles import CameraProfile, find_camera_profile, load_camera_profile
-from fieldlum.report.annual import (
+from fieldlum.report.page import Section, Table, named, render, sentence
+from fieldlum.report.sections import (
     WELL_EDI_LX,
     Share,
     exceeded_text,
@@ -22,7 +23,6 @@ from fieldlum.report.annual import (
     melanopic_section,
     melanopic_shares,
 )
-from fieldlum.report.page import Section, Table, named, render, sentence
 from fieldlum.session import Session, sha256
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.version import __version__

@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 from fieldlum.core.errors import FieldlumError, InputError
 from fieldlum.core.records import Progress, counted, quiet
 from fieldlum.core.strict_toml import build, read_toml
-from fieldlum.report.annual import exceeded_text
 from fieldlum.report.page import Section, Table, chip, named, render
+from fieldlum.report.sections import exceeded_text
 from fieldlum.session import Session, open_session, replacing
 from fieldlum.session.codec import to_json
 from fieldlum.session.files.pairs_csv import PairsFile

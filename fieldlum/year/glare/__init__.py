@@ -1,6 +1,5 @@
 """Compute glare in every direction around a panorama, and of single pictures."""
 
-from fieldlum.year.glare.geometry import Views, panorama_views, position_index, view_azimuths_deg
 from fieldlum.year.glare.metrics import dgp, glare_directions
 from fieldlum.year.glare.pictures import (
     FISHEYE_VIEW,
@@ -8,3 +7,4 @@ from fieldlum.year.glare.pictures import (
     reference_glare,
     reference_version,
 )
+from fieldlum.year.glare.sources import Views, panorama_views, position_index, view_azimuths_deg

@@ -24,10 +24,10 @@ from fieldlum.session.panorama_sun import MEASURED_ORIGINS
 from fieldlum.session.writing import replacing
 from fieldlum.sky.sky_view import SkyView
 from fieldlum.sky.sky_view.pose import STATED_SD
-from fieldlum.year.glare.geometry import panorama_views
 from fieldlum.year.glare.metrics import glare_directions
 from fieldlum.year.glare.pictures import read_picture
 from fieldlum.year.glare.single import seen_pixels, take_out_sun, valid_pixels
+from fieldlum.year.glare.sources import panorama_views
 from fieldlum.year.glare.standards import (
     DRAWS,
     DgpUncertainty,

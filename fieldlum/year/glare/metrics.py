@@ -24,8 +24,14 @@ from numpy.typing import ArrayLike
 from fieldlum.core.arrays import Floats, Mask
 from fieldlum.optics.projection import PARTLY_SEEN, SEEN, seen_words
 from fieldlum.sky.sun import SUN_SOLID_ANGLE_SR
-from fieldlum.year.glare.geometry import Views, angles_from_view, position_index
-from fieldlum.year.glare.sources import SOURCE_CDM2, Sources, glare_sources
+from fieldlum.year.glare.sources import (
+    SOURCE_CDM2,
+    Sources,
+    Views,
+    angles_from_view,
+    glare_sources,
+    position_index,
+)
 
 # What a disc of 1 lx adds, by `sun_per_lx`, and its illuminance [..., n] in lx.
 DiscLight = tuple[tuple[Floats, Floats], Floats]

@@ -40,7 +40,7 @@ from fieldlum.optics.projection import altitude_azimuth_deg, direction, equirect
 from fieldlum.session.panorama_sun import read_panorama_with_sun
 from fieldlum.sky.sun import SUN_SOLID_ANGLE_SR
 from fieldlum.sky.sun_disc import SUN_RADIUS_RAD
-from fieldlum.year.glare.geometry import Views, angles_from_view
+from fieldlum.year.glare.sources import Views, angles_from_view
 
 HOW_PANORAMA = "a panorama needs FIELDLUM_VIEW= equirect heading_deg=180 in its header"
 _EXR_MAGIC = b"\x76\x2f\x31\x01"

@@ -23,7 +23,6 @@ from fieldlum.optics.projection import (
     signed_angle_deg,
 )
 from fieldlum.sky.sun_disc import find_disc, without_disc
-from fieldlum.year.glare.geometry import Views, panorama_views, view_azimuths_deg
 from fieldlum.year.glare.metrics import (
     METRICS,
     brightest_cdm2,
@@ -41,7 +40,13 @@ from fieldlum.year.glare.pictures import (
     read_picture,
     reference_glare,
 )
-from fieldlum.year.glare.sources import Sources, glare_sources
+from fieldlum.year.glare.sources import (
+    Sources,
+    Views,
+    glare_sources,
+    panorama_views,
+    view_azimuths_deg,
+)
 from fieldlum.year.glare.standards import disturbed_share
 
 # Upper limits of DGP of the four grades (Wienold 2009; Mardaljevic et al. 2012).

@@ -34,7 +34,6 @@ from fieldlum.sky.sky_view.disc import disc_lx, disc_source, drawn_discs_lx
 from fieldlum.sky.sky_view.view import NAME as SKY_VIEW
 from fieldlum.sky.sun_disc import add_source
 from fieldlum.year.glare.budget import U_DISC
-from fieldlum.year.glare.geometry import Views, panorama_views
 from fieldlum.year.glare.metrics import (
     DiscLight,
     brightest_cdm2,
@@ -46,7 +45,7 @@ from fieldlum.year.glare.metrics import (
     unseen_dgp_bounds,
     view_coverage,
 )
-from fieldlum.year.glare.sources import SOURCE_CDM2
+from fieldlum.year.glare.sources import SOURCE_CDM2, Views, panorama_views
 from fieldlum.year.glare.standards import DgpUncertainty, dgp_uncertainty, disturbed_share
 from fieldlum.year.predict.annual import rounded, time_coordinate
 from fieldlum.year.predict.melanopic import MelanopicYear

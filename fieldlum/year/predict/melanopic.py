@@ -31,8 +31,8 @@ from fieldlum.sky.light import (
     light_at,
     light_features,
 )
-from fieldlum.year.glare.geometry import panorama_views
 from fieldlum.year.glare.metrics import map_ev_lx
+from fieldlum.year.glare.sources import panorama_views
 
 if TYPE_CHECKING:
     from fieldlum.year.predict.blocks import ModelRoom

@@ -43,8 +43,8 @@ from fieldlum.sky.sky_view.view import NAME as SKY_VIEW
 from fieldlum.version import __version__
 from fieldlum.weather import SYNTHETIC, Weather, read_weather
 from fieldlum.year.glare.budget import BUDGET_FILE, Budget, write_budgets, year_budget
-from fieldlum.year.glare.geometry import view_azimuths_deg
 from fieldlum.year.glare.metrics import METRICS
+from fieldlum.year.glare.sources import view_azimuths_deg
 from fieldlum.year.glare.standards import DgpUncertainty, dgp_per_scale, protection
 from fieldlum.year.predict.annual import Annual, Pictures, read_annual, write_pictures
 from fieldlum.year.predict.blocks import (
