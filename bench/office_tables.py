@@ -15,8 +15,7 @@ import csv
 from pathlib import Path
 from typing import Any
 
-from fieldlum.bench import machine, markdown
-from fieldlum.bench.charts import speed_accuracy
+from fieldlum.bench import machine, markdown, speed_accuracy
 from fieldlum.bench.rows import parse_specs, score_row, without_training_hours
 from fieldlum.learn.models.data import load_pairs
 from fieldlum.learn.models.scores import truth

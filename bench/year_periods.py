@@ -18,10 +18,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from fieldlum.bench import machine, markdown, store
-from fieldlum.bench.charts import _colour, _figure
+from fieldlum.bench import _colour, machine, markdown, store
 from fieldlum.bench.rows import ERRORS, Spec, parse_specs
 from fieldlum.core.arrays import Mask
+from fieldlum.core.plot_style import GRID, open_axes
 from fieldlum.core.records import Progress, quiet
 from fieldlum.learn.models.data import Dataset, load_pairs
 from fieldlum.learn.models.scores import evaluate, summary, truth
@@ -179,6 +179,17 @@ def compare_periods(
 
 # ----------------------------------------------------------------------------------------------
 # charts
+
+
+def _figure(width: float, height: float) -> tuple[Any, Any]:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout="constrained", dpi=150)
+    axis = figure.subplots()
+    axis.grid(True, which="major", color=GRID, linewidth=0.7)
+    axis.set_axisbelow(True)
+    open_axes(axis)
+    return figure, axis
 
 
 def learning_curves(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from json_answers import KEPT, keys_of
 from learning_room import dataset, write_pairs
 
-from fieldlum.bench import charts, markdown, stress
+from fieldlum.bench import markdown, pareto, stress
 from fieldlum.bench.rows import parse_specs, without_training_hours
 from fieldlum.cli import main
 from fieldlum.core.errors import InputError, NotEnoughDataError
@@ -113,7 +113,7 @@ def test_stress_without_a_test_asks_held_out_days(tmp_path: Path) -> None:
 def test_the_front_holds_what_nothing_beats() -> None:
     """(3, 3) is beaten by (2, 2)."""
     points = [(3.0, 3.0), (1.0, 5.0), (2.0, 2.0), (9.0, 1.0), (9.5, 1.5)]
-    assert charts.pareto(points) == [1, 2, 3]
+    assert pareto(points) == [1, 2, 3]
 
 
 @pytest.mark.slow

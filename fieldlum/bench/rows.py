@@ -134,9 +134,8 @@ def without_training_hours(test: Dataset, train: Dataset, *folders: Path) -> Dat
     )
     fresh = np.array([slot not in training_slots for slot in test.slots])
     if not fresh.any():
-        raise NotEnoughDataError(
-            f"{test.source}: every test hour is also a training hour; use other test hours"
-        )
+        found = "every test hour is also a training hour; use other test hours"
+        raise NotEnoughDataError(f"{test.source}: {found}")
     return test.take(fresh)
 
 

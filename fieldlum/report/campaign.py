@@ -6,7 +6,6 @@ A room that cannot be read is named on the page.
 from __future__ import annotations
 
 import json
-from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -25,7 +24,6 @@ from fieldlum.session.files.predict_json import DirectionYear, PredictFile
 from fieldlum.year.predict import best_and_worst, read_annual
 
 _GLARE_DGP = "0.40"  # disturbing, EN 17037
-_SLOTS = 6  # failed slots that are named for each reason, so that a row has one or two lines
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +104,7 @@ class RoomOverview:
 
     broken: why the room could not be read, "" if it could. captured, planned: numbers of slots.
     to_do: slots that can still be captured. usable: rows of pairs.csv that training uses. failed:
-    (slot, reason) of slots without a usable panorama. worst, best: directions with the highest and
+    number of slots without a usable panorama. worst, best: directions with the highest and
     lowest DGP in 5 % of the hours, as the room's own report names them; a partly seen direction
     counts with the upper end of its interval.
     """
@@ -117,7 +115,7 @@ class RoomOverview:
     planned: int = 0
     to_do: int = 0
     usable: int = 0
-    failed: tuple[tuple[str, str], ...] = ()
+    failed: int = 0
     occupied_hours: int = 0
     worst: DirectionYear | None = None
     best: DirectionYear | None = None
@@ -153,18 +151,15 @@ def _read(session: Session, room: CampaignRoom) -> RoomOverview:
     )
 
 
-def _failed(session: Session, pairs: PairsFile) -> tuple[tuple[str, str], ...]:
-    """Return (slot, reason) of slots missed, aborted, not merged or rejected by `fieldlum pair`."""
+def _failed(session: Session, pairs: PairsFile) -> int:
+    """Return the number of slots missed, aborted, not merged or rejected by `fieldlum pair`."""
     from fieldlum.session.ledger import read_ledger
 
-    merged = {path.stem for path in session.panorama_files()}
-    captured = [folder.name for folder in session.captured_folders()]
-    reasons = {Path(row.panorama).stem or "?": row.why or "rejected" for row in pairs.refused}
-    reasons |= {name: "captured, not merged" for name in captured if name not in merged}
-    for name, state in read_ledger(session).slots.items():
-        if state.outcome in ("missed", "aborted"):
-            reasons[name] = state.outcome
-    return tuple(sorted(reasons.items()))
+    captured = {folder.name for folder in session.captured_folders()}
+    failed = captured - {path.stem for path in session.panorama_files()}
+    failed |= {Path(row.panorama).stem for row in pairs.refused}
+    states = read_ledger(session).slots.items()
+    return len(failed | {name for name, s in states if s.outcome in ("missed", "aborted")})
 
 
 def write_overview(
@@ -196,58 +191,42 @@ def _page(campaign: CampaignFile, rooms: Sequence[RoomOverview]) -> str:
         if judged
         else "No room has a predicted year yet."
     )
+    sums = {"captured": "captures", "to_do": "slots to do", "usable": "usable pairs"}
+    facts = [(title, f"{sum(getattr(room, key) for room in rooms)}") for key, title in sums.items()]
     return render(
         campaign.name,
         answer,
-        f"{counted(sum(len(room.failed) for room in rooms), 'slot')} failed; "
+        f"{counted(sum(room.failed for room in rooms), 'slot')} failed; "
         f"{counted(len(broken), 'session')} could not be read.",
-        (
-            ("rooms", f"{len(rooms)}"),
-            ("captures", f"{sum(room.captured for room in rooms)}"),
-            ("slots to do", f"{sum(room.to_do for room in rooms)}"),
-            ("usable pairs", f"{sum(room.usable for room in rooms)}"),
-            ("predicted years", f"{len(judged)}"),
-        ),
-        (_glare(rooms), _slots(rooms)),
+        [("rooms", f"{len(rooms)}"), *facts, ("predicted years", f"{len(judged)}")],
+        [_table(rooms)],
         [f"{room.session} was skipped. {room.broken}" for room in broken],
     )
 
 
-def _glare(rooms: Sequence[RoomOverview]) -> Section:
-    body: list[tuple[float, tuple[Any, ...]]] = []
-    for room in rooms:
-        worst, best = room.worst, room.best
-        if worst is None or best is None:
-            continue
-        hours = f"{worst.hours_over[_GLARE_DGP]} of {room.occupied_hours}"
-        of_worst = named(worst.azimuth_deg), chip(worst), exceeded_text(worst), hours
-        row = (room.session, *of_worst, named(best.azimuth_deg), chip(best))
-        body.append((worst.dgp_exceeded or 0.0, row))
-    over = f"hours above {_GLARE_DGP}"
-    head = ("room", "worst direction", "class", "DGP in 5 % of hours", over, "best direction", "")
-    without = [room.session for room in rooms if room.worst is None and not room.broken]
-    text = (
-        "Rooms with a predicted year, the worst first. A class in grey is not certain yet: the "
-        "captures do not decide it."
+def _table(rooms: Sequence[RoomOverview]) -> Section:
+    head = (
+        "room",
+        "captured",
+        "to do",
+        "failed",
+        "worst direction",
+        "class",
+        "DGP in 5 % of hours",
     )
-    if without:
-        text += f" Without a predicted year: {', '.join(without)}."
-    table = Table(head, [row for _, row in sorted(body, key=lambda item: -item[0])])
-    return Section("glare", "Which room has glare", text, tables=(table,) if body else ())
-
-
-def _slots(rooms: Sequence[RoomOverview]) -> Section:
     body = []
-    for room in rooms:
-        reasons: dict[str, list[str]] = defaultdict(list)
-        for slot, why in room.failed:
-            reasons[why].append(slot)
-        for why, slots in reasons.items():
-            more = f" and {len(slots) - _SLOTS} more" if len(slots) > _SLOTS else ""
-            body.append((room.session, why, f"{len(slots)}", ", ".join(slots[:_SLOTS]) + more))
-        if room.to_do:
-            plan = f"fieldlum plan {room.session} --next ranks coming hours"
-            body.append((room.session, "can still be captured", f"{room.to_do}", plan))
-    text = "Slots that were missed, aborted, not merged, or rejected by fieldlum pair; slots to do."
-    tables = (Table(("room", "state", "slots", "which"), body, words=True),) if body else ()
-    return Section("slots", "Which slots failed or are to do", text, tables=tables)
+    for room in sorted(rooms, key=lambda r: -((r.worst and r.worst.dgp_exceeded) or -1.0)):
+        worst, best, glare = room.worst, room.best, ("–",) * 6
+        if worst is not None and best is not None:
+            hours = f"{worst.hours_over[_GLARE_DGP]} of {room.occupied_hours}"
+            glare = (named(worst.azimuth_deg), chip(worst), exceeded_text(worst), hours)
+            glare = (*glare, named(best.azimuth_deg), chip(best))
+        captured = f"{room.captured} of {room.planned}"
+        body.append((room.session, captured, f"{room.to_do}", f"{room.failed}", *glare))
+    text = (
+        "The room with the most glare first. A class in grey is not certain yet: the captures do "
+        "not decide it. Failed slots were missed, aborted, not merged, or rejected by fieldlum "
+        "pair: fieldlum status lists them, and fieldlum plan SESSION --next ranks coming hours."
+    )
+    ends = (f"hours above {_GLARE_DGP}", "best direction", "")
+    return Section("rooms", "Rooms", text, tables=(Table((*head, *ends), body),))

@@ -305,21 +305,14 @@ def event_words(event: JournalEvent) -> tuple[Level, str] | None:
         "by_s": 0.0,
         **event,
         "why": why or "no reason recorded",
-        "after_s": _duration(event.get("after_s")),
-        "seconds": _duration(event.get("seconds")),
+        "after_s": timedelta(seconds=round(event.get("after_s") or 0.0)),
+        "seconds": timedelta(seconds=round(event.get("seconds") or 0.0)),
         "jump": f"{event.get('seconds', 0.0):+.0f}",
         "not_": "" if event.get("followed") else "not ",
         "free_mb": event.get("bytes_free", 0) / 1e6,
     }
     level, sentence = _WORDS[kind]
     return level, sentence.format(**(blank | words))
-
-
-def _duration(seconds: float | None) -> str:
-    value = seconds or 0.0
-    if value < 120:
-        return f"{value:.0f} s"
-    return f"{value / 60:.0f} min" if value < 7200 else f"{value / 3600:.1f} h"
 
 
 def is_running(journal: JournalFollower) -> bool:
