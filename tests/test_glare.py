@@ -23,7 +23,7 @@ from fieldlum.year.glare import (
     reference_version,
     view_azimuths_deg,
 )
-from fieldlum.year.glare.metrics import combine
+from fieldlum.year.glare.metrics import _dgi_terms, cgi, combine, dgi, dgps, ugp, ugr, veiling_cdm2
 from fieldlum.year.glare.pictures import HEMISPHERE_SOURCES_SR, parse_view, picture_views
 from fieldlum.year.glare.sources import group_pixels, sources_of, widen
 from fieldlum.year.glare.standards import disturbed_share
@@ -53,6 +53,23 @@ def test_a_uniform_sphere_gives_pi_l_in_every_direction(heading: float) -> None:
         5.87e-5 * np.pi * 1000.0 + 0.159, abs=1e-4
     )  # nothing is a source
     assert np.isnan(got["ugr"]).all()
+
+
+@pytest.mark.analytic
+def test_formulas_give_their_values_at_powers_of_ten() -> None:
+    """Computed by hand from the publications named in `metrics`: each logarithm is an integer."""
+    found = [
+        dgp(1000.0, 9.0 * 10.0**5.61),  # 1000^1.87 = 10^5.61
+        dgps(1000.0),
+        ugr(400.0, 10.0),
+        ugp(400.0, 10.0),
+        dgi(100.0),
+        cgi(1000.0, 400.0, 500.0),
+        *(veiling_cdm2(2.0, age) for age in (0.0, 70.0, 140.0)),
+        _dgi_terms(*(np.array(x) for x in (1e5, 0.04, 2.0, 600.0))),  # 0.01^0.8 = 10^-1.6
+    ]
+    expected = [0.3097, 0.2462, 8.0, 0.26, 20.0, 8.0, 20.0, 40.0, 340.0, 0.478 * 10.0**6.4 / 2000.0]
+    assert [float(value) for value in found] == pytest.approx(expected, rel=1e-9)
 
 
 @pytest.mark.analytic

@@ -25,15 +25,6 @@ def robust_sigma(values: ArrayLike, centre: float | None = None) -> float:
     return MAD_TO_SIGMA * float(np.median(np.abs(array - middle)))
 
 
-def huber_weights(residual: Floats, sigma: float) -> Floats:
-    """Return Huber's weights of residuals: 1 within 1.5 `sigma`, and falling with 1 / residual.
-
-    The limit gives 96 % efficiency for normal errors (Huber and Ronchetti,
-    Robust Statistics, 2009).
-    """
-    return 1.0 / np.maximum(1.0, np.abs(residual) / (1.5 * sigma))
-
-
 def cauchy_weights(residual: Floats, half: float) -> Floats:
     """Return 1 / (1 + (residual / half)^2): a half at `half`, and hardly any for gross errors."""
     return 1.0 / (1.0 + (residual / half) ** 2)
