@@ -23,17 +23,14 @@ from fieldlum.session.inside import link_on_the_way
 from fieldlum.session.ledger import SETTLED
 from fieldlum.session.tables import EventFields
 
-# A message means that somebody should act: faults which the capture repairs itself cause none. A
-# device that reconnects needs at most two tries (30 s each).
-DEVICE_AWAY = timedelta(minutes=10)
-LOW_DISK_DAYS = 3.0  # leaves a weekend to bring a disk
-MISSES_IN_A_ROW = 2  # a single missed slot can be due to a slow bracket before it
-QUIET = timedelta(hours=6)
-
 
 @dataclass(slots=True)
 class Alerts:
     """Sends messages and heartbeats about a running capture.
+
+    A message means that somebody should act: faults which the capture repairs itself cause none (a
+    device that reconnects needs at most two tries of 30 s; a single missed slot can be due to a
+    slow bracket before it).
 
     `listen` takes journal events, `look` the state of the capture; both return at once. Events come
     from the capture and from the thread that logs irradiance, so a lock guards the alerts. name,
@@ -93,12 +90,12 @@ class Alerts:
                 self._highest_ghi_wm2 = max(live.ghi_wm2, self._highest_ghi_wm2 or live.ghi_wm2)
             for device, since in self._away_since.items():
                 away = live.t_utc - since
-                if device not in self._reported_away and away >= DEVICE_AWAY:
+                if device not in self._reported_away and away >= timedelta(minutes=10):
                     self._reported_away.add(device)
                     body = f"It stopped answering at {self._local(since)}, {_minutes(away)} ago."
                     self._send(f"{device} is lost", body)
             if live.disk_days is not None:
-                limit = LOW_DISK_DAYS + (1.0 if self._disk_is_low else 0.0)
+                limit = 4.0 if self._disk_is_low else 3.0  # leaves a weekend to bring a disk
                 was_low, self._disk_is_low = self._disk_is_low, live.disk_days < limit
                 if self._disk_is_low and not was_low:
                     body = f"The disk has room for {live.disk_days:.1f} more days of captures."
@@ -117,7 +114,7 @@ class Alerts:
                 self._send("a bracket is clipped", body, once=t_utc)
             return
         self._misses += 1
-        if self._misses == MISSES_IN_A_ROW:
+        if self._misses == 2:
             body = f"The last slot was {slot} ({event}): {why or 'no reason recorded'}."
             self._send(f"{self._misses} slots in a row gave no bracket", body)
 
@@ -142,7 +139,7 @@ class Alerts:
     ) -> None:
         """Send a message; once: the time, for a title that is sent at most every six hours."""
         if once is not None:
-            if title in self._last and once - self._last[title] < QUIET:
+            if title in self._last and once - self._last[title] < timedelta(hours=6):
                 return
             self._last[title] = once
         self.send(Message(f"fieldlum {self.name}: {title}", body, picture))

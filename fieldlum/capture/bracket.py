@@ -24,7 +24,6 @@ from fieldlum.session.ledger import SlotState
 from fieldlum.session.tables import DeviceTable
 
 STALE_S = 60.0  # after a longer pause between frames the light may have changed; not measured
-_FOLDER_BYTES = 1 << 14  # a new folder with its entries; not measured
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,7 +202,7 @@ class BracketCapture:
         """Start the bracket again if its pause is too long; move its frames to a subfolder."""
         if not self.state.frames or self.resumable():
             return
-        self.recorder.claim(_FOLDER_BYTES)
+        self.recorder.claim(1 << 14)  # a new folder with its entries
         aside = self.folder / f"attempt-{self.state.attempt}"
         if aside.is_symlink():
             aside.unlink()

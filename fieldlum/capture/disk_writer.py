@@ -27,7 +27,6 @@ RESERVE_BYTES = 16 << 20  # bytes of twelve days of rows (75 bytes each, every 5
 
 T = TypeVar("T")
 Listen = Callable[[str, datetime, EventFields], None]
-_KEPT_ROWS = 100_000  # rows that wait in memory, almost six days at 5 s; chosen
 
 
 class Recorder:
@@ -54,7 +53,7 @@ class Recorder:
         self._reserve = session.root / reserve
         self._lock = threading.RLock()
         self._events: deque[tuple[str, datetime, EventFields]] = deque()
-        self._rows: deque[IrradianceSample] = deque(maxlen=_KEPT_ROWS)
+        self._rows: deque[IrradianceSample] = deque(maxlen=100_000)  # almost six days at 5 s
         self.journal, self.days = Journal(session, flush=flush), DayFiles(session, flush=flush)
         self.full, self.rows = False, 0
         self.last_event = ""

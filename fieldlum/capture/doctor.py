@@ -397,7 +397,6 @@ def judge_pyranometer(
 # ----------------------------------------------------------------------------------------------
 # this computer
 
-DISK_MARGIN = 1.3  # free space over planned size
 SYNCED_FOLDERS = ("dropbox", "onedrive", "google drive", "googledrive", "icloud", "nextcloud")
 
 
@@ -427,7 +426,7 @@ def check_disk(session: Session, now_utc: datetime, free_bytes: int) -> Finding:
     taken = [folder for folder in folders if session.capture_file(folder.name).is_file()]
     sizes = [sum(file.stat().st_size for file in folder.glob("[!.]*")) for folder in taken[-5:]]
     ahead = len(slots_ahead(session, now_utc))
-    wanted = ahead * max(planned, *sizes, 0) * DISK_MARGIN
+    wanted = ahead * max(planned, *sizes, 0) * 1.3
     need = f"{wanted / 1e9:.1f} GB for {ahead} slots, with 30 % in reserve"
     free = f"{free_bytes / 1e9:.1f} GB free"
     if free_bytes < wanted:

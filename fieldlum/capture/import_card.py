@@ -248,8 +248,6 @@ def meant(
 # ----------------------------------------------------------------------------------------------
 # brackets that an earlier import, with another clock, put into wrong slots
 
-SAME_TIME_S = 120.0  # a refined clock offset changes times by less
-
 
 def withdraw(
     session: Session, journal: Journal, ledger: Ledger, matches: Sequence[Match]
@@ -280,7 +278,8 @@ def withdraw(
 def _is_elsewhere(slot: str, frame: Frame, match: Match, card: CardFrame) -> bool:
     """Return whether a slot's imported frame has another slot or time by a match and its clock."""
     apart = match_card.true_time(card.t_camera, match.offset) - frame.t_utc
-    is_elsewhere = slot != match.slot.id or abs(apart.total_seconds()) > SAME_TIME_S
+    # a refined clock offset changes times by less
+    is_elsewhere = slot != match.slot.id or abs(apart.total_seconds()) > 120.0
     return is_elsewhere and frame.sha256 == sha256(card.path)
 
 
@@ -296,7 +295,6 @@ def _set_aside(session: Session, slot: str) -> None:
 # ----------------------------------------------------------------------------------------------
 # the files of a card
 
-_BODY_SERIAL_NUMBER = 42033  # tag of EXIF 2.3
 _OTHER_PICTURES = re.compile(r"\.(mpo|hei[cf]|hif|tiff?|png|insp|gpr|x3f|3fr|iiq|avif)")
 
 
@@ -353,8 +351,8 @@ def read_card(
         aware = offset is not None
         when = info.t_camera.astimezone(UTC) if aware else info.t_camera.replace(tzinfo=UTC)
         who = info.model or info.make or "a camera that EXIF does not name"
-        # The number distinguishes two bodies of one model.
-        serial = text_of(tags_of(path), _BODY_SERIAL_NUMBER)
+        # BodySerialNumber (EXIF 2.3) distinguishes two bodies of one model.
+        serial = text_of(tags_of(path), 42033)
         frames.append(CardFrame(path, info.exposure, when, offset_s, who, serial))
     return frames, left_out
 

@@ -15,7 +15,6 @@ from fieldlum.devices import Pyranometer, open_pyranometer
 from fieldlum.devices.clock import Clock
 from fieldlum.session import Session, sole_user, update_session
 
-_BAD_IN_A_ROW = 3  # failed readings before the port is opened again
 # Rejected lines that are journalled in an hour: an instrument that prints remarks must not fill the
 # disk (under 100 kB a day).
 _TOLD_AN_HOUR = 20
@@ -55,7 +54,7 @@ class Logger:
             self._failed += 1
             if self.keeper.state != "lost":  # each failed reading of a lost one is not reported
                 self._tell_bad(error_text(error))
-            if self._failed >= _BAD_IN_A_ROW:
+            if self._failed >= 3:  # the port is opened again
                 self._failed = 0
                 self.keeper.lost(error)
             return None

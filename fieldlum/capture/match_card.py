@@ -22,10 +22,6 @@ from fieldlum.optics.photometry import same_exposure
 
 # Each limit is chosen between the two cases that it must separate.
 WITHIN_S = 1200.0  # a bracket started by hand further from its slot belongs to another hour
-_STEADY_S = 5.0  # spread of the start times of an intervalometer; starts by hand vary far more
-_PAUSE_FACTOR = 10.0  # shortest pause between brackets over the usual time between frames
-_TURN_FACTOR = 6.0  # additional, for a head that is turned between two frames
-CAMPAIGN_S = 5 * 86400.0  # a gap of more days separates campaigns
 _QUARTER_S = 900.0  # civil clocks differ by multiples of a quarter of an hour (IANA tz database)
 
 
@@ -129,7 +125,7 @@ def group_frames(
         for a, b in pairwise(ordered)
     ]
     usual_s = max(float(np.median(gaps_s)), 1.0) if gaps_s else 1.0
-    pause_s = _PAUSE_FACTOR * usual_s * (_TURN_FACTOR if headings > 1 else 1.0)
+    pause_s = usual_s * (60.0 if headings > 1 else 10.0)
     groups: list[list[CardFrame]] = []
     for frame, gap_s in zip(ordered, (0.0, *gaps_s), strict=False):
         if groups:
@@ -142,7 +138,7 @@ def group_frames(
     return [Group(tuple(group)) for group in groups]
 
 
-def split_at_gaps(groups: Sequence[Group], gap_s: float = CAMPAIGN_S) -> list[list[Group]]:
+def split_at_gaps(groups: Sequence[Group], gap_s: float = 5 * 86400.0) -> list[list[Group]]:
     """Split brackets, in order of time, between two that begin at least `gap_s` apart.
 
     By default they are split into campaigns, between which the camera's clock may have been set.
@@ -231,7 +227,7 @@ def refine_offset(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset
     late = late_s(groups, slots, offset.seconds)
     near = late[np.abs(late) <= WITHIN_S]
     middle = float(np.median(near)) if len(near) >= 3 else 0.0
-    if abs(middle) < 1.0 or float(np.median(np.abs(near - middle))) > _STEADY_S:
+    if abs(middle) < 1.0 or float(np.median(np.abs(near - middle))) > 5.0:
         return offset
     how = f"{offset.how}, corrected by {middle:+.0f} s, the median of {len(near)} brackets"
     return replace(offset, seconds=offset.seconds + middle, how=how)
@@ -281,7 +277,6 @@ def true_time(t_camera: datetime, offset: Offset) -> datetime:
 # usually set between two days.
 _NIGHT_S = 4 * 3600.0
 _HOURS = range(-26, 27)  # civil time zones span UTC-12 to UTC+14: two of them differ by 26 h
-_STEP_S = 1800.0  # a smaller change is drift of the clock; chosen
 # A change of the clock counts only if it brings this many more brackets to slots. Not measured: two
 # brackets can be early or late by chance.
 _EVIDENCE = 3
@@ -435,7 +430,7 @@ def clock_steps(clocks: Sequence[tuple[Sequence[Group], Offset]]) -> list[str]:
         f"{last} and {first}, and each part was imported with its own offset; if brackets were "
         "taken at other hours than planned, state --utc-offset"
         for step_s, last, first in steps
-        if abs(step_s) > _STEP_S
+        if abs(step_s) > 1800.0  # less is drift
     ]
 
 

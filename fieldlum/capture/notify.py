@@ -17,9 +17,7 @@ from urllib.parse import urlsplit
 from fieldlum.core.errors import InputError, input_errors, install_text
 from fieldlum.devices.clock import Backoff
 
-MAX_WAITING = 500  # a month without network at ten messages a day; older messages are dropped
 FIRST_PAUSE_S, MAX_PAUSE_S = 30.0, 900.0  # for services that limit requests; a quarter of an hour
-PATIENCE_AT_END_S = 10.0  # because the user waits for the command to end
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +50,7 @@ class Outbox:
     ) -> None:
         self._post, self._say = post, say
         self._backoff = Backoff(first_pause_s, MAX_PAUSE_S)
-        self._waiting: deque[Message] = deque(maxlen=MAX_WAITING)
+        self._waiting: deque[Message] = deque(maxlen=500)  # a month at ten a day
         self._changed = threading.Condition()
         self._closing = False
         self._thread = threading.Thread(target=self._work, name="outbox", daemon=True)
@@ -64,7 +62,7 @@ class Outbox:
             self._waiting.append(message)
             self._changed.notify_all()
 
-    def close(self, patience_s: float = PATIENCE_AT_END_S) -> int:
+    def close(self, patience_s: float = 10.0) -> int:
         """Send waiting messages for at most `patience_s` seconds; return how many still wait."""
         with self._changed:
             self._closing = True
@@ -168,8 +166,6 @@ def apprise_post(targets: Sequence[str], source: Path | str = "targets") -> Post
 # ----------------------------------------------------------------------------------------------
 # heartbeats
 
-EVERY_S = 600.0  # monitors usually tolerate several missed periods; see docs/capture.md
-
 
 def read_address(option: str) -> str:
     """Return the address in ``@FILE``: the first line that is neither empty nor a comment.
@@ -197,7 +193,7 @@ class Heartbeat:
     """
 
     def __init__(
-        self, address: str, every_s: float = EVERY_S, use: Callable[[str], None] = fetch
+        self, address: str, every_s: float = 600.0, use: Callable[[str], None] = fetch
     ) -> None:
         self._address = address
         self._every_s = every_s

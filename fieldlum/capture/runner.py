@@ -42,9 +42,6 @@ from fieldlum.session.ledger import Ledger, SlotState, read_ledger, slots_to_do
 from fieldlum.session.tables import DevicesTable
 from fieldlum.version import __version__
 
-FAST_LEAD_S = 20.0  # simulated seconds before a slot: four rows of irradiance at 5 s; chosen
-_PUNCTUAL_S = 10.0  # a bracket that begins later is journalled as late; chosen
-
 
 @dataclass(frozen=True, slots=True)
 class Live:
@@ -116,7 +113,8 @@ def prepare(session: Session, *, fast: bool) -> tuple[Clock, Options]:
     ledger = read_ledger(session)
     slots = slots_to_do(session.slots(), ledger)
     first = slots[0].t_utc - timedelta(seconds=60) if slots else datetime.now(UTC)
-    options = Options(grace_s=grace_s, log_around_s=FAST_LEAD_S, threaded=False, flush=False)
+    # four rows of irradiance at 5 s before a slot
+    options = Options(grace_s=grace_s, log_around_s=20.0, threaded=False, flush=False)
     return FastClock(ledger.last_utc or first), options
 
 
@@ -354,7 +352,7 @@ class _Runner:
         """
         self._state, slot = "capturing", bracket.slot
         self.recorder.refill()
-        if late_s > _PUNCTUAL_S and bracket.state.outcome == "":
+        if late_s > 10.0 and bracket.state.outcome == "":
             self.recorder.tell("late", slot=slot.id, by_s=round(late_s, 1))
         try:
             state = bracket.take()

@@ -17,8 +17,6 @@ from fieldlum.core.records import Exposure
 from fieldlum.optics.photometry import SAME_SETTING_EV
 from fieldlum.optics.raw import is_jpeg, read_exif, read_jpeg, read_mosaic
 
-ALL_CLIPPED = 0.5  # share of clipped pixels above which the shortest frame is useless; not measured
-
 
 def doubts(path: Path, asked: Exposure) -> str:
     """Return how a new frame's EXIF differs from the requested exposure, or why it is unreadable.
@@ -81,4 +79,4 @@ def bracket_doubts(shortest: Path) -> str:
     except InputError as error:
         return error.found
     text = f"{100 * share:.0f} % of the shortest exposure's pixels are clipped"
-    return text if share > ALL_CLIPPED else ""
+    return text if share > 0.5 else ""

@@ -128,10 +128,7 @@ def parse_line(profile: AsciiProfile, line: bytes) -> dict[str, float]:
     Raises DeviceError for a line that is damaged or does not fit the profile, and for a quantity
     outside its limits.
     """
-    return _values(profile, body_of(profile, line))
-
-
-def _values(profile: AsciiProfile, text: str) -> dict[str, float]:
+    text = body_of(profile, line)
     words = {"regex": _by_regex, "key-value": _by_keys, "json": _by_json}[profile.form](
         profile, text
     )
@@ -249,7 +246,6 @@ def sample_of(t_utc: datetime, values: Mapping[str, float | None], raw: str) -> 
 # the driver
 
 _VOTES = 3  # lines whose median is taken
-_MAX_VOTE_STEP_S = 2.0  # between them; over longer times the light changes (docs/validation.md)
 _GUARD = {"none": FORM_ALONE, "xor": "exclusive or", "crc16": "CRC-16"}
 _RECENT_LINES = 60  # whose form counts: half a minute to some minutes
 _NUMBER_OF_STREAM = re.compile(r"[ \t]*[+-]?\d+(?:\.(\d+))?(?:[eE][+-]?\d{1,2})?")
@@ -329,9 +325,8 @@ class LineInstrument(Pyranometer):
                 raise DeviceError(f"{self._port.name}: {why}")
 
     def _understood(self, line: bytes) -> tuple[str, dict[str, float]]:
-        text = body_of(self._profile, line)
-        values = _values(self._profile, text)
-        if reason := self._form.unlike(text):
+        values = parse_line(self._profile, line)
+        if reason := self._form.unlike(body_of(self._profile, line)):
             raise DeviceError(f"the line differs from earlier lines: {reason}; check the cable")
         return line.decode("ascii").strip(), values
 
@@ -339,7 +334,8 @@ class LineInstrument(Pyranometer):
         now = self._clock.boottime()
         apart_s = (now - self._last_read_s) / len(valid)
         self._last_read_s = now
-        can_vote = len(valid) >= _VOTES and apart_s <= _MAX_VOTE_STEP_S
+        # over longer times the light changes (docs/validation.md)
+        can_vote = len(valid) >= _VOTES and apart_s <= 2.0
         texts, values = zip(*valid[-_VOTES if can_vote else -1 :], strict=True)
         middle = {q: median(line[q] for line in values) for q in values[-1]}
         return sample_of(self._clock.now(), middle, " | ".join(dict.fromkeys(texts)))

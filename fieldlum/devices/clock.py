@@ -8,9 +8,6 @@ import sys
 import time
 from datetime import UTC, datetime, timedelta
 
-# State of adjtimex for a clock that is not synchronised (TIME_ERROR, <sys/timex.h>).
-_TIME_ERROR = 5
-
 
 def synchronised() -> bool | None:
     """Return whether a time server controls the clock, by Linux's kernel; None if unknown.
@@ -25,7 +22,7 @@ def synchronised() -> bool | None:
         state = ctypes.CDLL(ctypes.util.find_library("c"), use_errno=True).adjtimex(timex)
     except (OSError, AttributeError):
         return None
-    return None if state < 0 else state != _TIME_ERROR
+    return None if state < 0 else state != 5  # TIME_ERROR: not synchronised, <sys/timex.h>
 
 
 class Backoff:

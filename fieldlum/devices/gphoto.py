@@ -52,7 +52,6 @@ _ERRORS = {  # codes of gphoto2-port-result.h and gphoto2-result.h
     -105: "no camera found; switch it on, set it to PTP, and check the cable",
     -115: "the camera's card is full; delete pictures on it",
 }
-_BUSY = -110  # GP_ERROR_CAMERA_BUSY of gphoto2-result.h
 Serve = Callable[[Connection], None]
 
 
@@ -344,8 +343,8 @@ class _Driver:
         return str(path)
 
     def _patiently(self, work: Callable[[], Any]) -> Any:
-        """Call `work`; call it again while the camera reports that it is busy."""
-        return retried(work, lambda error: getattr(error, "code", 0) == _BUSY, 0.5)
+        """Call `work`; call it again while the camera is busy (GP_ERROR_CAMERA_BUSY)."""
+        return retried(work, lambda error: getattr(error, "code", 0) == -110, 0.5)
 
     def close(self) -> None:
         """Release the camera."""

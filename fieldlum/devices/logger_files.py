@@ -42,8 +42,6 @@ _UTC_TIMES = ("t_utc", "time_utc", "timestamp_utc", "datetime_utc", "utc", "time
 _TIMES = (*_UTC_TIMES, "timestamp", "datetime", "time", "date time", "date/time")
 _SLASHED = re.compile(r"(\d{1,2})/(\d{1,2})/(\d{4})[ T]+(\d{1,2})(:.+)")
 _COMMA = re.compile(r" is '[+-]?\d+,\d+'")
-# A pyranometer's full voltage is 5 to 20 mV; the sky of a day gives more W/m2. Chosen.
-_VOLTAGE_BELOW = 30.0
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?")
 _SAVE_AGAIN = "save it as CSV with commas between and points in the numbers"
 # Usual column names in loggers' programs and in ARM's netCDF files, without "avg"; digits,
@@ -128,7 +126,8 @@ def read_logger_file(
     _check_readable(path, logger_file)
     notes = logger_file.notes
     largest = max(s.ghi_wm2 or s.dni_wm2 or s.dhi_wm2 or 0.0 for s in logger_file.samples)
-    if largest < _VOLTAGE_BELOW and not sensitivities:
+    # a pyranometer's full voltage is 5 to 20 mV; the sky of a day gives more W/m2
+    if largest < 30.0 and not sensitivities:
         notes += (f"largest irradiance {largest:.3g} W/m2: a voltage needs --sensitivity",)
     ordered = tuple(sorted(logger_file.samples, key=lambda s: s.t_utc))
     return replace(logger_file, samples=ordered, notes=notes)

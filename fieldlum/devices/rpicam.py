@@ -39,7 +39,6 @@ DISCARDED_FRAMES = 7.0
 # expose so long (an OV5647 set to 6 s gives 1.06 s and a digital gain of 4). Chosen.
 GAIN_TOLERANCE = 0.03
 ISO_OF_GAIN_1 = 100.0  # rpicam-apps writes ISO = 100 times the gain into its DNGs
-_MIN_FILE_BYTES = 100_000  # bytes: a raw frame of the smallest module has over a million; chosen
 _Positive = Annotated[float, Meta(gt=0.0)]
 _CAMERA_LINE = re.compile(r"(?m)^(\d+) : (\S+) \[")
 
@@ -130,7 +129,7 @@ class RpicamCamera(Camera):
             metadata = parse_metadata(about.read_text(encoding="utf-8", errors="replace"))
             _check(metadata, exposure)
             size = written.stat().st_size if written.is_file() else 0
-            if size < _MIN_FILE_BYTES:
+            if size < 100_000:  # that of the smallest module has over a million
                 raise DeviceError(f"rpicam: a raw frame of only {size} bytes; check the cable")
         except BaseException:
             written.unlink(missing_ok=True)

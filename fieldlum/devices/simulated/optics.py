@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 _SUBSAMPLES = 3  # per sensor pixel and axis; chosen, not measured
-_SUN_SUBSAMPLES = 8  # per pixel and axis of the disc; chosen, not measured
-_SUN_REACH_PX = 8  # half of the square that receives the disc: 16 sigma of the blur; chosen
 # Standard deviation of the lens's blur. Without a finer part of the panorama it is applied to the
 # sun only, because everything else is smoother. Chosen as that of a good lens; not measured.
 _PSF_PX = 0.5
@@ -164,7 +162,7 @@ def _add_sun(image: Floats32, panorama: Panorama, sun: SunSource, lens: LensGeom
     x, y, angle = lens_pixels(lens, at)
     if angle >= lens.half_angle_rad:
         return
-    reach, fine = _SUN_REACH_PX, _SUN_SUBSAMPLES
+    reach, fine = 8, 8  # pixels around the disc, 16 sigma of the blur; samples per pixel and axis
     rows, columns = int(y) - reach + np.arange(2 * reach), int(x) - reach + np.arange(2 * reach)
     step = (np.arange(2 * reach * fine) + 0.5) / fine
     rays = lens_rays(lens, (columns[0] + step)[None, :], (rows[0] + step)[:, None])

@@ -28,10 +28,6 @@ from fieldlum.session.files.irradiance_csv import CleanIrradiance
 from fieldlum.sky import sun
 from fieldlum.sky.sky_view import SUFFIX, SkyPicture, read_sky_picture
 
-# A panorama of the truth is used for times up to this far away, because slots are an hour apart.
-# Chosen.
-NEAREST_TRUTH = timedelta(minutes=45)
-
 
 class SimulatedLight(NamedTuple):
     """Horizontal global and diffuse, and direct normal irradiance, in W/m2."""
@@ -88,7 +84,7 @@ class TruthWorld:
         Raises InputError for a file that is no panorama.
         """
         nearest = min(self._panoramas, key=lambda t: abs(t - t_utc), default=None)
-        if nearest is None or abs(nearest - t_utc) > NEAREST_TRUTH:
+        if nearest is None or abs(nearest - t_utc) > timedelta(minutes=45):
             found = f"no simulated panorama within 45 min of {t_utc:%Y-%m-%d %H:%M} UTC"
             raise DeviceError(f"simulated camera: {found}; run fieldlum simulate for that hour")
         return self._read(self._panoramas[nearest])
