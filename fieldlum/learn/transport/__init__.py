@@ -648,14 +648,16 @@ def calibrate(
         error,
         guess,
     )
-    features, some = arrays.features, slice(len(covariance))
+    features, rows = arrays.features, out.tested
     careful = arrays.patch is None or arrays.computed is not None
-    expected = out.experience(features, features, out.variance_of[some], guess[some], careful)
-    square = squares[0] * (expected / guess[some])[:, None]
-    sd = np.sqrt(square + LOG10_E**2 * arrays.unsure[:, None])
-    # avoids division by zero
-    ratio = np.abs(tests[0].held.error) / np.maximum(sd, 1e-4)
-    return replace(out, band=float(np.quantile(ratio[~arrays.filled], 0.9)) / NORMAL_90)
+    expected = out.experience(features[rows], features, out.variance_of, guess, careful)
+    square = np.concatenate(squares) * (expected / guess)[:, None]
+    sd = np.sqrt(square + LOG10_E**2 * arrays.unsure[rows, None])
+    # the harder of days and seasons: a year has other seasons than the captures
+    parts = zip(tests, np.split(sd, len(tests)), strict=True)
+    ratios = [np.abs(test.held.error) / part for test, part in parts]
+    band = max(float(np.quantile(ratio[~arrays.filled], 0.9)) for ratio in ratios)
+    return replace(out, band=band / NORMAL_90)
 
 
 class _Test(NamedTuple):
