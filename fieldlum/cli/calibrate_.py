@@ -372,17 +372,20 @@ def scale(
     Options:
       --meter-u: The meter's own relative uncertainty.
     """
+    import numpy as np
+
     from fieldlum.calibrate import scale as scales
     from fieldlum.optics.photometry import illuminance_verdict
 
     readings, frames, notes = scales.from_table(sources, profile)
     fit = scales.fit(readings, meter_u, sources)
     doubt = scales.check_level(fit, profile, sources)
-    points, gates = [], []
-    for r, off in zip(readings, fit.residual, strict=True):
-        shown, off_percent = r.image * fit.factor, round(100 * float(off), 2)
-        points.append(dict(zip(_READINGS, (r.label, r.meter, shown, off_percent), strict=True)))
-        gates += [illuminance_verdict(shown, r.meter)] if r.kind == "illuminance" else []
+    shown = [r.image * fit.factor for r in readings]
+    off = np.round(100 * fit.residual, 2).tolist()
+    rows = zip([r.label for r in readings], [r.meter for r in readings], shown, off, strict=True)
+    points = [dict(zip(_READINGS, row, strict=True)) for row in rows]
+    planes = [(x, r.meter) for r, x in zip(readings, shown, strict=True) if r.kind != "spot"]
+    gates = [illuminance_verdict(*plane) for plane in planes]
     k, u = round(profile.scale.k * fit.factor, 5), round(fit.u_rel, 4)
     figures = {"k": k, "u_rel": u, **_figures(fit, "factor", "far"), "illuminance": gates}
     line = f"{fit.line}; k = {k:g}, uncertainty {100 * u:.1f} % from {len(readings)} readings"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,7 +14,7 @@ from fieldlum.cli import terminal
 from fieldlum.cli.options import command_of, device_uris
 
 if TYPE_CHECKING:
-    from fieldlum.session import Session
+    pass
 
 MARKS = {"ok": ("ok  ", "green"), "warn": ("look", "yellow"), "fail": ("FAIL", "red")}
 
@@ -35,6 +36,7 @@ def command(
       fieldlum doctor office-2027 --camera gphoto: --pyranometer "serial:/dev/ttyUSB0?kind=spn1"
     """
     from fieldlum.capture import doctor
+    from fieldlum.room.scene.drawing import write_room
     from fieldlum.session import open_session
 
     session = open_session(session_folder)
@@ -44,26 +46,9 @@ def command(
             session, camera_uri, pyranometer_uri, datetime.now(UTC), progress, meter_uri=meter_uri
         )
     lines = [f"{click.style(*MARKS[f.verdict])}  {f.what:13} {f.text}" for f in findings]
-    if not as_json and (drawing := _drawing(session)):
-        lines.append(f"      room          drawn in {drawing}: check windows, camera and north")
+    drawing = session.root / "room.svg"
+    with suppress(OSError):  # a full or read-only disk is reported by another check
+        if not as_json and write_room(session.site_file(), drawing):
+            lines.append(f"      room          drawn in {drawing}: check windows, camera and north")
     terminal.print_answer(as_json, doctor.as_table(findings), lines)
     sys.exit(doctor.exit_code(findings))
-
-
-def _drawing(session: Session) -> Path | None:
-    """Write room.svg into the session and return its path.
-
-    None for a session without a box room.
-    """
-    from fieldlum.room.scene.drawing import room_svg
-    from fieldlum.session import replacing
-
-    drawing, path = room_svg(session.site_file()), session.root / "room.svg"
-    if not drawing:
-        return None
-    try:
-        with replacing(path, "w", encoding="utf-8") as file:
-            file.write(drawing.replace("currentColor", "black"))
-    except OSError:  # a full or read-only disk is reported by another check
-        return None
-    return path

@@ -87,7 +87,7 @@ def command(
         load_camera_profile,
         uncalibrated_text,
     )
-    from fieldlum.room.scene.drawing import room_svg
+    from fieldlum.room.scene.drawing import room_svg, write_room
     from fieldlum.session.site_toml import load_site
 
     if site_file.exists():
@@ -106,14 +106,12 @@ def command(
     question = "Describe the room by tape measure (y or n)? Not needed; it can sharpen the maps"
     if dialogue.ask(question, lambda text: text.lower() in ("y", "yes"), "n"):
         setup = replace(setup, room=room_of(dialogue, setup.camera))
-    drawing = room_svg(setup)
+    room_svg(setup)  # refuses an impossible room
     site_file.write_text(site_text(setup), encoding="utf-8")
     load_site(site_file)
     dialogue.path.unlink(missing_ok=True)
     click.echo(f"written: {site_file}")
-    if drawing:
-        picture = site_file.with_suffix(".svg")
-        picture.write_text(drawing.replace("currentColor", "black"), encoding="utf-8")
+    if write_room(setup, picture := site_file.with_suffix(".svg")):
         click.echo(f"written: {picture}: check windows, camera and north in it")
     click.echo(f"next: fieldlum plan {site_file} --set 9-day --out {site_file.stem}-session")
 

@@ -59,21 +59,22 @@ def command(
       --replan: Add make-up slots for the missed ones.
     """
     of_session, day = next_ or replan, start.date() if start else None
+    dates, sets = (out, day, year, days, count), ("month", "even", "best")
+    example = "for example: fieldlum plan SITE.toml --set 9-day --out my-session"
     wrong = {
         "--next and --replan exclude each other": next_ and replan,
         "--next and --replan work on a session, with its dates: omit --set, --out, --start, "
-        "--year, --days and --count": of_session and (set_ or out or day or year or days or count),
+        "--year, --days and --count": of_session and (set_ or any(dates)),
         "--label-shift is for a weather file: name one with --weather": label_shift_min
-        and weather_file is None,
-        "name --set and --out, for example: fieldlum plan SITE.toml --set 9-day --out "
-        "my-session": not of_session and (set_ is None or out is None),
+        and not weather_file,
+        f"name --set and --out, {example}": not of_session and not (set_ and out),
         "the best hours depend on the climate: name a weather year with --weather FILE": set_
         == "best"
-        and weather_file is None,
+        and not weather_file,
         "--start: expected a year from 1950 to 2100": day and not 1950 <= day.year <= 2100,
         "--start and --year exclude each other: use one of them": day and year,
-        "--count needs --set even or best": count and set_ not in ("even", "best"),
-        "--days needs --set month, even or best": days and set_ not in ("month", "even", "best"),
+        "--count needs --set even or best": count and set_ not in sets[1:],
+        "--days needs --set month, even or best": days and set_ not in sets,
     }
     if text := next((text for text, is_wrong in wrong.items() if is_wrong), ""):
         raise click.UsageError(text)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from html import escape
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from fieldlum.core.records import Room, SiteFile
 from fieldlum.optics.projection import compass_name
 from fieldlum.room.scene.clicked import ClickGrid
 from fieldlum.room.scene.geometry import WALL_TURN_DEG, build
+from fieldlum.session import replacing
 
 # Of the plan; the margin has room for the lengths written around it. Not measured.
 _SIZE_PX, _MARGIN_PX = 460.0, 78.0
@@ -32,6 +34,14 @@ def compass_walls(wall_azimuth_deg: float) -> dict[str, str]:
     wall_azimuth_deg: that the "south" wall faces.
     """
     return {compass_name(wall_azimuth_deg + turn): w for w, turn in WALL_TURN_DEG.items()}
+
+
+def write_room(setup: SiteFile, path: Path) -> bool:
+    """Write the plan of a box room as SVG; return whether there is one. Raises as `room_svg`."""
+    if drawing := room_svg(setup):
+        with replacing(path, "w", encoding="utf-8") as file:
+            file.write(drawing.replace("currentColor", "black"))
+    return bool(drawing)
 
 
 def room_svg(setup: SiteFile) -> str:
