@@ -149,6 +149,7 @@ class Dialogue:
         try:
             return click.prompt(question, default=offered, value_proc=checked)
         except click.Abort as error:  # the end of the input, or Ctrl-C
+            click.echo()
             if isinstance(error.__context__, KeyboardInterrupt):
                 raise KeyboardInterrupt from None
             finding, expected = f"no answer to '{question}'", "an answer to each question"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import click
 
@@ -75,9 +75,7 @@ def command(
 
     session = open_session(site) if site.is_dir() else None
     if session is None and out is None:
-        raise click.UsageError(
-            "name --out, for example: fieldlum simulate office.toml --out office-sim"
-        )
+        raise click.UsageError("name --out, like: fieldlum simulate office.toml --out office-sim")
     troubles = None if troubles_file is None else simulate.load_troubles(troubles_file)
     setup = session.site_file() if session is not None else load_site(site)
     box_room(setup)  # before a session is written
@@ -85,21 +83,14 @@ def command(
     for repair in weather.repairs:
         terminal.say(f"weather: {repair}")
     chosen = quality or ("quick" if height <= 115 else "paper")
-    if session is None:
-        assert out is not None
+    if session is None and out is not None:
         with terminal.progress("planning") as progress:
             session = _planned(out, setup, weather, (set_, year, count, seed), progress)
+    assert session is not None
+    how: dict[str, Any] = {"height": height, "quality": chosen, "troubles": troubles}
+    how |= {"force": force, "scheduler": scheduler_of(scheduler_text)}
     with terminal.progress("simulating") as progress:
-        made = simulate.run(
-            session,
-            weather,
-            height=height,
-            quality=chosen,
-            troubles=troubles,
-            force=force,
-            scheduler=scheduler_of(scheduler_text),
-            progress=progress,
-        )
+        made = simulate.run(session, weather, **how, progress=progress)
     answer = {"session": str(session.root), "rendered": made.rendered, "kept": made.kept}
     answer |= {"dark": made.dark, "weather": made.weather, "size": size, "quality": chosen}
     dark = f", {made.dark} slots without light" if made.dark else ""
