@@ -43,7 +43,7 @@ PARTS = {  # modules of a part, and the tests that should notice a fault in them
     ),
     "glare/metrics": (
         ("year/glare/metrics.py",),
-        "test_glare test_glare_single test_glare_own_pixels",
+        "test_glare test_disc_doubt test_unseen test_glare_single test_glare_own_pixels",
     ),
     "irradiance": (("pair/irradiance/*.py",), "test_irradiance test_irradiance_consistency"),
     "web/server": (("web/server.py",), "test_watch test_scene_click"),
