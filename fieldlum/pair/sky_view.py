@@ -33,7 +33,7 @@ from fieldlum.sky.sky_view.disc import room_shares
 from fieldlum.sky.sky_view.measured_discs import read_discs
 from fieldlum.version import __version__
 
-_LEAST_SEEN = 0.8  # of the captures, in which a pixel has a value that a lens saw; chosen
+_MIN_SEEN = 0.8  # of the captures, in which a pixel has a value that a lens saw; chosen
 _SKY, _NOT_SEEN = (0.12, 0.37, 0.66), (0.93, 0.73, 0.36)  # colours, from 0 to 1
 # Ratio of the bounds of a share that calls the view undecided: glass of a stated room is known to
 # 20 % (EN 410: 0.7 to 0.9 for clear double and single panes).
@@ -145,7 +145,7 @@ def _in_lens(captures: Sequence[Shown]) -> Callable[[Floats], Mask]:
     masks = [capture.seen for capture in captures if capture.seen is not None]
     height, width = masks[0].shape
     alike = [mask for mask in masks if mask.shape == masks[0].shape]
-    often = np.add.reduce(alike, dtype=int) > _LEAST_SEEN * len(alike)
+    often = np.add.reduce(alike, dtype=int) > _MIN_SEEN * len(alike)
     heading_deg = captures[0].heading_deg
 
     def in_lens(rays: Floats) -> Mask:

@@ -10,8 +10,8 @@ from fieldlum.core.arrays import Floats
 from fieldlum.core.records import Site
 from fieldlum.room.fit.guess import Guess
 from fieldlum.room.fit.parameters import LEVEL_SD_DEG, NORTH_SD_DEG, POSE_NAMES
-from fieldlum.sky.sky_view.measured_discs import LEAST_U_DEG, MeasuredDiscs
-from fieldlum.sky.sky_view.sun_discs import LEAST_DISCS, NAMES, PoseFit, fit_pose
+from fieldlum.sky.sky_view.measured_discs import MIN_U_DEG, MeasuredDiscs
+from fieldlum.sky.sky_view.sun_discs import MIN_DISCS, NAMES, PoseFit, fit_pose
 
 # uncertainty of an equidistant model without a lens calibration; chosen, not measured
 _LENS_SCALE_SD = 0.01
@@ -59,7 +59,7 @@ def pose_of(
     The other standard uncertainties before the fit are 2 degrees for north, 0.3 for tilt and roll,
     and 1 % for the lens scale.
     """
-    if len(discs) < LEAST_DISCS:
+    if len(discs) < MIN_DISCS:
         return None
     prior = (NORTH_SD_DEG, LEVEL_SD_DEG, LEVEL_SD_DEG, _LENS_SCALE_SD, clock_sd_min)
     return fit_pose(discs, site, heading_deg, prior)
@@ -72,7 +72,7 @@ def prior_of(pose: PoseFit) -> PosePrior:
     angles.
     """
     rows = [NAMES.index(name) for name in _FITTED]
-    covariance = pose.covariance[np.ix_(rows, rows)] + np.diag([LEAST_U_DEG**2] * 3 + [0.0])
+    covariance = pose.covariance[np.ix_(rows, rows)] + np.diag([MIN_U_DEG**2] * 3 + [0.0])
     return PosePrior(pose.values[rows], covariance)
 
 

@@ -20,7 +20,7 @@ from fieldlum.sky.sun_disc import LEAST_DISC_CDM2, SUN_RADIUS_RAD
 
 DRAWS = 64  # of the pose and the view for an interval: 2.5 % of them is more than one; chosen
 _RINGS = (1, 6, 12, 18)  # points of equal area in the disc: at its centre, and on three rings
-_LEAST_LX = LEAST_DISC_CDM2 * SUN_SOLID_ANGLE_SR  # 68 lx: less is no disc in a picture either
+_MIN_LX = LEAST_DISC_CDM2 * SUN_SOLID_ANGLE_SR  # 68 lx: less is no disc in a picture either
 # Standard deviation of the sun's direction relative to the edges of a stated room: a compass to 1
 # degree, and 5 cm at an edge 2.5 m away. Chosen from these two.
 EDGE_SD_DEG = 1.5
@@ -52,7 +52,7 @@ def disc_of_hours(view: SkyView, light: Light) -> DiscOfHours:
     best, low, high = _over_disc(view, suns)  # [n] each
     best_lx = np.nan_to_num(best) * light.direct_lx
     return DiscOfHours(
-        np.where(best_lx < _LEAST_LX, 0.0, best_lx),
+        np.where(best_lx < _MIN_LX, 0.0, best_lx),
         np.nan_to_num(low) * light.direct_lx,
         np.nan_to_num(high) * light.direct_lx,
         np.isnan(best) & (light.direct_lx > 0.0),

@@ -22,7 +22,7 @@ from fieldlum.sky.sky_view.panes import pane_transmittance
 from fieldlum.sky.sky_view.picture import SkyGrid, SkyPicture
 from fieldlum.sky.sky_view.pose import CameraPose, pose_of_discs
 from fieldlum.sky.sky_view.ratio import BEAM_LX, SOME, follow, sky_reference, unmixed
-from fieldlum.sky.sky_view.sky_heading import LEAST_U_DEG, heading_by_sky
+from fieldlum.sky.sky_view.sky_heading import MIN_U_DEG, heading_by_sky
 from fieldlum.sky.sky_view.view import SkyView
 from fieldlum.sky.sun import SUN_SOLID_ANGLE_SR
 
@@ -43,9 +43,9 @@ _FOLLOWS, _FOLLOWS_NOT = 0.5, 1.0
 _PANE_SHARE, _SCATTER_SHARE, _BRIGHT_SHARE = 0.05, 0.15, 0.3
 # What scatters is brighter by this logarithm with the sun behind it: a curtain by 1.1, a facade by
 # less than 0.6.
-_SCATTER_GLOW = 0.6
-LEAST_CAPTURES = 6  # fewer do not separate the sky from other light; chosen
-_MOST_VALUES = 60_000_000  # captures times directions in memory: 240 MB; chosen
+_FORWARD_SCATTER = 0.6
+MIN_CAPTURES = 6  # fewer do not separate the sky from other light; chosen
+_MAX_VALUES = 60_000_000  # captures times directions in memory: 240 MB; chosen
 _TROPIC_DEG = 23.44  # the sun's largest declination
 _DISC_DEG = 0.2665  # radius of the sun's disc
 
@@ -149,7 +149,7 @@ def _stack(captured: Captured, seen: Callable[[Floats], Mask] | None, progress: 
     some = [captured.read(k) for k in sorted({0, count // 2, count - 1})]
     grid = max((picture.grid for picture in some), key=lambda grid: grid.height * grid.width)
     kept = np.any([np.isfinite(_placed(picture, grid)) for picture in some], axis=0)
-    most = max(LEAST_CAPTURES, _MOST_VALUES // max(int(kept.sum()), 1))
+    most = max(MIN_CAPTURES, _MAX_VALUES // max(int(kept.sum()), 1))
     rows = np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)).tolist()
     in_lens = np.zeros(kept.shape, bool)
     if seen is not None:
@@ -212,10 +212,10 @@ def _decided(stack: _Stack, pose: CameraPose, latitude_deg: float | None) -> _De
     openness[openness < _SHUT] = 0.0
     low, high = _bounds(openness, u, mixed, pane, step_deg)
     apart = ~sky & ~mixed & (stack.placed(_sun_can_stand(rays, latitude_deg, pose)) > 0.0)
-    scatters = apart & (stack.placed(seen.glow) > _SCATTER_GLOW) & (relative > _SCATTER_SHARE)
+    scatters = apart & (stack.placed(seen.forward) > _FORWARD_SCATTER) & (relative > _SCATTER_SHARE)
     bright = apart & (relative > _BRIGHT_SHARE) & (spread < _FOLLOWS_NOT)
     bright |= np.isnan(relative) & (ratio > _BRIGHT_SHARE)
-    few = len(light) < LEAST_CAPTURES
+    few = len(light) < MIN_CAPTURES
     low = np.zeros_like(low) if few else low
     high = np.where(scatters | bright | few, np.clip(1.3 * ratio, high, 1.0), high)
     u = np.minimum(np.hypot(u, _SCALE_SD * openness), 1.0)
@@ -245,7 +245,7 @@ def _turned(stack: _Stack, view: SkyView) -> CameraPose:
     """Return the pose with the heading by the open sky, if discs do not give it better."""
     from scipy.ndimage import binary_erosion
 
-    if view.pose.heading_sd_deg < LEAST_U_DEG:
+    if view.pose.heading_sd_deg < MIN_U_DEG:
         return view.pose
     inside = int(np.ceil(0.5 / stack.grid.step_deg))  # half a degree from an edge
     open_sky = stack.kept & (view.openness >= _OPEN)
@@ -296,9 +296,9 @@ def _bounds(
 def _notes(decided: _Decided) -> tuple[str, ...]:
     sky, scatters, captures = decided.sky, decided.scatters, decided.view.captures
     notes = []
-    if captures < LEAST_CAPTURES:
+    if captures < MIN_CAPTURES:
         notes.append(
-            f"{captures} captures do not show where the sky is (at least {LEAST_CAPTURES}): the "
+            f"{captures} captures do not show where the sky is (at least {MIN_CAPTURES}): the "
             "sun's disc has bounds only; capture overcast and clear hours"
         )
     if not sky.any() and decided.bright.any():

@@ -14,7 +14,7 @@ from fieldlum.session.files.sidecar import Sidecar
 
 # Allowance for the lens model and the mount, which the sidecar's sigma_deg does not include
 # (docs/merge.md): discs are found to 0.03 degrees there, and no lens profile is better.
-LEAST_U_DEG = 0.02
+MIN_U_DEG = 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,4 +58,4 @@ def _measured(path: Path) -> tuple[float, float, float, datetime] | None:
     measured = sidecar.sun.measured if sidecar.sun else None
     if measured is None or (when := measured.t_utc or sidecar.t_utc) is None:
         return None
-    return measured.altitude_deg, measured.azimuth_deg, max(measured.sigma_deg, LEAST_U_DEG), when
+    return measured.altitude_deg, measured.azimuth_deg, max(measured.sigma_deg, MIN_U_DEG), when

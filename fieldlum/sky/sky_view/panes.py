@@ -8,7 +8,7 @@ from fieldlum.core.arrays import Floats, Mask
 
 # A pane this small takes the transmittance of the nearest larger one: gaps between leaves and slats
 # are not panes. A pane of 40 cm at 8 m has 8 square degrees. Chosen.
-_LEAST_PANE_DEG2 = 8.0
+_MIN_PANE_DEG2 = 8.0
 # Transmittance changes by 5 % in 10 degrees at 60 degrees of incidence (EN 410).
 _SMOOTH_DEG = 5.0
 _OPEN_SHARE = 0.75  # of the pane's bright tenth: less is a partly open pixel; chosen
@@ -26,7 +26,7 @@ def pane_transmittance(through: Floats, sky: Mask, step_deg: float) -> Floats:
     count = int(label(sky, np.ones((3, 3)), output=labels))  # pyright: ignore[reportArgumentType]
     level = np.where(sky, through, 0.0)
     sizes = np.bincount(labels.ravel(), minlength=count + 1) * step_deg**2
-    large = np.flatnonzero(sizes >= _LEAST_PANE_DEG2)
+    large = np.flatnonzero(sizes >= _MIN_PANE_DEG2)
     large = large[large > 0]
     if not len(large):
         return np.maximum(np.nan_to_num(through), 1e-6)

@@ -27,7 +27,7 @@ LOWEST_ALTITUDE_DEG = -2.0
 # Codes of luminance in a file: 0 is missing, 1 to 65535 are log10 cd/m2 from -2 to 10, in steps of
 # 0.04 %. A disc is 10^9.3 cd/m2.
 _LOG10_RANGE = (-2.0, 10.0)
-_MOST_CODE = 65535
+_MAX_CODE = 65535
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +93,7 @@ def write_sky_picture(path: Path, picture: SkyPicture) -> None:
     light = np.asarray(picture.luminance_cdm2, np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
         step = (np.log10(np.maximum(light, 10.0**least)) - least) / (most - least)
-    code = np.where(np.isfinite(light), 1.0 + np.clip(step, 0.0, 1.0) * (_MOST_CODE - 1), 0.0)
+    code = np.where(np.isfinite(light), 1.0 + np.clip(step, 0.0, 1.0) * (_MAX_CODE - 1), 0.0)
     table = asdict(picture.grid)
     del table["height"], table["width"]
     with replacing(path) as file:
@@ -121,7 +121,7 @@ def read_sky_picture(path: Path) -> SkyPicture:
         height, width = code.shape
         least, most = _LOG10_RANGE
         table = 10.0 ** (
-            least + (np.arange(_MOST_CODE + 1) - 1.0) / (_MOST_CODE - 1) * (most - least)
+            least + (np.arange(_MAX_CODE + 1) - 1.0) / (_MAX_CODE - 1) * (most - least)
         )
         table[0] = np.nan
         clipped = np.unpackbits(stored["clipped"], count=height * width).reshape(height, width)

@@ -14,7 +14,7 @@ from fieldlum.core.arrays import Floats
 from fieldlum.core.records import JsonTable, Site
 from fieldlum.optics.projection import rotation
 from fieldlum.sky.sky_view.measured_discs import MeasuredDiscs
-from fieldlum.sky.sky_view.sun_discs import LEAST_DISCS, PoseFit, fit_pose, scaled
+from fieldlum.sky.sky_view.sun_discs import MIN_DISCS, PoseFit, fit_pose, scaled
 
 # Standard uncertainties of a stated pose: a compass near steel is within 5 degrees (two standard
 # deviations), a spirit level on a camera within 1 degree, a lens profile within 1 %. Chosen.
@@ -120,9 +120,9 @@ def pose_of_discs(discs: MeasuredDiscs, site: Site, axis_deg: float) -> CameraPo
         return replace(stated, notes=(_NO_DISC,))
     prior = (*STATED_SD, _CLOCK_SD_MIN)
     blurred = replace(discs, sigma_deg=np.hypot(discs.sigma_deg, _LENS_U_DEG))
-    fit = fit_pose(blurred, site, axis_deg, prior, least=1)
+    fit = fit_pose(blurred, site, axis_deg, prior, minimum=1)
     used = len(discs) - len(fit.dropped)
-    if used < LEAST_DISCS and np.max(np.abs(fit.values) / prior) > _CONTRADICTION:
+    if used < MIN_DISCS and np.max(np.abs(fit.values) / prior) > _CONTRADICTION:
         note = (
             f"{used} measured sun discs contradict the stated pose ({_angles(fit)}) and are not "
             "used: check the heading in SITE.toml, or capture three clear hours with the sun in "

@@ -24,7 +24,7 @@ from fieldlum.sky.light import Light
 _NEAR_SUN_DEG = 10.0
 BEAM_LX = 1000.0  # a weaker beam shows no disc and has no bright region around it; chosen
 # Spread of the logarithm of a real sky over Perez's (Perez et al. 1993: 10 to 40 % by type of sky).
-_MOST_SKY_SPREAD = 0.45
+_MAX_SKY_SPREAD = 0.45
 # Relative spread of the reference; and its share of the brightest ratio, without tinted panes at
 # first. Chosen.
 _REFERENCE_FOLLOWS, _REFERENCE_SHARES = 0.8, (0.5, *5 * (0.15,))
@@ -40,14 +40,14 @@ class Followed:
     """How p directions follow the sky.
 
     ratio [p]: median of luminance over the sky's; spread [p]: of its logarithm, over that against
-    the illuminance that it follows best; count [p]: captures behind them; glow [p]: logarithm of
+    the illuminance that it follows best; count [p]: captures behind them; forward [p]: logarithm of
     the luminance's increase with the sun in front of the camera, relative to the diffuse light.
     """
 
     ratio: Floats
     spread: Floats
     count: Floats
-    glow: Floats
+    forward: Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +86,7 @@ def sky_reference(luminance: Floats32, light: Light, rays: Floats) -> SkyReferen
     reference = SkyReference(np.empty((0, 3)), np.empty((len(light), 0)), float("nan"))
     level, spread = _level_spread(measured - np.log(reference.sky(light, rays)))
     rest = _rest_spread(measured, light)
-    plausible = (spread < _MOST_SKY_SPREAD) & (spread < rest)
+    plausible = (spread < _MAX_SKY_SPREAD) & (spread < rest)
     if not plausible.any():
         return reference
     brightest = float(np.quantile(level[plausible], 0.98))
@@ -111,7 +111,7 @@ def follow(luminance: Floats32, light: Light, rays: Floats, reference: SkyRefere
         level, spread = _level_spread(measured - np.log(reference.sky(light, rays[some])))
         rest = np.maximum(_rest_spread(measured, light), 1e-3)
         count = (~np.isnan(measured)).sum(axis=0)
-        parts.append((np.exp(level), spread / rest, count, _glow(measured, light, rays[some])))
+        parts.append((np.exp(level), spread / rest, count, _forward(measured, light, rays[some])))
     return Followed(*(np.concatenate(values).astype(float) for values in zip(*parts, strict=True)))
 
 
@@ -151,7 +151,7 @@ def _rest_spread(measured: Floats32, light: Light) -> Floats:
     return np.minimum(*spreads)
 
 
-def _glow(measured: Floats32, light: Light, rays: Floats) -> Floats:
+def _forward(measured: Floats32, light: Light, rays: Floats) -> Floats:
     """Return how much luminance over diffuse light is increased by the sun behind, [p]: log."""
     over = measured - np.log(light.diffuse_lx)[:, None]
     level = rays[:, :2] / np.maximum(np.hypot(rays[:, 0], rays[:, 1]), 1e-9)[:, None]

@@ -15,12 +15,12 @@ from fieldlum.optics.projection import rotation
 from fieldlum.sky.light import Light
 from fieldlum.sky.sky_view.ratio import BEAM_LX, usable_log
 
-_LEAST_HOURS, _LEAST_DIRECTIONS = 5, 10  # of the estimate, and of an hour in it; chosen
+_MIN_HOURS, _MIN_DIRECTIONS = 5, 10  # of the estimate, and of an hour in it; chosen
 _STEP_DEG = 0.1
 _HUBER = 1.5  # standard uncertainties, beyond which an hour counts less
 # Errors in rooms of other renderers (docs/sky-view.md) are 1.3 times the estimate's own; at least
 # 0.2 degrees, because the sun moves so far in the seconds of a bracket. Chosen.
-_TIMES, LEAST_U_DEG = 1.5, 0.2
+_TIMES, MIN_U_DEG = 1.5, 0.2
 _NORMAL_MEDIAN = 0.455  # of chi squared with one degree of freedom
 
 
@@ -34,7 +34,7 @@ def heading_by_sky(
     sunny hours with ten directions are needed.
     """
     sunny = np.flatnonzero(light.direct_lx > 5.0 * BEAM_LX)
-    if len(sunny) < _LEAST_HOURS or len(rays) < _LEAST_DIRECTIONS:
+    if len(sunny) < _MIN_HOURS or len(rays) < _MIN_DIRECTIONS:
         return None
     some, days = light[sunny], np.array([t.toordinal() for t in light.t_utc])[sunny]
     heading, u = 0.0, np.inf
@@ -44,13 +44,13 @@ def heading_by_sky(
         off, ahead = (_log_ratio(luminance[sunny], some, to) - level for to in turned)
         turns, variances = _turns(off, (off - ahead) / _STEP_DEG, some, turned[0])
         usable = np.isfinite(turns)
-        if usable.sum() < _LEAST_HOURS:
+        if usable.sum() < _MIN_HOURS:
             return None
         step, u = _mean(turns[usable], variances[usable], days[usable])
         heading += float(np.clip(step, -3.0, 3.0))
         if abs(step) < 0.1 * u:
             break
-    return heading, float(np.hypot(_TIMES * u, LEAST_U_DEG))
+    return heading, float(np.hypot(_TIMES * u, MIN_U_DEG))
 
 
 def _log_ratio(luminance: Floats32, light: Light, rays: Floats) -> Floats:
@@ -64,7 +64,7 @@ def _turns(off: Floats, slope: Floats, light: Light, rays: Floats) -> tuple[Floa
     sky = np.log(np.maximum(light.sky_at(rays), 1e-3))
     turns, variances = np.full(len(off), np.nan), np.full(len(off), np.nan)
     for k, at in enumerate(usable):
-        if at.sum() < _LEAST_DIRECTIONS:
+        if at.sum() < _MIN_DIRECTIONS:
             continue
         symmetric = np.stack([np.ones(at.sum()), sky[k, at], altitude[at]], axis=1)
         basis, _ = np.linalg.qr(symmetric - [0.0, *symmetric[:, 1:].mean(axis=0)])

@@ -22,7 +22,7 @@ from fieldlum.sky import sun
 from fieldlum.sky.sky_view.measured_discs import MeasuredDiscs
 
 NAMES = ("heading_deg", "tilt_deg", "roll_deg", "lens_scale", "clock_min")
-LEAST_DISCS = 3  # six coordinates, one more than the five parameters
+MIN_DISCS = 3  # six coordinates, one more than the five parameters
 # Distance from the other discs at which one is a reflection or a lamp, in standard uncertainties;
 # chosen.
 _GROSS_SIGMAS = 5.0
@@ -61,20 +61,20 @@ def fit_pose(
     site: Site,
     axis_deg: float,
     prior_sd: Sequence[float],
-    least: int = LEAST_DISCS,
+    minimum: int = MIN_DISCS,
 ) -> PoseFit:
     """Fit north, level, lens scale and clock to n measured centres of the sun's disc.
 
     discs: by the stated heading, level and lens. axis_deg: the stated azimuth of the lens's axis.
     prior_sd: standard uncertainties [5] before the fit, in the order of `NAMES`; each prior's mean
     is 0. The sun's position is by NREL SPA. Gross errors (5 sigma) are omitted, as long as four
-    discs remain. Raises NotEnoughDataError for fewer than `least` discs.
+    discs remain. Raises NotEnoughDataError for fewer than `minimum` discs.
     """
     from scipy.optimize import least_squares
 
-    if len(discs) < least:
+    if len(discs) < minimum:
         raise NotEnoughDataError(
-            f"{len(discs)} measured sun discs, but at least {least} are needed to "
+            f"{len(discs)} measured sun discs, but at least {minimum} are needed to "
             "fit north, level and clock: capture clear hours with the sun in view"
         )
     place = sun.position(list(discs.t_utc), site)
@@ -96,7 +96,7 @@ def fit_pose(
     robust = least_squares(cost, start, loss="cauchy").x
     distance = np.linalg.norm(off(robust * prior), axis=1)
     gross = distance > _GROSS_SIGMAS * max(1.0, float(np.median(distance)))
-    if len(discs) - gross.sum() > LEAST_DISCS:
+    if len(discs) - gross.sum() > MIN_DISCS:
         keep = ~gross
     found = least_squares(cost, robust)
     left = off(found.x * prior)[keep]
