@@ -286,15 +286,12 @@ def _private_exif(path: Path) -> str | None:
         return None
     if not tags and path.suffix.lower() not in _JPEG:
         return None
-    found = ["a position"] if _is_place(tags.get(_GPS)) else []
+    gps = tags.get(_GPS)  # a directory, or a number: one that cannot be read
+    is_place = set(gps) - {_GPS_VERSION} if isinstance(gps, Mapping) else gps is not None
+    found = ["a position"] if is_place else []
     found += ["an owner's name"] if any(text_of(tags, tag) for tag in _OWNER) else []
     found += ["a serial number"] if any(text_of(tags, tag) for tag in _SERIAL) else []
     return f"{path.name} ({', '.join(found)})" if found else ""
-
-
-def _is_place(gps: Mapping[int, Any] | int | None) -> bool:
-    """Return whether a GPS directory (a number: one that cannot be read) may have a position."""
-    return bool(set(gps) - {_GPS_VERSION}) if isinstance(gps, Mapping) else gps is not None
 
 
 def _session_toml(session: Session, coarse_position: bool) -> str:

@@ -171,11 +171,13 @@ def looks_section(annual: Annual, pictures: Pictures, zone: str) -> Section:
     for k, kind in enumerate(pictures.kinds):
         if " view " not in kind:  # earlier versions have a clear day too
             continue
-        share, which, azimuth = _kind(kind)
+        share, _, which, _, facing = kind.split()  # p95 of worst view 180
+        names, azimuth = {"typical": "Typical hour", "p95": "95th percentile"}, float(facing)
         light = pictures.luminance_cdm2[k]
         columns = round((pictures.heading_deg - azimuth) / 360.0 * light.shape[1])
         turned.append(np.roll(light, columns, axis=1))
         when = annual.t_utc[pictures.rows[k]].astimezone(ZoneInfo(zone)).strftime("%d %b %H:%M")
+        share = names.get(share, "Highest glare")
         titles.append(f"{share}, {which} direction {named(azimuth)}, {when}")
         if kind.startswith("highest of worst"):
             rows.append((_fisheyes(annual, pictures, k, when),))
@@ -185,13 +187,6 @@ def looks_section(annual: Annual, pictures: Pictures, zone: str) -> Section:
         figure = Figure(png(picture_grid(turned, titles, 2, 6.0)[0]), alt, caption)
         rows.insert(0, (figure,))
     return Section("looks", "What it looks like", "", rows)
-
-
-def _kind(text: str) -> tuple[str, str, float]:
-    """Return the parts of ``p95 of worst view 180`` for a title."""
-    share, _, which, _, azimuth = text.split()
-    names = {"typical": "Typical hour", "p95": "95th percentile of glare"}
-    return names.get(share, "Highest glare"), which, float(azimuth)
 
 
 def _fisheyes(annual: Annual, pictures: Pictures, k: int, when: str) -> Figure:

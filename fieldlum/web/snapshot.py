@@ -383,7 +383,8 @@ class Snapshots:
     def state(self) -> JsonTable:
         """Return the present state: next slot, counts, newest picture, devices, events, checks."""
         with self._lock:
-            journal, slots, now, rehearsal, states, merged = self._present()
+            here = self._present()
+            journal, slots, now, rehearsal, states, merged = here
             ahead = [slot for slot in slots if states[slot.id] in ("to do", "running")]
             counts = list(states.values())
             sample = self._irradiance.latest(now)
@@ -397,7 +398,7 @@ class Snapshots:
                 "running": is_running(journal),
                 "counts": {word: counts.count(word) for word in dict.fromkeys(counts)},
                 "slots": len(slots),
-                "next": self._slot_row(ahead[0], states) if ahead else None,
+                "next": self._slot_row(ahead[0], here) if ahead else None,
                 "latest": self._latest(),
                 "devices": self._devices(journal),
                 "irradiance": sample and {"t_utc": utc_text(sample[0]), "ghi_wm2": sample[1]},
@@ -426,11 +427,11 @@ class Snapshots:
         The states are done, missed, aborted, made up (by another slot), running, to do.
         """
         with self._lock:
-            _, slots, _, _, states, merged = self._present()
+            here = self._present()
             days: dict[str, list[JsonTable]] = {}
-            for slot in slots:
-                row = self._slot_row(slot, states) | {"picture": slot.id in merged}
-                days.setdefault(self._local_day(slot.t_utc).isoformat(), []).append(row)
+            for slot in here.slots:
+                day = self._local_day(slot.t_utc).isoformat()
+                days.setdefault(day, []).append(self._slot_row(slot, here))
             return {"days": [{"date": day, "slots": rows} for day, rows in sorted(days.items())]}
 
     def day(self, day: date) -> JsonTable:
@@ -439,17 +440,13 @@ class Snapshots:
         The scale is one for all pictures of the day [cd/m2].
         """
         with self._lock:
-            journal, slots, _, _, states, merged = self._present()
-            today = [slot for slot in slots if self._local_day(slot.t_utc) == day]
-            rows = [
-                self._slot_row(slot, states)
-                | {
-                    "picture": slot.id in merged,
-                    "verdict": self._verdict(slot.id, journal.ledger.state(slot.id).why),
-                }
-                for slot in today
-            ]
-            paths = [self._session.panorama(slot.id) for slot in today if slot.id in merged]
+            here = self._present()
+            today = [slot for slot in here.slots if self._local_day(slot.t_utc) == day]
+            rows = [self._slot_row(slot, here) for slot in today]
+            for row in rows:
+                why = here.journal.ledger.state(row["slot"]).why
+                row["verdict"] = self._verdict(row["slot"], why)
+            paths = [self._session.panorama(row["slot"]) for row in rows if row["picture"]]
             return {
                 "date": day.isoformat(),
                 "slots": rows,
@@ -499,14 +496,15 @@ class Snapshots:
                 states[missed] = "made up"
         return states
 
-    def _slot_row(self, slot: Slot, states: dict[str, str]) -> JsonTable:
+    def _slot_row(self, slot: Slot, here: _Present) -> JsonTable:
         local = slot.t_utc.astimezone(self._zone)
         return {
             "slot": slot.id,
             "t_utc": utc_text(slot.t_utc),
             "local": f"{local:%H:%M}",
             "day": f"{local:%a %d %b %Y}",
-            "state": states[slot.id],
+            "state": here.states[slot.id],
+            "picture": slot.id in here.merged,
             "sun_altitude_deg": round(slot.sun_altitude_deg, 1),
             "sun_azimuth_deg": round(slot.sun_azimuth_deg, 1),
         }

@@ -46,10 +46,11 @@ class Occupancy:
             rows = [hour_of_year(t, timezone) for t in times_utc]
             return self.hourly[np.array(rows, int)] if rows else np.zeros(0, bool)
         local = [t.astimezone(ZoneInfo(timezone)) for t in times_utc]
-        return np.array([self._is_in_period(t.weekday(), t.time()) for t in local], bool)
-
-    def _is_in_period(self, day: int, at: time) -> bool:
-        return any(d == day and start <= at < end for d, start, end in self.periods)
+        used = [
+            any(day == t.weekday() and a <= t.time() < b for day, a, b in self.periods)
+            for t in local
+        ]
+        return np.array(used, bool)
 
 
 def default_occupancy() -> Occupancy:
