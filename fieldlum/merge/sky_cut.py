@@ -18,6 +18,7 @@ from fieldlum.optics.linear_light import sensor_pitch_deg
 from fieldlum.optics.profiles import CameraProfile
 from fieldlum.optics.projection import Equirect, equirect_rays, smallest_arc
 from fieldlum.sky.sky_view import LOWEST_ALTITUDE_DEG, SkyGrid, SkyPicture
+from fieldlum.sky.sun import OBLIQUITY_DEG, celestial_pole
 
 _TILE_DEG = 2  # divides 180; chosen
 # Pixels along a block of tiles: decides speed only. A block's matrices have 1 MB at most. Chosen.
@@ -25,9 +26,9 @@ _BLOCK_PX = 60
 # Finest pixel. The sun's disc has 22 such pixels; finer ones would need four times the space.
 # Chosen.
 _FINEST_DEG = 0.1
-# The sun's declination is within 23.44 degrees. Added to it: half the diagonal of a tile, and two
-# degrees for the level of the camera, refraction and the disc.
-_MAX_DECLINATION_DEG = 23.44 + _TILE_DEG / np.sqrt(2.0) + 2.0
+# Added to the sun's largest declination: half the diagonal of a tile, and two degrees for the level
+# of the camera, refraction and the disc.
+_MAX_DECLINATION_DEG = OBLIQUITY_DEG + _TILE_DEG / np.sqrt(2.0) + 2.0
 _HEADING_ERRORS_DEG = (-5.0, 0.0, 5.0)  # of a compass near steel (sky_view)
 # A tile is resampled if a part of it is brighter than this share of the picture's median luminance:
 # what a window shows is brighter than the room. Chosen.
@@ -137,8 +138,7 @@ def sun_tiles(heading_deg: float, latitude_deg: float) -> Mask:
     They are above -2 degrees of altitude. A heading may be wrong by 5 degrees.
     """
     rows = 180 // _TILE_DEG
-    latitude = np.radians(latitude_deg)
-    pole = np.array([0.0, np.cos(latitude), np.sin(latitude)])
+    pole = celestial_pole(latitude_deg)
     out = np.zeros((rows, 2 * rows), bool)
     for wrong in _HEADING_ERRORS_DEG:
         rays = equirect_rays(rows, 2 * rows, heading_deg + wrong)

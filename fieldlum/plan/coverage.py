@@ -19,7 +19,6 @@ NEAR_DEG = 10.0
 # Size of the cells in which direct and diffuse irradiance count as equal. Chosen, not measured.
 DNI_CELL_WM2 = 100.0
 DHI_CELL_WM2 = 50.0
-OBLIQUITY_DEG = 23.44  # of the ecliptic, in this century (IAU)
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +49,7 @@ def band_directions(site: Site, declinations: int = 41) -> Floats:
     the horizon. declinations: how many of them; nine times as many hour angles.
     """
     sine = (2 * (np.arange(declinations) + 0.5) / declinations - 1) * np.sin(
-        np.radians(OBLIQUITY_DEG)
+        np.radians(sun.OBLIQUITY_DEG)
     )
     turn = np.linspace(0, 2 * np.pi, 9 * declinations, endpoint=False)
     south, hour = (grid.ravel() for grid in np.meshgrid(sine, turn))

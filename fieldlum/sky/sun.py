@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 # 2 pi (1 - cos 0.2665 deg): the mean disc, as in Radiance's gendaylit.
 SUN_SOLID_ANGLE_SR = 6.797e-5
+OBLIQUITY_DEG = 23.44  # of the ecliptic in this century (IAU): the sun's largest declination
 # Conditions of the standard atmosphere, hPa and deg C; 20 degrees or 2 km more change refraction by
 # 7 % and 22 %, a hundredth of a degree with the sun at 10 degrees.
 _STANDARD_PRESSURE_HPA, _STANDARD_TEMPERATURE_C = 1013.25, 12.0
@@ -434,3 +435,9 @@ def closure_ratio(
     beam = np.asarray(dni_wm2, float) * np.maximum(np.sin(np.radians(altitude_deg)), 0.0)
     total = np.asarray(dhi_wm2, float) + beam
     return np.divide(ghi_wm2, total, out=np.full(total.shape, np.nan), where=total > 50.0)
+
+
+def celestial_pole(latitude_deg: float) -> Floats:
+    """Return the unit vector to the north celestial pole, [3] (x east, y north, z up)."""
+    latitude = np.radians(latitude_deg)
+    return np.array([0.0, np.cos(latitude), np.sin(latitude)])

@@ -24,7 +24,8 @@ from fieldlum.sky.sky_view.pose import CameraPose, pose_of_discs
 from fieldlum.sky.sky_view.ratio import BEAM_LX, SOME, follow, sky_reference, unmixed
 from fieldlum.sky.sky_view.sky_heading import MIN_U_DEG, heading_by_sky
 from fieldlum.sky.sky_view.view import SkyView
-from fieldlum.sky.sun import SUN_SOLID_ANGLE_SR
+from fieldlum.sky.sun import OBLIQUITY_DEG, SUN_SOLID_ANGLE_SR, celestial_pole
+from fieldlum.sky.sun_disc import SUN_RADIUS_RAD
 
 # Sunlight inside a room also follows the sky a little: interior surfaces reach 1.2 % of the sky's
 # luminance in the rooms of docs/sky-view.md. Less counts as shut, and as no disc.
@@ -46,8 +47,6 @@ _PANE_SHARE, _SCATTER_SHARE, _BRIGHT_SHARE = 0.05, 0.15, 0.3
 _FORWARD_SCATTER = 0.6
 MIN_CAPTURES = 6  # fewer do not separate the sky from other light; chosen
 _MAX_VALUES = 60_000_000  # captures times directions in memory: 240 MB; chosen
-_TROPIC_DEG = 23.44  # the sun's largest declination
-_DISC_DEG = 0.2665  # radius of the sun's disc
 
 
 @dataclass(frozen=True, slots=True)
@@ -234,11 +233,9 @@ def _sun_can_stand(rays: Floats, latitude_deg: float | None, pose: CameraPose) -
     """
     if latitude_deg is None:
         return np.ones(len(rays), bool)
-    latitude = np.radians(latitude_deg)
-    pole = np.array([0.0, np.cos(latitude), np.sin(latitude)])
-    declination = np.arcsin(np.clip(rays @ pole, -1.0, 1.0))
+    declination = np.arcsin(np.clip(rays @ celestial_pole(latitude_deg), -1.0, 1.0))
     margin_deg = 1.5 + 2.0 * pose.heading_sd_deg  # half a degree, and two of the level
-    return np.abs(declination) < np.radians(_TROPIC_DEG + margin_deg)
+    return np.abs(declination) < np.radians(OBLIQUITY_DEG + margin_deg)
 
 
 def _turned(stack: _Stack, view: SkyView) -> CameraPose:
@@ -359,7 +356,7 @@ def _correct(
     suns [n, 3]; measured [n]: share of the beam.
     """
     rays, wrong = view.grid.rays(), []
-    disc_deg = _DISC_DEG + 0.5 * view.grid.step_deg
+    disc_deg = np.degrees(SUN_RADIUS_RAD) + 0.5 * view.grid.step_deg
     for k, (sun, share) in enumerate(zip(suns, measured, strict=True)):
         off_deg = np.degrees(np.arccos(np.clip(rays @ sun, -1.0, 1.0)))
         near, at = off_deg <= disc_deg + view.pose.heading_sd_deg, off_deg <= disc_deg

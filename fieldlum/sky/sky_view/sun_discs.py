@@ -132,7 +132,6 @@ def sun_earlier(sun_direction: ArrayLike, minutes: float, latitude_deg: float) -
     """
     from scipy.spatial.transform import Rotation
 
-    latitude = np.radians(latitude_deg)
-    pole = np.array([0.0, np.cos(latitude), np.sin(latitude)])  # counter-clockwise about it
-    turn = Rotation.from_rotvec(np.radians(_SKY_TURN_DEG_PER_MIN * minutes) * pole)
+    angle = np.radians(_SKY_TURN_DEG_PER_MIN * minutes)  # counter-clockwise about the pole
+    turn = Rotation.from_rotvec(angle * sun.celestial_pole(latitude_deg))
     return turn.apply(np.asarray(sun_direction, float))
