@@ -180,11 +180,10 @@ class Pyranometer(Device):
 
 @dataclass(frozen=True, slots=True)
 class IlluminanceReading:
-    """One reading of an illuminance meter; `raw` is the answer as received, less its line end."""
+    """One reading of an illuminance meter."""
 
     illuminance_lx: float
     low_battery: bool = False
-    raw: str = ""
 
 
 class IlluminanceMeter(Device):

@@ -101,7 +101,7 @@ def parse_answer(reply: bytes) -> IlluminanceReading:
         found = f"{illuminance_lx:g} lx with chromaticity x {x:g}, y {y:g}"
         expected = "expected 0 to 200000 lx and x, y from 0 to 1"
         raise DeviceError(f"CL-200A: {found}; {expected}; read it again in less light")
-    return IlluminanceReading(illuminance_lx, match[6] == "1", reply.decode("ascii").strip())
+    return IlluminanceReading(illuminance_lx, match[6] == "1")
 
 
 class Cl200a(IlluminanceMeter):
