@@ -1,4 +1,4 @@
-"""How well a fitted room is known, from the search to the prediction of a year."""
+"""A fitted room, from its file to the prediction of a year."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ from fieldlum.learn.models.baselines import fit_mean
 from fieldlum.learn.models.data import Dataset
 from fieldlum.room.fit.apply import in_scene
 from fieldlum.room.fit.scene_file import Scene, read_scene, write_scene
-from fieldlum.room.scene.room_parameters import room_parameters
 from fieldlum.year.predict.blocks import room_of
 
 ROOM = Room(
@@ -35,14 +34,9 @@ SETUP = SiteFile(SEATTLE, CameraSetup(heading_deg=180.0), ROOM)
 DAYS = ("2027-03-20", "2027-06-21", "2027-12-21")
 
 
-def _draws(room: Room, camera_x_m: tuple[float, ...]) -> dict[str, tuple[float, ...]]:
-    rows = [room_parameters(replace(room, camera_x_m=x)) for x in camera_x_m]
-    return {name: tuple(row[name] for row in rows) for name in rows[0]}
-
-
-def _scene(room: Room, draws: dict[str, tuple[float, ...]]) -> Scene:
+def _scene(room: Room) -> Scene:
     turned = replace(room, camera_x_m=2.5)
-    return Scene(1.0, 0.0, turned, "fitted", "tested", 180.0, room, room_draws=draws)
+    return Scene(1.0, 0.0, turned, "fitted", "tested", 180.0, room)
 
 
 def _captures(room: Room) -> Dataset:
@@ -53,9 +47,9 @@ def _captures(room: Room) -> Dataset:
 @pytest.mark.contract
 def test_the_fitted_room_reaches_the_prediction(tmp_path: Path) -> None:
     room = replace(ROOM, wall_azimuth_deg=180.0)
-    scene = _scene(room, _draws(room, (2.4, 2.5, 2.6)))
+    scene = _scene(room)
     write_scene(tmp_path / "scene", scene)
-    assert read_scene(tmp_path / "scene").room_draws == scene.room_draws
+    assert read_scene(tmp_path / "scene") == scene
     captures = _captures(room)
     data, patch = in_scene(captures, tmp_path / "pairs.csv", "", "absolute")
     assert patch == "absolute" and data.setup.room == scene.room
@@ -76,7 +70,7 @@ def test_bench_takes_a_scene_for_its_test_hours_too(tmp_path: Path) -> None:
     more = ["--models", "mean", "--render", "0", "--out", str(tmp_path / "out")]
     ran = CliRunner().invoke(main, [*asked, *more, "--scene", str(tmp_path)])
     assert ran.exit_code == 3 and "scene fit" in ran.output
-    scene = _scene(ROOM, {})
+    scene = _scene(ROOM)
     write_scene(tmp_path / "train" / "scene", scene)  # of another [room] than site.toml states
     ran = CliRunner().invoke(main, [*asked, *more])
     assert ran.exit_code == 3 and "another [room]" in ran.output, ran.output
@@ -89,7 +83,7 @@ def test_the_python_api_uses_the_scene_as_train_does(tmp_path: Path) -> None:
     write_pairs(tmp_path, dataset(DAYS[:2]))
     pairs = tmp_path / "pairs.csv"
     assert fieldlum.load_pairs(pairs).scene is None
-    write_scene(tmp_path / "scene", _scene(ROOM, {}))  # of another [room] than site.toml states
+    write_scene(tmp_path / "scene", _scene(ROOM))  # of another [room] than site.toml states
     with pytest.raises(InputError, match=r"another \[room\]"):
         fieldlum.load_pairs(pairs)
     assert fieldlum.load_pairs(pairs, scene="none").scene is None

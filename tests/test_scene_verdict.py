@@ -1,7 +1,8 @@
-"""Which geometry the learning uses: sun directions left out together, and the choice."""
+"""Which geometry the learning uses, and how much its sun patches count."""
 
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,10 +10,10 @@ from numpy.typing import NDArray
 
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.records import CameraSetup, Room, Site, SiteFile, Window, slot_id
-from fieldlum.learn.models import Patch
+from fieldlum.learn.models import Prediction, load, save
 from fieldlum.learn.models.data import Dataset
-from fieldlum.learn.models.scores import light_of_year
-from fieldlum.learn.transport import Transport, fit
+from fieldlum.learn.models.scores import YearExpectation, light_of_year
+from fieldlum.learn.transport import MAX_SHARE, MeanTransport, fit
 from fieldlum.room import scene
 from fieldlum.room.fit import stage
 from fieldlum.room.fit.apply import with_patches
@@ -21,15 +22,7 @@ from fieldlum.room.fit.fit import Misfits, SceneFit
 from fieldlum.room.fit.guess import guess_of
 from fieldlum.room.fit.parameters import stated_albedo
 from fieldlum.room.fit.sunny import direct_on_windows_lx, sunny_hours
-from fieldlum.room.fit.verdict import (
-    GeometryCandidate,
-    GeometryScore,
-    SceneVerdict,
-    choose_geometry,
-    judge,
-    outside_hours,
-    sun_blocks,
-)
+from fieldlum.room.fit.verdict import choose_geometry, expected_year, sun_blocks
 from fieldlum.sky import sun
 from fieldlum.sky.light import Light, light_at
 
@@ -86,10 +79,6 @@ def _captures(days: tuple[tuple[int, int], ...], clear: bool = True) -> Dataset:
     )
 
 
-def _fit(data: Dataset, mode: Patch) -> Transport:
-    return fit(data, patch=mode)
-
-
 CAPTURES = _captures(((3, 19), (3, 20), (3, 21), (12, 20), (12, 21)))
 
 
@@ -98,16 +87,6 @@ def test_suns_of_neighbouring_days_are_one_block() -> None:
     suns = CAPTURES.light.sun_direction
     blocks = sun_blocks(suns[:24])  # three days at the equinox, eight hours each
     assert (blocks[:8] == blocks[8:16]).all() and len(np.unique(blocks)) == 8
-
-
-@pytest.mark.property
-def test_no_sunny_hour_outside_the_search_has_a_neighbour_inside() -> None:
-    outside = outside_hours(CAPTURES, ROOM)
-    sunny = np.flatnonzero(sunny_hours(CAPTURES, ROOM))
-    blocks = sun_blocks(CAPTURES.light.sun_direction[sunny])
-    for block in np.unique(blocks):
-        assert len(np.unique(outside[sunny[blocks == block]])) == 1
-    assert 0.1 < outside[sunny].mean() < 0.6
 
 
 def _under(dni_wm2: np.ndarray) -> Dataset:
@@ -151,22 +130,45 @@ def _with_patches_of(data: Dataset, room: Room) -> Dataset:
     return with_patches(replace(data, setup=setup))
 
 
+def _mean(data: Dataset) -> MeanTransport:
+    model = fit(data)
+    assert isinstance(model, MeanTransport)
+    return model
+
+
 @pytest.mark.slow
 @pytest.mark.analytic
-def test_true_patches_are_chosen_and_a_wrong_window_is_not() -> None:
-    wrong = _with_patches_of(CAPTURES, SHIFTED)
-    verdict = judge(
-        [
-            GeometryCandidate("stated", wrong, 0.3),
-            GeometryCandidate("fitted", CAPTURES, 0.01),
-        ],
-        _fit,
-    )
-    expected = {s.name: s.expected_log10_mse for s in verdict.scores}
-    assert verdict.chosen == "fitted"
-    assert verdict.expected_log10_mse == expected["fitted"] < expected["stated"]
+def test_a_wrong_window_has_a_small_share_and_a_larger_expected_error() -> None:
+    """A model that has true patches counts them, up to the share that is left to other suns."""
+    about = {"chosen": "fitted"}
+    right = replace(CAPTURES, scene=about)
+    wrong = replace(_with_patches_of(CAPTURES, SHIFTED), scene=about)
+    shares = [_mean(data).share for data in (right, wrong)]
+    assert shares[0] == MAX_SHARE > shares[1]
+    years = [expected_year(data) for data in (right, wrong)]
+    assert years[0].expected_log10_mse < years[1].expected_log10_mse
     # five days of two seasons: the suns of other seasons are far from all captures
-    assert not verdict.trusted and verdict.trusted_share < 0.5
+    assert years[0].trusted_share < 0.5
+
+
+@pytest.mark.property
+def test_the_mean_of_two_models_is_no_worse_than_their_mean(tmp_path: Path) -> None:
+    data = replace(_with_patches_of(CAPTURES, SHIFTED), scene={"chosen": "fitted"})
+    some = CAPTURES.take(np.arange(3, 40, 7))
+    patches = _with_patches_of(some, SHIFTED).patch_cdm2
+    mean = _mean(data)
+    save(tmp_path, mean, data)
+    back = load(tmp_path)
+    assert isinstance(back, MeanTransport) and back.share == mean.share
+
+    def error(made: Prediction) -> float:
+        return float((np.log(made.luminance_cdm2 / some.luminance_cdm2) ** 2).mean())
+
+    one, other = mean.patched.predict(some.light, patches), mean.plain.predict(some.light)
+    both = back.predict(some.light, patches)
+    bound = mean.share * error(one) + (1.0 - mean.share) * error(other)
+    assert error(both) <= bound
+    assert (both.expected_mse <= np.maximum(one.expected_mse, other.expected_mse)).all()
 
 
 @pytest.mark.analytic
@@ -182,75 +184,47 @@ def test_the_year_has_the_captures_skies() -> None:
 
 
 @pytest.mark.property
-def test_misfits_choose_the_geometry_and_errors_whether_it_is_used() -> None:
-    box = [GeometryScore("none", 5e-3, 0.10), GeometryScore("stated", 3e-3, 0.20)]
-    assert choose_geometry(box).chosen == "stated"  # the model weighs misplaced patches
-    assert choose_geometry([*box, GeometryScore("fitted", 4e-3, 0.04)]).chosen == "fitted"
-    assert choose_geometry([*box, GeometryScore("fitted", 2e-3, 0.19)]).chosen == "stated"
-    assert choose_geometry([*box, GeometryScore("fitted", 4e-3, 0.16)]).chosen == "stated"
-    assert choose_geometry([*box, GeometryScore("fitted", 3e-3, 0.16)]).chosen == "fitted"
-    worse = [GeometryScore("none", 5e-3, 0.10), GeometryScore("stated", 6e-3, 0.20)]
-    assert choose_geometry(worse).chosen == "none"
-    assert choose_geometry([*worse, GeometryScore("fitted", 6e-3, 0.05)]).chosen == "fitted"
+def test_the_smallest_misfit_chooses_the_geometry() -> None:
+    for chosen in ("none", "stated", "fitted"):
+        misfit = {"none": 0.2, "stated": 0.2, "fitted": 0.2, chosen: 0.05}
+        assert choose_geometry(misfit)[0] == chosen
 
 
 @pytest.mark.property
 def test_a_scene_that_explains_little_says_so() -> None:
-    scores = [GeometryScore("none", 3e-3, 0.05), GeometryScore("fitted", 2e-3, 0.03)]
-    verdict = choose_geometry(scores)
-    assert verdict.chosen == "fitted" and verdict.trusted
-    assert "leave 60 %" in verdict.reason
-
-
-@pytest.mark.property
-def test_a_model_that_trusts_few_hours_is_not_trusted() -> None:
-    scores = [GeometryScore("none", 3e-2, 0.05, 0.1), GeometryScore("fitted", 2e-2, 0.01, 0.4)]
-    verdict = choose_geometry(scores)
-    assert verdict.chosen == "fitted" and not verdict.trusted
-    assert verdict.trusted_share == 0.4 and "40 % of a year" in verdict.reason
-
-
-@pytest.mark.property
-def test_a_richer_geometry_must_be_clearly_better() -> None:
-    scores = [
-        GeometryScore("none", 5.0e-3, 0.1),
-        GeometryScore("stated", 4.8e-3, 0.1),
-    ]
-    assert choose_geometry(scores).chosen == "none"
-
-
-@pytest.mark.contract
-def test_overcast_captures_say_what_is_missing() -> None:
-    overcast = _captures(((3, 20),), clear=False)
-    with pytest.raises(NotEnoughDataError, match="capture clear hours"):
-        judge([GeometryCandidate("none", overcast)], _fit)
+    chosen, reason = choose_geometry({"none": 0.05, "stated": 0.06, "fitted": 0.03})
+    assert chosen == "fitted" and "leave 60 %" in reason
 
 
 def _fit_of(captures: Dataset) -> SceneFit:
-    """A fit whose kept-out misfits speak for the fitted scene, which is the true room."""
-    hours = np.arange(6)
+    """A fit whose misfits speak for the fitted scene, which is the true room."""
+    hours = np.arange(20)
     misfits = Misfits(0.2 + 0.01 * hours, 0.1 + 0.01 * hours, 0.01 * hours)
     heading_deg = captures.heading_deg
     albedo = stated_albedo(ROOM)
-    return SceneFit(SHIFTED, heading_deg, guess_of(ROOM), ROOM, albedo, {}, {}, {}, misfits, 6, ())
+    return SceneFit(SHIFTED, heading_deg, guess_of(ROOM), ROOM, albedo, {}, {}, {}, misfits, 20, ())
+
+
+STATED = replace(CAPTURES, patch_cdm2=None, setup=replace(CAPTURES.setup, room=SHIFTED))
 
 
 @pytest.mark.property
-@pytest.mark.parametrize("chosen", ["none", "stated", "fitted"])
-def test_the_verdict_reaches_the_scene(chosen: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    verdict = SceneVerdict(chosen, 3e-3, chosen == "fitted", f"{chosen}: least error", (), 0.9)
-    monkeypatch.setattr(stage, "judge_fit", lambda *_args, **_more: verdict)
-    scene_ = stage.judged_scene(CAPTURES, _fit_of(CAPTURES))
-    assert scene_.chosen == chosen and scene_.trusted == (chosen == "fitted")
-    assert scene_.expected_log10_mse == 3e-3 and scene_.trusted_share == 0.9
-    assert scene_.verdict == f"{chosen}: least error"
+@pytest.mark.parametrize("share", [0.9, 0.4])
+def test_what_the_model_expects_reaches_the_scene(
+    share: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    year = YearExpectation(3e-3, share, 150)
+    monkeypatch.setattr(stage, "expected_year", lambda *_args, **_more: year)
+    found = stage.judged_scene(STATED, _fit_of(STATED))
+    assert found.chosen == "fitted" and found.trusted == (share > 0.5)
+    assert found.expected_log10_mse == 3e-3 and found.trusted_share == share
+    assert f"{100 * share:.0f} % of a year" in found.verdict
 
 
 @pytest.mark.property
 def test_too_few_directions_of_the_sun_are_not_trusted() -> None:
-    one = CAPTURES.take([3, 11, 19])  # the same hour of three days
-    stated = replace(one, patch_cdm2=None, setup=replace(one.setup, room=SHIFTED))
-    scene_ = stage.judged_scene(stated, _fit_of(CAPTURES))
+    one = STATED.take([3, 11, 19])  # the same hour of three days
+    scene_ = stage.judged_scene(one, _fit_of(CAPTURES))
     assert scene_.chosen == "fitted" and not scene_.trusted
     assert scene_.expected_log10_mse is None
     assert any("directions" in note for note in scene_.notes)
@@ -258,14 +232,8 @@ def test_too_few_directions_of_the_sun_are_not_trusted() -> None:
 
 @pytest.mark.property
 def test_a_choice_by_few_clear_hours_is_not_trusted(monkeypatch: pytest.MonkeyPatch) -> None:
-    verdict = SceneVerdict("fitted", 3e-3, True, "fitted: least error", ())
-    monkeypatch.setattr(stage, "judge_fit", lambda *_args, **_more: verdict)
-    many = _fit_of(CAPTURES)
-    m = many.misfits
-    few = replace(many, hours=15, misfits=Misfits(m.none[:5], m.stated[:5], m.fitted[:5]))
-    scene_ = stage.judged_scene(CAPTURES, few)
+    year = YearExpectation(3e-3, 0.9, 150)
+    monkeypatch.setattr(stage, "expected_year", lambda *_args, **_more: year)
+    scene_ = stage.judged_scene(STATED, replace(_fit_of(STATED), hours=15))
     assert scene_.chosen == "fitted" and not scene_.trusted
-    assert any("until there are 18 clear hours in all" in note for note in scene_.notes)
-    # Five held out of twenty-five: six of them need thirty.
-    more = stage.judged_scene(CAPTURES, replace(few, hours=25))
-    assert any("until there are 30 clear hours in all" in note for note in more.notes)
+    assert any("until there are 18" in note for note in scene_.notes)

@@ -46,7 +46,7 @@ from fieldlum.learn.train.trials import (
     is_clearly_worse,
     one_day_only,
 )
-from fieldlum.learn.transport import Transport
+from fieldlum.learn.transport import MeanTransport, Transport
 from fieldlum.room.fit.setting import Setting, scan, settle, with_right_clock
 from fieldlum.session import check_writable, sha256
 from fieldlum.session.files.scores_json import ScoreRow, ScoresFile, TrainAnswer
@@ -347,7 +347,7 @@ def _model_sha256(folder: Path) -> str:
 
 def seen_skies(fitted: Fitted) -> list[str]:
     """Return one note if the model learnt each capture under the sky in its windows."""
-    field = fitted.sky_field if isinstance(fitted, Transport) else None
+    field = fitted.sky_field if isinstance(fitted, Transport | MeanTransport) else None
     if field is None:
         return []
     return [

@@ -104,7 +104,6 @@ def with_scene(
         return replace(data, patch_cdm2=None, scene=about)
     if scene.chosen == "stated":
         return with_patches(replace(data, scene=about), progress=progress)
-    about["room_draws"] = {name: list(v) for name, v in scene.room_draws.items()}
     turned = corrected(data, scene.north_deg, scene.clock_min, scene.room)
     return with_patches(replace(turned, scene=about), progress=progress)
 

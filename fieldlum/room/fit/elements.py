@@ -43,15 +43,14 @@ class Kind:
     """A kind of element.
 
     propose: returns guesses with one element more; parameters: of the element that was added last;
-    gain: share by which it must lower the cost; most: of them in a scene; apart_m: distance from
-    which two proposals are different.
+    gain: share by which it must lower the cost; apart_m: distance from which two proposals are
+    different.
     """
 
     name: str
     propose: Callable[[Guess], Iterator[Guess]]
     parameters: Callable[[Guess], list[Parameter]]
     gain: float
-    most: int
     apart_m: float
 
     def best(self, proposals: list[Guess], costs: Floats, count: int) -> list[Guess]:
@@ -185,7 +184,7 @@ def _of_last_solid(guess: Guess) -> list[Parameter]:
 
 # Gains are chosen, not varied. A bar shades few pixels; a solid that only explains noise gains
 # less; a wrong facade moves north, clock and edges.
-SHADES = Kind("shade outside", _shades, _of_last_solid, 0.02, 2, 0.0)
-BARS = Kind("bars", _barred, lambda guess: bar_parameters(len(guess.bars) - 1), 0.002, 6, 0.15)
-FURNITURE = Kind("furniture", _furnished, _of_last_solid, 0.01, 8, 0.45)
+SHADES = Kind("shade outside", _shades, _of_last_solid, 0.02, 0.3)
+BARS = Kind("bars", _barred, lambda guess: bar_parameters(len(guess.bars) - 1), 0.002, 0.15)
+FURNITURE = Kind("furniture", _furnished, _of_last_solid, 0.01, 0.45)
 KINDS = (SHADES, BARS, FURNITURE)

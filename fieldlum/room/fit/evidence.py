@@ -38,13 +38,16 @@ PIXELS = 4000
 # Of the searches before the last one. With a third of 1 000 pixels they fitted the pixels: from the
 # truth, the misfit of the others rose (docs/scene.md).
 COARSE_PIXELS = 1000
-SUB = 2  # rays into which a pixel is divided, in each direction
+RAY_ROWS = 58  # rows of rays, at least; chosen: 3.1 degrees apart, as in the outside rooms
 # Log error at which a pixel counts as half wrong: patches differ from the room by a factor of 3 to
 # 20. With a narrow width (0.4) a lost patch costs as much as glare on a glossy floor: in a room by
 # Radiance and one by Mitsuba exact patches then left half of the misfit of no patch, with 1.5 a
 # tenth (docs/validation.md, rooms of other renderers).
 WIDTH = 1.5
-_WALLS_FACTOR = 2.0  # between the albedos of walls; chosen
+# Albedos that are tried, and the cost of one that is a factor of e off its start: less than a
+# pixel in a thousand that is wrong. Chosen.
+ALBEDOS, ALBEDO_COST = np.geomspace(0.03, 0.95, 37), 5e-4
+WALLS_FACTOR = 2.0  # chosen
 # pixels nearer to a window are omitted, because they may look through it; chosen
 _WINDOW_MARGIN_DEG = 4.0
 _CLOCK_REACH_MIN = 20  # chosen: four times the prior's 5 minutes
@@ -73,7 +76,7 @@ class SceneEvidence:
     rows: NDArray[np.intp]
     pixels: NDArray[np.intp]
     shape: tuple[int, int]
-    sub: int = SUB
+    sub: int
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -82,6 +85,11 @@ class SceneEvidence:
     def spread(self) -> float:
         """The angle between neighbouring rays [rad]."""
         return np.pi / self.shape[0] / self.sub
+
+    def with_rays(self, data: Dataset, sub: int) -> SceneEvidence:
+        """Return the evidence of data with sub x sub rays in each pixel."""
+        rays, pixel = _rays_of(data, self.pixels, sub)
+        return replace(self, rays=rays, pixel=pixel, sub=sub)
 
     def hours(self, index: NDArray) -> SceneEvidence:
         """Return the evidence of the hours with the indices `index` [k]."""
@@ -129,7 +137,7 @@ class SceneEvidence:
         """Return pixels' irradiance per lx of normal sun [n, m], and where their rays end."""
         ends = surfaces(guess, self.rays, self.spread)
         suns = self.suns_room(guess)
-        return unit_patches(guess, ends, suns, self.pixel, len(self.pixels), self.sub), ends
+        return unit_patches(guess, ends, suns, self.pixel, self.sub), ends
 
     def patches(self, guess: Guess, albedo: Array) -> Array:
         """Return the luminance of the guess's sun patches, cd/m2 [n, m].
@@ -137,10 +145,9 @@ class SceneEvidence:
         albedo: of west, east, south and north wall, floor, ceiling and solids [6 + solids].
         """
         ends = surfaces(guess, self.rays, self.spread)
-        tone = albedo[ends.surface]
-        suns, count = self.suns_room(guess), len(self.pixels)
-        shine = unit_patches(guess, ends, suns, self.pixel, count, self.sub, tone)
-        return self.direct_lx[:, None] * shine / np.pi
+        tone, suns = albedo[ends.surface], self.suns_room(guess)
+        shine = unit_patches(guess, ends, suns, self.pixel, self.sub, tone)
+        return (self.direct_lx[:, None] / np.pi).astype(np.float32) * shine
 
     def relit(self, data: Dataset, patch: Array) -> SceneEvidence:
         """Return the evidence with `below`, the light without direct sun, estimated again.
@@ -153,14 +160,12 @@ class SceneEvidence:
         direct[self.rows] = patch
         below = LightBelow(data)(seen, direct)[self.rows]
         level = levelled(below, seen[self.rows], patch, self.directions, self.weights)
-        return replace(self, below=np.maximum(level, LEAST_CDM2))
+        return replace(self, below=np.maximum(level, LEAST_CDM2).astype(np.float32))
 
     @property
     def directions(self) -> Array:
         """The mean direction of each pixel's rays, unit vectors [m, 3]: x east, y north, z up."""
-        total = np.stack(
-            [np.bincount(self.pixel, self.rays[:, k], len(self.pixels)) for k in range(3)], axis=1
-        )
+        total = np.stack([np.bincount(self.pixel, self.rays[:, k]) for k in range(3)], axis=1)
         return total / np.linalg.norm(total, axis=1, keepdims=True)
 
     def misfit(self, patch: Array) -> Array:
@@ -171,30 +176,35 @@ class SceneEvidence:
         return _saturated(np.log(self.below + patch) - self.log_seen) @ self.weights
 
     def albedos(self, guess: Guess, start: Array) -> Array:
-        """Return the albedo of each surface that explains its sun patches, [6 + solids].
+        """Return the albedo of each surface with which its sun patches fit best, [6 + solids].
 
         Surfaces are west, east, south and north wall, floor, ceiling and the guess's solids. Each
-        value is the median over hours and pixels where a patch is bright, clipped to 0.02 ... 0.95.
-        With fewer than 30 of these it is that of `start` [6 or more], or the solid's own where
-        `start` is shorter. A wall over a factor of two from the walls' median gets the median:
-        misplaced patches make walls look black.
+        value has the smallest misfit of those from 0.03 to 0.95, which are 10 % apart, plus the
+        cost of its departure from `start` [6 or more], or from the solid's own where `start` is
+        shorter. Walls are within a factor of two of their median: misplaced patches would make
+        them black.
         """
         unit, ends = self.unit(guess)
-        first = np.full(len(self.pixels), -1)
-        first[self.pixel] = ends.surface  # use the last ray of each pixel, because edges are rare
-        full = self.direct_lx[:, None] * unit / np.pi
-        excess = np.exp(self.log_seen) - self.below
+        full = self.direct_lx[:, None].astype(np.float32) * unit / np.float32(np.pi)
         albedo = np.resize(start, SHELL + len(guess.solids)).astype(float)
         albedo[len(start) :] = [solid.albedo for solid in guess.solids[len(start) - SHELL :]]
-        whole = unit > 0.8 * unit.max(axis=1, keepdims=True)
-        for surface in range(len(albedo)):
-            on = first[None, :] == surface
-            use = on & whole & (albedo[surface] * full > 0.2 * self.below)
-            if use.sum() >= 30:
-                albedo[surface] = float(np.clip(np.median(excess[use] / full[use]), 0.02, 0.95))
+        hour, pixel = np.nonzero(full)
+        first = np.full(len(self.pixels), -1)
+        first[self.pixel] = ends.surface  # use the last ray of each pixel, because edges are rare
+        surface, shine = first[pixel], full[hour, pixel]
+        below, seen = self.below[hour, pixel], self.log_seen[hour, pixel]
+        weights = self.weights[pixel] / len(self)
+        for k in range(len(albedo)):
+            on = surface == k
+            light, dark, target, weight = shine[on], below[on], seen[on], weights[on]
+            costs = [
+                float(_saturated(np.log(dark + a * light) - target) @ weight)
+                + ALBEDO_COST * np.log(a / albedo[k]) ** 2
+                for a in ALBEDOS
+            ]
+            albedo[k] = ALBEDOS[int(np.argmin(costs))]
         usual = float(np.median(albedo[:FLOOR]))
-        off = np.abs(np.log(albedo[:FLOOR] / usual)) > np.log(_WALLS_FACTOR)
-        albedo[:FLOOR][off] = usual
+        albedo[:FLOOR] = albedo[:FLOOR].clip(usual / WALLS_FACTOR, usual * WALLS_FACTOR)
         return albedo
 
 
@@ -238,13 +248,14 @@ def gather(
             f"uses the stated [room] or no sun patch, and states why"
         )
     chosen, weights = _draw_pixels(data, guess, rows, pixels)
-    rays, pixel = _rays_of(data, chosen, SUB)
+    sub = max(1, round(RAY_ROWS / data.shape[0]))
+    rays, pixel = _rays_of(data, chosen, sub)
     seen = np.maximum(data.luminance_cdm2.reshape(len(data), -1)[:, chosen], LEAST_CDM2)
     evidence = SceneEvidence(
         np.log(seen[rows]),
         seen[rows],
         data.light.direct_lx[rows],
-        weights / weights.sum(),
+        (weights / weights.sum()).astype(np.float32),
         rays,
         pixel,
         data.days[rows],
@@ -252,6 +263,7 @@ def gather(
         rows,
         chosen,
         data.shape,
+        sub,
     )
     return evidence.relit(data, np.zeros_like(evidence.below))
 

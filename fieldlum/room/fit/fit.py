@@ -1,8 +1,7 @@
 """Fit a scene to captures: from the stated box to north, clock, edges, bars and furniture.
 
-About a third of the sunny hours is held out of the search, as blocks of sun directions. An element
-remains only if these hours agree. The reported misfits (no patch, stated box, fitted scene) are
-those of the held-out hours.
+Numbers are searched by damped least squares. Elements are added one by one: the proposal that
+lowers the misfit of all sunny hours most, if its gain exceeds its standard error over the hours.
 """
 
 from __future__ import annotations
@@ -12,7 +11,6 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from fieldlum.core.arrays import Floats, Indices
@@ -32,10 +30,8 @@ from fieldlum.room.fit.parameters import (
 )
 from fieldlum.room.fit.renderer import SHELL
 from fieldlum.room.fit.scene_file import Chosen, Scene
-from fieldlum.room.fit.search import LEVELS, SceneCost, covariance, moved, prior_unit, search
-from fieldlum.room.fit.verdict import OUTSIDE_EVERY, outside_hours
+from fieldlum.room.fit.search import LEVELS, SceneCost, covariance, prior_unit, search
 from fieldlum.room.fit.window_view import window_view
-from fieldlum.room.scene.room_parameters import room_parameters as uncertain_numbers
 
 if TYPE_CHECKING:
     from fieldlum.learn.models.data import Dataset
@@ -48,22 +44,17 @@ OPEN_WALL_DEG = 0.5  # chosen: a window's edge 3 m from the camera is 3 cm off
 # Clocks from which searches start if their uncertainty is over a minute: slightly beyond the
 # prior's 5 minutes; chosen.
 START_CLOCKS_MIN, OPEN_CLOCK_MIN = (-6.0, 0.0, 6.0), 1.0
-# Pixels at which proposals of a kind are ranked; proposals that are searched, and those of them
-# that held-out hours are asked about; chosen, for time.
-_RANKED_PIXELS, _SEARCHED, _TRIALS = 300, 5, 2
-# Share by which an element must lower the cost of held-out hours: it exceeds rounding. The sun may
-# light an object in no held-out hour: with `UNSEEN_GAIN` in the others these need only not
-# contradict. Chosen.
-KEPT_OUT_GAIN, UNSEEN_GAIN = 0.001, 0.02
+# Rounds of proposals, and proposals of a kind that are searched in each; chosen, for time.
+MAX_ROUNDS, _SEARCHED = 4, 6
+SURE = 1.0  # standard errors over hours by which an element lowers the cost; chosen
 # In four rooms of other renderers north was off by 1.5 to 8 of the search's own uncertainties:
 # boxes lack what the rooms have. No number is less certain than it was stated.
 MODEL_ERROR = 4.0
-DRAWS = 6  # rooms drawn from the fit's covariance; chosen
 
 
 @dataclass(frozen=True)
 class Misfits:
-    """Misfits (`SceneEvidence.misfit`) of n held-out hours [n], by geometry."""
+    """Misfits (`SceneEvidence.misfit`) of n sunny hours [n], by geometry."""
 
     none: Floats
     stated: Floats
@@ -82,10 +73,8 @@ class SceneFit:
     fitted box, with the stated wall azimuth; `guess` has the fitted azimuth and the corrections
     `north_deg` and `clock_min`. albedo: of west, east, south and north wall, floor, ceiling and
     solids [6 + solids]. before, after: values before and after the fit, and u: standard
-    uncertainties, by parameter name. misfits: of the held-out hours. hours: number of sunny hours,
-    with the held-out ones. notes: sentences for the user. room_draws: values of six rooms that are
-    as likely, by the names of `scene.room_parameters`, azimuths relative to true north. changed:
-    indices of captures of a changed room, which were not used [k].
+    uncertainties, by parameter name. misfits: of the sunny hours. hours: their number. notes:
+    sentences for the user. changed: indices of captures of a changed room, which were not used [k].
     """
 
     stated: Room
@@ -99,7 +88,6 @@ class SceneFit:
     misfits: Misfits
     hours: int
     notes: tuple[str, ...]
-    room_draws: dict[str, tuple[float, ...]] = field(default_factory=dict)
     changed: Indices = field(default_factory=lambda: np.empty(0, np.intp))
 
     def used(self, data: Dataset) -> Dataset:
@@ -144,7 +132,7 @@ def fit_scene(
             except NotEnoughDataError:
                 changed = changed[:0]
         progress(90, 100, "uncertainties")
-        u, draws = found.spread()
+        u = found.uncertainties()
     progress(100, 100, "")
     guess, parameters = found.guess, found.parameters
     return SceneFit(
@@ -156,10 +144,9 @@ def fit_scene(
         before={p.name: p.measured(found.start) for p in parameters},
         after={p.name: p.measured(guess) for p in parameters},
         u=u,
-        misfits=found.held_out,
+        misfits=found.misfits,
         hours=len(found.evidence),
         notes=tuple(_notes(u, found.evidence, len(changed), len(data))),
-        room_draws=draws,
         changed=changed,
     )
 
@@ -177,8 +164,6 @@ class SceneSearch:
     ) -> None:
         self.data, self.room, self.pose = data, room, pose
         self.evidence = gather(data, room, pixels=pixels)
-        kept_out = _kept_out(data, room, self.evidence)
-        self.fit_hours, self.kept_out = np.flatnonzero(~kept_out), np.flatnonzero(kept_out)
         self.start = self.guess = guess_of(room, data.heading_deg)
         self.view = window_view(data, self.start)
         self.parameters = room_parameters(self.start, clock_sd_min) + glass_parameters(self.start)
@@ -187,10 +172,9 @@ class SceneSearch:
         self.albedo = self.evidence.albedos(self.start, stated_albedo(room))
         self.unit = prior_unit(self.evidence, self.start, self.albedo_with_solids())
 
-    def cost(self, hours: Indices | None = None, *, coarse: bool = False) -> SceneCost:
-        """Return the cost of a guess in the hours of the search, or in others [k]."""
-        evidence = self.evidence.hours(self.fit_hours if hours is None else hours)
-        evidence = evidence.coarse() if coarse else evidence
+    def cost(self, *, coarse: bool = False) -> SceneCost:
+        """Return the cost of a guess."""
+        evidence = self.evidence.coarse() if coarse else self.evidence
         return SceneCost(
             evidence, self.start, self.parameters, self.albedo, self.unit, self.pose, self.view
         )
@@ -201,28 +185,23 @@ class SceneSearch:
         cost = self.cost(coarse=True)
         tries = [search(cost, start, self.parameters) for start in self._starts()]
         self._accept(min(tries, key=lambda pair: pair[1])[0])
-        self._settle(coarse=True)
-        self._prune(kinds)
-        for number, kind in enumerate(kinds):
-            for _ in range(kind.most):
-                step(20 + 20 * number, kind.name)
-                more = self._with_one(kind)
-                if more is None:
-                    break
-                self._accept(more)
-            self._settle(coarse=True)
-        self._prune(kinds)
-        step(80, "all together")
         self._settle()
-        self.held_out = self._misfits()
-        self.fit_hours = np.arange(len(self.evidence))
+        self._prune(kinds)
+        for number in range(MAX_ROUNDS):
+            step(20 + 15 * number, "shade, bars and furniture")
+            more = self._with_more(kinds)
+            if more is self.guess:
+                break
+            self._accept(more)
+            self._settle(LEVELS[1:2])
+            self._prune(kinds)
+        step(80, "all together")
         self._settle()
         return self.guess
 
-    def _settle(self, *, coarse: bool = False) -> None:
+    def _settle(self, levels: Sequence[float] = LEVELS[1:]) -> None:
         """Search all numbers again, under the light that the last ones left."""
-        guess, _ = search(self.cost(coarse=coarse), self.guess, self._all(self.guess), LEVELS[1:])
-        self._accept(guess)
+        self._accept(search(self.cost(), self.guess, self._all(self.guess), levels)[0])
 
     def _starts(self) -> list[Guess]:
         """Return the stated box at each clock, with a pose to match.
@@ -242,45 +221,52 @@ class SceneSearch:
     def _all(self, guess: Guess) -> list[Any]:
         return all_parameters(guess, self.parameters)
 
-    def _with_one(self, kind: Kind) -> Guess | None:
-        """Return the guess with an element more, or None if none pays."""
+    def _with_more(self, kinds: Sequence[Kind]) -> Guess:
+        """Return the guess with more elements: all of the best proposals that pay together."""
         cost = self.cost(coarse=True)
-        proposals = list(kind.propose(self.guess))
-        rough = replace(cost, evidence=cost.evidence.coarse(_RANKED_PIXELS))
-        costs = np.array([rough(proposal) for proposal in proposals])
-        found = [
-            search(cost, trial, kind.parameters(trial), LEVELS[:2])
-            for trial in kind.best(proposals, costs, _SEARCHED)
-        ]
-        for trial, _ in sorted(found, key=lambda pair: pair[1])[:_TRIALS]:
-            more, _ = search(cost, trial, self._all(trial), LEVELS[1:2])
-            if self._pays(self.guess, more, kind.gain):
-                return more
-        return None
+        found: list[tuple[float, Kind, Guess]] = []
+        for kind in kinds:
+            proposals = list(kind.propose(self.guess))
+            costs = np.array([cost(proposal) for proposal in proposals])
+            for proposal in kind.best(proposals, costs, _SEARCHED):
+                trial, _ = search(cost, proposal, kind.parameters(proposal), LEVELS[:2])
+                found.append((self._gain(self.guess, trial), kind, trial))
+        guess, solids, bars = self.guess, len(self.guess.solids), len(self.guess.bars)
+        for _, kind, trial in sorted(found, key=lambda one: -one[0]):
+            more = replace(
+                guess,
+                solids=(*guess.solids, *trial.solids[solids:]),
+                bars=(*guess.bars, *trial.bars[bars:]),
+            )
+            guess = more if self._gain(guess, more) > kind.gain else guess
+        return guess
 
-    def _pays(self, without: Guess, with_it: Guess, least: float) -> bool:
-        """Return whether an element lowers the cost enough, in fitted and in held-out hours."""
-        costs = (replace(self.cost(hours), view=None) for hours in (self.fit_hours, self.kept_out))
-        fitted, held_out = (1.0 - cost(with_it) / cost(without) for cost in costs)
-        if fitted < least:
-            return False
-        return held_out >= (KEPT_OUT_GAIN if fitted < UNSEEN_GAIN else -KEPT_OUT_GAIN)
+    def _gain(self, without: Guess, with_it: Guess) -> float:
+        """Return by what share an element lowers the cost; -inf if that is not sure.
+
+        It is sure if the mean over the hours is over its standard error.
+        """
+        cost = self.cost()
+        before, after = (cost.by_hour(guess) for guess in (without, with_it))
+        saved = before - after
+        sure = saved.mean() > SURE * saved.std(ddof=1) / np.sqrt(len(saved))
+        return float(saved.sum() / before.sum()) if sure else -np.inf
 
     def _prune(self, kinds: Sequence[Kind]) -> None:
         """Take away bars and added solids that do not pay."""
-        guess, least = self.guess, min((kind.gain for kind in kinds), default=0.0)
+        guess, minimum = self.guess, min((kind.gain for kind in kinds), default=0.0)
         for bar in guess.bars:
             without = replace(guess, bars=tuple(b for b in guess.bars if b is not bar))
-            guess = guess if self._pays(without, guess, least) else without
+            guess = guess if self._gain(without, guess) > minimum else without
         for solid in guess.solids[len(self.start.solids) :]:
             without = replace(guess, solids=tuple(s for s in guess.solids if s is not solid))
-            guess = guess if self._pays(without, guess, least) else without
+            guess = guess if self._gain(without, guess) > minimum else without
         self.guess = guess
 
     def _accept(self, guess: Guess) -> None:
         """Set guess and albedos, and estimate the light without direct sun again."""
         self.guess = guess
-        self.albedo = self.evidence.albedos(guess, self.albedo)
+        self.albedo = self.evidence.albedos(guess, stated_albedo(self.room))
         patch = self.evidence.patches(guess, self.albedo_with_solids())
         self.evidence = self.evidence.relit(self.data, patch)
 
@@ -288,37 +274,21 @@ class SceneSearch:
         """Return the albedos of west, east, south, north, floor, ceiling, solids, [6 + solids]."""
         return np.concatenate([self.albedo[:SHELL], [s.albedo for s in self.guess.solids]])
 
-    def _misfits(self) -> Misfits:
-        """Return the misfits of held-out hours with three geometries.
-
-        The stated box gets albedos of its own from these hours.
-        """
-        evidence = self.evidence.hours(self.kept_out)
-        of_fitted = evidence.patches(self.guess, self.albedo_with_solids())
-        albedo = evidence.albedos(self.start, self.albedo[:SHELL])
-        of_stated = evidence.patches(self.start, albedo)
+    @property
+    def misfits(self) -> Misfits:
+        """Misfits of the hours with three geometries; the stated box gets albedos of its own."""
+        of_fitted = self.evidence.patches(self.guess, self.albedo_with_solids())
+        albedo = self.evidence.albedos(self.start, self.albedo[:SHELL])
+        of_stated = self.evidence.patches(self.start, albedo)
         patches = (np.zeros_like(of_fitted), of_stated, of_fitted)
-        return Misfits(*(evidence.misfit(patch) for patch in patches))
+        return Misfits(*(self.evidence.misfit(patch) for patch in patches))
 
-    def spread(self) -> tuple[dict[str, float], dict[str, tuple[float, ...]]]:
-        """Return standard uncertainties by parameter, and numbers of likely rooms, after `run`."""
-        noise = covariance(self.cost(), self.guess, self.parameters)
-        own = np.sqrt(np.diag(noise))
+    def uncertainties(self) -> dict[str, float]:
+        """Return standard uncertainties by parameter, after `run`."""
+        own = np.sqrt(np.diag(covariance(self.cost(), self.guess, self.parameters)))
         stated = np.array([p.sd / p.step for p in self.parameters])
-        wider = np.clip(stated / own, 1.0, MODEL_ERROR)
-        noise *= wider[:, None] * wider
-        u = (wider * own).tolist()
-        drawn = np.random.default_rng(0).multivariate_normal(
-            np.zeros(len(u)), noise, DRAWS, method="eigh"
-        )
-        rooms = [
-            uncertain_numbers(true_room(moved(self.guess, self.parameters, steps), self.room))
-            for steps in drawn
-        ]
-        return (
-            {p.name: share * p.step for p, share in zip(self.parameters, u, strict=True)},
-            {name: tuple(room[name] for room in rooms) for name in rooms[0]},
-        )
+        wider = own * np.clip(stated / own, 1.0, MODEL_ERROR)
+        return {p.name: u * p.step for p, u in zip(self.parameters, wider.tolist(), strict=True)}
 
 
 def scene_of(fit: SceneFit, chosen: Chosen, verdict: str) -> Scene:
@@ -341,7 +311,6 @@ def scene_of(fit: SceneFit, chosen: Chosen, verdict: str) -> Scene:
         before=fit.before,
         after=fit.after,
         u=fit.u,
-        room_draws=fit.room_draws,
         notes=fit.notes,
     )
 
@@ -369,20 +338,6 @@ def _changed_captures(found: SceneSearch, find_changes: Callable[..., Any]) -> I
     if changes is not None:
         changed = np.union1d(changes.lamp, changes.unexplained)
     return changed if len(changed) >= _FEWEST_CHANGED else changed[:0]
-
-
-def _kept_out(data: Dataset, room: Room, evidence: SceneEvidence) -> NDArray[np.bool_]:
-    """Return which hours of the evidence the search does not see, [n]: blocks of sun directions.
-
-    With fewer than three blocks it is every third hour.
-    """
-    try:
-        kept_out = outside_hours(data, room)[evidence.rows]
-    except NotEnoughDataError:
-        kept_out = np.zeros(len(evidence), bool)
-    if not kept_out.any() or kept_out.all():
-        kept_out[OUTSIDE_EVERY - 1 :: OUTSIDE_EVERY] = True
-    return kept_out
 
 
 def _with_albedo(room: Room, albedo: Floats) -> Room:

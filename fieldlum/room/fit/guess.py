@@ -103,21 +103,46 @@ class Guess:
 
 
 def is_possible(guess: Guess) -> bool:
-    """Return whether the camera is free, and nothing is thinner than 4 cm, bars than 1 cm."""
+    """Return whether the camera is in the room, in no solid, and no extent is negative."""
     inside = all(0.0 < e < size for e, size in zip(guess.camera_m, guess.size_m, strict=True))
     spans = [(s.low_m, s.high_m) for s in guess.solids]
-    free = inside and not any(
-        all(a < e < b for a, e, b in zip(low, guess.camera_m, high, strict=True))
-        for low, high in spans
-    )
+    extents = [span for low, high in spans for span in zip(low, high, strict=True)]
+    extents += [span for rect in guess.windows for span in (rect.u_m, rect.z_m)]
+    extents += [span for bar in guess.bars for span in (bar.span_m, bar.depth_m)]
     return (
-        free
-        and all(
-            b - a > _THIN_SOLID_M for low, high in spans for a, b in zip(low, high, strict=True)
+        inside
+        and all(b > a for a, b in extents)
+        and not any(
+            all(a < e < b for a, e, b in zip(low, guess.camera_m, high, strict=True))
+            for low, high in spans
         )
-        and all(b - a > _THIN_BAR_M for bar in guess.bars for a, b in (bar.span_m, bar.depth_m))
-        and all(b > a for rect in guess.windows for a, b in (rect.u_m, rect.z_m))
     )
+
+
+def thickened(guess: Guess) -> Guess:
+    """Return the guess with solids at least 4 cm and bars at least 1 cm thick.
+
+    Without it a search would stop at the first element that becomes thinner than this.
+    """
+    bars = tuple(
+        replace(bar, span_m=_wide(bar.span_m, _THIN_BAR_M), depth_m=_wide(bar.depth_m, _THIN_BAR_M))
+        for bar in guess.bars
+    )
+    spans = [
+        [_wide(span, _THIN_SOLID_M) for span in zip(solid.low_m, solid.high_m, strict=True)]
+        for solid in guess.solids
+    ]
+    solids = tuple(
+        Solid((x[0], y[0], z[0]), (x[1], y[1], z[1]), solid.albedo)
+        for solid, (x, y, z) in zip(guess.solids, spans, strict=True)
+    )
+    return replace(guess, bars=bars, solids=solids)
+
+
+def _wide(span: tuple[float, float], width: float) -> tuple[float, float]:
+    """Return an interval of at least this width, with the same middle."""
+    short = max(width - (span[1] - span[0]), 0.0) / 2.0
+    return span[0] - short, span[1] + short
 
 
 def is_outside(guess: Guess, solid: Solid) -> bool:

@@ -114,18 +114,17 @@ def unit_patches(
     ends: Surfaces,
     suns_room: Array,
     pixel: NDArray[np.intp],
-    pixels: int,
     sub: int,
     tone: Array | None = None,
 ) -> Array:
     """Return irradiance of the pixels' surfaces per lx of the sun on its normal, [n, m].
 
-    ends: of r rays; suns_room: unit vectors in room axes [n, 3]; pixels: their number m. pixel:
-    index below m of each ray's pixel [r]; sub x sub rays make a pixel. tone: a factor of each ray,
-    such as albedo, None for 1 [r]. Times the sun's illuminance, times albedo over pi, the result is
-    the luminance of the sun patch.
+    ends: of r rays; suns_room: unit vectors in room axes [n, 3]; pixel: index of each ray's pixel
+    [r]; sub x sub rays make a pixel. tone: a factor of each ray, such as albedo, None for 1 [r].
+    Times the sun's illuminance, times albedo over pi, the result is the
+    luminance of the sun patch.
     """
-    total = np.zeros((len(suns_room), pixels))
+    total = np.zeros((len(suns_room), len(pixel) // sub**2))
     weight = np.full(len(pixel), 1.0 / sub**2) if tone is None else tone / float(sub**2)
     low = np.array([solid.low_m for solid in guess.solids]).reshape(-1, 3)
     high = np.array([solid.high_m for solid in guess.solids]).reshape(-1, 3)
@@ -145,4 +144,4 @@ def unit_patches(
             opening, np.array(bars, float).reshape(-1, 5), low, high, above_face, face,
             ends.spread_m, weight, pixel, suns, _glass(rect.transmittance, suns[:, axis]), total,
         )  # fmt: skip
-    return total
+    return total.astype(np.float32)

@@ -24,13 +24,12 @@ class Scene:
     room: the fitted box relative to true north. north_deg: how far room and camera are turned
     clockwise from the stated direction; clock_min: stated time less true time. before, after, u:
     values and standard uncertainties by parameter. hours: number of sunny hours. misfit: by "none",
-    "stated" and "fitted", the share of pixels near sun patches that this geometry leaves wrong, on
-    hours held out of the search. chosen: the geometry that the captures support; verdict: why;
-    trusted: whether enough hours support it. expected_log10_mse, trusted_share: of a year's hours,
-    by the model trained with the chosen geometry; None: unknown. stated_heading_deg, stated_room:
-    the start of the fit. A scene is used only with captures that state the same, otherwise a
-    correction would be applied twice. room_draws: the numbers of the room in repeated searches, by
-    the names of `scene.room_parameters.room_parameters`.
+    "stated" and "fitted", the share of pixels near sun patches that this geometry leaves wrong in
+    the sunny hours. chosen: the geometry that the captures support; verdict: why; trusted: whether
+    enough hours support it. expected_log10_mse, trusted_share: of a year's hours, by the model
+    trained with the chosen geometry; None: unknown. stated_heading_deg, stated_room: the start of
+    the fit. A scene is used only with captures that state the same, otherwise a correction would be
+    applied twice.
     """
 
     north_deg: float
@@ -48,7 +47,6 @@ class Scene:
     before: dict[str, float] = field(default_factory=dict)
     after: dict[str, float] = field(default_factory=dict)
     u: dict[str, float] = field(default_factory=dict)
-    room_draws: dict[str, tuple[float, ...]] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     format: int = FORMAT
 
@@ -88,4 +86,5 @@ def read_scene(folder: Path) -> Scene:
             f"format {FORMAT}",
             "fit the scene again (fieldlum scene fit)",
         )
+    table.pop("room_draws", None)  # of an earlier version, without any use
     return build(Scene, table, str(path))

@@ -10,7 +10,7 @@ import numpy as np
 
 from fieldlum.core.arrays import Floats, Floats32
 from fieldlum.room.fit.evidence import WIDTH, SceneEvidence
-from fieldlum.room.fit.guess import Guess, is_possible
+from fieldlum.room.fit.guess import Guess, is_possible, thickened
 from fieldlum.room.fit.parameters import POSE_NAMES, Parameter
 from fieldlum.room.fit.renderer import SHELL
 
@@ -58,6 +58,12 @@ class SceneCost:
         found = self.residuals(guess)
         return np.inf if found is None else float(found @ found)
 
+    def by_hour(self, guess: Guess) -> Floats:
+        """Return the misfit of each hour, with its share of the prior's cost, [n]."""
+        patch = self.evidence.patches(guess, self.albedo_of(guess))
+        prior = self.prior(guess)
+        return self.evidence.misfit(patch) + float(prior @ prior)
+
     def residuals(self, guess: Guess) -> Floats32 | None:
         """Return numbers whose squares add up to the cost; None for an impossible guess.
 
@@ -67,8 +73,8 @@ class SceneCost:
             return None
         patch = self.evidence.patches(guess, self.albedo_of(guess))
         error = np.log(self.evidence.below + patch) - self.evidence.log_seen
-        weight = np.sqrt(self.evidence.weights / len(self.evidence))
-        misfit = weight * error / np.sqrt(error**2 + WIDTH**2)
+        weight = np.sqrt(self.evidence.weights / np.float32(len(self.evidence)))
+        misfit = weight * error / np.sqrt(error**2 + np.float32(WIDTH**2))
         parts = [misfit.ravel(), self.prior(guess)]
         if self.view is not None:
             parts.append(self.view.residuals(guess))
@@ -135,7 +141,7 @@ def moved(guess: Guess, parameters: Sequence[Parameter], steps: Floats) -> Guess
     """Return the guess with each parameter changed by some of its steps [k]."""
     for p, count in zip(parameters, steps.tolist(), strict=True):
         guess = p.change(guess, count * p.step)
-    return guess
+    return thickened(guess)
 
 
 def _slopes(

@@ -8,6 +8,7 @@ a scene fit, on the same evidence and cost; a number is wrong if its correction 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from math import ceil
 from typing import cast
 
 import numpy as np
@@ -17,7 +18,7 @@ from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.records import Progress, SiteFile, quiet
 from fieldlum.learn.models import Fitted, Patch
 from fieldlum.learn.models.data import Dataset
-from fieldlum.learn.transport import Transport
+from fieldlum.learn.transport import MeanTransport, Transport
 from fieldlum.room.fit.apply import earlier, with_patches
 from fieldlum.room.fit.checks import reversed_compass_note, turned_windows_note
 from fieldlum.room.fit.evidence import SceneEvidence, gather
@@ -36,6 +37,7 @@ LEAST_GAIN, LEAST_SHIFT_GAIN, MOST_SHIFT_PX = 0.02, 0.1, 3
 EDGE_AWAY_M = 3.0  # a length moves patches by this angle from the camera: length over 3 m; chosen
 # Offsets of a day's clock that are tried, min: a clock that is 5 min off on one day only was set.
 TRIED_MIN = np.array([-5.0, -4.0, -3.0, *np.arange(-2.0, 2.25, 0.5), 3.0, 4.0, 5.0])
+FINE_ROWS = 180  # rows of rays: 1 degree, the sun's way in 4 minutes; chosen
 FEWEST_DAYS = 3  # with three or more sunny captures each; chosen
 # Offsets of the clean office at 46 x 23 pixels have a standard deviation of 0.2 min, those of a
 # clock that drifts by 2 min in a week 0.6 min. Chosen between the two.
@@ -95,11 +97,10 @@ def scan(data: Dataset, patch: Patch, progress: Progress = quiet) -> Setting | N
     progress(30, 100, "setting: north, clock and room")
     unit = prior_unit(evidence, start, albedo)
     for levels in (LEVELS, LEVELS[1:]):  # light below patches includes a part of them at first
-        cost = SceneCost(evidence.coarse(), start, parameters, albedo, unit)
+        cost = SceneCost(evidence, start, parameters, albedo, unit)
         guess, least = search(cost, guess, parameters, levels)
-        albedo = evidence.albedos(guess, albedo)
+        albedo = evidence.albedos(guess, stated_albedo(room))
         evidence = evidence.relit(data, evidence.patches(guess, albedo))
-    evidence = evidence.coarse()
     cost = SceneCost(evidence, start, parameters, albedo, unit)
     guess, least = search(cost, guess, parameters, LEVELS[1:])
     u = np.sqrt(np.diag(covariance(cost, guess, parameters)))
@@ -119,7 +120,8 @@ def scan(data: Dataset, patch: Patch, progress: Progress = quiet) -> Setting | N
         slip_deg = float(np.hypot(*shift)) * 360.0 / data.shape[1]
         return Setting({}, shift, shift_gain, len(evidence), slip_deg)
     progress(80, 100, "clock of each day")
-    return Setting(hours=len(evidence), late_min=_late_by_day(evidence, start, albedo))
+    fine = evidence.with_rays(data, ceil(FINE_ROWS / data.shape[0]))
+    return Setting(hours=len(evidence), late_min=_late_by_day(fine, start, albedo))
 
 
 def _slip_deg(off: dict[str, tuple[float, float]]) -> float:
@@ -156,8 +158,8 @@ def _late_by_day(
 ) -> dict[np.datetime64, float]:
     """Return stated less true time of each day, min; empty if it does not differ between days.
 
-    It must be right for other hours, too: offsets of each day's even hours must lower the misfit
-    of its odd ones, and the other way round, by over a standard error.
+    It must be right for other hours, too: the offset of a day's other hours must lower the misfit
+    of each, by over a standard error.
     """
     tried = [evidence.patches(replace(guess, clock_min=float(t)), albedo) for t in TRIED_MIN]
     misfits = np.array([evidence.misfit(patch) for patch in tried])  # [offsets, n]
@@ -165,15 +167,15 @@ def _late_by_day(
     days = [np.flatnonzero(evidence.days == day) for day in names[counts >= LEAST_HOURS]]
     if len(days) < FEWEST_DAYS:
         return {}
-    late = np.array([_least(misfits[:, rows]) for rows in days])
+    late = np.array([_minimum(misfits[:, rows]) for rows in days])
     if late.std() < LEAST_SPREAD_MIN:
         return {}
-    common = _least(misfits)
+    common = _minimum(misfits)
     gains = [
-        _at(misfits[:, judged], common) - _at(misfits[:, judged], _least(misfits[:, rows[k::2]]))
+        _at(misfits[:, [hour]], common)
+        - _at(misfits[:, [hour]], _minimum(misfits[:, rows[rows != hour]]))
         for rows in days
-        for k in (0, 1)
-        for judged in (rows[1 - k :: 2],)
+        for hour in rows
     ]
     gain = np.concatenate(gains)
     if gain.mean() < gain.std(ddof=1) / np.sqrt(len(gain)):
@@ -181,7 +183,7 @@ def _late_by_day(
     return dict(zip(names[counts >= LEAST_HOURS], late.tolist(), strict=True))
 
 
-def _least(misfits: Floats) -> float:
+def _minimum(misfits: Floats) -> float:
     """Return the offset of the least misfit [offsets, n], by a parabola between those tried."""
     total = misfits.sum(axis=1)
     best = int(np.argmin(total))
@@ -225,7 +227,7 @@ def settle(fitted: Fitted, data: Dataset, setting: Setting | None) -> tuple[Fitt
     """
     if setting is None:
         return fitted, []
-    if setting.slip_deg > 0.0 and isinstance(fitted, Transport):
+    if setting.slip_deg > 0.0 and isinstance(fitted, Transport | MeanTransport):
         fitted = cast("Fitted", fitted.with_displaced_patches(setting.slip_deg))
     return fitted, warnings_of(setting, data.setup, 360.0 / data.shape[1])
 

@@ -37,17 +37,36 @@ def _inverses(sun: Floats) -> Floats:
 
 
 @compiled
-def _is_hidden(low: Floats, high: Floats, position: Floats32, point: int, inverse: Floats) -> bool:
-    """Return whether one of the boxes [s, 3] is between a point of [r, 3] and the sun."""
+def _unshaded(
+    low: Floats, high: Floats, position: Floats32, point: int, inverse: Floats,
+    softness: float,
+) -> float:  # fmt: skip
+    """Return the share of a point of [r, 3] from which none of the boxes [s, 3] hides the sun.
+
+    softness: width over which the shade of a box grows at its edges, m. The line to the sun enters
+    a box through a face of one axis and leaves it through one of another; its distance from the
+    edge between them follows from its length inside, which is negative beside the box.
+    """
+    share = 1.0
     for box in range(len(low)):
-        enters, leaves = -np.inf, np.inf
+        enters, leaves, first_axis, last_axis = -np.inf, np.inf, 0, 0
         for axis in range(3):
             first = (low[box, axis] - position[point, axis]) * inverse[axis]
             last = (high[box, axis] - position[point, axis]) * inverse[axis]
-            enters, leaves = max(enters, min(first, last)), min(leaves, max(first, last))
-        if leaves > enters and leaves > EPSILON_M:
-            return True
-    return False
+            if min(first, last) > enters:
+                enters, first_axis = min(first, last), axis
+            if max(first, last) < leaves:
+                leaves, last_axis = max(first, last), axis
+        if leaves <= EPSILON_M:
+            continue
+        if first_axis == last_axis:
+            return 0.0
+        along, across = inverse[first_axis], inverse[last_axis]
+        within = (leaves - enters) / np.hypot(along, across)
+        share *= 1.0 - _passed(within, softness)
+        if share <= 0.0:
+            return 0.0
+    return share
 
 
 @compiled
@@ -113,9 +132,9 @@ def add_through(
                     bars[bar, 2] - at - min(near, far),
                 )
                 share *= 1.0 - _passed(below, soft) * _passed(above, soft)
-            if share > 0.0 and not _is_hidden(low, high, position, point, inverse):
-                light = share * cosine * glass[hour] * weight[point]
-                totals[hour, target[point]] += light
+            if share > 0.0:
+                share *= _unshaded(low, high, position, point, inverse, soft)
+                totals[hour, target[point]] += share * cosine * glass[hour] * weight[point]
 
 
 @compiled
@@ -127,8 +146,9 @@ def _add_outside(
     inverse = _inverses(sun)
     for point in range(len(face)):
         cosine = _cosine(face[point], sun)
-        if cosine > _GRAZING and not _is_hidden(low, high, position, point, inverse):
-            total[target[point]] += cosine * weight[point]
+        if cosine > _GRAZING:
+            share = _unshaded(low, high, position, point, inverse, _HARD_M)
+            total[target[point]] += share * cosine * weight[point]
 
 
 @dataclass(frozen=True)

@@ -27,8 +27,7 @@ UsedScene = dict[str, Any]
 
 north_deg, clock_min: fitted corrections of the heading [deg] and the clock [min]; chosen: the
 geometry that was used, "none", "stated" or "fitted"; stated: SITE.toml as a table before the fit;
-stated_heading_deg: heading of the captures; room_draws, if any: for each parameter of the room, its
-values in draws from the fit's uncertainty.
+stated_heading_deg: heading of the captures.
 """
 
 
