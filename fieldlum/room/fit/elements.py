@@ -13,7 +13,7 @@ from itertools import product
 import numpy as np
 
 from fieldlum.core.arrays import Floats
-from fieldlum.room.fit.guess import Bar, Guess, Solid, WindowRect
+from fieldlum.room.fit.guess import Bar, Guess, Solid, WindowRect, is_outside
 from fieldlum.room.fit.parameters import Parameter, bar_parameters, solid_parameters
 from fieldlum.room.scene.geometry import WALLS
 
@@ -66,13 +66,14 @@ class Kind:
 
 
 def _place(guess: Guess) -> Floats:
-    """Return coordinates of a guess's last solid and bar [m].
+    """Return coordinates of a guess's last solid, with its top inside the room, and bar [m].
 
     Their largest difference is the distance of two guesses' last elements; bars of another window,
     or an upright and a level one, count as far (1000 and 100 m).
     """
     solid, bar = guess.solids[-1:], guess.bars[-1:]
     middles = [np.add(s.low_m, s.high_m)[:2] / 2.0 for s in solid]
+    middles += [np.array(s.high_m[2:]) for s in solid if not is_outside(guess, s)]
     spans = [np.array([1e3 * b.window, 1e2 * b.upright, b.span_m[0]]) for b in bar]
     return np.concatenate([*middles, *spans])
 
