@@ -45,7 +45,7 @@ def _unshaded(
 
     softness: width over which the shade of a box grows at its edges, m. The line to the sun enters
     a box through a face of one axis and leaves it through one of another; its distance from the
-    edge between them follows from its length inside, which is negative beside the box.
+    edge between them follows from its length inside, which is negative outside the box.
     """
     share = 1.0
     for box in range(len(low)):
