@@ -142,9 +142,13 @@ class Evidence:
         return float(likelihoods[k]) - self.usual, float(np.median(along[k])) / norms[k]
 
     def level_change(self, some: Indices) -> tuple[float, float]:
-        """Return the gain of a factor on the light of captures, and the factor."""
+        """Return the gain of a factor on the light of captures, and the factor.
+
+        A factor under 1.2 either way is weather, and gains nothing.
+        """
         gain, size = self.change(some, self.level)
-        return gain, 1.0 / max(1.0 - size, 1e-3)
+        factor = 1.0 / max(1.0 - size, 1e-3)
+        return gain if abs(np.log(factor)) > np.log(1.2) else -np.inf, factor
 
 
 def _best_set(
@@ -213,9 +217,7 @@ def _other_level(found: Evidence) -> Indices:
         if not len(chosen):
             return 0.0
         gained, factor = found.level_change(chosen)
-        # a smaller factor on the light is weather
-        near_one = abs(np.log(factor)) < np.log(1.2)
-        if near_one or (factor < 1.0) != darker or len(chosen) > _MAX_SHARE * len(rows):
+        if (factor < 1.0) != darker or len(chosen) > _MAX_SHARE * len(rows):
             return -np.inf
         return gained - _price(process, chosen)
 
