@@ -20,7 +20,7 @@ from fieldlum.room.scene.view import pixel_rays
 from fieldlum.sky.light import facades_of
 
 # Chosen, not measured: a third of the smallest turn that is reported; a turn beyond what the search
-# corrects for a compass near steel; least number of hours that show a pattern.
+# corrects for a compass near steel; minimum number of hours that show a pattern.
 _TURN_STEP_DEG = 10.0
 _MIN_TURN_DEG = 30.0
 _REVERSED_DEG = 135.0  # chosen: nearer to a reversed compass than to a side wall

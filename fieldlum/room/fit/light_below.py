@@ -23,7 +23,7 @@ BRIGHTER, DARKER = 0.12, 0.5
 # luminance below that of a room by day; a share of the mean diagonal that makes the system
 # solvable.
 LEVEL_ROUNDS, LEVEL_DARKER = 12, 0.25
-LEAST_CDM2 = 0.1
+MINIMUM_CDM2 = 0.1
 _RIDGE = 1e-3
 _PATCH_SHARE = 0.3  # share of a pixel's light; a stronger patch hides the light below; chosen
 
@@ -62,17 +62,17 @@ class LightBelow:
         trust = trust.astype(np.float32)
         fit = np.maximum(np.minimum(y, 1.5), 0.05)
         weight = trust / (y * fit)
-        least, terms = np.float32(0.05), len(self.basis)
+        minimum, terms = np.float32(0.05), len(self.basis)
         for _ in range(rounds):
             normal = (self.products @ weight).T.reshape(-1, terms, terms)  # [m, k, k]
             mean = np.einsum("mkk->m", normal) / terms
             normal = normal + (_RIDGE * mean)[:, None, None] * np.eye(terms, dtype=np.float32)
             right = (self.basis @ (weight * y)).T[..., None]  # [m, k, 1]
-            fit = np.maximum(self.basis.T @ np.linalg.solve(normal, right)[..., 0].T, least)
+            fit = np.maximum(self.basis.T @ np.linalg.solve(normal, right)[..., 0].T, minimum)
             q = np.log(y / fit)
             doubt = np.where(q > 0.0, q / BRIGHTER, q / DARKER) ** 2
             weight = trust / (y * fit) / (1.0 + doubt)
-        return np.maximum(fit * scale * self.total_lx, LEAST_CDM2)
+        return np.maximum(fit * scale * self.total_lx, MINIMUM_CDM2)
 
 
 def _middle(values: Array) -> Array:

@@ -31,15 +31,15 @@ class Parameter:
     """A number of the scene that a search changes, in m, degrees, minutes or, for an albedo, 1.
 
     path: attributes and indices that lead from a guess to the number; step: the first of the
-    search; sd: standard deviation of its prior, inf without one; least, most: limits.
+    search; sd: standard deviation of its prior, inf without one; minimum, maximum: limits.
     """
 
     name: str
     path: tuple[str | int, ...]
     step: float
     sd: float = np.inf
-    least: float = -np.inf
-    most: float = np.inf
+    minimum: float = -np.inf
+    maximum: float = np.inf
 
     def read(self, guess: Guess) -> float:
         """Return the number's value in a guess."""
@@ -61,7 +61,7 @@ class Parameter:
 
     def change(self, guess: Guess, by: float) -> Guess:
         """Return a guess in which the number is changed by `by`, as far as its limits allow."""
-        value = float(np.clip(self.read(guess) + by, self.least, self.most))
+        value = float(np.clip(self.read(guess) + by, self.minimum, self.maximum))
         return _with(guess, self.path, value)
 
 

@@ -25,7 +25,7 @@ PRIOR_SHARE, PRIOR_HOURS = 0.006, 30
 # Chosen: shares of the parameters' steps over which derivatives are taken, one after the other;
 # rounds with each; longest move, in such steps; share of the cost below which a gain is noise.
 LEVELS = (1.0, 0.4, 0.15)
-_ROUNDS, _REACH, _LEAST_GAIN = 5, 3.0, 1e-3
+_ROUNDS, _REACH, _MINIMUM_GAIN = 5, 3.0, 1e-3
 _FIRST_DAMPING, _TRIES = 0.1, 5
 
 
@@ -107,7 +107,7 @@ def search(
     parameters: Sequence[Parameter],
     levels: Sequence[float] = LEVELS,
 ) -> tuple[Guess, float]:
-    """Search the guess of least cost from a start; return it and its cost.
+    """Search the guess of the smallest cost from a start; return it and its cost.
 
     Levenberg-Marquardt: derivatives are differences over shares of the parameters' steps, which
     `levels` lists. A finer level follows when a round gains less than 0.1 % of the cost.
@@ -132,7 +132,7 @@ def search(
                     damping = max(damping / 4.0, 1e-3)
                     break
                 damping *= 4.0
-            if value > (1.0 - _LEAST_GAIN) * before:
+            if value > (1.0 - _MINIMUM_GAIN) * before:
                 break
     return guess, value
 
@@ -160,7 +160,7 @@ def _slopes(
 
 
 def covariance(cost: SceneCost, guess: Guess, parameters: Sequence[Parameter]) -> Floats:
-    """Return the covariance of parameters at the guess of least cost, in steps squared [k, k].
+    """Return the covariance of parameters at the cheapest guess, in steps squared [k, k].
 
     It is that of the priors and of noise, for which one standard deviation costs `cost.unit`, plus
     that of different days (with under three days: hours), by their own slopes of the cost.
