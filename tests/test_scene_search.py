@@ -196,7 +196,7 @@ def test_a_scene_is_written_read_and_applied(data: Dataset, tmp_path: Path) -> N
     few = data.take(np.arange(len(data)))
     fit = fit_scene(few, ROOM, pixels=250, find_changes=find_changes)
     assert not len(fit.changed)
-    assert fit.misfits.mean()["fitted"] < fit.misfits.mean()["none"]
+    assert fit.misfit["fitted"] < fit.misfit["none"]
     scene = scene_of(fit, "fitted", "tested")
     write_scene(tmp_path, scene)
     again = read_scene(tmp_path)

@@ -18,7 +18,7 @@ from fieldlum.room import scene
 from fieldlum.room.fit import stage
 from fieldlum.room.fit.apply import with_patches
 from fieldlum.room.fit.evidence import gather
-from fieldlum.room.fit.fit import Misfits, SceneFit
+from fieldlum.room.fit.fit import SceneFit
 from fieldlum.room.fit.guess import guess_of
 from fieldlum.room.fit.parameters import stated_albedo
 from fieldlum.room.fit.sunny import direct_on_windows_lx, sunny_hours
@@ -198,11 +198,10 @@ def test_a_scene_that_explains_little_says_so() -> None:
 
 def _fit_of(captures: Dataset) -> SceneFit:
     """A fit whose misfits speak for the fitted scene, which is the true room."""
-    hours = np.arange(20)
-    misfits = Misfits(0.2 + 0.01 * hours, 0.1 + 0.01 * hours, 0.01 * hours)
+    misfit = {"none": 0.3, "stated": 0.2, "fitted": 0.1}
     heading_deg = captures.heading_deg
     albedo = stated_albedo(ROOM)
-    return SceneFit(SHIFTED, heading_deg, guess_of(ROOM), ROOM, albedo, {}, {}, {}, misfits, 20, ())
+    return SceneFit(SHIFTED, heading_deg, guess_of(ROOM), ROOM, albedo, {}, {}, {}, misfit, 20, ())
 
 
 STATED = replace(CAPTURES, patch_cdm2=None, setup=replace(CAPTURES.setup, room=SHIFTED))

@@ -82,7 +82,7 @@ def judge(case: Path, draws: list[float]) -> None:
         error, ratio, share = scored(replace(captures, seen=seen), hours)
         print(
             f"| {case.name} | {draw:g} | {error:.2e} | {error / better:.2f} | {ratio:.2f} | "
-            f"{found.misfits.mean()['fitted']:.4f} | {share:.2f} | "
+            f"{found.misfit['fitted']:.4f} | {share:.2f} | "
             f"{overlap(captures.patch_cdm2, first):.2f} | {cpu:.0f} |",
             flush=True,
         )

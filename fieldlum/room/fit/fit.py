@@ -53,19 +53,6 @@ MODEL_ERROR = 4.0
 
 
 @dataclass(frozen=True)
-class Misfits:
-    """Misfits (`SceneEvidence.misfit`) of n sunny hours [n], by geometry."""
-
-    none: Floats
-    stated: Floats
-    fitted: Floats
-
-    def mean(self) -> dict[str, float]:
-        """Return the mean misfit over the hours: "none", "stated" and "fitted"."""
-        return {name: float(getattr(self, name).mean()) for name in ("none", "stated", "fitted")}
-
-
-@dataclass(frozen=True)
 class SceneFit:
     """A fitted scene.
 
@@ -73,8 +60,9 @@ class SceneFit:
     fitted box, with the stated wall azimuth; `guess` has the fitted azimuth and the corrections
     `north_deg` and `clock_min`. albedo: of west, east, south and north wall, floor, ceiling and
     solids [6 + solids]. before, after: values before and after the fit, and u: standard
-    uncertainties, by parameter name. misfits: of the sunny hours. hours: their number. notes:
-    sentences for the user. changed: indices of captures of a changed room, which were not used [k].
+    uncertainties, by parameter name. misfit: mean of `SceneEvidence.misfit` in the sunny hours, by
+    "none", "stated" and "fitted". hours: their number. notes: sentences for the user. changed:
+    indices of captures of a changed room, which were not used [k].
     """
 
     stated: Room
@@ -85,7 +73,7 @@ class SceneFit:
     before: dict[str, float]
     after: dict[str, float]
     u: dict[str, float]
-    misfits: Misfits
+    misfit: dict[str, float]
     hours: int
     notes: tuple[str, ...]
     changed: Indices = field(default_factory=lambda: np.empty(0, np.intp))
@@ -144,7 +132,7 @@ def fit_scene(
         before={p.name: p.measured(found.start) for p in parameters},
         after={p.name: p.measured(guess) for p in parameters},
         u=u,
-        misfits=found.misfits,
+        misfit=found.misfit(),
         hours=len(found.evidence),
         notes=tuple(_notes(u, found.evidence, len(changed), len(data))),
         changed=changed,
@@ -274,14 +262,16 @@ class SceneSearch:
         """Return the albedos of west, east, south, north, floor, ceiling, solids, [6 + solids]."""
         return np.concatenate([self.albedo[:SHELL], [s.albedo for s in self.guess.solids]])
 
-    @property
-    def misfits(self) -> Misfits:
-        """Misfits of the hours with three geometries; the stated box gets albedos of its own."""
+    def misfit(self) -> dict[str, float]:
+        """Return the mean misfit with three geometries; the stated box gets its own albedos."""
         of_fitted = self.evidence.patches(self.guess, self.albedo_with_solids())
-        albedo = self.evidence.albedos(self.start, self.albedo[:SHELL])
-        of_stated = self.evidence.patches(self.start, albedo)
-        patches = (np.zeros_like(of_fitted), of_stated, of_fitted)
-        return Misfits(*(self.evidence.misfit(patch) for patch in patches))
+        albedo = self.evidence.albedos(self.start, stated_albedo(self.room))
+        patches = {
+            "none": np.zeros_like(of_fitted),
+            "stated": self.evidence.patches(self.start, albedo),
+            "fitted": of_fitted,
+        }
+        return {name: float(self.evidence.misfit(p).mean()) for name, p in patches.items()}
 
     def uncertainties(self) -> dict[str, float]:
         """Return standard uncertainties by parameter, after `run`."""
@@ -307,7 +297,7 @@ def scene_of(fit: SceneFit, chosen: Chosen, verdict: str) -> Scene:
         stated_heading_deg=fit.heading_deg,
         stated_room=fit.stated,
         hours=fit.hours,
-        misfit=fit.misfits.mean(),
+        misfit=fit.misfit,
         before=fit.before,
         after=fit.after,
         u=fit.u,

@@ -90,8 +90,8 @@ def judged_scene(data: Dataset, fit: SceneFit, *, progress: Progress = quiet) ->
     at least half of a year's hours. With fewer than three directions of the sun, the expected error
     is unknown (None). data: all captures that the fit was given.
     """
-    data, why = fit.used(data), ""
-    chosen, reason = choose_geometry(fit.misfits.mean())
+    data = fit.used(data)
+    chosen, reason = choose_geometry(fit.misfit)
     scene = scene_of(fit, chosen, reason)
     why = doubt(data, fit.stated, fit.hours)
     if why:
