@@ -23,9 +23,19 @@ from fieldlum.year.glare import (
     reference_version,
     view_azimuths_deg,
 )
-from fieldlum.year.glare.metrics import _dgi_terms, cgi, combine, dgi, dgps, ugp, ugr, veiling_cdm2
+from fieldlum.year.glare.metrics import (
+    _dgi_terms,
+    _source_sums,
+    cgi,
+    combine,
+    dgi,
+    dgps,
+    ugp,
+    ugr,
+    veiling_cdm2,
+)
 from fieldlum.year.glare.pictures import HEMISPHERE_SOURCES_SR, parse_view, picture_views
-from fieldlum.year.glare.sources import group_pixels, sources_of, widen
+from fieldlum.year.glare.sources import Sources, group_pixels, sources_of, widen
 from fieldlum.year.glare.standards import disturbed_share
 
 H, W = 90, 180
@@ -59,17 +69,46 @@ def test_a_uniform_sphere_gives_pi_l_in_every_direction(heading: float) -> None:
 def test_formulas_give_their_values_at_powers_of_ten() -> None:
     """Computed by hand from the publications named in `metrics`: each logarithm is an integer."""
     found = [
-        dgp(1000.0, 9.0 * 10.0**5.61),  # 1000^1.87 = 10^5.61
+        dgp(1000.0, 99.0 * 10.0**5.61),  # 1000^1.87 = 10^5.61
         dgps(1000.0),
-        ugr(400.0, 10.0),
-        ugp(400.0, 10.0),
+        ugr(4000.0, 10.0),
+        ugp(4000.0, 10.0),
         dgi(100.0),
-        cgi(1000.0, 400.0, 500.0),
+        cgi(10000.0, 400.0, 500.0),
         *(veiling_cdm2(2.0, age) for age in (0.0, 70.0, 140.0)),
         _dgi_terms(*(np.array(x) for x in (1e5, 0.04, 2.0, 600.0))),  # 0.01^0.8 = 10^-1.6
     ]
-    expected = [0.3097, 0.2462, 8.0, 0.26, 20.0, 8.0, 20.0, 40.0, 340.0, 0.478 * 10.0**6.4 / 2000.0]
+    expected = [
+        0.4017,
+        0.2462,
+        16.0,
+        0.52,
+        20.0,
+        16.0,
+        20.0,
+        40.0,
+        340.0,
+        0.478 * 10.0**6.4 / 2000.0,
+    ]
     assert [float(value) for value in found] == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.analytic
+def test_light_of_the_sources_is_not_in_the_background() -> None:
+    """CIE 117: of 1000 lx, 400 lx are from sources; the rest is 600 / pi cd/m2."""
+    dark, background = np.zeros((1, 1)), 600.0 / np.pi
+    sums = np.array([400.0 * background, 400.0, 100.0, 2.0]).reshape(1, 4, 1)
+    got = combine(np.full((1, 1), 1000.0), dark, sums, dark, dark, dark)
+    found = [float(got[name][0, 0]) for name in ("ugr", "ugp", "dgi", "ev_lx")]
+    assert found == pytest.approx([16.0, 0.52, 20.0, 1000.0])
+
+
+@pytest.mark.analytic
+def test_the_veil_falls_with_the_square_of_the_angle() -> None:
+    figures = 5e3, 0.01, np.radians(10.0), 0.0, 50.0  # 50 lx, 10 degrees to the right
+    source = Sources(*(np.full((1, 1), x) for x in figures), [np.zeros(0, np.int64)])
+    _, ev_lx, _, veil = _source_sums(source, np.array([1000.0]))
+    assert (float(ev_lx[0]), float(veil[0])) == pytest.approx((50.0, 0.5))
 
 
 @pytest.mark.analytic
