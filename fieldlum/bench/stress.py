@@ -32,9 +32,6 @@ from fieldlum.sky import sun
 from fieldlum.sky.light import Light
 
 MIN_HOURS = 8  # hours of training and of test that a condition needs; chosen
-# Number of rows to which maps are reduced after a condition was applied at full size: thirty fits
-# then take a minute or two. Chosen.
-HEIGHT = 20
 GROSS_MSE = 0.04  # log10 MSE of a gross error: a factor of 1.6
 REPORTED_SHARE = 1.0 / 3.0  # share of the error that the model must expect; chosen, not measured
 
@@ -244,7 +241,8 @@ def run(
     normal: dict[str, float] = {}
     for case in cases(data, test):
         progress(len(rows), 0, case.name)
-        train, tested = case.train.thin(HEIGHT), case.test.thin(HEIGHT)
+        # with maps of 20 rows thirty fits take a minute or two
+        train, tested = case.train.thin(20), case.test.thin(20)
         fitted, spent = fit_timed(
             spec.name, train, patch=patch_mode(train, spec.patch), seed=case.seed, budget_s=budget_s
         )
