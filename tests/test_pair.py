@@ -143,7 +143,7 @@ def test_a_dead_instrument_and_kilowatts_are_refused_by_day_alone() -> None:
     light = outside(
         log(np.arange(-20.0, 20.0), np.full(40, 0.4)), NOON, NOON + timedelta(seconds=30)
     )
-    taken = pair.Taken("x", Path("x.exr"), NOON, NOON)
+    taken = pair.BracketInterval("x", Path("x.exr"), NOON, NOON)
     assert "kW/m2" in pair.judge(taken, light, 19.0, 178.0).why
 
 

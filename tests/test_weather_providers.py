@@ -188,3 +188,13 @@ def test_a_damaged_provider_file_is_one_line(tmp_path: Path, text: str) -> None:
     with pytest.raises(InputError) as refused:
         weather.read_weather(tmp_path / "a.csv", SEATTLE)
     assert "\n" not in str(refused.value)
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize(
+    "header", ["Source,Location ID", "Latitude (decimal degrees): 1", "LOCATION,x"]
+)
+def test_a_comment_above_a_providers_header_is_named(tmp_path: Path, header: str) -> None:
+    (tmp_path / "a.csv").write_text(f"# from the archive\n{header}\n", encoding="ascii")
+    with pytest.raises(InputError, match="a comment above the header"):
+        weather.read_weather(tmp_path / "a.csv", SEATTLE)

@@ -97,7 +97,7 @@ CASES = [
     ("plan @/session --next --replan", "exclude", 2),
     ("doctor @/empty", "session", 3),
     ("doctor @/session --camera gohoto:", "gohoto.*one of gphoto", 4),
-    ("doctor @/session --pyranometer serial:", "no port; expected a URI", 4),
+    ("doctor @/session --pyranometer serial:", "no port, no kind or no profile; expected", 4),
     ("capture @/session", "--camera", 2),
     ("capture @/empty --camera sim:office", "session", 3),
     ("status @/good.toml", "session", 3),

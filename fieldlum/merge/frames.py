@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from fieldlum.core.arrays import Array, Floats, Floats32, Indices, Mask
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Progress, quiet
-from fieldlum.merge.shift import Small, reduced
+from fieldlum.merge.shift import ReducedFrame, reduced
 from fieldlum.merge.shots import Shot
 from fieldlum.optics.linear_light import (
     black_dn,
@@ -168,7 +168,7 @@ class RawSignal:
         )
         return counts < self.limit, variance.astype(np.float32)
 
-    def small(self) -> Small:
+    def small(self) -> ReducedFrame:
         """Return a reduced picture, the mean of all colours, to detect turns by its edges."""
         counts = self.counts.reshape(-1, self.counts.shape[-1])
         above = counts.astype(np.float32)
@@ -365,7 +365,7 @@ class JpegSignal:
         """Luminance of code 250, broadcastable to [H, W, 3], in cd/m2."""
         return np.asarray(self.z_of_code[_TOP_CODE] / self.per_cdm2, np.float32)
 
-    def small(self) -> Small:
+    def small(self) -> ReducedFrame:
         """Return a reduced picture of the green colour, to detect turns by its edges."""
         green = np.ascontiguousarray(self.codes[..., 1])
         light = np.asarray(cv2.LUT(green, np.ascontiguousarray(self.z_of_code[:, 1])), np.float32)

@@ -194,7 +194,7 @@ def unexplained(disagreements: Sequence[NeighbourQuality], explained: float) -> 
     return float(np.sqrt(max((apart**2 - noise**2) / 2 - explained**2, 0.0)))
 
 
-def free_fit(pairs: list[PairRatio], frames: int) -> RatioFit:
+def weak_prior_fit(pairs: list[PairRatio], frames: int) -> RatioFit:
     """Return the corrections of the exposures that the measured pairs alone give.
 
     frames: number of frames. The corrections, factors on the assumed exposures, have a geometric
@@ -205,11 +205,11 @@ def free_fit(pairs: list[PairRatio], frames: int) -> RatioFit:
     return fit_ratios(pairs, np.eye(frames) * 0.3**2)
 
 
-def beyond(free: RatioFit, explained: float) -> float:
+def unexplained_u(free: RatioFit, explained: float) -> float:
     """Return the relative uncertainty of exposures that their known causes do not explain.
 
-    free: a result of `free_fit`. The uncertainty is the standard deviation of the logarithms of its
-    corrections, reduced by `explained` (the known relative uncertainty) and by the noise of the
+    free: a result of `weak_prior_fit`. The uncertainty is the standard deviation of the logarithms
+    of its corrections, reduced by `explained` (the known relative uncertainty) and by the noise of the
     measured pairs. Return 0 if nothing remains, or without pairs.
     """
     frames = sorted({i for p in free.pairs for i in (p.long, p.short)})
@@ -365,11 +365,11 @@ def _trust(
         compared, disagreement = fit, u_typical
         u_extra = unexplained(residuals, u_response)
     else:
-        compared = free_fit(pairs, len(prior))
+        compared = weak_prior_fit(pairs, len(prior))
         u_explained = float(np.hypot(u_response, u_typical))
         percents = [abs(n.residual_percent) for n in residuals]
         disagreement = float(np.median(percents)) / 100 if percents else u_typical
-        u_extra = max(unexplained(residuals, u_explained), beyond(compared, u_explained))
+        u_extra = max(unexplained(residuals, u_explained), unexplained_u(compared, u_explained))
     return Exposures(
         law,
         fit,

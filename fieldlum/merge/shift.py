@@ -37,7 +37,7 @@ _BLOCKS = 6  # parts of the picture per side whose errors are independent
 
 
 @dataclass(frozen=True, slots=True)
-class Small:
+class ReducedFrame:
     """A frame at a reduced size.
 
     log_light [h, w]: natural logarithm of the light, in any unit; seen [h, w]: True for pixels that
@@ -49,7 +49,7 @@ class Small:
     step: int
 
 
-def reduced(signal: Floats32, seen_mask: Mask, minimum: float, cell: int = 1) -> Small:
+def reduced(signal: Floats32, seen_mask: Mask, minimum: float, cell: int = 1) -> ReducedFrame:
     """Return a frame at a reduced size: its means over blocks, with at most 800 blocks on a side.
 
     signal: [h, w], linear in light with black at 0, in any unit; seen_mask: mask [h, w], False for
@@ -65,11 +65,11 @@ def reduced(signal: Floats32, seen_mask: Mask, minimum: float, cell: int = 1) ->
         for values in (signal, seen_mask.view(np.uint8) * np.uint8(255))
     )
     complete = (share == 255) & (mean > minimum)
-    return Small(np.log(np.where(complete, mean, 1.0)).astype(np.float32), complete, by)
+    return ReducedFrame(np.log(np.where(complete, mean, 1.0)).astype(np.float32), complete, by)
 
 
 def shifts(
-    frames: Sequence[Small], lenses: Sequence[LensGeometry], names: Sequence[str]
+    frames: Sequence[ReducedFrame], lenses: Sequence[LensGeometry], names: Sequence[str]
 ) -> list[ShiftQuality]:
     """Return the turns of the camera between neighbouring frames of a bracket.
 
@@ -89,7 +89,9 @@ def shifts(
     return turns
 
 
-def _turn(long: Small, short: Small, lenses: Sequence[LensGeometry]) -> tuple[float, float] | None:
+def _turn(
+    long: ReducedFrame, short: ReducedFrame, lenses: Sequence[LensGeometry]
+) -> tuple[float, float] | None:
     """Return the turn between two frames [rad] and its standard error; None for too few points."""
     from scipy.spatial.transform import Rotation
 
@@ -122,7 +124,7 @@ def _turn(long: Small, short: Small, lenses: Sequence[LensGeometry]) -> tuple[fl
     return float(angle), float(np.sqrt(max(along @ covariance @ along, 1e-16)))
 
 
-def _tracked(long: Small, short: Small) -> tuple[Floats, Floats]:
+def _tracked(long: ReducedFrame, short: ReducedFrame) -> tuple[Floats, Floats]:
     """Return sensor coordinates of points in two frames, [points, 2] each."""
     both = long.seen & short.seen
     near = np.ones((_WINDOW_PX, _WINDOW_PX), np.uint8)
@@ -141,7 +143,7 @@ def _tracked(long: Small, short: Small) -> tuple[Floats, Floats]:
     return here.astype(np.float64), there.astype(np.float64)
 
 
-def _grey(small: Small, common: Mask) -> Array:
+def _grey(small: ReducedFrame, common: Mask) -> Array:
     """Return a frame as 8-bit levels of ln light; 128 for the median, and outside of `common`."""
     middle = np.median(small.log_light[common]) if common.any() else 0.0
     levels = np.where(common, _LEVELS_PER_LN * (small.log_light - middle), 0.0)

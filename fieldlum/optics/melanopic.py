@@ -25,7 +25,7 @@ _DAYLIGHT_RATIO, _LAMP_RATIO = 0.85, 0.70
 # Melanopic over photopic illuminance of direct sunlight: 0.94 exp(-0.058 air mass), within 2 % of
 # SPECTRL2 (Bird and Riordan 1986) with an aerosol depth of 0.1 and air mass 1 to 15.
 _SUN_RATIO, _SUN_RATIO_DECAY = 0.94, 0.058
-_U_SUN = 0.07  # relative u of its melanopic illuminance: aerosol 5 %, glass and disc 5 %; chosen
+U_SUN = 0.07  # relative u of its melanopic illuminance: aerosol 5 %, glass and disc 5 %; chosen
 _RADIANCE_Y = (0.265, 0.670, 0.065)  # weights of R, G, B in the luminance of a stored picture
 ATTRIBUTE = "melanopic"  # of a picture: weights of R, G and B, and the ratio's relative u
 
@@ -84,7 +84,7 @@ def melanopic_edi(
         u_map /= np.maximum(panorama.luminance_cdm2.ravel() @ weights_sr, 1e-9)
     u_map = np.hypot(u_map, ratio_u_rel(edi / np.maximum(map_lx, 1e-9), colour[1], lamps=lamps))
     sun_edi = sun_ev_lx * (np.zeros(1) if sun is None else sun_ratio(sun.altitude_deg))
-    return edi + sun_edi, np.hypot(edi * u_map, sun_edi * _U_SUN)
+    return edi + sun_edi, np.hypot(edi * u_map, sun_edi * U_SUN)
 
 
 def sun_ratio(altitude_deg: Floats | float) -> Floats:

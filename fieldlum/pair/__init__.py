@@ -36,7 +36,7 @@ NIGHT_MINUTES = 5  # minutes of light with the sun well down that a lamp may cau
 
 
 @dataclass(frozen=True, slots=True)
-class Taken:
+class BracketInterval:
     """One merged bracket: its panorama, its times, and what merge recorded about it.
 
     slot: its id. t_open_utc, t_close_utc: start of the first and end of the last frame.
@@ -72,7 +72,7 @@ class Pair:
     in the session's folder, or "".
     """
 
-    taken: Taken
+    taken: BracketInterval
     light: Outside
     sun_altitude_deg: float
     sun_azimuth_deg: float
@@ -86,7 +86,7 @@ class Pair:
         return not self.why
 
 
-def taken_brackets(session: Session) -> list[Taken]:
+def taken_brackets(session: Session) -> list[BracketInterval]:
     """Return every panorama in order of time, with the interval of its capture.json.
 
     Without a capture.json the interval is half a minute. Brackets that share frames are marked: a
@@ -101,7 +101,7 @@ def taken_brackets(session: Session) -> list[Taken]:
     return [replace(taken, double_of=other) for taken, other in zip(brackets, others, strict=True)]
 
 
-def _taken(session: Session, path: Path) -> Taken:
+def _taken(session: Session, path: Path) -> BracketInterval:
     slot = path.stem
     capture = CaptureFile.find(session.capture_file(slot))
     sidecar = Sidecar.find(session.sidecar(slot))
@@ -110,8 +110,10 @@ def _taken(session: Session, path: Path) -> Taken:
     if capture is None:
         middle = (sidecar.t_utc if sidecar is not None else None) or _slot_time(path)
         opened, closed = middle - timedelta(seconds=15), middle + timedelta(seconds=15)
-        return Taken(slot, path, opened, closed, complete=not lost, sun_u_percent=sun_u_percent)
-    return Taken(
+        return BracketInterval(
+            slot, path, opened, closed, complete=not lost, sun_u_percent=sun_u_percent
+        )
+    return BracketInterval(
         slot,
         path,
         capture.t_open_utc,
@@ -130,7 +132,7 @@ def _slot_time(path: Path) -> datetime:
         return parse_utc(path.stem)
 
 
-def judge(taken: Taken, light: Outside, altitude_deg: float, azimuth_deg: float) -> Pair:
+def judge(taken: BracketInterval, light: Outside, altitude_deg: float, azimuth_deg: float) -> Pair:
     """Return the row of pairs.csv for a bracket, with the first reason not to use it, if any."""
     why = light.why
     top_wm2 = sun.extraterrestrial_wm2([taken.t_utc])[0]
@@ -266,7 +268,7 @@ def _light(session: Session, pairs: Sequence[Pair]) -> Light:
     return Light(times, dni, dhi, altitude, azimuth, states=states if any(states) else None)
 
 
-def _shown(taken: Taken, full_normal_lx: float) -> Shown:
+def _shown(taken: BracketInterval, full_normal_lx: float) -> Shown:
     """Return what the panorama of a bracket shows; only a caution if it cannot be read."""
     warn_if_changed(taken.panorama)
     try:

@@ -31,7 +31,7 @@ SKIES = 7
 BATCH = 25  # number of captures in a batch, by which "pays" is decided; chosen
 SAME_PLACE_DEG = 0.1  # a model of a place further away is not used; about 11 km
 # A batch that reduces the remaining variance by a smaller share does not pay. Chosen, not measured.
-WORTH = 0.10
+MIN_VARIANCE_REDUCTION = 0.10
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +69,7 @@ class RankedHours:
     @property
     def pays(self) -> bool:
         """Whether a batch of captures would reduce the remaining variance by at least 10 %."""
-        return self.next_batch_percent >= 100 * WORTH
+        return self.next_batch_percent >= 100 * MIN_VARIANCE_REDUCTION
 
 
 def trained_kernel(session: Session) -> tuple[Kernel, str] | None:

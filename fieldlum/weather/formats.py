@@ -100,8 +100,12 @@ def read_table(path: Path, lines: list[str], site: Site) -> WeatherTable:
     lines: of the file; site: for formats that state no place or zone. Raises InputError for a
     header or row that the format does not allow, and for irradiance outside -10 to 1600 W/m2.
     """
-    start = Start(path.suffix.lower(), lines[0].lstrip(), lines[1] if len(lines) > 1 else "")
+    first, second = [*(text for _, text in numbered(lines[:50])), "", ""][:2]
+    start = Start(path.suffix.lower(), first.lstrip(), second)
     read = next(form.read for form in FORMATS if form.recognises(start))
+    if read is not _read_csv and lines[0].startswith("#"):
+        found = f"a comment above the header '{first[:40]}'"
+        raise InputError(path, found, "this format's header in line 1", "remove the comment")
     return read(path, lines, site)
 
 
@@ -562,19 +566,20 @@ class Format(NamedTuple):
 
 
 FORMATS = (
-    Format(lambda file: file.suffix == ".tm2", _read_tmy2),
+    Format(lambda start: start.suffix == ".tm2", _read_tmy2),
     Format(
-        lambda file: file.suffix == ".epw" or file.first.upper().startswith("LOCATION,"), _read_epw
+        lambda start: start.suffix == ".epw" or start.first.upper().startswith("LOCATION,"),
+        _read_epw,
     ),
-    Format(lambda file: file.first.startswith("Latitude (decimal degrees)"), _read_pvgis_csv),
-    Format(lambda file: file.first.startswith("{"), _read_pvgis_json),
-    Format(lambda file: file.first.startswith("Source,"), _read_sam),
+    Format(lambda start: start.first.startswith("Latitude (decimal degrees)"), _read_pvgis_csv),
+    Format(lambda start: start.first.startswith("{"), _read_pvgis_json),
+    Format(lambda start: start.first.startswith("Source,"), _read_sam),
     Format(
-        lambda file: (
-            "ObservationTime(LST)" in file.second
-            or file.second.lstrip('"').startswith("Date (MM/DD/YYYY)")
+        lambda start: (
+            "ObservationTime(LST)" in start.second
+            or start.second.lstrip('"').startswith("Date (MM/DD/YYYY)")
         ),
         _read_tmy3,
     ),
-    Format(lambda file: True, _read_csv),  # the last one: its errors explain the columns
+    Format(lambda start: True, _read_csv),  # the last one: its errors explain the columns
 )

@@ -24,15 +24,15 @@ from fieldlum.weather.year import Weather
 
 # Seven files that are right have at most 8 min; labels at an end of the hour give 22 to 38 min.
 # Chosen between them, on the same files (docs/validation.md).
-MOST_SHIFT_MIN = 20.0
+MAX_SHIFT_MINUTES = 20.0
 _SHIFTS_MIN = (-60.0, -30.0, 0.0, 30.0, 60.0)  # between them the result is interpolated; chosen
 # Altitudes that are compared, deg. Lower ones may be behind a hill; at higher ones direct light
 # hardly depends on the altitude. Chosen.
 _ALTITUDES_DEG = np.arange(8.0, 33.0, 3.0)
 # This quantile of DNI is of clear hours in most climates. Chosen, not measured.
 _CLEAR_QUANTILE = 0.8
-_LEAST_HOURS = 20  # of a half-day at an altitude; fewer have no quantile; chosen
-_LEAST_DAYS = 300  # in a part of a year, mornings and afternoons differ by weather; chosen
+_MIN_HOURS = 20  # of a half-day at an altitude; fewer have no quantile; chosen
+_MIN_DAYS = 300  # in a part of a year, mornings and afternoons differ by weather; chosen
 
 
 def label_shift_min(weather: Weather, station: Site) -> float | None:
@@ -40,7 +40,7 @@ def label_shift_min(weather: Weather, station: Site) -> float | None:
 
     None if the file does not show it: it has under 300 days, or no shift of up to an hour is right.
     """
-    if len({t.date() for t in weather.t_utc}) < _LEAST_DAYS:
+    if len({t.date() for t in weather.t_utc}) < _MIN_DAYS:
         return None
     excess = np.array([_morning_excess(weather, station, shift) for shift in _SHIFTS_MIN])
     falls = np.flatnonzero((excess[:-1] > 0.0) & (excess[1:] <= 0.0))
@@ -54,7 +54,7 @@ def label_shift_min(weather: Weather, station: Site) -> float | None:
 def label_notes(weather: Weather, station: Site) -> list[str]:
     """Return a note if the labels of a file seem to be off by more than 20 minutes."""
     shift = label_shift_min(weather, station)
-    if shift is None or abs(shift) <= MOST_SHIFT_MIN:
+    if shift is None or abs(shift) <= MAX_SHIFT_MINUTES:
         return []
     return [
         "direct light of mornings and afternoons agrees if all row times are moved by "
@@ -75,7 +75,7 @@ def _morning_excess(weather: Weather, station: Site, shift_min: float) -> float:
     for low, high in pairwise(_ALTITUDES_DEG):
         inside = (place.altitude_deg >= low) & (place.altitude_deg < high)
         halves = weather.dni_wm2[inside & morning], weather.dni_wm2[inside & ~morning]
-        if min(len(half) for half in halves) >= _LEAST_HOURS:
+        if min(len(half) for half in halves) >= _MIN_HOURS:
             excess.append(_contrast(*halves))
     return float(np.mean(excess)) if excess else float("nan")
 
@@ -88,26 +88,26 @@ def _contrast(first: Floats, second: Floats) -> float:
 
 # Energy of the year's global irradiance over that of a cloudless sky. Chosen so that every climate
 # is inside and a file in kW (0.001) or kJ (3.6) is outside; not measured.
-LEAST_OF_CLEAR = 0.03
-MOST_OF_CLEAR = 1.3
+MIN_OF_CLEAR = 0.03
+MAX_OF_CLEAR = 1.3
 # Share of the hours outside the extremely rare limits of BSRN (Long and Dutton 2010). Chosen so
 # that single bad hours pass and an exchanged column does not; not measured.
-MOST_EXTREME = 0.02
+MAX_EXTREME_SHARE = 0.02
 # Below this clearness index nearly all light is diffuse (Erbs, Klein, Duffie 1982: over 97 %). A
-# smaller median share than LEAST_DIFFUSE means that a column is another component.
+# smaller median share than MIN_DIFFUSE_SHARE means that a column is another component.
 OVERCAST_CLEARNESS = 0.25
-LEAST_DIFFUSE = 0.9
-LEAST_OVERCAST_HOURS = 20  # chosen so that a median is meaningful; not measured
+MIN_DIFFUSE_SHARE = 0.9
+MIN_OVERCAST_HOURS = 20  # chosen so that a median is meaningful; not measured
 # Global irradiance is never below the diffuse one, and equals it under overcast skies. Direct
 # irradiance is below it in most overcast hours. Of the hours with over 20 W/m2 of diffuse, the
 # files of five places have 34 to 62 % below and 1 to 3 % equal; with global as direct they have at
 # most 2 % below and at least 10 % equal. Measured (docs/validation.md); chosen between.
-LEAST_BELOW = 0.05
-MOST_EQUAL = 0.05
+MIN_SHARE_BELOW = 0.05
+MAX_SHARE_EQUAL = 0.05
 _SAME_WITHIN = 0.05  # relative, as two instruments agree; chosen
 # Median of |global - diffuse - direct| over the global, where a file has all three. Chosen so that
 # hourly means around a moving sun pass; not measured.
-MOST_OPEN = 0.2
+MAX_CLOSURE_ERROR = 0.2
 # DNI + DHI over LIGHT_WM2 is a lit hour, under DARK_WM2 a dark one. Chosen above the rounding of
 # files; not measured.
 LIGHT_WM2 = 3.0
@@ -118,18 +118,18 @@ RISEN_DEG = 1.5
 SUNK_DEG = -0.5
 # Share of the sunrises and sunsets that may contradict. Half an hour of shift gives 0.10 to 0.14 at
 # 36 to 55 degrees north. Chosen, a third of that.
-MOST_AGAINST = 0.04
-MOST_OF_FEW = 12  # files of a few days decide nothing below this count; not measured
+MAX_CONTRADICTIONS = 0.04
+MIN_CONTRADICTIONS = 12  # in files of a few days fewer decide nothing; not measured
 # Share that is an error although no shift of the labels helps: the weather is of another latitude
 # or hemisphere. Chosen so that a high horizon passes; not measured.
-MOST_AGAINST_ALL = 0.25
+MAX_CONTRADICTIONS_ANYWHERE = 0.25
 # Light below this altitude is light at night: hourly means include light from half an hour before
 # sunrise. Chosen.
 NIGHT_BELOW_DEG = -8.0
 # Share of the year's light that may be at night; a shift of one hour gives more. Not measured.
-MOST_LIGHT_AT_NIGHT = 0.01
+MAX_LIGHT_AT_NIGHT = 0.01
 # Share of the hours around solar midnight that may be lit. Chosen; files have none.
-MOST_LIT_MIDNIGHTS = 0.01
+MAX_LIT_MIDNIGHTS = 0.01
 _MIDNIGHT_WITHIN_H = 1.5  # of solar midnight: no day of a wrong latitude reaches it; chosen
 SHIFTS_MIN = tuple(m for m in range(-150, 151, 15) if m)
 _HALF = timedelta(minutes=30)  # of an hour, by definition
@@ -149,11 +149,11 @@ def check_sense(path: Path, weather: Weather, station: Site, ghi_wm2: Floats) ->
         return []
     total = weather.dhi_wm2 + weather.dni_wm2 * np.maximum(np.sin(np.radians(altitude)), 0.0)
     share = float(total.sum() / max(sun.clearsky(weather.t_utc, station).ghi_wm2.sum(), 1.0))
-    if not LEAST_OF_CLEAR <= share <= MOST_OF_CLEAR:
+    if not MIN_OF_CLEAR <= share <= MAX_OF_CLEAR:
         raise InputError(
             path,
             f"the sum of irradiance is {share:.2g} times that of cloudless skies at {station.name}",
-            f"{LEAST_OF_CLEAR:g} to {MOST_OF_CLEAR:g} times",
+            f"{MIN_OF_CLEAR:g} to {MAX_OF_CLEAR:g} times",
             f"check whether values are in kW or kJ; {_CORRECT_COLUMNS}",
         )
     # Before the columns: with labels an hour off, low suns look like overcast hours with much DNI.
@@ -164,7 +164,7 @@ def check_sense(path: Path, weather: Weather, station: Site, ghi_wm2: Floats) ->
             raise _another_place(path, f"{doubt}; {found}")
         # Half an hour beside its sun, clear light at low altitudes looks like wrong columns.
         shift = label_shift_min(weather, station)
-        if shift is None or abs(shift) <= MOST_SHIFT_MIN:
+        if shift is None or abs(shift) <= MAX_SHIFT_MINUTES:
             remedy = f"check whether {cause}; {_CORRECT_COLUMNS}"
             raise InputError(path, found, expected, remedy)
         raise InputError(
@@ -192,31 +192,35 @@ def _wrong_column(
         "DHI": float((dhi > limits.dhi_wm2[1])[up].mean()),
     }
     name = max(over, key=lambda name: over[name])
-    if over[name] > MOST_EXTREME:
+    if over[name] > MAX_EXTREME_SHARE:
         found = f"{name} is above the limit of any sky in {100 * over[name]:.0f} % of the daylight"
         cause = f"the column of {name} has another component"
-        return f"{found} hours", f"at most {100 * MOST_EXTREME:g} %", cause
+        return f"{found} hours", f"at most {100 * MAX_EXTREME_SHARE:g} %", cause
     clearness = total / (top * np.maximum(np.sin(np.radians(altitude)), 1e-9))
     overcast = up & (clearness < OVERCAST_CLEARNESS) & (total > 10.0)
     share = float(np.median(dhi[overcast] / total[overcast])) if overcast.any() else 1.0
-    if overcast.sum() >= LEAST_OVERCAST_HOURS and share < LEAST_DIFFUSE:
+    if overcast.sum() >= MIN_OVERCAST_HOURS and share < MIN_DIFFUSE_SHARE:
         found = f"only {100 * share:.0f} % of the irradiance of overcast hours is diffuse (median)"
-        return found, f"over {100 * LEAST_DIFFUSE:g} %", "the column of DNI has global or diffuse"
+        return (
+            found,
+            f"over {100 * MIN_DIFFUSE_SHARE:g} %",
+            "the column of DNI has global or diffuse",
+        )
     lit = dhi > 20.0
     ratio = dni[lit] / dhi[lit] - 1.0
     below = float((ratio < -_SAME_WITHIN).mean()) if lit.any() else 1.0
     equal = float((abs(ratio) <= _SAME_WITHIN).mean()) if lit.any() else 0.0
-    if lit.sum() >= LEAST_OVERCAST_HOURS and below < LEAST_BELOW and equal > MOST_EQUAL:
+    if lit.sum() >= MIN_OVERCAST_HOURS and below < MIN_SHARE_BELOW and equal > MAX_SHARE_EQUAL:
         found = f"DNI equals DHI in {100 * equal:.0f} % of the daylight hours, and is below it in"
         expected = "overcast hours with less direct than diffuse irradiance"
         return f"{found} {100 * below:.1f} %", expected, "the column of DNI has global"
     tested = up & (ghi_wm2 > 50.0)
     open_share = np.abs(1.0 - total[tested] / ghi_wm2[tested])
     off = float(np.median(open_share)) if tested.any() else 0.0
-    if off > MOST_OPEN:
+    if off > MAX_CLOSURE_ERROR:
         found = f"GHI differs from DHI + DNI sin(altitude) by {100 * off:.0f} % (median)"
         cause = "a column has another component, or direct on a horizontal plane"
-        return found, f"at most {100 * MOST_OPEN:g} %", cause
+        return found, f"at most {100 * MAX_CLOSURE_ERROR:g} %", cause
     return None
 
 
@@ -250,14 +254,14 @@ def _check_night(path: Path, weather: Weather, station: Site, altitude: Floats) 
     solar_h = np.array([t.timestamp() for t in weather.t_utc]) / 3600.0 + station.longitude_deg / 15
     midnight = night & (np.abs((solar_h + 12.0) % 24.0 - 12.0) < _MIDNIGHT_WITHIN_H)
     lit = midnight & (light > LIGHT_WM2)
-    at_midnight = lit.sum() > MOST_LIT_MIDNIGHTS * midnight.sum() and lit.sum() > MOST_OF_FEW
+    at_midnight = lit.sum() > MAX_LIT_MIDNIGHTS * midnight.sum() and lit.sum() > MIN_CONTRADICTIONS
     share = float(light[night].sum() / max(light.sum(), 1.0))
-    if share <= MOST_LIGHT_AT_NIGHT and not at_midnight:
+    if share <= MAX_LIGHT_AT_NIGHT and not at_midnight:
         return
     shares = {h: _share_at_night(weather, station, h) for h in range(-12, 13)}
     best = min(shares, key=lambda hours: (shares[hours], abs(hours)))
     found = f"{100 * share:.0f} % of the irradiance is at times when the sun is down"
-    if shares[best] <= min(MOST_LIGHT_AT_NIGHT, 0.2 * share):
+    if shares[best] <= min(MAX_LIGHT_AT_NIGHT, 0.2 * share):
         found += f" at {station.name}; {100 * shares[best]:.0f} % with all row times moved by"
         found += f" {best:+d} h"
         remedy = "check the file's time zone, and the sign of the site's longitude"
@@ -296,7 +300,7 @@ def _check_labels(path: Path, weather: Weather, station: Site) -> str:
     """
     against = _against(weather, station, 0)
     edges = 2 * len({sun.standard_date(t, weather.site.timezone) for t in weather.t_utc})
-    most = max(int(MOST_AGAINST * edges), MOST_OF_FEW)
+    most = max(int(MAX_CONTRADICTIONS * edges), MIN_CONTRADICTIONS)
     if against <= most:
         return ""
     other = {shift: _against(weather, station, shift) for shift in SHIFTS_MIN}
@@ -319,7 +323,7 @@ def _check_labels(path: Path, weather: Weather, station: Site) -> str:
         f" at {station.name}, and no shift of the row times explains them: its days are as long as "
         f"at about {_latitude_of_days(weather, station):+.0f} degrees of latitude"
     )
-    if other[best] < 0.5 * against or against > MOST_AGAINST_ALL * edges:
+    if other[best] < 0.5 * against or against > MAX_CONTRADICTIONS_ANYWHERE * edges:
         raise _another_place(path, found)
     return found
 

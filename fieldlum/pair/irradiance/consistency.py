@@ -45,7 +45,7 @@ _FREE_WITHIN_S = 2700.0  # seconds before or after within which the sun must be 
 _BLOCKED_DAYS = 4
 
 
-def lasting(t_unix_s: Floats, marked: Rows, window_s: float, tested: Rows | None = None) -> Rows:
+def persistent(t_unix_s: Floats, marked: Rows, window_s: float, tested: Rows | None = None) -> Rows:
     """Return a mask [n] of the marked rows in whose window at least half of the rows are marked.
 
     window_s : around each row; tested [n] : the rows that count, None for all. t_unix_s
@@ -73,7 +73,7 @@ def closure_fails(
     testable = np.isfinite(ratio) & (altitude > -3.0)
     with np.errstate(invalid="ignore"):
         fails = testable & (np.abs(ratio - 1.0) > allowed)
-    return lasting(t_unix_s, fails, CLOSURE_WINDOW_S, testable)
+    return persistent(t_unix_s, fails, CLOSURE_WINDOW_S, testable)
 
 
 def k_index_fails(
@@ -100,7 +100,7 @@ def k_index_fails(
         fails = (kn > kt) & (kn > 0) & (kt > 0)
         fails |= kn > (_KN_TOP_WM2 + _KN_PER_M * altitude_m) / top
         fails |= (kt > _KT_MOST) | (kd > most_kd) | (clear & (kd > _KD_CLEAR))
-    return lasting(t_unix_s, np.asarray(tested & fails), _K_LASTS_S)
+    return persistent(t_unix_s, np.asarray(tested & fails), _K_LASTS_S)
 
 
 def shaded_horizon(

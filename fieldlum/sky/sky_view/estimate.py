@@ -21,7 +21,7 @@ from fieldlum.sky.sky_view.measured_discs import MeasuredDiscs
 from fieldlum.sky.sky_view.panes import pane_transmittance
 from fieldlum.sky.sky_view.picture import SkyGrid, SkyPicture
 from fieldlum.sky.sky_view.pose import CameraPose, pose_of_discs
-from fieldlum.sky.sky_view.ratio import BEAM_LX, SOME, follow, sky_reference, unmixed
+from fieldlum.sky.sky_view.ratio import BEAM_LX, SOME, follow, sky_reference, sky_share
 from fieldlum.sky.sky_view.sky_heading import MIN_U_DEG, heading_by_sky
 from fieldlum.sky.sky_view.view import SkyView
 from fieldlum.sky.sun import OBLIQUITY_DEG, SUN_SOLID_ANGLE_SR, celestial_pole
@@ -207,7 +207,7 @@ def _decided(stack: _Stack, pose: CameraPose, latitude_deg: float | None) -> _De
     if mixed.any() and shut.any():
         at, front = stack.columns[mixed.ravel()], stack.columns[_nearest(shut)[mixed]]
         open_sky = reference.sky(light, rays[at]) * pane[mixed].astype(np.float32)
-        openness[mixed], u[mixed] = unmixed(luminance[:, at], open_sky, luminance[:, front])
+        openness[mixed], u[mixed] = sky_share(luminance[:, at], open_sky, luminance[:, front])
     openness[openness < _SHUT] = 0.0
     low, high = _bounds(openness, u, mixed, pane, step_deg)
     apart = ~sky & ~mixed & (stack.placed(_sun_can_stand(rays, latitude_deg, pose)) > 0.0)

@@ -39,9 +39,10 @@ _CHUNK_VALUES = 4_000_000  # captures times directions at a time: 100 MB; chosen
 class Followed:
     """How p directions follow the sky.
 
-    ratio [p]: median of luminance over the sky's; spread [p]: of its logarithm, over that against
-    the illuminance that it follows best; count [p]: captures behind them; forward [p]: logarithm of
-    the luminance's increase with the sun in front of the camera, relative to the diffuse light.
+    ratio [p]: median over the captures of luminance over the sky's there; spread [p]: standard
+    deviation of ln(luminance / sky) over the smaller of those of ln(luminance / E), E the diffuse
+    or the total illuminance; count [p]: captures; forward [p]: ln of the luminance's increase with
+    the sun in front of the camera, relative to the diffuse light.
     """
 
     ratio: Floats
@@ -102,7 +103,10 @@ def sky_reference(luminance: Floats32, light: Light, rays: Floats) -> SkyReferen
 
 
 def follow(luminance: Floats32, light: Light, rays: Floats, reference: SkyReference) -> Followed:
-    """Return how p directions `rays` [p, 3] follow the sky. luminance: [n, p], NaN if unusable."""
+    """Return how the light of p directions follows the sky over the n captures of `light`.
+
+    luminance: cd/m2 [n, p], NaN if unusable; rays: world axes, x east, y north, z up [p, 3].
+    """
     step = max(1, _CHUNK_VALUES // max(len(light), 1))
     parts = []
     for k in range(0, max(len(rays), 1), step):
@@ -115,7 +119,7 @@ def follow(luminance: Floats32, light: Light, rays: Floats, reference: SkyRefere
     return Followed(*(np.concatenate(values).astype(float) for values in zip(*parts, strict=True)))
 
 
-def unmixed(luminance: Floats32, sky: Floats32, front: Floats32) -> tuple[Floats, Floats]:
+def sky_share(luminance: Floats32, sky: Floats32, front: Floats32) -> tuple[Floats, Floats]:
     """Return the share of the sky in p mixed pixels and its standard uncertainty, [p] each.
 
     luminance, sky, front [n, p]: of the pixel, of the sky behind the pane, of the foreground. NaN

@@ -19,7 +19,7 @@ import numpy as np
 from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.optics.images import read_panorama
-from fieldlum.optics.melanopic import melanopic_ratio, sun_ratio
+from fieldlum.optics.melanopic import U_SUN, melanopic_ratio, sun_ratio
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.sky.light import (
     LEAST_LX,
@@ -90,8 +90,7 @@ class MelanopicYear:
         of_map = (views["ev_lx"] - views["sun_ev_lx"]) * self.ratio(light)
         of_sun = views["sun_ev_lx"] * sun_ratio(light.shown_altitude_deg)[:, None]
         edi = of_map + of_sun
-        # 7 % of the visible sun's melanopic illuminance; chosen
-        u = np.hypot(np.hypot(of_map * self.u_rel, of_sun * 0.07), edi * u_ev_rel)
+        u = np.hypot(np.hypot(of_map * self.u_rel, of_sun * U_SUN), edi * u_ev_rel)
         return {"melanopic_edi_lx": edi, "u_melanopic_edi_lx": u}
 
 
