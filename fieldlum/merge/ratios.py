@@ -209,8 +209,8 @@ def unexplained_u(free: RatioFit, explained: float) -> float:
     """Return the relative uncertainty of exposures that their known causes do not explain.
 
     free: a result of `weak_prior_fit`. The uncertainty is the standard deviation of the logarithms
-    of its corrections, reduced by `explained` (the known relative uncertainty) and by the noise of the
-    measured pairs. Return 0 if nothing remains, or without pairs.
+    of its corrections, reduced by `explained` (the known relative uncertainty) and by the noise of
+    the measured pairs. Return 0 if nothing remains, or without pairs.
     """
     frames = sorted({i for p in free.pairs for i in (p.long, p.short)})
     if not frames:
