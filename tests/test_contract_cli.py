@@ -3,6 +3,7 @@
 import ast
 import errno
 import importlib
+import inspect
 import json
 import os
 import re
@@ -47,7 +48,7 @@ WITHOUT_KEPT_KEYS = {
 
 def test_the_keys_of_every_other_command_with_json_are_kept() -> None:
     kept = json.loads(KEPT.read_text(encoding="utf-8"))
-    unkept = {name for name in _with_json(main, "") if not _is_kept(name, kept)}
+    unkept = {name for name in _with_json(main) if not _is_kept(name, kept)}
     assert unkept == WITHOUT_KEPT_KEYS
 
 
@@ -56,14 +57,21 @@ def _is_kept(name: str, kept: dict[str, list[str]]) -> bool:
     return any(key == name or key.startswith(f"{name} ") for key in kept)
 
 
-def _with_json(group: click.Group, prefix: str) -> Iterator[str]:
+def _with_json(group: click.Group) -> Iterator[str]:
     """Yield the names of all commands with --json, such as ``calibrate scale``."""
+    for name, command in _commands(group, ""):
+        if any("--json" in parameter.opts for parameter in command.params):
+            yield name
+
+
+def _commands(group: click.Group, prefix: str) -> Iterator[tuple[str, click.Command]]:
+    """Yield all commands that are no groups, by names such as ``calibrate scale``."""
     for name in group.list_commands(CONTEXT):
         command = group.get_command(CONTEXT, name)
         if isinstance(command, click.Group):
-            yield from _with_json(command, f"{prefix}{name} ")
-        elif command and any("--json" in parameter.opts for parameter in command.params):
-            yield f"{prefix}{name}"
+            yield from _commands(command, f"{prefix}{name} ")
+        elif command is not None:
+            yield f"{prefix}{name}", command
 
 
 @pytest.mark.parametrize("name", PRESENT)
@@ -74,6 +82,16 @@ def test_help_has_a_short_first_line_and_an_example(name: str) -> None:
     assert command is not None and command.help
     assert len(command.help.strip().splitlines()[0]) <= 70
     assert f"fieldlum {name}" in command.help or isinstance(command, click.Group)
+
+
+def test_every_option_of_a_docstring_exists() -> None:
+    missing = []
+    for name, command in _commands(main, ""):
+        options = (inspect.getdoc(command.callback) or "").partition("\n\nOptions:\n")[2]
+        described = re.findall(r"^  (--[\w-]+)", options, re.MULTILINE)
+        existing = {text for option in command.params for text in option.opts}
+        missing += [f"{name} {text}" for text in described if text not in existing]
+    assert not missing
 
 
 def test_help_is_light() -> None:

@@ -59,7 +59,7 @@ def command(
     utc_offset_s: Annotated[Any, _utc_offset] = None,
     logger_utc_offset_s: Annotated[Any, _utc_offset] = None,
     columns: Annotated[tuple[Any, ...], _column] = (),
-    sensitivities: Annotated[tuple[Any, ...], _sensitivity] = (),
+    sensitivity: Annotated[tuple[Any, ...], _sensitivity] = (),
 ) -> None:
     """Import a card's folder and a logger's file.
 
@@ -84,7 +84,7 @@ def command(
     """
     if folder is None and irradiance_file is None:
         raise click.UsageError("name a card's folder, or a logger's file with --irradiance")
-    if irradiance_file is None and (columns or sensitivities):
+    if irradiance_file is None and (columns or sensitivity):
         raise click.UsageError("--column and --sensitivity need a logger's file: --irradiance FILE")
     from fieldlum.capture import import_card
     from fieldlum.core.records import counted
@@ -92,7 +92,7 @@ def command(
 
     session = open_session(session_folder)
     how: dict[str, Any] = {"utc_offset_s": utc_offset_s, "logger_utc_offset_s": logger_utc_offset_s}
-    how |= {"columns": dict(columns) or None, "sensitivities": dict(sensitivities) or None}
+    how |= {"columns": dict(columns) or None, "sensitivities": dict(sensitivity) or None}
     with terminal.progress("import") as shown:
         report = import_card.run(session, folder, logger=irradiance_file, **how, progress=shown)
     for line in _summary(report):
