@@ -23,7 +23,7 @@ from fieldlum.optics.projection import (
     equirect_solid_angles,
 )
 from fieldlum.sky.sun import SUN_SOLID_ANGLE_SR
-from fieldlum.sky.sun_disc import LEAST_DISC_CDM2, add_disc, find_disc, split_disc, without_disc
+from fieldlum.sky.sun_disc import MIN_DISC_CDM2, add_disc, find_disc, split_disc, without_disc
 from fieldlum.year.glare.single import picture_glare
 
 HEADING_DEG = 180.0
@@ -226,7 +226,7 @@ def test_a_sunlit_wall_is_no_disc() -> None:
 
 @pytest.mark.analytic
 def test_the_least_disc_is_the_stated_one() -> None:
-    least_lx = LEAST_DISC_CDM2 * SUN_SOLID_ANGLE_SR  # 68 lx
+    least_lx = MIN_DISC_CDM2 * SUN_SOLID_ANGLE_SR  # 68 lx
     for share, expected in ((0.95, False), (1.1, True)):
         light = window_scene(25.0, 185.0, share * least_lx, height=240).light
         assert (find_disc(light, HEADING_DEG, near_deg=(25.0, 185.0)) is not None) == expected

@@ -149,8 +149,8 @@ def dimensions(size: str) -> tuple[int, int]:
     if not (width.isdecimal() and height.isdecimal()):
         raise click.UsageError(f"--size {size}: write WIDTHxHEIGHT, for example {DEFAULT_SIZE}")
     if not (8 <= int(width) <= _MAX_WIDTH_PX and 8 <= int(height) <= _MAX_WIDTH_PX // 2):
-        most = f"{_MAX_WIDTH_PX}x{_MAX_WIDTH_PX // 2}"
-        raise click.UsageError(f"--size {size}: expected 8x8 to {most} pixels")
+        maximum = f"{_MAX_WIDTH_PX}x{_MAX_WIDTH_PX // 2}"
+        raise click.UsageError(f"--size {size}: expected 8x8 to {maximum} pixels")
     return int(width), int(height)
 
 

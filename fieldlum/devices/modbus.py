@@ -155,11 +155,11 @@ def load_register_profile(kind: str) -> RegisterProfile:
     """
     folder = shipped("calibration") / "instruments"
     profile, path = read_profile(RegisterProfile, kind, folder, "instrument", "kind=")
-    most = profile.largest_request
+    maximum = profile.largest_request
     for block in (*profile.poll, *profile.at_open):
-        if not 0 < block.count <= most or not 0 <= block.start <= 65535 - block.count:
+        if not 0 < block.count <= maximum or not 0 <= block.start <= 65535 - block.count:
             found = f"a block of {block.count} registers from register {block.start}"
-            expected = f"1 to {most} registers in a request, from 0 to 65535"
+            expected = f"1 to {maximum} registers in a request, from 0 to 65535"
             raise InputError(path, found, expected, "correct the block, or split it into two")
     polled = {r for block in profile.poll for r in block.numbers}
     read = polled.union(*(block.numbers for block in profile.at_open))

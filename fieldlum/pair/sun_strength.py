@@ -14,8 +14,8 @@ from fieldlum.session.panorama_sun import MEASURED_ORIGINS
 
 METER, DNI, SKY_VIEW = "meter", "dni", "sky-view"
 # A picture whose sun exceeds both limits reveals a wrong clock, unit or column. Not measured.
-MOST_OVER_DNI, FAINT_SUN_LX = 1.5, 10_000.0
-_LEAST_COSINE = 0.2  # a meter under a more oblique sun is too inaccurate (78 degrees); not measured
+MAX_OVER_DNI, FAINT_SUN_LX = 1.5, 10_000.0
+_MIN_COSINE = 0.2  # a meter under a more oblique sun is too inaccurate (78 degrees); not measured
 
 
 def measured_sun(
@@ -30,7 +30,7 @@ def measured_sun(
     if stated is None:
         return None, ""
     if stated.origin in MEASURED_ORIGINS:
-        brighter = stated.normal_illuminance_lx > MOST_OVER_DNI * full_normal_lx + FAINT_SUN_LX
+        brighter = stated.normal_illuminance_lx > MAX_OVER_DNI * full_normal_lx + FAINT_SUN_LX
         return stated, "the picture's sun is brighter than DNI allows" if brighter else ""
     by_meter = _by_meter(panorama, stated, meter_lx)
     if by_meter is None or not bound_lx(stated) <= by_meter <= 1.5 * full_normal_lx:
@@ -74,7 +74,7 @@ def _by_meter(panorama: Panorama, sun: SunSource, meter_lx: float | None) -> flo
         return None
     ahead = direction(0.0, panorama.heading_deg)
     cosine = float(np.dot(direction(sun.altitude_deg, sun.azimuth_deg), ahead))
-    if cosine < _LEAST_COSINE:
+    if cosine < _MIN_COSINE:
         return None
     image_lx = vertical_illuminance_lx(
         panorama.luminance_cdm2, panorama.heading_deg, panorama.heading_deg

@@ -22,7 +22,7 @@ from fieldlum.sky import sun
 SAME_DECLINATION_DEG = 0.2
 # The equation of time differs by up to half an hour between the two passages: 7.5 deg of hour
 # angle. Chosen with a margin.
-MOST_OFF_DEG = 12.0
+MAX_OFF_DEG = 12.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +114,7 @@ def _first_free(
     old = sun.direction(slot.sun_altitude_deg, slot.sun_azimuth_deg)
     cosine = sun.direction(at.altitude_deg, at.azimuth_deg) @ old
     off = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
-    for i in np.flatnonzero((at.altitude_deg > 0) & (off <= MOST_OFF_DEG)).tolist():
+    for i in np.flatnonzero((at.altitude_deg > 0) & (off <= MAX_OFF_DEG)).tolist():
         if slot_id(times[i]) not in taken:
             tags = (*(tag for tag in slot.tags if not tag.startswith(MAKEUP)), MAKEUP + slot.id)
             altitude, azimuth = float(at.altitude_deg[i]), float(at.azimuth_deg[i])

@@ -21,7 +21,7 @@ from fieldlum.core.records import Progress, Room, Site, quiet
 from fieldlum.sky import sun
 from fieldlum.sky.perez import PerezSky, perez_coefficients, perez_luminance, reinhart_patches
 
-LEAST_LX = 1e-3  # least total light [lx], so that features of a dark hour are finite; chosen
+MIN_LX = 1e-3  # least total light [lx], so that features of a dark hour are finite; chosen
 # Share of a sun behind the facade that still enters, by reflection from ground and surroundings.
 # Chosen, not measured (docs/decisions.md).
 BEHIND = 0.1
@@ -128,7 +128,7 @@ class Light:
 
         Features are divided by it; it is at least 0.001 lx, and not small for a low sun.
         """
-        return np.maximum(self.diffuse_lx + self.direct_lx, LEAST_LX)
+        return np.maximum(self.diffuse_lx + self.direct_lx, MIN_LX)
 
 
 def light_at(times_utc: Sequence[datetime], site: Site, dni_wm2: Floats, dhi_wm2: Floats) -> Light:

@@ -18,7 +18,7 @@ LIT_WM2 = 10.0  # global irradiance [W/m2] with the sun at 1 (clear) to 4 degree
 # middle of the light by under 7 minutes. Chosen, with a margin of three.
 CLOCK_WARN_S = 1200.0
 _SET_S = 1800.0  # smallest step of a clock that was set; chosen, not measured
-_LEAST_DAYS = 3  # least number of days before and after such a step; chosen
+_MIN_DAYS = 3  # least number of days before and after such a step; chosen
 # Least altitude of the day's highest sun, and least depression of the night's lowest sun; otherwise
 # clouds decide between day and night. Chosen, not measured.
 _SETS_DEG = 5.0
@@ -72,7 +72,7 @@ def clock_set_s(t_unix_s: Floats, ghi_wm2: Floats, site: Site) -> tuple[datetime
     clouds can be wrong by an hour. t_unix_s, ghi_wm2: [n] rows in order of time.
     """
     days, off = days_off_s(t_unix_s, ghi_wm2, site)
-    splits = range(_LEAST_DAYS, len(off) - _LEAST_DAYS + 1)
+    splits = range(_MIN_DAYS, len(off) - _MIN_DAYS + 1)
     if not splits:
         return None
     scatter = [_scatter(off[:k]) + _scatter(off[k:]) for k in splits]

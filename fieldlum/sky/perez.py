@@ -228,8 +228,8 @@ def _clearness_brightness(
         clearness = ((dhi + dni) / dhi + cubed) / (1 + cubed)
     clearness = np.where(dhi > 0, clearness, np.where(dni > 0, np.inf, 1.0))
     brightness = dhi * _air_mass(zenith_deg) / (SOLAR_CONSTANT_WM2 * _eccentricity(day))
-    least, most = _CLEARNESS
-    clearness = np.where(clearness > most, most - 0.001, np.maximum(clearness, least))
+    minimum, maximum = _CLEARNESS
+    clearness = np.where(clearness > maximum, maximum - 0.001, np.maximum(clearness, minimum))
     return clearness, np.clip(brightness, *_BRIGHTNESS)
 
 

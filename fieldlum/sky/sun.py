@@ -288,7 +288,7 @@ ZERO_OFFSET_WM2 = 2.0  # of a horizontal reading (ISO 9060, zero offset B of cla
 CLEAR_SUN_DEG = 10.0
 # Global over extraterrestrial light, at least; the darkest storm transmits ten times as much, a
 # file in kW has a thousandth. Chosen, not measured.
-LEAST_CLEARNESS = 0.005
+MIN_CLEARNESS = 0.005
 
 
 @contextmanager
@@ -422,7 +422,7 @@ def too_weak(ghi_wm2: ArrayLike, altitude_deg: ArrayLike, extraterrestrial: Arra
     """
     altitude = np.asarray(altitude_deg, float)
     top = np.asarray(extraterrestrial, float) * np.sin(np.radians(np.maximum(altitude, 0.0)))
-    return (altitude > CLEAR_SUN_DEG) & (np.asarray(ghi_wm2, float) < LEAST_CLEARNESS * top)
+    return (altitude > CLEAR_SUN_DEG) & (np.asarray(ghi_wm2, float) < MIN_CLEARNESS * top)
 
 
 def closure_ratio(

@@ -26,10 +26,10 @@ from fieldlum.sky.sun import SUN_SOLID_ANGLE_SR
 SUN_RADIUS_RAD = 0.004652  # 0.2665 degrees, the mean disc of SUN_SOLID_ANGLE_SR
 # Mean luminance over the true disc. A dimmer sun gives less than 68 lx, a DNI of 0.7 W/m2, which no
 # pyranometer resolves; no sky and no matt surface of the disc's size is as bright. Chosen.
-LEAST_DISC_CDM2 = 1e6
+MIN_DISC_CDM2 = 1e6
 # The clear-sky sun outside the atmosphere has 2.0e9 cd/m2 (133 klx), with 10 % margin. The margin
 # is chosen.
-MOST_DISC_CDM2 = 2.2e9
+MAX_DISC_CDM2 = 2.2e9
 # Three times a white surface in full sun (1e5 lx / pi); only clouds within a few degrees of the sun
 # are nearly as bright. Chosen.
 BRIGHTEST_SURFACE_CDM2 = 1e5
@@ -39,7 +39,7 @@ _BRIGHTEST_SKY_CDM2 = 2e4
 # multiple of a white surface in the sun, as in BRIGHTEST_SURFACE_CDM2; chosen
 _SURFACE_MARGIN = 3.0
 # of the sun's illuminance by DNI; less is scattered light, not part of the sun; chosen
-_LEAST_SHARE = 0.02
+_MIN_SHARE = 0.02
 _LUMENS_PER_WATT = 93.0  # of direct sunlight, accurate to 15 %; only the bounds above depend on it
 _CONTRAST = 3.0  # least ratio of the disc's brightest pixel to the median around it
 # a pixel brighter than this multiple of the bright surrounding pixels belongs to the disc; chosen
@@ -47,7 +47,7 @@ _ABOVE_RING = 1.05
 # quantile of the ring: bars and walls in it must not make the sky a part of the sun; chosen
 _BRIGHT_QUANTILE = 0.9
 # of the brightest pixel's excess: dimmer pixels are the bright sky around the sun; chosen
-_LEAST_PART = 0.05
+_MIN_PART = 0.05
 _SEARCH_RAD = np.radians(3.0)  # error of direction of a camera that was set up by hand; chosen
 _CLIPPED_REACH_RAD = np.radians(1.5)  # halo of a clipped disc above the clipping level, at most
 _PIXEL_SIGMA = 1 / np.sqrt(12.0)  # pixels: standard deviation of a place within a pixel
@@ -130,7 +130,7 @@ def find_disc(
     disc = _measured_disc(band, search, light.shape)
     if disc is None or not _is_sun(disc, band, dni_wm2):
         return None
-    too_bright = disc.normal_lx > MOST_DISC_CDM2 * SUN_SOLID_ANGLE_SR
+    too_bright = disc.normal_lx > MAX_DISC_CDM2 * SUN_SOLID_ANGLE_SR
     return None if near_deg is None and too_bright else disc
 
 
@@ -277,7 +277,7 @@ def _disc_at(
     bright = float(np.quantile(around, _BRIGHT_QUANTILE)) if around.size else 0.0
     near = angle <= reach_rad
     excess = np.where(near, band.light - surroundings, 0.0)
-    part = min(_LEAST_PART * float(excess.max(initial=0.0)), _BRIGHTEST_SKY_CDM2)
+    part = min(_MIN_PART * float(excess.max(initial=0.0)), _BRIGHTEST_SKY_CDM2)
     inside = (band.light > _ABOVE_RING * bright) & (excess > part)
     excess = np.where(inside, excess, 0.0)
     energy = excess * band.solid_sr
@@ -305,10 +305,10 @@ def _is_sun(disc: SunDisc, band: _Band, dni_wm2: float | None) -> bool:
     inside = disc.pixels[band.first : band.first + len(band.light)]
     if not inside.any():
         return False
-    peak, least_lx = float(band.light[inside].max()), LEAST_DISC_CDM2 * SUN_SOLID_ANGLE_SR
+    peak, minimum_lx = float(band.light[inside].max()), MIN_DISC_CDM2 * SUN_SOLID_ANGLE_SR
     surface = BRIGHTEST_SURFACE_CDM2
     if dni_wm2 is not None:
         surface = brightest_surface_cdm2(dni_wm2)
-        least_lx = max(least_lx, _LEAST_SHARE * _LUMENS_PER_WATT * dni_wm2)
+        minimum_lx = max(minimum_lx, _MIN_SHARE * _LUMENS_PER_WATT * dni_wm2)
     contrast = peak > _CONTRAST * disc.surroundings_cdm2
-    return peak > surface and contrast and disc.normal_lx >= least_lx
+    return peak > surface and contrast and disc.normal_lx >= minimum_lx

@@ -19,7 +19,7 @@ from fieldlum.optics.projection import direction, equirect_rays
 from fieldlum.sky.sun_disc import SunDisc, brightest_surface_cdm2, find_disc
 
 GLASS_INDEX = 1.52  # refractive index of soda-lime glass (EN 572-1: 1.50 rounded; Radiance: 1.52)
-_MOST_SPOTS = 6  # bright spots examined in one capture; a room has few lamps of this size; chosen
+_MAX_SPOTS = 6  # bright spots examined in one capture; a room has few lamps of this size; chosen
 # No spot this near to the sun is an image: its pixels can be the sky around the sun, and a mirror
 # seen at such a grazing angle does not show its normal. Chosen.
 _NEAR_SUN_DEG = 10.0
@@ -29,7 +29,7 @@ _WITHIN_PIXEL = 0.75  # pixels: half the diagonal of a pixel is 0.71
 _PIXEL_SIGMA = 1.0 / np.sqrt(12.0)  # pixels: standard deviation of a place within a pixel
 _FEWEST_CAPTURES = 3  # two spots agree in some normal by chance; chosen
 # of the spots that may be images: among hundreds of random spots some agree in a normal; chosen
-_LEAST_SHARE = 0.05
+_MIN_SHARE = 0.05
 # The mirror must explain the places of the spots this much better than one fixed place. Chosen.
 _BETTER_THAN_FIXED = 0.5
 # Panes of one facade are not exactly parallel: images up to this multiple of the tolerance away
@@ -115,7 +115,7 @@ def bright_spots(
     rays = equirect_rays(height, width, heading_deg)
     light = np.where(rays @ sun > np.cos(near_sun_rad(height)), np.float32(0.0), light)
     spots = []
-    for _ in range(_MOST_SPOTS):
+    for _ in range(_MAX_SPOTS):
         peak = np.unravel_index(int(np.argmax(light)), light.shape)
         if light[peak] <= limit:
             break
@@ -183,7 +183,7 @@ def _best_mirror(rest: Sequence[SunImage], suns: Floats, height: int) -> MirrorP
     normal = _normal_of(across[chosen])
     for _ in range(3):
         chosen = _agreeing(normal, places, rows, suns, reach)
-        if len(chosen) < max(_FEWEST_CAPTURES, _LEAST_SHARE * len(rest)):
+        if len(chosen) < max(_FEWEST_CAPTURES, _MIN_SHARE * len(rest)):
             return None
         normal = _normal_of(across[chosen])
     off = _angles(mirrored(suns[rows[chosen]], normal), places[chosen])

@@ -232,8 +232,8 @@ def check_hourly(path: Path, times: Sequence[datetime]) -> None:
     if len(times) < 3:
         return
     steps = np.diff([t.timestamp() for t in times]) / 60.0
-    usual, least = float(np.median(steps)), float(steps.min())
-    wrong = usual if abs(usual - 60.0) > 1.0 else least
+    usual, minimum = float(np.median(steps)), float(steps.min())
+    wrong = usual if abs(usual - 60.0) > 1.0 else minimum
     if abs(wrong - 60.0) > 1.0:
         raise InputError(
             path,
@@ -300,8 +300,8 @@ def _check_labels(path: Path, weather: Weather, station: Site) -> str:
     """
     against = _against(weather, station, 0)
     edges = 2 * len({sun.standard_date(t, weather.site.timezone) for t in weather.t_utc})
-    most = max(int(MAX_CONTRADICTIONS * edges), MIN_CONTRADICTIONS)
-    if against <= most:
+    maximum = max(int(MAX_CONTRADICTIONS * edges), MIN_CONTRADICTIONS)
+    if against <= maximum:
         return ""
     other = {shift: _against(weather, station, shift) for shift in SHIFTS_MIN}
     fewest = min(other.values())
@@ -312,11 +312,11 @@ def _check_labels(path: Path, weather: Weather, station: Site) -> str:
     likeliest = float(np.median(equal)) if stated is None else stated
     best = min(equal, key=lambda shift: (abs(shift - likeliest), abs(shift)))
     found = f"{against} hours have light while the sun is down or none while it is up"
-    if other[best] < 0.5 * against and other[best] <= most:
+    if other[best] < 0.5 * against and other[best] <= maximum:
         raise InputError(
             path,
             f"{found}; only {other[best]} hours with all row times moved by {best:+d} min",
-            f"at most {most} such hours in {edges // 2} days",
+            f"at most {maximum} such hours in {edges // 2} days",
             _label_remedy(best),
         )
     found += (

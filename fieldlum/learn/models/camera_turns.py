@@ -358,8 +358,8 @@ def _poses(angles: Array, aligned: Mask, pixel_deg: float) -> Array:
     for (start, stop), pose in zip(pieces, poses, strict=True):
         size, count = np.abs(pose) / unit, stop - start
         # in units of TURN_PX; a short pose counts as a single capture, for which two cuts pay
-        least = np.sqrt(2.0 * MOVE_COST) if count < MIN_POSE else 1.0 + 1.0 / np.sqrt(count)
-        if size.max() >= least:
+        minimum = np.sqrt(2.0 * MOVE_COST) if count < MIN_POSE else 1.0 + 1.0 / np.sqrt(count)
+        if size.max() >= minimum:
             out[rows[start:stop]] = np.where(size < 1.0, 0.0, pose)
     return out
 

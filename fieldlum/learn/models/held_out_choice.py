@@ -214,6 +214,6 @@ def choice_weights(data: Dataset) -> Floats:
     a quarter instead. Unsteady light lowers the weight further.
     """
     doubted = beam_is_doubted(data)
-    least = 0.0 if (~doubted).mean() >= MIN_MEASURED_SHARE else DOUBTED_WEIGHT
+    minimum = 0.0 if (~doubted).mean() >= MIN_MEASURED_SHARE else DOUBTED_WEIGHT
     steady = weight_of_variance(np.where(doubted, 0.0, light_variance(data)))
-    return np.where(doubted, least, steady)
+    return np.where(doubted, minimum, steady)

@@ -158,13 +158,13 @@ def _best_set(
 
     A step adds its captures to the set, or removes those that the set has.
     """
-    best, most = start, gain(start)
+    best, best_gain = start, gain(start)
     while steps:
         tries = [np.setxor1d(best, step).astype(np.intp) for step in steps]
         gains = [gain(chosen) for chosen in tries]
-        if max(gains) <= most:
+        if max(gains) <= best_gain:
             break
-        best, most = tries[int(np.argmax(gains))], max(gains)
+        best, best_gain = tries[int(np.argmax(gains))], max(gains)
     return best
 
 
@@ -226,8 +226,8 @@ def _other_level(found: Evidence) -> Indices:
         first = _best_set(steps, lambda c, d=darker: gain(c, d))
         chosen = _best_set(parts, lambda c, d=darker: gain(c, d), first)
         sets.append((gain(chosen, darker), chosen))
-    (second, _), (most, best) = sorted(sets, key=lambda s: s[0])
-    return best if most > _MIN_GAIN and most - second > 1.0 else _NO_ROWS
+    (second, _), (best_gain, best) = sorted(sets, key=lambda s: s[0])
+    return best if best_gain > _MIN_GAIN and best_gain - second > 1.0 else _NO_ROWS
 
 
 def find_unexplained(process: Process) -> Indices:

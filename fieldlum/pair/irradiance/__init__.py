@@ -238,7 +238,7 @@ def _without_neighbours(value: Floats) -> Mask:
 NIGHT_SUN_DEG = -6.0  # end of civil twilight, by definition
 NIGHT_OFFSET_WARN_WM2 = 4.0  # BSRN's limit: beyond it, night values are marked as impossible
 NIGHT_LIGHT_WM2 = 20.0  # W/m2, larger than any instrument's offset; not measured
-MOST_BY_DAY = 0.05  # a mark on a larger share of the day's rows is reported; not measured
+MAX_BY_DAY = 0.05  # a mark on a larger share of the day's rows is reported; not measured
 
 
 @dataclass(frozen=True, slots=True)
@@ -375,7 +375,7 @@ def _by_day(clean: Series, altitude: Floats, top: Floats) -> Iterator[str]:
         "within half an hour; log at least every minute"
     ] = np.isfinite(clean.ghi_wm2) & np.isnan(clean.dni_wm2)
     for text, rows in faults.items():
-        if (share := float(np.mean(rows[up]))) > MOST_BY_DAY:
+        if (share := float(np.mean(rows[up]))) > MAX_BY_DAY:
             yield f"{100 * share:.0f} % of the rows by day have {text}"
 
 

@@ -27,10 +27,10 @@ _CLEAR_GRID_S = 300.0
 CLOSURE_WINDOW_S = 1800.0
 
 # Limits of the k-indices, all from Forstinger et al. 2021.
-_K_LEAST_WM2 = 50.0  # GHI from which indices are tested
-_KT_MOST = 1.35
-_KD_MOST, _KD_MOST_LOW_SUN, _KD_ALTITUDE_DEG = 1.05, 1.10, 15.0
-_KD_CLEAR, _KT_CLEAR, _CLEAR_LEAST_WM2, _CLEAR_ALTITUDE_DEG = 0.96, 0.6, 150.0, 5.0
+_K_MIN_WM2 = 50.0  # GHI from which indices are tested
+_KT_MAX = 1.35
+_KD_MAX, _KD_MAX_LOW_SUN, _KD_ALTITUDE_DEG = 1.05, 1.10, 15.0
+_KD_CLEAR, _KT_CLEAR, _CLEAR_MIN_WM2, _CLEAR_ALTITUDE_DEG = 0.96, 0.6, 150.0, 5.0
 _KN_TOP_WM2, _KN_PER_M = 1100.0, 0.03
 # Seconds. A cloud's edge passes two instruments one after the other, but a fault lasts longer. Not
 # measured.
@@ -94,12 +94,12 @@ def k_index_fails(
     with np.errstate(invalid="ignore", divide="ignore"):
         kt = ghi / (top * np.maximum(np.sin(np.radians(altitude)), 1e-3))
         kn, kd = dni / top, dhi / ghi
-        tested = (ghi > _K_LEAST_WM2) & (altitude > 0.0)
-        most_kd = np.where(altitude > _KD_ALTITUDE_DEG, _KD_MOST, _KD_MOST_LOW_SUN)
-        clear = (kt > _KT_CLEAR) & (ghi > _CLEAR_LEAST_WM2) & (altitude > _CLEAR_ALTITUDE_DEG)
+        tested = (ghi > _K_MIN_WM2) & (altitude > 0.0)
+        max_kd = np.where(altitude > _KD_ALTITUDE_DEG, _KD_MAX, _KD_MAX_LOW_SUN)
+        clear = (kt > _KT_CLEAR) & (ghi > _CLEAR_MIN_WM2) & (altitude > _CLEAR_ALTITUDE_DEG)
         fails = (kn > kt) & (kn > 0) & (kt > 0)
         fails |= kn > (_KN_TOP_WM2 + _KN_PER_M * altitude_m) / top
-        fails |= (kt > _KT_MOST) | (kd > most_kd) | (clear & (kd > _KD_CLEAR))
+        fails |= (kt > _KT_MAX) | (kd > max_kd) | (clear & (kd > _KD_CLEAR))
     return persistent(t_unix_s, np.asarray(tested & fails), _K_LASTS_S)
 
 
@@ -113,7 +113,7 @@ def shaded_horizon(
     """
     out = np.zeros(len(t_unix_s), bool)
     with np.errstate(invalid="ignore", divide="ignore"):
-        share = np.where(clear_dni > _K_LEAST_WM2, dni / clear_dni, np.nan)
+        share = np.where(clear_dni > _K_MIN_WM2, dni / clear_dni, np.nan)
     low = np.isfinite(share) & (altitude > 1.0) & (altitude < _HORIZON_DEG)
     free_times = t_unix_s[np.nan_to_num(share) > _FREE]
     if not low.any() or not len(free_times):

@@ -19,7 +19,7 @@ from fieldlum.sky import sun
 
 COLUMNS = 4  # charts in a row; chosen for a page in portrait
 # most days on a sheet of 16 rows; of a longer log, days with captures are preferred; chosen
-MOST_DAYS = 64
+MAX_DAYS = 64
 BIN_S = 120.0  # seconds of a bin; 720 points a day are more than a small chart shows
 _CURVES = (("ghi", AMBER), ("dni", BLUE), ("dhi", GREEN))
 
@@ -66,7 +66,7 @@ def chosen_days(days: NDArray[np.int64], captured: set[int]) -> list[int]:
     Days with captures are preferred; days and captured are day numbers.
     """
     wanted = sorted(map(int, days), key=lambda day: (day not in captured, day))
-    return sorted(wanted[:MOST_DAYS])
+    return sorted(wanted[:MAX_DAYS])
 
 
 def _draw_day(

@@ -15,7 +15,7 @@ from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Room
 from fieldlum.optics.projection import equirect_solid_angles, signed_angle_deg
 from fieldlum.room.fit.guess import Guess, guess_of
-from fieldlum.room.fit.light_below import MINIMUM_CDM2, LightBelow, levelled
+from fieldlum.room.fit.light_below import MIN_CDM2, LightBelow, levelled
 from fieldlum.room.fit.renderer import FLOOR, SHELL, Surfaces, surfaces, unit_patches
 from fieldlum.room.fit.sunny import (
     MIN_SUNNY_HOURS,
@@ -156,12 +156,12 @@ class SceneEvidence:
         data: all captures; patch: luminance of sun patches, which is subtracted, cd/m2 [n, m].
         """
         flat = data.luminance_cdm2.reshape(len(data), -1)[:, self.pixels]
-        seen = np.maximum(flat, MINIMUM_CDM2)
+        seen = np.maximum(flat, MIN_CDM2)
         direct = np.zeros_like(seen)
         direct[self.rows] = patch
         below = LightBelow(data)(seen, direct)[self.rows]
         level = levelled(below, seen[self.rows], patch, self.directions, self.weights)
-        return replace(self, below=np.maximum(level, MINIMUM_CDM2).astype(np.float32))
+        return replace(self, below=np.maximum(level, MIN_CDM2).astype(np.float32))
 
     @property
     def directions(self) -> Array:
@@ -251,7 +251,7 @@ def gather(
     chosen, weights = _draw_pixels(data, guess, rows, pixels)
     sub = max(1, round(RAY_ROWS / data.shape[0]))
     rays, pixel = _rays_of(data, chosen, sub)
-    seen = np.maximum(data.luminance_cdm2.reshape(len(data), -1)[:, chosen], MINIMUM_CDM2)
+    seen = np.maximum(data.luminance_cdm2.reshape(len(data), -1)[:, chosen], MIN_CDM2)
     evidence = SceneEvidence(
         np.log(seen[rows]),
         seen[rows],
@@ -310,7 +310,7 @@ def _draw_pixels(data: Dataset, guess: Guess, rows: Indices, count: int) -> tupl
     usable = data.seen & ~np.asarray(glass, bool)
     omega = np.where(usable, equirect_solid_angles(height, width), 0.0).ravel()
     bright = data.luminance_cdm2[rows].reshape(len(rows), -1)
-    level = bright / np.maximum(np.median(bright, axis=0), MINIMUM_CDM2)
+    level = bright / np.maximum(np.median(bright, axis=0), MIN_CDM2)
     peaks = (level.max(axis=0) > 2.0) & usable.ravel()
     boost = np.where(peaks, 4.0, 1.0)
     chance = omega * boost

@@ -23,7 +23,7 @@ BRIGHTER, DARKER = 0.12, 0.5
 # luminance below that of a room by day; a share of the mean diagonal that makes the system
 # solvable.
 LEVEL_ROUNDS, LEVEL_DARKER = 12, 0.25
-MINIMUM_CDM2 = 0.1
+MIN_CDM2 = 0.1
 _RIDGE = 1e-3
 _PATCH_SHARE = 0.3  # share of a pixel's light; a stronger patch hides the light below; chosen
 
@@ -72,7 +72,7 @@ class LightBelow:
             q = np.log(y / fit)
             doubt = np.where(q > 0.0, q / BRIGHTER, q / DARKER) ** 2
             weight = trust / (y * fit) / (1.0 + doubt)
-        return np.maximum(fit * scale * self.total_lx, MINIMUM_CDM2)
+        return np.maximum(fit * scale * self.total_lx, MIN_CDM2)
 
 
 def _middle(values: Array) -> Array:

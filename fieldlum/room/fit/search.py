@@ -25,7 +25,7 @@ PRIOR_SHARE, PRIOR_HOURS = 0.006, 30
 # Chosen: shares of the parameters' steps over which derivatives are taken, one after the other;
 # rounds with each; longest move, in such steps; share of the cost below which a gain is noise.
 LEVELS = (1.0, 0.4, 0.15)
-_ROUNDS, _REACH, _MINIMUM_GAIN = 5, 3.0, 1e-3
+_ROUNDS, _REACH, _MIN_GAIN = 5, 3.0, 1e-3
 _FIRST_DAMPING, _TRIES = 0.1, 5
 
 
@@ -132,7 +132,7 @@ def search(
                     damping = max(damping / 4.0, 1e-3)
                     break
                 damping *= 4.0
-            if value > (1.0 - _MINIMUM_GAIN) * before:
+            if value > (1.0 - _MIN_GAIN) * before:
                 break
     return guess, value
 

@@ -27,13 +27,13 @@ from fieldlum.room.fit.parameters import SUN_DEG_PER_MIN, room_parameters, state
 from fieldlum.room.fit.search import LEVELS, SceneCost, covariance, prior_unit, search
 
 TURNED_DEG = 30.0  # smallest turn of windows that is noted (`checks`)
-MINIMUM_HOURS = 3  # sunny captures that a test needs; chosen
+MIN_HOURS = 3  # sunny captures that a test needs; chosen
 SURE = 3.0  # smallest ratio of a correction to its standard uncertainty; chosen
 # Smallest corrections that are reported: a compass and a hand-set clock are no better. Chosen.
-MINIMUM_OFF = {"north_deg": 0.5, "wall_azimuth_deg": 0.5, "clock_min": 1.0}
+MIN_OFF = {"north_deg": 0.5, "wall_azimuth_deg": 0.5, "clock_min": 1.0}
 TAPE_SDS = 3.0  # from which a length of the room counts as wrong, not as inaccurate; chosen
 # Share of the misfit that a setting must explain, and moved patches of another source. Chosen.
-MINIMUM_GAIN, MINIMUM_SHIFT_GAIN, MAXIMUM_SHIFT_PX = 0.02, 0.1, 3
+MIN_GAIN, MIN_SHIFT_GAIN, MAX_SHIFT_PX = 0.02, 0.1, 3
 EDGE_AWAY_M = 3.0  # a length moves patches by this angle from the camera: length over 3 m; chosen
 # Offsets of a day's clock that are tried, min: a clock that is 5 min off on one day only was set.
 TRIED_MIN = np.array([-5.0, -4.0, -3.0, *np.arange(-2.0, 2.25, 0.5), 3.0, 4.0, 5.0])
@@ -41,7 +41,7 @@ FINE_ROWS = 180  # rows of rays: 1 degree, the sun's way in 4 minutes; chosen
 FEWEST_DAYS = 3  # with three or more sunny captures each; chosen
 # Offsets of the clean office at 46 x 23 pixels have a standard deviation of 0.2 min, those of a
 # clock that drifts by 2 min in a week 0.6 min. Chosen between the two.
-MINIMUM_SPREAD_MIN = 0.3
+MIN_SPREAD_MINUTES = 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +84,7 @@ def scan(data: Dataset, patch: Patch, progress: Progress = quiet) -> Setting | N
         return Setting(note=note)
     progress(0, 100, "setting: light without patches")
     try:
-        evidence = gather(data, room, min_hours=MINIMUM_HOURS)
+        evidence = gather(data, room, min_hours=MIN_HOURS)
     except NotEnoughDataError:
         return None
     start = guess_of(room, data.heading_deg)
@@ -107,16 +107,16 @@ def scan(data: Dataset, patch: Patch, progress: Progress = quiet) -> Setting | N
     off: dict[str, tuple[float, float]] = {}
     for p, sd in zip(parameters, u.tolist(), strict=True):
         by, error = p.measured(guess) - p.measured(start), sd * p.step
-        enough = MINIMUM_OFF.get(p.name, TAPE_SDS * p.sd)
+        enough = MIN_OFF.get(p.name, TAPE_SDS * p.sd)
         if abs(by) > max(SURE * error, enough) and p.name not in ("tilt_deg", "roll_deg"):
             off[p.name] = (by, error)
     # Lengths also absorb what the room has and a box lacks: they count if nothing else is wrong.
-    off = {name: value for name, value in off.items() if name in MINIMUM_OFF} or off
+    off = {name: value for name, value in off.items() if name in MIN_OFF} or off
     gain = 1.0 - final / cost(start)
-    if off and gain > MINIMUM_GAIN:
+    if off and gain > MIN_GAIN:
         return Setting(off, (0, 0), gain, len(evidence), _slip_deg(off))
     shift, shift_gain = _shift_px(evidence, data)
-    if shift_gain > MINIMUM_SHIFT_GAIN:
+    if shift_gain > MIN_SHIFT_GAIN:
         slip_deg = float(np.hypot(*shift)) * 360.0 / data.shape[1]
         return Setting({}, shift, shift_gain, len(evidence), slip_deg)
     progress(80, 100, "clock of each day")
@@ -143,7 +143,7 @@ def _shift_px(evidence: SceneEvidence, data: Dataset) -> tuple[tuple[int, int], 
     """
     assert data.patch_cdm2 is not None
     maps = data.patch_cdm2[evidence.rows]
-    steps = range(-MAXIMUM_SHIFT_PX, MAXIMUM_SHIFT_PX + 1)
+    steps = range(-MAX_SHIFT_PX, MAX_SHIFT_PX + 1)
     misfits: dict[tuple[int, int], float] = {}
     for right in steps:
         for down in steps:
@@ -164,11 +164,11 @@ def _late_by_day(
     tried = [evidence.patches(replace(guess, clock_min=float(t)), albedo) for t in TRIED_MIN]
     misfits = np.array([evidence.misfit(patch) for patch in tried])  # [offsets, n]
     names, counts = np.unique(evidence.days, return_counts=True)
-    days = [np.flatnonzero(evidence.days == day) for day in names[counts >= MINIMUM_HOURS]]
+    days = [np.flatnonzero(evidence.days == day) for day in names[counts >= MIN_HOURS]]
     if len(days) < FEWEST_DAYS:
         return {}
     late = np.array([_minimum(misfits[:, rows]) for rows in days])
-    if late.std() < MINIMUM_SPREAD_MIN:
+    if late.std() < MIN_SPREAD_MINUTES:
         return {}
     common = _minimum(misfits)
     gains = [
@@ -180,7 +180,7 @@ def _late_by_day(
     gain = np.concatenate(gains)
     if gain.mean() < gain.std(ddof=1) / np.sqrt(len(gain)):
         return {}
-    return dict(zip(names[counts >= MINIMUM_HOURS], late.tolist(), strict=True))
+    return dict(zip(names[counts >= MIN_HOURS], late.tolist(), strict=True))
 
 
 def _minimum(misfits: Floats) -> float:

@@ -14,7 +14,7 @@ MIN_SUNNY_HOURS = 6
 # Chosen, not measured: of the light outside, on a window's plane; illuminance that makes a patch
 # several times brighter than the room; a sun below which refraction and horizon are uncertain.
 _SUNNY_SHARE = 0.1
-_MINIMUM_SUN_LX = 1000.0
+_MIN_SUN_LX = 1000.0
 _LOWEST_SUN_DEG = 2.0
 # Share of the strongest direct sun on a window; hours with less teach a fit little. Chosen, not
 # measured.
@@ -45,6 +45,6 @@ def sunny_hours(data: Dataset, room: Room | None, *, near_strongest: bool = Fals
     onto = direct_on_windows_lx(data, room)
     strong = near = onto > _STRONGEST_SHARE * max(float(onto.max(initial=0.0)), 1.0)
     if not near_strongest:
-        strong = (onto > _SUNNY_SHARE * data.light.total_lx) & (onto > _MINIMUM_SUN_LX)
+        strong = (onto > _SUNNY_SHARE * data.light.total_lx) & (onto > _MIN_SUN_LX)
     sunshine = data.light.dni_wm2 >= SUNSHINE_WM2
     return strong if (near & sunshine).sum() >= MIN_SUNNY_HOURS else strong & sunshine

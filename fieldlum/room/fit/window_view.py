@@ -18,7 +18,7 @@ from fieldlum.room.scene.view import pixel_rays
 # Chosen: a tape that is 5 cm off and a camera that is, both seen from 1 m; error of a share at
 # which a pixel is half wrong; panes over the room from which edges show; weight of a pixel against
 # one of the sun patches: with 1 the picture, which knows no bars, outweighed them in five rooms.
-MARGIN_DEG, WIDTH, MINIMUM_CONTRAST, WEIGHT = 6.0, 0.25, 2.0, 0.25
+MARGIN_DEG, WIDTH, MIN_CONTRAST, WEIGHT = 6.0, 0.25, 2.0, 0.25
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ def window_view(data: Dataset, guess: Guess) -> WindowView:
         row = chosen // width
         rows = np.unique(row[within])
         panes = np.interp(row, rows, [np.median(level[within & (row == k)]) for k in rows])
-        shown = panes > MINIMUM_CONTRAST * room
+        shown = panes > MIN_CONTRAST * room
         share = np.clip((level - room) / np.maximum(panes - room, room), 0.0, 1.0)
         omega = equirect_solid_angles(height, width)
         weights = WEIGHT * shown * omega.ravel()[chosen] / omega[data.seen].sum()

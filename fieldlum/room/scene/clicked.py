@@ -27,7 +27,7 @@ CLICK_PX = 0.5
 # a click this far from the fitted room is named: six times a careful click; chosen
 _MISFIT_PX = 3.0
 _HORIZON_DEG = 0.5  # a corner nearer to the horizon is no corner of floor or ceiling; chosen
-_LEAST_WINDOW_M = 0.02  # corners closer than this are one corner; chosen
+_MIN_WINDOW_M = 0.02  # corners closer than this are one corner; chosen
 
 Kind = Literal["floor", "ceiling", "window", "bar", "transom"]
 KINDS: tuple[Kind, ...] = ("floor", "ceiling", "window", "bar", "transom")
@@ -282,7 +282,7 @@ def _start(
         wall = _wall_of(turned[own, :2].sum(axis=0), distances)
         at = np.array([_on_wall(turned[k], wall, size, (west, south, h)) for k in own])
         low, span = at.min(axis=0), np.ptp(at, axis=0)
-        if span.min() < _LEAST_WINDOW_M:
+        if span.min() < _MIN_WINDOW_M:
             raise InputError(
                 where,
                 f"the corners of window {number} have no width or no height",

@@ -19,7 +19,7 @@ from fieldlum.room.scene.trace import EPSILON_M, Hits, Panes, first_hits, pane_c
 
 # In each direction of a pixel, for sun patches: with 3 they had an error of 1.0e-4 to 1.6e-4 (log10
 # MSE) at 60 rows, with 8 of 1.1e-5 to 1.5e-5.
-LEAST_RAYS, MOST_RAYS = 3, 8
+MIN_RAYS, MAX_RAYS = 3, 8
 
 _GROUND_SHARE = 0.1  # of a pixel, times the glass; chosen
 
@@ -101,7 +101,7 @@ def patch_rays(height: int) -> int:
     Rays are at most the sun's radius apart, but there are at least 3 and at most 8, which is too
     few for that under 85 rows. height: rows of the panorama.
     """
-    return int(np.clip(np.ceil(180.0 / height / SUN_RADIUS_DEG), LEAST_RAYS, MOST_RAYS))
+    return int(np.clip(np.ceil(180.0 / height / SUN_RADIUS_DEG), MIN_RAYS, MAX_RAYS))
 
 
 @lru_cache(maxsize=4)  # patches, windows and searches have different numbers of rays

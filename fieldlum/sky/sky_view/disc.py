@@ -16,11 +16,11 @@ from fieldlum.optics.projection import direction
 from fieldlum.sky.light import Light
 from fieldlum.sky.sky_view.view import SkyView
 from fieldlum.sky.sun import SUN_SOLID_ANGLE_SR
-from fieldlum.sky.sun_disc import LEAST_DISC_CDM2, SUN_RADIUS_RAD
+from fieldlum.sky.sun_disc import MIN_DISC_CDM2, SUN_RADIUS_RAD
 
 DRAWS = 64  # of the pose and the view for an interval: 2.5 % of them is more than one; chosen
 _RINGS = (1, 6, 12, 18)  # points of equal area in the disc: at its centre, and on three rings
-_MIN_LX = LEAST_DISC_CDM2 * SUN_SOLID_ANGLE_SR  # 68 lx: less is no disc in a picture either
+_MIN_LX = MIN_DISC_CDM2 * SUN_SOLID_ANGLE_SR  # 68 lx: less is no disc in a picture either
 # Standard deviation of the sun's direction relative to the edges of a stated room: a compass to 1
 # degree, and 5 cm at an edge 2.5 m away. Chosen from these two.
 EDGE_SD_DEG = 1.5

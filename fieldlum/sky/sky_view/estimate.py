@@ -148,8 +148,8 @@ def _stack(captured: Captured, seen: Callable[[Floats], Mask] | None, progress: 
     some = [captured.read(k) for k in sorted({0, count // 2, count - 1})]
     grid = max((picture.grid for picture in some), key=lambda grid: grid.height * grid.width)
     kept = np.any([np.isfinite(_placed(picture, grid)) for picture in some], axis=0)
-    most = max(MIN_CAPTURES, _MAX_VALUES // max(int(kept.sum()), 1))
-    rows = np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)).tolist()
+    maximum = max(MIN_CAPTURES, _MAX_VALUES // max(int(kept.sum()), 1))
+    rows = np.unique(np.linspace(0, count - 1, min(count, maximum)).round().astype(int)).tolist()
     in_lens = np.zeros(kept.shape, bool)
     if seen is not None:
         in_lens = seen(grid.rays().reshape(-1, 3)).reshape(kept.shape)
@@ -284,10 +284,10 @@ def _bounds(
     larger = np.where(mixed, max(1.0, pixel_sr / SUN_SOLID_ANGLE_SR), 1.0)
     around = np.where(mixed, maximum_filter(openness, 3), openness)
     within = np.where(mixed, minimum_filter(openness, 3), openness)
-    most = np.where(around > 0.0, np.clip((around + 2.0 * u) * larger, 0.0, 1.0), 0.0)
-    least = 1.0 - np.clip((1.0 - within + 2.0 * u) * larger, 0.0, 1.0)
-    high = np.minimum(most * pane * (1.0 + 2.0 * _SCALE_SD), 1.0)
-    return least * pane * (1.0 - 2.0 * _SCALE_SD), high
+    maximum = np.where(around > 0.0, np.clip((around + 2.0 * u) * larger, 0.0, 1.0), 0.0)
+    minimum = 1.0 - np.clip((1.0 - within + 2.0 * u) * larger, 0.0, 1.0)
+    high = np.minimum(maximum * pane * (1.0 + 2.0 * _SCALE_SD), 1.0)
+    return minimum * pane * (1.0 - 2.0 * _SCALE_SD), high
 
 
 def _notes(decided: _Decided) -> tuple[str, ...]:

@@ -89,10 +89,10 @@ class SkyPicture:
 
 def write_sky_picture(path: Path, picture: SkyPicture) -> None:
     """Write a picture as .npz: luminance coded in 16 bits, to 0.04 %."""
-    least, most = _LOG10_RANGE
+    minimum, maximum = _LOG10_RANGE
     light = np.asarray(picture.luminance_cdm2, np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
-        step = (np.log10(np.maximum(light, 10.0**least)) - least) / (most - least)
+        step = (np.log10(np.maximum(light, 10.0**minimum)) - minimum) / (maximum - minimum)
     code = np.where(np.isfinite(light), 1.0 + np.clip(step, 0.0, 1.0) * (_MAX_CODE - 1), 0.0)
     table = asdict(picture.grid)
     del table["height"], table["width"]
@@ -119,9 +119,9 @@ def read_sky_picture(path: Path) -> SkyPicture:
             raise ValueError(f"format {int(stored['format'])}")
         code = stored["code"]
         height, width = code.shape
-        least, most = _LOG10_RANGE
+        minimum, maximum = _LOG10_RANGE
         table = 10.0 ** (
-            least + (np.arange(_MAX_CODE + 1) - 1.0) / (_MAX_CODE - 1) * (most - least)
+            minimum + (np.arange(_MAX_CODE + 1) - 1.0) / (_MAX_CODE - 1) * (maximum - minimum)
         )
         table[0] = np.nan
         clipped = np.unpackbits(stored["clipped"], count=height * width).reshape(height, width)

@@ -168,9 +168,9 @@ def _forward(measured: Floats32, light: Light, rays: Floats) -> Floats:
 def _level_spread(values: Floats | Floats32) -> tuple[Floats, Floats]:
     """Return median, and half the range from the 16th to the 84th percentile, of each column."""
     ordered = np.sort(values, axis=0)
-    most = np.maximum((~np.isnan(values)).sum(axis=0) - 1, 0)
+    last = np.maximum((~np.isnan(values)).sum(axis=0) - 1, 0)
 
     def quantile(share: float) -> Floats:
-        return np.take_along_axis(ordered, np.round(share * most).astype(int)[None], axis=0)[0]
+        return np.take_along_axis(ordered, np.round(share * last).astype(int)[None], axis=0)[0]
 
     return quantile(0.5), 0.5 * (quantile(0.84) - quantile(0.16))

@@ -201,9 +201,9 @@ def _fine_edges(maps: Floats32, openness: Floats32, factor: int) -> Floats32:
     edge = _enlarged((maximum_filter(shown, size) > 0.0) & ~texture, factor)
     drawn, own = _shortest_edges(shown, factor), _enlarged(maps, factor)
     out = own.copy()
-    for fine, values, least in zip(out, maps, _DOUBT, strict=True):
+    for fine, values, minimum in zip(out, maps, _DOUBT, strict=True):
         pane = maximum_filter(np.nan_to_num(values), size)  # value of the open neighbour
-        fine[edge] = np.where(drawn >= least, _enlarged(pane, factor), 0.0)[edge]
+        fine[edge] = np.where(drawn >= minimum, _enlarged(pane, factor), 0.0)[edge]
     if lens:  # slats of a pixel look like a blurred edge: the pixel's own bounds hold too
         out[1], out[2] = np.minimum(out[1], own[1]), np.maximum(out[2], own[2])
     return np.where(np.isnan(own), own, out)

@@ -22,7 +22,7 @@ from fieldlum.optics.images import read_panorama
 from fieldlum.optics.melanopic import U_SUN, melanopic_ratio, sun_ratio
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.sky.light import (
-    LEAST_LX,
+    MIN_LX,
     Facades,
     Features,
     Kernel,
@@ -71,7 +71,7 @@ class MelanopicYear:
             * part.total_lx[:, None]
             for part in (light, shade)
         )
-        share = 1.0 - of_sky / np.maximum(of_all, LEAST_LX)
+        share = 1.0 - of_sky / np.maximum(of_all, MIN_LX)
         return np.clip(share, 0.0, 1.0) * (light.direct_lx > 0.0)[:, None]
 
     def ratio(self, light: Light) -> Floats:
@@ -154,7 +154,7 @@ def _solve(parts: Floats, ratio: Floats) -> tuple[Floats, Floats]:
 def _without_sun(light: Light) -> Light:
     sky, dark = light.sky, np.zeros(len(light))
     beam = sky.direct_lx * np.maximum(np.sin(np.radians(light.sun_altitude_deg)), 0.0)
-    ground = sky.ground_cdm2 * sky.diffuse_lx / np.maximum(sky.diffuse_lx + beam, LEAST_LX)
+    ground = sky.ground_cdm2 * sky.diffuse_lx / np.maximum(sky.diffuse_lx + beam, MIN_LX)
     perez = replace(sky, direct_lx=dark, ground_cdm2=ground)
     return replace(light, dni_wm2=dark, perez=perez)
 
@@ -186,7 +186,7 @@ def year_of_captures(pairs: Path, room: ModelRoom, azimuths_deg: Floats) -> Mela
             continue
         light = np.maximum(np.nan_to_num(picture.luminance_cdm2), 0.0)
         both = map_ev_lx(np.stack([light, light * colour[0]]), views)
-        photopic.append(np.maximum(both[0], LEAST_LX))
+        photopic.append(np.maximum(both[0], MIN_LX))
         melanopic.append(both[1])
         rows, u_rel = [*rows, row], max(u_rel, colour[1])
     if not rows:
