@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from places import SEATTLE
 
 from fieldlum.capture import import_card
-from fieldlum.capture.logger_rows import add_samples, adopt_rows
+from fieldlum.capture.logger_import import add_samples, adopt_rows
 from fieldlum.capture.match_card import (
     CardFrame,
     Group,

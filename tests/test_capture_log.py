@@ -14,7 +14,7 @@ from tiny_field import FAST, LADDER, Field, TinyCamera, TinyPyranometer
 
 from fieldlum.capture.disk_writer import Recorder
 from fieldlum.capture.logger import log
-from fieldlum.capture.logger_rows import adopt_rows
+from fieldlum.capture.logger_import import adopt_rows
 from fieldlum.capture.runner import Options, run
 from fieldlum.capture.utc_clock import SteadyClock
 from fieldlum.core.errors import DeviceError, InputError

@@ -23,7 +23,7 @@ from hypothesis import strategies as st
 from scipy.io import netcdf_file
 
 from fieldlum.calibrate.readings import read_table as read_readings
-from fieldlum.capture.logger_rows import adopt_rows
+from fieldlum.capture.logger_import import adopt_rows
 from fieldlum.cli import main
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure, Site, SiteFile, Slot

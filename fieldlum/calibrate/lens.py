@@ -106,27 +106,27 @@ def fit(targets: Targets, lens: Lens) -> LensFit:
     start = _posed(targets, lens) if pose else level_lens(lens)
     models: dict[str, Model] = {"equidistant": ("equidistant", ()), "equisolid": ("equisolid", ())}
     for name, powers in POWERS.items():
-        if n >= 3 * (len(powers) + 5):
+        if n >= 3 * (len(powers) + 5):  # three targets a parameter
             models[name] = ("polynomial", powers)
-    near = _near(targets, start, list(models.values()))
-    kept = {name: getattr(targets, name)[near] for name in ("x_px", "y_px", "rays")}
+    inliers = _inliers(targets, start, list(models.values()))
+    kept = {name: getattr(targets, name)[inliers] for name in ("x_px", "y_px", "rays")}
     used = replace(targets, **kept)
-    model, figures, choice = fit_and_choose(
+    model, parameters, choice = fit_and_choose(
         "lens",
         [(name, max(len(model[1]) - 1, 0), model) for name, model in models.items()],
-        np.arange(near.sum()),
+        np.arange(inliers.sum()),
         lambda model, rows: _solve(used, rows, start, *model),
         lambda model, x, held: _misses(_geometry(start, x, *model, pose), used)[0][held] ** 2,
         unit="px",
         scale=1.0,
     )
-    geometry = _geometry(start, figures, *model, pose)
+    geometry = _geometry(start, parameters, *model, pose)
     residual, angle = _misses(geometry, targets)
-    _check(geometry, residual[near], angle[near], targets)
+    _check(geometry, residual[inliers], angle[inliers], targets)
     new = _with_geometry(lens, geometry, pose)
-    doubts = _doubts(targets, residual, near, new, lens)
+    doubts = _doubts(targets, residual, inliers, new, lens)
     deg_per_px = lens.full_angle_deg / 2 / geometry.radius_px
-    widest_deg = float(np.degrees(angle[near].max()))
+    widest_deg = float(np.degrees(angle[inliers].max()))
     return LensFit(new, choice.rms, choice.rms * deg_per_px, residual, widest_deg, choice, doubts)
 
 
@@ -136,15 +136,15 @@ def level_lens(lens: Lens) -> Lens:
 
 
 def _geometry(
-    lens: Lens, figures: Array, mapping: str, powers: tuple[int, ...], pose: bool
+    lens: Lens, parameters: Array, mapping: str, powers: tuple[int, ...], pose: bool
 ) -> LensGeometry:
     """Return the lens geometry that the parameter vector of a fit describes.
 
-    figures : [n], centre x, y and radius [px], then azimuth, tilt and roll [deg] if `pose` (else
+    parameters : [n], centre x, y and radius [px], then azimuth, tilt and roll [deg] if `pose` (else
     those of `lens` are used), then the polynomial's coefficients of all `powers` of the angle but
     the first, which follows because they add up to 1.
     """
-    x, y, radius, *rest = figures.tolist()
+    x, y, radius, *rest = parameters.tolist()
     angles = rest[:3] if pose else (lens.azimuth_deg, lens.tilt_deg, lens.roll_deg)
     terms = np.zeros(max(powers, default=0))
     if powers:
@@ -164,8 +164,10 @@ def _solve(
     start = [*lens.centre_px, lens.radius_px, *angles, *[0.0] * free]
     scale = [lens.radius_px * 0.01] * 3 + [1.0] * len(angles) + [0.05] * free
 
-    def misses(figures: Array) -> Array:
-        x, y, _ = lens_pixels(_geometry(lens, figures, mapping, powers, pose), targets.rays[rows])
+    def misses(parameters: Array) -> Array:
+        x, y, _ = lens_pixels(
+            _geometry(lens, parameters, mapping, powers, pose), targets.rays[rows]
+        )
         return np.concatenate([x - targets.x_px[rows], y - targets.y_px[rows]])
 
     return least_squares(misses, start, x_scale=scale, loss="soft_l1", f_scale=2.0, max_nfev=400).x
@@ -177,12 +179,12 @@ def _misses(geometry: LensGeometry, targets: Targets) -> tuple[Array, Array]:
     return np.hypot(x - targets.x_px, y - targets.y_px), angle_rad
 
 
-def _near(targets: Targets, start: Lens, models: Sequence[Model]) -> Mask:
+def _inliers(targets: Targets, start: Lens, models: Sequence[Model]) -> Mask:
     """Return a mask [n] of the targets that the best of the robust fits explains."""
     every, misses = np.ones(len(targets.x_px), bool), []
     for model in models:
-        figures = _solve(targets, every, start, *model)
-        geometry = _geometry(start, figures, *model, not targets.pose_known)
+        parameters = _solve(targets, every, start, *model)
+        geometry = _geometry(start, parameters, *model, not targets.pose_known)
         misses.append(_misses(geometry, targets)[0])
     best = min(misses, key=lambda missed: float(np.median(missed)))
     return ~gross_errors(best, 2.0 * MAX_MISS * start.radius_px)

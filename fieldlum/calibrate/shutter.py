@@ -276,10 +276,10 @@ def _held_out(brackets: Sequence[Bracket], pairs: Container[Pair]) -> Floats:
     """
     errors = []
     for out in folds(np.arange(len(brackets))):
-        taught = pool([brackets[i] for i in np.flatnonzero(~out).tolist()])
-        shown = [r for i in np.flatnonzero(out).tolist() for r in brackets[i]]
-        shown = [r for r in shown if r.pair in pairs and r.pair in taught]
-        errors += [(r.log_ratio**2, (r.log_ratio - taught[r.pair].median) ** 2) for r in shown]
+        fitted = pool([brackets[i] for i in np.flatnonzero(~out).tolist()])
+        held = [r for i in np.flatnonzero(out).tolist() for r in brackets[i]]
+        usable = [r for r in held if r.pair in pairs and r.pair in fitted]
+        errors += [(r.log_ratio**2, (r.log_ratio - fitted[r.pair].median) ** 2) for r in usable]
     return np.array(errors).T
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from fieldlum.capture import match_card
 from fieldlum.capture.bracket import shots, write_capture
-from fieldlum.capture.logger_rows import adopt_rows
+from fieldlum.capture.logger_import import adopt_rows
 from fieldlum.capture.match_card import CardFrame, Group, Match, Offset, Report
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import CameraSetup, Exposure, Progress, SiteFile, Slot, counted, quiet
@@ -138,7 +138,10 @@ def _brackets(
 def _parts(
     groups: Sequence[Group], slots: Sequence[Slot], utc_offset_s: float | None
 ) -> list[list[Group]]:
-    """Return the brackets in parts between which the camera's clock was set."""
+    """Return the brackets in parts between which the camera's clock was set.
+
+    A stated offset `utc_offset_s`, and times that state UTC, hold for all frames of a part.
+    """
     parts = match_card.split_at_gaps(groups)
     if utc_offset_s is not None or not slots:
         return parts

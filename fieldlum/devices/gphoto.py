@@ -146,7 +146,9 @@ class _Options(Struct):
 
 
 def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None) -> GphotoCamera:
-    """Open the first tethered camera, or the first whose model contains the URI's place.
+    """Open the first tethered camera, or the first whose model contains the text after `gphoto:`.
+
+    clock, session: not used by this driver.
 
     Raises DeviceError for an unknown option, without the package gphoto2, without a camera, or for
     one that offers no shutter times.

@@ -215,12 +215,13 @@ def _at_rays(picture: Picture, path: Path, rays: Floats) -> tuple[Floats, Array]
         row, column = (np.floor(part).astype(int) for part in place)
         return pixels[np.clip(row, 0, height - 1), column % width], np.ones(rays.shape[:2], bool)
     x, y = (np.arange(width) + 0.5) / width - 0.5, 0.5 - (np.arange(height) + 0.5) / height
-    parts, density = picture_rays(picture.view, x[None, :], y[:, None])
-    distance, nearest = KDTree((parts @ picture.view.frame).reshape(-1, 3)).query(rays)
-    inside = (distance < np.pi / rays.shape[0]) & (density.ravel()[nearest] > 0)
+    view_rays, in_picture = picture_rays(picture.view, x[None, :], y[:, None])
+    distance, nearest = KDTree((view_rays @ picture.view.frame).reshape(-1, 3)).query(rays)
+    row_rad = np.pi / rays.shape[0]
+    inside = (distance < row_rad) & (in_picture.ravel()[nearest] > 0)
     if picture.view.kind != "v":  # beyond its angle a fisheye's square has no picture
         half = np.radians(picture.view.horizontal_deg) / 2
-        inside &= rays @ picture.view.forward > np.cos(half - np.pi / rays.shape[0])
+        inside &= rays @ picture.view.forward > np.cos(half - row_rad)
     return pixels.ravel()[nearest], inside
 
 

@@ -47,9 +47,9 @@ _WRONG = (KeyError, TypeError, ValueError, AttributeError, ArithmeticError)
 def sealed(path: Path) -> Iterator[None]:
     """Write NAME.sha256 next to a file that is written within the `with` block.
 
-    An interruption leaves a file without neighbour, which is not checked.
+    An interruption leaves a file without checksum file, which is not checked.
     """
-    note = _neighbour(path)
+    note = _checksum_file(path)
     note.unlink(missing_ok=True)
     yield
     with replacing(note, "w", encoding="utf-8") as file:
@@ -57,12 +57,12 @@ def sealed(path: Path) -> Iterator[None]:
 
 
 def change_of(path: Path) -> str:
-    """Return a sentence if a file differs from what its neighbour records, and warn with it.
+    """Return a sentence if a file differs from its checksum file NAME.sha256, and warn with it.
 
-    Return "" for an unchanged file and for one without a neighbour. The warning is a
+    Return "" for an unchanged file and for one without a checksum file. The warning is a
     ChangedFileWarning.
     """
-    note = _neighbour(path)
+    note = _checksum_file(path)
     try:
         recorded = note.read_text(encoding="utf-8", errors="replace").split()
     except OSError:
@@ -77,7 +77,7 @@ def change_of(path: Path) -> str:
     return text
 
 
-def _neighbour(path: Path) -> Path:
+def _checksum_file(path: Path) -> Path:
     return path.with_name(f"{path.name}.sha256")
 
 
@@ -130,7 +130,10 @@ class JsonFile(msgspec.Struct, frozen=True):
         return to_json(self)
 
     def write(self, place: Path) -> None:
-        """Write the file, or NAME into a folder."""
+        """Write the file `place`; if the class has a NAME, that file in the folder `place`.
+
+        Raises OSError if it cannot be written.
+        """
         path = place / self.NAME
         write_object(path, {"format": self.FORMAT, **self.table()}, digest=self.SEALED)
 
@@ -260,7 +263,10 @@ def write_csv(
 
 
 def write_columns(path: Path, columns: Mapping[str, Any], digits: int = 7) -> None:
-    """Write arrays as a csv, with its SHA-256 in NAME.sha256; t_utc: Unix times [s]."""
+    """Write arrays [n] as a csv, with its SHA-256 in NAME.sha256.
+
+    t_utc: Unix times [s], written as ISO texts; digits: significant ones of the numbers.
+    """
     times = [datetime.fromtimestamp(t, UTC) for t in columns["t_utc"]]
     lists = [np.asarray(values).tolist() for values in {**columns, "t_utc": times}.values()]
     rows = (dict(zip(columns, cells, strict=True)) for cells in zip(*lists, strict=True))

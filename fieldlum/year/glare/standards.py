@@ -210,7 +210,11 @@ def _interval(
 
 
 def year_errors(shape: tuple[int, ...], rng: np.random.Generator) -> Floats:
-    """Return standard normal errors [n, d] of one drawn year, partly common to its hours."""
+    """Return standard normal errors of one drawn year, [n hours, d directions].
+
+    shape: (n, d). The share `COMMON_ERROR` of the variance is one error of a direction in all
+    hours; the rest is one error of an hour in all directions.
+    """
     common = rng.standard_normal((1, shape[1])) * np.sqrt(COMMON_ERROR)
     own = rng.standard_normal((shape[0], 1)) * np.sqrt(1.0 - COMMON_ERROR)
     return common + own
