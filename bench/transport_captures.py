@@ -19,7 +19,7 @@ import numpy as np
 from transport_office import draw, errors, read
 
 from fieldlum.learn.transport import fit
-from fieldlum.sky.light import Kernel, greedy_hours, light_features, one_facade
+from fieldlum.sky.light import Facades, Kernel, greedy_hours, light_features
 
 
 def main() -> None:
@@ -42,7 +42,10 @@ def main() -> None:
     pool = replace(pool, seen=seen, setup=replace(pool.setup, room=None))
     features = light_features(pool.light)
     order = greedy_hours(
-        Kernel(one_facade(180.0)), light_features(every.light), features, len(pool)
+        Kernel(Facades(np.array([180.0]), np.ones(1))),
+        light_features(every.light),
+        features,
+        len(pool),
     ).index
 
     def score(rows: np.ndarray) -> float:

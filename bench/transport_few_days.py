@@ -22,8 +22,8 @@ from scene_generators import ROOMS
 from scene_judge import draw_pixels, exact_pair, user_of
 from scene_rooms import with_box
 
+from fieldlum.learn import transport
 from fieldlum.learn.models.data import Dataset
-from fieldlum.learn.transport import model as model_of
 
 COUNTS = (2, 4, 9)
 SCORED = 300  # pixels
@@ -51,9 +51,9 @@ def days_of(data: Dataset, count: int) -> NDArray[Any]:
 
 def judged(train: Dataset, test: Dataset, seen: NDArray[Any], *, computed: bool) -> str:
     """Return error, expected error and the share of pixels in the 90 % interval."""
-    physics = model_of.physics_of if computed else lambda setup, heading_deg: None
-    with patch.object(model_of, "physics_of", physics):
-        model = model_of.fit(replace(train, seen=seen))
+    physics = transport.physics_of if computed else lambda setup, heading_deg: None
+    with patch.object(transport, "physics_of", physics):
+        model = transport.fit(replace(train, seen=seen))
     made = model.predict(test.light, test.patch_cdm2)
     assert made.log10_sd is not None
     ratio = np.maximum(made.luminance_cdm2, 1.0) / np.maximum(test.luminance_cdm2, 1.0)
