@@ -48,22 +48,29 @@ def _unshaded(
     edge between them follows from its length inside, which is negative outside the box.
     """
     share = 1.0
+    # no shade begins farther from a box than this, as a length along the line to the sun
+    reach = 0.5 * softness * np.sqrt(inverse[0] ** 2 + inverse[1] ** 2 + inverse[2] ** 2)
     for box in range(len(low)):
-        enters, leaves, first_axis, last_axis = -np.inf, np.inf, 0, 0
+        enters, leaves = -np.inf, np.inf
         for axis in range(3):
             first = (low[box, axis] - position[point, axis]) * inverse[axis]
             last = (high[box, axis] - position[point, axis]) * inverse[axis]
-            if min(first, last) > enters:
-                enters, first_axis = min(first, last), axis
-            if max(first, last) < leaves:
-                leaves, last_axis = max(first, last), axis
-        if leaves <= EPSILON_M:
+            enters, leaves = max(enters, min(first, last)), min(leaves, max(first, last))
+        if leaves <= EPSILON_M or enters - leaves > reach:
             continue
-        if first_axis == last_axis:
+        if leaves - enters > reach:
             return 0.0
-        along, across = inverse[first_axis], inverse[last_axis]
-        within = (leaves - enters) / np.hypot(along, across)
-        share *= 1.0 - _passed(within, softness)
+        along, across, entered, left = 0.0, 0.0, -1, -1
+        for axis in range(3):
+            first = (low[box, axis] - position[point, axis]) * inverse[axis]
+            last = (high[box, axis] - position[point, axis]) * inverse[axis]
+            if entered < 0 and min(first, last) == enters:
+                along, entered = inverse[axis], axis
+            if left < 0 and max(first, last) == leaves:
+                across, left = inverse[axis], axis
+        if entered == left:
+            return 0.0
+        share *= 1.0 - _passed((leaves - enters) / np.hypot(along, across), softness)
         if share <= 0.0:
             return 0.0
     return share
