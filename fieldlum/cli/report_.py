@@ -37,5 +37,5 @@ def command(
         page = run(
             open_session(session_folder), out, for_assessor=for_reader == "assessor", progress=shown
         )
-    say(f"report: {page.stat().st_size / 1e6:.1f} MB")
+    say(f"report: {page.stat().st_size / 1e6:.2g} MB")
     click.echo(str(page))

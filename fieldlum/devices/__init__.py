@@ -20,6 +20,7 @@ import math
 import os
 import re
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from difflib import get_close_matches
@@ -89,7 +90,7 @@ class Device:
         """Release it."""
 
 
-class Camera(Device):
+class Camera(Device, ABC):
     """A camera that takes one frame at a time; a driver overrides what its camera can do.
 
     info : what the camera reports about itself.
@@ -97,6 +98,7 @@ class Camera(Device):
 
     info: CameraInfo
 
+    @abstractmethod
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
         """Take one frame, write it to `target` plus the camera's suffix, and return the file.
 
@@ -104,10 +106,10 @@ class Camera(Device):
         others ignore or reject it. Raises DeviceError if the camera fails or does not offer this
         exposure, OSError if the disk is full.
         """
-        raise NotImplementedError
 
     def check_offered(self, exposure: Exposure) -> None:
         """Raise DeviceError, with the reason, for an exposure that the camera cannot take."""
+        return
 
     def exposure_taken(self, written: Path) -> Exposure | None:
         """Return the exposure of the newest frame, the file `written`; None if not reported."""
@@ -160,18 +162,18 @@ def retried(
     return work()
 
 
-class Pyranometer(Device):
+class Pyranometer(Device, ABC):
     """An instrument that measures irradiance; info : what it reports about itself."""
 
     info: InstrumentInfo
 
+    @abstractmethod
     def read(self) -> IrradianceSample:
         """Return one reading: a new one, or the newest that the instrument sent by itself.
 
         Raises DeviceError if the instrument does not answer, or if the answer is damaged or
         impossible.
         """
-        raise NotImplementedError
 
     def refused(self) -> list[str]:
         """Return the lines rejected since the last call (the newest 100), each with the reason."""
@@ -186,14 +188,14 @@ class IlluminanceReading:
     low_battery: bool = False
 
 
-class IlluminanceMeter(Device):
+class IlluminanceMeter(Device, ABC):
     """An instrument that measures illuminance; info : its kind, model and port."""
 
     info: InstrumentInfo
 
+    @abstractmethod
     def read(self) -> IlluminanceReading:
         """Measure and return the illuminance. Raises DeviceError if the meter cannot measure it."""
-        raise NotImplementedError
 
 
 Options = TypeVar("Options", bound=Struct)
