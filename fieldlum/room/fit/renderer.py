@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from fieldlum.room.fit.guess import Guess
 from fieldlum.room.scene.geometry import WALLS, glass_optics
-from fieldlum.room.scene.points import add_through
+from fieldlum.room.scene.points import HARD_M, add_through
 from fieldlum.room.scene.trace import EPSILON_M, nearest_box
 
 Float32 = NDArray[np.float32]
@@ -26,7 +26,6 @@ Array = NDArray[np.floating]
 WEST, EAST, SOUTH, NORTH, FLOOR, CEILING = range(6)
 SHELL = 6  # solids are numbered from here on
 OUTSIDE = -1  # a ray that leaves through a window
-_HARD_M = 1e-7  # width of a hard edge; chosen, below any length of a room
 _THICK_M = 1.0  # of boxes around the room; chosen, no ray passes them
 
 
@@ -62,7 +61,7 @@ def surfaces(guess: Guess, rays_world: Float32, spread: float = 0.0) -> Surfaces
     position = eye + rays * distance[:, None]
     surface = box.astype(np.int16)
     surface[_in_window(guess, position, surface)] = OUTSIDE
-    softness = np.maximum(spread * distance, _HARD_M).astype(np.float32)
+    softness = np.maximum(spread * distance, HARD_M).astype(np.float32)
     return Surfaces(position, axis, sign, surface, softness)
 
 

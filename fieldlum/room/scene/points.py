@@ -17,7 +17,7 @@ from fieldlum.room.scene.geometry import BoxScene, glass_optics
 from fieldlum.room.scene.trace import EPSILON_M
 
 _GRAZING = 1e-6  # cosine; chosen: a sun 0.00006 degrees above a surface
-_HARD_M = 1e-7  # width of a hard edge; chosen, below any length of a room
+HARD_M = 1e-7  # width of a hard edge; chosen, below any length of a room
 _SMALLEST = 1e-9  # of a direction along an axis: avoids a division by zero; chosen
 
 
@@ -154,7 +154,7 @@ def _add_outside(
     for point in range(len(face)):
         cosine = _cosine(face[point], sun)
         if cosine > _GRAZING:
-            share = _unshaded(low, high, position, point, inverse, _HARD_M)
+            share = _unshaded(low, high, position, point, inverse, HARD_M)
             total[target[point]] += share * cosine * weight[point]
 
 
@@ -193,7 +193,7 @@ class SunPoints:
         if sun[2] <= 0.0:
             return total[0].astype(np.float32)
         group = self.inside
-        softness = np.full(len(group.face), _HARD_M, np.float32)
+        softness = np.full(len(group.face), HARD_M, np.float32)
         for o in self.scene.openings:
             glass = glass_optics(o.transmittance, sun[o.axis : o.axis + 1])[0]
             add_through(
