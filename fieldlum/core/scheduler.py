@@ -227,12 +227,12 @@ def use_one_thread() -> None:
 
 
 def _in_processes(units: list[WorkUnit], count: int) -> Iterator[UnitOutcome]:
-    """Run units in a pool of processes; a killed process costs only the units that run then."""
+    """Run units in a pool of processes; one tried again runs alone: a kill is then its own."""
     waiting, tries, running = units[::-1], Counter[str](), dict[Future[Any], WorkUnit]()
     pool = _pool(count)
     try:
         while waiting or running:
-            while waiting and len(running) < count:
+            while waiting and len(running) < (1 if tries[waiting[-1].name] else count):
                 unit = waiting.pop()
                 try:
                     future = pool.submit(unit.call, unit.folder, unit.argument)
@@ -247,7 +247,7 @@ def _in_processes(units: list[WorkUnit], count: int) -> Iterator[UnitOutcome]:
                     yield UnitOutcome(unit, None if error else future.result(), error)
                 elif tries[unit.name] < RETRIES:
                     tries[unit.name] += 1
-                    waiting.insert(0, unit)  # last, so that it rarely meets the same others again
+                    waiting.insert(0, unit)  # last
                 else:
                     why = "its process was killed" if killed else _trouble_text(error)
                     yield _given_up(unit, why)
