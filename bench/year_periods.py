@@ -26,8 +26,9 @@ from fieldlum.core.records import Progress, quiet
 from fieldlum.learn.models.data import Dataset, load_pairs
 from fieldlum.learn.models.scores import evaluate, summary, truth
 from fieldlum.learn.train import patch_mode
-from fieldlum.learn.train.trials import fit_timed, order_of_use
+from fieldlum.learn.train.trials import fit_timed
 from fieldlum.session.files.scores_json import ScoreFigures
+from fieldlum.sky.light import Kernel, facades_of, greedy_hours, light_features
 
 CURVE = {
     "name": "model",
@@ -67,6 +68,13 @@ def is_year(data: Dataset) -> bool:
     return len(data) >= YEAR_HOURS and len(np.unique(months)) >= YEAR_MONTHS
 
 
+def most_informative(data: Dataset) -> np.ndarray:
+    """Return all row indices [n], each next capture lowering the predictive variance most."""
+    features = light_features(data.light)
+    kernel = Kernel(facades_of(data.setup.room))
+    return greedy_hours(kernel, features, features, len(data)).index
+
+
 def learning_curve(
     spec: Spec,
     data: Dataset,
@@ -81,9 +89,8 @@ def learning_curve(
     """
     patch, asked = patch_mode(data, spec.patch), truth(test, glare=False)
     counts = curve_counts(len(data))
-    order = (
-        np.random.default_rng(0).permutation(len(data)) if way == "random" else order_of_use(data)
-    )
+    drawn = np.random.default_rng(0).permutation(len(data))
+    order = drawn if way == "random" else most_informative(data)
     rows: list[dict[str, object]] = []
     for k, count in enumerate(counts):
         progress(k, len(counts), f"{way} {count}")

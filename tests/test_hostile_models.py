@@ -23,7 +23,7 @@ pytestmark = pytest.mark.contract
 def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("m") / "transport"
     data = dataset(("2027-03-20", "2027-06-21"), height=8)
-    train.run(data, "transport", seed=1, out=folder, captures=False)
+    train.run(data, "transport", seed=1, out=folder)
     return folder
 
 

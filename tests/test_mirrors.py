@@ -183,7 +183,7 @@ def test_images_are_taken_out_and_hours_without_them_are_distinguished() -> None
 @pytest.mark.slow
 @pytest.mark.contract
 def test_the_warning_is_in_every_result(tmp_path: Path) -> None:
-    answer = run(MIRRORING, "nearest", patch="none", out=tmp_path / "m", captures=False)
+    answer = run(MIRRORING, "nearest", patch="none", out=tmp_path / "m")
     (warning,) = [note for note in answer["notes"] if "plane mirror" in note]
     assert warning.startswith("WARNING: ") and "azimuth 203" in warning
     assert "not trusted" in warning and "Predicted hours include the mirrored sun" in warning

@@ -14,28 +14,30 @@ from learning_room import dataset
 
 from fieldlum.core.errors import InputError
 from fieldlum.learn import models
-from fieldlum.learn.models import dense_training
-from fieldlum.learn.models.dense import Net, Shape, decode, encode, inputs_of, parameter_count
-from fieldlum.learn.models.dense_training import (
+from fieldlum.learn.models import dense
+from fieldlum.learn.models.dense import (
+    Net,
     Run,
+    Shape,
     Trainer,
-    TrainingPlan,
+    decode,
+    encode,
+    inputs_of,
     pixels_of,
-    rate_of,
 )
 from fieldlum.learn.models.scores import compare, evaluate, summary, truth
 
 DATA = dataset(("2027-03-20", "2027-03-21"), height=8)
 TEST = dataset(("2027-03-22",), seed=1, height=8)
-SMALL = {"width": 24, "patch_width": 12, "depth": 2}
+SMALL = Shape(width=24, patch_width=12, depth=2)
 BASE = inputs_of(np.zeros(DATA.shape), 180.0, torch.device("cpu"))
-FEW = TrainingPlan(100, 256)
+FEW = Run(100, 256)
 
 
 @pytest.mark.authority
 def test_the_network_has_the_papers_parameters() -> None:
     """600 more than 1 688 601, the "Base Model" without the sky of the thesis behind the paper."""
-    assert parameter_count(Net(Shape())) == 1_689_201
+    assert sum(p.numel() for p in Net(Shape()).parameters()) == 1_689_201
 
 
 @pytest.mark.property
@@ -72,21 +74,21 @@ def test_inputs_are_scaled_as_the_paper_says() -> None:
 def test_a_step_has_the_gradient_of_the_loss(ranks: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """MSE + 10 RER of the batch, differentiated by torch in one piece; torchrun's ranks add up."""
     torch.manual_seed(3)
-    net = Net(Shape(**SMALL))
+    net = Net(SMALL)
     pixels = pixels_of(DATA, BASE, "absolute", torch.device("cpu"))
     numbers = torch.randperm(len(pixels))[:501]
-    trainer = Trainer(net, pixels, half=False)
+    trainer = Trainer(net, pixels)
     sums = [torch.zeros(3, dtype=torch.float64)]
-    monkeypatch.setattr(dense_training, "world", lambda: ranks)
+    monkeypatch.setattr(dense, "world", lambda: ranks)
     for k in range(ranks):
-        monkeypatch.setattr(dense_training, "rank", lambda k=k: k)
+        monkeypatch.setattr(dense, "rank", lambda k=k: k)
         sums.append(trainer.sums(pixels, numbers).detach().double())
     every = torch.stack(sums).sum(dim=0)
-    monkeypatch.setattr(dense_training, "total", lambda t: t.copy_(every) if t.shape == (3,) else t)
+    monkeypatch.setattr(dense, "total", lambda t: t.copy_(every) if t.shape == (3,) else t)
     gradient = [torch.zeros_like(p) for p in net.parameters()]
     loss = 0.0
     for k in range(ranks):
-        monkeypatch.setattr(dense_training, "rank", lambda k=k: k)
+        monkeypatch.setattr(dense, "rank", lambda k=k: k)
         loss = trainer.step(numbers, rate=0.0)
         for gathered, parameter in zip(gradient, net.parameters(), strict=True):
             assert parameter.grad is not None
@@ -106,8 +108,8 @@ def test_a_step_has_the_gradient_of_the_loss(ranks: int, monkeypatch: pytest.Mon
 @pytest.mark.property
 def test_the_network_learns_a_tiny_set_by_heart() -> None:
     one = DATA.take(np.array([2]))  # a lone image validates itself
-    plan = TrainingPlan(400, 128)
-    fitted = models.fit("dense", one, plan=plan, width=128, patch_width=32, bfloat16=False)
+    plan = Run(400, 128)
+    fitted = models.fit("dense", one, plan=plan, shape=Shape(128, patch_width=32))
     error = compare(fitted.predict(one.light, one.patch_cdm2), one, one.weights)
     assert error.mse[0] < 0.01 * np.log10(np.maximum(one.luminance_cdm2, 1)).var()
 
@@ -116,7 +118,7 @@ def test_the_network_learns_a_tiny_set_by_heart() -> None:
 @pytest.mark.property
 @pytest.mark.numeric
 def test_resuming_equals_training_in_one_go(tmp_path: Path) -> None:
-    options = {"plan": FEW, "seed": 5, **SMALL}
+    options = {"plan": FEW, "seed": 5, "shape": SMALL}
     straight = models.fit("dense", DATA, **options)
     kept = tmp_path / "checkpoint.pt"
     models.fit("dense", DATA, checkpoint=kept, stop_after_epochs=2, **options)
@@ -133,19 +135,19 @@ def test_a_checkpoint_of_other_pictures_is_refused(tmp_path: Path) -> None:
     the old ones.
     """
     kept = tmp_path / "checkpoint.pt"
-    models.fit("dense", DATA, checkpoint=kept, stop_after_epochs=1, plan=FEW, **SMALL)
+    models.fit("dense", DATA, checkpoint=kept, stop_after_epochs=1, plan=FEW, shape=SMALL)
     brighter = replace(DATA, luminance_cdm2=DATA.luminance_cdm2 * np.float32(1.02))
     with pytest.raises(InputError, match="of other pictures, other irradiance or another seed"):
-        models.fit("dense", brighter, checkpoint=kept, plan=FEW, **SMALL)
+        models.fit("dense", brighter, checkpoint=kept, plan=FEW, shape=SMALL)
     with pytest.raises(InputError, match="of other pictures, other irradiance or another seed"):
-        models.fit("dense", DATA, checkpoint=kept, plan=FEW, seed=1, **SMALL)
+        models.fit("dense", DATA, checkpoint=kept, plan=FEW, seed=1, shape=SMALL)
 
 
 @pytest.mark.slow
 @pytest.mark.property
 def test_the_same_seed_gives_the_same_network_and_another_another() -> None:
     a, b, c = (
-        models.fit("dense", DATA, plan=FEW, seed=seed, **SMALL).state().arrays for seed in (1, 1, 2)
+        models.fit("dense", DATA, plan=FEW, seed=s, shape=SMALL).state().arrays for s in (1, 1, 2)
     )
     assert all((a[name] == b[name]).all() for name in a)
     assert any((a[name] != c[name]).any() for name in a)
@@ -161,10 +163,10 @@ def test_a_strangers_checkpoint_cannot_run_code(tmp_path: Path) -> None:
     path = tmp_path / "checkpoint.pt"
     torch.save({"net": Evil()}, path)
     with pytest.raises(InputError, match="a checkpoint that cannot be used"):
-        models.fit("dense", DATA, plan=FEW, checkpoint=path, **SMALL)
+        models.fit("dense", DATA, plan=FEW, checkpoint=path, shape=SMALL)
     path.write_bytes(pickle.dumps(Evil()))
     with pytest.raises(InputError):
-        models.fit("dense", DATA, plan=FEW, checkpoint=path, **SMALL)
+        models.fit("dense", DATA, plan=FEW, checkpoint=path, shape=SMALL)
     assert not (tmp_path / "owned").exists()
 
 
@@ -188,7 +190,7 @@ def test_a_strangers_model_folder_cannot_run_code(tmp_path: Path) -> None:
 @pytest.mark.property
 @pytest.mark.parametrize("name", ["mean", "nearest", "dense"])
 def test_a_kept_model_predicts_as_before(tmp_path: Path, name: str) -> None:
-    options = {"plan": FEW, **SMALL} if name == "dense" else {}
+    options = {"plan": FEW, "shape": SMALL} if name == "dense" else {}
     fitted = models.fit(name, DATA, **options)
     models.save(tmp_path, fitted, DATA, patch="absolute")
     again = models.load(tmp_path)
@@ -221,9 +223,9 @@ def test_hours_far_from_the_captured_ones_are_not_trusted() -> None:
 @pytest.mark.slow
 @pytest.mark.contract
 def test_a_network_without_patches() -> None:
-    bare = models.fit("dense", DATA, plan=FEW, patch="none", **SMALL)
+    bare = models.fit("dense", DATA, plan=FEW, patch="none", shape=SMALL)
     assert bare.predict(TEST.light).luminance_cdm2.shape == TEST.luminance_cdm2.shape
-    fitted = models.fit("dense", DATA, plan=FEW, **SMALL)
+    fitted = models.fit("dense", DATA, plan=FEW, shape=SMALL)
     with pytest.raises(ValueError, match="trained with sun patches"):
         fitted.predict(TEST.light)
 
@@ -231,10 +233,10 @@ def test_a_network_without_patches() -> None:
 @pytest.mark.analytic
 def test_a_loss_that_is_no_number_halves_the_rate() -> None:
     """In the middle of a training the rate is half of what it starts from."""
-    run, plan = Run(step=500), TrainingPlan(1000, 512)
-    assert rate_of(plan, run, None) == pytest.approx(5e-4)
+    run = Run(1000, 512, step=500)
+    assert run.rate_now(None) == pytest.approx(5e-4)
     run.rate /= 2.0
-    assert rate_of(plan, run, None) == pytest.approx(2.5e-4)
+    assert run.rate_now(None) == pytest.approx(2.5e-4)
 
 
 @pytest.mark.analytic
@@ -253,11 +255,11 @@ def test_pixels_without_count_teach_the_network_nothing() -> None:
 @pytest.mark.property
 def test_a_loss_that_is_no_number_changes_nothing() -> None:
     """Training never ends in NaN: the update is skipped and the best weights are taken up again."""
-    net = Net(Shape(**SMALL))
+    net = Net(SMALL)
     pixels = pixels_of(DATA, BASE, "absolute", torch.device("cpu"))
     pixels.target[0, 0] = float("nan")
     before = [p.clone() for p in net.parameters()]
-    trainer = Trainer(net, pixels, half=False)
+    trainer = Trainer(net, pixels)
     assert np.isnan(trainer.step(torch.arange(10), rate=1e-3))
     assert all(torch.equal(a, b) for a, b in zip(before, net.parameters(), strict=True))
 

@@ -70,7 +70,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Session:
     write_pairs(root, data)
     folder = made.models / "transport"
     # This room has no [room]: the year is predicted without known patches.
-    train.run(data, "transport", patch="none", out=folder, captures=False)
+    train.run(data, "transport", patch="none", out=folder)
     predict.run(folder, _weather(root / "w.csv"))
     return made
 

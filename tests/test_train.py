@@ -14,9 +14,9 @@ from fieldlum.cli import main
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.records import quiet
 from fieldlum.learn import models, train
-from fieldlum.learn.models import dense_training
+from fieldlum.learn.models import dense
 from fieldlum.learn.models.data import Dataset
-from fieldlum.learn.models.dense_training import validation_split
+from fieldlum.learn.models.dense import validation_split
 from fieldlum.learn.models.scores import Scores, light_of_year
 from fieldlum.learn.train import fit_and_score, notes_of, run, year_of
 from fieldlum.learn.train.trials import (
@@ -24,9 +24,7 @@ from fieldlum.learn.train.trials import (
     choose_model,
     day_folds,
     evaluate_folds,
-    how_many,
     one_day_only,
-    order_of_use,
 )
 from fieldlum.optics.projection import equirect_solid_angles
 
@@ -110,7 +108,7 @@ def test_a_slow_model_that_saw_few_days_does_not_decide_between_quick_ones() -> 
 @pytest.mark.slow
 @pytest.mark.contract
 def test_run_keeps_a_model_its_scores_and_says_why(tmp_path: Path) -> None:
-    answer = run(DATA, "nearest", out=tmp_path, captures=False)
+    answer = run(DATA, "nearest", out=tmp_path)
     assert {row["name"] for row in answer["models"]} == {"mean", "nearest"}
     assert all(set(row) >= KEYS for row in answer["models"])
     assert json.loads((tmp_path / "scores.json").read_text())["chosen"] == "nearest"
@@ -174,9 +172,9 @@ def test_a_short_budget_still_trains_the_network(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     few = DATA.take(range(0, len(DATA), 6))
-    monkeypatch.setattr(dense_training.Trainer, "pixels_per_s", lambda *_: 1e5)  # under any load
+    monkeypatch.setattr(dense.Trainer, "pixels_per_s", lambda *_: 1e5)  # under any load
     # by a clock that stands still, so that only the network itself takes time
-    answer = run(few, "dense", budget_min=5.0, out=tmp_path, captures=False, clock=lambda: 0.0)
+    answer = run(few, "dense", budget_min=5.0, out=tmp_path, clock=lambda: 0.0)
     row = next(row for row in answer["models"] if row["name"] == "dense")
     assert row["log10_mse_weighted"] > 0.0
     assert not list(tmp_path.glob("checkpoint*"))
@@ -191,26 +189,13 @@ def test_a_network_without_time_for_a_pass_is_not_trained(
     few = DATA.take(range(0, len(DATA), 6))
     teach, _ = validation_split(len(few), 0)
     per_s = passes * len(teach) * few.luminance_cdm2[0].size / 590.0
-    monkeypatch.setattr(dense_training.Trainer, "pixels_per_s", lambda *_: per_s)
+    monkeypatch.setattr(dense.Trainer, "pixels_per_s", lambda *_: per_s)
     if begins:
-        fitted = dense_training.fit(few, budget_s=600.0, stop_after_epochs=1)
+        fitted = dense.fit(few, budget_s=600.0, stop_after_epochs=1)
         assert fitted.training["steps"] > 0
         return
     with pytest.raises(NotEnoughDataError, match="raise --budget"):
-        dense_training.fit(few, budget_s=600.0)
-
-
-@pytest.mark.property
-def test_the_order_of_use_puts_copies_last() -> None:
-    """A capture that was made twice tells nothing the second time."""
-    twice = DATA.take([0, 0, *range(1, 12)])
-    order = list(order_of_use(twice))
-    assert {order[-1]} <= {0, 1} or max(order.index(0), order.index(1)) > 6
-
-
-@pytest.mark.contract
-def test_too_few_captures_have_no_curve() -> None:
-    assert how_many(DATA.take(range(5)), "absolute") == {}
+        dense.fit(few, budget_s=600.0)
 
 
 @pytest.mark.slow
@@ -240,7 +225,7 @@ def test_a_model_of_the_same_captures_and_options_is_kept(tmp_path: Path) -> Non
     out = tmp_path / "m"
 
     def kept(data: Dataset = DATA, **options: Any) -> bool:
-        return run(data, "mean", out=out, captures=False, **options)["kept"]
+        return run(data, "mean", out=out, **options)["kept"]
 
     assert [kept(), kept()] == [False, True]
     assert [kept(seed=1), kept(seed=1), kept(seed=1, force=True)] == [False, True, False]
@@ -269,7 +254,7 @@ class CountedClock:
 def test_the_budget_bounds_the_complete_command(
     budget_min: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Held-out folds, the network, the stored model, the scan and the learning curve."""
+    """Held-out folds, the network, the stored model, and the scan."""
     clock = CountedClock()
     cost_s = {"mean": 1.0, "nearest": 1.0, "transport": 20.0}
 
@@ -288,8 +273,6 @@ def test_the_budget_bounds_the_complete_command(
     assert clock.now_s + 10.0 <= 60.0 * budget_min
     folds = {row["name"]: row["folds"] for row in answer["models"]}
     assert folds["transport"] >= 2 and (budget_min < 10.0 or folds["transport"] == 5)
-    assert budget_min < 40.0 or answer["captures"]["curve"]
-    assert answer["captures"] or any("no learning curve" in n for n in answer["notes"])
 
 
 @pytest.mark.slow
@@ -312,7 +295,7 @@ def test_on_a_busy_machine_the_budget_ends_the_training(
     real = models.fit
     monkeypatch.setattr(models, "fit", fit)
     monkeypatch.setattr(train, "MODELS", {k: v for k, v in models.MODELS.items() if not v.slow})
-    options: dict[str, Any] = {"budget_min": 5.0, "spent_s": 10.0, "captures": False}
+    options: dict[str, Any] = {"budget_min": 5.0, "spent_s": 10.0}
     answer = run(DATA, "auto", out=tmp_path / "auto", clock=clock, **options)
     assert clock.now_s + 10.0 <= 320.0  # by one step at most
     assert answer["chosen"] in ("mean", "nearest")
@@ -320,11 +303,3 @@ def test_on_a_busy_machine_the_budget_ends_the_training(
     clock.now_s = 0.0
     with pytest.raises(NotEnoughDataError, match="transport was not fitted within the time"):
         run(DATA, "transport", out=tmp_path / "transport", clock=clock, **options)
-
-
-@pytest.mark.slow
-@pytest.mark.property
-def test_a_spent_budget_leaves_the_learning_curve_out_and_reports_it(tmp_path: Path) -> None:
-    answer = run(DATA, "mean", budget_min=1e-3, spent_s=60.0, out=tmp_path)
-    assert any("no learning curve" in note for note in answer["notes"])
-    assert answer["captures"] == {} and {row["folds"] for row in answer["models"]} == {2}

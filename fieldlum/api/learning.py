@@ -127,7 +127,7 @@ def fit(
     options: dict[str, Any] = {"patch": patch, "seed": seed, "progress": progress}
     with nullcontext(out) if out is not None else TemporaryDirectory() as where:
         folder = path_of(where, "out")
-        train.run(data, model, budget_min=budget_min, out=folder, captures=False, **options)
+        train.run(data, model, budget_min=budget_min, out=folder, **options)
         return room_model.load(folder)
 
 

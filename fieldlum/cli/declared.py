@@ -40,19 +40,12 @@ class _LocalPath(click.Path):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         if "://" in str(value):
             self.fail(
-                f"{value} is a URL; expected a path, because a bucket has no locks; only "
-                "pair --pairs-to writes to a URL",
+                f"{value} is a URL; expected a path, because a bucket has no locks; copy folders "
+                "with a program such as rclone",
                 param,
                 ctx,
             )
         return super().convert(value, param, ctx)
-
-
-class _PathOrUrl(click.Path):
-    """A path of a file system, or a URL as text."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        return str(value) if "://" in str(value) else super().convert(value, param, ctx)
 
 
 def numbers(count: int, mark: str) -> Callable[[str], tuple[float, ...]]:
@@ -69,7 +62,6 @@ def numbers(count: int, mark: str) -> Callable[[str], tuple[float, ...]]:
 
 
 PATH = _LocalPath(path_type=Path)
-PATH_OR_URL = _PathOrUrl(path_type=Path)
 EXISTING_PATH = _LocalPath(path_type=Path, exists=True)
 FILE_PATH = _LocalPath(path_type=Path, dir_okay=False)
 

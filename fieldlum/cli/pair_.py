@@ -4,30 +4,20 @@ from __future__ import annotations
 
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from fieldlum.cli import terminal
 from fieldlum.cli.options import command_of, scheduler_of
 
-if TYPE_CHECKING:
-    from fieldlum.session import Session
-
 
 @command_of("pair")
-def command(
-    session_folder: Path, scheduler_text: str = "local", pairs_to: str = "", force: bool = False
-) -> None:
+def command(session_folder: Path, scheduler_text: str = "local", force: bool = False) -> None:
     """Match panoramas with irradiance and sun; write the sky view.
 
     \b
     Example:
       fieldlum pair office-2027
-
-    Options:
-      --pairs-to URL: Also write the training data to a bucket, such as s3://BUCKET/FOLDER
-          (needs s3fs).
     """
     from fieldlum import pair
     from fieldlum.core.records import counted
@@ -35,12 +25,6 @@ def command(
     from fieldlum.pair.irradiance.day_curves import draw_days
     from fieldlum.session import open_session
     from fieldlum.sky.sky_view import SkyView
-
-    if pairs_to:
-        from fieldlum.learn.models.pairs_bucket import BucketStore, check_url
-
-        check_url(pairs_to, "--pairs-to", "the pairs are in the session without --pairs-to")
-        BucketStore(pairs_to)  # an absent client is reported before the work
 
     scheduler = scheduler_of(scheduler_text)
     session = open_session(session_folder)
@@ -68,17 +52,3 @@ def command(
     for kind, texts in (("refused", (p.why for p in pairs if p.why)), ("caution", cautions)):
         for text, count in Counter(texts).most_common(5):
             terminal.say(f"{kind} {count}: {text}")
-    if pairs_to:
-        _upload(session, pairs_to)
-
-
-def _upload(session: Session, url: str) -> None:
-    """Write the training data of the session to a bucket."""
-    from fieldlum.learn.models.data import load_pairs
-    from fieldlum.learn.models.pairs_bucket import store_of, write_pairs
-
-    with terminal.progress("reading pictures") as progress:
-        data = load_pairs(session, progress=progress)
-    new = write_pairs(data, url, session.root / ".pairs.zarr.tmp")
-    state = "written" if new else "unchanged, not written again"
-    click.echo(f"{store_of(url).target}: {len(data)} captures, {state}")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import click
 
-from fieldlum.cli.declared import PATH_OR_URL
+from fieldlum.cli.declared import PATH
 from fieldlum.cli.options import Above0, command_of
 from fieldlum.cli.terminal import print_answer, progress, say, table_lines
 from fieldlum.learn.model_registry import MODELS
@@ -33,7 +33,7 @@ _COLUMNS = {
 
 @command_of("train")
 def command(
-    pairs: Annotated[Path | str, "SESSION|PAIRS.csv|URL", PATH_OR_URL],
+    pairs: Annotated[Path, "SESSION|PAIRS.csv", PATH],
     site: Path | None = None,
     model: Annotated[str, click.Choice(["auto", *MODELS])] = "auto",
     patch: Literal["absolute", "gain", "none"] = "absolute",
@@ -47,11 +47,10 @@ def command(
 ) -> None:
     """Learn the room from pairs; score it on held-out days.
 
-    PAIRS is a session, a pairs.csv, or a URL to which `pair --pairs-to` wrote. The budget is wall
-    time of the complete command: reading, held-out days, the stored model and the learning curve.
-    Where it ends, training stops, stores the best model so far and reports what was left out. If
-    captures, options and fieldlum's version have not changed, the model is trained again only with
-    --force.
+    PAIRS is a session or a pairs.csv. The budget is wall time of the complete command: reading,
+    held-out days and the stored model. Where it ends, training stops, stores the best model so far
+    and reports what was left out. If captures, options and fieldlum's version have not changed, the
+    model is trained again only with --force.
 
     \b
     Example:
@@ -66,25 +65,15 @@ def command(
       --out: Model folder to write. [default: models/MODEL in the folder of the pairs]
     """
     from fieldlum.learn.models.data import load_pairs, with_sky_view
-    from fieldlum.learn.models.pairs_bucket import read_pairs
     from fieldlum.learn.train import default_folder, run
     from fieldlum.room.fit.stated_box import training_captures
 
     started = time.monotonic()
-    if isinstance(pairs, str):
-        if out is None or site is not None:
-            raise click.UsageError(
-                "training data at a URL include their site: add --out FOLDER, and omit --site"
-            )
-        folder, place, scene = out, out, scene or "none"
-    else:
-        folder, place = out or default_folder(pairs, model), pairs
+    folder = out or default_folder(pairs, model)
     used: Any  # "absolute", "gain" or "none", as the captures allow
     with progress("reading pictures") as show:
-        data = (
-            read_pairs(pairs) if isinstance(pairs, str) else load_pairs(pairs, site, progress=show)
-        )
-        data, used = training_captures(data, place, scene, patch, progress=show)
+        data = load_pairs(pairs, site, progress=show)
+        data, used = training_captures(data, pairs, scene, patch, progress=show)
         data = with_sky_view(data, sky_view, progress=show)
     with progress("training") as show:
         answer = run(
@@ -116,11 +105,6 @@ def _lines(answer: TrainAnswer) -> list[str]:
         f"chosen: {answer['chosen']}: {answer['reason']}",
         f"parameters: {answer['parameters']:,}",
     ]
-    if captures := answer["captures"]:
-        lines.append(
-            f"captures: with {captures.get('enough')} training captures the held-out log10 MSE is "
-            "already within a standard error of the smallest"
-        )
     if year := answer.get("year"):
         lines.append(
             f"over a year: expected log10 MSE {year['expected_log10_mse']:.2e}, "

@@ -30,7 +30,7 @@ MODELS: dict[str, ModelKind] = {
     "mean": ModelKind("fieldlum.learn.models.baselines", "fit_mean", baseline=True),
     "nearest": ModelKind("fieldlum.learn.models.baselines", "fit_nearest", baseline=True),
     "transport": ModelKind("fieldlum.learn.transport"),
-    "dense": ModelKind("fieldlum.learn.models.dense_training", slow=True),
+    "dense": ModelKind("fieldlum.learn.models.dense", slow=True),
 }
 
 

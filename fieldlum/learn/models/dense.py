@@ -1,15 +1,23 @@
-"""Provide the network of Liu, Colburn and Inanici (2020) as a model: two dense branches.
+"""The network of Liu, Colburn and Inanici (2020): two dense branches, and its training.
 
 One branch has the inputs pixel position, mean luminance, sun, irradiance and sky, the other the sun
 patch. Source: Deep Neural Network Approach for Annual Luminance Simulations, J. Building
 Performance Simulation 13(5), 2020. Inputs, sizes and loss follow the paper; where the authors' code
-differs from their text, the text is followed. `dense_training` has the loop.
+differs from their text, the text is followed.
+
+The loss of a batch is ``S / b + 10 sqrt(S / T)``, with S = sum(w e^2) and T = sum(w t^2) over its b
+pixels, their weights w, errors e and targets t. It depends on the network only through S, so that
+torchrun's processes add up S, T and b before, and the gradients after the backward pass.
 """
 
 from __future__ import annotations
 
 import itertools
+import math
 import os
+import pickle
+import time
+import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -17,19 +25,28 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
+from torch import distributed as dist
 from torch.nn import functional as F
 
 from fieldlum.core.arrays import Array, Floats, Floats32
+from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.core.records import Progress, quiet
 from fieldlum.learn.models import ModelState, Patch, Prediction
-from fieldlum.learn.models.baselines import Domain
+from fieldlum.learn.models.baselines import Domain, captured
+from fieldlum.learn.models.data import Dataset
 from fieldlum.optics.projection import equirect_rays, signed_angle_deg
+from fieldlum.session import replacing
+from fieldlum.session.provenance import data_digest
 from fieldlum.sky.light import Light
 from fieldlum.sky.perez import reinhart_patches
 
 LOG_TOP = 9.2  # log10 of 1.6e9 cd/m2, the sun's disc (paper)
 POWER = 1.0 / 1.5  # of the paper's preprocessing
-DNI_TOP_WM2, DHI_TOP_WM2 = 1100.0, 700.0  # normalisation of the paper's inputs
+PASSES, EPOCHS = 90, 25  # uses of a training pixel at most (paper); validations and checkpoints
+# Updates to reach before batches become larger than the smallest; pixels of a batch
+STEPS, MIN_BATCH, MAX_BATCH = 3000, 512, {"cpu": 8192, "cuda": 131_072}
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,8 +75,7 @@ def decode(encoded: Array) -> Floats32:
 
     That bounds every prediction: the least result is 1, the largest 1.6e9 cd/m2.
     """
-    inside = np.clip(encoded, 0.0, 1.0)
-    return (10.0 ** (LOG_TOP * inside ** (1.0 / POWER))).astype(np.float32)
+    return (10.0 ** (LOG_TOP * np.clip(encoded, 0.0, 1.0) ** (1.0 / POWER))).astype(np.float32)
 
 
 class Net(nn.Module):
@@ -87,15 +103,9 @@ class Net(nn.Module):
         x = scene
         for layer in self.scene:
             x = F.relu(layer(x))
-        x = torch.cat([x, F.relu(self.patch(patch)).to(x.dtype)], dim=1)
+        x = torch.cat([x, F.relu(self.patch(patch))], dim=1)
         x = F.relu(self.merge(x))
-        with torch.autocast(x.device.type, enabled=False):  # the result needs full precision
-            return self.out(x.float()).squeeze(1)
-
-
-def parameter_count(net: nn.Module) -> int:
-    """Return the number of values in all parameter arrays of a network."""
-    return sum(p.numel() for p in net.parameters())
+        return self.out(x).squeeze(1)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -136,8 +146,8 @@ class Inputs:
         columns = (
             light.sun_altitude_deg / 90.0,
             (from_south + 180.0) / 360.0,
-            light.dni_wm2 / DNI_TOP_WM2,
-            light.dhi_wm2 / DHI_TOP_WM2,
+            light.dni_wm2 / 1100.0,
+            light.dhi_wm2 / 700.0,
         )
         device = self.pixel.device
         sky = np.pad(encode(light.sky_cdm2), ((0, 0), (0, 1)))
@@ -166,10 +176,6 @@ def inputs_of(average_log10: Floats, heading_deg: float, device: torch.device) -
     return Inputs(pixel, torch.from_numpy(nearest).to(device), *empty)
 
 
-# ----------------------------------------------------------------------------------------------
-# processor
-
-
 def pick_device() -> torch.device:
     """Return the GPU of this process, or the CPU if there is no GPU.
 
@@ -178,19 +184,6 @@ def pick_device() -> torch.device:
     if not torch.cuda.is_available():
         return torch.device("cpu")
     return torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))
-
-
-def bfloat16_pays(device: torch.device) -> bool:
-    """Return whether the hardware itself computes products in bfloat16.
-
-    Emulated ones are slower than float32.
-    """
-    if device.type == "cuda":
-        return torch.cuda.is_bf16_supported(including_emulation=False)
-    capability = torch.backends.cpu.get_cpu_capability()
-    flags = Path("/proc/cpuinfo")
-    native = flags.is_file() and "avx512_bf16" in flags.read_text(errors="ignore").split()
-    return "AVX512" in capability and native
 
 
 # ----------------------------------------------------------------------------------------------
@@ -224,7 +217,7 @@ class DenseFitted:
         self.net, self.shape, self.patch = net.eval().to(self._device), shape, patch
         self.domain, self.training = domain, training
         self.average_log10, self.heading_deg = average_log10, heading_deg
-        self.parameters = parameter_count(net)
+        self.parameters = sum(p.numel() for p in net.parameters())
         self._inputs = inputs_of(average_log10, heading_deg, self._device)
 
     def _encoded(self, light: Light, patch_cdm2: Floats32 | None) -> Iterator[Floats32]:
@@ -241,7 +234,7 @@ class DenseFitted:
                 self.net(inputs.scene(torch.full_like(pixel, k), pixel), direct[pixel])
                 for pixel in pixels.split(16384)
             ]
-            yield torch.cat(parts).float().cpu().numpy()
+            yield torch.cat(parts).cpu().numpy()
 
     def predict(self, light: Light, patch_cdm2: Floats32 | None = None) -> Prediction:
         """Predict maps of the n hours of `light`, [n, H, W].
@@ -255,8 +248,7 @@ class DenseFitted:
             raise ValueError("this network was trained with sun patches: pass patch_cdm2")
         height, width = self.average_log10.shape
         out = np.empty((len(light), height, width), np.float32)
-        device, fast = self._device, bfloat16_pays(self._device)
-        with torch.inference_mode(), torch.autocast(device.type, torch.bfloat16, enabled=fast):
+        with torch.inference_mode():
             for k, encoded in enumerate(self._encoded(light, patch_cdm2)):
                 out[k] = decode(encoded).reshape(height, width)
         return Prediction(out, None, np.full(len(out), np.nan), self.domain.holds(light))
@@ -299,3 +291,359 @@ def from_state(state: ModelState) -> DenseFitted:
     domain, about = Domain.from_state(config["domain"]), config["dense_training"]
     average, heading_deg = arrays["average_log10"], config["heading_deg"]
     return DenseFitted(net, shape, average, heading_deg, config["patch"], domain, about)
+
+
+# ----------------------------------------------------------------------------------------------
+# processes of torchrun; without it there is one
+
+
+def rank() -> int:
+    """Return the number of this process among torchrun's processes, from 0; 0 without torchrun."""
+    return int(os.environ.get("RANK", "0"))
+
+
+def world() -> int:
+    """Return the number of processes that torchrun started; 1 without torchrun."""
+    return int(os.environ.get("WORLD_SIZE", "1"))
+
+
+def total(tensor: Tensor) -> Tensor:
+    """Return `tensor` after each value in it was replaced by its sum over all processes."""
+    if world() > 1:
+        dist.all_reduce(tensor)
+    return tensor
+
+
+def agreed(value: float, device: torch.device) -> float:
+    """Return in every process the value of the process with rank 0, so that all end together."""
+    shared = torch.tensor([value if rank() == 0 else 0.0], dtype=torch.float64, device=device)
+    return float(total(shared).item())
+
+
+# ----------------------------------------------------------------------------------------------
+# pixels
+
+
+@dataclass(frozen=True, slots=True)
+class PixelSampler:
+    """All pairs of one of n hours and one of P seen pixels, as tensors on one device.
+
+    The index of a pair is hour times P plus the pixel's index in `seen`. inputs: of all pixels in
+    the n hours; target: encoded luminance of the map [n, P]; patch: that of the sun patch [n, P], 0
+    without patches; weight: in the loss: solid angle over the mean, times the value's weight in
+    training [n, P]; seen: flat index of the pixel in the map [P]. The length is n times P.
+    """
+
+    inputs: Inputs
+    target: Tensor
+    patch: Tensor
+    weight: Tensor
+    seen: Tensor
+
+    def __len__(self) -> int:
+        return self.target.numel()
+
+    def batch(self, numbers: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Return inputs, targets and weights of b pairs of an hour and a pixel.
+
+        numbers: indices of the pairs [b]. The results are the scene inputs [b, 8], the encoded
+        luminance of the sun patch [b, 1], the encoded target [b] and the weight in the loss [b].
+        """
+        hour, place = numbers // len(self.seen), numbers % len(self.seen)
+        scene, direct = self.inputs.scene(hour, self.seen[place]), self.patch[hour, place]
+        return scene, direct.unsqueeze(1), self.target[hour, place], self.weight[hour, place]
+
+
+def pixels_of(data: Dataset, pixels: Inputs, patch: Patch, device: torch.device) -> PixelSampler:
+    """Return all pairs of an hour of `data` and a seen pixel, encoded, on the device.
+
+    pixels: result of `inputs_of`; patch: with "none" sun patches are left out.
+    """
+
+    def flat(maps: Floats32) -> Tensor:
+        return torch.from_numpy(np.stack([encode(m[data.seen]) for m in maps])).to(device)
+
+    target = flat(data.luminance_cdm2)
+    patches = None if patch == "none" else data.patch_cdm2
+    weight = np.broadcast_to(data.weights[data.seen], target.shape)
+    weight = weight if data.counts is None else weight * data.counts[:, data.seen]
+    return PixelSampler(
+        pixels.at(data.light),
+        target,
+        torch.zeros_like(target) if patches is None else flat(patches),
+        torch.from_numpy(weight.astype(np.float32)).to(device),
+        torch.from_numpy(np.flatnonzero(data.seen)).to(device),
+    )
+
+
+def validation_split(n: int, seed: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the indices from 0 of images for training [k] and for validation [n - k], each sorted.
+
+    A tenth of the n images, but at least one, is drawn by `seed` for validation; a single image is
+    used for both.
+    """
+    order = np.random.default_rng(seed).permutation(n)
+    cut = max(1, round(0.1 * n))
+    return (np.sort(order[cut:]), np.sort(order[:cut])) if n > 1 else (order, order)
+
+
+# ----------------------------------------------------------------------------------------------
+# one batch
+
+
+class Trainer:
+    """A network in training, with its training pixels and Adam, as the paper trains it."""
+
+    def __init__(self, net: Net, pixels: PixelSampler) -> None:
+        self.net, self.pixels = net, pixels
+        self.largest = MAX_BATCH[pixels.target.device.type]
+        self.optimiser = torch.optim.Adam(net.parameters(), fused=True)
+
+    def sums(self, pixels: PixelSampler, numbers: Tensor) -> Tensor:
+        """Return [S, T, count] of this process's part of a batch."""
+        scene, direct, target, weight = pixels.batch(numbers[rank() :: world()])
+        error = self.net(scene, direct) - target
+        count = torch.tensor(float(len(target)), device=target.device)
+        return torch.stack([(weight * v.square()).sum() for v in (error, target)] + [count])
+
+    def step(self, numbers: Tensor, rate: float) -> float:
+        """Update the weights once by the exact gradient of the batch's loss; return the loss.
+
+        rate: learning rate. If the loss is NaN, the weights did not change.
+        """
+        self.optimiser.param_groups[0]["lr"] = rate
+        self.optimiser.zero_grad()
+        own = self.sums(self.pixels, numbers)
+        parts = total(own.detach().double())
+        error, target, count = parts.tolist()
+        if not math.isfinite(error):
+            return math.nan
+        factor = 1.0 / count + 5.0 / math.sqrt(max(error * target, 1e-24))
+        (factor * own[0]).backward()
+        for parameter in self.net.parameters():
+            if parameter.grad is not None:
+                total(parameter.grad)
+        self.optimiser.step()
+        return loss_value(parts)
+
+    def validate(self, pixels: PixelSampler, numbers: Tensor) -> float:
+        """Return the loss of other pixels."""
+        with torch.no_grad():
+            parts = [self.sums(pixels, some).double() for some in numbers.split(self.largest)]
+        return loss_value(total(torch.stack(parts).sum(dim=0)))
+
+    def pixels_per_s(self) -> float:
+        """Return the measured speed of training; the first of four batches also compiles."""
+        device, start_s = self.pixels.target.device, 0.0
+        count = min(self.largest, len(self.pixels))
+        numbers = torch.arange(count, device=device).repeat(world())
+        for k in range(4):
+            start_s = time.monotonic() if k == 1 else start_s
+            self.sums(self.pixels, numbers)[0].backward()
+        return 3 * len(numbers) / max(time.monotonic() - start_s, 1e-6)
+
+    def weights(self) -> dict[str, Tensor]:
+        """Return a copy of the network's weights."""
+        return {name: value.clone() for name, value in self.net.state_dict().items()}
+
+
+def loss_value(parts: Tensor) -> float:
+    """Return the loss MSE + 10 RER of a batch; parts: [S, T, count], see the module."""
+    error, target, count = parts.tolist()
+    return error / count + 10.0 * math.sqrt(error / max(target, 1e-12))
+
+
+# ----------------------------------------------------------------------------------------------
+# the loop
+
+
+@dataclass(slots=True)
+class Run:
+    """The length and the progress of a training, which is stored in its checkpoint.
+
+    steps, batch_pixels: number of updates, and of pixels in each. epoch, step: number of completed
+    epochs and updates; rate: learning rate after the warm-up (paper); best: smallest validation
+    loss so far; elapsed_s, cpu_s: time used; skipped: number of updates omitted because the loss
+    was not finite.
+    """
+
+    steps: int
+    batch_pixels: int
+    epoch: int = 0
+    step: int = 0
+    rate: float = 1e-3
+    best: float = math.inf
+    elapsed_s: float = 0.0
+    cpu_s: float = 0.0
+    skipped: int = 0
+
+    def share(self, budget_s: float | None) -> float:
+        """Return the completed share of the updates, or of the time if that is larger."""
+        return min(max(self.step / self.steps, self.elapsed_s / (budget_s or math.inf)), 1.0)
+
+    def rate_now(self, budget_s: float | None) -> float:
+        """Return the learning rate of the next update: a warm-up of 3 %, then a cosine to 0."""
+        warm = min(1.0, (self.step + 1) / (0.03 * self.steps + 1))
+        return self.rate * warm * 0.5 * (1.0 + math.cos(math.pi * self.share(budget_s)))
+
+
+def affordable_run(trainer: Trainer, budget_s: float | None) -> Run:
+    """Return as many updates as the time allows, and at most 90 passes over the training pixels.
+
+    budget_s: available time, None for no limit. Raises NotEnoughDataError if it does not allow one
+    pass: errors would depend on the processor's speed.
+    """
+    count = len(trainer.pixels)
+    pixels = float(PASSES * count)
+    if budget_s is not None:
+        speed = agreed(trainer.pixels_per_s(), trainer.pixels.target.device)
+        pixels = min(pixels, speed * budget_s)
+    if pixels < count:
+        raise NotEnoughDataError(
+            "no time to train the network on every pixel of the captures once; raise --budget"
+        )
+    batch = int(np.clip(pixels / STEPS, MIN_BATCH, trainer.largest))
+    return Run(max(EPOCHS, int(pixels / batch)), batch)
+
+
+def fit(
+    data: Dataset,
+    *,
+    patch: Patch = "absolute",
+    seed: int = 0,
+    budget_s: float | None = None,
+    plan: Run | None = None,
+    checkpoint: Path | None = None,
+    stop_after_epochs: int | None = None,
+    shape: Shape = Shape(),
+    progress: Progress = quiet,
+) -> DenseFitted:
+    """Train the network on `data`; return it with the weights of the smallest validation loss.
+
+    patch: with "none" sun patches are not an input; seed: of all random numbers; budget_s: time
+    limit [s]; plan: length, None for `affordable_run`. checkpoint: path, written after each epoch;
+    an existing one is continued, with its length; None for none. stop_after_epochs: number of
+    epochs after which this call ends early, as an interruption would. Raises InputError for a
+    checkpoint that cannot be used, and as `affordable_run`.
+    """
+    started = time.monotonic(), time.process_time()
+    device = pick_device()
+    if world() > 1 and not dist.is_initialized():
+        dist.init_process_group("nccl" if device.type == "cuda" else "gloo")
+    torch.manual_seed(seed)
+    net = Net(shape).to(device)
+    train, check = validation_split(len(data), seed)
+    average = np.log10(np.maximum(data.luminance_cdm2[train], 1.0)).mean(axis=0, dtype=np.float64)
+    base = inputs_of(average, data.heading_deg, device)
+    held_out = pixels_of(data.take(check), base, patch, device)
+    trainer = Trainer(net, pixels_of(data.take(train), base, patch, device))
+    if plan is None:
+        spent_s = agreed(time.monotonic() - started[0], device)
+        plan = affordable_run(trainer, budget_s and max(budget_s - spent_s, 0.0))
+    file = None
+    run, best = replace(plan), trainer.weights()
+    if checkpoint is not None:
+        file = Checkpoint(checkpoint, shape, data_digest(data.digest(), patch, seed))
+        run, best = file.restore(trainer) if checkpoint.is_file() else (run, best)
+    last = math.inf if stop_after_epochs is None else run.epoch + stop_after_epochs
+    started = started[0] - run.elapsed_s, started[1] - run.cpu_s
+    numbers = torch.randperm(len(held_out), generator=torch.Generator().manual_seed(seed))[:60_000]
+    while run.share(budget_s) < 1.0 and run.epoch < last:
+        _epoch(trainer, run, best, budget_s, seed, started[0], progress)
+        score = trainer.validate(held_out, numbers.to(device))
+        if math.isfinite(score) and score < run.best:
+            run.best, best = score, trainer.weights()
+        run.epoch += 1
+        run.cpu_s = time.process_time() - started[1]
+        if file is not None and rank() == 0:
+            file.store(trainer, run, best)
+    net.load_state_dict(best)
+    about = {
+        "epochs": run.epoch,
+        "steps": run.step,
+        "seconds": round(run.elapsed_s, 1),
+        "cpu_seconds": round(run.cpu_s, 1),
+        "pixels_seen_per_pixel": round(run.step * run.batch_pixels / len(trainer.pixels), 2),
+        "best_validation_loss": run.best,
+        "skipped_updates": run.skipped,
+        "seed": seed,
+        "device": device.type,
+        "plan": {"steps": run.steps, "batch_pixels": run.batch_pixels},
+        "validation_slots": [data.slots[i] for i in check],
+    }
+    return DenseFitted(net, shape, average, data.heading_deg, patch, captured(data.light), about)
+
+
+def _epoch(
+    trainer: Trainer,
+    run: Run,
+    best: dict[str, Tensor],
+    budget_s: float | None,
+    seed: int,
+    start_s: float,
+    progress: Progress,
+) -> None:
+    """Update the weights until the epoch or the time ends; a loss that is no number restores best.
+
+    The random order depends only on the epoch: a resumed training has the same batches.
+    """
+    chance, device = torch.Generator(), trainer.pixels.target.device
+    chance.manual_seed(seed * 1_000_003 + run.epoch)
+    for _ in range(-(-run.steps // EPOCHS)):
+        drawn = torch.randint(len(trainer.pixels), (run.batch_pixels,), generator=chance)
+        loss = trainer.step(drawn.to(device), run.rate_now(budget_s))
+        run.step += 1
+        run.elapsed_s = agreed(time.monotonic() - start_s, device)
+        share = run.share(budget_s)
+        progress(int(1000 * share), 1000, f"loss {loss:.4f}  best {run.best:.4f}")
+        if not math.isfinite(loss):
+            run.skipped += 1
+            trainer.net.load_state_dict(best)
+            run.rate /= 2.0
+        if share >= 1.0:
+            break
+
+
+@dataclass(frozen=True, slots=True)
+class Checkpoint:
+    """The file of a training that can be interrupted.
+
+    mark: digest of training data, patch mode and seed, which `restore` compares.
+    """
+
+    path: Path
+    shape: Shape
+    mark: str
+
+    def store(self, trainer: Trainer, run: Run, best: dict[str, Tensor]) -> None:
+        """Write the file atomically; best: weights with the smallest validation loss."""
+        state = {"net": trainer.net.state_dict(), "optimiser": trainer.optimiser.state_dict()}
+        state |= {"best": best, "run": asdict(run), "shape": asdict(self.shape), "data": self.mark}
+        with replacing(self.path) as file:
+            torch.save(state, file)
+
+    def restore(self, trainer: Trainer) -> tuple[Run, dict[str, Tensor]]:
+        """Load the file into the trainer; return its run and its best weights.
+
+        Raises InputError if its shape or mark differ, and for a checkpoint that cannot be read or
+        contains other objects than tensors, numbers and texts.
+        """
+        faults = (Warning, RuntimeError, LookupError, TypeError, EOFError, AttributeError)
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")  # torch warns before it rejects other files
+                state = torch.load(self.path, map_location=pick_device(), weights_only=True)
+            if state["shape"] != asdict(self.shape):
+                raise KeyError("the checkpoint of another network")
+            if state["data"] != self.mark:
+                raise KeyError("a checkpoint of other pictures, other irradiance or another seed")
+            trainer.net.load_state_dict(state["net"])
+            trainer.optimiser.load_state_dict(state["optimiser"])
+            return Run(**state["run"]), state["best"]
+        except (*faults, pickle.UnpicklingError) as error:
+            raise InputError(
+                self.path,
+                f"a checkpoint that cannot be used ({str(error).splitlines()[0][:120]})",
+                "a checkpoint of this training",
+                "delete the file to start the training again",
+            ) from None

@@ -42,7 +42,6 @@ from fieldlum.learn.train.trials import (
     day_folds,
     evaluate_folds,
     fit_timed,
-    how_many,
     is_clearly_worse,
     one_day_only,
 )
@@ -243,7 +242,6 @@ def run(
     patch: Patch = "absolute",
     seed: int = 0,
     out: Path,
-    captures: bool = True,
     force: bool = False,
     clock: Callable[[], float] = time.monotonic,
     progress: Progress = quiet,
@@ -252,8 +250,7 @@ def run(
 
     If captures and options have not changed since the same version trained the model, nothing is
     trained (unless `force`) and the answer's `kept` is True. An interrupted dense training
-    continues from its checkpoint in `out`. spent_s: part of the budget that is used already [s];
-    captures: also compute how many captures would have been enough.
+    continues from its checkpoint in `out`. spent_s: part of the budget that is used already [s].
     """
     mode = patch_mode(data, patch)
     inputs = {
@@ -263,7 +260,6 @@ def run(
         "patch": mode,
         "budget_min": budget_min,
         "seed": seed,
-        "captures": captures,
         "fieldlum": __version__,
     }
     if not force and (table := trained_before(out, inputs)) is not None:
@@ -280,24 +276,14 @@ def run(
         checkpoint=checkpoint,
         progress=progress,
     )
-    enough, notes = {}, list(result.notes)
-    if captures:
-        fit_s = max((t.fit_s for t in result.trials if not MODELS[t.name].slow), default=0.0)
-        curve = how_many(
-            result.data, mode, seed=seed, budget=budget, fit_s=fit_s, progress=progress
-        )
-        if curve is None:
-            notes.append("no learning curve: the time budget was used up; raise --budget")
-        enough = curve or {}
     answer = {
         "models": result.table(seed),
         "chosen": result.choice.name,
         "reason": result.choice.reason,
         "parameters": result.fitted.parameters,
         "final_fit_s": result.fit_s,
-        "captures": enough,
         "year": None if result.year is None else asdict(result.year),
-        "notes": notes,
+        "notes": result.notes,
         "inputs": inputs,
     }
     text = json.dumps(answer, default=lambda value: value.tolist())

@@ -25,14 +25,6 @@ ScoreRow = ScoreFigures
 fit_s, fit_cpu_s: seconds to fit; n_train: number of maps in training; folds: number of tests;
 not_judged_because: None; earlier versions had a reason for missing figures.
 """
-CurvePoint = dict[str, float]
-"""A fit to some of the captures: their number, held-out log10 MSE and its standard error."""
-CaptureCurve = dict[str, Any]
-"""How many captures would have been enough; empty if there are too few captures.
-
-curve: points; enough: the fewest captures within one standard error of the best; added_nothing: the
-slots beyond them.
-"""
 TrainAnswer = dict[str, Any]
 """The object that `train --json` prints: the keys of `ScoresFile`, and whether it was `kept`."""
 
@@ -41,7 +33,7 @@ class ScoresFile(JsonFile, frozen=True):
     """The content of one scores.json, which is a `TrainAnswer` without `kept`.
 
     models: one row for each model, as `ScoreRow`, of which earlier versions wrote fewer keys;
-    chosen: name of the chosen one; captures: as `CaptureCurve`.
+    chosen: name of the chosen one; captures: how many were enough, of earlier versions.
     """
 
     NAME, SEALED = "scores.json", True
