@@ -21,10 +21,10 @@ from fieldlum.calibrate.model_selection import (
     gross_errors,
     held_out_errors,
 )
+from fieldlum.calibrate.pictures import Chart, Place
 from fieldlum.calibrate.readings import (
     READING_U,
     LinearFrame,
-    Place,
     columns,
     columns_of,
     linear_frame,
@@ -444,3 +444,13 @@ def find_chart(frame: LinearFrame) -> Floats:
         expected, remedy = "a 24-patch chart", "state the chart's corners with --corners"
         raise InputError(frame.path, "no colour chart found", expected, remedy)
     return ways[int(np.argmin(misfits))]
+
+
+def chart(colours: Colours, fit: ColourFit) -> Chart:
+    """Show the readings of the patches, and the fitted luminance."""
+    new = colours.rgb @ np.array(fit.y_from_rgb) * fit.scale
+    title = f"colour to luminance; held-out rms {100 * fit.u_rel:.2g} %"
+    number = "patch", np.arange(1, len(new) + 1)
+    return Chart(
+        title, -fit.residual, colours.places, number, ("reading, or chart [%]", colours.y), new
+    )

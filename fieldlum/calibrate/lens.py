@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.calibrate.model_selection import OrderSelection, fit_and_choose, gross_errors
+from fieldlum.calibrate.pictures import Chart, Place, grey_picture
 from fieldlum.calibrate.readings import beyond_lens, columns, read_table, require
 from fieldlum.core.arrays import Array, Mask
 from fieldlum.core.errors import InputError
@@ -24,7 +25,6 @@ from fieldlum.optics.projection import (
     radius_of_angle,
     signed_angle_deg,
 )
-from fieldlum.optics.raw import read_mosaic
 
 MIN_TARGETS = 8  # for the parameters of a lens with one free term, and its pose; chosen
 # Powers of the polynomial mappings, from two to four terms. Chosen; held-out targets select one.
@@ -391,37 +391,17 @@ _MIN_ON_CIRCLE, _ON_CIRCLE_REL, _ON_CIRCLE_PX = 0.9, 0.005, 2.0
 _MAX_CHANGE = 0.15
 
 
-def grey_picture(path: Path) -> NDArray[np.uint8]:
-    """Read a raw, JPEG, PNG or TIFF file as grey codes 0 to 255 at sensor size, [h, w].
-
-    A raw frame is stretched to its own brightness, so that its codes have no absolute meaning.
-    Raises InputError for a file that cannot be read.
-    """
-    import cv2
-
-    if path.suffix.lower() in (".jpg", ".jpeg", ".png", ".tif", ".tiff"):
-        picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
-        if picture is None:
-            remedy = "convert it to JPEG or PNG, or copy it from the card again"
-            raise InputError(path, "no picture that OpenCV reads", "JPEG, PNG or raw", remedy)
-        return np.asarray(picture, np.uint8)
-    counts = read_mosaic(path, lens_f_number=1.0).counts.astype(np.float32)
-    rows, columns = (n // 2 * 2 for n in counts.shape)
-    cell = counts[:rows, :columns].reshape(rows // 2, 2, columns // 2, 2).mean(axis=(1, 3))
-    cell = cv2.resize(cell, (columns, rows), interpolation=cv2.INTER_LINEAR)
-    low, high = np.percentile(cell, [1, 99.5])
-    return (255 * np.clip((cell - low) / max(high - low, 1e-6), 0, 1) ** (1 / 2.2)).astype(np.uint8)
-
-
 class Circle(NamedTuple):
     """The image circle of a fisheye: centre (x, y) and radius in px.
 
-    u_px: standard deviation of the edge points' distance from the circle.
+    u_px: standard deviation of the edge points' distance from the circle. edge: x, y [2, n] of
+    these points.
     """
 
     centre_px: tuple[float, float]
     radius_px: float
     u_px: float
+    edge: Array = np.empty((2, 0))
 
 
 def circle(picture: NDArray[np.uint8], lens: Lens, source: Path | str = "circle") -> Circle:
@@ -492,7 +472,7 @@ def _through(edge: Array, start: Circle) -> tuple[Circle, Array]:
     solved = least_squares(misses, [*start.centre_px, start.radius_px], loss="soft_l1", f_scale=0.5)
     x, y, radius = solved.x.tolist()
     off = misses(solved.x)
-    return Circle((x, y), radius, robust_sigma(off, 0.0)), off
+    return Circle((x, y), radius, robust_sigma(off, 0.0), edge), off
 
 
 def trimmed(lens: Lens, width_deg: float) -> Lens:
@@ -514,3 +494,31 @@ def trimmed(lens: Lens, width_deg: float) -> Lens:
     terms = tuple(c * share ** (k + 1) / radius for k, c in enumerate(lens.coefficients))
     new = replace(lens, coefficients=terms, vignetting=vignetting)
     return replace(new, radius_px=lens.radius_px * radius, full_angle_deg=2.0 * half_deg)
+
+
+# ----------------------------------------------------------------------------------------------
+# charts
+
+
+def chart(targets: Targets, fit: LensFit) -> Chart:
+    """Show the targets' distances from the centre over their angles from the axis."""
+    level = fit.lens if not targets.pose_known else level_lens(fit.lens)
+    x, y, angle_rad = lens_pixels(level, targets.rays)
+    at, fitted = (
+        np.hypot(px - level.centre_px[0], py - level.centre_px[1])
+        for px, py in ((targets.x_px, targets.y_px), (x, y))
+    )
+    angle = "angle from the optical axis [deg]", np.degrees(angle_rad)
+    title = f"lens, {fit.lens.mapping}; held-out rms {fit.rms_px:.2g} px ({fit.rms_deg:.2g} deg)"
+    return Chart(title, at / fitted - 1.0, (), angle, ("distance from the centre [px]", at), fitted)
+
+
+def circle_chart(found: Circle, source: Path) -> Chart:
+    """Show the edge of the image circle around the centre, and over the picture `source`."""
+    (x, y), radius = found.centre_px, found.radius_px
+    right, down = found.edge - np.array([[x], [y]])
+    turn, away = np.degrees(np.arctan2(down, right)), np.hypot(right, down)
+    title = f"centre {x:.1f}, {y:.1f}, radius {radius:.1f} px, edge within {found.u_px:.2f} px"
+    places = [Place(source, *point) for point in found.edge.T.tolist()]
+    around, edge = ("direction from the centre [deg]", turn), ("distance of the edge [px]", away)
+    return Chart(title, away / radius - 1.0, places, around, edge, np.full(len(away), radius))

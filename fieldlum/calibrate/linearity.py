@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldlum.calibrate.model_selection import OrderSelection, fit_and_choose
+from fieldlum.calibrate.pictures import Chart
 from fieldlum.calibrate.readings import FULL, own_mosaic
 from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
@@ -173,3 +174,20 @@ def _held_out(levels: Levels, solution: Floats, held: Mask) -> Floats:
     square = (np.nan_to_num(residuals) ** 2 * weight).sum(axis=1)
     within = (seconds > levels.seconds.min()) & (seconds < levels.seconds.max()) & (total > 0)
     return np.divide(square, total, out=np.full(len(total), np.nan), where=within)
+
+
+def chart(levels: Levels, fit: LinearityFit) -> Chart:
+    """Show light divided by exposure time of each frame and block, recorded and corrected (blue).
+
+    Values are relative to the block's mean, over the share of the full scale.
+    """
+    corrected = levels.share * linearity_factor(levels.share, fit.coefficients)
+    logs = []
+    for light, offset_s in ((levels.share, 0.0), (corrected, fit.offset_s)):
+        log = np.log(light / (levels.seconds[:, None] + offset_s))
+        logs.append((log - np.nanmean(log, axis=0)).ravel())
+    good = np.isfinite(logs[0])
+    share, (before, after) = 100 * levels.share.ravel()[good], (log[good] for log in logs)
+    x, y = ("share of the full scale [%]", share), ("light over time", np.exp(before))
+    title = f"Linearity; held-out rms {100 * fit.u_rel:.2g} %"
+    return Chart(title, after, (), x, y, np.exp(after))

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fieldlum.calibrate.pictures import Chart, Place
 from fieldlum.calibrate.readings import own_mosaic, require, require_raw
 from fieldlum.core.arrays import Indices
 from fieldlum.core.errors import InputError, NotEnoughDataError
@@ -106,3 +107,9 @@ def _deviating(path: Path, profile: CameraProfile) -> Indices:
         noise = np.sqrt(light_dn2 + read_dn**2 + 1 / 12)
         far[row::2, column::2] = off > np.maximum(_SIGMA * noise, _SPREAD * cv2.medianBlur(off, 3))
     return np.flatnonzero(far)
+
+
+def chart(defects: PixelDefects) -> Chart:
+    """Show the bad pixels over a dark frame."""
+    places = [Place(defects.frames[0], x + 0.5, y + 0.5) for x, y in defects.bad_px]
+    return Chart(f"{len(places)} bad pixels", np.zeros(len(places)), places)

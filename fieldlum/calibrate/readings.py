@@ -129,14 +129,6 @@ def _cell(path: Path, line: int, name: str, text: str, mark: str) -> Any:
 # frames
 
 
-class Place(NamedTuple):
-    """Where a reading was taken: x_px, y_px on a frame, or azimuth and altitude of a panorama."""
-
-    path: Path
-    x: float
-    y: float
-
-
 class Patch(NamedTuple):
     """Mean camera R, G and B [3] of a disc on the sensor, in cd/m2 at the profile's k.
 

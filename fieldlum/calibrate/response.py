@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.calibrate.model_selection import OrderSelection, fit_and_choose
+from fieldlum.calibrate.pictures import Chart
 from fieldlum.calibrate.readings import require
 from fieldlum.core.arrays import Floats, Indices, Mask
 from fieldlum.core.errors import InputError
@@ -387,3 +388,22 @@ def fit(places: Places) -> ResponseFit:
     return ResponseFit(
         replace(response, low_code=low, high_code=HIGH, u_rel=u_rel), tuple(rms), choice
     )
+
+
+def chart(places: Places, fit: ResponseFit) -> Chart:
+    """Show the light of the sampled places over their codes, in all colours.
+
+    A residual is the light of a place by one frame less the mean by all frames.
+    """
+    r, parts = fit.response, []
+    for c, curve in enumerate((r.red, r.green, r.blue)):
+        table, codes = response_table(r.kind, curve), places.codes[..., c]
+        counts = (codes >= r.low_code) & (codes <= r.high_code)
+        counts &= counts.sum(axis=1, keepdims=True) >= 2
+        light = np.log(np.maximum(table[codes], 1e-9)) - places.log_exposure
+        mean = np.average(light, axis=1, weights=counts + 1e-12, keepdims=True)
+        expected = np.exp(mean + places.log_exposure)
+        parts.append([values[counts] for values in (codes, expected, table[codes], light - mean)])
+    codes, expected, tables, off = (np.concatenate(values) for values in zip(*parts, strict=True))
+    title = f"JPEG response, {r.kind}; held-out rms {100 * r.u_rel:.2g} %"
+    return Chart(title, off, (), ("code", codes), ("linear light z", expected), tables)

@@ -8,11 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fieldlum.calibrate.pictures import Chart, Place
 from fieldlum.calibrate.readings import (
     READING_U,
     SPOT_DEG,
     CsvRow,
-    Place,
     disc_radius_rad,
     is_flagged,
     pixels_within,
@@ -252,3 +252,12 @@ def check_level(scale_fit: ScaleFit, profile: CameraProfile, path: Path) -> str:
         remedy += "; for a filter or another white_dn, first write a k near it under [scale]"
         raise InputError(path, finding, "readings in cd/m2 and lx", remedy)
     return f"{doubt}: {remedy}"
+
+
+def chart(readings: list[LuminanceReading], fit: ScaleFit) -> Chart:
+    """Show the meter's readings, and the corrected values of the picture."""
+    meter, image = np.array([(r.meter, r.image * fit.factor) for r in readings]).T
+    title = f"scale: k times {fit.factor:.4f}, u {100 * fit.u_rel:.1f} %"
+    places = [r.place for r in readings if r.place]
+    number = "reading", np.arange(1, len(readings) + 1)
+    return Chart(title, fit.residual, places, number, ("meter [cd/m2 or lx]", meter), image)

@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldlum.calibrate.model_selection import choose, folds
+from fieldlum.calibrate.pictures import Chart
 from fieldlum.calibrate.readings import require, require_raw
 from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError, NotEnoughDataError
@@ -312,3 +313,12 @@ def with_times(profile: CameraProfile, shutter_fit: ShutterFit) -> tuple[Shutter
         if all(abs(old.nominal_s / t.nominal_s - 1) >= SAME_TIME for t in new)
     ]
     return tuple(sorted((*kept, *new), key=lambda t: -t.nominal_s))
+
+
+def chart(fit: ShutterFit) -> Chart:
+    """Show the fitted times over the nominal ones, and the times that were assumed (blue)."""
+    nominal, true = np.array([(t.nominal_s, t.true_s) for t in fit.times]).T
+    assumed, label = np.array(fit.assumed_s), "true over nominal time"
+    title = f"shutter: {len(fit.times)} times from {max(fit.brackets)} brackets"
+    time, ratio = ("nominal time [s]", nominal), (label, true / nominal)
+    return Chart(title, true / assumed - 1.0, (), time, ratio, assumed / nominal)

@@ -15,9 +15,9 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldlum.calibrate.model_selection import OrderSelection, fit_and_choose
+from fieldlum.calibrate.pictures import Chart, Place
 from fieldlum.calibrate.readings import (
     SPOT_DEG,
-    Place,
     disc_radius_rad,
     is_flagged,
     pixels_within,
@@ -201,3 +201,12 @@ def total_share(nodes_deg: Sequence[float], values_per_sr: Floats) -> float:
     angle = (np.arange(3600) + 0.5) / 3600 * np.pi
     kernel = kernel_per_sr(angle, np.asarray(nodes_deg), np.asarray(values_per_sr))
     return float((kernel * 2 * np.pi * np.sin(angle)).sum() * np.pi / 3600)
+
+
+def chart(readings: Sequence[StrayReading], fit: StrayFit) -> Chart:
+    """Show the recorded stray light of each reading, and that of the kernel."""
+    recorded = np.array([r.stray_cdm2 for r in readings])
+    title = f"Stray light: {100 * fit.total_share:.2g} % of a source's light is spread"
+    off, places = recorded / fit.predicted_cdm2 - 1.0, [r.place for r in readings]
+    number = "reading", np.arange(1, len(recorded) + 1)
+    return Chart(title, off, places, number, ("stray light [cd/m²]", recorded), fit.predicted_cdm2)

@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldlum.calibrate.model_selection import OrderSelection, fit_and_choose, gross_errors
+from fieldlum.calibrate.pictures import Chart, Place
 from fieldlum.calibrate.readings import (
-    Place,
     beyond_lens,
     columns,
     columns_of,
@@ -282,3 +282,12 @@ def with_curve(lens: Lens, f_number: float, vignetting: VignettingFit) -> Lens:
         f_number, tuple(round(c, 6) for c in vignetting.coefficients), round(vignetting.u_rel, 5)
     )
     return replace(lens, vignetting=tuple(sorted((*others, curve), key=lambda v: v.f_number)))
+
+
+def chart(samples: Samples, fit: VignettingFit, half_angle_deg: float) -> Chart:
+    """Show the transmission over the angle from the axis; half_angle_deg : of the lens."""
+    angle = "angle from the optical axis [deg]", samples.r * half_angle_deg
+    value = "transmission relative to the axis", samples.value / fit.level
+    title = f"vignetting at f/{samples.f_number:g}; held-out rms {100 * fit.u_rel:.2g} %"
+    curve = vignetting_at(fit.coefficients, samples.r)
+    return Chart(title, fit.residual_rel, samples.places, angle, value, curve)

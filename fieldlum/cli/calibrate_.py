@@ -17,6 +17,7 @@ from fieldlum.cli.declared import EXISTING_PATH, declare, numbers
 from fieldlum.cli.options import SHARED
 
 if TYPE_CHECKING:
+    from fieldlum.calibrate.pictures import Chart
     from fieldlum.optics.profiles import CameraProfile, Lens
 
 LensNumber = Annotated[int, click.IntRange(min=1)]
@@ -54,7 +55,7 @@ class FittedPart:
 
     changed : fields of the profile. lines : one about each fit, stored in the profile. frames :
     files whose sha256 is stored. figures : printed, in the order; only_json : printed only with
-    --json. draw : function of `pictures`, and its arguments. notes : for the user, on stderr. rows,
+    --json. chart : of the fit. notes : for the user, on stderr. rows,
     columns : a table that is printed first. profile : to start from, if it is not that of --camera.
     """
 
@@ -62,7 +63,7 @@ class FittedPart:
     lines: list[str]
     frames: Iterable[Path]
     figures: dict[str, Any]
-    draw: tuple[Any, ...] = ()
+    chart: Chart | None = None
     notes: Sequence[str] = ()
     rows: Sequence[dict[str, Any]] = ()
     columns: Mapping[str, tuple[str, str]] = field(default_factory=dict)
@@ -104,15 +105,16 @@ def _run(
     **own: Any,
 ) -> None:
     """Fit one part, draw it, print what it found, and write the profile."""
-    from fieldlum.calibrate import pictures, save_calibration
+    from fieldlum.calibrate import save_calibration
+    from fieldlum.calibrate.pictures import draw
     from fieldlum.optics.profiles import load_camera_profile
 
     profile = load_camera_profile(camera)
     new = fit(profile, **own)
     for note in new.notes:
         terminal.say(f"note: {note}")
-    if picture and new.draw:
-        pictures.save(getattr(pictures, new.draw[0])(*new.draw[1:]), picture)
+    if picture and new.chart:
+        draw(new.chart, picture)
     start, today = new.profile or profile, datetime.now(UTC).date()
     save_calibration(out, start, new.frames, new.lines, today, **new.changed)
     answer = {**new.figures, **new.only_json, "why": new.lines, "profile": str(out)}
@@ -213,12 +215,12 @@ def _trimmed(start: Lens, trim_deg: float) -> tuple[Lens, FittedPart]:
 def _by_circle(frame: Path, start: Lens) -> tuple[Lens, FittedPart]:
     from fieldlum.calibrate import lens as lenses
 
-    grey = lenses.grey_picture(frame)
-    found = lenses.circle(grey, start, frame)
+    found = lenses.circle(lenses.grey_picture(frame), start, frame)
     (x, y), radius_px = found.centre_px, found.radius_px
     new = replace(start, centre_px=(round(x, 2), round(y, 2)), radius_px=round(radius_px, 2))
     line = f"lens: circle of radius {radius_px:.2f} px, uncertainty {found.u_px:.2f} px"
-    return new, FittedPart({}, [line], [frame], found._asdict(), ("of_circle", grey, found))
+    figures = _figures(found, "centre_px", "radius_px", "u_px")
+    return new, FittedPart({}, [line], [frame], figures, lenses.circle_chart(found, frame))
 
 
 def _by_targets(
@@ -244,7 +246,8 @@ def _by_targets(
     figures = _figures(fit.lens, *names, "roll_deg")
     figures |= _figures(fit, "rms_px", "rms_deg", "widest_deg")
     line, notes = "; CAUTION: ".join([fit.choice.line, *fit.doubts]), [*notes, *fit.doubts]
-    return fit.lens, FittedPart({}, [line], sources, figures, ("of_lens", targets, fit), notes)
+    chart = lenses.chart(targets, fit)
+    return fit.lens, FittedPart({}, [line], sources, figures, chart, notes)
 
 
 @_part
@@ -275,7 +278,7 @@ def response(profile: Any, sources: Annotated[Paths, "BRACKETS...", EXISTING_PAT
     if law.decided_by == "frames" or profile.shutter_law != "auto":
         changed["shutter_law"] = law.law
     lines = [text for text in (fit.choice.line, places.steps.text) if text]
-    return FittedPart(changed, lines, places.frames, figures, ("of_response", places, fit))
+    return FittedPart(changed, lines, places.frames, figures, responses.chart(places, fit))
 
 
 @_part
@@ -307,8 +310,8 @@ def vignette(
     fit, old = vignettes.fit(samples), profile.lens[samples.lens]
     changed = _with_lens(profile, samples.lens, vignettes.with_curve(old, samples.f_number, fit))
     figures = _figures(samples, "f_number") | _figures(fit, "coefficients", "u_rel")
-    draw = ("of_vignette", samples, fit, old.full_angle_deg / 2)
-    return FittedPart(changed, [fit.choice.line], samples.frames, figures, draw)
+    chart = vignettes.chart(samples, fit, old.full_angle_deg / 2)
+    return FittedPart(changed, [fit.choice.line], samples.frames, figures, chart)
 
 
 @_part
@@ -350,7 +353,7 @@ def colour(
     figures = _figures(fit, "y_from_rgb", "u_rel") | {"readings": len(colours.y)}
     figures |= _figures(new, "melanopic_from_rgb", "melanopic_u_rel")
     frames, lines = [sources, *colours.frames], [fit.choice.line, line]
-    return FittedPart({"colour": new}, lines, frames, figures, ("of_colour", colours, fit), notes)
+    return FittedPart({"colour": new}, lines, frames, figures, fits.chart(colours, fit), notes)
 
 
 @_part
@@ -396,7 +399,7 @@ def scale(
         [line],
         [sources, *frames],
         figures,
-        ("of_scale", readings, fit),
+        scales.chart(readings, fit),
         [*notes, *scales.slips(readings, fit), *([doubt] if doubt else [])],
         points,
         _READINGS,
@@ -435,7 +438,7 @@ def shutter(profile: Any, sources: Annotated[Paths, "SESSION...", EXISTING_PATH]
         [fit.line],
         files,
         {"times": len(times)},
-        ("of_shutter", fit),
+        shutters.chart(fit),
         [f"not used: {why}; capture more brackets in steady light" for why in fit.left_out],
         times,
         _TIMES,
@@ -461,9 +464,9 @@ def pixels(profile: Any, sources: Annotated[Paths, "FRAME|FOLDER...", EXISTING_P
     bad_px = tuple(sorted({*sensor.bad_px, *defects.bad_px}))
     figures = {"found": len(defects.bad_px), "new": len(bad_px) - len(sensor.bad_px)}
     figures |= {"views": len(defects.frames), "by_chance": defects.by_chance}
-    changed, draw = {"sensor": replace(sensor, bad_px=bad_px)}, ("of_pixels", defects)
+    changed, chart = {"sensor": replace(sensor, bad_px=bad_px)}, finder.chart(defects)
     own = {"bad_px": defects.bad_px}
-    return FittedPart(changed, [defects.line], defects.frames, figures, draw, only_json=own)
+    return FittedPart(changed, [defects.line], defects.frames, figures, chart, only_json=own)
 
 
 @_part
@@ -490,8 +493,8 @@ def linearity(profile: Any, sources: Annotated[Paths, "FRAMES...", EXISTING_PATH
     sensor = replace(profile.sensor, **own, exposure_offset_s=fit.offset_s)
     figures: dict[str, Any] = {"linearity": fit.coefficients, "u_rel": fit.u_rel}
     figures |= {"exposure_offset_s": fit.offset_s, "u_exposure_offset_s": fit.u_offset_s}
-    draw = ("of_linearity", levels, fit)
-    return FittedPart({"sensor": sensor}, [fit.choice.line], levels.frames, figures, draw)
+    chart = curves.chart(levels, fit)
+    return FittedPart({"sensor": sensor}, [fit.choice.line], levels.frames, figures, chart)
 
 
 @_part
@@ -516,5 +519,5 @@ def stray(profile: Any, sources: Annotated[Path, "READINGS.csv", EXISTING_PATH])
     figures["total_share"] = round(fit.total_share, 5)
     changed = {"stray": fit.kernel, "glare_floor_rel": 0.0}  # the kernel's u_rel replaces the floor
     frames = [sources, *dict.fromkeys(r.place.path for r in readings)]
-    draw = ("of_stray", readings, fit)
-    return FittedPart(changed, [fit.choice.line], frames, figures, draw)
+    chart = haze.chart(readings, fit)
+    return FittedPart(changed, [fit.choice.line], frames, figures, chart)
