@@ -18,7 +18,6 @@ RANKS = (
         "optics.melanopic",
         "optics.photometry",
         "optics.projection",
-        "optics.resample",
         "optics.stray_light",
         "sky",
     },

@@ -12,8 +12,7 @@ import pytest
 
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Flag
-from fieldlum.optics.images import read_exr
-from fieldlum.optics.images.exr import NO_UNIT
+from fieldlum.optics.images import NO_UNIT, read_exr
 
 REC709 = np.array([0.2126, 0.7152, 0.0722])
 SHAPE = (6, 9)

@@ -13,7 +13,7 @@ from fieldlum.calibrate import colour
 from fieldlum.cli import main
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure, Panorama, SunSource
-from fieldlum.merge.quality import floating_white_balance
+from fieldlum.merge.bracket import floating_white_balance
 from fieldlum.merge.shots import Shot
 from fieldlum.optics.images import RADIANCE_CHROMATICITIES, rgb_to_xyz, write_panorama
 from fieldlum.optics.melanopic import (

@@ -19,11 +19,11 @@ from fieldlum.devices.clock import FastClock
 from fieldlum.devices.simulated.camera import SimulatedCamera
 from fieldlum.devices.simulated.world import SimulatedLight
 from fieldlum.merge import MergeOptions, MergeResult, Shot, merge_shots
-from fieldlum.merge.disc import disc_px, mosaic_u_rel, take_out_disc
 from fieldlum.merge.estimator import Merged, merge_signals
 from fieldlum.merge.frames import NO_PLATEAU, JpegSignal, RawSignal, lens_crop, load_raw
 from fieldlum.merge.project import ProjectedImage, blend
 from fieldlum.merge.shots import sorted_shots
+from fieldlum.merge.sky import disc_px, mosaic_u_rel, take_out_disc
 from fieldlum.optics.linear_light import vignetting_of
 from fieldlum.optics.photometry import vertical_illuminance_lx
 from fieldlum.optics.profiles import (

@@ -13,8 +13,8 @@ from msgspec import structs
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure, Flag
 from fieldlum.merge import MergeOptions, Shot, merge_frames, merge_sensor, shots_of_files
+from fieldlum.merge.bracket import orientation_conflict, verdict
 from fieldlum.merge.project import footprint_px, u_of_edges
-from fieldlum.merge.quality import orientation_conflict, verdict
 from fieldlum.merge.ratios import any_beyond_prior, fit_ratios, unexplained_u, weak_prior_fit
 from fieldlum.merge.sensor import Findings, SensorImage
 from fieldlum.merge.shots import U_ISO, exposure_covariance, sorted_shots

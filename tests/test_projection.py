@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fieldlum.merge.project import resampler
 from fieldlum.optics.projection import (
     Equirect,
     Fisheye,
@@ -21,7 +22,6 @@ from fieldlum.optics.projection import (
     lens_rays,
     radius_of_angle,
 )
-from fieldlum.optics.resample import resampler
 
 POLYNOMIAL = (1.05, 0.0, -0.05)  # odd powers, as lenses have; 1 at the edge
 

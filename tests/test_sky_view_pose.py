@@ -13,7 +13,7 @@ from places import SEATTLE
 from fieldlum.core.arrays import Floats
 from fieldlum.core.records import Panorama
 from fieldlum.learn.models.data import PairPictures
-from fieldlum.merge.disc import take_out_disc
+from fieldlum.merge.sky import take_out_disc
 from fieldlum.optics.projection import altitude_azimuth_deg, rotation
 from fieldlum.sky import sun
 from fieldlum.sky.sky_view.measured_discs import MeasuredDiscs

@@ -95,7 +95,8 @@ def _draw_places(chart: Chart, figure: Figure, axes: Any) -> None:
         panorama = read_panorama(path)
         light = np.nan_to_num(panorama.luminance_cdm2)
         grey = np.log(np.maximum(light, 1e-3 * float(np.percentile(light, 99))))
-        row, column = equirect_pixel(at[:, 1], at[:, 0], *grey.shape, panorama.heading_deg)
+        h, w = grey.shape
+        row, column = equirect_pixel(at[:, 1], at[:, 0], h, w, panorama.heading_deg)
         at = np.stack([column, row], axis=1)
     else:
         grey = grey_picture(path)

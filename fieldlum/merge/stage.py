@@ -33,8 +33,8 @@ from fieldlum.core.scheduler import (
     run_each,
 )
 from fieldlum.merge.bracket import MergeOptions, MergeResult, merge_shots
-from fieldlum.merge.disc import disc_px, expected_sun_deg, mosaic_u_rel
 from fieldlum.merge.shots import Shot, middle_of, shots_of_slot, verified
+from fieldlum.merge.sky import disc_px, expected_sun_deg, mosaic_u_rel
 from fieldlum.optics.images import read_panorama, write_panorama
 from fieldlum.optics.photometry import vertical_illuminance_lx
 from fieldlum.optics.profiles import CameraProfile, find_camera_profile, load_camera_profile
