@@ -28,8 +28,7 @@ from fieldlum.core.records import CameraSetup, Obstruction, Room, Site, SiteFile
 from fieldlum.learn import models
 from fieldlum.learn.models.data import Dataset, load_pairs
 from fieldlum.learn.models.held_out_choice import CRITERIA, beam_is_doubted
-from fieldlum.learn.train import notes_of
-from fieldlum.learn.train.trials import choose_model, day_folds, evaluate_folds
+from fieldlum.learn.train import choose_model, day_folds, evaluate_folds, notes_of
 from fieldlum.room import simulate
 from fieldlum.session import open_session
 from fieldlum.sky import sun

@@ -20,8 +20,7 @@ from fieldlum.learn.models.held_out_choice import (
     trimmed_mean,
 )
 from fieldlum.learn.models.scores import Scores
-from fieldlum.learn.train import doubted_hours, doubts, notes_of
-from fieldlum.learn.train.trials import Trial, choose_model
+from fieldlum.learn.train import Trial, choose_model, doubted_hours, doubts, notes_of
 from fieldlum.pair.interval import is_doubted
 
 DAYS = ("2027-03-19", "2027-03-20", "2027-03-21", "2027-06-20", "2027-06-21", "2027-06-22")

@@ -18,13 +18,17 @@ from fieldlum.learn.models import dense
 from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.dense import validation_split
 from fieldlum.learn.models.scores import Scores, light_of_year
-from fieldlum.learn.train import fit_and_score, notes_of, run, year_of
-from fieldlum.learn.train.trials import (
+from fieldlum.learn.train import (
+    TimeBudget,
     Trial,
     choose_model,
     day_folds,
     evaluate_folds,
+    fit_and_score,
+    notes_of,
     one_day_only,
+    run,
+    year_of,
 )
 from fieldlum.optics.projection import equirect_solid_angles
 
@@ -51,8 +55,8 @@ def test_no_day_is_on_both_sides_and_every_hour_is_asked_once() -> None:
     folds = day_folds(DATA)
     assert len(folds) == 5
     for fold in folds:
-        assert not set(DATA.days[fold.teach]) & set(DATA.days[fold.check])
-    assert sorted(np.concatenate([fold.check for fold in folds])) == list(range(len(DATA)))
+        assert not set(DATA.days[fold.train]) & set(DATA.days[fold.test])
+    assert sorted(np.concatenate([fold.test for fold in folds])) == list(range(len(DATA)))
 
 
 @pytest.mark.contract
@@ -60,14 +64,14 @@ def test_one_day_is_parted_by_hours_and_said_so() -> None:
     day = DATA.take(DATA.days == DATA.days[0])
     assert one_day_only(day) and len(day_folds(day)) > 1
     with pytest.raises(NotEnoughDataError):
-        fit_and_score(day.take([0]), "mean")
+        fit_and_score(day.take([0]), "mean", budget=TimeBudget.starting(1.0))
 
 
 @pytest.mark.slow
 @pytest.mark.contract
 def test_auto_goes_on_without_a_model_that_needs_more_hours() -> None:
     """Three hours: two to learn from are too few for transport, and that is said."""
-    result = fit_and_score(DATA.take(range(3)), "auto", budget_s=1.0)
+    result = fit_and_score(DATA.take(range(3)), "auto", budget=TimeBudget.starting(1.0))
     assert result.choice.name in {"mean", "nearest", "dense"}
     assert any(note.startswith("transport was not tried") for note in result.notes)
 
@@ -124,7 +128,7 @@ def test_run_keeps_a_model_its_scores_and_says_why(tmp_path: Path) -> None:
 @pytest.mark.analytic
 def test_a_year_is_expected_to_be_harder_than_held_out_days_of_one_season() -> None:
     march = dataset(("2027-03-17", "2027-03-18", "2027-03-19", "2027-03-20"))
-    result = fit_and_score(march, "transport", patch="none", budget_s=60.0)
+    result = fit_and_score(march, "transport", patch="none", budget=TimeBudget.starting(60.0))
     assert result.year is not None
     held_out = result.table(0)[-1]["log10_mse_weighted"]
     year = light_of_year(result.data, np.random.default_rng(5))
@@ -156,14 +160,14 @@ def test_a_year_is_not_judged_without_a_room_for_its_patches() -> None:
 @pytest.mark.property
 def test_held_out_errors_are_those_of_a_fit_without_the_day() -> None:
     folds = day_folds(DATA)
-    by_hand = models.fit("nearest", DATA.take(folds[1].teach))
-    check = DATA.take(folds[1].check)
+    by_hand = models.fit("nearest", DATA.take(folds[1].train))
+    check = DATA.take(folds[1].test)
     maps = by_hand.predict(check.light, check.patch_cdm2).luminance_cdm2
     error = np.log10(np.maximum(maps, 1)) - np.log10(np.maximum(check.luminance_cdm2, 1))
     found = evaluate_folds("nearest", DATA, folds, patch="absolute", seed=0)
     rows = [found.scores.slots.index(slot) for slot in check.slots]
     np.testing.assert_allclose(found.scores.mse[rows], (error**2).mean(axis=(1, 2)), rtol=1e-4)
-    assert found.n_train == round(np.mean([len(fold.teach) for fold in folds]))
+    assert found.n_train == round(np.mean([len(fold.train) for fold in folds]))
 
 
 @pytest.mark.slow

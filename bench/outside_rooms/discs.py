@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 from fieldlum.bench.rows import load
 from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.scores import Truth, truth
-from fieldlum.learn.train import patch_mode
-from fieldlum.learn.train.trials import fit_timed
+from fieldlum.learn.train import fit_timed, patch_mode
 from fieldlum.year.glare import glare_directions
 
 Array = NDArray[Any]

@@ -17,7 +17,7 @@ from fieldlum.core.plot_style import GRID, open_axes
 from fieldlum.core.records import JsonTable, Progress, counted, quiet
 from fieldlum.learn.model_registry import MODELS
 from fieldlum.learn.models.scores import truth
-from fieldlum.learn.train.trials import Trial, choose_model, day_folds
+from fieldlum.learn.train import Trial, choose_model, day_folds
 from fieldlum.session import replacing, replacing_path
 from fieldlum.session.codec import write_csv
 
@@ -113,7 +113,7 @@ def _stress(loaded: BenchData, progress: Progress) -> list[JsonTable]:
         if not folds:
             count = counted(len(data), "usable hour")
             raise NotEnoughDataError(f"{data.source}: {count}; expected 2; capture more hours")
-        data, test = data.take(folds[0].teach), data.take(folds[0].check)
+        data, test = data.take(folds[0].train), data.take(folds[0].test)
     return stress.run(spec, data, test, progress=progress)
 
 

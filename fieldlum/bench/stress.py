@@ -24,8 +24,7 @@ from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.records import JsonTable, Progress, quiet
 from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.scores import Scores, evaluate, truth
-from fieldlum.learn.train import doubts, patch_mode
-from fieldlum.learn.train.trials import fit_timed
+from fieldlum.learn.train import doubts, fit_timed, patch_mode
 from fieldlum.room.fit.apply import with_patches
 from fieldlum.room.fit.setting import scan, settle
 from fieldlum.sky import sun

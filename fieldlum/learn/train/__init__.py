@@ -1,4 +1,4 @@
-"""Fit a room's model, score it on held-out days, and record why it was chosen.
+"""Fit a room's model, test models on held-out days, choose one, and record why.
 
 `run` is what the `train` command calls; `evaluate_folds` and `fit_timed` serve the benchmarks too.
 """
@@ -12,10 +12,12 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.records import Progress, counted, quiet
 from fieldlum.learn import models
@@ -23,28 +25,26 @@ from fieldlum.learn.model_registry import MODELS, baselines
 from fieldlum.learn.models import POOR_WORDS, TRUSTED_FACTOR, TRUSTED_MSE, Fitted, Patch
 from fieldlum.learn.models.data import Dataset, with_sky_view
 from fieldlum.learn.models.held_out_choice import (
+    CRITERIA,
     LOW_SUN_DEG,
+    HeldOutErrors,
     beam_is_doubted,
     choice_weights,
+    choose,
     trimmed_mean,
 )
 from fieldlum.learn.models.mirrors import Mirror, split_images
-from fieldlum.learn.models.scores import YearExpectation, expect, light_of_year, summary
-from fieldlum.learn.train.outliers import without_changes
-from fieldlum.learn.train.trials import (
-    MIN_FOLD_S,
-    ModelSelection,
-    OutOfTime,
-    Spent,
-    TimeBudget,
-    Trial,
-    choose_model,
-    day_folds,
-    evaluate_folds,
-    fit_timed,
-    is_clearly_worse,
-    one_day_only,
+from fieldlum.learn.models.scores import (
+    Scores,
+    YearExpectation,
+    evaluate,
+    expect,
+    join,
+    light_of_year,
+    summary,
+    truth,
 )
+from fieldlum.learn.train.outliers import without_changes
 from fieldlum.learn.transport import MeanTransport, Transport
 from fieldlum.room.fit.setting import Setting, scan, settle, with_right_clock
 from fieldlum.session import check_writable, sha256
@@ -52,10 +52,288 @@ from fieldlum.session.files.scores_json import ScoreRow, ScoresFile, TrainAnswer
 from fieldlum.session.provenance import data_digest, digest, made_from
 from fieldlum.version import __version__
 
-SCORES, MODEL_FILES = "scores.json", ("config.json", "weights.npz")
 # log10 MSE, an error factor of 1.4, which a steady room with correct irradiance does not reach
 POOR_MSE = 0.02
 EXCEPTION_TIMES = 4.0  # a day this many times worse than the median day is reported
+MIN_FOLD_S = 120.0  # for a fold of the dense network: shorter ones are no measure of it
+MAX_FOLDS = 5  # Hastie et al., The Elements of Statistical Learning, 7.10: 5 or 10
+# Shares of the budget: held-out days of the quick models, and a reserve for the scan of north and
+# clock. A slow model (the dense network) gets half of the rest for its held-out days and half for
+# the stored model.
+QUICK_SHARE, KEPT_BACK_SHARE = 0.4, 0.1
+MODEL_FILES = ("config.json", "weights.npz")
+
+
+class OutOfTime(Exception):
+    """The budget was used up within a step, which therefore has no result."""
+
+
+@dataclass(frozen=True, slots=True)
+class TimeBudget:
+    """The time that all parts of one training together may take.
+
+    total_s: the complete budget; clock: function that returns seconds since any start, so that
+    tests can simulate time; started_s: value of the clock when the budget began.
+    """
+
+    total_s: float
+    clock: Callable[[], float]
+    started_s: float
+
+    @classmethod
+    def starting(cls, total_s: float, clock: Callable[[], float] = time.monotonic) -> TimeBudget:
+        """Return a budget of `total_s` seconds that starts now."""
+        return cls(total_s, clock, clock())
+
+    @property
+    def left_s(self) -> float:
+        """Seconds that remain; negative once the budget is used up."""
+        return self.total_s - (self.clock() - self.started_s)
+
+    @property
+    def quick_s(self) -> float:
+        """Seconds that remain for held-out days of quick models: at the start 40 % of the total.
+
+        It is 0 once they are used.
+        """
+        return max(self.left_s - (1.0 - QUICK_SHARE) * self.total_s, 0.0)
+
+    @property
+    def slow_s(self) -> float:
+        """Seconds that remain for a slow model: `left_s` less a reserve of 10 % of the total.
+
+        It is never below 0.001 s: a slow model then takes one step, and is not judged.
+        """
+        return max(self.left_s - KEPT_BACK_SHARE * self.total_s, 1e-3)
+
+    def watched(self, progress: Progress) -> Progress:
+        """Return `progress` such that it raises OutOfTime once the budget is used up.
+
+        Every long step reports its progress, so that it ends within a part of itself.
+        """
+
+        def report(finished: int, total: int, text: str) -> None:
+            if self.left_s <= 0.0:
+                raise OutOfTime
+            progress(finished, total, text)
+
+        return report
+
+    def of_model(self, name: str, progress: Progress) -> Progress:
+        """Return the progress of a model's fit, which ends with the budget.
+
+        A baseline takes a second and is always fitted; a slow model divides its own time.
+        """
+        kind = MODELS[name]
+        return progress if kind.slow or kind.baseline else self.watched(progress)
+
+
+# ----------------------------------------------------------------------------------------------
+# held-out days
+
+
+@dataclass(frozen=True, slots=True)
+class Fold:
+    """Row indices of the captures with which one fold trains and tests.
+
+    train: [k]; test: [n - k]. No day is in both (with one day only: no hour).
+    """
+
+    train: NDArray[np.int64]
+    test: NDArray[np.int64]
+
+
+def day_folds(data: Dataset, count: int = MAX_FOLDS) -> tuple[Fold, ...]:
+    """Distribute the days of the captures over at most `count` folds in turn.
+
+    Each fold tests its days and trains with all others. If there is only one day, its hours are
+    distributed instead; a single hour gives no fold (an empty tuple). Neighbouring days are tested
+    in different folds, so a fold tests days between captured ones, not seasons without captures.
+    """
+    unique, which = np.unique(data.days, return_inverse=True)
+    groups, members = (which, len(unique)) if len(unique) > 1 else (np.arange(len(data)), len(data))
+    count = min(count, members)
+    if count < 2:
+        return ()
+    rows = np.arange(len(data))
+    return tuple(Fold(rows[groups % count != k], rows[groups % count == k]) for k in range(count))
+
+
+def one_day_only(data: Dataset) -> bool:
+    """Return whether all hours are of one day."""
+    return len(np.unique(data.days)) == 1
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """The test of one model on held-out days.
+
+    name: of the model; scores: of the held-out captures of all folds; fit_s, fit_cpu_s: mean time
+    of a fold's fit, by the wall clock and of computing [s]; n_train: mean number of training
+    captures of a fold; folds: number of folds, 0 if tested on separate hours.
+    """
+
+    name: str
+    scores: Scores
+    fit_s: float
+    fit_cpu_s: float
+    n_train: int
+    folds: int
+
+
+class Spent(NamedTuple):
+    """The time a task took: by the wall clock, and processor time of all threads [s].
+
+    On a busy computer only `cpu_s` is meaningful.
+    """
+
+    wall_s: float
+    cpu_s: float
+
+
+def fit_timed(
+    name: str,
+    data: Dataset,
+    *,
+    patch: Patch,
+    seed: int,
+    budget_s: float | None,
+    checkpoint: Path | None = None,
+    clock: Callable[[], float] = time.monotonic,
+    progress: Progress = quiet,
+) -> tuple[Fitted, Spent]:
+    """Fit the model `name` of `MODELS` to `data`; return the model and the time of the fit.
+
+    budget_s: time limit [s], and checkpoint: file of a slow model, ignored for others.
+    """
+    wall, cpu = clock(), time.process_time()
+    slow = {"budget_s": budget_s, "checkpoint": checkpoint} if MODELS[name].slow else {}
+    fitted = models.fit(name, data, patch=patch, seed=seed, progress=progress, **slow)
+    return fitted, Spent(clock() - wall, time.process_time() - cpu)
+
+
+def evaluate_folds(
+    name: str,
+    data: Dataset,
+    folds: Sequence[Fold],
+    *,
+    patch: Patch,
+    seed: int,
+    budget_s: float | None = None,
+    keep_maps: bool = False,
+    clock: Callable[[], float] = time.monotonic,
+    progress: Progress = quiet,
+) -> Trial:
+    """Fit to each fold's training rows, compare with its test rows, and join the scores.
+
+    budget_s: for all folds together [s], None for no limit. A slow model divides it among the
+    folds. A quick model runs two folds, and skips the others if the next one would exceed it.
+    keep_maps: as in `evaluate`.
+    """
+    parts: list[Scores] = []
+    times: list[Spent] = []
+    limit = math.inf if budget_s is None or MODELS[name].slow else budget_s
+    share, started = None if budget_s is None else budget_s / len(folds), clock()
+    options: dict[str, Any] = {"patch": patch, "seed": seed, "clock": clock, "progress": progress}
+    for fold in folds:
+        # one fold has few days for a standard error
+        if len(parts) >= 2 and (clock() - started) * (1 + 1 / len(parts)) > limit:
+            break
+        fitted, spent = fit_timed(name, data.take(fold.train), budget_s=share, **options)
+        scores = evaluate(
+            fitted, truth(data.take(fold.test)), keep_maps=keep_maps, progress=progress
+        )
+        if scores.maps is not None:
+            scores.maps = replace(scores.maps, season_deg=_season_deg(scores, data, fold))
+        parts.append(scores)
+        times.append(spent)
+    count = round(np.mean([len(fold.train) for fold in folds[: len(parts)]]))
+    wall_s, cpu_s = np.mean(times, axis=0).tolist()
+    return Trial(name, join(parts), wall_s, cpu_s, count, len(parts))
+
+
+def _season_deg(scores: Scores, data: Dataset, fold: Fold) -> Floats:
+    """Return the angle between the sun of each stored map and the nearest training sun [n] deg."""
+    assert scores.maps is not None
+    row = {data.slots[k]: k for k in fold.test}
+    suns = data.light.sun_direction
+    cosine = suns[[row[slot] for slot in scores.maps.slots.tolist()]] @ suns[fold.train].T
+    return np.degrees(np.arccos(np.clip(cosine.max(axis=1), -1.0, 1.0)))
+
+
+# ----------------------------------------------------------------------------------------------
+# choice
+
+
+class ModelSelection(NamedTuple):
+    """The name of the chosen model, and the reason for it."""
+
+    name: str
+    reason: str
+
+
+def choose_model(trials: list[Trial]) -> ModelSelection:
+    """Choose the model with the smallest held-out error, as `held_out_choice.choose` compares it.
+
+    Models are compared in pairs, on the hours of both, those that were tested on most hours first.
+    A model tested on fewer hours (the dense network) replaces another only if it is clearly better,
+    on two days at least. A baseline repeats captured suns, and held-out days have nearly the same
+    suns as the other days: it loses to another model unless it is clearly better.
+    """
+    first, *rest = sorted(trials, key=lambda trial: -len(trial.scores))
+    winner = first
+    for other in rest:
+        pair, fewer = _errors([winner, other]), len(other.scores) < len(winner.scores)
+        if fewer and len(np.unique(pair[0].day)) < 2:  # one day is no proof
+            continue
+        best, by = choose(pair).best, choose(pair).by
+        if by is None and _is_baseline(winner) != _is_baseline(other):
+            best = int(_is_baseline(winner))
+        if best == 1 and (by or not fewer):
+            winner = other
+    compared = [t for t in trials if t is not winner and len(t.scores) == len(first.scores)]
+    return ModelSelection(winner.name, _reason([winner, *compared]))
+
+
+def _is_baseline(trial: Trial) -> bool:
+    """Return whether a trial, named NAME, NAME:PATCH or NAME (folder), is of a baseline."""
+    return MODELS[trial.name.replace(":", " ").split()[0]].baseline
+
+
+def is_clearly_worse(trial: Trial, other: Trial) -> bool:
+    """Return whether a model is worse than another on the hours of both, by a standard error."""
+    choice = choose(_errors([trial, other]))
+    return choice.best == 1 and choice.by is not None
+
+
+def _errors(trials: Sequence[Trial]) -> list[HeldOutErrors]:
+    """Return the errors of trials in the hours that all have, in the order of their names."""
+    shared = sorted(set.intersection(*(set(trial.scores.slots) for trial in trials)))
+    return [
+        t.scores.errors.take(np.array([t.scores.slots.index(s) for s in shared], np.intp))
+        for t in trials
+    ]
+
+
+def _reason(trials: list[Trial]) -> str:
+    """Return the figures of the first trial next to those of the others, and what decided."""
+    own, *others = errors = _errors(trials)
+    hours = f"{counted(own.judged, 'held-out hour')} of {counted(len(np.unique(own.day)), 'day')}"
+    if not others:
+        return f"the only model that was tested ({hours})"
+    known = [name for name in CRITERIA if np.isfinite(own.figure(name))]
+    choice = choose(errors)
+    clear = choice.by if choice.best == 0 else None
+    by = clear or known[0]
+    figures = zip(trials[1:], others, strict=True)
+    listed = ", ".join(f"{t.name} {e.figure(by):.2g}" for t, e in figures)
+    text = f"error of {CRITERIA[by]} over {hours}: {own.figure(by):.2g} ({listed})"
+    alike = ", ".join(CRITERIA[name] for name in (known[: known.index(clear)] if clear else known))
+    return f"{text}; no model is better by over a standard error: {alike}" if alike else text
+
+
+# ----------------------------------------------------------------------------------------------
+# training
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,10 +360,7 @@ class Result:
         """Return a row for each trial, as in `train --json` (docs/design.md, Command line)."""
         own = ("name", "fit_s", "fit_cpu_s", "n_train", "folds")
         more = {"seed": seed, "not_judged_because": None}
-        return [
-            {name: getattr(trial, name) for name in own} | summary(trial.scores) | more
-            for trial in self.trials
-        ]
+        return [{k: getattr(t, k) for k in own} | summary(t.scores) | more for t in self.trials]
 
 
 def patch_mode(data: Dataset, patch: Patch) -> Patch:
@@ -98,20 +373,18 @@ def fit_and_score(
     model: str,
     *,
     patch: Patch = "absolute",
-    budget_s: float = 600.0,
-    budget: TimeBudget | None = None,
+    budget: TimeBudget,
     seed: int = 0,
     checkpoint: Path | None = None,
     progress: Progress = quiet,
 ) -> Result:
     """Run trials on held-out days, choose a model, and fit it to all data.
 
-    model: a name of `MODELS`, or "auto" for all of them. budget: a budget that other steps share;
-    else `budget_s` from now on. Steps that the budget does not permit are left out and listed in
-    the notes; with "auto" the best model so far is stored. Raises NotEnoughDataError for too few
-    hours to hold any out, or to fit `model`, and if the budget ends before `model` is fitted.
+    model: a name of `MODELS`, or "auto" for all of them. Steps that the budget does not permit are
+    left out and listed in the notes; with "auto" the best model so far is stored. Raises
+    NotEnoughDataError for too few hours to hold any out, or to fit `model`, and if the budget ends
+    before `model` is fitted.
     """
-    budget = budget or TimeBudget.starting(budget_s)
     patch = patch_mode(data, patch)
     captures = len(data)
     data, mirrors = split_images(with_sky_view(data, progress=progress))
@@ -121,11 +394,16 @@ def fit_and_score(
             f"{data.source}: {counted(len(data), 'usable hour')}; at least 2 are needed to train "
             "and to test; capture more hours"
         )
-    more: dict[str, Any] = {"patch": patch, "seed": seed}
-    trials, left_out = _trials(data, model, budget, progress, **more)
+    trials, left_out = _trials(data, model, patch, seed, budget, progress)
     choice = choose_model(trials) if model == "auto" else ModelSelection(model, "requested")
+
+    def stored(name: str) -> tuple[Fitted, Spent]:
+        show, limit = budget.of_model(name, progress), budget.slow_s
+        options: dict[str, Any] = {"patch": patch, "seed": seed, "checkpoint": checkpoint}
+        return fit_timed(name, data, budget_s=limit, progress=show, **options)
+
     try:
-        fitted, spent = _stored_fit(choice.name, data, budget, checkpoint, progress, **more)
+        fitted, spent = stored(choice.name)
     except (OutOfTime, NotEnoughDataError):  # the network refuses a time without one pass
         late = f"{choice.name} was not fitted within the time of --budget"
         if model != "auto":
@@ -135,7 +413,7 @@ def fit_and_score(
             f"WARNING: {late}, although it is better on held-out days: the model is {choice.name}, "
             "the best that was; raise --budget and train again"
         )
-        fitted, spent = _stored_fit(choice.name, data, budget, checkpoint, progress, **more)
+        fitted, spent = stored(choice.name)
     fitted, doubted = findings(fitted, data, setting)
     mirror = [f"WARNING: {m.captures} of {captures} captures {m.warning}" for m in mirrors]
     notes = [*notes_of(data, patch, model, trials), *left_out, *seen_skies(fitted), *mirror]
@@ -149,21 +427,21 @@ def fit_and_score(
 
 
 def _trials(
-    data: Dataset, model: str, budget: TimeBudget, progress: Progress, **more: Any
+    data: Dataset, model: str, patch: Patch, seed: int, budget: TimeBudget, progress: Progress
 ) -> tuple[list[Trial], list[str]]:
     """Test the models on held-out days; return the trials, and notes on those without time."""
     names = tuple(MODELS) if model == "auto" else tuple(dict.fromkeys((*baselines(), model)))
-    trials, left_out = [], []
+    trials, left_out, folds = [], [], day_folds(data)
     for name in names:
         slow = MODELS[name].slow
         # a slow model's held-out days get half of its time, the stored model the rest
         limit = 0.5 * budget.slow_s if slow else budget.quick_s
-        folds = day_folds(data)
         some = folds[: max(1, int(limit / MIN_FOLD_S))] if slow else folds
         show = budget.of_model(name, progress)
-        more |= {"budget_s": limit, "keep_maps": True, "clock": budget.clock, "progress": show}
+        options: dict[str, Any] = {"patch": patch, "seed": seed, "clock": budget.clock}
+        options |= {"budget_s": limit, "keep_maps": True, "progress": show}
         try:
-            trials.append(evaluate_folds(name, data, some, **more))
+            trials.append(evaluate_folds(name, data, some, **options))
         except OutOfTime:
             left_out.append(f"{name}: not judged: the budget was used up; raise --budget")
         except NotEnoughDataError as error:
@@ -171,20 +449,6 @@ def _trials(
                 raise
             left_out.append(f"{name} was not tried: {error}")
     return trials, left_out
-
-
-def _stored_fit(
-    name: str,
-    data: Dataset,
-    budget: TimeBudget,
-    checkpoint: Path | None,
-    progress: Progress,
-    **more: Any,
-) -> tuple[Fitted, Spent]:
-    if checkpoint is not None and MODELS[name].slow:
-        more["checkpoint"] = checkpoint
-    show = budget.of_model(name, progress)
-    return fit_timed(name, data, budget_s=budget.slow_s, progress=show, **more)
 
 
 def year_of(
@@ -291,7 +555,7 @@ def run(
     answer = json.loads(text, parse_constant=lambda _: None)
     if int(os.environ.get("RANK", "0")) == 0:  # of the processes of torchrun
         # this file is written last: it shows that the model is complete
-        (out / SCORES).unlink(missing_ok=True)
+        (out / ScoresFile.NAME).unlink(missing_ok=True)
         models.save(
             out,
             result.fitted,
@@ -307,7 +571,7 @@ def run(
         if (trial := next(chosen, None)) and trial.scores.maps is not None:
             trial.scores.maps.write(out)
         answer["model_sha256"] = _model_sha256(out)
-        ScoresFile.from_table({**answer}, out / SCORES).write(out)
+        ScoresFile.from_table({**answer}, out / ScoresFile.NAME).write(out)
         checkpoint.unlink(missing_ok=True)
     return {**answer, "kept": False}
 
@@ -317,7 +581,7 @@ def trained_before(folder: Path, inputs: Mapping[str, object]) -> TrainAnswer | 
 
     None if there is no complete model, if its files changed, or if it had other `inputs`.
     """
-    table = made_from(folder / SCORES, inputs, [folder / name for name in MODEL_FILES])
+    table = made_from(folder / ScoresFile.NAME, inputs, [folder / name for name in MODEL_FILES])
     if table is None or table.get("model_sha256") != _model_sha256(folder):
         return None
     return ScoresFile.read(folder).table()

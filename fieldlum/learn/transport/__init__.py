@@ -8,9 +8,10 @@ pixel is calibrated on held-out days.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, fields, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from datetime import UTC
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,9 +52,9 @@ from fieldlum.learn.transport.solve import (
 )
 from fieldlum.optics.projection import equirect_solid_angles
 from fieldlum.sky import sun
-from fieldlum.sky.light import Facades, Features, Kernel, Light
+from fieldlum.sky.light import Features, Kernel, Light
 
-FORMAT = 3  # of the table "transport" in config.json
+FORMAT = 4  # of the table "transport" in config.json
 # Number of pixels, drawn by solid angle, that choose inputs and noise, and that calibrate the
 # uncertainty. Not measured.
 CHOOSING, CALIBRATING = 250, 600
@@ -235,33 +236,7 @@ class Transport:
 
     def state(self) -> ModelState:
         """Return settings for config.json and plain arrays for weights.npz."""
-        arrays: dict[str, Array] = {}
-        parts = ("captured", "open_sky", "pixels", "uncertainty", "physics", "patch_light")
-        table: dict[str, Any] = {"format": FORMAT, "noise": self.noise}
-        table |= {"patch_scale": self.patch_scale, "states": asdict(self.states)}
-        table["sky_field"] = None if self.sky_field is None else asdict(self.sky_field)
-        for name in parts:
-            part = getattr(self, name)
-            if part is not None:
-                table[name] = _flattened(part, name, arrays)
-        arrays["seen"] = self.seen
-        arrays["projector"], facades = self.projector, self.kernel.facades
-        arrays |= {"facade_azimuths": facades.azimuths_deg, "facade_weights": facades.weights}
-        with_patch = self.patch_scale is not None
-        config = {"heading_deg": self.heading_deg, "with_patch": with_patch, "transport": table}
-        return ModelState(config, arrays)
-
-
-def _flattened(part: object, name: str, arrays: dict[str, Array]) -> dict[str, Any]:
-    """Add the arrays of a dataclass to `arrays`, by NAME.FIELD; return its other values."""
-    table: dict[str, Any] = {}
-    for f in fields(part):  # pyright: ignore[reportArgumentType]
-        value = getattr(part, f.name)
-        if isinstance(value, np.ndarray):
-            arrays[f"{name}.{f.name}"] = value
-        elif f.init and value is not None:
-            table[f.name] = plain(value) if isinstance(value, Room) else value
-    return table
+        return _state(self, self.patch_scale is not None)
 
 
 @dataclass(frozen=True)
@@ -312,11 +287,47 @@ class MeanTransport:
 
     def state(self) -> ModelState:
         """Return settings for config.json and plain arrays for weights.npz."""
-        one, other = self.patched.state(), self.plain.state()
-        arrays = {f"plain.{name}": values for name, values in other.arrays.items()}
-        arrays = {**arrays, **one.arrays, "mean.held_out_mse": self.held_out_mse}
-        mean = {"share": self.share, "agreement": self.agreement, "plain": other.config}
-        return ModelState({**one.config, "mean": mean}, arrays)
+        return _state(self, True)
+
+
+def _state(model: Transport | MeanTransport, with_patch: bool) -> ModelState:
+    arrays: dict[str, Array] = {}
+    table = _stored(model, "", arrays) | {"format": FORMAT}
+    return ModelState({"with_patch": with_patch, "transport": table}, arrays)
+
+
+def _stored(part: Any, prefix: str, arrays: dict[str, Array]) -> dict[str, Any]:
+    """Add the arrays of nested dataclasses to `arrays`, as PART.FIELD; return other values."""
+    table: dict[str, Any] = {}
+    for f in (f for f in fields(part) if f.init):
+        value, key = getattr(part, f.name), prefix + f.name
+        if isinstance(value, np.ndarray):
+            arrays[key] = value
+        elif isinstance(value, Room):
+            table[f.name] = plain(value)
+        else:
+            nested = is_dataclass(value)
+            table[f.name] = _stored(value, f"{key}.", arrays) if nested else value
+    return table
+
+
+def _rebuilt(kind: Any, table: Any, arrays: Mapping[str, Array], prefix: str) -> Any:
+    """Return the dataclass that `_stored` described."""
+    values, hints = {}, get_type_hints(kind)
+    for f in (f for f in fields(kind) if f.init):
+        key, kinds = prefix + f.name, get_args(hints[f.name]) or (hints[f.name],)
+        value = arrays[key] if key in arrays else table[f.name]
+        if Room in kinds:
+            value = build(Room, value, "the model's room")
+        elif isinstance(value, dict):
+            part = next((k for k in kinds if is_dataclass(k)), None)
+            value = _rebuilt(part, value, arrays, f"{key}.")
+        elif isinstance(value, list):
+            value = tuple(value)
+        elif float in kinds and value is not None:
+            value = float(value)
+        values[f.name] = value
+    return kind(**values)
 
 
 def from_state(state: ModelState) -> Transport | MeanTransport:
@@ -324,46 +335,11 @@ def from_state(state: ModelState) -> Transport | MeanTransport:
 
     Raises KeyError, TypeError or ValueError for missing or wrong content.
     """
-    if "mean" not in state.config:
-        return _one_from_state(state)
-    mean = state.config["mean"]
-    own = {k.removeprefix("plain."): v for k, v in state.arrays.items() if k.startswith("plain.")}
-    plain = _one_from_state(ModelState(mean["plain"], own))
-    held_out_mse = state.arrays["mean.held_out_mse"]
-    one = _one_from_state(state)
-    return MeanTransport(one, plain, mean["share"], mean["agreement"], held_out_mse)
-
-
-def _one_from_state(state: ModelState) -> Transport:
-    table, arrays = state.config["transport"], state.arrays
+    table = state.config["transport"]
     if table.get("format") != FORMAT:
         raise ValueError("a transport model of an earlier version")
-
-    def rebuilt(cls: type, name: str) -> Any:
-        prefix = f"{name}."
-        own = {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}
-        return cls(**own, **table[name])
-
-    if "physics" in table:
-        room = build(Room, table["physics"]["room"], "the model's room")
-        table = {**table, "physics": {"room": room}}
-    states, sky_field = table["states"], table["sky_field"]
-    return Transport(
-        arrays["seen"].astype(bool),
-        float(state.config["heading_deg"]),
-        float(table["noise"]),
-        Kernel(Facades(arrays["facade_azimuths"], arrays["facade_weights"])),
-        rebuilt(Features, "captured"),
-        arrays["projector"],
-        StateColumns(states["always"], tuple(states["lamps"]), tuple(states["changed"])),
-        rebuilt(OpenSky, "open_sky"),
-        rebuilt(PixelFit, "pixels"),
-        rebuilt(Uncertainty, "uncertainty"),
-        table["patch_scale"],
-        rebuilt(Physics, "physics") if "physics" in table else None,
-        None if sky_field is None else SkyField(**sky_field),
-        rebuilt(PatchLight, "patch_light") if "patch_light" in table else None,
-    )
+    kind = MeanTransport if "patched" in table else Transport
+    return _rebuilt(kind, table, state.arrays, "")
 
 
 # ----------------------------------------------------------------------------------------------
