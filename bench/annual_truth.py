@@ -155,7 +155,7 @@ def score_view(
             maps = np.concatenate([part.luminance_cdm2 for part in parts])
             trusted = np.concatenate([trusted_hours(part) for part in parts])
             for image in images:
-                trusted &= ~image.doubtful
+                trusted &= ~image.uncertain
             ev, dgp = glare(maps, reference.heading_deg, sources, sources_lx)
             asked = replace(reference, ev_lx=reference.ev_lx[unseen], dgp=reference.dgp[unseen])
             cells = errors(asked, ev[unseen], dgp[unseen])

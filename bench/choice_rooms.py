@@ -27,7 +27,7 @@ from fieldlum import plan
 from fieldlum.core.records import CameraSetup, Obstruction, Room, Site, SiteFile, Window
 from fieldlum.learn import models
 from fieldlum.learn.models.data import Dataset, load_pairs
-from fieldlum.learn.models.held_out_choice import CRITERIA, beam_is_doubted
+from fieldlum.learn.models.held_out_choice import CRITERIA, beam_is_uncertain
 from fieldlum.learn.train import choose_model, day_folds, evaluate_folds, notes_of
 from fieldlum.room import simulate
 from fieldlum.session import open_session
@@ -139,7 +139,7 @@ def judge(out: Path, seed: int) -> dict[str, Any]:
     return {
         "room": seed,
         "latitude_deg": round(days.setup.site.latitude_deg, 1),
-        "doubted": int(beam_is_doubted(days).sum()),
+        "doubted": int(beam_is_uncertain(days).sum()),
         "captures": len(days),
         "hours": len(year),
         "chosen": choice.name,

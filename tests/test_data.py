@@ -113,7 +113,7 @@ def test_a_row_twice_kilowatts_and_semicolons_are_refused(pairs: Path) -> None:
         [*row[:2], *(str(float(cell) / 1e3) for cell in row[2:4]), *row[4:]] for row in rows[1:]
     ]
     pairs.write_text("\n".join(",".join(row) for row in (rows[0], *kilowatts)))
-    with pytest.raises(InputError, match="the values are in kW/m2"):
+    with pytest.raises(InputError, match="the column contains kW/m2"):
         load_pairs(pairs)
     pairs.write_text(text.replace(",", ";").replace(".", ","))
     with pytest.raises(InputError, match="separated by ';'; expected commas"):

@@ -10,17 +10,17 @@ from learning_room import dataset
 
 from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.held_out_choice import (
-    DOUBTED_WEIGHT,
+    UNCERTAIN_WEIGHT,
     HeldOutChoice,
     HeldOutErrors,
-    beam_is_doubted,
+    beam_is_uncertain,
     choice_weights,
     choose,
     difference,
     trimmed_mean,
 )
 from fieldlum.learn.models.scores import Scores
-from fieldlum.learn.train import Trial, choose_model, doubted_hours, doubts, notes_of
+from fieldlum.learn.train import Trial, choose_model, held_out_warnings, notes_of, uncertain_hours
 from fieldlum.pair.interval import is_doubted
 
 DAYS = ("2027-03-19", "2027-03-20", "2027-03-21", "2027-06-20", "2027-06-21", "2027-06-22")
@@ -108,9 +108,9 @@ def test_three_hours_of_low_sun_do_not_throw_a_good_model_away() -> None:
     assert choose_model(trials).name == "transport"
     notes = notes_of(data, "absolute", "transport", trials)
     assert not any("do not use" in note for note in notes)
-    assert beam_is_doubted(data)[low].all() and "do not count" in doubted_hours(data)[0]
+    assert beam_is_uncertain(data)[low].all() and "do not count" in uncertain_hours(data)[0]
     errors_of_fit = type("Fit", (), {"held_out_mse": log10})()
-    assert doubts(errors_of_fit, data) == []
+    assert held_out_warnings(errors_of_fit, data) == []
 
 
 @pytest.mark.contract
@@ -129,11 +129,11 @@ def test_hours_of_a_doubted_beam_do_not_count_unless_they_are_needed() -> None:
     some = replace(DATA, light=replace(light, sun_altitude_deg=altitude))
     assert choice_weights(some)[:4].tolist() == [0.0, 1.0, 1.0, 1.0]
     winter = replace(DATA, light=replace(light, sun_altitude_deg=34.0 - altitude))
-    assert choice_weights(winter)[:4].tolist() == [1.0, *3 * [DOUBTED_WEIGHT]]
+    assert choice_weights(winter)[:4].tolist() == [1.0, *3 * [UNCERTAIN_WEIGHT]]
     overcast = replace(light, dni_wm2=np.zeros(len(DATA)), sun_altitude_deg=altitude)
-    assert not beam_is_doubted(replace(DATA, light=overcast)).any()
-    marked = replace(DATA, doubted=np.arange(len(DATA)) < 2)
-    assert beam_is_doubted(marked)[:2].all()
+    assert not beam_is_uncertain(replace(DATA, light=overcast)).any()
+    marked = replace(DATA, uncertain=np.arange(len(DATA)) < 2)
+    assert beam_is_uncertain(marked)[:2].all()
 
 
 @pytest.mark.contract
@@ -142,8 +142,8 @@ def test_the_marks_of_pair_are_recognised() -> None:
     assert not is_doubted("sun under 5 degrees: DNI from horizontal readings is inaccurate")
     assert not is_doubted("") and not is_doubted("2 frames are missing")
     old = DATA.digest()
-    assert replace(DATA, doubted=None).digest() == old
-    assert replace(DATA, doubted=np.ones(len(DATA), bool)).digest() != old
+    assert replace(DATA, uncertain=None).digest() == old
+    assert replace(DATA, uncertain=np.ones(len(DATA), bool)).digest() != old
 
 
 @pytest.mark.property

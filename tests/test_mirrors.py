@@ -174,7 +174,7 @@ def test_images_are_taken_out_and_hours_without_them_are_distinguished() -> None
     visible = image_lx > 0.0
     # one or two hours are in a pixel 6 degrees wide at the facade's edge
     assert (images.shown == visible).mean() > 0.9 and visible.sum() > 8
-    certain = ~images.doubtful
+    certain = ~images.uncertain
     assert (images.shown == visible)[certain].mean() > 0.95 and certain.mean() > 0.5
     both = images.shown & visible
     np.testing.assert_allclose(images.shown_lx[both], image_lx[both], rtol=0.1)
@@ -219,7 +219,7 @@ def test_the_warning_is_in_every_result(tmp_path: Path) -> None:
     assert gain[shown, north].min() > 0.1
     np.testing.assert_allclose(gain[image.shown_lx == 0.0], 0.0, atol=1e-4)
     assert (block.pictures_cdm2(room.heading_deg)[shown].max(axis=(1, 2)) > 5e4).all()
-    assert not year.hours["trusted"][:64][image.doubtful].any()
+    assert not year.hours["trusted"][:64][image.uncertain].any()
     # If the captures do not decide, both cases are inside the interval of DGP.
     open_question = replace(mirror, chance=np.full(MIRRORING.shape, 0.45, np.float32))
     models.save(tmp_path / "n", fitted, MIRRORING, mirrors=[open_question])
@@ -237,7 +237,7 @@ def test_an_image_without_known_energy_is_not_predicted() -> None:
     assert not mirror.predicted and "clipped" in mirror.warning and "lower bound" in mirror.warning
     images = mirror.images(MIRRORING.light, MIRRORING.heading_deg)
     visible = facade_light(MIRRORING.light, FACADE)[1] > 3000.0
-    assert not images.shown.any() and images.doubtful[visible].all()
+    assert not images.shown.any() and images.uncertain[visible].all()
 
 
 @pytest.mark.analytic

@@ -29,7 +29,6 @@ from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure, Site, SiteFile, Slot
 from fieldlum.core.strict_csv import is_wm2, microvolts, split_heading, stated_unit
 from fieldlum.devices.logger_files import LoggerFile, read_logger_file
-from fieldlum.learn.models.camera_turns import AlignmentRow, find_alignment, write_alignment
 from fieldlum.report.sections import read_quality
 from fieldlum.session import create_session, day_files, read_day
 from fieldlum.session.files.irradiance_csv import CleanIrradiance
@@ -499,18 +498,6 @@ def test_a_netcdf_file_of_arm_has_the_values_and_times_of_scipy(tmp_path: Path) 
     assert "not used: up_short_hemisp" in read.notes[0] and "quality flags" in read.notes[-1]
     with pytest.raises(InputError, match="no column GHI"):
         read_logger_file(path, None, {"ghi_wm2": "GHI"})
-
-
-@pytest.mark.contract
-@pytest.mark.parametrize("damage", [",", '"', "x"])
-def test_a_damaged_table_of_turns_is_computed_again(tmp_path: Path, damage: str) -> None:
-    path = tmp_path / "pairs.alignment.csv"
-    rows = [AlignmentRow("a.exr", "1f", 0.5), AlignmentRow("b.exr", "2f")]
-    write_alignment(path, rows)
-    assert list(find_alignment(path)) == rows
-    text = path.read_text().replace(",0.5,", f",0.5{damage},")
-    path.write_text(text)
-    assert find_alignment(path) == ()
 
 
 @pytest.mark.contract

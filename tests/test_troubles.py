@@ -17,7 +17,7 @@ from fieldlum.core.records import slot_id
 from fieldlum.learn import models
 from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.scores import evaluate, summary, truth
-from fieldlum.learn.train import doubts
+from fieldlum.learn.train import held_out_warnings
 from fieldlum.learn.transport import Transport
 from fieldlum.optics.profiles import shipped
 from fieldlum.room import simulate
@@ -190,5 +190,7 @@ def test_intervals_hold_under_clouds_and_north_is_not_blamed() -> None:
     assert fitted.sky_field is not None and fitted.pixels.computed_gain.any()
     found = summary(evaluate(fitted, truth(_cloudy(truth_of, asked, sd, 9), glare=False)))
     assert 0.85 <= found["in_90_band"] <= 0.95
-    text = " ".join((*doubts(fitted, data), *settle(fitted, data, scan(data, "absolute"))[1]))
+    text = " ".join(
+        (*held_out_warnings(fitted, data), *settle(fitted, data, scan(data, "absolute"))[1])
+    )
     assert "check clock" not in text and "north is wrong" not in text

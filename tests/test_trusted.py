@@ -12,7 +12,7 @@ from fieldlum.learn import models
 from fieldlum.learn.models import TRUSTED_MSE, Prediction, trusted_hours
 from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.scores import evaluate, summary, truth
-from fieldlum.learn.train import doubts
+from fieldlum.learn.train import held_out_warnings
 
 DAYS = ("2027-03-19", "2027-03-20", "2027-03-21", "2027-06-20", "2027-06-21", "2027-06-22")
 CLEAN = dataset(DAYS, height=16)
@@ -23,7 +23,7 @@ ASKED = truth(TEST, glare=False)
 def _share(data: Dataset) -> tuple[float, list[str]]:
     fitted = models.fit("transport", data, patch="none", seed=0)
     found = summary(evaluate(fitted, ASKED))
-    return found["trusted_share"], doubts(fitted, data)
+    return found["trusted_share"], held_out_warnings(fitted, data)
 
 
 @pytest.mark.slow

@@ -1,7 +1,7 @@
 """Test conditions in which methods fail: error over a normal case, and whether the tool reports it.
 
 A condition changes the training data, the test data, or both, relative to its own normal case.
-"Reported" means one of three: the training warned (`learn.train.doubts`,
+"Reported" means one of three: the training warned (`learn.train.held_out_warnings`,
 `room.fit.setting.settle`); the model expected, on average, more than a third of the error; or it
 did not trust most of the hours, or most of those with a large error.
 
@@ -24,7 +24,7 @@ from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.records import JsonTable, Progress, quiet
 from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.scores import Scores, evaluate, truth
-from fieldlum.learn.train import doubts, fit_timed, patch_mode
+from fieldlum.learn.train import fit_timed, held_out_warnings, patch_mode
 from fieldlum.room.fit.apply import with_patches
 from fieldlum.room.fit.setting import scan, settle
 from fieldlum.sky import sun
@@ -246,7 +246,7 @@ def run(
             spec.name, train, patch=patch_mode(train, spec.patch), seed=case.seed, budget_s=budget_s
         )
         fitted, wrong = settle(fitted, case.train, scan(case.train, patch_mode(train, spec.patch)))
-        warned = bool(doubts(fitted, train) or wrong)
+        warned = bool(held_out_warnings(fitted, train) or wrong)
         row = _row(evaluate(fitted, truth(tested, glare=False)), warned)
         about = {"name": spec.label, "regime": case.name, "n_train": len(train)}
         error = normal.setdefault(case.name, row["log10_mse_weighted"])

@@ -5,13 +5,12 @@ Models without a variance trust hours whose light is in the `Domain` of the capt
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from fieldlum.core.arrays import Floats, Floats32, Mask
-from fieldlum.core.records import JsonTable
-from fieldlum.learn.models import ModelState, Patch, Prediction
+from fieldlum.learn.models import ModelState, Patch, Prediction, rebuilt, state_of
 from fieldlum.learn.models.data import Dataset
 from fieldlum.sky.light import Light
 
@@ -51,21 +50,6 @@ class Domain:
         overcast = (light.dni_wm2 < SUNNY_WM2) & (self.dni_wm2[0] < 2 * SUNNY_WM2)
         return sky_known & (sun_known & beam_known | overcast)
 
-    def state(self) -> JsonTable:
-        """Return the domain as an object that JSON can store."""
-        return {**asdict(self), "sun_directions": np.round(self.sun_directions, 5).tolist()}
-
-    @staticmethod
-    def from_state(state: JsonTable) -> Domain:
-        """Return the domain that the method `state` described.
-
-        Raises KeyError, TypeError or ValueError for other content.
-        """
-        dhi_low, dhi_high = map(float, state["dhi_wm2"])
-        dni_low, dni_high = map(float, state["dni_wm2"])
-        suns = np.asarray(state["sun_directions"], float).reshape(-1, 3)
-        return Domain(suns, (dhi_low, dhi_high), (dni_low, dni_high))
-
 
 def captured(light: Light) -> Domain:
     """Return the domain of the captures whose light is `light`."""
@@ -87,8 +71,8 @@ class MeanFitted:
 
     log10_mean: Floats32
     domain: Domain
-    name: str = "mean"
-    held_out_mse: None = None
+    name: str = field(default="mean", init=False)
+    held_out_mse: None = field(default=None, init=False)
 
     @property
     def parameters(self) -> int:
@@ -107,8 +91,7 @@ class MeanFitted:
 
     def state(self) -> ModelState:
         """Return what config.json and weights.npz must contain for `from_state` to rebuild it."""
-        config = {"domain": self.domain.state(), "with_patch": False}
-        return ModelState(config, {"log10_mean": self.log10_mean})
+        return state_of(self, False)
 
 
 def fit_mean(data: Dataset, **_: object) -> MeanFitted:
@@ -140,8 +123,8 @@ class NearestFitted:
     scale: Floats
     with_patch: bool
     domain: Domain
-    name: str = "nearest"
-    held_out_mse: None = None
+    name: str = field(default="nearest", init=False)
+    held_out_mse: None = field(default=None, init=False)
 
     @property
     def parameters(self) -> int:
@@ -169,8 +152,7 @@ class NearestFitted:
 
     def state(self) -> ModelState:
         """Return what config.json and weights.npz must contain for `from_state` to rebuild it."""
-        arrays = {name: getattr(self, name) for name in ("rest_cdm2", "features", "scale")}
-        return ModelState({"domain": self.domain.state(), "with_patch": self.with_patch}, arrays)
+        return state_of(self, self.with_patch)
 
 
 def light_features(light: Light) -> Floats:
@@ -212,9 +194,6 @@ def from_state(state: ModelState) -> MeanFitted | NearestFitted:
 
     Raises KeyError, TypeError or ValueError for missing or wrong content.
     """
-    config, arrays = state.config, state.arrays
-    domain = Domain.from_state(config["domain"])
-    if config["model"] == "mean":
-        return MeanFitted(arrays["log10_mean"], domain)
-    rest, features, scale = (arrays[name] for name in ("rest_cdm2", "features", "scale"))
-    return NearestFitted(rest, features, scale, config["with_patch"], domain)
+    name = state.config["model"]
+    kind = MeanFitted if name == "mean" else NearestFitted
+    return rebuilt(kind, state.config[name], state.arrays)

@@ -5,26 +5,22 @@ Therefore the median over captures of the derivatives of ln L contains only the 
 "Deriving intrinsic images from image sequences", ICCV 2001). The derivatives of each capture are
 compared with this median by least squares on the sphere (Lucas and Kanade 1981) with robust
 weights. Then the captures are turned back and the median is computed again. The pose that most
-captures share is zero. The turns are stored in a table next to the csv of pairs; picture files do
-not change.
+captures share is zero. Picture files do not change.
 """
 
 from __future__ import annotations
 
-import contextlib
-import zlib
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter, minimum_filter
 from scipy.spatial.transform import Rotation
+from skimage.measure import block_reduce
 
 from fieldlum.core.arrays import Array, Floats, Floats32, Mask
-from fieldlum.core.errors import InputError
 from fieldlum.core.records import Progress, counted, quiet
 from fieldlum.learn.models.held_out_choice import weight_of_variance
 from fieldlum.optics.projection import (
@@ -37,7 +33,6 @@ from fieldlum.optics.projection import (
     wrapped,
 )
 from fieldlum.optics.turn_fit import Contrasts, fit_turn
-from fieldlum.session.codec import read_rows, write_csv
 
 MIN_CAPTURES = 5  # fewer captures have no clear majority; not measured
 MIN_ROWS = 40  # in smaller pictures an edge is as wide as a wall; not measured
@@ -251,18 +246,14 @@ def _motion_px(shape: tuple[int, int], heading_deg: float) -> Array:
 
 
 def _smaller(luminance_cdm2: Floats, seen_mask: Mask) -> tuple[Floats32, Mask]:
-    """Return ln L of maps [n, h, w] and seen pixels [h, w] at the working size."""
-    # larger pictures are averaged to 230 to 459 rows
+    """Return ln L of maps [n, h, w] and seen pixels [h, w], averaged to 230 to 459 rows."""
     step = max(1, luminance_cdm2.shape[1] // 230)
     if luminance_cdm2.shape[1] % step or luminance_cdm2.shape[2] % step:
         step = 1
-    height, width = (size // step for size in seen_mask.shape)
-    logs = np.empty((len(luminance_cdm2), height, width), np.float32)
-    for k, image in enumerate(luminance_cdm2):
-        # in darker places edges are noise
-        log = np.log(np.maximum(image, 0.1))
-        logs[k] = log.reshape(height, step, width, step).mean(axis=(1, 3))
-    return logs, np.asarray(seen_mask.reshape(height, step, width, step).all(axis=(1, 3)))
+    # in darker places edges are noise
+    logs = (np.log(np.maximum(image, 0.1)) for image in luminance_cdm2)
+    small = [block_reduce(log, step, np.mean).astype(np.float32) for log in logs]
+    return np.stack(small), block_reduce(seen_mask, step, np.all)
 
 
 def camera_turns(
@@ -309,8 +300,7 @@ def camera_turns(
     if light is not None:
         angles = angles - pixel_deg * turns_by_light(angles / pixel_deg, light)
     poses = _poses(angles, aligned, pixel_deg)
-    # Rounded to four decimals as in the table, so that reading the table gives identical maps.
-    return CameraTurns(np.round(poses, 4), np.round(u_deg, 4), aligned)
+    return CameraTurns(poses, u_deg, aligned)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -388,97 +378,6 @@ def _pieces(values: Array) -> list[tuple[int, int]]:
 # captures
 
 
-@dataclass(frozen=True, slots=True)
-class AlignmentRow:
-    """The pose of one picture; the fields are the columns.
-
-    digest: of its pixels, so that another picture of the same name is compared again. Turns are
-    relative to the pose of most pictures [deg]: heading clockwise, tilt up, roll clockwise; u_...:
-    their standard uncertainties [deg]. aligned: False (0 in the file) for a picture that is not
-    used.
-    """
-
-    panorama: str
-    digest: str
-    heading_deg: float = 0.0
-    tilt_deg: float = 0.0
-    roll_deg: float = 0.0
-    u_heading_deg: float = 0.0
-    u_tilt_deg: float = 0.0
-    u_roll_deg: float = 0.0
-    aligned: bool = True
-
-
-_COLUMNS = tuple(field.name for field in fields(AlignmentRow))
-
-
-def alignment_path(pairs: Path) -> Path:
-    """Return the path of the table of camera turns (NAME.alignment.csv) of a csv of pairs."""
-    return pairs.with_name(f"{pairs.stem}.alignment.csv")
-
-
-def find_alignment(path: Path) -> tuple[AlignmentRow, ...]:
-    """Return the rows of an alignment table; empty if the file is missing or has other content."""
-    try:
-        return tuple(read_rows(AlignmentRow, path, "camera turns", "", _COLUMNS))
-    except InputError:
-        return ()
-
-
-def write_alignment(path: Path, rows: Sequence[AlignmentRow]) -> None:
-    """Write all rows. Raises OSError if the folder is not writable."""
-    write_csv(path, (asdict(row) for row in rows), _COLUMNS)
-
-
-def find_turns(
-    pairs: Path,
-    pictures: Sequence[str],
-    maps: Floats32,
-    has_value: Mask,
-    heading_deg: float,
-    light: DirectLight,
-    progress: Progress,
-) -> CameraTurns:
-    """Return how the camera of each capture was turned relative to most captures.
-
-    pairs: path of pairs.csv. The other arguments have the n captures in the order of time:
-    pictures: names of the panoramas as in the csv; maps: [n, H, W]; has_value: True for measured
-    pixels [n, H, W]. heading_deg: azimuth of the maps' centre column. light: their direct light.
-
-    The turns are read from a table next to the csv if its names and checksums are those of all
-    maps. Otherwise `camera_turns` estimates them, and with at least 5 captures and 40 rows of
-    pixels a new table is written. In a read-only folder nothing is written, and no error is raised.
-    """
-    path = alignment_path(pairs)
-    digests = [f"{zlib.crc32(m.tobytes()):08x}" for m in maps]
-    rows = find_alignment(path)
-    if [(r.panorama, r.digest) for r in rows] == list(zip(pictures, digests, strict=True)):
-        return CameraTurns(
-            np.array([(r.heading_deg, r.tilt_deg, r.roll_deg) for r in rows]),
-            np.array([(r.u_heading_deg, r.u_tilt_deg, r.u_roll_deg) for r in rows]),
-            np.array([r.aligned for r in rows]),
-        )
-    # a pixel is compared if this share of captures has a value
-    compared = has_value.mean(axis=0) > 0.8
-    turns = camera_turns(np.nan_to_num(maps), compared, heading_deg, light=light, progress=progress)
-    if len(maps) >= MIN_CAPTURES and maps.shape[1] >= MIN_ROWS:
-        table = [
-            AlignmentRow(name, digest, *angles, *u, aligned=bool(aligned))
-            for name, digest, angles, u, aligned in zip(
-                pictures,
-                digests,
-                turns.angles_deg.tolist(),
-                turns.u_deg.tolist(),
-                turns.aligned,
-                strict=True,
-            )
-        ]
-        # in a read-only folder the pictures are compared each time
-        with contextlib.suppress(OSError):
-            write_alignment(path, table)
-    return turns
-
-
 def align(
     maps: Floats32,
     has_value: Mask,
@@ -526,12 +425,11 @@ def shown_place(
     return altitude, float(np.degrees(np.arctan2(x, y)) % 360.0)
 
 
-def turn_notes(turns: CameraTurns, days: NDArray[np.datetime64], table: str) -> list[str]:
+def turn_notes(turns: CameraTurns, days: NDArray[np.datetime64]) -> list[str]:
     """Return sentences for the user: one for each pose that was corrected, one on unused captures.
 
     Captures that cannot be aligned are not used. The list is empty if all captures are aligned and
-    no camera was turned. days: local date of each capture [n]; table: name of the file with the
-    turns.
+    no camera was turned. days: local date of each capture [n].
     """
     notes = []
     for pose in np.unique(turns.angles_deg[turns.turned], axis=0):
@@ -544,12 +442,12 @@ def turn_notes(turns: CameraTurns, days: NDArray[np.datetime64], table: str) -> 
         notes.append(
             f"the camera was turned, relative to most captures, in {_captures(rows, days)} by "
             f"{', '.join(parts)} degrees (positive: clockwise, up, clockwise); the pictures "
-            f"were turned back in memory (angles of each capture: {table})"
+            "were turned back in memory"
         )
     if not turns.aligned.all():
         notes.append(
             f"WARNING: not used: {_captures(~turns.aligned, days)} that cannot be aligned with the "
-            f"others (aligned = 0 in {table}): the camera was turned too far or moved; put them "
+            f"others: the camera was turned too far or moved; put them "
             "into a separate session"
         )
     return notes

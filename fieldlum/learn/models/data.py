@@ -28,8 +28,7 @@ from fieldlum.core.room_states import USAGE, merged_state
 from fieldlum.learn.models.camera_turns import (
     DirectLight,
     align,
-    alignment_path,
-    find_turns,
+    camera_turns,
     shown_place,
     turn_notes,
 )
@@ -52,7 +51,6 @@ from fieldlum.sky.sky_view.view import NAME as SKY_VIEW
 from fieldlum.sky.sun_disc import find_disc, without_disc
 
 _SLOT_ID = re.compile(r"\d{8}T\d{6}Z")
-_NAMED = 3  # number of slots that a note names
 # Radiance's own sun differs from SPA by up to 1.1 degrees; a time wrong by an hour moves the sun by
 # 15, by half an hour by 7.
 MAX_SUN_DEG = 2.5
@@ -72,7 +70,7 @@ class Dataset:
     counts: weight of each value in training [n, H, W], None if all are 1; scene: what was used of a
     fitted scene, None without one; sky_view: where the camera sees the sky, None if it was not
     estimated (`with_sky_view`); disc_deg: altitude and azimuth of the disc in the map [n, 2], NaN
-    or None where not measured; doubted: True for hours whose irradiance `pair` marked [n], None
+    or None where not measured; uncertain: True for hours whose irradiance `pair` marked [n], None
     without any.
     """
 
@@ -92,7 +90,7 @@ class Dataset:
     scene: UsedScene | None = None
     sky_view: SkyView | None = None
     disc_deg: Floats | None = None
-    doubted: Mask | None = None
+    uncertain: Mask | None = None
 
     def __len__(self) -> int:
         return len(self.slots)
@@ -119,7 +117,7 @@ class Dataset:
         """
         rows = np.arange(len(self))[np.asarray(index)]
         names = ("luminance_cdm2", "patch_cdm2", "disc_lx", "disc_deg", "days", "steadiness")
-        every = {name: getattr(self, name) for name in (*names, "counts", "doubted")}
+        every = {name: getattr(self, name) for name in (*names, "counts", "uncertain")}
         some = {name: value[rows] for name, value in every.items() if value is not None}
         slots = tuple(self.slots[i] for i in rows)
         return replace(self, light=self.light[rows], slots=slots, **some)
@@ -199,34 +197,21 @@ def _check_irradiance(path: Path, rows: Sequence[PairRow], altitude_deg: Floats)
     top = sun.extraterrestrial_wm2([row.t_utc for row in rows])
     dni, dhi = np.array([(row.dni_wm2, row.dhi_wm2) for row in rows]).T
     sine = np.sin(np.radians(np.maximum(altitude_deg, 0.0)))
-    up = altitude_deg > sun.CLEAR_SUN_DEG
     limits = sun.bsrn_limits(altitude_deg, top)
     weak = sun.too_weak(dhi + dni * sine, altitude_deg, top)
     for wrong, finding, remedy in (
-        (
-            dhi > limits.dhi_wm2[1],
-            "more diffuse light than any sky gives",
-            "check whether the column contains global irradiance",
-        ),
-        (
-            dni > limits.dni_wm2[1],
-            "more direct light than above the atmosphere",
-            "correct the irradiance of that row, or set ok = 0",
-        ),
-        (
-            weak,
-            "less light than under the darkest clouds",
-            "check whether the values are in kW/m2; otherwise set ok = 0",
-        ),
+        (dhi > limits.dhi_wm2[1], "more diffuse light than any sky gives", "global irradiance"),
+        (dni > limits.dni_wm2[1], "more direct light than above the atmosphere", "other units"),
+        (weak, "less light than under the darkest clouds", "kW/m2"),
     ):
-        if (wrong & up).any():
-            k = int(np.argmax(wrong & up))
+        if (wrong := wrong & (altitude_deg > sun.CLEAR_SUN_DEG)).any():
+            k = int(np.argmax(wrong))
             raise InputError(
                 path,
                 f"line {rows[k].line} has {finding}: DNI {dni[k]:g}, "
                 f"DHI {dhi[k]:g} W/m2 with the sun at {altitude_deg[k]:.0f} deg",
                 "possible irradiance in W/m2",
-                remedy,
+                f"check whether the column contains {remedy}; otherwise set ok = 0",
             )
 
 
@@ -294,8 +279,8 @@ def load_pairs(
         notes.append(f"left out: {counted(refused, 'row')} with ok = 0")
     dark = [row for row in rows if row.dni_wm2 + row.dhi_wm2 <= 0.0]
     if dark:
-        more = f" and {len(dark) - _NAMED} more" if len(dark) > _NAMED else ""
-        named = ", ".join(Path(row.panorama).stem for row in dark[:_NAMED])
+        more = f" and {len(dark) - 3} more" if len(dark) > 3 else ""
+        named = ", ".join(Path(row.panorama).stem for row in dark[:3])
         notes.append(f"captures without irradiance are not used: {named}{more}")
         rows = [row for row in rows if row.dni_wm2 + row.dhi_wm2 > 0.0]
     if not rows:
@@ -320,21 +305,22 @@ def _assemble(
             "only a lower bound; run fieldlum pair, and read its cautions"
         )
     heading = pictures.heading_deg
-    names = [row.panorama for row in rows]
     dni = np.array([row.dni_wm2 for row in rows])
     dhi = np.array([row.dhi_wm2 for row in rows])
     days = [sun.standard_date(row.t_utc, setup.site.timezone) for row in rows]
     days = np.array(days, "datetime64[D]")
     beam = dni * np.sin(np.radians(np.maximum(altitude, 0.0)))
     direct = DirectLight(beam / np.maximum(beam + dhi, 1.0), azimuth, days)
-    turns = find_turns(path, names, pictures.maps, pictures.has_value, heading, direct, progress)
+    # a pixel is compared if this share of captures has a value
+    compared, maps = pictures.has_value.mean(axis=0) > 0.8, np.nan_to_num(pictures.maps)
+    turns = camera_turns(maps, compared, heading, light=direct, progress=progress)
     for k in (k for k, row in enumerate(rows) if row.sun_in_map):
         at = float(shown_altitude[k]), float(azimuth[k])
         shown = shown_place(*at, heading, turns.angles_deg[k])
         pictures.take_disc_out(k, at, shown, float(dni[k]))
     align(pictures.maps, pictures.has_value, pictures.counts, heading, turns)
     counts = joined_counts(pictures.counts, pictures.has_value)
-    notes += turn_notes(turns, days, alignment_path(path).name)
+    notes += turn_notes(turns, days)
     seen_mask, filled = fill_gaps(pictures.maps, pictures.has_value)
     if filled:
         notes.append(
@@ -353,7 +339,7 @@ def _assemble(
             f"no {SKY_VIEW}: the coarse maps decide the sun's disc; run fieldlum pair again"
         )
     times = [row.t_utc for row in rows]
-    doubted = np.array([is_doubted(row.why) for row in rows])
+    uncertain = np.array([is_doubted(row.why) for row in rows])
     data = Dataset(
         light=Light(
             t_utc=tuple(times),
@@ -378,7 +364,7 @@ def _assemble(
         notes=tuple(notes),
         counts=counts,
         sky_view=view,
-        doubted=doubted if doubted.any() else None,
+        uncertain=uncertain if uncertain.any() else None,
     )
     return data if turns.aligned.all() else data.take(turns.aligned)
 
@@ -431,19 +417,16 @@ def _sun_columns(rows: list[PairRow], setup: SiteFile) -> tuple[Floats, Floats]:
     stated = np.array([(row.sun_altitude_deg, row.sun_azimuth_deg) for row in rows]).T
     position = sun.position([row.t_utc for row in rows], setup.site)
     computed = np.stack((position.altitude_deg, position.azimuth_deg))
-    altitude, azimuth = np.where(np.isnan(stated).any(axis=0), computed, stated)
-    return altitude, azimuth
+    return tuple(np.where(np.isnan(stated).any(axis=0), computed, stated))
 
 
 # ----------------------------------------------------------------------------------------------
 # pictures
 
 
-_MERGE_ALIKE = "render or merge all brackets at one size and heading, then run fieldlum pair again"
-_PAIR_AGAIN = "run fieldlum pair again, because the sun patches belong to other pictures"
 # A clipped value is a bound; a moving object has different values in each frame; a filled value is
 # from the pixel's neighbours. Bloom and noise are part of u_cdm2.
-TEACHES_NOTHING = Flag.CLIPPED_HIGH | Flag.MOTION | Flag.FILLED
+NO_TRAINING = Flag.CLIPPED_HIGH | Flag.MOTION | Flag.FILLED
 
 
 @dataclass(frozen=True, slots=True)
@@ -519,14 +502,14 @@ def read_pictures(
     for k, row in enumerate(rows):
         progress(k, len(rows), pictures[k].name)
         panorama = read_panorama_with_sun(pictures[k], suns[pictures[k].parent])
-        panorama = _checked(panorama, pictures[k], alike, setup, _MERGE_ALIKE)
+        panorama = _checked(panorama, pictures[k], alike, setup)
         bounds += panorama.sun is not None and panorama.sun.origin == CLIPPED_SUN
         maps[k], masks[k] = panorama.luminance_cdm2, _has_value(panorama)
         counts.append(pixel_counts(panorama))
         disc[k] = panorama.sun.normal_illuminance_lx if panorama.sun else 0.0
         if patches is not None:
             source = path.parent / row.sunpatch
-            patch = _checked(read_panorama(source), source, alike, setup, _PAIR_AGAIN)
+            patch = _checked(read_panorama(source), source, alike, setup)
             patches[k] = np.maximum(np.nan_to_num(patch.luminance_cdm2), 0.0)
             if patch.sun and not panorama.sun and not row.sun_in_map:
                 disc[k] = patch.sun.normal_illuminance_lx
@@ -549,7 +532,6 @@ def _checked(
     path: Path,
     alike: tuple[tuple[int, ...], float],
     setup: SiteFile,
-    remedy: str,
 ) -> Panorama:
     """Return a picture if it has size and heading of the first row's, else raise InputError."""
     heading, (height, width) = _heading(panorama, path, setup), panorama.luminance_cdm2.shape
@@ -559,6 +541,7 @@ def _checked(
         found, wanted = f"a heading of {heading:g} deg", f"{alike[1]:g} deg"
     else:
         return panorama
+    remedy = "merge all brackets at one size and heading, then run fieldlum pair again"
     raise InputError(path, found, f"{wanted}, as the panorama of the first row", remedy)
 
 
@@ -603,7 +586,7 @@ def pixel_counts(panorama: Panorama) -> NDArray[np.float16] | None:
         relative = np.nan_to_num(np.asarray(panorama.u_cdm2, float) / light, posinf=1e3)
         counts = weight_of_variance(relative**2)
     if panorama.flags is not None:
-        counts = np.where((panorama.flags & TEACHES_NOTHING) != 0, 0.0, counts)
+        counts = np.where((panorama.flags & NO_TRAINING) != 0, 0.0, counts)
     return counts.astype(np.float16)
 
 
@@ -631,9 +614,6 @@ def joined_counts(
 
 # ----------------------------------------------------------------------------------------------
 # sky view of a csv of panoramas; that of a session is by `pair`
-
-
-_PIXEL_SIGMA = 1 / np.sqrt(12.0)  # standard deviation of a place within a pixel
 
 
 def with_sky_view(
@@ -665,5 +645,5 @@ def _discs(data: Dataset) -> MeasuredDiscs:
     if data.disc_deg is None or not (rows := np.flatnonzero(np.isfinite(data.disc_deg[:, 0]))).size:
         return NO_DISCS
     altitude, azimuth = data.disc_deg[rows].T
-    sigma = np.full(len(rows), 180.0 / data.shape[0] * _PIXEL_SIGMA)
+    sigma = np.full(len(rows), 180.0 / data.shape[0] / np.sqrt(12.0))
     return MeasuredDiscs(altitude, azimuth, sigma, tuple(data.light.t_utc[k] for k in rows))

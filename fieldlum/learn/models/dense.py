@@ -33,7 +33,7 @@ from torch.nn import functional as F
 from fieldlum.core.arrays import Array, Floats, Floats32
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Progress, quiet
-from fieldlum.learn.models import ModelState, Patch, Prediction
+from fieldlum.learn.models import ModelState, Patch, Prediction, rebuilt, stored
 from fieldlum.learn.models.baselines import Domain, captured
 from fieldlum.learn.models.data import Dataset
 from fieldlum.optics.projection import equirect_rays, signed_angle_deg
@@ -255,17 +255,16 @@ class DenseFitted:
 
     def state(self) -> ModelState:
         """Return what config.json and weights.npz must contain for `from_state` to rebuild it."""
+        arrays: dict[str, Array] = {"average_log10": self.average_log10}
         config = {
             "shape": asdict(self.shape),
             "patch": self.patch,
-            "domain": self.domain.state(),
+            "domain": stored(self.domain, "domain.", arrays),
             "dense_training": self.training,
         }
-        weights = {
-            f"net.{name}": value.detach().cpu().numpy()
-            for name, value in self.net.state_dict().items()
-        }
-        return ModelState(config, {"average_log10": self.average_log10, **weights})
+        for name, value in self.net.state_dict().items():
+            arrays[f"net.{name}"] = value.detach().cpu().numpy()
+        return ModelState(config, arrays)
 
 
 def from_state(state: ModelState) -> DenseFitted:
@@ -288,7 +287,7 @@ def from_state(state: ModelState) -> DenseFitted:
         net.load_state_dict(weights)
     except RuntimeError as error:
         raise ValueError(str(error).splitlines()[0]) from None
-    domain, about = Domain.from_state(config["domain"]), config["dense_training"]
+    domain, about = rebuilt(Domain, config["domain"], arrays, "domain."), config["dense_training"]
     average, heading_deg = arrays["average_log10"], config["heading_deg"]
     return DenseFitted(net, shape, average, heading_deg, config["patch"], domain, about)
 

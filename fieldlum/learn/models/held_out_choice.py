@@ -146,7 +146,7 @@ LOW_SUN_DEG = 5.0
 # Below this share of the hours, those that were not measured well are needed: at 62 degrees north
 # all winter hours have a sun below 5 degrees. Chosen.
 MIN_MEASURED_SHARE = 2.0 / 3.0
-DOUBTED_WEIGHT = 0.25  # of an hour that is needed; half of the usual deviation; chosen
+UNCERTAIN_WEIGHT = 0.25  # of an hour that is needed; half of the usual deviation; chosen
 
 
 def sun_is_unmeasured(light: Light, direct: Array) -> Mask:
@@ -183,37 +183,37 @@ def weight_of_variance(variance: Floats) -> Floats:
     return 1.0 / (1.0 + variance / UNSURE)
 
 
-def beam_is_doubted(data: Dataset) -> Mask:
+def beam_is_uncertain(data: Dataset) -> Mask:
     """Return a mask [n], True for hours whose direct light was not measured well.
 
     These are hours with a beam and a sun under 5 degrees, hours with an unmeasured sun, and those
-    whose irradiance `pair` marked (`Dataset.doubted`).
+    whose irradiance `pair` marked (`Dataset.uncertain`).
     """
     light = data.light
     # DNI of an overcast hour, within the errors of two horizontal readings
     low = (light.sun_altitude_deg < LOW_SUN_DEG) & (light.dni_wm2 > 20.0)
-    doubted = low | sun_is_unmeasured(light, light.dni_wm2)
-    return doubted if data.doubted is None else doubted | data.doubted
+    uncertain = low | sun_is_unmeasured(light, light.dni_wm2)
+    return uncertain if data.uncertain is None else uncertain | data.uncertain
 
 
 def is_badly_measured(data: Dataset) -> Mask:
     """Return a mask [n], True for hours whose pictures cannot contradict their irradiance.
 
-    Their beam is doubted, or two readings' errors exceed a tenth of the light.
+    Their beam is uncertain, or two readings' errors exceed a tenth of the light.
     """
     light = data.light
     upwards = np.sin(np.radians(np.maximum(light.sun_altitude_deg, 0.0)))
     total_wm2 = light.dhi_wm2 + light.dni_wm2 * upwards
-    return beam_is_doubted(data) | (UNSURE * total_wm2**2 < ZERO_OFFSET_WM2**2)
+    return beam_is_uncertain(data) | (UNSURE * total_wm2**2 < ZERO_OFFSET_WM2**2)
 
 
 def choice_weights(data: Dataset) -> Floats:
     """Return the weights of hours in choices and warnings, 0 to 1, [n].
 
-    Hours of a doubted beam have none. If fewer than two thirds of the hours would remain, they have
+    Hours of a uncertain beam have none. If fewer than two thirds of the hours would remain, they have
     a quarter instead. Unsteady light lowers the weight further.
     """
-    doubted = beam_is_doubted(data)
-    minimum = 0.0 if (~doubted).mean() >= MIN_MEASURED_SHARE else DOUBTED_WEIGHT
-    steady = weight_of_variance(np.where(doubted, 0.0, light_variance(data)))
-    return np.where(doubted, minimum, steady)
+    uncertain = beam_is_uncertain(data)
+    minimum = 0.0 if (~uncertain).mean() >= MIN_MEASURED_SHARE else UNCERTAIN_WEIGHT
+    steady = weight_of_variance(np.where(uncertain, 0.0, light_variance(data)))
+    return np.where(uncertain, minimum, steady)

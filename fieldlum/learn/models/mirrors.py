@@ -8,15 +8,15 @@ are near and whose pixels have similar luminance in all captures.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from fieldlum.core.arrays import Array, Floats, Floats32, Indices, Mask
+from fieldlum.core.arrays import Floats, Floats32, Indices, Mask
 from fieldlum.core.errors import InputError
-from fieldlum.core.records import JsonTable
+from fieldlum.learn.models import rebuilt
 from fieldlum.learn.models.data import Dataset
 from fieldlum.optics.projection import (
     altitude_azimuth_deg,
@@ -63,7 +63,7 @@ class MirroredSun:
         return np.where(self.shown, self.normal_lx, 0.0)
 
     @property
-    def doubtful(self) -> Mask:
+    def uncertain(self) -> Mask:
         """Mask [n], True where the chance that `shown` is wrong exceeds 5 %."""
         # an hour is not trusted if the chance of a wrong decision is larger
         return np.where(self.shown, 1.0 - self.chance, self.chance) > 0.05
@@ -177,36 +177,25 @@ def pixels(towards: Floats, shape: tuple[int, ...], heading_deg: float) -> Indic
 # a model's folder
 
 
-def table_of(mirrors: Sequence[Mirror]) -> list[JsonTable]:
-    """Return what config.json stores of mirrors: a table for each, without `chance`."""
-    return [
-        {name: value for name, value in asdict(mirror).items() if name != "chance"}
-        for mirror in mirrors
-    ]
-
-
-def arrays_of(mirrors: Sequence[Mirror]) -> dict[str, Array]:
-    """Return what weights.npz stores of mirrors; empty without a mirror."""
-    return {"mirror_chance": np.stack([m.chance for m in mirrors])} if mirrors else {}
-
-
 def read_mirrors(folder: Path, config: ModelConfig) -> tuple[Mirror, ...]:
     """Return the mirrors of the model in `folder`; empty if it has none.
 
     config: its config.json. Raises InputError for missing or damaged content.
     """
-    stored: Sequence[Mapping[str, Any]] = config.state.get("mirrors", ())
-    if not stored:
+    tables: Sequence[Mapping[str, Any]] = config.state.get("mirrors", ())
+    if not tables:
         return ()
     try:
-        chance = read_arrays(folder / "weights.npz")["mirror_chance"]
-        if chance.shape != (len(stored), config.height, config.width):
-            raise ValueError(f"mirror_chance has the shape {chance.shape}")
-        for table in stored:
-            numbers = [*table["normal"], table["u_deg"], table["factor"]]
-            if len(numbers) != 5 or not np.isfinite(numbers).all():
-                raise ValueError("a normal, u_deg or factor is not a number")
-        return tuple(Mirror(**table, chance=chance[k]) for k, table in enumerate(stored))
+        arrays = read_arrays(folder / "weights.npz")
+        out = [rebuilt(Mirror, table, arrays, f"mirror{k}.") for k, table in enumerate(tables)]
+        for mirror in out:
+            if mirror.chance.shape != (config.height, config.width):
+                raise ValueError(f"a chance of the shape {mirror.chance.shape}")
+            if len(mirror.normal) != 3 or not np.isfinite([*mirror.normal, mirror.u_deg]).all():
+                raise ValueError("a normal or u_deg is not a number")
+            if not np.isfinite(mirror.factor):
+                raise ValueError("a factor is not a number")
+        return tuple(out)
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(
             folder,

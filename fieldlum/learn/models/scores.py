@@ -15,7 +15,6 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
 from datetime import UTC, datetime, timedelta
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,8 +42,6 @@ from fieldlum.year.glare.metrics import (
 )
 
 FLOOR_CDM2 = 1.0  # paper
-# most maps for which DGP and RAMMG are computed, spread evenly; chosen, limits the time
-GLARE_MAPS = 150
 CHUNK = 24  # maps predicted at a time; chosen, limits the memory
 # fields of `Scores` that need glare
 _GLARE = (
@@ -156,16 +153,17 @@ def truth(data: Dataset, *, glare: bool = True) -> Truth:
     n = len(data)
     asked = np.zeros(n, bool)
     if glare:
-        asked[np.unique(np.linspace(0, n - 1, min(n, GLARE_MAPS)).round().astype(int))] = True
+        asked[np.unique(np.linspace(0, n - 1, min(n, 150)).round().astype(int))] = True
     azimuths_deg = view_azimuths_deg(data.heading_deg)
     views = panorama_views(*data.shape, data.heading_deg, azimuths_deg, data.seen)
     d = len(views.azimuths_deg)
     dgp, ev, contrast = (np.full((n, k), np.nan) for k in (d, d, RAMMG_LEVELS))
     for rows in _chunks(np.flatnonzero(asked)):
         part = data.take(rows)
-        glare_of = _glare(part.luminance_cdm2, part, views)
+        suns, maps = part.light.shown_sun_direction, part.luminance_cdm2
+        glare_of = glare_directions(maps, views, suns, part.disc_lx)
         dgp[rows], ev[rows] = glare_of["dgp"], glare_of["ev_lx"]
-        contrast[rows] = _contrast(part.luminance_cdm2, part)
+        contrast[rows] = _contrast(maps, part)
     own_disc = disc_lx(data.sky_view, data.setup, data.light) if glare else None
     full = view_coverage(views).is_any(SEEN)
     full = full if full.any() else np.ones(d, bool)
@@ -176,11 +174,6 @@ def truth(data: Dataset, *, glare: bool = True) -> Truth:
 def _chunks(rows: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
     for start in range(0, len(rows), CHUNK):
         yield rows[start : start + CHUNK]
-
-
-def _glare(maps: Floats32, data: Dataset, views: Views) -> dict[str, Floats]:
-    """Return glare of maps with the true disc, [n, d] each."""
-    return glare_directions(maps, views, data.light.shown_sun_direction, data.disc_lx)
 
 
 def _contrast(maps: Floats32, data: Dataset) -> Floats:
@@ -257,11 +250,12 @@ def _glare_errors(
     if not asked.any():
         return
     some, maps = part.take(asked), prediction.luminance_cdm2[asked]
-    glare = _glare(maps, some, test.views)
+    suns = some.light.shown_sun_direction
+    glare = glare_directions(maps, test.views, suns, some.disc_lx)
     true_dgp, true_ev = test.dgp[rows[asked]], test.ev_lx[rows[asked]]
     assert test.own_disc_lx is not None
     own_lx = test.own_disc_lx[rows[asked]]
-    in_use = dgp_with_disc(glare, sun_per_lx(some.light.shown_sun_direction, test.views), own_lx)
+    in_use = dgp_with_disc(glare, sun_per_lx(suns, test.views), own_lx)
 
     def mean(values: Floats) -> Floats:
         return values[:, test.full].mean(axis=1)
@@ -301,9 +295,9 @@ def _glare_errors(
 # summing up
 
 
-def _mean(values: Floats) -> float | None:
-    finite = values[np.isfinite(values)]
-    return float(finite.mean()) if len(finite) else None
+def _mean(values: Floats | float) -> float | None:
+    finite = np.asarray(values)[np.isfinite(values)]
+    return float(finite.mean()) if finite.size else None
 
 
 def summary(scores: Scores) -> ScoreFigures:
@@ -339,15 +333,11 @@ def summary(scores: Scores) -> ScoreFigures:
         "expected_mse": _mean(scores.expected_mse),
         "in_90_band": _mean(scores.in_band),
         "worst_decile_found": _worst_tenth_found(scores),
-        "judged_dgp_error": _number(errors.figure("dgp")),
-        "judged_ev_error": _number(errors.figure("ev")),
-        "judged_log10_mse": _number(errors.figure("log10")),
+        "judged_dgp_error": _mean(errors.figure("dgp")),
+        "judged_ev_error": _mean(errors.figure("ev")),
+        "judged_log10_mse": _mean(errors.figure("log10")),
         "n_judged": errors.judged,
     }
-
-
-def _number(value: float) -> float | None:
-    return value if np.isfinite(value) else None
 
 
 def _dgp_r2(scores: Scores) -> float | None:
@@ -373,19 +363,6 @@ def _worst_tenth_found(scores: Scores) -> float | None:
 
 
 YEAR_HOURS = 150  # measured: their mean expected error has a standard error of 10 to 15 %
-_CHUNK = 50  # hours; about 20 MB for each map layer at 460 x 230; chosen
-# Chosen, not measured: below these suns refraction and horizon, or clear-sky irradiance, are
-# uncertain; beam and diffuse irradiance are at most these multiples of a cloudless sky's.
-_LOWEST_SUN_DEG, _LOWEST_CLEAR_SUN_DEG = 2.0, 5.0
-_MAX_BEAM, _MAX_DIFFUSE = 1.2, 4.0
-
-
-class Predictor(Protocol):
-    """A fitted model that predicts maps."""
-
-    def predict(self, light: Light, patch_cdm2: Floats32 | None = None) -> Prediction:
-        """Predict maps of n hours; patch_cdm2: [n, H, W]."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -411,21 +388,20 @@ def light_of_year(data: Dataset, rng: np.random.Generator) -> Light:
     site, first = data.setup.site, data.light.t_utc[0]
     begin = datetime(first.year, 1, 1, tzinfo=UTC)
     hours = [begin + timedelta(hours=hour) for hour in range(365 * 24)]
-    up = np.asarray(sun.position(hours, site).altitude_deg) > _LOWEST_SUN_DEG
+    up = np.asarray(sun.position(hours, site).altitude_deg) > 2.0
     times = [hours[k] for k in np.sort(rng.choice(np.flatnonzero(up), YEAR_HOURS, replace=False))]
-    high = np.flatnonzero(data.light.sun_altitude_deg > _LOWEST_CLEAR_SUN_DEG)
+    high = np.flatnonzero(data.light.sun_altitude_deg > 5.0)
     drawn = rng.choice(high if len(high) else np.arange(len(data)), YEAR_HOURS)
     there = sun.clearsky([data.light.t_utc[k] for k in drawn], site)
     here = sun.clearsky(times, site)
 
-    beam = data.light.dni_wm2[drawn] / np.maximum(there.dni_wm2, 1.0)
-    diffuse = data.light.dhi_wm2[drawn] / np.maximum(there.dhi_wm2, 1.0)
-    beam, diffuse = np.minimum(beam, _MAX_BEAM), np.minimum(diffuse, _MAX_DIFFUSE)
+    beam = np.minimum(data.light.dni_wm2[drawn] / np.maximum(there.dni_wm2, 1.0), 1.2)
+    diffuse = np.minimum(data.light.dhi_wm2[drawn] / np.maximum(there.dhi_wm2, 1.0), 4.0)
     return light_at(times, site, beam * here.dni_wm2, diffuse * here.dhi_wm2)
 
 
 def expect(
-    fitted: Predictor, data: Dataset, light: Light, progress: Progress = quiet
+    fitted: Fitted, data: Dataset, light: Light, progress: Progress = quiet
 ) -> YearExpectation:
     """Return what a model of the captures `data` expects of the n hours of `light`.
 
@@ -434,9 +410,8 @@ def expect(
     """
     n = len(light)
     expected, trusted = np.full(n, np.nan), np.zeros(n, bool)
-    for start in range(0, n, _CHUNK):
-        rows = np.arange(start, min(start + _CHUNK, n))
-        progress(start, n, "error of a year")
+    for rows in _chunks(np.arange(n)):
+        progress(int(rows[0]), n, "error of a year")
         prediction = fitted.predict(light[rows], _patches(data, light[rows]))
         expected[rows], trusted[rows] = prediction.expected_mse, trusted_hours(prediction)
     return YearExpectation(float(expected.mean()), float(trusted.mean()), n)

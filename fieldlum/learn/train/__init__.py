@@ -28,7 +28,7 @@ from fieldlum.learn.models.held_out_choice import (
     CRITERIA,
     LOW_SUN_DEG,
     HeldOutErrors,
-    beam_is_doubted,
+    beam_is_uncertain,
     choice_weights,
     choose,
     trimmed_mean,
@@ -414,10 +414,10 @@ def fit_and_score(
             "the best that was; raise --budget and train again"
         )
         fitted, spent = stored(choice.name)
-    fitted, doubted = findings(fitted, data, setting)
+    fitted, uncertain = findings(fitted, data, setting)
     mirror = [f"WARNING: {m.captures} of {captures} captures {m.warning}" for m in mirrors]
     notes = [*notes_of(data, patch, model, trials), *left_out, *seen_skies(fitted), *mirror]
-    notes += [*changed, *doubted]
+    notes += [*changed, *uncertain]
     try:
         year = year_of(fitted, data, patch, seed, budget.watched(progress))
     except OutOfTime:
@@ -489,7 +489,7 @@ def findings(fitted: Fitted, data: Dataset, setting: Setting | None) -> tuple[Fi
     near patches; otherwise it is `fitted`. setting: result of `scan`.
     """
     fitted, warned = settle(fitted, data, setting)
-    return fitted, [*doubts(fitted, data), *warned]
+    return fitted, [*held_out_warnings(fitted, data), *warned]
 
 
 def default_folder(pairs: Path, model: str) -> Path:
@@ -611,7 +611,7 @@ def seen_skies(fitted: Fitted) -> list[str]:
 def notes_of(data: Dataset, patch: Patch, model: str, trials: Sequence[Trial]) -> tuple[str, ...]:
     """Return the notes of `data`, then notes that a reader of the scores needs.
 
-    They are about captures of one day only, missing sun patches, hours of doubtful direct light,
+    They are about captures of one day only, missing sun patches, hours of uncertain direct light,
     and a model that is worse than a baseline. model: name of the requested model ("auto" gives no
     note about the baselines).
     """
@@ -627,7 +627,7 @@ def notes_of(data: Dataset, patch: Patch, model: str, trials: Sequence[Trial]) -
             "no sun patches in the data: add a [room] to SITE.toml, if it has none, and run "
             "fieldlum pair for a better model"
         )
-    notes += doubted_hours(data)
+    notes += uncertain_hours(data)
     own = next((trial for trial in trials if trial.name == model), None)
     if own is None or MODELS[model].baseline:
         return tuple(notes)
@@ -640,13 +640,13 @@ def notes_of(data: Dataset, patch: Patch, model: str, trials: Sequence[Trial]) -
     return tuple(notes)
 
 
-def doubted_hours(data: Dataset) -> list[str]:
+def uncertain_hours(data: Dataset) -> list[str]:
     """Return a note on the hours whose direct light was not measured well, if there are any."""
-    doubted = int(beam_is_doubted(data).sum())
-    if not doubted:
+    uncertain = int(beam_is_uncertain(data).sum())
+    if not uncertain:
         return []
-    part = f"{doubted} of {counted(len(data), 'hour')}"
-    weight = choice_weights(data)[beam_is_doubted(data)].max()
+    part = f"{uncertain} of {counted(len(data), 'hour')}"
+    weight = choice_weights(data)[beam_is_uncertain(data)].max()
     role = (
         f"count {weight:g} in the choice of a model and in warnings, because too few others remain"
         if weight > 0.0
@@ -658,7 +658,7 @@ def doubted_hours(data: Dataset) -> list[str]:
     ]
 
 
-def doubts(fitted: Fitted, data: Dataset) -> list[str]:
+def held_out_warnings(fitted: Fitted, data: Dataset) -> list[str]:
     """Return warnings about large errors of the model on captures with their day held out.
 
     One warning names days that are much worse than the median day; one is about large errors on

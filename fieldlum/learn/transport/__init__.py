@@ -8,10 +8,9 @@ pixel is calibrated on held-out days.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from datetime import UTC
-from typing import Any, NamedTuple, get_args, get_type_hints
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +18,8 @@ from threadpoolctl import threadpool_limits
 
 from fieldlum.core.arrays import Array, Floats, Floats32, Indices, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
-from fieldlum.core.records import Progress, Room, counted, quiet
-from fieldlum.core.strict_toml import build, plain
-from fieldlum.learn.models import ModelState, Patch, Prediction
+from fieldlum.core.records import Progress, counted, quiet
+from fieldlum.learn.models import ModelState, Patch, Prediction, rebuilt, state_of
 from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.held_out_choice import HeldOutErrors, choose, difference
 from fieldlum.learn.transport.arrays import (
@@ -54,7 +52,6 @@ from fieldlum.optics.projection import equirect_solid_angles
 from fieldlum.sky import sun
 from fieldlum.sky.light import Features, Kernel, Light
 
-FORMAT = 4  # of the table "transport" in config.json
 # Number of pixels, drawn by solid angle, that choose inputs and noise, and that calibrate the
 # uncertainty. Not measured.
 CHOOSING, CALIBRATING = 250, 600
@@ -236,7 +233,7 @@ class Transport:
 
     def state(self) -> ModelState:
         """Return settings for config.json and plain arrays for weights.npz."""
-        return _state(self, self.patch_scale is not None)
+        return state_of(self, self.patch_scale is not None)
 
 
 @dataclass(frozen=True)
@@ -287,47 +284,7 @@ class MeanTransport:
 
     def state(self) -> ModelState:
         """Return settings for config.json and plain arrays for weights.npz."""
-        return _state(self, True)
-
-
-def _state(model: Transport | MeanTransport, with_patch: bool) -> ModelState:
-    arrays: dict[str, Array] = {}
-    table = _stored(model, "", arrays) | {"format": FORMAT}
-    return ModelState({"with_patch": with_patch, "transport": table}, arrays)
-
-
-def _stored(part: Any, prefix: str, arrays: dict[str, Array]) -> dict[str, Any]:
-    """Add the arrays of nested dataclasses to `arrays`, as PART.FIELD; return other values."""
-    table: dict[str, Any] = {}
-    for f in (f for f in fields(part) if f.init):
-        value, key = getattr(part, f.name), prefix + f.name
-        if isinstance(value, np.ndarray):
-            arrays[key] = value
-        elif isinstance(value, Room):
-            table[f.name] = plain(value)
-        else:
-            nested = is_dataclass(value)
-            table[f.name] = _stored(value, f"{key}.", arrays) if nested else value
-    return table
-
-
-def _rebuilt(kind: Any, table: Any, arrays: Mapping[str, Array], prefix: str) -> Any:
-    """Return the dataclass that `_stored` described."""
-    values, hints = {}, get_type_hints(kind)
-    for f in (f for f in fields(kind) if f.init):
-        key, kinds = prefix + f.name, get_args(hints[f.name]) or (hints[f.name],)
-        value = arrays[key] if key in arrays else table[f.name]
-        if Room in kinds:
-            value = build(Room, value, "the model's room")
-        elif isinstance(value, dict):
-            part = next((k for k in kinds if is_dataclass(k)), None)
-            value = _rebuilt(part, value, arrays, f"{key}.")
-        elif isinstance(value, list):
-            value = tuple(value)
-        elif float in kinds and value is not None:
-            value = float(value)
-        values[f.name] = value
-    return kind(**values)
+        return state_of(self, True)
 
 
 def from_state(state: ModelState) -> Transport | MeanTransport:
@@ -336,10 +293,8 @@ def from_state(state: ModelState) -> Transport | MeanTransport:
     Raises KeyError, TypeError or ValueError for missing or wrong content.
     """
     table = state.config["transport"]
-    if table.get("format") != FORMAT:
-        raise ValueError("a transport model of an earlier version")
     kind = MeanTransport if "patched" in table else Transport
-    return _rebuilt(kind, table, state.arrays, "")
+    return rebuilt(kind, table, state.arrays)
 
 
 # ----------------------------------------------------------------------------------------------

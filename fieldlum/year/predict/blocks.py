@@ -88,7 +88,7 @@ class HourBlock:
         """
         trusted = trusted_hours(self.prediction)
         for image in self.images:
-            trusted &= ~image.doubtful
+            trusted &= ~image.uncertain
         return trusted
 
 
