@@ -210,8 +210,8 @@ def is_badly_measured(data: Dataset) -> Mask:
 def choice_weights(data: Dataset) -> Floats:
     """Return the weights of hours in choices and warnings, 0 to 1, [n].
 
-    Hours of a uncertain beam have none. If fewer than two thirds of the hours would remain, they have
-    a quarter instead. Unsteady light lowers the weight further.
+    Hours of an uncertain beam have none. If fewer than two thirds of the hours would remain, they
+    have a quarter instead. Unsteady light lowers the weight further.
     """
     uncertain = beam_is_uncertain(data)
     minimum = 0.0 if (~uncertain).mean() >= MIN_MEASURED_SHARE else UNCERTAIN_WEIGHT
