@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.calibrate import linearity
+from fieldlum.calibrate import sensor as linearity
 from fieldlum.core.records import Exposure
 from fieldlum.merge.estimator import Merged, merge_signals
 from fieldlum.merge.frames import Crop, RawSignal, load_raw

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from fieldlum.calibrate import linearity
+from fieldlum.calibrate import sensor as linearity
 from fieldlum.cli.calibrate_ import linearity as command
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Exposure

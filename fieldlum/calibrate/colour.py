@@ -15,18 +15,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fieldlum.calibrate.model_selection import (
-    OrderSelection,
-    fit_and_choose,
-    gross_errors,
-    held_out_errors,
-)
 from fieldlum.calibrate.pictures import Chart, Place
 from fieldlum.calibrate.readings import (
     READING_U,
     LinearFrame,
+    OrderSelection,
     columns,
     columns_of,
+    fit_and_choose,
+    gross_errors,
+    held_out_errors,
     linear_frame,
     read_table,
     require,

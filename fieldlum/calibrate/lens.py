@@ -10,9 +10,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.calibrate.model_selection import OrderSelection, fit_and_choose, gross_errors
 from fieldlum.calibrate.pictures import Chart, Place, grey_picture
-from fieldlum.calibrate.readings import beyond_lens, columns, read_table, require
+from fieldlum.calibrate.readings import (
+    OrderSelection,
+    beyond_lens,
+    columns,
+    fit_and_choose,
+    gross_errors,
+    read_table,
+    require,
+)
 from fieldlum.core.arrays import Array, Mask
 from fieldlum.core.errors import InputError
 from fieldlum.core.statistics import robust_sigma

@@ -11,9 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.calibrate.model_selection import OrderSelection, fit_and_choose
 from fieldlum.calibrate.pictures import Chart
-from fieldlum.calibrate.readings import require
+from fieldlum.calibrate.readings import OrderSelection, fit_and_choose, require
 from fieldlum.core.arrays import Floats, Indices, Mask
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure

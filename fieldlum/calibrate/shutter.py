@@ -20,9 +20,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldlum.calibrate.model_selection import choose, folds
 from fieldlum.calibrate.pictures import Chart
-from fieldlum.calibrate.readings import require, require_raw
+from fieldlum.calibrate.readings import choose, folds, require, require_raw
 from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import counted, shutter_text

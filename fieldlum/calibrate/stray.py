@@ -14,11 +14,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldlum.calibrate.model_selection import OrderSelection, fit_and_choose
 from fieldlum.calibrate.pictures import Chart, Place
 from fieldlum.calibrate.readings import (
     SPOT_DEG,
+    OrderSelection,
     disc_radius_rad,
+    fit_and_choose,
     is_flagged,
     pixels_within,
     read_panoramas,

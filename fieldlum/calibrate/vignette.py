@@ -7,18 +7,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from math import comb
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from fieldlum.calibrate.model_selection import OrderSelection, fit_and_choose, gross_errors
 from fieldlum.calibrate.pictures import Chart, Place
 from fieldlum.calibrate.readings import (
+    OrderSelection,
     beyond_lens,
     columns,
     columns_of,
+    fit_and_choose,
+    gross_errors,
     linear_frame,
     nearest_lens,
     read_table,
@@ -171,6 +172,7 @@ def _design(r: Array, order: int) -> Array:
 
 def _falling(r: Array, value: Array, u_rel: Array, order: int) -> Array:
     """Fit level * V(r) in even powers of r by least squares, with V' <= 0 up to the edge."""
+    from scipy.interpolate import BPoly, PPoly
     from scipy.optimize import nnls
 
     scale = float(np.median(value))
@@ -178,12 +180,10 @@ def _falling(r: Array, value: Array, u_rel: Array, order: int) -> Array:
     theta = np.linalg.lstsq(a, b, rcond=None)[0]
     if (np.diff(_design(np.linspace(0.0, 1.0, 51), order) @ theta) > 1e-11).any():
         # Bernstein polynomials of r^2 whose coefficients fall give a curve that falls.
-        degree = order // 2
-        of_powers = [
-            [(-1) ** (i - k) * comb(degree, i) * comb(i, k) for k in range(degree + 1)]
-            for i in range(degree + 1)
-        ]
-        steps = np.array(of_powers, float) @ np.triu(np.ones((degree + 1, degree + 1)))
+        count = order // 2 + 1
+        bernstein = BPoly(np.eye(count)[:, None], [0.0, 1.0])
+        of_powers = PPoly.from_bernstein_basis(bernstein).c[::-1, 0]  # [powers, polynomials]
+        steps = of_powers @ np.triu(np.ones((count, count)))
         theta = steps @ nnls(a @ steps, b)[0]
     return theta * scale
 

@@ -458,13 +458,13 @@ def pixels(profile: Any, sources: Annotated[Paths, "FRAME|FOLDER...", EXISTING_P
     Example:
       fieldlum calibrate pixels dark-*.dng --camera mine.toml --out mine.toml
     """
-    from fieldlum.calibrate import pixels as finder
+    from fieldlum.calibrate import sensor as finder
 
     defects, sensor = finder.find(sources, profile), profile.sensor
     bad_px = tuple(sorted({*sensor.bad_px, *defects.bad_px}))
     figures = {"found": len(defects.bad_px), "new": len(bad_px) - len(sensor.bad_px)}
     figures |= {"views": len(defects.frames), "by_chance": defects.by_chance}
-    changed, chart = {"sensor": replace(sensor, bad_px=bad_px)}, finder.chart(defects)
+    changed, chart = {"sensor": replace(sensor, bad_px=bad_px)}, finder.pixel_chart(defects)
     own = {"bad_px": defects.bad_px}
     return FittedPart(changed, [defects.line], defects.frames, figures, chart, only_json=own)
 
@@ -482,7 +482,7 @@ def linearity(profile: Any, sources: Annotated[Paths, "FRAMES...", EXISTING_PATH
     Example:
       fieldlum calibrate linearity steady/ --camera mine.toml --out mine.toml
     """
-    from fieldlum.calibrate import linearity as curves
+    from fieldlum.calibrate import sensor as curves
 
     folders = [sorted(path.glob("*")) if path.is_dir() else [path] for path in sources]
     files = [file for folder in folders for file in folder if file.is_file()]

@@ -73,7 +73,8 @@ def pair_ratio(
     predicted = y_long * assumed_ratio
     r = y_short / predicted
     weight = 1.0 / (short_variance / predicted**2 + long_variance / y_long**2 + 1e-6)
-    centre, spread, robust = _weighted_median(r, weight), 1.0, weight
+    median = np.quantile(r, 0.5, weights=weight, method="inverted_cdf")
+    centre, spread, robust = float(median), 1.0, weight
     for _ in range(8):
         pull = np.abs(r - centre) * np.sqrt(weight)
         spread = max(1.0, robust_sigma(pull, 0.0))
@@ -83,12 +84,6 @@ def pair_ratio(
         return None
     u = float(np.hypot(spread / np.sqrt(robust.sum()) / centre, _SYSTEMATIC))
     return PairRatio(*frames, float(np.log(centre)), u, y_long.size)
-
-
-def _weighted_median(values: Floats, weights: Floats) -> float:
-    order = np.argsort(values)
-    cumulative = np.cumsum(weights[order])
-    return float(values[order][np.searchsorted(cumulative, 0.5 * cumulative[-1])])
 
 
 @dataclass(frozen=True, slots=True)
