@@ -33,7 +33,6 @@ from fieldlum.optics.projection import (
     signed_angle_deg,
 )
 
-MIN_TARGETS = 8  # for the parameters of a lens with one free term, and its pose; chosen
 # Powers of the polynomial mappings, from two to four terms. Chosen; held-out targets select one.
 POWERS = {
     "two odd terms": (1, 3),
@@ -109,7 +108,8 @@ def fit(targets: Targets, lens: Lens) -> LensFit:
     fit no lens.
     """
     n, pose = len(targets.x_px), not targets.pose_known
-    require(n, MIN_TARGETS, "targets for a lens", "add targets all over the circle to the csv")
+    # the parameters of a lens with one free term, and its pose
+    require(n, 8, "targets for a lens", "add targets all over the circle to the csv")
     start = _posed(targets, lens) if pose else level_lens(lens)
     models: dict[str, Model] = {"equidistant": ("equidistant", ()), "equisolid": ("equisolid", ())}
     for name, powers in POWERS.items():
@@ -291,8 +291,6 @@ def _with_geometry(lens: Lens, geometry: LensGeometry, pose: bool) -> Lens:
 # 1999), from poses by the profile's lens: first with the most flexible mapping, whose rays to the
 # corners choose the mapping, then with that one.
 
-MIN_BOARDS = 4  # chosen so that poses and lens can be separated, not measured
-
 
 def chessboard_corners(path: Path, columns: int, rows: int) -> Array | None:
     """Return a chessboard's inner corners, x and y [rows * columns, 2] px; None without a board.
@@ -321,7 +319,7 @@ def fit_boards(
     boards, InputError for corners that no lens explains.
     """
     remedy = "check the corners after --chessboard; take sharp pictures, also at the circle's edge"
-    require(len(corners), MIN_BOARDS, "pictures in which the chessboard was detected", remedy)
+    require(len(corners), 4, "pictures in which the chessboard was detected", remedy)
     points = np.zeros((rows * columns, 3))
     points[:, :2] = np.mgrid[:columns, :rows].T.reshape(-1, 2)
     level, at = level_lens(lens), np.stack(corners)  # [boards, points, 2]

@@ -104,8 +104,9 @@ def _draw_places(chart: Chart, figure: Figure, axes: Any) -> None:
     step = max(height // 800, 1)  # the figure has fewer pixels
     axes.imshow(grey[::step, ::step], cmap="gray", extent=(0, width, height, 0))
     limit = max(float(np.abs(percent).max()), 0.1)
-    style = {"edgecolors": "white", "linewidths": 0.6, "cmap": "coolwarm"}
-    marks = axes.scatter(*at.T, s=26, c=percent, vmin=-limit, vmax=limit, **style)
+    few = len(at) < 100  # many marks with white edges would hide the picture
+    style = {"s": 26 if few else 4, "edgecolors": "white", "linewidths": 0.6 * few}
+    marks = axes.scatter(*at.T, c=percent, vmin=-limit, vmax=limit, cmap="coolwarm", **style)
     axes.set_title(path.name, fontsize=8, color=INK)
     axes.set_axis_off()
     if percent.any():

@@ -37,8 +37,6 @@ from fieldlum.optics.raw import Mosaic, channel_positions, is_jpeg, possible_fra
 # Limits are chosen so that simulated defects are found and noise is not (tests); not measured on
 # real sensors.
 MAX_SHARE = 1e-3  # largest share of bad pixels; more are not a list of defects
-_SIGMA = 6.0  # of the noise
-_SPREAD = 4.0  # largest multiple of the neighbours' median deviation from their own median
 
 
 class PixelDefects(NamedTuple):
@@ -118,7 +116,7 @@ def _deviating(path: Path, profile: CameraProfile) -> Indices:
         off = cv2.absdiff(counts, middle)
         light_dn2 = np.maximum(middle - black, 0.0) / gain
         noise = np.sqrt(light_dn2 + read_dn**2 + 1 / 12)
-        far[row::2, column::2] = off > np.maximum(_SIGMA * noise, _SPREAD * cv2.medianBlur(off, 3))
+        far[row::2, column::2] = off > np.maximum(6.0 * noise, 4.0 * cv2.medianBlur(off, 3))
     return np.flatnonzero(far)
 
 
@@ -130,8 +128,7 @@ def pixel_chart(defects: PixelDefects) -> Chart:
 
 BLOCKS = 8  # blocks per side and colour; light that varies over the frame fills the scale; chosen
 ORDERS = range(5)
-# minimum number of times: a fourth order, an offset and one more; chosen, not measured
-MIN_TIMES = 6
+MIN_TIMES = len(ORDERS) + 1  # the coefficients of the highest order, an offset and one more
 # of the full scale: the frames must reach below the first and above the second; chosen
 LOWEST, HIGHEST = 0.05, 0.8
 _BLACK_DN = 0.2  # uncertainty of a black level [DN]; chosen

@@ -26,7 +26,7 @@ from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import counted, shutter_text
 from fieldlum.core.statistics import median_standard_error, robust_sigma
-from fieldlum.optics.linear_light import SAME_TIME, true_shutter_s
+from fieldlum.optics.linear_light import SAME_LABEL, U_FRAME_RATIO, true_shutter_s
 from fieldlum.optics.photometry import AUTO
 from fieldlum.optics.profiles import CameraProfile, ShutterTime
 from fieldlum.session import Session
@@ -37,7 +37,6 @@ MIN_BRACKETS = 5  # with a pair of times; chosen so that a median is robust
 # largest relative spread of a pair over brackets; a larger one means unsteady light or shutter;
 # chosen
 MAX_SPREAD = 0.02
-_LINEAR = 5e-4  # relative u of a pair's ratio by linearity, as in merge.ratios; not measured
 
 Pair = tuple[float, float]  # nominal times of the longer and the shorter frame [s]
 
@@ -164,7 +163,7 @@ def _reading(
     long: FrameQuality, short: FrameQuality, neighbour: NeighbourQuality
 ) -> ShutterReading | None:
     a, b = long.exposure, short.exposure
-    if a.nd or b.nd or abs(b.shutter_s / a.shutter_s - 1) < SAME_TIME or a.iso != b.iso:
+    if a.nd or b.nd or abs(b.shutter_s / a.shutter_s - 1) < SAME_LABEL or a.iso != b.iso:
         return None
     corrected = math.log(short.correction) - math.log(long.correction)
     log_ratio = neighbour.residual_percent / 100 + corrected
@@ -197,7 +196,7 @@ def _pair_ratio(values: Floats) -> TimeRatio:
     """Return the ratio of a pair; values [3, brackets] : log ratio, its u, seconds."""
     median, noise, seconds = np.median(values, axis=1).tolist()
     apart, n = robust_sigma(values[0]), values.shape[1]
-    error = math.hypot(median_standard_error(max(apart, noise), n), _LINEAR)
+    error = math.hypot(median_standard_error(max(apart, noise), n), U_FRAME_RATIO)
     return TimeRatio(median, math.sqrt(max(apart**2 - noise**2, 0.0)), error, n, seconds)
 
 
@@ -250,7 +249,7 @@ def fit(brackets: Sequence[Bracket], profile: CameraProfile) -> ShutterFit:
         mine = [ratio for pair, ratio in steady.items() if time in pair]
         u_rel = math.hypot(u[k], min(ratio.spread for ratio in mine))
         true_s = float(f"{assumed_s[k] * math.exp(delta[k]):.7g}")
-        times.append(ShutterTime(time, true_s, round(max(u_rel, _LINEAR), 6)))
+        times.append(ShutterTime(time, true_s, round(max(u_rel, U_FRAME_RATIO), 6)))
         counts.append(max(ratio.brackets for ratio in mine))
     return ShutterFit(tuple(times), assumed_s, tuple(counts), left_out, choice.line)
 
@@ -309,7 +308,7 @@ def with_times(profile: CameraProfile, shutter_fit: ShutterFit) -> tuple[Shutter
     kept = [
         old
         for old in profile.shutter
-        if all(abs(old.nominal_s / t.nominal_s - 1) >= SAME_TIME for t in new)
+        if all(abs(old.nominal_s / t.nominal_s - 1) >= SAME_LABEL for t in new)
     ]
     return tuple(sorted((*kept, *new), key=lambda t: -t.nominal_s))
 

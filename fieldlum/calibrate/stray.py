@@ -42,7 +42,6 @@ NODE_SETS: tuple[tuple[float, ...], ...] = (
     (1.5, 6.0, 24.0, 96.0),
     (1.5, 3.0, 6.0, 12.0, 24.0, 48.0, 96.0),
 )
-MIN_READINGS = 8  # twice the nodes of the fourth kernel; chosen, not measured
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +149,7 @@ def fit(readings: Sequence[StrayReading], source: Path | str = "stray") -> Stray
     spreads over 30 % of a source's light.
     """
     remedy = "add dark places at other angles from the light"
-    require(len(readings), MIN_READINGS, f"{source}: readings of dark places", remedy)
+    require(len(readings), 8, f"{source}: readings of dark places", remedy)
     stray = np.array([r.stray_cdm2 for r in readings])
     groups = np.unique([str(r.place.path) for r in readings], return_inverse=True)[1]
     if groups.max() < 3:  # with fewer pictures each reading is its own group

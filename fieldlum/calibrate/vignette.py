@@ -34,7 +34,6 @@ from fieldlum.optics.projection import angle_of_radius, relative_radius
 
 # of the even polynomials that are tried; chosen, held-out readings select one
 ORDERS = (0, 2, 4, 6, 8)
-MIN_READINGS = 5  # chosen
 # Relative error of a reading that is no noise: of a gross error whose neighbours agree, and of a
 # rise to the edge, which is a wrong sign. Chosen, not measured.
 MAX_ERROR = 0.03
@@ -226,10 +225,10 @@ def fit(samples: Samples) -> VignettingFit:
 def _check(samples: Samples) -> None:
     """Raise NotEnoughDataError for few readings, InputError for one that is not positive."""
     r, value, files = samples.r, samples.value, samples.frames
-    if len(r) < MIN_READINGS or r.max() < 0.5:
+    if len(r) < 5 or r.max() < 0.5:
         raise NotEnoughDataError(
             f"{files[0]}: {len(r)} readings up to {100 * r.max(initial=0):.0f} % of the half angle;"
-            f" expected at least {MIN_READINGS}, the outermost at 50 % or further; add readings, "
+            " expected at least 5, the outermost at 50 % or further; add readings, "
             "and check that angles are in degrees"
         )
     bad = np.flatnonzero(~(np.isfinite(value) & (value > 0)))

@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats, Floats32
 
+# Largest picture that is read, unless a camera's profile states more: 0.5 GB of JPEG codes, 1.9 GB
+# of float32 colours. The largest sensors in use have 150 million pixels.
+MAX_PIXELS = 160_000_000
 Progress = Callable[[int, int, str], None]
 "Called as progress(done, total, text) by any work that takes over two seconds."
 

@@ -22,7 +22,6 @@ from fieldlum.merge.frames import Signal
 # a frame with a lower ratio does not fill pixels that other frames lost; not measured
 _READABLE_SNR = 5.0
 _MOTION_SIGMA = 5.0  # one still pixel in two million is beyond; chosen
-_STRIP = 1 << 17  # elements processed at a time, so that they fit in a core's cache; chosen
 
 
 class Rows(NamedTuple):
@@ -61,7 +60,8 @@ class Merged:
 
 
 def _strips(shape: tuple[int, ...]) -> Iterator[tuple[int, int]]:
-    step = max(1, _STRIP // int(np.prod(shape[1:])))
+    # elements that fit in a core's cache; decides speed only
+    step = max(1, (1 << 17) // int(np.prod(shape[1:])))
     for first in range(0, shape[0], step):
         yield first, min(first + step, shape[0])
 

@@ -23,8 +23,6 @@ from fieldlum.optics.profiles import CameraProfile, Lens
 from fieldlum.optics.projection import Equirect, LensGeometry, Target, lens_pixels, wrapped
 from fieldlum.optics.stray_light import stray_cdm2
 
-# Samples in work at a time: a block fits the cache of a core. Decides speed only.
-_BLOCK_SAMPLES = 250_000
 _MIN_SAMPLES = 3  # along an edge of a target pixel
 # Samples along an edge are a multiple of the edge's cells, which are at most half a degree wide, so
 # that large pixels have enough samples. [rad]
@@ -172,7 +170,8 @@ def resampler(
 
     sub = _samples_per_pixel(target, lens, 2.0**0.5 if cfa else 1.0)  # green pixels are densest
     height, width = target.shape
-    step = max(1, _BLOCK_SAMPLES // (width * sub * sub))
+    # samples that fit the cache of a core; decides speed only
+    step = max(1, 250_000 // (width * sub * sub))
     parts: dict[str, list[Any]] = {colour: [] for colour in sorted(set(cfa)) or [""]}
     seen = []
     for first in range(0, height, step):

@@ -18,6 +18,7 @@ from fieldlum.core.statistics import robust_sigma
 from fieldlum.merge.estimator import Rows
 from fieldlum.merge.frames import RawSignal, Signal, scaled
 from fieldlum.merge.shots import Shot, exposure_covariance, times_by_law
+from fieldlum.optics.linear_light import U_FRAME_RATIO
 from fieldlum.optics.photometry import PairRatio, ShutterLaw, law_of_frames
 from fieldlum.optics.profiles import CameraProfile
 from fieldlum.session.files.merge_report import NeighbourQuality
@@ -27,9 +28,6 @@ _SNR_LONG = 30.0  # minimum signal-to-noise ratio of a pixel in the longer frame
 # that suffices. Bright pixels are preferred because a black level that is wrong by one count
 # affects dim pixels.
 _SNR_SHORT, _ENOUGH = (60.0, 15.0, 3.0), 2000
-# Floor of a pair's relative uncertainty: linearity of the sensor, change of light within a second.
-# Well below the shutter priors; not measured.
-_SYSTEMATIC = 5e-4
 # Residuals over this many sigma lose weight (Huber 1964; 2.5 keeps 99 % of normal residuals).
 _HUBER_SIGMA = 2.5
 
@@ -82,7 +80,7 @@ def pair_ratio(
         centre = float((robust * r).sum() / robust.sum())
     if not centre > 0:
         return None
-    u = float(np.hypot(spread / np.sqrt(robust.sum()) / centre, _SYSTEMATIC))
+    u = float(np.hypot(spread / np.sqrt(robust.sum()) / centre, U_FRAME_RATIO))
     return PairRatio(*frames, float(np.log(centre)), u, y_long.size)
 
 

@@ -28,9 +28,6 @@ from fieldlum.optics.projection import (
 from fieldlum.optics.turn_fit import fit_turn
 from fieldlum.session.files.merge_report import ShiftQuality
 
-_MAX_SIDE_PX = 800  # longest side of the reduced frames, to limit the time
-# OpenCV tracks 8-bit pictures: one level is 2.5 % of light, the range is 9 EV.
-_LEVELS_PER_LN = 40.0
 _WINDOW_PX = 11  # side of the surroundings of a point
 _MAX_POINTS, _MIN_POINTS = 400, 20
 _BLOCKS = 6  # parts of the picture per side whose errors are independent
@@ -58,7 +55,7 @@ def reduced(signal: Floats32, seen_mask: Mask, minimum: float, cell: int = 1) ->
     pixels (2 for a mosaic).
     """
     h, w = signal.shape
-    by = cell * max(1, -(-max(h, w) // (cell * _MAX_SIDE_PX)))
+    by = cell * max(1, -(-max(h, w) // (cell * 800)))  # limits the time
     part, size = np.s_[: h // by * by, : w // by * by], (w // by, h // by)
     mean, share = (
         cv2.resize(values[part], size, interpolation=cv2.INTER_AREA)
@@ -146,5 +143,6 @@ def _tracked(long: ReducedFrame, short: ReducedFrame) -> tuple[Floats, Floats]:
 def _grey(small: ReducedFrame, common: Mask) -> Array:
     """Return a frame as 8-bit levels of ln light; 128 for the median, and outside of `common`."""
     middle = np.median(small.log_light[common]) if common.any() else 0.0
-    levels = np.where(common, _LEVELS_PER_LN * (small.log_light - middle), 0.0)
+    # 40 levels for a factor of e: one of the 256 is 2.5 % of light, and the range is 9 EV.
+    levels = np.where(common, 40.0 * (small.log_light - middle), 0.0)
     return np.clip(np.rint(levels) + 128, 0, 255).astype(np.uint8)

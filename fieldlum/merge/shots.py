@@ -13,7 +13,7 @@ import numpy as np
 from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure
-from fieldlum.optics.linear_light import nd_factors, true_shutter_s
+from fieldlum.optics.linear_light import SAME_LABEL, nd_factors, true_shutter_s
 from fieldlum.optics.photometry import AUTO, LAWS, ShutterLaw, law_of_labels, z_per_cdm2
 from fieldlum.optics.profiles import CameraProfile
 from fieldlum.optics.raw import is_jpeg, possible_frames, read_exif
@@ -25,8 +25,6 @@ U_REPEAT = 2e-4  # relative u of a shutter time from frame to frame; not measure
 # Relative u for an ISO other than the profile's, because gains of amplifiers are not exact. Not
 # measured.
 U_ISO = 0.03
-# relative difference below which two apertures count as equal; chosen, a third stop is 12 %
-_ONE_APERTURE = 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,14 +146,14 @@ def _problems(
             expected = f"{kind} frames, for which the profile {profile.camera.name} is"
             remedy = "remove this frame, or name the profile of its camera"
             yield shot.path, finding, expected, remedy
-        if apertures and min(abs(f_number / n - 1) for n in apertures) > _ONE_APERTURE:
+        if apertures and min(abs(f_number / n - 1) for n in apertures) > SAME_LABEL:
             valid = ", ".join(f"f/{n:g}" for n in apertures)
             expected = f"{valid}, because the profile's k is not calibrated for other apertures"
             remedy = (
                 "calibrate this aperture (fieldlum calibrate scale), or capture with one of these"
             )
             yield shot.path, f"a frame with f/{f_number:g}", expected, remedy
-        if abs(f_number / first - 1) > _ONE_APERTURE:
+        if abs(f_number / first - 1) > SAME_LABEL:
             finding = f"a frame with f/{f_number:g} in a bracket with f/{first:g}"
             remedy = "merge each aperture separately: light and vignetting differ"
             yield shot.path, finding, "one aperture in a bracket", remedy

@@ -35,7 +35,6 @@ from fieldlum.sky.sky_view import LOWEST_ALTITUDE_DEG, SkyGrid, SkyPicture
 from fieldlum.sky.sun import OBLIQUITY_DEG, celestial_pole, position
 from fieldlum.sky.sun_disc import SUN_RADIUS_RAD, SunDisc, find_disc, without_disc
 
-_LOWEST_DEG = -0.3  # the disc's radius is 0.27 degrees
 # Standard uncertainty [px] of a disc's centre of energy on a mosaic, for a disc one pixel wide and
 # sharp optics: 0.08 px rms over positions on the mosaic (simulation, 150 draws for each width). It
 # decreases with the disc's width, but not below the second value.
@@ -51,7 +50,7 @@ def expected_sun_deg(t_utc: datetime, site: Site) -> tuple[float, float] | None:
     """
     sun = position([t_utc], site)
     altitude, azimuth = float(sun.apparent_altitude_deg[0]), float(sun.azimuth_deg[0])
-    return None if altitude < _LOWEST_DEG else (altitude, azimuth)
+    return None if altitude < -np.degrees(SUN_RADIUS_RAD) else (altitude, azimuth)
 
 
 def take_out_disc(
@@ -188,8 +187,6 @@ def _disc_weight(light: Floats32, clipped: Mask | None) -> Floats:
 
 
 _TILE_DEG = 2  # divides 180; chosen
-# Pixels along a block of tiles: decides speed only. A block's matrices have 1 MB at most. Chosen.
-_BLOCK_PX = 60
 # Finest pixel. The sun's disc has 22 such pixels; finer ones would need four times the space.
 # Chosen.
 _FINEST_DEG = 0.1
@@ -253,7 +250,7 @@ def _parts(
     tiles; side: pixels of a tile.
     """
     rows, columns = bright.shape
-    step = max(1, _BLOCK_PX // side)
+    step = max(1, 60 // side)  # a block's matrices have 1 MB at most; decides speed only
     for i in range(0, rows, step):
         for j in range(0, columns, step):
             tiles = slice(i, min(i + step, rows)), slice(j, min(j + step, columns))

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Array, Floats, Floats32
 from fieldlum.core.errors import InputError, input_errors
-from fieldlum.core.records import Flag, Panorama, SunSource, parse_utc, utc_text
+from fieldlum.core.records import MAX_PIXELS, Flag, Panorama, SunSource, parse_utc, utc_text
 from fieldlum.core.strict_toml import plain
 from fieldlum.optics.profiles import CameraProfile
 
@@ -37,8 +37,6 @@ RADIANCE_Y = (0.265, 0.670, 0.065)
 # Its primaries, red, green, blue and white, as CIE xy (src/common/color.h).
 RADIANCE_CHROMATICITIES = (0.640, 0.330, 0.290, 0.600, 0.150, 0.060, 1.0 / 3.0, 1.0 / 3.0)
 PANORAMA_LINE = "FIELDLUM_VIEW= equirect heading_deg="
-# 12 bytes a pixel: 1.9 GB. The largest pictures in use, panoramas of 16k x 8k, have 134 million.
-MAX_PIXELS = 160_000_000
 _RESOLUTION = re.compile(rb"\s*([+-])([XY])\s+(\d+)\s+([+-])([XY])\s+(\d+)\s*")
 _RGBE, _XYZE = "32-bit_rle_rgbe", "32-bit_rle_xyze"
 

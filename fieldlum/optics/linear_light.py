@@ -31,8 +31,11 @@ from fieldlum.optics.projection import LensGeometry, signed_angle_deg
 from fieldlum.optics.raw import Mosaic, same_model
 
 _T = TypeVar("_T", bound=np.floating)
-# relative: times closer than this are one setting (settings differ by 12 %); chosen
-SAME_TIME = 0.02
+# relative: times or apertures closer than this are one setting (settings differ by 12 %); chosen
+SAME_LABEL = 0.02
+# Floor of the relative uncertainty of the exposure ratio of two frames: linearity of the sensor,
+# change of light within a second. Well below the shutter priors; not measured.
+U_FRAME_RATIO = 5e-4
 
 
 def check_frame(path: Path, shape: tuple[int, ...], model: str, profile: CameraProfile) -> None:
@@ -108,7 +111,7 @@ def true_shutter_s(shutter_s: float, profile: CameraProfile) -> tuple[float, flo
     profile's shutter law plus the sensor's constant exposure offset.
     """
     for measured in profile.shutter:
-        if abs(measured.nominal_s / shutter_s - 1) < SAME_TIME:
+        if abs(measured.nominal_s / shutter_s - 1) < SAME_LABEL:
             return measured.true_s, measured.u_rel
     seconds = float(true_times_s(shutter_s, profile.shutter_law)) + profile.sensor.exposure_offset_s
     return seconds, float(prior_u_log(seconds))

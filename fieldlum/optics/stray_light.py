@@ -14,10 +14,9 @@ import numpy as np
 from fieldlum.core.arrays import Floats
 from fieldlum.optics.projection import altitude_azimuth_deg, equirect_pixel, equirect_rays, wrapped
 
-# Side of a source cell. K is constant below half of it, because nearer light is the lens's blur,
-# not haze.
-CELL_DEG = 3.0
-_ROWS = round(180.0 / CELL_DEG)
+# Rows of source cells of 3 degrees. K is constant below half of a cell, because nearer light is the
+# lens's blur, not haze.
+_ROWS = 60
 _TABLE = 4096  # steps of sin(angle / 2); 0.03 degrees near 0
 
 

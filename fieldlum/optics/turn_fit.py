@@ -13,7 +13,6 @@ import numpy as np
 from fieldlum.core.arrays import Floats, Indices
 from fieldlum.core.statistics import MAD_TO_SIGMA, cauchy_weights
 
-_ROUNDS = 4  # of robust weights; not measured
 _MAX_CONDITION = 1e6  # of the scaled normal matrix: beyond, edges do not determine the unknowns
 
 
@@ -55,7 +54,7 @@ def fit_turn(
     robust = used = base
     columns, values, inverse = design / scale, target, np.eye(len(scale))
     unknowns, rest = np.zeros(len(scale)), target
-    for _ in range(_ROUNDS):
+    for _ in range(4):
         used = robust
         if contrasts is not None:
             columns = np.stack([contrasts.removed(c, used) for c in (design / scale).T], axis=1)

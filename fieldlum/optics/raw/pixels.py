@@ -20,15 +20,13 @@ from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats, Indices
 from fieldlum.core.errors import InputError
+from fieldlum.core.records import MAX_PIXELS
 from fieldlum.optics.raw.exif import TIFF_VARIANTS, FrameInfo, Tags, info_of, numbers, tags_of
 
 RAW_SUFFIXES = tuple(
     ".dng .cr2 .cr3 .crw .nef .nrw .arw .raf .rw2 .orf .pef .srw .raw".split()  # noqa: SIM905
 )
 _NO_FRAMES = {".json", ".toml", ".csv", ".txt", ".xmp", ".tmp", ".part"}
-# Largest frame without a profile that states more: 0.5 GB of JPEG codes. Phones have 108 million
-# pixels, the largest sensors in use 150 million.
-MAX_PIXELS = 160_000_000
 _DAMAGE = ("data corrupted", "Unexpected end of file")  # messages of LibRaw's data streams
 _STDERR = threading.Lock()
 _ACTIVE_AREA, _COLOUR_FILTER_ARRAY = 50829, 32803  # tag, and value of Photometric (DNG 1.7)
