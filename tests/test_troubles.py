@@ -187,7 +187,7 @@ def test_intervals_hold_under_clouds_and_north_is_not_blamed() -> None:
     fitted = models.fit("transport", data, patch="absolute", seed=0)
     assert isinstance(fitted, Transport)
     # light computed for the room does not hide what the windows showed
-    assert fitted.sky_field is not None and fitted.pixels.computed_gain.any()
+    assert fitted.sky_sd is not None and fitted.pixels.computed_gain.any()
     found = summary(evaluate(fitted, truth(_cloudy(truth_of, asked, sd, 9), glare=False)))
     assert 0.85 <= found["in_90_band"] <= 0.95
     text = " ".join(

@@ -83,7 +83,7 @@ def test_the_sky_in_the_windows_is_found() -> None:
 @pytest.mark.slow
 @pytest.mark.analytic
 def test_perez_skies_stay() -> None:
-    assert fit(CLEAR).sky_field is None
+    assert fit(CLEAR).sky_sd is None
 
 
 @pytest.mark.slow
@@ -92,7 +92,7 @@ def test_captures_under_clouds_teach_the_room(monkeypatch: pytest.MonkeyPatch) -
     seen = fit(CLOUDED)
     monkeypatch.setattr("fieldlum.learn.transport.seen_sky", lambda arrays: None)
     perez = fit(CLOUDED)
-    assert seen.sky_field is not None and perez.sky_field is None
+    assert seen.sky_sd is not None and perez.sky_sd is None
 
     assert "learnt under its own" in seen_skies(seen)[0] and seen_skies(perez) == []
 
@@ -111,7 +111,7 @@ def test_captures_under_clouds_teach_the_room(monkeypatch: pytest.MonkeyPatch) -
 def test_the_field_is_stored() -> None:
     fitted = fit(CLOUDED)
     again = from_state(fitted.state())
-    assert again.sky_field == fitted.sky_field
+    assert again.sky_sd == fitted.sky_sd
     assert np.array_equal(
         again.predict(UNSEEN.light[:3]).luminance_cdm2,
         fitted.predict(UNSEEN.light[:3]).luminance_cdm2,

@@ -16,8 +16,6 @@ from fieldlum.sky.light import Light
 
 # with less direct light the sun lights a room less than the sky does
 SUNNY_WM2 = 60.0
-# About 50 minutes of the sun's path, or three weeks of its declination near an equinox.
-SUN_GAP_DEG = 12.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +43,7 @@ class Domain:
         slack = 0.15 * (high - low) + 10.0
         sky_known = (light.dhi_wm2 >= low - slack) & (light.dhi_wm2 <= high + slack)
         cosine = (light.sun_direction @ self.sun_directions.T).max(axis=1, initial=-1.0)
-        sun_known = cosine >= np.cos(np.radians(SUN_GAP_DEG))
+        sun_known = cosine >= np.cos(np.radians(12.0))
         beam_known = light.dni_wm2 <= 1.15 * self.dni_wm2[1] + 10.0
         overcast = (light.dni_wm2 < SUNNY_WM2) & (self.dni_wm2[0] < 2 * SUNNY_WM2)
         return sky_known & (sun_known & beam_known | overcast)

@@ -60,10 +60,6 @@ class HeldOutErrors:
         """Number of hours with weight."""
         return int((self.weight > 0.0).sum())
 
-    def standard_error(self, name: str) -> float:
-        """Return the standard error of `figure` over days; 0 with one day."""
-        return difference(self, replace(self, **{name: np.zeros(len(self.day))}), name)[1]
-
 
 def limit_of(values: Floats, weight: Floats, trim: float) -> float:
     """Return the value that at most a share `trim` of the weight exceeds."""
@@ -143,9 +139,6 @@ def choose(candidates: Sequence[HeldOutErrors]) -> HeldOutChoice:
 UNSURE = 1e-2  # relative variance of an hour or a pixel that has half weight; not measured
 # As `pair` marks it: under 5 degrees 2 W/m2 in the horizontal are 23 W/m2 and more in the normal.
 LOW_SUN_DEG = 5.0
-# Below this share of the hours, those that were not measured well are needed: at 62 degrees north
-# all winter hours have a sun below 5 degrees. Chosen.
-MIN_MEASURED_SHARE = 2.0 / 3.0
 UNCERTAIN_WEIGHT = 0.25  # of an hour that is needed; half of the usual deviation; chosen
 
 
@@ -214,6 +207,6 @@ def choice_weights(data: Dataset) -> Floats:
     have a quarter instead. Unsteady light lowers the weight further.
     """
     uncertain = beam_is_uncertain(data)
-    minimum = 0.0 if (~uncertain).mean() >= MIN_MEASURED_SHARE else UNCERTAIN_WEIGHT
+    minimum = 0.0 if (~uncertain).mean() >= 2.0 / 3.0 else UNCERTAIN_WEIGHT
     steady = weight_of_variance(np.where(uncertain, 0.0, light_variance(data)))
     return np.where(uncertain, minimum, steady)

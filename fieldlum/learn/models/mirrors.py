@@ -210,7 +210,6 @@ def read_mirrors(folder: Path, config: ModelConfig) -> tuple[Mirror, ...]:
 
 
 _PRIOR_WEIGHT = 1e-4  # of a label with a chance of one half; less than any alike label; chosen
-_PIXELS_AT_ONCE = 4096  # limits the memory
 # A label that is further than two widths away, or not alike, does not make an image certain.
 _SUPPORTED = float(np.exp(-2.0))
 
@@ -279,8 +278,7 @@ def _chance(
     maps = np.log10(np.maximum(data.luminance_cdm2[some], 1.0)).reshape(len(some), -1)
     rays = equirect_rays(*data.shape, data.heading_deg).reshape(-1, 3)
     chance = np.empty(len(rays), np.float32)
-    for start in range(0, len(rays), _PIXELS_AT_ONCE):
-        part = slice(start, start + _PIXELS_AT_ONCE)
+    for part in np.array_split(np.arange(len(rays)), len(rays) // 4096 + 1):  # limits the memory
         chance[part] = _voted(rays[part] @ towards.T, maps[:, part], maps[:, at], visible)
     wrong = 0
     for day in np.unique(data.days[label]):

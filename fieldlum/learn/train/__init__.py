@@ -597,12 +597,12 @@ def _model_sha256(folder: Path) -> str:
 
 def seen_skies(fitted: Fitted) -> list[str]:
     """Return one note if the model learnt each capture under the sky in its windows."""
-    field = fitted.sky_field if isinstance(fitted, Transport | MeanTransport) else None
-    if field is None:
+    sd = fitted.sky_sd if isinstance(fitted, Transport | MeanTransport) else None
+    if sd is None:
         return []
     return [
         f"the skies in the windows differ from the Perez model for the measured irradiance by "
-        f"{math.expm1(field.sd):.0%} (one standard deviation). The cause is clouds, or an "
+        f"{math.expm1(sd):.0%} (one standard deviation). The cause is clouds, or an "
         "instrument that sees other light than the room. Each capture was learnt under its own "
         "sky. Predicted hours use the Perez model, and their uncertainty includes the difference"
     ]

@@ -26,7 +26,6 @@ from fieldlum.learn.transport.arrays import (
     MIN_CDM2,
     OpenSky,
     PatchLight,
-    SkyField,
     StateColumns,
     TrainingArrays,
     computed_light,
@@ -55,7 +54,6 @@ from fieldlum.sky.light import Features, Kernel, Light
 # Number of pixels, drawn by solid angle, that choose inputs and noise, and that calibrate the
 # uncertainty. Not measured.
 CHOOSING, CALIBRATING = 250, 600
-HOURS_AT_ONCE = 64  # limits the memory of a prediction to some 100 MB at 460 x 230; chosen
 MIN_HOURS = 3  # least number of hours from which a kernel can be chosen; not measured
 # Relative variances of a captured value, from that of a camera to that of a room that changes; the
 # second one compares inputs. Not measured.
@@ -65,7 +63,6 @@ NOISES = (3e-3, 1e-2, 3e-2)
 # other suns. Of two models with errors of 0.6 times each other, three quarters lose 5 % (measured
 # in three rooms of other renderers); a scene that is worse than no patch loses half of its excess.
 MAX_SHARE = 0.75
-MIN_SQUARE = 1e-12  # avoids division by zero
 
 
 class SurfaceMaps(NamedTuple):
@@ -93,9 +90,9 @@ class Transport:
     features of the n captured hours; projector [n, r]: the features of new hours are kernel(new,
     captured) @ projector; states: lamps and blinds with which captures are marked; open_sky: the
     window pixels; pixels: fitted values; uncertainty: of predictions; patch_scale: fitted factor on
-    all sun patches, None if patches are not used; physics: the coarse room model, None
-    without a box room; sky_field: how the skies in the windows differed from Perez's, None if the
-    fit did not use them; patch_light: how sun patches become features, None without patches.
+    all sun patches, None if patches are not used; physics: the coarse room model, None without a
+    box room; sky_sd: how much the skies in the windows differed from Perez's (`SeenSky`), None if
+    the fit did not use them; patch_light: how sun patches become features, None without patches.
     """
 
     seen: Mask
@@ -110,7 +107,7 @@ class Transport:
     uncertainty: Uncertainty
     patch_scale: float | None = None
     physics: Physics | None = None
-    sky_field: SkyField | None = None
+    sky_sd: float | None = None
     patch_light: PatchLight | None = None
     name: str = field(default="transport", init=False)
 
@@ -138,8 +135,8 @@ class Transport:
         maps = np.zeros((count, *self.seen.shape), np.float32)
         sd = np.zeros_like(maps)
         expected, trusted = np.empty(count), np.empty(count, bool)
-        for start in range(0, count, HOURS_AT_ONCE):
-            rows = slice(start, start + HOURS_AT_ONCE)
+        for start in range(0, count, 64):  # some 100 MB at 460 x 230
+            rows = slice(start, start + 64)
             part = self.maps(light[rows], None if patch is None else patch[rows])
             maps[rows][:, self.seen] = part.luminance
             shown = None if patch is None else patch[rows]
@@ -150,20 +147,13 @@ class Transport:
         """Return the patches, None if they are not used; raise InputError as `predict` does."""
         if self.patch_scale is None:
             return None
-        if patch is None:
+        needed = (len(light), *self.seen.shape)
+        if patch is None or patch.shape != needed:
             raise InputError(
-                "the model",
-                "fitted with sun patches, but the hours to predict have no sun patches",
-                "sun patches of these hours",
+                "the hours to predict",
+                "no sun patches" if patch is None else f"sun patches of the shape {patch.shape}",
+                f"sun patches {needed} (hours, height, width), as in the training",
                 "add [room] to the site, or train with --patch none",
-            )
-        if patch.shape != (len(light), *self.seen.shape):
-            raise InputError(
-                "sun patches",
-                f"an array of {' x '.join(map(str, patch.shape))}",
-                f"{len(light)} x {self.seen.shape[0]} x {self.seen.shape[1]} "
-                "(hours, height, width)",
-                "compute the sun patches at the model's size",
             )
         return patch
 
@@ -260,9 +250,9 @@ class MeanTransport:
         return self.patched.parameters + self.plain.parameters
 
     @property
-    def sky_field(self) -> SkyField | None:
+    def sky_sd(self) -> float | None:
         """How the skies in the windows differed from Perez's; see `Transport`."""
-        return self.patched.sky_field
+        return self.patched.sky_sd
 
     def predict(self, light: Light, patch_cdm2: Floats32 | None = None) -> Prediction:
         """Predict luminance maps, as `Transport.predict`."""
@@ -305,7 +295,7 @@ class _Inputs(NamedTuple):
     """Captures with the sky that the kernel compares and the light of surfaces that it corrects.
 
     arrays: all pixels; perez: features under Perez's skies; covariance: kernel between captures [n,
-    n]; basis: its eigenvectors; sky_field: statistics of the skies in the windows, None under
+    n]; basis: its eigenvectors; sky_sd: of the skies in the windows (`SeenSky`), None under
     Perez's skies.
     """
 
@@ -313,7 +303,7 @@ class _Inputs(NamedTuple):
     perez: Features
     covariance: Array
     basis: Basis
-    sky_field: SkyField | None = None
+    sky_sd: float | None = None
 
 
 def fit(
@@ -321,7 +311,6 @@ def fit(
     *,
     patch: Patch = "absolute",
     seed: int = 0,
-    budget_s: float | None = None,
     progress: Progress = quiet,
 ) -> Transport | MeanTransport:
     """Fit a room's light transport to captures, in closed form.
@@ -329,8 +318,8 @@ def fit(
     patch: "none" ignores the sun patches of `data`. With any other value, one factor on all patches
     is fitted, so that "absolute" (patches in cd/m2) and "gain" (patches known up to a factor) give
     the same model. With the patches of a fitted scene the model is a mean, because a scene is
-    wrong in places. seed: of the random draw of pixels that choose inputs and noise. budget_s:
-    ignored. Raises NotEnoughDataError for fewer than three captures.
+    wrong in places. seed: of the random draw of pixels that choose inputs and noise. Raises
+    NotEnoughDataError for fewer than three captures.
     """
     if data.scene is None or data.patch_cdm2 is None or patch == "none":
         return _fit(data, patch, seed, progress)[0]
@@ -350,11 +339,11 @@ def _mean(
     P], of which the first `count` are of held-out days.
     """
     apart = plain_errors - errors
-    best = float((plain_errors * apart).sum() / max((apart**2).sum(), MIN_SQUARE))
+    best = float((plain_errors * apart).sum() / max((apart**2).sum(), MIN_VARIANCE))
     share = float(np.clip(best, 0.0, MAX_SHARE))
     mixed = share * errors + (1.0 - share) * plain_errors
     root = share * np.sqrt((errors**2).mean()) + (1.0 - share) * np.sqrt((plain_errors**2).mean())
-    agreement = float((mixed**2).mean() / max(root**2, MIN_SQUARE))
+    agreement = float((mixed**2).mean() / max(root**2, MIN_VARIANCE))
     return MeanTransport(one, other, share, agreement, (mixed[:count] ** 2).mean(axis=1))
 
 
@@ -408,7 +397,7 @@ def _fit(data: Dataset, patch: Patch, seed: int, progress: Progress) -> tuple[Tr
         uncertainty,
         scale,
         physics,
-        chosen.sky_field,
+        chosen.sky_sd,
         patch_light,
     )
     return fitted, errors
@@ -465,7 +454,7 @@ def _with_lamp(inputs: _Inputs, kernel: Kernel) -> _Inputs:
         inputs.arrays, states=states, features=replace(inputs.arrays.features, lamps=lamps)
     )
     lit = _compared(arrays, kernel, replace(inputs.perez, lamps=lamps))
-    return lit._replace(sky_field=inputs.sky_field)
+    return lit._replace(sky_sd=inputs.sky_sd)
 
 
 def _inputs(
@@ -486,7 +475,7 @@ def _inputs(
     out = [_compared(arrays, kernel, arrays.features)]
     if sky is not None:
         shown = replace(arrays, features=sky.features(arrays))
-        out.append(_compared(shown, kernel, arrays.features)._replace(sky_field=sky.field))
+        out.append(_compared(shown, kernel, arrays.features)._replace(sky_sd=sky.sd))
     if physics is None or sunlight is None:
         return out
     perez = physics.luminance(light, sunlight, seen)

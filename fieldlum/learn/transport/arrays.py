@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 from fieldlum.sky.perez import reinhart_patches
 
 MIN_CDM2 = 0.1  # in darker pixels relative errors have no meaning; not measured
-DISC_MARGIN = 2  # pixels around the sun that may have changed when its disc was removed; chosen
 # How far the patches of a fitted scene are displaced, seen from the camera. In rooms of
 # bench/scene_judge.py edges are 1 to 2 cm off, at some 3 m, and the sun 0.2 degrees. With 1 degree
 # errors are the same within 3 %.
@@ -36,8 +35,6 @@ SCENE_SLIP_DEG = 0.5
 # Weights of the cells and of their sum beside the sun's light in a coarse model of the room, whose
 # variance is 5 (`Kernel.bounced`): variances of 0.5 and 1. Not measured.
 CELL_WEIGHT, FLUX_WEIGHT = float(np.sqrt(0.1)), float(np.sqrt(0.2))
-# Largest gain of a pixel's computed light over the median of all pixels; chosen: black to white
-MAX_GAIN = 20.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,16 +246,10 @@ class TrainingArrays:
 
     def __getitem__(self, pixels: Indices | slice) -> TrainingArrays:
         """Return the arrays of some pixels."""
-        return replace(
-            self,
-            luminance=self.luminance[:, pixels],
-            patch=None if self.patch is None else self.patch[:, pixels],
-            sky=self.sky[:, pixels],
-            filled=self.filled[:, pixels],
-            trust=self.trust[:, pixels],
-            weights=self.weights[pixels],
-            computed=None if self.computed is None else self.computed[pixels],
-        )
+        names = ("luminance", "patch", "sky", "filled", "trust", "weights")
+        every = {name: getattr(self, name) for name in names}
+        some = {name: v[..., pixels] for name, v in every.items() if v is not None}
+        return replace(self, computed=self.computed and self.computed[pixels], **some)
 
 
 def training_arrays_of(data: Dataset, *, with_patch: bool) -> TrainingArrays:
@@ -320,7 +311,7 @@ def around_disc(data: Dataset) -> Mask:
     hours, light = np.flatnonzero(data.disc_lx > 0.0), data.light
     altitude_deg, azimuth_deg = light.shown_altitude_deg[hours], light.sun_azimuth_deg[hours]
     row, column = equirect_pixel(altitude_deg, azimuth_deg, height, width, data.heading_deg)
-    reach = np.arange(-DISC_MARGIN, DISC_MARGIN + 1)
+    reach = np.arange(-2, 3)
     for t, i, j in zip(hours, row.astype(int), column.astype(int), strict=True):
         out[t, np.clip(reach + i, 0, height - 1)[:, None], (reach + j) % width] = True
     return out
@@ -395,7 +386,7 @@ def computed_light(
     # Computed light has no meaning below; far under that of any wall by day
     gain = pixel_scale(arrays, np.maximum(luminance, np.float32(1e-3)))
     middle = np.median(gain)
-    gain = np.clip(gain, middle / MAX_GAIN, middle * MAX_GAIN).astype(np.float32)
+    gain = np.clip(gain, middle / 20.0, middle * 20.0).astype(np.float32)  # black to white
     gain[arrays.open_sky.index] = 0.0
     scaled = luminance * gain
     return ComputedLight(scaled, scaled if perez is None else perez * gain, gain)
@@ -412,42 +403,15 @@ MIN_HOURS = 5  # captures that show a sky patch, so that its median is its usual
 
 
 @dataclass(frozen=True, slots=True)
-class SkyField:
-    """Statistics of a real sky's luminance over Perez's: log-normal, smooth in direction.
-
-    sd: standard deviation of the ln of the ratio; width: distance on the unit sphere over which the
-    ratio changes; noise: standard deviation of the measured ln ratio of one sky patch.
-    """
-
-    sd: float
-    width: float
-    noise: float
-
-    def covariance(self, a: Array, b: Array) -> Array:
-        """Return the covariance of the true ln ratio between unit vectors a [m, 3] and b [k, 3].
-
-        The result is [m, k], without measurement noise.
-        """
-        return self.sd**2 * np.exp((a @ b.T - 1.0) / self.width**2)
-
-    def measured_covariance(self, directions: Array) -> Array:
-        """Return the covariance of the measured ln ratio at k unit vectors [k, 3], [k, k].
-
-        It is `covariance` plus the variance of the noise on the diagonal.
-        """
-        own = self.covariance(directions, directions)
-        return own + self.noise**2 * np.eye(len(directions))
-
-
-@dataclass(frozen=True, slots=True)
 class SeenSky:
     """The skies of n captures, estimated from what their windows show.
 
-    luminance_cdm2: of the Reinhart sky patches [n, 2305]; field: the statistics used.
+    luminance_cdm2: of the Reinhart sky patches [n, 2305]; sd: standard deviation of the ln of the
+    ratio to Perez's skies.
     """
 
     luminance_cdm2: Floats32
-    field: SkyField
+    sd: float
 
     def features(self, arrays: TrainingArrays) -> Features:
         """Return the features of `arrays`, with these skies instead of Perez's."""
@@ -470,14 +434,13 @@ def seen_sky(arrays: TrainingArrays) -> SeenSky | None:
     # least rms of ln luminance that is worth a test: under that of any cloud
     if sd < 0.05:
         return None
-    field = SkyField(sd, WIDTH, NOISE_SHARE * sd)
     patches = reinhart_patches()
-    factor = np.exp(_interpolated(field, ratios, directions, patches.directions))  # [n, 2305]
+    factor = np.exp(_interpolated(sd, ratios, directions, patches.directions))  # [n, 2305]
     perez = arrays.light.sky_cdm2
     horizontal = patches.solid_angles_sr * patches.directions[:, 2]  # [2305] sr
     sky = perez * factor
     kept = (perez @ horizontal) / np.maximum(sky @ horizontal, MIN_CDM2)  # [n]
-    return SeenSky((sky * kept[:, None]).astype(np.float32), field)
+    return SeenSky((sky * kept[:, None]).astype(np.float32), sd)
 
 
 def _patch_ratios(arrays: TrainingArrays) -> tuple[Array, Array]:
@@ -512,14 +475,17 @@ def _patch_ratios(arrays: TrainingArrays) -> tuple[Array, Array]:
     return means[:, some], everywhere[names[some]]
 
 
-def _interpolated(field: SkyField, ratios: Array, directions: Array, asked: Array) -> Array:
-    """Return the expected ln of the field in directions `asked` [m, 3], [n, m].
+def _interpolated(sd: float, ratios: Array, directions: Array, asked: Array) -> Array:
+    """Return the expected ln ratio in directions `asked` [m, 3] of the skies of n captures, [n, m].
 
-    A patch that a capture does not show has a variance without limit there.
+    The ratio is a field with the standard deviation `sd`, smooth in direction. A patch that a
+    capture does not show has a variance without limit there.
     """
     known = np.isfinite(ratios)  # [n, k]
-    covariance = np.repeat(field.measured_covariance(directions)[None], len(ratios), axis=0)
-    patches = np.arange(len(directions))
-    covariance[:, patches, patches] += np.where(known, 0.0, 1e6)
+    own, cross = (
+        sd**2 * np.exp((directions @ b.T - 1.0) / WIDTH**2) for b in (directions, asked)
+    )  # [k, k], [k, m]
+    noise = np.where(known, (NOISE_SHARE * sd) ** 2, 1e6)  # [n, k]
+    covariance = own + noise[:, :, None] * np.eye(len(directions))
     weights = np.linalg.solve(covariance, np.where(known, ratios, 0.0)[:, :, None])[:, :, 0]
-    return weights @ field.covariance(directions, asked)
+    return weights @ cross

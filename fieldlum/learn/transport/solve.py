@@ -275,19 +275,12 @@ def fit_pixels(
     """
     count, products = arrays.luminance.shape[1], pair_products(basis.values)
     scale = pixel_scale(arrays)
-    second = np.empty((len(arrays.light), count), np.float32)
-    b = np.empty((count, basis.values.shape[1]), np.float32)
-    unknown = np.zeros((5, count), np.float32)  # its rows are filled below
-    out = PixelFit(
-        scale=scale.astype(np.float32),
-        b=b,
-        patch_gain=unknown[0],
-        sky_gain=unknown[1],
-        minimum=unknown[2],
-        second=second,
-        computed_gain=unknown[3],
-        noise=unknown[4],
+    second, b = (
+        np.empty(shape, np.float32)
+        for shape in ((len(arrays.light), count), (count, basis.values.shape[1]))
     )
+    patch, sky, minimum, computed, sd = np.zeros((5, count), np.float32)  # filled below
+    out = PixelFit(scale.astype(np.float32), b, patch, sky, minimum, second, computed, sd)
     inverse = second_inverse(arrays)
 
     def one(part: slice) -> None:
