@@ -40,7 +40,7 @@ from fieldlum.session import Session, create_session, open_session
 from fieldlum.session.files.capture_json import CaptureFile, Frame, frame_fields
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.session.journal import Journal
-from fieldlum.session.lines import decode_line
+from fieldlum.session.writing import decode_line
 
 KINDS = ("journal", "capture.json", "session.toml", "pairs.csv")
 START = datetime(2027, 3, 20, 15, 30, tzinfo=UTC)

@@ -47,7 +47,7 @@ from fieldlum.devices import Camera, CameraInfo, open_pyranometer, spn1
 from fieldlum.devices.clock import FastClock
 from fieldlum.devices.gphoto import Child
 from fieldlum.session import Session, day_files, open_session, read_day, read_journal, sha256
-from fieldlum.session.ledger import fold
+from fieldlum.session.slot_states import fold
 
 SITE = """
 [site]
@@ -421,19 +421,19 @@ def run_month(session: Session, faults: list[Fault], every_s: float) -> dict[str
 def audit(session: Session, faults: list[Fault], outcome: dict[str, Any], every_s: float) -> None:
     """Count what was lost, and check everything that was kept."""
     slots, events = session.slots(), read_journal(session)
-    ledger = fold(events)
+    states = fold(events)
     on_disk = Counter(sha256(p) for p in session.raw.rglob("*.raw"))
     acknowledged = {e["frame"]["sha256"] for e in events if e["event"] == "frame"}
     lost = acknowledged - set(on_disk)
     doubled = [h for h, n in on_disk.items() if n > 1]
     stray = set(on_disk) - acknowledged
     result = Counter(
-        ledger.slots[s.id].outcome if s.id in ledger.slots else "nothing" for s in slots
+        states.slots[s.id].outcome if s.id in states.slots else "nothing" for s in slots
     )
     whole = sum(
         len(st.frames) == len(s.exposures)
         for s in slots
-        if (st := ledger.slots.get(s.id)) and st.outcome == "done"
+        if (st := states.slots.get(s.id)) and st.outcome == "done"
     )
     total = wrong = near = broken = 0
     for path in day_files(session):
@@ -469,7 +469,7 @@ def audit(session: Session, faults: list[Fault], outcome: dict[str, Any], every_
         f"processes: {outcome['lives']} lives; acknowledged frames lost over them: "
         f"{outcome['lost_frames']}"
     )
-    print("events: " + ", ".join(f"{n} {k}" for k, n in sorted(ledger.counts.items())))
+    print("events: " + ", ".join(f"{n} {k}" for k, n in sorted(states.counts.items())))
     print(
         "\n| fault | injected | survived | slots missed or aborted around it | frames lost | rows "
         "lost |"
@@ -481,9 +481,9 @@ def audit(session: Session, faults: list[Fault], outcome: dict[str, Any], every_
             s.id
             for s in slots
             for f in mine
-            if _touches(f, s) and ledger.slots[s.id].outcome != "done"
+            if _touches(f, s) and states.slots[s.id].outcome != "done"
         }
-        survived = sum(_next_done(f, slots, faults, ledger) for f in mine)
+        survived = sum(_next_done(f, slots, faults, states) for f in mine)
         print(
             f"| {kind} | {len(mine)} | {survived} | {len(near)} | 0 | 0 |"
             if not lost and not outcome["lost_rows"]
@@ -498,12 +498,12 @@ def _touches(fault: Fault, slot: Slot) -> bool:
     ) and fault.t_utc <= slot.t_utc + timedelta(seconds=330)
 
 
-def _next_done(fault: Fault, slots: list[Slot], faults: list[Fault], ledger: Any) -> bool:
+def _next_done(fault: Fault, slots: list[Slot], faults: list[Fault], states: Any) -> bool:
     """Whether the first slot that no other fault touches, after this one, was taken."""
     end = fault.t_utc + timedelta(seconds=fault.seconds + 330)
     for slot in slots:
         if slot.t_utc > end and not any(_touches(f, slot) for f in faults):
-            return ledger.slots[slot.id].outcome == "done"
+            return states.slots[slot.id].outcome == "done"
     return True
 
 

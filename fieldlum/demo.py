@@ -24,8 +24,8 @@ from fieldlum.optics.projection import compass_name
 from fieldlum.session import Session, open_session
 from fieldlum.session.codec import write_object
 from fieldlum.session.files.irradiance_csv import CleanIrradiance
+from fieldlum.session.files.model_files import TrainAnswer
 from fieldlum.session.files.pairs_csv import PairsFile
-from fieldlum.session.files.scores_json import TrainAnswer
 from fieldlum.session.site_toml import load_site
 from fieldlum.year.predict import Annual
 

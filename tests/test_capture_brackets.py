@@ -22,7 +22,7 @@ from fieldlum.session import (
     read_journal,
     sha256,
 )
-from fieldlum.session.ledger import fold, slots_to_do
+from fieldlum.session.slot_states import fold, slots_to_do
 
 
 @pytest.mark.contract

@@ -23,7 +23,7 @@ from fieldlum.core.records import CameraSetup, Exposure, SiteFile, Slot
 from fieldlum.optics.profiles import load_camera_profile, save_profile
 from fieldlum.optics.raw import same_model, write_dng, write_jpeg
 from fieldlum.session import Session, create_session, read_journal
-from fieldlum.session.ledger import fold
+from fieldlum.session.slot_states import fold
 
 NOON = datetime(2027, 3, 14, 20, 30, tzinfo=UTC)  # of Seattle, on the day of its clock change
 LADDER = tuple(Exposure(t, 5.6) for t in (1 / 8, 1 / 60, 1 / 250))

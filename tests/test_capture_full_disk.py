@@ -21,7 +21,7 @@ from tiny_field import FAST, T0, Field, TinyCamera, make_session
 from fieldlum.core.records import Exposure
 from fieldlum.devices.clock import FastClock
 from fieldlum.session import day_files, read_day, read_journal, sha256
-from fieldlum.session.ledger import fold
+from fieldlum.session.slot_states import fold
 
 pytestmark = pytest.mark.property
 
@@ -81,14 +81,14 @@ def scenario(folder: Path, frame: int, seconds: float) -> dict[str, Any]:
         return made[-1]
 
     events = field.run(replace(FAST, reserve_bytes=RESERVE_BYTES), open_cam=open_camera)
-    ledger = fold(read_journal(field.session))
+    states = fold(read_journal(field.session))
     acknowledged = [
         e["frame"]["sha256"] for e in read_journal(field.session) if e["event"] == "frame"
     ]
     on_disk = sorted(sha256(path) for path in field.session.raw.rglob("*.dng"))
     return {
         "outcomes": field.outcomes(),
-        "why": [ledger.slots[slot.id].why for slot in field.session.slots()],
+        "why": [states.slots[slot.id].why for slot in field.session.slots()],
         "lost": sorted(set(acknowledged) - set(on_disk)),
         "strays": sorted(set(on_disk) - set(acknowledged)),
         "half": [str(path) for path in field.session.raw.rglob(".*")],

@@ -33,7 +33,7 @@ from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import CameraSetup, Exposure, IrradianceSample, SiteFile, Slot
 from fieldlum.optics.raw import write_jpeg
 from fieldlum.session import Session, create_session, day_files, read_day, read_journal, sha256
-from fieldlum.session.ledger import fold
+from fieldlum.session.slot_states import fold
 
 DAWN = datetime(2027, 3, 20, 14, 30, tzinfo=UTC)
 LADDER = tuple(Exposure(t, 5.6) for t in (2.0, 1 / 2, 1 / 8, 1 / 30, 1 / 125))

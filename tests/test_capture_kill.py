@@ -38,7 +38,7 @@ from fieldlum.optics.profiles import (
     save_profile,
 )
 from fieldlum.session import Session, create_session, day_files, read_day, read_journal, sha256
-from fieldlum.session.ledger import fold
+from fieldlum.session.slot_states import fold
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork and SIGKILL")
 T0 = datetime(2027, 3, 20, 18, 30, tzinfo=UTC)

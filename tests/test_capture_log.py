@@ -29,7 +29,7 @@ from fieldlum.session import (
     sole_user,
     update_session,
 )
-from fieldlum.session.ledger import fold
+from fieldlum.session.slot_states import fold
 
 
 @pytest.mark.contract

@@ -27,7 +27,7 @@ from fieldlum.session import (
     sha256,
 )
 from fieldlum.session.files.capture_json import CaptureFile
-from fieldlum.session.ledger import fold
+from fieldlum.session.slot_states import fold
 
 EVEN_LIGHT = Panorama(np.full((46, 92), 100.0, np.float32), 180.0)
 

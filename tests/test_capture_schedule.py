@@ -20,7 +20,7 @@ from fieldlum.session import (
     read_journal,
     write_plan,
 )
-from fieldlum.session.ledger import SlotState
+from fieldlum.session.slot_states import SlotState
 
 
 @pytest.mark.contract

@@ -10,7 +10,7 @@ from learning_room import dataset
 from fieldlum.cli import main
 from fieldlum.learn import model_registry, models
 from fieldlum.learn.model_registry import MODELS
-from fieldlum.session.files.model_config import ModelConfig
+from fieldlum.session.files.model_files import ModelConfig
 from fieldlum.year.predict.blocks import wants_patch
 
 pytestmark = pytest.mark.contract

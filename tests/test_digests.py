@@ -17,9 +17,9 @@ from fieldlum.optics.images import write_panorama
 from fieldlum.session import sha256
 from fieldlum.session.files.hourly_csv import HOUR_COLUMNS, VIEW_COLUMNS, HourlyFile
 from fieldlum.session.files.irradiance_csv import CleanIrradiance
+from fieldlum.session.files.model_files import ScoresFile
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.session.files.predict_json import PredictFile
-from fieldlum.session.files.scores_json import ScoresFile
 from fieldlum.session.files.sidecar import Sidecar, warn_if_changed
 from fieldlum.session.panorama_sun import read_panorama_with_sun
 

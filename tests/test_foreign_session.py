@@ -472,7 +472,7 @@ def test_only_plain_names_are_frames_and_slots(tmp_path: Path, name: str) -> Non
 def test_an_impossible_exposure_is_no_frame(key: str, value: float) -> None:
     fields = dict(frame_fields(Frame(0, "00.dng", Exposure(1.0, 5.6), None, T0)))
     exposure = {"shutter_s": 1.0, "f_number": 5.6, "iso": 100.0, key: value}
-    with pytest.raises(ValueError, match="not above 0 and finite"):
+    with pytest.raises(ValueError, match="expected a number"):
         frame_from({**fields, "exposure": exposure})
 
 
@@ -559,7 +559,7 @@ def test_pairs_may_name_pictures_anywhere_outside_a_session(tmp_path: Path) -> N
 def test_a_wrong_type_in_session_toml_is_one_line(tmp_path: Path, text: str) -> None:
     session = make_session(tmp_path / "s")
     session.toml.write_text(text, encoding="utf-8")
-    with pytest.raises(InputError, match=r"session\.toml: \w.*; expected values of the types"):
+    with pytest.raises(InputError, match=r"session\.toml: \w.*; expected TOML with the types"):
         open_session(session.root)
 
 

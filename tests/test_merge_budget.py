@@ -25,7 +25,7 @@ from fieldlum.optics.profiles import (
     NeutralDensity,
     ShutterTime,
 )
-from fieldlum.session.files.merge_report import NeighbourQuality
+from fieldlum.session.files.sidecar import NeighbourQuality
 
 
 @pytest.fixture(scope="module")

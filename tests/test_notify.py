@@ -30,7 +30,7 @@ from fieldlum.core.records import Exposure, IrradianceSample, SiteFile, Slot
 from fieldlum.devices import Camera, CameraInfo, InstrumentInfo, Pyranometer
 from fieldlum.devices.clock import FastClock
 from fieldlum.session import Session, create_session
-from fieldlum.session.tables import EventFields
+from fieldlum.session.journal import EventFields
 
 T0 = datetime(2027, 3, 20, 15, 30, tzinfo=UTC)
 SECRET = "hunter2-very-secret"

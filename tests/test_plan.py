@@ -223,7 +223,7 @@ def test_command_makes_a_session(tmp_path: Path, profile: str) -> None:
     ("text", "said"),
     [
         (GOOD.replace("latitude_deg", "lattitude_deg"), "did you mean 'latitude_deg'"),
-        (GOOD.replace("47.6", "147"), "latitude_deg = 147"),
+        (GOOD.replace("47.6", "147"), "latitude_deg = '147', expected a number <= 90"),
         (GOOD.replace("America/Los_Angeles", "Mars/Base"), "unknown time zone 'Mars/Base'"),
         ("nonsense", "TOML"),
     ],

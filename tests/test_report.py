@@ -25,10 +25,9 @@ from fieldlum.report import sections as annual_page
 from fieldlum.report.page import NOTHING, Quantity, heat_map
 from fieldlum.report.sections import melanopic_section, melanopic_shares
 from fieldlum.session import Session, create_session
-from fieldlum.session.files.held_out_npz import HeldOutMaps
+from fieldlum.session.files.model_files import HeldOutMaps, ScoresFile
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.files.predict_json import PredictFile
-from fieldlum.session.files.scores_json import ScoresFile
 from fieldlum.year import predict
 
 pytestmark = pytest.mark.contract

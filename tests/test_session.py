@@ -23,7 +23,6 @@ from fieldlum.session import (
     check_writable,
     create_session,
     day_files,
-    decode_sample,
     encode_sample,
     exposure_text,
     marks,
@@ -33,11 +32,11 @@ from fieldlum.session import (
     read_plan,
     sole_user,
 )
-from fieldlum.session.journal import damaged_lines, decode_event
-from fieldlum.session.ledger import fold
-from fieldlum.session.lines import cut_torn_tail, decode_line, encode_line
+from fieldlum.session.day_files import decode_sample
+from fieldlum.session.journal import JournalEvent, damaged_lines, decode_event
 from fieldlum.session.plan_file import parse_exposure
-from fieldlum.session.tables import JournalEvent
+from fieldlum.session.slot_states import fold
+from fieldlum.session.writing import cut_torn_tail, decode_line, encode_line
 
 NOON = datetime(2027, 3, 20, 15, 30, tzinfo=UTC)
 SETUP = SiteFile(SEATTLE)
@@ -193,7 +192,7 @@ def test_harm_in_the_middle_is_skipped_not_cut(session: Session) -> None:
     lines[1] = lines[1].replace(b"frame", b"fr4me")
     session.journal.write_bytes(b"".join(lines))
     Journal(session).close()
-    assert [event["index"] for event in read_journal(session)] == [0, 2, 3]
+    assert [dict(event)["index"] for event in read_journal(session)] == [0, 2, 3]
 
 
 @pytest.mark.contract
@@ -289,7 +288,7 @@ def test_lines_with_a_valid_checksum_and_wrong_types_are_named(session: Session)
     good = _journal_lines(session, 2)
     wrong = [encode_line(row) for row in WRONG_EVENTS]  # type: ignore[arg-type]
     session.journal.write_bytes(b"".join([good[0], *wrong, good[1], b"1234 half a li"]))
-    assert [event["index"] for event in read_journal(session)] == [0, 1]
+    assert [dict(event)["index"] for event in read_journal(session)] == [0, 1]
     assert damaged_lines(session) == list(range(2, 2 + len(wrong)))
     assert marks(session) == {} and fold(read_journal(session)).counts == {"frame": 2}
     text = "journal.jsonl has 15 damaged lines (2, 3, 4, 5, 6 and 10 more)"

@@ -20,15 +20,12 @@ from fieldlum.core.records import Exposure, SiteFile, Slot
 from fieldlum.plan import makeup
 from fieldlum.session import Session, create_session, store_grace
 from fieldlum.session.files.capture_json import CaptureFile, Frame
-from fieldlum.session.files.held_out_npz import MAX_MAPS, HeldOutMaps
 from fieldlum.session.files.hourly_csv import HOUR_COLUMNS, VIEW_COLUMNS, HourlyFile
 from fieldlum.session.files.irradiance_csv import CleanIrradiance
-from fieldlum.session.files.merge_report import MergeReport
-from fieldlum.session.files.model_config import ModelConfig
+from fieldlum.session.files.model_files import MAX_MAPS, HeldOutMaps, ModelConfig, ScoresFile
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.session.files.predict_json import PredictFile
-from fieldlum.session.files.scores_json import ScoresFile
-from fieldlum.session.files.sidecar import Sidecar
+from fieldlum.session.files.sidecar import MergeReport, Sidecar
 
 NOON = datetime(2027, 12, 21, 20, 0, tzinfo=UTC)
 SLOT = Slot(NOON, 18.0, 180.0, (Exposure(0.01, 5.6),))

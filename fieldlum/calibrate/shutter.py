@@ -30,8 +30,7 @@ from fieldlum.optics.linear_light import SAME_LABEL, U_FRAME_RATIO, true_shutter
 from fieldlum.optics.photometry import AUTO
 from fieldlum.optics.profiles import CameraProfile, ShutterTime
 from fieldlum.session import Session
-from fieldlum.session.files.merge_report import FrameQuality, NeighbourQuality
-from fieldlum.session.files.sidecar import Sidecar
+from fieldlum.session.files.sidecar import FrameQuality, NeighbourQuality, Sidecar
 
 MIN_BRACKETS = 5  # with a pair of times; chosen so that a median is robust
 # largest relative spread of a pair over brackets; a larger one means unsteady light or shutter;
@@ -107,8 +106,9 @@ def from_session(
     for path in session.sidecar_files():
         with suppress(InputError):  # damaged, or not written by a merge
             sidecar = Sidecar.read(path)
-            others += sidecar.profile.sha256 not in ("", profile_sha256)
-            if sidecar.profile.sha256 == profile_sha256 and (readings := readings_of(sidecar)):
+            profile = sidecar.profile.get("sha256", "")
+            others += profile not in ("", profile_sha256)
+            if profile == profile_sha256 and (readings := readings_of(sidecar)):
                 brackets.append(readings)
                 files.append(path)
     if not brackets and others:

@@ -19,9 +19,9 @@ from fieldlum.capture.notify import Heartbeat, Message, Outbox, Post
 from fieldlum.capture.runner import Live
 from fieldlum.core.records import parse_utc
 from fieldlum.session import Session
-from fieldlum.session.inside import link_on_the_way
-from fieldlum.session.ledger import SETTLED
-from fieldlum.session.tables import EventFields
+from fieldlum.session.journal import EventFields
+from fieldlum.session.safe_paths import link_on_the_way
+from fieldlum.session.slot_states import SETTLED
 
 
 @dataclass(slots=True)

@@ -19,9 +19,9 @@ from fieldlum.devices import Camera, IlluminanceMeter
 from fieldlum.devices.clock import Backoff
 from fieldlum.session import Session, disk_is_full, sha256, sync_folder
 from fieldlum.session.files.capture_json import CaptureFile, Frame, frame_fields, interval_of
-from fieldlum.session.inside import link_on_the_way
-from fieldlum.session.ledger import SlotState
-from fieldlum.session.tables import DeviceTable
+from fieldlum.session.folder import DeviceTable
+from fieldlum.session.safe_paths import link_on_the_way
+from fieldlum.session.slot_states import SlotState
 
 STALE_S = 60.0  # after a longer pause between frames the light may have changed; not measured
 
@@ -241,7 +241,7 @@ class BracketCapture:
         if self.recorder.flush:
             sync_folder(final.parent)
         self.frame_bytes = max(self.frame_bytes, final.stat().st_size)
-        about = taken, shot.heading_deg, begun, seconds, sha256(final), doubt, instead_of
+        about = taken, shot.heading_deg, begun, round(seconds, 3), sha256(final), doubt, instead_of
         return Frame(shot.index, final.name, *about)
 
     def _wait_for_room(self, pause_s: float) -> bool:

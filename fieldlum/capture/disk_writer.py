@@ -15,13 +15,13 @@ from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 from shutil import disk_usage
-from typing import TypeVar, Unpack
+from typing import Any, TypeVar
 
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import IrradianceSample
 from fieldlum.session import DayFiles, Journal, Session, disk_is_full
-from fieldlum.session.inside import open_inside
-from fieldlum.session.tables import EventFields
+from fieldlum.session.journal import EventFields
+from fieldlum.session.safe_paths import open_inside
 
 RESERVE_BYTES = 16 << 20  # bytes of twelve days of rows (75 bytes each, every 5 s); chosen
 
@@ -59,7 +59,7 @@ class Recorder:
         self.last_event = ""
         self.refill()
 
-    def tell(self, event: str, **fields: Unpack[EventFields]) -> bool:
+    def tell(self, event: str, **fields: Any) -> bool:
         """Write an event with the current time to the journal; return whether it is on the disk."""
         with self._lock:
             self.last_event = event

@@ -36,7 +36,7 @@ from fieldlum.optics.profiles import (
 from fieldlum.optics.raw import same_model
 from fieldlum.session import DEFAULT_GRACE_S, Session, check_writable, sha256
 from fieldlum.session.journal import damage_text, damaged_lines
-from fieldlum.session.ledger import read_ledger, slots_ahead, without_capture
+from fieldlum.session.slot_states import read_slot_states, slots_ahead, without_capture
 from fieldlum.sky import sun
 
 Verdict = Literal["ok", "warn", "fail"]
@@ -168,7 +168,7 @@ def check_plan(session: Session, now_utc: datetime) -> Iterator[Finding]:
         text = f"{len(ahead)} of {len(slots)} slots are in the future, the next on "
         yield ok("plan", f"{text}{first:%a %Y-%m-%d at %H:%M %Z}")
         return
-    states = read_ledger(session).slots
+    states = read_slot_states(session).slots
     captured = {slot for slot, state in states.items() if state.outcome == "done"}
     missing, count = without_capture(slots, captured)
     text = f", and {missing} of {count} were not captured: add make-up slots with fieldlum plan "

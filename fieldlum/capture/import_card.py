@@ -30,7 +30,7 @@ from fieldlum.session import (
     update_session,
 )
 from fieldlum.session.files.capture_json import Frame, frame_fields
-from fieldlum.session.ledger import Ledger, SlotState, read_ledger
+from fieldlum.session.slot_states import SlotState, SlotStates, read_slot_states
 
 
 def run(
@@ -180,9 +180,9 @@ def _adopt_all(
     """
     journal = Journal(session)
     try:
-        moved = withdraw(session, journal, read_ledger(session), matches)
-        ledger = read_ledger(session)
-        new = [m for m in matches if ledger.state(m.slot.id).outcome != "done"]
+        moved = withdraw(session, journal, read_slot_states(session), matches)
+        states = read_slot_states(session)
+        new = [m for m in matches if states.state(m.slot.id).outcome != "done"]
         for number, match in enumerate(new, start=1):
             progress(number, len(new), match.slot.id)
             _adopt(session, setup, journal, match)
@@ -253,7 +253,7 @@ def meant(
 
 
 def withdraw(
-    session: Session, journal: Journal, ledger: Ledger, matches: Sequence[Match]
+    session: Session, journal: Journal, states: SlotStates, matches: Sequence[Match]
 ) -> tuple[str, ...]:
     """Remove imported brackets whose frames now have another slot or time; return their slots' ids.
 
@@ -266,7 +266,7 @@ def withdraw(
         for card in match.group.frames:
             cards.setdefault(card.path.name, []).append((match, card))
     gone: list[str] = []
-    for slot, state in ledger.slots.items():
+    for slot, state in states.slots.items():
         pairs = [(frame, *card) for frame in state.frames for card in cards.get(frame.file, ())]
         is_imported = state.outcome == "done" and state.why == "imported"
         if is_imported and any(_is_elsewhere(slot, *pair) for pair in pairs):

@@ -27,7 +27,7 @@ from fieldlum.session import (
     sole_user,
     update_session,
 )
-from fieldlum.session.tables import LoggerFileTable
+from fieldlum.session.folder import LoggerFileTable
 
 
 def adopt_rows(

@@ -11,7 +11,7 @@ from typing import Any, Generic, TypeVar
 from fieldlum.core.errors import DeviceError
 from fieldlum.devices import CameraInfo, Device, InstrumentInfo
 from fieldlum.devices.clock import Backoff, Clock
-from fieldlum.session.tables import DeviceTable
+from fieldlum.session.folder import DeviceTable
 
 # Not measured: the first pause suits a loose plug, and the longest fits into a slot's window.
 FIRST_PAUSE_S, MAX_PAUSE_S = 1.0, 30.0

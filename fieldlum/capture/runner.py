@@ -38,8 +38,8 @@ from fieldlum.session import (
     update_session,
 )
 from fieldlum.session.files.capture_json import Frame
-from fieldlum.session.ledger import Ledger, SlotState, read_ledger, slots_to_do
-from fieldlum.session.tables import DevicesTable
+from fieldlum.session.folder import DevicesTable
+from fieldlum.session.slot_states import SlotState, SlotStates, read_slot_states, slots_to_do
 from fieldlum.version import __version__
 
 
@@ -110,12 +110,12 @@ def prepare(session: Session, *, fast: bool) -> tuple[Clock, Options]:
     grace_s = session.grace.total_seconds()
     if not fast:
         return Clock(), Options(grace_s=grace_s, boot=boot_id())
-    ledger = read_ledger(session)
-    slots = slots_to_do(session.slots(), ledger)
+    states = read_slot_states(session)
+    slots = slots_to_do(session.slots(), states)
     first = slots[0].t_utc - timedelta(seconds=60) if slots else datetime.now(UTC)
     # four rows of irradiance at 5 s before a slot
     options = Options(grace_s=grace_s, log_around_s=20.0, threaded=False, flush=False)
-    return FastClock(ledger.last_utc or first), options
+    return FastClock(states.last_utc or first), options
 
 
 def run(
@@ -133,7 +133,7 @@ def run(
     open_cam: Callable[[], Camera] | None = None,
     open_pyr: Callable[[], Pyranometer] | None = None,
     open_met: Callable[[], IlluminanceMeter] | None = None,
-) -> Ledger:
+) -> SlotStates:
     """Take all brackets that are due; return when every slot of the plan has an outcome.
 
     Return the state of all slots. `watch` is called with the state of the capture, `listen` with
@@ -158,7 +158,7 @@ def run(
             runner.work()
         finally:
             runner.close()
-    return read_ledger(session)
+    return read_slot_states(session)
 
 
 def refuse_a_clock_behind(now_utc: datetime, last_utc: datetime) -> None:
@@ -170,7 +170,7 @@ def refuse_a_clock_behind(now_utc: datetime, last_utc: datetime) -> None:
 
 
 def refuse_a_past_plan(
-    slots: Sequence[Slot], before: Ledger, now_utc: datetime, grace: timedelta
+    slots: Sequence[Slot], before: SlotStates, now_utc: datetime, grace: timedelta
 ) -> None:
     """Raise NotEnoughDataError if every slot is past and the journal has no event of a slot.
 
@@ -219,7 +219,7 @@ class _Runner:
         self._plan_stamp = 0
         self._plan_stamp = self._stamp()  # before the plan is read, so that no change is missed
         self.slots = session.slots()
-        before = read_ledger(session)
+        before = read_slot_states(session)
         self.states = before.slots
         if before.last_utc is not None:
             if before.opened is not None:
@@ -334,7 +334,7 @@ class _Runner:
                 # remains.
                 if {slot.id for slot in self.slots} <= {slot.id for slot in slots}:
                     self.slots = slots
-        return next(iter(slots_to_do(self.slots, Ledger(dict(self.states)))), None)
+        return next(iter(slots_to_do(self.slots, SlotStates(dict(self.states)))), None)
 
     def _plan_changed(self) -> bool:
         return self._stamp() != self._plan_stamp
@@ -358,7 +358,7 @@ class _Runner:
             state = bracket.take()
         except Exception as error:
             with suppress(OSError):
-                bracket.state = read_ledger(self.session).slots.get(slot.id, bracket.state)
+                bracket.state = read_slot_states(self.session).slots.get(slot.id, bracket.state)
             state = bracket.abort(error_text(error))
         if self.logger is not None and not self.options.threaded:
             self.clock.sleep(self.logger.due_in_s)

@@ -8,16 +8,16 @@ from pathlib import Path
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import JsonTable, Slot, utc_text
 from fieldlum.session import Session, day_files
-from fieldlum.session.files.model_config import ModelConfig
+from fieldlum.session.files.model_files import ModelConfig
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.journal import damaged_lines
-from fieldlum.session.ledger import Ledger, read_ledger, slots_to_do
+from fieldlum.session.slot_states import SlotStates, read_slot_states, slots_to_do
 
 
 def status(session: Session) -> JsonTable:
     """Return the object that `status --json` prints: by stage, what is done and still to do."""
-    slots, ledger = session.slots(), read_ledger(session)
-    captured = {slot.id for slot in slots if ledger.state(slot.id).frames}
+    slots, recorded = session.slots(), read_slot_states(session)
+    captured = {slot.id for slot in slots if recorded.state(slot.id).frames}
     merged = {path.stem for path in session.panorama_files()}
     pairs = PairsFile.find(session.pairs)
     # `simulate` writes pairs of its truth, which are no pairs of merged panoramas.
@@ -28,7 +28,7 @@ def status(session: Session) -> JsonTable:
         "session": str(session.root),
         "name": session.site_file().site.name,
         "plan": _plan(session, slots),
-        "capture": _capture(session, slots, ledger),
+        "capture": _capture(session, slots, recorded),
         "irradiance": _irradiance(session),
         "merge": {"done": len(merged), "owed": len(captured - merged)},
         "pair": {"done": len(paired), "usable": len(pairs.usable), "owed": len(merged - paired)},
@@ -71,10 +71,10 @@ def _plan(session: Session, slots: list[Slot]) -> JsonTable:
     return plan
 
 
-def _capture(session: Session, slots: list[Slot], ledger: Ledger) -> JsonTable:
-    states = [ledger.state(slot.id) for slot in slots]
+def _capture(session: Session, slots: list[Slot], recorded: SlotStates) -> JsonTable:
+    states = [recorded.state(slot.id) for slot in slots]
     outcomes = [state.outcome for state in states]
-    to_do = slots_to_do(slots, ledger)
+    to_do = slots_to_do(slots, recorded)
     return {
         "done": outcomes.count("done"),
         "missed": outcomes.count("missed"),
@@ -82,9 +82,9 @@ def _capture(session: Session, slots: list[Slot], ledger: Ledger) -> JsonTable:
         "owed": len(to_do),
         "frames": sum(len(state.frames) for state in states),
         "next": to_do[0].id if to_do else None,
-        "device_lost": ledger.counts.get("device-lost", 0),
-        "clock_steps": ledger.counts.get("clock-step", 0),
-        "suspends": ledger.counts.get("suspend", 0),
+        "device_lost": recorded.counts.get("device-lost", 0),
+        "clock_steps": recorded.counts.get("clock-step", 0),
+        "suspends": recorded.counts.get("suspend", 0),
         "damaged_lines": damaged_lines(session),
     }
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 from fieldlum.devices.clock import Clock, synchronised
 from fieldlum.session import Session
-from fieldlum.session.tables import ClockMark, EventFields, JournalEvent
+from fieldlum.session.journal import EventFields
 
 # A larger difference between the computer's clock and the steady time is a step; a smaller one is
 # drift, which is followed. The drift between two checks is far smaller.
@@ -57,11 +58,11 @@ class SteadyClock(Clock):
         """Sleep for a time [s]."""
         self._clock.sleep(seconds)
 
-    def mark(self) -> ClockMark:
+    def mark(self) -> EventFields:
         """Return the boot's identifier and its boot time [s], for `carry_on` in a later process."""
         return {"boot_id": self._boot_id, "boottime_s": round(self.boottime(), 3)}
 
-    def carry_on(self, then: datetime, mark: ClockMark | JournalEvent) -> None:
+    def carry_on(self, then: datetime, mark: Mapping[str, Any]) -> None:
         """Continue the time of an earlier process, which was at `then` when it stored `mark`.
 
         Only within the same boot. `check` then detects a step between the two processes.

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from fieldlum.capture.notify import Post
     from fieldlum.capture.runner import Live, Watch
     from fieldlum.core.records import Site
-    from fieldlum.session.ledger import SlotState
+    from fieldlum.session.slot_states import SlotState
 
 
 @command_of("capture")
@@ -106,8 +106,8 @@ def command(
 
         how = {"clock": ticking, "options": options, "checks": checks, "meter_uri": meter_uri}
         seen = {"watch": watch, "listen": remote.listen}
-        ledger = capture.run(session, camera_uri, pyranometer_uri, **how, **seen)
-    _show_end(session.root, list(ledger.slots.values()))
+        states = capture.run(session, camera_uri, pyranometer_uri, **how, **seen)
+    _show_end(session.root, list(states.slots.values()))
 
 
 def _show_end(root: Path, slots: list[SlotState]) -> None:

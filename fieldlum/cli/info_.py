@@ -211,7 +211,7 @@ def _raw(path: Path) -> Facts:
 
 def _folder(path: Path) -> Facts:
     from fieldlum.session.codec import read_object
-    from fieldlum.session.files.model_config import ModelConfig
+    from fieldlum.session.files.model_files import ModelConfig
 
     if (path / "session.toml").is_file():
         return _toml(path / "session.toml")

@@ -24,8 +24,8 @@ def command(paths: Annotated[tuple[Path, ...], "PATH...", EXISTING_PATH]) -> Non
       fieldlum permit office.rad
     """
     from fieldlum.room.scene.room_commands import commands, what_runs
-    from fieldlum.session.inside import link_subject
     from fieldlum.session.permits import permit
+    from fieldlum.session.safe_paths import link_subject
 
     for path in paths:
         if path.is_symlink():

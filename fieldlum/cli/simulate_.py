@@ -22,7 +22,7 @@ from fieldlum.cli.options import (
 if TYPE_CHECKING:
     from fieldlum.core.records import Progress, SiteFile
     from fieldlum.session import Session
-    from fieldlum.session.tables import PlanTable
+    from fieldlum.session.folder import PlanTable
     from fieldlum.weather import Weather
 
 

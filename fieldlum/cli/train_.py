@@ -14,7 +14,7 @@ from fieldlum.cli.terminal import print_answer, progress, say, table_lines
 from fieldlum.learn.model_registry import MODELS
 
 if TYPE_CHECKING:
-    from fieldlum.session.files.scores_json import TrainAnswer
+    from fieldlum.session.files.model_files import TrainAnswer
 
 
 _COLUMNS = {

@@ -6,12 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from enum import IntFlag
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats, Floats32
+from fieldlum.core.strict_toml import Positive
 
 # Largest picture that is read, unless a camera's profile states more: 0.5 GB of JPEG codes, 1.9 GB
 # of float32 colours. The largest sensors in use have 150 million pixels.
@@ -96,10 +98,10 @@ class Site:
     """
 
     name: str
-    latitude_deg: float
-    longitude_deg: float
+    latitude_deg: Annotated[float, Meta(ge=-90.0, le=90.0)]
+    longitude_deg: Annotated[float, Meta(ge=-180.0, le=180.0)]
     timezone: str = "UTC"
-    altitude_m: float = 0.0
+    altitude_m: Annotated[float, Meta(ge=-500.0, le=9000.0)] = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,9 +226,9 @@ class Exposure:
     nd: name of a neutral-density filter of the profile, "" for none.
     """
 
-    shutter_s: float
-    f_number: float
-    iso: float = 100.0
+    shutter_s: Positive
+    f_number: Positive
+    iso: Positive = 100.0
     nd: str = ""
 
 

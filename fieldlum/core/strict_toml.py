@@ -56,6 +56,7 @@ def _reason(text: str, value: Any) -> str:
     text, _, place = text.partition(" - at `$")
     place = place.rstrip("`").lstrip(".")
     text = re.sub(r"Object missing required field `(.*)`", r"no entry '\1'", text)
+    text = re.sub(r"Expected `float` ([<>].*)", r"expected a number \1", text)
     text = re.sub(r"Expected `(.*?)`, got `.*`", lambda m: f"not {_words(m[1])}", text)
     text = re.sub(r"Expected `(.*?)`", lambda m: f"not {_words(m[1])}", text)
     if "..." in place:

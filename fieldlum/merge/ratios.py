@@ -21,7 +21,7 @@ from fieldlum.merge.shots import Shot, exposure_covariance, times_by_law
 from fieldlum.optics.linear_light import U_FRAME_RATIO
 from fieldlum.optics.photometry import PairRatio, ShutterLaw, law_of_frames
 from fieldlum.optics.profiles import CameraProfile
-from fieldlum.session.files.merge_report import NeighbourQuality
+from fieldlum.session.files.sidecar import NeighbourQuality
 
 _SNR_LONG = 30.0  # minimum signal-to-noise ratio of a pixel in the longer frame
 # Least signal-to-noise ratios in the shorter frame, tried from the highest, and number of pixels

@@ -30,7 +30,7 @@ from fieldlum.merge.shift import shifts
 from fieldlum.merge.shots import Shot, sorted_shots, stated_law
 from fieldlum.optics.linear_light import lens_geometry, nd_factors
 from fieldlum.optics.profiles import CameraProfile
-from fieldlum.session.files.merge_report import ShiftQuality
+from fieldlum.session.files.sidecar import ShiftQuality
 
 # ----------------------------------------------------------------------------------------------
 # noise of raw frames, from neighbouring frames

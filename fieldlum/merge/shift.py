@@ -26,7 +26,7 @@ from fieldlum.optics.projection import (
     relative_radius,
 )
 from fieldlum.optics.turn_fit import fit_turn
-from fieldlum.session.files.merge_report import ShiftQuality
+from fieldlum.session.files.sidecar import ShiftQuality
 
 _WINDOW_PX = 11  # side of the surroundings of a point
 _MAX_POINTS, _MIN_POINTS = 400, 20

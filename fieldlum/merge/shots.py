@@ -19,7 +19,7 @@ from fieldlum.optics.profiles import CameraProfile
 from fieldlum.optics.raw import is_jpeg, possible_frames, read_exif
 from fieldlum.session import sha256
 from fieldlum.session.files.capture_json import CaptureFile
-from fieldlum.session.inside import refuse_link
+from fieldlum.session.safe_paths import refuse_link
 
 U_REPEAT = 2e-4  # relative u of a shutter time from frame to frame; not measured
 # Relative u for an ISO other than the profile's, because gains of amplifiers are not exact. Not

@@ -47,11 +47,9 @@ from fieldlum.session import (
     replacing_path,
     sha256,
 )
-from fieldlum.session.codec import write_csv
+from fieldlum.session.codec import digest, made_from, write_csv
 from fieldlum.session.files.capture_json import CaptureFile
-from fieldlum.session.files.merge_report import MergeReport
-from fieldlum.session.files.sidecar import ProfileNote, Sidecar, SidecarSun, readable_sidecars
-from fieldlum.session.provenance import digest, made_from
+from fieldlum.session.files.sidecar import MergeReport, Sidecar, SidecarSun, readable_sidecars
 from fieldlum.sky.sky_view import write_sky_picture
 from fieldlum.version import __version__
 
@@ -249,7 +247,7 @@ def _write(session: Session, job: _MergeJob, result: MergeResult, recipe: JsonTa
                 "glare_floor": 100 * p.glare_floor_rel,
             },
         },
-        profile=ProfileNote(p.camera.name, job.profile_sha256),
+        profile={"name": p.camera.name, "sha256": job.profile_sha256},
         inputs=recipe,
         sha256=sha256(picture),
         software={"fieldlum": __version__},

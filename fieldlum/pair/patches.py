@@ -17,8 +17,7 @@ from fieldlum.optics.images import read_panorama, write_panorama
 from fieldlum.room.scene import iter_sun_patches
 from fieldlum.room.scene.view import patch_rays
 from fieldlum.session import Session, replacing_path
-from fieldlum.session.codec import write_object
-from fieldlum.session.provenance import digest, made_from
+from fieldlum.session.codec import digest, made_from, write_object
 from fieldlum.sky import sun
 
 # number of slots in a unit; few are enough, because the room's rays are traced once per process;

@@ -18,7 +18,7 @@ from fieldlum.optics.images import read_panorama
 from fieldlum.optics.projection import altitude_azimuth_deg, equirect_pixel
 from fieldlum.pair.sun_strength import is_measured
 from fieldlum.session import Session, replacing_path, sha256
-from fieldlum.session.provenance import data_digest
+from fieldlum.session.codec import data_digest
 from fieldlum.sky.light import Light
 from fieldlum.sky.sky_view import (
     Captured,

@@ -18,7 +18,7 @@ from fieldlum.plan import choose
 from fieldlum.plan.days import DaylightHours, daylight_hours, span
 from fieldlum.plan.makeup import captured_ids
 from fieldlum.session import Session
-from fieldlum.session.files.model_config import ModelConfig
+from fieldlum.session.files.model_files import ModelConfig
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.sky import sun
 from fieldlum.sky.light import Facades, Features, Kernel, greedy_hours, light_at, light_features

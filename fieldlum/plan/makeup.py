@@ -13,8 +13,8 @@ from fieldlum.core.records import Site, SiteFile, Slot, slot_id
 from fieldlum.plan.coverage import sun_band_percent
 from fieldlum.plan.days import hours_of, span
 from fieldlum.session import Session, replacing, sha256, update_session, write_plan
-from fieldlum.session.ledger import MAKEUP, made_up_for, read_ledger
-from fieldlum.session.tables import PlanTable
+from fieldlum.session.folder import PlanTable
+from fieldlum.session.slot_states import MAKEUP, made_up_for, read_slot_states
 from fieldlum.sky import sun
 
 # Half of a day's change at the equinoxes, so that every passage of a declination has such a day.
@@ -59,7 +59,9 @@ class MakeUpPlan:
 
 def captured_ids(session: Session) -> set[str]:
     """Return the ids of the slots whose bracket was captured completely, by the capture records."""
-    return {slot for slot, state in read_ledger(session).slots.items() if state.outcome == "done"}
+    return {
+        slot for slot, state in read_slot_states(session).slots.items() if state.outcome == "done"
+    }
 
 
 def missed_slots(

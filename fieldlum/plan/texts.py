@@ -12,7 +12,7 @@ from fieldlum.core.records import Site, Slot, counted
 from fieldlum.plan.coverage import Coverage
 from fieldlum.plan.days import DaylightHours, hours_of
 from fieldlum.session import Session
-from fieldlum.session.tables import PlanTable
+from fieldlum.session.folder import PlanTable
 from fieldlum.sky import sun
 
 

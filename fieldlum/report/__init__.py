@@ -15,10 +15,8 @@ from fieldlum.core.strict_csv import read_table
 from fieldlum.report import assessor
 from fieldlum.report.page import Section, Table, named, render, sentence
 from fieldlum.session import Session, remove_scraps, replacing
-from fieldlum.session.files.held_out_npz import HeldOutMaps
-from fieldlum.session.files.model_config import ModelConfig
+from fieldlum.session.files.model_files import HeldOutMaps, ModelConfig, ScoresFile
 from fieldlum.session.files.pairs_csv import PairsFile
-from fieldlum.session.files.scores_json import ScoresFile
 from fieldlum.version import __version__
 from fieldlum.year.glare.budget import BUDGET_FILE
 from fieldlum.year.predict import Annual, newest_annual, read_pictures

@@ -132,7 +132,7 @@ def overview_of(campaign: CampaignFile, room: CampaignRoom) -> RoomOverview:
 
 def _read(session: Session, room: CampaignRoom) -> RoomOverview:
     from fieldlum.capture.status import status
-    from fieldlum.session.ledger import slots_ahead
+    from fieldlum.session.slot_states import slots_ahead
 
     stages, pairs = status(session), PairsFile.find(session.pairs)
     folder = session.annual / room.model
@@ -153,12 +153,12 @@ def _read(session: Session, room: CampaignRoom) -> RoomOverview:
 
 def _failed(session: Session, pairs: PairsFile) -> int:
     """Return the number of slots missed, aborted, not merged or rejected by `fieldlum pair`."""
-    from fieldlum.session.ledger import read_ledger
+    from fieldlum.session.slot_states import read_slot_states
 
     captured = {folder.name for folder in session.captured_folders()}
     failed = captured - {path.stem for path in session.panorama_files()}
     failed |= {Path(row.panorama).stem for row in pairs.refused}
-    states = read_ledger(session).slots.items()
+    states = read_slot_states(session).slots.items()
     return len(failed | {name for name, s in states if s.outcome in ("missed", "aborted")})
 
 

@@ -33,10 +33,9 @@ from fieldlum.report.page import (
     sentence,
 )
 from fieldlum.session import Session
-from fieldlum.session.files.held_out_npz import HeldOutMaps
+from fieldlum.session.files.model_files import HeldOutMaps, ScoresFile
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.session.files.predict_json import DirectionYear
-from fieldlum.session.files.scores_json import ScoresFile
 from fieldlum.session.panorama_sun import SUN_FROM, read_suns
 from fieldlum.sky import sun
 from fieldlum.sky.sun import shown_altitude_deg, standard_time

@@ -1,18 +1,11 @@
 """The session folder on disk: its paths, the formats of its files, and its locks.
 
-`writing` writes complete files or nothing; `lines` appends to files and recovers them; `folder` has
-the paths; `plan_file`, `journal` and `day_files` define formats; `files` has the files that one
-stage writes and another reads.
+`writing` writes complete files or nothing, and appends lines; `folder` has the paths; `plan_file`,
+`journal` and `day_files` define formats; `codec` reads and writes records as JSON, csv and npz;
+`files` has the files that one stage writes and another reads.
 """
 
-from fieldlum.session.day_files import (
-    DAY_COLUMNS,
-    DayFiles,
-    day_files,
-    decode_sample,
-    encode_sample,
-    read_day,
-)
+from fieldlum.session.day_files import DAY_COLUMNS, DayFiles, day_files, encode_sample, read_day
 from fieldlum.session.folder import (
     DEFAULT_GRACE_S,
     Session,
@@ -23,12 +16,7 @@ from fieldlum.session.folder import (
     update_session,
 )
 from fieldlum.session.journal import Journal, mark_slot, marks, read_journal
-from fieldlum.session.plan_file import (
-    PLAN_COLUMNS,
-    exposure_text,
-    read_plan,
-    write_plan,
-)
+from fieldlum.session.plan_file import PLAN_COLUMNS, exposure_text, read_plan, write_plan
 from fieldlum.session.writing import (
     check_writable,
     disk_is_full,

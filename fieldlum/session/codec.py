@@ -9,6 +9,7 @@ wrote it, or an earlier version.
 from __future__ import annotations
 
 import csv
+import hashlib
 import json
 import math
 import warnings
@@ -19,7 +20,7 @@ from dataclasses import fields
 from datetime import UTC, datetime
 from io import StringIO
 from pathlib import Path
-from typing import IO, Annotated, Any, ClassVar, Self, TypeVar, cast
+from typing import Annotated, Any, ClassVar, Self, TypeVar, cast
 
 import msgspec
 import numpy as np
@@ -79,6 +80,44 @@ def change_of(path: Path) -> str:
 
 def _checksum_file(path: Path) -> Path:
     return path.with_name(f"{path.name}.sha256")
+
+
+# ----------------------------------------------------------------------------------------------
+# what a result was computed from: its note, a JSON object that is written after its files
+
+
+def made_from(note: Path, inputs: object, outputs: Iterable[Path] = ()) -> JsonTable | None:
+    """Return a result's note if it states the same inputs and all files exist, else None.
+
+    note: JSON file that is written after the result, with its inputs under the key `inputs`;
+    without that key all of it is the inputs; inputs: plain values that JSON can store; outputs: the
+    result's files. A damaged note counts as missing, so that the result is computed again.
+    """
+    try:
+        table = json.loads(note.read_text(encoding="utf-8"))
+        recorded = table.get("inputs", table)
+    except (OSError, ValueError, AttributeError):
+        return None
+    same = recorded == json.loads(json.dumps(inputs))
+    return table if same and all(path.is_file() for path in outputs) else None
+
+
+def digest(value: object) -> str:
+    """Return the SHA-256 of plain values (those that JSON can store), in hex."""
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
+
+
+def data_digest(*values: object) -> str:
+    """Return the SHA-256 of values in hex; they may be arrays, dataclasses, times or lists."""
+    packed = msgspec.msgpack.encode(values, enc_hook=_packed, order="sorted")
+    return hashlib.sha256(packed).hexdigest()
+
+
+def _packed(value: Any) -> object:
+    if isinstance(value, np.ndarray):
+        data = np.ascontiguousarray(value).reshape(-1).view(np.uint8).data
+        return value.dtype.str, value.shape, hashlib.sha256(data).digest()
+    return value.item() if isinstance(value, np.generic) else str(value)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -277,53 +316,26 @@ def write_columns(path: Path, columns: Mapping[str, Any], digits: int = 7) -> No
 # ----------------------------------------------------------------------------------------------
 # npz
 
-# Most bytes of a compressed member, which could expand to a huge array. Models of 0.1.0 compress
-# their mask of seen pixels: 16 MiB are a mask of 2 900 x 5 800 pixels. Chosen.
+# What a compressed file may expand to besides its own size: models of 0.1.0 compress their mask of
+# seen pixels, and 16 MiB are one of 2 900 x 5 800 pixels.
 MAX_COMPRESSED_BYTES = 16 * 2**20
-# What reading a damaged or missing file can raise.
-NPZ_ERRORS = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
-_HEADERS = {
-    (1, 0): np.lib.format.read_array_header_1_0,
-    (2, 0): np.lib.format.read_array_header_2_0,
-}
+# What reading a damaged or missing file can raise; MemoryError for an impossible shape.
+NPZ_ERRORS = (OSError, ValueError, KeyError, EOFError, MemoryError, zipfile.BadZipFile)
 
 
 def read_arrays(path: Path) -> dict[str, Array]:
     """Return the arrays by name, of any shape; nothing is unpickled.
 
-    Raises ValueError for compressed members over 16 MiB, for an unknown array format, for objects,
-    for a member whose length is not that of its array, and for values that are not finite; OSError
-    or zipfile.BadZipFile for a missing or damaged file.
+    Raises one of `NPZ_ERRORS` for a missing or damaged file, for objects, for compressed arrays
+    over 16 MiB, and for values that are not finite.
     """
-    with path.open("rb") as file:
-        _check_members(file)
-        file.seek(0)
-        with np.load(file, allow_pickle=False) as stored:
-            arrays = {name: stored[name] for name in stored.files}
+    with zipfile.ZipFile(path) as archive:
+        size = sum(member.file_size for member in archive.infolist())
+    if size > path.stat().st_size + MAX_COMPRESSED_BYTES:
+        raise ValueError(f"it is compressed and would fill {size} bytes; expected no compression")
+    with np.load(path, allow_pickle=False) as stored:
+        arrays = {name: stored[name] for name in stored.files}
     for name, values in arrays.items():
         if values.dtype.kind == "f" and not np.isfinite(values).all():
             raise ValueError(f"{name} has values that are not finite")
     return arrays
-
-
-def _check_members(file: IO[bytes]) -> None:
-    """Compare each member's header with the length of its data."""
-    with zipfile.ZipFile(file) as archive:
-        for member in archive.infolist():
-            compressed = member.compress_type != zipfile.ZIP_STORED
-            if compressed and member.file_size > MAX_COMPRESSED_BYTES:
-                raise ValueError(
-                    f"{member.filename} is compressed and would fill {member.file_size} bytes; "
-                    f"expected at most {MAX_COMPRESSED_BYTES}, or no compression"
-                )
-            with archive.open(member) as data:
-                version = np.lib.format.read_magic(data)
-                if version not in _HEADERS:
-                    raise ValueError(f"{member.filename} has array format {version}")
-                shape, _, dtype = _HEADERS[version](data)
-                header = data.tell()
-            count = 1  # Python's own integers, so that hostile lengths do not overflow
-            for length in shape:
-                count *= int(length)
-            if dtype.hasobject or count * dtype.itemsize != member.file_size - header:
-                raise ValueError(f"{member.filename} is not an array of {shape} {dtype}")

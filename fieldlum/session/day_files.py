@@ -13,9 +13,8 @@ from pathlib import Path
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import IrradianceSample, parse_utc, utc_text
 from fieldlum.session.folder import Session
-from fieldlum.session.inside import open_inside, refuse_link
-from fieldlum.session.lines import append_complete, cut_torn_tail
-from fieldlum.session.writing import sync_folder
+from fieldlum.session.safe_paths import open_inside, refuse_link
+from fieldlum.session.writing import append_complete, cut_torn_tail, sync_folder
 
 DAY_COLUMNS = ("t_utc", "ghi_wm2", "dhi_wm2", "dni_wm2", "temperature_c", "status", "raw", "crc")
 _DAY_HEADER = (",".join(DAY_COLUMNS) + "\n").encode()

@@ -7,24 +7,98 @@ import tomllib
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from datetime import timedelta
+from datetime import date, timedelta
 from pathlib import Path
-from typing import Literal, cast
+from typing import Annotated, Any, Literal, Required, TypedDict, cast
 
 from filelock import FileLock, Timeout
+from msgspec import Meta
 
 from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.records import SiteFile, Slot
 from fieldlum.session.codec import convert
-from fieldlum.session.inside import is_plain, refuse_links
 from fieldlum.session.plan_file import PLAN_COLUMNS, read_plan, write_plan
+from fieldlum.session.safe_paths import is_plain, refuse_links
 from fieldlum.session.site_toml import site_from_table, site_table
-from fieldlum.session.tables import PlanTable, SessionTable
 from fieldlum.session.writing import replacing, sha256
 from fieldlum.version import __version__
 
 # the sun moves by 1.3 degrees in this time; chosen, `capture --grace` sets another
 DEFAULT_GRACE_S = 300.0
+
+
+# ----------------------------------------------------------------------------------------------
+# the tables of session.toml
+
+DeviceTable = dict[str, str | int | float | bool]
+"What a device reports about itself."
+
+
+class PlanTable(TypedDict, total=False):
+    """[plan] of session.toml: the request, and time [s] and disk space [MB] of each slot.
+
+    seed: of a sample of the year; first, last: dates of the slots; revision: number of this
+    version of the plan;  sha256: of plan.csv, older_sha256: of the earlier ones.
+    """
+
+    set: str
+    start: date
+    year: int
+    count: int
+    seed: int
+    revision: int
+    slots: int
+    first: date
+    last: date
+    seconds_per_slot: float
+    megabytes_per_slot: float
+    sun_band_percent: float
+    sha256: str
+    older_sha256: list[str]
+
+
+class DevicesTable(TypedDict, total=False):
+    """[devices] of session.toml: URIs by device, and what each device reports about itself."""
+
+    uris: dict[str, str]
+    camera: DeviceTable
+    pyranometer: DeviceTable
+    meter: DeviceTable
+
+
+class LoggerFileTable(TypedDict, total=False):
+    """How a logger's file was read.
+
+    file: its name without the folder, because the file may have grown and come from another card;
+    utc_offset_s: the logger's clock minus UTC [s]; columns: names of the columns by quantity;
+    sensitivities: of pyranometers whose column is a voltage [uV per W/m2].
+    """
+
+    file: Required[str]
+    utc_offset_s: float
+    columns: dict[str, str]
+    sensitivities: dict[str, float]
+
+
+class SessionTable(TypedDict, total=False):
+    """The content of session.toml, table by table; setup: SITE.toml.
+
+    capture: grace_s, how late a bracket may start [s]; imported: the frames that were imported, by
+    card folder, with the offset of the camera's clock; logger_files: how each file was read.
+    """
+
+    setup: dict[str, Any]
+    plan: PlanTable
+    devices: DevicesTable
+    capture: dict[str, Annotated[float, Meta(ge=0.0, le=86400.0)]]
+    imported: dict[str, list[dict[str, str | float]]]
+    logger_files: list[LoggerFileTable]
+    simulation: dict[str, Any]
+    software: dict[str, str]
+
+
+# ----------------------------------------------------------------------------------------------
+# the folder
 
 
 class _Place:
@@ -138,8 +212,8 @@ class Session:
     @property
     def grace(self) -> timedelta:
         """How late a bracket may start: the --grace of the last capture, else 300 s."""
-        seconds = self.table().get("capture", {}).get("grace_s", DEFAULT_GRACE_S)
-        return timedelta(seconds=float(seconds))
+        capture = self.table().get("capture", {})
+        return timedelta(seconds=capture.get("grace_s", DEFAULT_GRACE_S))
 
 
 # Further entries of a session's folder that fieldlum opens; hidden ones count too.
@@ -150,13 +224,6 @@ def _checked_names() -> set[str]:
     """Return the entries of a session's folder in which a link is refused."""
     places = (place for place in vars(Session).values() if isinstance(place, _Place | _SlotPlace))
     return {place.top for place in places} | set(_MORE_NAMES)
-
-
-def session_around(path: Path) -> Path | None:
-    """Return the folder of the session that contains a file; None for a file outside sessions."""
-    folder = path.parent.resolve()
-    folders = (folder, *folder.parents)
-    return next((place for place in folders if (place / "session.toml").is_file()), None)
 
 
 def open_session(root: Path) -> Session:
@@ -171,10 +238,8 @@ def open_session(root: Path) -> Session:
         raise InputError(root, "no session.toml in this folder", "a session folder", remedy)
     remedy = "correct that place, or restore session.toml from a copy"
     refuse_links(root, _checked_names())
-    with input_errors(session.toml, "TOML", remedy, ValueError):
-        table = session.table()
-    with input_errors(session.toml, "values of the types that fieldlum writes", remedy, ValueError):
-        convert(table, SessionTable, strict=True)
+    with input_errors(session.toml, "TOML with the types that fieldlum writes", remedy, ValueError):
+        convert(session.table(), SessionTable, strict=True)
     return session
 
 
@@ -214,8 +279,7 @@ def update_session(session: Session, tables: SessionTable) -> None:
 def store_grace(session: Session, grace_s: float) -> None:
     """Store in session.toml how late a bracket may start [s], for other commands."""
     if session.grace.total_seconds() != grace_s:
-        capture = session.table().get("capture", {})
-        update_session(session, {"capture": {**capture, "grace_s": grace_s}})
+        update_session(session, {"capture": {"grace_s": grace_s}})
 
 
 # What a process with the lock does, for errors.

@@ -10,7 +10,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import closing
 from datetime import UTC, datetime
-from typing import Unpack
+from typing import Any, Required, TypedDict
 
 from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.records import counted, parse_utc, utc_text
@@ -18,18 +18,44 @@ from fieldlum.core.room_states import USAGE, merged_state
 from fieldlum.session.codec import convert
 from fieldlum.session.files.capture_json import frame_from
 from fieldlum.session.folder import Session
-from fieldlum.session.inside import open_inside
-from fieldlum.session.lines import (
+from fieldlum.session.safe_paths import open_inside
+from fieldlum.session.writing import (
     append_complete,
     cut_torn_tail,
     decode_line,
     encode_line,
     exclusive,
 )
-from fieldlum.session.tables import EventFields, JournalEvent
 
-_FIRST_YEAR, _LAST_YEAR = 1970, 2999  # of an event; chosen
 _NAMED = 5  # damaged lines that are named; chosen
+
+EventFields = dict[str, Any]
+"""What an event states besides its kind and time; see `JournalEvent`."""
+
+
+class JournalEvent(TypedDict, total=False):
+    """One line of journal.jsonl: event, its kind, such as done; t_utc, ISO time; what is read.
+
+    Which keys an event has depends on its kind; other keys are for people.
+    """
+
+    event: Required[str]
+    t_utc: Required[str]
+    slot: str
+    why: str
+    attempt: int
+    frame: dict[str, Any]
+    illuminance_lx: float
+    by_s: float
+    state: str
+    text: str
+    device: str
+    after_s: float
+    seconds: float
+    bytes_free: int
+    pid: int
+    boot_id: str
+    boottime_s: float
 
 
 class Journal:
@@ -52,7 +78,7 @@ class Journal:
         with exclusive(self._lock_path):  # another process may be writing a line
             self.cut_bytes = cut_torn_tail(self._path, lambda line: decode_line(line) is not None)
 
-    def append(self, event: str, t_utc: datetime, **fields: Unpack[EventFields]) -> None:
+    def append(self, event: str, t_utc: datetime, **fields: Any) -> None:
         """Append an event; with `flush` it is on the disk when this returns.
 
         Raises OSError on a full disk, after removing a partly written line.
@@ -106,7 +132,7 @@ def decode_event(line: bytes) -> JournalEvent | None:
     row = decode_line(line)
     try:
         convert(row, JournalEvent, strict=True)
-        if not _FIRST_YEAR <= parse_utc(row["t_utc"]).year <= _LAST_YEAR:
+        if not 1970 <= parse_utc(row["t_utc"]).year < 3000:
             return None
         if "frame" in row:
             frame_from(row["frame"])

@@ -90,14 +90,20 @@ def read_panorama_with_sun(
     sun = panorama.sun
     if sun is None or sun.origin in MEASURED_ORIGINS:
         return panorama
-    row = (suns_of(path) if suns is None else suns).get(_key(path))
-    off_lx = abs(row.bound_lx - sun.normal_illuminance_lx) if row else 0.0
-    if row is not None and off_lx <= _SAME_BOUND_REL * max(sun.normal_illuminance_lx, 1.0):
-        return _labelled(
-            replace(panorama, sun=row.source),
-            "fieldlum pair found no stronger sun: see the column why of pairs.csv",
-        )
-    return _labelled(panorama, "run fieldlum pair, which computes the sun from DNI or a meter")
+    remedy = "run fieldlum pair, which computes the sun from DNI or a meter"
+    place = path.absolute()  # not resolved, because panoramas/ can be a link to another disk
+    rows = suns_of(path) if suns is None else suns
+    if row := rows.get(f"{place.parent.name}/{place.name}"):
+        limit_lx = _SAME_BOUND_REL * max(sun.normal_illuminance_lx, 1.0)
+        if abs(row.bound_lx - sun.normal_illuminance_lx) <= limit_lx:
+            sun = row.source
+            remedy = "fieldlum pair found no stronger sun: see the column why of pairs.csv"
+    if sun.origin != CLIPPED_SUN:
+        return replace(panorama, sun=sun)
+    lx = sun.normal_illuminance_lx
+    note = f"every frame is clipped at the sun, so the sun's {lx:.0f} lx, Ev and DGP are lower "
+    note += f"bounds; {remedy}"
+    return replace(panorama, sun=sun, attributes={**panorama.attributes, "note": note})
 
 
 def suns_of(panorama: Path) -> dict[str, SunRow]:
@@ -106,20 +112,3 @@ def suns_of(panorama: Path) -> dict[str, SunRow]:
     Empty if the file is missing. Raises InputError for other content.
     """
     return read_suns(panorama.absolute().parent.parent / "suns.csv")
-
-
-def _key(panorama: Path) -> str:
-    path = panorama.absolute()  # not resolved, because panoramas/ can be a link to another disk
-    return f"{path.parent.name}/{path.name}"
-
-
-def _labelled(panorama: Panorama, remedy: str) -> Panorama:
-    """Return the panorama, with a note that ends in `remedy` if its sun is clipped."""
-    sun = panorama.sun
-    if sun is None or sun.origin != CLIPPED_SUN:
-        return panorama
-    note = (
-        f"every frame is clipped at the sun, so the sun's {sun.normal_illuminance_lx:.0f} lx, Ev "
-        f"and DGP are lower bounds; {remedy}"
-    )
-    return replace(panorama, attributes={**panorama.attributes, "note": note})

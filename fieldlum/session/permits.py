@@ -20,7 +20,6 @@ from typing import Any
 from fieldlum.session.writing import replacing
 
 FORMAT = 1  # of the file; docs/file-formats.md
-_MACHINE_FILES = ("/etc/machine-id", "/var/lib/dbus/machine-id")  # machine-id(5)
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,12 +61,10 @@ def config_folder() -> Path:
 @cache
 def computer() -> str:
     """Return an identity of this computer, which does not reveal its machine-id."""
-    for name in _MACHINE_FILES:
-        with suppress(OSError):
-            identity = Path(name).read_text(encoding="ascii").strip()
-            if identity:
-                return hashlib.sha256(f"fieldlum {identity}".encode()).hexdigest()[:32]
-    return hashlib.sha256(f"fieldlum {platform.node()}".encode()).hexdigest()[:32]
+    identity = platform.node()
+    with suppress(OSError):
+        identity = Path("/etc/machine-id").read_text(encoding="ascii").strip() or identity
+    return hashlib.sha256(f"fieldlum {identity}".encode()).hexdigest()[:32]
 
 
 def is_permitted(wanted: Subject) -> bool:

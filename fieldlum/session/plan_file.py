@@ -10,25 +10,17 @@ from zoneinfo import ZoneInfo
 from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.records import Exposure, Slot, parse_utc, shutter_text, utc_text
 from fieldlum.core.strict_csv import read_table
-from fieldlum.session.codec import write_csv
+from fieldlum.session.codec import convert, write_csv
 
-PLAN_COLUMNS = (
-    "slot",
-    "t_utc",
-    "t_local",
-    "sun_altitude_deg",
-    "sun_azimuth_deg",
-    "exposures",
-    "tags",
-)
+_ANGLES = ("sun_altitude_deg", "sun_azimuth_deg")
+PLAN_COLUMNS = ("slot", "t_utc", "t_local", *_ANGLES, "exposures", "tags")
 
 
 def exposure_text(exposure: Exposure) -> str:
     """Return ``1/250 f/5.6 ISO100`` with an optional `` ND=name``; see `parse_exposure`."""
     shown = shutter_text(exposure.shutter_s)
-    return f"{shown} f/{exposure.f_number:g} ISO{exposure.iso:g}" + (
-        f" ND={exposure.nd}" if exposure.nd else ""
-    )
+    filtered = f" ND={exposure.nd}" if exposure.nd else ""
+    return f"{shown} f/{exposure.f_number:g} ISO{exposure.iso:g}{filtered}"
 
 
 def parse_exposure(text: str) -> Exposure:
@@ -36,18 +28,15 @@ def parse_exposure(text: str) -> Exposure:
 
     Raises ValueError for any other text, and for numbers that are not above 0 and finite.
     """
-    shutter, f_number, iso, *nd = text.split()
+    shutter, f_number, iso, *filters = text.split()
     if not f_number.startswith("f/") or not iso.startswith("ISO"):
         raise ValueError(text)
-    time, aperture, speed = (
-        float(word) for word in (shutter.removeprefix("1/"), f_number[2:], iso[3:])
-    )
-    if not all(0.0 < value < math.inf for value in (time, aperture, speed)):
-        raise ValueError(
-            f"exposure {text}: shutter time, f-number and ISO must be finite and above 0"
-        )
-    seconds = 1.0 / time if shutter.startswith("1/") else time
-    return Exposure(seconds, aperture, speed, nd[0].removeprefix("ND=") if nd else "")
+    seconds = float(shutter.removeprefix("1/"))
+    if shutter.startswith("1/") and seconds:
+        seconds = 1.0 / seconds
+    nd = filters[0].removeprefix("ND=") if filters else ""
+    stated = {"shutter_s": seconds, "f_number": f_number[2:], "iso": iso[3:], "nd": nd}
+    return convert(stated, Exposure)
 
 
 def write_plan(path: Path, slots: Iterable[Slot], timezone: str) -> None:

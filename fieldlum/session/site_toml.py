@@ -12,21 +12,18 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import CameraSetup, Site, SiteFile
 from fieldlum.core.strict_toml import TomlTable, build, plain, read_toml
+from fieldlum.optics.projection import direction
 from fieldlum.sky import sun
 
 # Hours between a zone's time and its sun: western China's clocks are 3.1 h ahead, more than others.
 # Chosen.
 _MAX_OFF_SUN_H = 4.0
-_RANGES = (
-    ("latitude_deg", -90, 90, "south is negative"),
-    ("longitude_deg", -180, 180, "east is positive"),
-    ("altitude_m", -500, 9000, "state metres above the sea"),
-)
 # A place is refused if it is farther from its time zone's city than this, and the other sign of
 # latitude or longitude is at most half as far. No country with one zone on both sides of the
 # equator is that large: Leticia in Colombia is 1090 km from Bogota.
 _FAR_FROM_ZONE_KM = 1500.0
-_ZONE_PLACE = re.compile(r"([+-]\d\d)(\d\d)(?:\d\d)?([+-]\d{3})(\d\d)(?:\d\d)?")
+# A line of zone.tab, such as "IT +4154+01229 Europe/Rome"; whole degrees suffice.
+_ZONE_PLACE = re.compile(r"[A-Z]{2}\t([+-]\d\d)\d+([+-]\d{3})\d+\t([^\t]+)")
 _MERIDIANS_MEET_DEG = 85.0  # stations near the poles use the time of their supply base; chosen
 
 
@@ -38,10 +35,6 @@ def site_from_table(table: TomlTable, where: str) -> SiteFile:
     """
     setup = build(SiteFile, table, where)
     site = setup.site
-    for name, low, high, hint in _RANGES:
-        if not low <= (value := getattr(site, name)) <= high:
-            expected = f"{low} to {high}"
-            raise InputError(where, f"{name} = {value:g}", expected, f"correct it; {hint}")
     try:
         ZoneInfo(site.timezone)
     except (ZoneInfoNotFoundError, ValueError, OSError):
@@ -59,22 +52,9 @@ def site_from_table(table: TomlTable, where: str) -> SiteFile:
 @cache
 def _zone_places() -> dict[str, tuple[float, float]]:
     """Return latitude and longitude of each time zone's city, from zone.tab of tzdata."""
-    places = {}
     text = (files("tzdata") / "zoneinfo" / "zone.tab").read_text(encoding="utf-8")
-    for line in text.splitlines():
-        _, at, zone, *_ = (*line.split("\t"), "", "")
-        if match := _ZONE_PLACE.fullmatch(at):  # no comment
-            lat, lat_min, lon, lon_min = map(float, match.groups())
-            signs = math.copysign(1.0, lat), math.copysign(1.0, lon)
-            places[zone] = lat + signs[0] * lat_min / 60, lon + signs[1] * lon_min / 60
-    return places
-
-
-def _distance_km(a: tuple[float, float], b: tuple[float, float]) -> float:
-    """Return the distance of two places [deg] on a sphere, by the haversine formula."""
-    (lat_a, lon_a), (lat_b, lon_b) = (map(math.radians, place) for place in (a, b))
-    across = math.cos(lat_a) * math.cos(lat_b) * math.sin((lon_b - lon_a) / 2) ** 2
-    return 12742.0 * math.asin(math.sqrt(math.sin((lat_b - lat_a) / 2) ** 2 + across))
+    places = (_ZONE_PLACE.match(line) for line in text.splitlines())
+    return {p[3]: (float(p[1]), float(p[2])) for p in places if p}
 
 
 def wrong_sign_text(site: Site) -> str:
@@ -84,19 +64,21 @@ def wrong_sign_text(site: Site) -> str:
     """
     place = _zone_places().get(site.timezone)
     lat, lon = site.latitude_deg, site.longitude_deg
-    if place is None or (away := _distance_km((lat, lon), place)) < _FAR_FROM_ZONE_KM:
+    if place is None:
         return ""
+
+    def away_km(lat: float, lon: float) -> float:
+        return 6371.0 * math.acos(min(float(direction(lat, lon) @ direction(*place)), 1.0))
+
     near, which = min(
-        (_distance_km((-lat, lon), place), "latitude"),
-        (_distance_km((lat, -lon), place), "longitude"),
-        (_distance_km((-lat, -lon), place), "latitude and longitude"),
+        (away_km(-lat, lon), "latitude"),
+        (away_km(lat, -lon), "longitude"),
+        (away_km(-lat, -lon), "latitude and longitude"),
     )
-    if near > away / 2:
+    if (away := away_km(lat, lon)) < _FAR_FROM_ZONE_KM or near > away / 2:
         return ""
-    return (
-        f"{lat:g}, {lon:g} is {away:.0f} km from {site.timezone}, and with the other sign of the "
-        f"{which} {near:.0f} km"
-    )
+    found = f"{lat:g}, {lon:g} is {away:.0f} km from {site.timezone}"
+    return f"{found}, and with the other sign of the {which} {near:.0f} km"
 
 
 def site_table(setup: SiteFile) -> TomlTable:

@@ -1,21 +1,25 @@
-"""Write files so that an interruption leaves the old file or the complete new one."""
+"""Write complete files or nothing, and append lines with a CRC, flushed to disk."""
 
 from __future__ import annotations
 
 import errno
 import hashlib
+import json
 import os
+import stat
 import tempfile
 import time
 import uuid
-from collections.abc import Iterator
+import zlib
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
+from filelock import FileLock
+
 from fieldlum.core.errors import InputError, input_errors
 
-OLD_SCRAP_S = 86400.0  # no file takes a day to write; chosen, not measured
 _RUN = uuid.uuid4().hex[:12]  # another one in each process, on any computer
 
 
@@ -57,12 +61,8 @@ def replacing_path(path: Path) -> Iterator[Path]:
 
     For writers that need a path; see `replacing`. After an exception the temporary file is removed.
     """
-    with input_errors(
-        path.parent,
-        "a folder that can be created",
-        "name another folder",
-        FileNotFoundError,  # a file system without folders of ours, such as /proc
-    ):
+    expected, remedy = "a folder that can be created", "name another folder"  # not in /proc
+    with input_errors(path.parent, expected, remedy, FileNotFoundError):
         path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{_RUN}.tmp.{path.name}")
     temporary.unlink(missing_ok=True)  # a link of this name would lead the writer elsewhere
@@ -85,7 +85,7 @@ def remove_scraps(folder: Path) -> None:
         return
     for scrap in folder.glob(".*.tmp*"):
         with suppress(FileNotFoundError):  # renamed by its process just now
-            if not scrap.is_dir() and time.time() - scrap.lstat().st_mtime > OLD_SCRAP_S:
+            if not scrap.is_dir() and time.time() - scrap.lstat().st_mtime > 86400.0:
                 scrap.unlink()
 
 
@@ -111,3 +111,99 @@ def sha256(path: Path) -> str:
     """Return the SHA-256 of a file, in hex."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+# ----------------------------------------------------------------------------------------------
+# appending lines
+
+# Absent on Windows, where a link needs a right that users do not have. O_NONBLOCK is for a named
+# pipe; it has no effect on files.
+_SAFELY = [getattr(os, name, 0) for name in ("O_NOFOLLOW", "O_CLOEXEC", "O_NONBLOCK")]
+
+
+def open_file(path: Path, flags: int) -> int:
+    """Open a regular file by the flags of os.open, without following a link; return its handle.
+
+    Raises OSError for a link and for anything else that is no file.
+    """
+    handle = os.open(path, flags | sum(_SAFELY), 0o644)
+    if not stat.S_ISREG(os.fstat(handle).st_mode):
+        os.close(handle)
+        raise OSError(errno.ENXIO, "not a regular file", str(path))
+    return handle
+
+
+def encode_line(row: Mapping[str, object]) -> bytes:
+    """Return one journal line: CRC-32 in hex, a space, compact JSON, newline."""
+    text = json.dumps(row, separators=(",", ":"), ensure_ascii=False)
+    return f"{zlib.crc32(text.encode()):08x} {text}\n".encode()
+
+
+def decode_line(line: bytes) -> Any:
+    """Return the JSON value in a complete and undamaged line; None for any other line."""
+    crc, _, text = line.rstrip(b"\n").partition(b" ")
+    try:
+        sound = line.endswith(b"\n") and len(crc) == 8 and int(crc, 16) == zlib.crc32(text)
+        return json.loads(text) if sound else None
+    except (ValueError, RecursionError):
+        return None
+
+
+@contextmanager
+def exclusive(path: Path) -> Iterator[None]:
+    """Hold a lock file inside the block, against other processes that append.
+
+    Continue without it on a file system that has no locks or is full, or if another process has it
+    for more than 0.25 s: a capture must not wait for a stopped program.
+    """
+    # A line and its flush take milliseconds. Without the lock two lines could mix only on a file
+    # system that splits writes, and the CRC would show it.
+    lock = FileLock(path, timeout=0.25, poll_interval=0.002)
+    with suppress(OSError):  # of which Timeout is one
+        lock.acquire()
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+def cut_torn_tail(path: Path, sound: Callable[[bytes], bool]) -> int:
+    """Cut `path` after its last valid line; return the number of bytes moved to ``NAME.torn``.
+
+    A kill or a power cut during a write leaves half a line, or a page of zeros. Damaged lines
+    before the last valid one remain: readers skip them. sound: whether a line is valid. A missing
+    file gives 0. Raises InputError if the last MiB has three or more lines and none is valid.
+    """
+    if not path.is_file():
+        return 0
+    with os.fdopen(open_file(path, os.O_RDWR), "rb+") as file:
+        file.seek(max(0, file.seek(0, os.SEEK_END) - (1 << 20)))
+        lines = file.readlines()
+        kept = next((k for k in range(len(lines), 0, -1) if sound(lines[k - 1])), 0)
+        if not kept and b"".join(lines).count(b"\n") > 2:
+            found, remedy = "no valid line at the end of the file", "restore it, or move it away"
+            raise InputError(path, found, "a file written by fieldlum", remedy)
+        if rest := b"".join(lines[kept:]):
+            flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT
+            with os.fdopen(open_file(path.with_name(f"{path.name}.torn"), flags), "ab") as torn:
+                torn.write(rest)
+            file.truncate(file.tell() - len(rest))
+            os.fsync(file.fileno())
+    return len(rest)
+
+
+def append_complete(handle: int, data: bytes, *, flush: bool) -> None:
+    """Append all of `data` to a file opened with O_APPEND; with `flush`, wait for the disk.
+
+    On failure the file gets its earlier length, and the OSError is raised.
+    """
+    before = os.fstat(handle).st_size
+    try:
+        while data:
+            data = data[os.write(handle, data) :]
+        if flush:
+            getattr(os, "fdatasync", os.fsync)(handle)
+    except OSError:
+        with suppress(OSError):
+            os.ftruncate(handle, before)
+        raise

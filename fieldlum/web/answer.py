@@ -26,7 +26,7 @@ from fieldlum.core.records import JsonTable, parse_utc, utc_text
 from fieldlum.session import Session, replacing
 from fieldlum.session.codec import to_json
 from fieldlum.session.files.predict_json import PredictFile
-from fieldlum.session.files.sidecar import newest_sidecar
+from fieldlum.session.files.sidecar import Sidecar, newest_sidecar
 
 # A bracket begins with the camera waking up: a minute before it the computer is the capture's.
 # Chosen.
@@ -105,7 +105,7 @@ class Worker:
         if now.captured != self._merged_at:
             root = str(self.session.root)
             before = newest_sidecar(self.session)  # what the user merged is not merged otherwise
-            options = () if before is None else before.command_options
+            options = () if before is None else _merge_options(before)
             good = self._run("merge", "merge", root, "--scheduler", "processes:1", *options)
             good = good and self._run("pair", "pair", root)
             if not self._stop.is_set():
@@ -232,3 +232,10 @@ def answer_table(session: Session, worker: Worker | None) -> JsonTable:
         "problem": worker.problem if worker else "",
         "least_captures": MIN_CAPTURES,
     }
+
+
+def _merge_options(sidecar: Sidecar) -> tuple[str, ...]:
+    """Return options of `fieldlum merge`, with which it merges as it merged this bracket."""
+    height, fit = sidecar.inputs.get("height"), sidecar.inputs.get("fit")
+    size = ("--size", f"{2 * height}x{height}") if isinstance(height, int) else ()
+    return size if fit is None else (*size, "--fit" if fit else "--no-fit")

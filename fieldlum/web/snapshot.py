@@ -30,11 +30,11 @@ from fieldlum.core.errors import InputError
 from fieldlum.core.false_colour import colour_table, coloured, luminance_ends, png_of, shared_scale
 from fieldlum.core.records import JsonTable, Site, Slot, parse_utc, utc_text
 from fieldlum.optics.images import read_panorama
-from fieldlum.session import Session, decode_sample
+from fieldlum.session import Session
+from fieldlum.session.day_files import decode_sample
 from fieldlum.session.files.sidecar import Sidecar
-from fieldlum.session.journal import decode_event
-from fieldlum.session.ledger import SETTLED, Ledger, fold, made_up_for
-from fieldlum.session.tables import JournalEvent
+from fieldlum.session.journal import JournalEvent, decode_event
+from fieldlum.session.slot_states import SETTLED, SlotStates, fold, made_up_for
 from fieldlum.sky import sun
 from fieldlum.web.answer import QUIET_BEFORE_S, Moment
 
@@ -77,14 +77,14 @@ class LineTail:
 class JournalFollower(LineTail):
     """What the journal states so far.
 
-    ledger: state of each slot. events: the latest 60 for the page, without frames, starts of
+    states: state of each slot. events: the latest 60 for the page, without frames, starts of
     brackets and illuminances. away: devices that do not answer now, with the time since when.
     opened: the last `open` event (start of a capture) without a `close`, or None.
     """
 
     def clear(self) -> None:
         """Begin with the state of an empty file."""
-        self.ledger = Ledger()
+        self.states = SlotStates()
         # more than a page shows
         self.events: deque[JournalEvent] = deque(maxlen=60)
         self.away: dict[str, datetime] = {}
@@ -95,7 +95,7 @@ class JournalFollower(LineTail):
         if (event := decode_event(line)) is None:
             return
         kind, device = event["event"], str(event.get("device", ""))
-        fold((event,), self.ledger)
+        fold((event,), self.states)
         if kind == "open":
             self.opened, self.away = event, {}
         elif kind == "close":
@@ -416,7 +416,7 @@ class Snapshots:
             journal, slots, now, rehearsal, states, _ = self._present()
             ahead = [slot.t_utc for slot in slots if states[slot.id] == "to do"]
             running = is_running(journal)
-            captured = sum(state.outcome == "done" for state in journal.ledger.slots.values())
+            captured = sum(state.outcome == "done" for state in journal.states.slots.values())
             far = not ahead or (ahead[0] - now).total_seconds() > QUIET_BEFORE_S
             busy = running and (rehearsal or not far or "running" in states.values())
             return Moment(not busy, captured)
@@ -444,7 +444,7 @@ class Snapshots:
             today = [slot for slot in here.slots if self._local_day(slot.t_utc) == day]
             rows = [self._slot_row(slot, here) for slot in today]
             for row in rows:
-                why = here.journal.ledger.state(row["slot"]).why
+                why = here.journal.states.state(row["slot"]).why
                 row["verdict"] = self._verdict(row["slot"], why)
             paths = [self._session.panorama(row["slot"]) for row in rows if row["picture"]]
             return {
@@ -475,7 +475,7 @@ class Snapshots:
         return self._plan[1]
 
     def _now(self, journal: JournalFollower) -> tuple[datetime, bool]:
-        now, last = self._wall_clock(), journal.ledger.last_utc
+        now, last = self._wall_clock(), journal.states.last_utc
         rehearsal = last is not None and last - now > _REHEARSAL
         return (last if rehearsal and last is not None else now), rehearsal
 
@@ -484,7 +484,7 @@ class Snapshots:
         grace = self._session.grace
         states: dict[str, str] = {}
         for slot in slots:
-            outcome = journal.ledger.state(slot.id).outcome
+            outcome = journal.states.state(slot.id).outcome
             if outcome in SETTLED:
                 states[slot.id] = outcome
             elif outcome == "started" and journal.opened is not None:

@@ -25,7 +25,7 @@ from fieldlum.core.strict_toml import build, plain
 from fieldlum.learn.model_registry import MODELS
 from fieldlum.session import replacing
 from fieldlum.session.codec import NPZ_ERRORS, read_arrays, write_object
-from fieldlum.session.files.model_config import ModelConfig
+from fieldlum.session.files.model_files import ModelConfig
 from fieldlum.sky.sky_view.view import NAME as SKY_VIEW
 from fieldlum.version import __version__
 

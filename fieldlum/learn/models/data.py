@@ -38,10 +38,10 @@ from fieldlum.optics.projection import equirect_solid_angles, signed_angle_deg
 from fieldlum.pair.interval import is_doubted
 from fieldlum.pair.sky_view import is_outdated
 from fieldlum.session import Session, marks, open_session
-from fieldlum.session.files.model_config import UsedScene
+from fieldlum.session.codec import data_digest
+from fieldlum.session.files.model_files import UsedScene
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.session.panorama_sun import read_panorama_with_sun, suns_of
-from fieldlum.session.provenance import data_digest
 from fieldlum.session.site_toml import load_site, site_table
 from fieldlum.sky import sun
 from fieldlum.sky.light import Light

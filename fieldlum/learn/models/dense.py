@@ -38,7 +38,7 @@ from fieldlum.learn.models.baselines import Domain, captured
 from fieldlum.learn.models.data import Dataset
 from fieldlum.optics.projection import equirect_rays, signed_angle_deg
 from fieldlum.session import replacing
-from fieldlum.session.provenance import data_digest
+from fieldlum.session.codec import data_digest
 from fieldlum.sky.light import Light
 from fieldlum.sky.perez import reinhart_patches
 

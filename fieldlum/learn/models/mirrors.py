@@ -25,7 +25,7 @@ from fieldlum.optics.projection import (
     equirect_solid_angles,
 )
 from fieldlum.session.codec import read_arrays
-from fieldlum.session.files.model_config import ModelConfig
+from fieldlum.session.files.model_files import ModelConfig
 from fieldlum.sky.light import Light
 from fieldlum.sky.sun_disc import brightest_surface_cdm2, without_disc
 from fieldlum.sky.sun_images import (

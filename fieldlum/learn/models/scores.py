@@ -26,8 +26,7 @@ from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.held_out_choice import HeldOutErrors, choice_weights
 from fieldlum.optics.projection import SEEN
 from fieldlum.room.scene.patches import sun_patches
-from fieldlum.session.files.held_out_npz import HeldOutMaps
-from fieldlum.session.files.scores_json import ScoreFigures
+from fieldlum.session.files.model_files import HeldOutMaps, ScoreFigures
 from fieldlum.sky import sun
 from fieldlum.sky.light import Light, light_at
 from fieldlum.sky.sky_view.disc import disc_lx

@@ -48,8 +48,8 @@ from fieldlum.learn.train.outliers import without_changes
 from fieldlum.learn.transport import MeanTransport, Transport
 from fieldlum.room.fit.setting import Setting, scan, settle, with_right_clock
 from fieldlum.session import check_writable, sha256
-from fieldlum.session.files.scores_json import ScoreRow, ScoresFile, TrainAnswer
-from fieldlum.session.provenance import data_digest, digest, made_from
+from fieldlum.session.codec import data_digest, digest, made_from
+from fieldlum.session.files.model_files import ScoreRow, ScoresFile, TrainAnswer
 from fieldlum.version import __version__
 
 # log10 MSE, an error factor of 1.4, which a steady room with correct irradiance does not reach

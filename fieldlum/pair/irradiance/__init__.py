@@ -25,9 +25,8 @@ from fieldlum.pair.irradiance.series import (
     series_of,
 )
 from fieldlum.session import Session, day_files, read_day, remove_scraps
-from fieldlum.session.codec import convert, write_object
+from fieldlum.session.codec import convert, made_from, write_object
 from fieldlum.session.files.irradiance_csv import DERIVED, MEASURED, CleanIrradiance
-from fieldlum.session.provenance import made_from
 from fieldlum.sky import sun
 from fieldlum.sky.light_clock import CLOCK_WARN_S, clock_off_s, clock_set_s
 

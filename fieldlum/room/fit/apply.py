@@ -15,7 +15,7 @@ from fieldlum.learn.models.data import Dataset
 from fieldlum.optics.projection import signed_angle_deg
 from fieldlum.room.fit.scene_file import SCENE_TOML, Scene, read_scene
 from fieldlum.room.scene import sun_patches
-from fieldlum.session.files.model_config import UsedScene
+from fieldlum.session.files.model_files import UsedScene
 from fieldlum.session.site_toml import site_table
 from fieldlum.sky import sun
 from fieldlum.sky.light import Light

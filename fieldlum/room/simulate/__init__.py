@@ -25,11 +25,10 @@ from fieldlum.room.simulate.slot_work import truth_units
 from fieldlum.room.simulate.troubles import Troubles, load_troubles, measured_irradiance, true_light
 from fieldlum.room.simulate.truth import SimulatedRoom, simulated_room
 from fieldlum.session import Session, create_session, remove_scraps, update_session
-from fieldlum.session.codec import write_object
+from fieldlum.session.codec import made_from, write_object
 from fieldlum.session.files.irradiance_csv import CleanIrradiance
 from fieldlum.session.files.pairs_csv import PairRow, write_simulated_pairs
-from fieldlum.session.provenance import made_from
-from fieldlum.session.tables import PlanTable
+from fieldlum.session.folder import PlanTable
 from fieldlum.sky import sun
 from fieldlum.sky.light import Light, light_at
 from fieldlum.weather import SHIPPED_SITE, Weather, read_weather, shipped_seattle, synthetic_weather

@@ -23,7 +23,7 @@ from fieldlum.room.scene.view import SceneView, look, patch_rays
 from fieldlum.room.simulate.gather import FIRST_PIECE, PLAIN, SKY, Pieces, cut, gather
 from fieldlum.room.simulate.pixel_points import PixelPoints, pixel_points
 from fieldlum.session import replacing_path
-from fieldlum.session.provenance import digest
+from fieldlum.session.codec import digest
 from fieldlum.sky.light import Light, light_at
 
 VERSION = 3  # of the coefficients; increase it to recompute all stored ones

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime, timedelta
@@ -13,7 +12,7 @@ from msgspec import field
 
 from fieldlum.core.records import Exposure, JsonTable
 from fieldlum.session.codec import JsonFile, Utc, convert, to_json
-from fieldlum.session.inside import is_plain
+from fieldlum.session.safe_paths import is_plain
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,9 +37,8 @@ class Frame:
 
 
 def frame_fields(frame: Frame) -> JsonTable:
-    """Return a frame as the journal and capture.json store it; empty remarks are left out."""
-    table = {**to_json(frame), "seconds": round(frame.seconds, 3)}
-    return {k: v for k, v in table.items() if v or k not in ("doubt", "instead_of")}
+    """Return a frame as the journal and capture.json store it, without empty texts."""
+    return {key: value for key, value in to_json(frame).items() if value != ""}
 
 
 def frame_from(fields: Mapping[str, Any]) -> Frame:
@@ -49,9 +47,6 @@ def frame_from(fields: Mapping[str, Any]) -> Frame:
     Raises TypeError or ValueError for other content, such as a file in another folder.
     """
     frame = convert({"heading_deg": None, **fields}, Frame)
-    e = frame.exposure
-    if not all(0.0 < value < math.inf for value in (e.shutter_s, e.f_number, e.iso)):
-        raise ValueError(f"frame {frame.file}: an exposure that is not above 0 and finite: {e}")
     for name in (frame.file, frame.instead_of or frame.file):
         if not is_plain(name):
             raise ValueError(f"the file name {name!r}, which is not a plain name")

@@ -14,8 +14,8 @@ from fieldlum.core.errors import InputError
 from fieldlum.core.records import parse_utc
 from fieldlum.core.strict_csv import read_table
 from fieldlum.session.codec import change_of, check_format, read_row, sealed, write_csv
-from fieldlum.session.folder import Session, session_around
-from fieldlum.session.inside import inside, refuse_link
+from fieldlum.session.folder import Session
+from fieldlum.session.safe_paths import inside, refuse_link
 
 FORMAT = 1  # of the file; docs/file-formats.md
 MAX_IRRADIANCE_WM2 = 1600.0  # above the solar constant (1361), with cloud enhancement; chosen
@@ -106,12 +106,19 @@ class PairsFile:
             write_csv(self.path, (asdict(row) for row in self.rows), PAIR_COLUMNS)
 
 
+def _session_around(path: Path) -> Path | None:
+    """Return the folder of the session that contains a file; None for a file outside sessions."""
+    folder = path.parent.resolve()
+    folders = (folder, *folder.parents)
+    return next((place for place in folders if (place / "session.toml").is_file()), None)
+
+
 def _refuse_foreign_pictures(path: Path, rows: Iterable[PairRow]) -> None:
     """Raise InputError for a picture outside the session that contains the csv.
 
     A csv that is in no session may name pictures anywhere: its user named it on the command line.
     """
-    root = session_around(path)
+    root = _session_around(path)
     if root is None:
         return
     folder = path.parent.resolve()

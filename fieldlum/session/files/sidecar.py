@@ -2,20 +2,145 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Self
 
-from msgspec import Struct, field
+from msgspec import Meta, Struct, field
 
 from fieldlum.core.errors import ChangedFileWarning, InputError
-from fieldlum.core.records import JsonTable
-from fieldlum.session.codec import JsonFile, Utc, to_json
-from fieldlum.session.files.merge_report import MergeReport
+from fieldlum.core.records import Exposure, JsonTable
+from fieldlum.optics.photometry import ShutterLaw
+from fieldlum.session.codec import JsonFile, Utc, convert, to_json
 from fieldlum.session.folder import Session
+from fieldlum.session.plan_file import exposure_text, parse_exposure
 from fieldlum.session.writing import sha256
+
+# ----------------------------------------------------------------------------------------------
+# the key `quality`, which `merge --json` prints too; its keys are a contract: keys are only added
+
+
+class FrameQuality(Struct, frozen=True):
+    """How one frame fits into its bracket.
+
+    text: its exposure in words; shutter_s, f_number, iso, nd: the same as numbers. correction:
+    fitted over assumed exposure; u_percent: its standard uncertainty. heading_deg: clockwise from
+    north; None without a turning head.
+    """
+
+    file: str
+    text: str = field(name="exposure")
+    shutter_s: float
+    f_number: float
+    iso: float
+    nd: str
+    correction: Annotated[float, Meta(gt=0.0)]
+    u_percent: float = math.nan  # version 0.1.0 did not write it
+    heading_deg: float | None = None
+    t_utc: Utc | None = None
+
+    @classmethod
+    def of(cls, file: str, exposure: Exposure, correction: float, **more: Any) -> Self:
+        """Return the quality of a frame with an exposure; more: the other fields."""
+        return cls(file, exposure_text(exposure), **asdict(exposure), correction=correction, **more)
+
+    @property
+    def exposure(self) -> Exposure:
+        """The exposure of the frame."""
+        return Exposure(self.shutter_s, self.f_number, self.iso, self.nd)
+
+
+class NeighbourQuality(Struct, frozen=True):
+    """Disagreement [%] of two neighbouring frames in exposure, after all corrections.
+
+    long, short: the more and the less exposed frame, numbered within their heading;
+    residual_percent, u_percent: their disagreement and its standard uncertainty; pixels: number of
+    pixels compared.
+    """
+
+    long: int
+    short: int
+    residual_percent: float
+    u_percent: float
+    pixels: int = 0
+
+
+class ShiftQuality(Struct, frozen=True):
+    """Turn of the camera between two frames, which are named by their files.
+
+    long, short: the more and the less exposed one; shift_px: in sensor pixels at the lens's axis;
+    u_px: its standard uncertainty; sure_px: the shift minus three of these, at least 0.
+    """
+
+    long: str
+    short: str
+    turn_deg: float
+    shift_px: float
+    u_px: float
+    sure_px: float
+
+
+class MergeReport(Struct, frozen=True):
+    """The figures of one merged bracket; shares are percent of the solid angle seen.
+
+    None or empty: not determined, or not written by the version of the sidecar. residual_percent:
+    largest disagreement of neighbouring frames; shift_px: of the surest turn; outside_percent: of
+    all directions; exposure_span_percent: range of fitted over stated exposures; deviations: a text
+    for each heading whose exposures differ from the profile's; noise_over_profile: 1 if not larger;
+    plateau_dn: saturation of R, G1, G2, B by ISO; black_off_dn: the files' black level minus the
+    profile's; u_ratio_percent: standard uncertainty from the exposures; lost: frames that could not
+    be read; filter_absent: frames that were taken without the filter of their label.
+    """
+
+    frames: tuple[FrameQuality, ...] = ()
+    neighbours: tuple[NeighbourQuality, ...] = ()
+    residual_percent: float | None = None
+    shifts: tuple[ShiftQuality, ...] = ()
+    shift_px: float | None = None
+    shift_u_px: float | None = None
+    clipped_percent: float | None = None
+    bloom_percent: float | None = None
+    motion_percent: float | None = None
+    below_noise_percent: float | None = None
+    outside_percent: float | None = None
+    exposure_span_percent: float | None = None
+    deviations: tuple[str, ...] = field(default=(), name="exposure_told")
+    noise_over_profile: float = field(default=1.0, name="noise_over_said")
+    plateau_dn: Mapping[str, tuple[float | None, ...]] = {}
+    black_off_dn: float = 0.0
+    shutter_law: ShutterLaw | None = None
+    u_ratio_percent: float | None = None
+    orientation_conflict: str = field(default="", name="held_otherwise")
+    vertical_illuminance_lx: float | None = None
+    lost: tuple[str, ...] = ()
+    filter_absent: tuple[str, ...] = ()
+
+    def table(self) -> JsonTable:
+        """Return the key `quality` of the sidecar, without optional keys that have no value."""
+        optional = ("shutter_law", "vertical_illuminance_lx", "lost", "filter_absent")
+        return {key: value for key, value in to_json(self).items() if value or key not in optional}
+
+    @classmethod
+    def from_table(cls, table: Mapping[str, Any]) -> MergeReport:
+        """Build from the key `quality` of a sidecar; unknown keys are ignored.
+
+        Version 0.1.0 wrote the exposures of frames as text alone. Raises KeyError, TypeError or
+        ValueError for other content.
+        """
+        frames = [
+            {**asdict(parse_exposure(row["exposure"])), "file": "", **row}
+            for row in table.get("frames", ())
+        ]
+        stated = {key: value for key, value in table.items() if value is not None}
+        return convert({**stated, "frames": frames}, cls)
+
+
+# ----------------------------------------------------------------------------------------------
+# the whole file
 
 
 class MeasuredSun(Struct, frozen=True):
@@ -50,19 +175,13 @@ class SidecarSun(Struct, frozen=True):
     measured: MeasuredSun | None = None
 
 
-class ProfileNote(Struct, frozen=True):
-    """The camera profile of a merge: its name, and the sha256 of its file."""
-
-    name: str = ""
-    sha256: str = ""
-
-
 class Sidecar(JsonFile, frozen=True):
     """The content of panoramas/SLOT.json, the sidecar of a merged panorama.
 
     t_utc: middle of the bracket; verdict: "good", or what to check; report: the key `quality`; sun:
-    None without a disc; factors: of the merge, by name; inputs: what the result depends on;
-    sha256: of the panorama, "" in a file of 0.1.0; software: versions.
+    None without a disc; profile: its name, and the sha256 of its file; factors: of the merge, by
+    name; inputs: what the result depends on; sha256: of the panorama, "" in a file of 0.1.0;
+    software: versions.
     """
 
     EXPECTED = "the sidecar of a merged panorama"
@@ -74,7 +193,7 @@ class Sidecar(JsonFile, frozen=True):
     report: MergeReport = field(default=MergeReport(), name="quality")
     sun: SidecarSun | None = None
     factors: JsonTable = field(default_factory=dict)
-    profile: ProfileNote = ProfileNote()
+    profile: Mapping[str, str] = {}
     inputs: JsonTable = field(default_factory=dict)
     sha256: str = ""
     software: Mapping[str, Any] = {}
@@ -82,17 +201,6 @@ class Sidecar(JsonFile, frozen=True):
     def fits(self, panorama: Path) -> bool:
         """Return whether a panorama has the recorded content, or none is recorded."""
         return self.sha256 in ("", sha256(panorama))
-
-    @property
-    def command_options(self) -> tuple[str, ...]:
-        """Options of `fieldlum merge` that merge another bracket in the same way as this one.
-
-        They are --size, and --fit or --no-fit, as far as the file records them.
-        """
-        height, fit = self.inputs.get("height"), self.inputs.get("fit")
-        size = ("--size", f"{2 * height}x{height}") if isinstance(height, int) else ()
-        fitted = () if fit is None else ("--fit" if fit else "--no-fit",)
-        return (*size, *fitted)
 
     @classmethod
     def upgraded(cls, table: JsonTable, path: Path) -> JsonTable:
@@ -110,10 +218,8 @@ def warn_if_changed(panorama: Path) -> None:
     with suppress(InputError):
         sidecar = Sidecar.find(panorama.with_suffix(".json"))
         if sidecar is not None and not sidecar.fits(panorama):
-            text = (
-                f"{panorama}: the content changed after merge wrote it; expected the sha256 in "
-                f"{panorama.stem}.json; merge it again: fieldlum merge"
-            )
+            text = f"{panorama}: the content changed after merge wrote it; expected the sha256 in "
+            text += f"{panorama.stem}.json; merge it again: fieldlum merge"
             warnings.warn(text, ChangedFileWarning, stacklevel=2)
 
 

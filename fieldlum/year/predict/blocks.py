@@ -26,7 +26,7 @@ from fieldlum.optics.projection import column_azimuths_deg, row_altitudes_deg
 from fieldlum.room.scene import sun_patches
 from fieldlum.session import sha256
 from fieldlum.session.files.hourly_csv import HOUR_COLUMNS
-from fieldlum.session.files.model_config import ModelConfig
+from fieldlum.session.files.model_files import ModelConfig
 from fieldlum.session.site_toml import site_from_table
 from fieldlum.sky.light import Light
 from fieldlum.sky.sky_view import SkyView

@@ -26,8 +26,9 @@ from fieldlum.optics.projection import (
     signed_angle_deg,
 )
 from fieldlum.session import Session, check_writable, open_session, sha256
+from fieldlum.session.codec import made_from
 from fieldlum.session.files.hourly_csv import COLOUR_COLUMNS, VIEW_COLUMNS, HourlyFile
-from fieldlum.session.files.model_config import ModelConfig, UsedScene
+from fieldlum.session.files.model_files import ModelConfig, UsedScene
 from fieldlum.session.files.predict_json import (
     DirectionYear,
     PredictFile,
@@ -35,7 +36,6 @@ from fieldlum.session.files.predict_json import (
     YearWeather,
 )
 from fieldlum.session.files.sidecar import newest_sidecar
-from fieldlum.session.provenance import made_from
 from fieldlum.session.site_toml import site_table
 from fieldlum.sky.light import Light, light_at
 from fieldlum.sky.sky_view import SkyView

@@ -10,8 +10,7 @@ from typing import Literal
 from fieldlum.core.records import Slot, parse_utc
 from fieldlum.session.files.capture_json import Frame, frame_from
 from fieldlum.session.folder import Session
-from fieldlum.session.journal import BY_PEOPLE, read_journal
-from fieldlum.session.tables import JournalEvent
+from fieldlum.session.journal import BY_PEOPLE, JournalEvent, read_journal
 
 Outcome = Literal["", "started", "done", "missed", "aborted"]
 SETTLED = ("done", "missed", "aborted")  # outcomes after which a slot needs no bracket
@@ -34,7 +33,7 @@ class SlotState:
 
 
 @dataclass(slots=True)
-class Ledger:
+class SlotStates:
     """State of all slots of a journal, and how often each event occurred.
 
     slots: by slot id, only those with an event; last_utc: newest time of an event that no person
@@ -51,42 +50,37 @@ class Ledger:
         return self.slots.get(slot, SlotState())
 
 
-def fold(events: Iterable[JournalEvent], ledger: Ledger | None = None) -> Ledger:
-    """Return the state of all slots after some events; with `ledger`, add them to it in place.
+def fold(events: Iterable[JournalEvent], states: SlotStates | None = None) -> SlotStates:
+    """Return the state of all slots after some events; with `states`, add them to it in place.
 
     A capture resumes from this state only.
     """
-    ledger = Ledger() if ledger is None else ledger
+    states = SlotStates() if states is None else states
     for event in events:
         kind = event["event"]
-        ledger.counts[kind] = ledger.counts.get(kind, 0) + 1
+        states.counts[kind] = states.counts.get(kind, 0) + 1
         t_utc = parse_utc(event["t_utc"])
         if kind not in BY_PEOPLE:
-            ledger.last_utc = t_utc if ledger.last_utc is None else max(ledger.last_utc, t_utc)
+            states.last_utc = t_utc if states.last_utc is None else max(states.last_utc, t_utc)
         if kind == "open":
-            ledger.opened = event
+            states.opened = event
         if "slot" in event:
             slot = event["slot"]
-            ledger.slots[slot] = _step(ledger.state(slot), kind, event)
-    return ledger
+            states.slots[slot] = _step(states.state(slot), kind, event)
+    return states
 
 
-def read_ledger(session: Session) -> Ledger:
+def read_slot_states(session: Session) -> SlotStates:
     """Return the state of all slots, from the journal."""
     return fold(read_journal(session))
 
 
 def _step(state: SlotState, kind: str, event: JournalEvent) -> SlotState:
     if kind == "started":
-        # A second start of the same attempt continues it with its frames; a new attempt starts
-        # without frames.
+        # A second start of the same attempt continues it with its frames.
         attempt = int(event.get("attempt", 1))
-        return replace(
-            state,
-            outcome="started",
-            attempt=attempt,
-            frames=state.frames if attempt == state.attempt else (),
-        )
+        frames = state.frames if attempt == state.attempt else ()
+        return replace(state, outcome="started", attempt=attempt, frames=frames)
     if kind in ("frame", "retake") and "frame" in event:
         frame = frame_from(event["frame"])
         others = tuple(f for f in state.frames if f.index != frame.index)
@@ -98,12 +92,12 @@ def _step(state: SlotState, kind: str, event: JournalEvent) -> SlotState:
     return SlotState() if kind == "withdrawn" else state
 
 
-def slots_to_do(slots: Sequence[Slot], ledger: Ledger) -> list[Slot]:
+def slots_to_do(slots: Sequence[Slot], states: SlotStates) -> list[Slot]:
     """Return the slots that still need a bracket, in order of time.
 
     These are neither done, missed nor aborted in the journal.
     """
-    unsettled = (slot for slot in slots if ledger.state(slot.id).outcome not in SETTLED)
+    unsettled = (slot for slot in slots if states.state(slot.id).outcome not in SETTLED)
     return sorted(unsettled, key=lambda slot: slot.t_utc)
 
 
@@ -112,7 +106,7 @@ def slots_ahead(session: Session, now_utc: datetime) -> list[Slot]:
 
     grace: how late a bracket may start.
     """
-    to_do = slots_to_do(session.slots(), read_ledger(session))
+    to_do = slots_to_do(session.slots(), read_slot_states(session))
     return [slot for slot in to_do if slot.t_utc + session.grace >= now_utc]
 
 
@@ -146,9 +140,5 @@ def without_capture(slots: Sequence[Slot], captured: Collection[str]) -> tuple[i
     makeups = made_up_for(slots)
     added = {makeup.id for several in makeups.values() for makeup in several}
     original = [slot.id for slot in slots if slot.id not in added]
-    missed = [
-        slot
-        for slot in original
-        if not any(one in captured for one in (slot, *(m.id for m in makeups.get(slot, ()))))
-    ]
-    return len(missed), len(original)
+    tried = ({slot, *(m.id for m in makeups.get(slot, ()))} for slot in original)
+    return sum(ids.isdisjoint(captured) for ids in tried), len(original)

@@ -9,19 +9,16 @@ from __future__ import annotations
 import errno
 import os
 import shlex
-import stat
 from collections.abc import Container, Iterator
 from pathlib import Path, PurePosixPath
 
 from fieldlum.core.errors import InputError
 from fieldlum.session.permits import Subject, is_permitted, subject
+from fieldlum.session.writing import open_file
 
 _MAX_NAME = 255  # bytes of a name in all usual file systems; NAME_MAX in Linux
 # Separators (the colon separates drives and streams on Windows) and control characters.
 _FORBIDDEN = frozenset("/\\:\x7f") | frozenset(map(chr, range(32)))
-# Absent on Windows, where a link needs a right that users do not have.
-_NO_LINKS = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0)
-_NO_WAITING = getattr(os, "O_NONBLOCK", 0)  # for a named pipe; without effect on files
 
 
 def is_plain(name: object) -> bool:
@@ -121,18 +118,6 @@ def _refuse_in(entry: os.DirEntry[str]) -> None:
 def _entries(folder: Path) -> Iterator[os.DirEntry[str]]:
     with os.scandir(folder) as entries:
         yield from entries
-
-
-def open_file(path: Path, flags: int) -> int:
-    """Open a regular file by the flags of os.open, without following a link; return its handle.
-
-    Raises OSError for a link and for anything else that is no file.
-    """
-    handle = os.open(path, flags | _NO_LINKS | _NO_WAITING, 0o644)
-    if not stat.S_ISREG(os.fstat(handle).st_mode):
-        os.close(handle)
-        raise OSError(errno.ENXIO, "not a regular file", str(path))
-    return handle
 
 
 def open_inside(root: Path, path: Path, flags: int) -> int:

@@ -1,0 +1,203 @@
+"""models/NAME/: config.json (what a model is), scores.json and held_out.npz (how good it is)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from msgspec import Struct, field
+from numpy.typing import NDArray
+
+from fieldlum.core.arrays import Floats
+from fieldlum.core.errors import input_errors
+from fieldlum.core.records import JsonTable
+from fieldlum.session.codec import NPZ_ERRORS, JsonFile, check_format
+from fieldlum.session.writing import replacing
+
+# Ten times the rows that glare by EN 17037 needs; a model with more pixels is not from this tool.
+MAX_HEIGHT = 4096
+
+
+class TrainingNote(Struct, frozen=True):
+    """Training data of a model; source: the csv; slots: their ids; days: in local standard time."""
+
+    source: str = ""
+    slots: tuple[str, ...] = ()
+    days: tuple[str, ...] = ()
+
+
+UsedScene = dict[str, Any]
+"""The fitted scene that a model was trained with.
+
+north_deg, clock_min: fitted corrections of the heading [deg] and the clock [min]; chosen: the
+geometry that was used, "none", "stated" or "fitted"; stated: SITE.toml as a table before the fit;
+stated_heading_deg: heading of the captures.
+"""
+
+
+class ModelConfig(JsonFile, frozen=True):
+    """The content of one config.json.
+
+    height, width: of its maps [px], 0 if not stated; heading_deg: azimuth of their centre column;
+    setup: SITE.toml as a table; state: all keys, from which `from_state` builds the model.
+    """
+
+    NAME = "config.json"
+    EXPECTED, REMEDY = "a model folder", "train one with: fieldlum train"
+
+    model: str
+    height: int = 0
+    width: int = 0
+    heading_deg: float | None = None
+    patch: str = "absolute"
+    seed: int = 0
+    setup: dict[str, Any] = field(default_factory=dict)
+    training: TrainingNote = TrainingNote()
+    state: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Raise ValueError for maps that are not twice as wide as high, or too high."""
+        if not (0 <= self.height <= MAX_HEIGHT and self.width in (0, 2 * self.height)):
+            size = f"maps of {self.width} x {self.height} pixels"
+            raise ValueError(f"{size}, not twice as wide as high with at most {MAX_HEIGHT} rows")
+
+    @property
+    def scene(self) -> UsedScene | None:
+        """The fitted scene that the model was trained with; None if no scene was fitted."""
+        return self.state.get("scene")
+
+    @classmethod
+    def upgraded(cls, table: JsonTable, path: Path) -> JsonTable:
+        """Return the table with itself as the state."""
+        return {**table, "state": table}
+
+
+# ----------------------------------------------------------------------------------------------
+# scores.json: what `train --json` prints
+
+ScoreFigures = dict[str, Any]
+"""Errors of predicted maps; None for a figure that was not computed.
+
+log10_mse: mean squared error of log10 luminance (floor 1 cd/m2), _weighted by solid angle, paper_
+with equal pixels; median, p90, worst: of it over maps; rer: root of the summed squared errors over
+the summed squared truth; dgp: with the true disc, own_disc with that of the room, of fully seen
+directions; judged: trimmed means over the n_judged hours that decide a choice, of the absolute
+error of DGP, of ln Ev, and of log10_mse; bias_log10: mean signed error; in_90_band: share of pixels
+whose truth is within the model's 90 % interval; worst_decile_found: share of the worst tenth of
+hours that the model expects to be worst.
+"""
+ScoreRow = ScoreFigures
+"""One model in `train --json`: ScoreFigures, name, seed and costs.
+
+fit_s, fit_cpu_s: seconds to fit; n_train: number of maps in training; folds: number of tests;
+not_judged_because: None; earlier versions had a reason for missing figures.
+"""
+TrainAnswer = dict[str, Any]
+"""The object that `train --json` prints: the keys of `ScoresFile`, and whether it was `kept`."""
+
+
+class ScoresFile(JsonFile, frozen=True):
+    """The content of one scores.json, which is a `TrainAnswer` without `kept`.
+
+    models: one row for each model, as `ScoreRow`, of which earlier versions wrote fewer keys;
+    chosen: name of the chosen one; captures: how many were enough, of earlier versions.
+    """
+
+    NAME, SEALED = "scores.json", True
+    EXPECTED = "the scores of a trained model"
+    REMEDY = "train the model again (fieldlum train)"
+
+    models: tuple[dict[str, Any], ...]
+    chosen: str
+    reason: str = ""
+    parameters: int = 0
+    final_fit_s: float = 0.0
+    captures: dict[str, Any] = field(default_factory=dict)
+    year: dict[str, Any] | None = None
+    notes: tuple[str, ...] = ()
+    inputs: dict[str, Any] = field(default_factory=dict)
+    model_sha256: str = ""
+
+    @property
+    def judged_row(self) -> dict[str, Any] | None:
+        """Row of the chosen model; None without such a row or without its held-out error.
+
+        The error is missing for example because the time limit ended before.
+        """
+        rows = (row for row in self.models if row.get("name") == self.chosen)
+        row = next(rows, None)
+        return row if row is not None and row.get("median") is not None else None
+
+
+# ----------------------------------------------------------------------------------------------
+# held_out.npz: measured and predicted maps of the hours that scores.json is about
+
+HELD_OUT_FORMAT = 1  # of held_out.npz; docs/file-formats.md
+MAX_MAPS = 150  # most maps in the file, spread evenly: 4 MB at 116 x 58; chosen
+
+
+@dataclass(frozen=True, slots=True)
+class HeldOutMaps:
+    """Hours that were held out of the fit which predicted them, in the order of the folds.
+
+    slots: ids [n]; sun_altitude_deg, sun_azimuth_deg: [n] deg; log10_mse: weighted by solid angle
+    [n]; dgp_measured, dgp_predicted: in ten view directions, both with the measured sun disc [n,
+    10]; contrast_measured, contrast_predicted: mean local contrast of each level of a picture
+    pyramid [n, 5] cd/m2; measured_log10, predicted_log10: log10 of cd/m2 [n, h, w], float16 (to 0.2
+    %), reduced to fewer pixels, without the disc; season_deg: angle to the nearest sun in that
+    fit's training data [n] deg.
+    """
+
+    slots: NDArray[np.str_]
+    sun_altitude_deg: Floats
+    sun_azimuth_deg: Floats
+    log10_mse: Floats
+    dgp_measured: Floats
+    dgp_predicted: Floats
+    contrast_measured: Floats
+    contrast_predicted: Floats
+    measured_log10: NDArray[np.float16]
+    predicted_log10: NDArray[np.float16]
+    season_deg: Floats
+
+    def __len__(self) -> int:
+        return len(self.slots)
+
+    @classmethod
+    def join(cls, parts: Sequence[HeldOutMaps]) -> HeldOutMaps | None:
+        """Return the hours of several tests as one object; None without any test."""
+        if not parts:
+            return None
+        return cls(*(np.concatenate([getattr(p, name) for p in parts]) for name in _ARRAYS))
+
+    def write(self, folder: Path) -> None:
+        """Write held_out.npz: at most 150 hours, spread evenly from best to worst prediction."""
+        order = np.argsort(self.log10_mse, kind="stable")
+        spread = np.linspace(0, len(order) - 1, min(len(order), MAX_MAPS)).round().astype(int)
+        kept = np.sort(order[spread])
+        arrays: dict[str, Any] = {name: getattr(self, name)[kept] for name in _ARRAYS}
+        with replacing(folder / "held_out.npz") as file:
+            np.savez_compressed(file, format=HELD_OUT_FORMAT, **arrays)
+
+    @classmethod
+    def find(cls, folder: Path) -> HeldOutMaps | None:
+        """Read held_out.npz of a folder; return None if it is missing, as in models of 0.1.0.
+
+        Raises InputError for other content.
+        """
+        path = folder / "held_out.npz"
+        if not path.is_file():
+            return None
+        remedy = "train the model again (fieldlum train)"
+        with (
+            input_errors(path, "held-out maps", remedy, *NPZ_ERRORS),
+            np.load(path, allow_pickle=False) as stored,
+        ):
+            check_format(path, int(stored["format"]), HELD_OUT_FORMAT)
+            return cls(*(stored[name] for name in _ARRAYS))
+
+
+_ARRAYS = tuple(field.name for field in fields(HeldOutMaps))
