@@ -38,14 +38,14 @@ def _site(tmp_path: Path, text: str) -> Path:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"latitude_deg": 147.0}, "latitude_deg = '147'"),
-        ({"longitude_deg": 190.0}, "longitude_deg = '190'"),
+        ({"latitude_deg": 147.0}, "latitude_deg = '147.0'"),
+        ({"longitude_deg": 190.0}, "longitude_deg = '190.0'"),
         ({"timezone": "America/Seatle"}, "unknown time zone 'America/Seatle'"),
         ({"lattitude_deg": 1.0}, "unknown key 'lattitude_deg'; did you mean 'latitude_deg'"),
         ({"latitude_deg": "north"}, "latitude_deg = 'north', not a number"),
         ({"latitude_deg": True}, "latitude_deg = 'True', not a number"),
         ({"latitude_deg": math.nan}, "expected a finite number"),
-        ({"altitude_m": 52000.0}, "altitude_m = '52000', expected a number <= 9000"),
+        ({"altitude_m": 52000.0}, "altitude_m = '52000.0', expected a number <= 9000"),
         (
             {"longitude_deg": 122.3},
             "122.3 with timezone America/Los_Angeles, whose clock is 7.8 h from solar time",
