@@ -186,9 +186,9 @@ class _RoomEdges:
         height, width = seen_mask.shape
         strength = np.hypot(edges[0], edges[1])
         # above it columns are very narrow; below -70 the tripod is in the picture
-        inside = seen_mask & (np.abs(row_altitudes_deg(height))[:, None] < 70.0)
+        compared = seen_mask & (np.abs(row_altitudes_deg(height))[:, None] < 70.0)
         # share of the pixels that is compared, those with the strongest edges
-        pixels = np.flatnonzero(inside & (strength >= np.quantile(strength[inside], 1.0 - 0.6)))
+        pixels = np.flatnonzero(compared & (strength >= np.quantile(strength[compared], 1.0 - 0.6)))
         # most pixels that are compared, to limit the time
         self.pixels = pixels[:: -(-len(pixels) // 6000)]  # [m]
         self.values = self.at_pixels(edges)  # [2 m]
@@ -400,7 +400,7 @@ def align(
         logs = np.log(np.maximum(np.nan_to_num(maps[k]), 1e-3))
         maps[k] = np.exp(turned_back(logs, heading_deg, angles))
         weight = weight_of_variance(interpolation_u(logs, heading_deg, angles) ** 2)
-        # pixels with less weight by interpolation teach nothing
+        # pixels with less weight by interpolation do not count
         weight = np.where(weight < 0.5, 0.0, weight)
         share = turned_back(has_value[k].astype(float), heading_deg, angles)
         has_value[k] = share > 1.0 - 1e-6

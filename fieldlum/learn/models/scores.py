@@ -150,14 +150,14 @@ def truth(data: Dataset, *, glare: bool = True) -> Truth:
     the sun discs by the sky view; if False, glare is scored for no map.
     """
     n = len(data)
-    asked = np.zeros(n, bool)
+    with_glare = np.zeros(n, bool)
     if glare:
-        asked[np.unique(np.linspace(0, n - 1, min(n, 150)).round().astype(int))] = True
+        with_glare[np.unique(np.linspace(0, n - 1, min(n, 150)).round().astype(int))] = True
     azimuths_deg = view_azimuths_deg(data.heading_deg)
     views = panorama_views(*data.shape, data.heading_deg, azimuths_deg, data.seen)
     d = len(views.azimuths_deg)
     dgp, ev, contrast = (np.full((n, k), np.nan) for k in (d, d, RAMMG_LEVELS))
-    for rows in _chunks(np.flatnonzero(asked)):
+    for rows in _chunks(np.flatnonzero(with_glare)):
         part = data.take(rows)
         suns, maps = part.light.shown_sun_direction, part.luminance_cdm2
         glare_of = glare_directions(maps, views, suns, part.disc_lx)
@@ -167,7 +167,7 @@ def truth(data: Dataset, *, glare: bool = True) -> Truth:
     full = view_coverage(views).is_any(SEEN)
     full = full if full.any() else np.ones(d, bool)
     weight = choice_weights(data)
-    return Truth(data, data.weights, views, asked, dgp, contrast, ev, full, weight, own_disc)
+    return Truth(data, data.weights, views, with_glare, dgp, contrast, ev, full, weight, own_disc)
 
 
 def _chunks(rows: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
@@ -245,29 +245,29 @@ def compare(prediction: Prediction, data: Dataset, weights: Floats) -> Scores:
 def _glare_errors(
     scores: Scores, prediction: Prediction, part: Dataset, test: Truth, rows: Array, keep_maps: bool
 ) -> None:
-    asked = test.glare_maps[rows]
-    if not asked.any():
+    with_glare = test.glare_maps[rows]
+    if not with_glare.any():
         return
-    some, maps = part.take(asked), prediction.luminance_cdm2[asked]
+    some, maps = part.take(with_glare), prediction.luminance_cdm2[with_glare]
     suns = some.light.shown_sun_direction
     glare = glare_directions(maps, test.views, suns, some.disc_lx)
-    true_dgp, true_ev = test.dgp[rows[asked]], test.ev_lx[rows[asked]]
+    true_dgp, true_ev = test.dgp[rows[with_glare]], test.ev_lx[rows[with_glare]]
     assert test.own_disc_lx is not None
-    own_lx = test.own_disc_lx[rows[asked]]
+    own_lx = test.own_disc_lx[rows[with_glare]]
     in_use = dgp_with_disc(glare, sun_per_lx(suns, test.views), own_lx)
 
     def mean(values: Floats) -> Floats:
         return values[:, test.full].mean(axis=1)
 
-    scores.dgp_mse_own_disc[asked] = mean((in_use - true_dgp) ** 2)
-    scores.dgp_mse[asked] = mean((glare["dgp"] - true_dgp) ** 2)
-    scores.dgp_mae[asked] = mean(np.abs(glare["dgp"] - true_dgp))
-    scores.ev_error[asked] = mean(np.abs(np.log((glare["ev_lx"] + 1.0) / (true_ev + 1.0))))
-    scores.dgp_mean[asked] = mean(true_dgp)
-    scores.dgp_square[asked] = mean(true_dgp**2)
-    true_contrast, contrast = test.contrast[rows[asked]], _contrast(maps, some)
-    scores.rammg_truth[asked] = true_contrast.mean(axis=1)
-    scores.rammg_error[asked] = contrast.mean(axis=1) - true_contrast.mean(axis=1)
+    scores.dgp_mse_own_disc[with_glare] = mean((in_use - true_dgp) ** 2)
+    scores.dgp_mse[with_glare] = mean((glare["dgp"] - true_dgp) ** 2)
+    scores.dgp_mae[with_glare] = mean(np.abs(glare["dgp"] - true_dgp))
+    scores.ev_error[with_glare] = mean(np.abs(np.log((glare["ev_lx"] + 1.0) / (true_ev + 1.0))))
+    scores.dgp_mean[with_glare] = mean(true_dgp)
+    scores.dgp_square[with_glare] = mean(true_dgp**2)
+    true_contrast, contrast = test.contrast[rows[with_glare]], _contrast(maps, some)
+    scores.rammg_truth[with_glare] = true_contrast.mean(axis=1)
+    scores.rammg_error[with_glare] = contrast.mean(axis=1) - true_contrast.mean(axis=1)
     if not keep_maps:
         return
     # least number of rows of stored maps: that of the smallest panoramas of a demo
@@ -279,8 +279,8 @@ def _glare_errors(
         np.array(some.slots),
         some.light.sun_altitude_deg,
         some.light.sun_azimuth_deg,
-        scores.mse_weighted[asked],
-        test.dgp[rows[asked]],
+        scores.mse_weighted[with_glare],
+        test.dgp[rows[with_glare]],
         glare["dgp"],
         true_contrast,
         contrast,

@@ -470,7 +470,7 @@ def _inputs(
         bounced = physics.features(arrays.light, sunlight)
         arrays = replace(arrays, features=replace(arrays.features, bounced=bounced))
     light = arrays.light
-    # fewer days do not show that other skies teach more
+    # fewer days do not show that other skies are better
     sky = seen_sky(arrays) if len(np.unique(arrays.days)) >= 4 else None
     out = [_compared(arrays, kernel, arrays.features)]
     if sky is not None:

@@ -339,7 +339,7 @@ def slip_variance(patch: Floats, seen: Mask, dark: Floats, slip_deg: float) -> F
 def edge_weights(patch: Floats, seen: Mask, luminance: Floats, total_lx: Floats) -> Floats:
     """Return the weight of each captured value next to patches of a fitted scene, 0 to 1, [n, P].
 
-    A value at the edge of a patch may show sun where the scene has shade, so it teaches little.
+    A value at the edge of a patch may show sun where the scene has shade, so it has little weight.
     patch: luminance of sun patches [n, H, W] cd/m2; seen: mask [H, W] of the P pixels; luminance:
     captured [n, P] cd/m2; total_lx: light of the sky and the sun [n].
     """
@@ -475,15 +475,16 @@ def _patch_ratios(arrays: TrainingArrays) -> tuple[Array, Array]:
     return means[:, some], everywhere[names[some]]
 
 
-def _interpolated(sd: float, ratios: Array, directions: Array, asked: Array) -> Array:
-    """Return the expected ln ratio in directions `asked` [m, 3] of the skies of n captures, [n, m].
+def _interpolated(sd: float, ratios: Array, directions: Array, wanted: Array) -> Array:
+    """Return the expected ln ratio in `wanted` [m, 3] of the skies of n captures, [n, m].
 
-    The ratio is a field with the standard deviation `sd`, smooth in direction. A patch that a
+    directions, wanted: unit vectors of measured and of predicted sky. The ratio is a field with the
+    standard deviation `sd`, smooth in direction. A patch that a
     capture does not show has a variance without limit there.
     """
     known = np.isfinite(ratios)  # [n, k]
     own, cross = (
-        sd**2 * np.exp((directions @ b.T - 1.0) / WIDTH**2) for b in (directions, asked)
+        sd**2 * np.exp((directions @ b.T - 1.0) / WIDTH**2) for b in (directions, wanted)
     )  # [k, k], [k, m]
     noise = np.where(known, (NOISE_SHARE * sd) ** 2, 1e6)  # [n, k]
     covariance = own + noise[:, :, None] * np.eye(len(directions))

@@ -69,7 +69,7 @@ class Physics:
     def sunlight(self, light: Light) -> Floats32:
         """Return the sun on the pieces in n hours as coefficients of the k modes [n, k] lx.
 
-        Those of suns that were asked before are stored: the fits of one training share captures.
+        Those of suns of earlier calls are stored: the fits of one training share captures.
         """
         toward = self._points.scene.to_room(light.shown_sun_direction)
         out = np.zeros((len(light), len(self.modes)), np.float32)

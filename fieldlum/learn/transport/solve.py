@@ -418,12 +418,12 @@ def _hold_out_some(
     fit = fit_chunk(arrays, scale, basis, noise, products)
     unit = arrays.light.total_lx[:, None] * scale
     count, r = len(scale), basis.values.shape[1]
-    asked = Columns.of(arrays, unit, None if arrays.computed is None else arrays.computed.perez)
+    perez = Columns.of(arrays, unit, None if arrays.computed is None else arrays.computed.perez)
     design, wanted = (
         np.concatenate(
             (np.broadcast_to(f, (count, *f.shape)), columns.values.transpose(2, 1, 0)), axis=2
         )
-        for f, columns in ((basis.values, fit.columns), (basis.assumed, asked))
+        for f, columns in ((basis.values, fit.columns), (basis.assumed, perez))
     )  # [P, n, r + k]
     matrix, right = normal_equations(
         basis.values, fit.columns, fit.response, fit.weights, noise, products
@@ -445,7 +445,7 @@ def _hold_out_some(
         deviation[:, r:] += 1.0
         out[:, rows] = np.einsum("pda,pa->pd", wanted[:, rows], deviation)
     # sun patch and window sky have the gains of the full fit, and negative ones count as 0
-    some = slice(asked.surface, None)
-    direct = np.einsum("knp,pk->np", asked.values[some], fit.gains[:, some])
+    some = slice(perez.surface, None)
+    direct = np.einsum("knp,pk->np", perez.values[some], fit.gains[:, some])
     surfaces = np.maximum(out.T - direct, fit.minimum)
-    return surfaces + asked.direct(fit.gains), fit.target
+    return surfaces + perez.direct(fit.gains), fit.target
