@@ -479,8 +479,8 @@ def _interpolated(sd: float, ratios: Array, directions: Array, wanted: Array) ->
     """Return the expected ln ratio in `wanted` [m, 3] of the skies of n captures, [n, m].
 
     directions, wanted: unit vectors of measured and of predicted sky. The ratio is a field with the
-    standard deviation `sd`, smooth in direction. A patch that a
-    capture does not show has a variance without limit there.
+    standard deviation `sd`, smooth in direction. A patch that a capture does not show has a
+    variance without limit there.
     """
     known = np.isfinite(ratios)  # [n, k]
     own, cross = (
