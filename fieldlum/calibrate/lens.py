@@ -399,8 +399,8 @@ _MAX_CHANGE = 0.15
 class Circle(NamedTuple):
     """The image circle of a fisheye: centre (x, y) and radius in px.
 
-    u_px: standard deviation of the edge points' distance from the circle. edge: x, y [2, n] of
-    these points.
+    u_px: standard uncertainty of the radius: the edge points' distance from the circle, and 1 px
+    for where between light and dark the picture ends. edge: x, y [2, n] of the points.
     """
 
     centre_px: tuple[float, float]
@@ -477,7 +477,7 @@ def _through(edge: Array, start: Circle) -> tuple[Circle, Array]:
     solved = least_squares(misses, [*start.centre_px, start.radius_px], loss="soft_l1", f_scale=0.5)
     x, y, radius = solved.x.tolist()
     off = misses(solved.x)
-    return Circle((x, y), radius, robust_sigma(off, 0.0), edge), off
+    return Circle((x, y), radius, float(np.hypot(robust_sigma(off, 0.0), 1.0)), edge), off
 
 
 def trimmed(lens: Lens, width_deg: float) -> Lens:
@@ -523,7 +523,7 @@ def circle_chart(found: Circle, source: Path) -> Chart:
     (x, y), radius = found.centre_px, found.radius_px
     right, down = found.edge - np.array([[x], [y]])
     turn, away = np.degrees(np.arctan2(down, right)), np.hypot(right, down)
-    title = f"centre {x:.1f}, {y:.1f}, radius {radius:.1f} px, edge within {found.u_px:.2f} px"
+    title = f"centre {x:.1f}, {y:.1f}, radius {radius:.1f} px, uncertainty {found.u_px:.1f} px"
     places = [Place(source, *point) for point in found.edge.T.tolist()]
     around, edge = ("direction from the centre [deg]", turn), ("distance of the edge [px]", away)
     return Chart(title, away / radius - 1.0, places, around, edge, np.full(len(away), radius))

@@ -218,7 +218,7 @@ def _by_circle(frame: Path, start: Lens) -> tuple[Lens, FittedPart]:
     found = lenses.circle(lenses.grey_picture(frame), start, frame)
     (x, y), radius_px = found.centre_px, found.radius_px
     new = replace(start, centre_px=(round(x, 2), round(y, 2)), radius_px=round(radius_px, 2))
-    line = f"lens: circle of radius {radius_px:.2f} px, uncertainty {found.u_px:.2f} px"
+    line = f"lens: circle of radius {radius_px:.1f} px, uncertainty {found.u_px:.1f} px"
     figures = _figures(found, "centre_px", "radius_px", "u_px")
     return new, FittedPart({}, [line], [frame], figures, lenses.circle_chart(found, frame))
 
