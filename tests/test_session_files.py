@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
+import zipfile
 from dataclasses import fields, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -19,6 +21,7 @@ from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure, SiteFile, Slot
 from fieldlum.plan import makeup
 from fieldlum.session import Session, create_session, store_grace
+from fieldlum.session.codec import NPZ_ERRORS, read_arrays
 from fieldlum.session.files.capture_json import CaptureFile, Frame
 from fieldlum.session.files.hourly_csv import HOUR_COLUMNS, VIEW_COLUMNS, HourlyFile
 from fieldlum.session.files.irradiance_csv import CleanIrradiance
@@ -201,3 +204,18 @@ def test_simulated_irradiance_is_in_order_of_time(tmp_path: Path) -> None:
         path.write_text("\n".join((head, *rows)))
         with pytest.raises(InputError, match="expected two or more rows in order of time"):
             CleanIrradiance.read_truth(path)
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize("shape", [(10**13,), (1_250_000_000,), (2**32, 2**32), (-5,), None])
+def test_an_npz_with_an_impossible_array_is_refused(
+    tmp_path: Path, shape: tuple[int, ...] | None
+) -> None:
+    head = io.BytesIO()
+    if shape is not None:
+        about = {"shape": shape, "fortran_order": False, "descr": "<f8"}
+        np.lib.format.write_array_header_1_0(head, about)
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
+        archive.writestr("a.npy", head.getvalue() + b"eight by")
+    with pytest.raises(NPZ_ERRORS):
+        read_arrays(tmp_path / "a.npz")

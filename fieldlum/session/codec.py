@@ -336,6 +336,8 @@ def read_arrays(path: Path) -> dict[str, Array]:
     with np.load(path, allow_pickle=False) as stored:
         arrays = {name: stored[name] for name in stored.files}
     for name, values in arrays.items():
+        if not isinstance(values, np.ndarray):  # bytes, of a member in another format
+            raise ValueError(f"{name} is no array")
         if values.dtype.kind == "f" and not np.isfinite(values).all():
             raise ValueError(f"{name} has values that are not finite")
     return arrays
