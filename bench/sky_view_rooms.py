@@ -5,7 +5,8 @@
 ROOM.toml: a room of bench/outside_rooms, with its npz. Each room is read without a [room], with the
 discs in its captures and without the captures that show one. Hours are the test hours with DNI over
 60 W/m2; a disc of over 2 % of the beam is shown. DGP's mean squared error is of the disc alone: the
-true map with its own disc against the true map with the tool's, over all test hours and ten views.
+true map with its own disc against the true map with the tool's, over all test hours and ten views;
+then over the hours whose interval does not hold both a disc and none.
 """
 
 from __future__ import annotations
@@ -30,11 +31,12 @@ from make_case import write_case  # pyright: ignore[reportMissingImports]
 SHOWN, SUNNY_WM2 = 0.02, 60.0
 
 
-def dgp_error(test: Dataset, own_lx: np.ndarray) -> float:
-    """Return the mean squared error of DGP by the disc alone."""
+def dgp_errors(test: Dataset, own_lx: np.ndarray) -> np.ndarray:
+    """Return the mean squared error of DGP by the disc alone, of each hour."""
+    errors = np.zeros(len(test))
     rows = np.flatnonzero(np.abs(own_lx - test.disc_lx) > 20.0)
     if not len(rows):
-        return 0.0
+        return errors
     some = test.take(rows)
     azimuths = view_azimuths_deg(test.heading_deg)
     views = panorama_views(*test.shape, test.heading_deg, azimuths)
@@ -42,7 +44,8 @@ def dgp_error(test: Dataset, own_lx: np.ndarray) -> float:
     dgp = [
         glare_directions(maps, views, suns, disc)["dgp"] for disc in (some.disc_lx, own_lx[rows])
     ]
-    return float(((dgp[1] - dgp[0]) ** 2).mean(axis=1).sum() / len(test))
+    errors[rows] = ((dgp[1] - dgp[0]) ** 2).mean(axis=1)
+    return errors
 
 
 def judge(view: SkyView, test: Dataset) -> dict[str, Any]:
@@ -54,6 +57,8 @@ def judge(view: SkyView, test: Dataset) -> dict[str, Any]:
     low, high = np.quantile(drawn, [0.025, 0.975], axis=0)
     holds = (true >= low - SHOWN) & (true <= high + SHOWN)
     sunny = test.light.dni_wm2 > SUNNY_WM2
+    open_hours = (low <= SHOWN) & (high > SHOWN)  # whether there is a disc
+    errors = dgp_errors(test, disc.best_lx)
     there, none = sunny & (true > SHOWN), sunny & (true <= SHOWN)
     return {
         "hours with disc shown": f"{(there & (own > SHOWN)).sum()}/{there.sum()}",
@@ -61,7 +66,9 @@ def judge(view: SkyView, test: Dataset) -> dict[str, Any]:
         "rms of share": f"{np.sqrt(((own - true)[there] ** 2).mean()):.3f}" if there.any() else "",
         "interval holds": f"{holds[sunny].mean():.3f}",
         "with disc": f"{holds[there].mean():.3f}" if there.any() else "",
-        "DGP MSE of the disc": f"{dgp_error(test, disc.best_lx):.1e}",
+        "DGP MSE of the disc": f"{errors.mean():.1e}",
+        "cannot tell": f"{open_hours.sum()}/{len(test)}",
+        "DGP MSE of the others": f"{errors[~open_hours].mean():.1e}",
         "heading": f"{view.pose.heading_deg:+.2f}+-{view.pose.heading_sd_deg:.2f}",
     }
 

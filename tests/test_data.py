@@ -1,5 +1,6 @@
 """Training data: strict reading, the sun's disc by energy."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,7 @@ from learning_room import dataset, write_pairs
 
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Flag, Panorama
-from fieldlum.learn.models.data import load_pairs
+from fieldlum.learn.models.data import _discs, load_pairs
 from fieldlum.optics.images import write_panorama, write_radiance_hdr
 from fieldlum.optics.projection import equirect_rays
 
@@ -197,3 +198,16 @@ def test_thin_maps_keep_pixels_where_they_were() -> None:
         equirect_rays(12, 24, 180.0)[1::3, 1::3], equirect_rays(4, 8, 180.0), atol=1e-12
     )
     np.testing.assert_array_equal(small.luminance_cdm2, data.luminance_cdm2[:, 1::3, 1::3])
+
+
+@pytest.mark.property
+def test_discs_of_adjacent_days_in_the_same_pixel_count_once_for_the_pose() -> None:
+    """They have the same error: three days leave a place as uncertain as one."""
+    weights = []
+    for days in (("2027-06-21",), ("2027-06-20", "2027-06-21", "2027-06-22")):
+        data = dataset(days, height=36)
+        shown = np.stack([data.light.shown_altitude_deg, data.light.sun_azimuth_deg], axis=1)
+        discs = _discs(replace(data, disc_deg=shown))
+        assert len(discs) == len(data)
+        weights.append((discs.sigma_deg**-2).sum())
+    assert weights[1] == pytest.approx(weights[0], rel=0.02)

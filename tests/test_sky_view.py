@@ -185,6 +185,19 @@ def test_edges_and_bars_of_coarse_pictures_are_where_openness_puts_them() -> Non
 
 
 @pytest.mark.analytic
+def test_a_slanted_bar_narrower_than_a_pixel_is_not_broken() -> None:
+    """In pixels of 3 degrees: half a pixel wide, it rises by a pixel in three."""
+    row, column = (np.mgrid[:288, :288] + 0.5) / 24.0
+    bar = np.abs(row - 4.0 - column / 3.0) < 0.25
+    openness = 1.0 - bar.reshape(12, 24, 12, 24).mean(axis=(1, 3), dtype=np.float32)
+    full, grid = np.ones_like(openness), SkyGrid(36.0, -18.0, 3.0, 180.0, 12, 12)
+    view = SkyView(grid, openness, 0 * full, full, full, 0 * full, full)
+    best = view.shares(SkyGrid(36.0, -18.0, 0.125, 180.0, 288, 288).rays())[0]
+    assert (best == 0.0).any(axis=0)[24:-24].all()
+    assert (best == ~bar).mean() > 0.95
+
+
+@pytest.mark.analytic
 def test_directions_that_no_lens_saw_are_nan_and_not_zero() -> None:
     pictures = _pictures(np.ones((32, 32)))
     pictures[:, :, :8] = np.nan

@@ -645,5 +645,10 @@ def _discs(data: Dataset) -> MeasuredDiscs:
     if data.disc_deg is None or not (rows := np.flatnonzero(np.isfinite(data.disc_deg[:, 0]))).size:
         return NO_DISCS
     altitude, azimuth = data.disc_deg[rows].T
-    sigma = np.full(len(rows), 180.0 / data.shape[0] / np.sqrt(12.0))
+    pixel_deg = 180.0 / data.shape[0]
+    # The sun of the next days is in the same pixel, with the same error: these count as one disc.
+    level_deg = signed_angle_deg(azimuth[:, None] - azimuth) * np.cos(np.radians(altitude))
+    off_deg = np.hypot(altitude[:, None] - altitude, level_deg)
+    same = (off_deg < 0.5 * pixel_deg).sum(axis=1)
+    sigma = pixel_deg * np.sqrt(same / 12.0)
     return MeasuredDiscs(altitude, azimuth, sigma, tuple(data.light.t_utc[k] for k in rows))

@@ -31,6 +31,9 @@ _OPEN_PIXEL = 0.95  # openness of a pixel that has no edge: known to 0.05; chose
 _LENS_BLUR = 0.2
 # Shares of a pixel that is drawn open by which best, low and high are open; chosen for the bounds.
 _DOUBT = (0.5, 0.75, 0.25)
+# Length and width of the blur along an edge, in pixels: bars narrower than a pixel do not break up
+# (rooms of docs/validation.md). Chosen.
+_EDGE_BLUR = (1.2, 0.35)
 FRAME = "true north"  # of the grid's azimuths
 _EXPECTED = "a sky view as docs/sky-view.md describes it"
 _REMEDY = "run fieldlum pair, or fieldlum train, again"
@@ -212,25 +215,45 @@ def _fine_edges(maps: Floats32, openness: Floats32, factor: int) -> Floats32:
 def _shortest_edges(openness: Floats32, factor: int) -> Floats32:
     """Return a fine map that is above one half in the open share of each pixel, with short edges.
 
-    Motion by mean curvature (Merriman, Bence, Osher 1994) with the area of each pixel kept: in each
-    pixel the brightest parts, as many as its openness, are open; then blur.
+    Threshold dynamics (Merriman, Bence, Osher 1994) with the area of each pixel kept: blur; then in
+    each pixel the brightest parts, as many as its openness, are open. A blur along bars keeps those
+    unbroken that are narrower than a pixel.
     """
     from scipy.ndimage import gaussian_filter
 
     (height, width), n = openness.shape, factor**2
     mixed = np.nonzero((openness > 0.0) & (openness < _OPEN_PIXEL))
     count = np.round(openness[mixed] * n)[:, None]
-    smooth = sharp = _interpolated(openness, factor)
+    sharp = _interpolated(openness, factor)
     pixels = np.repeat((openness >= _OPEN_PIXEL)[..., None], n, axis=-1).astype(np.float32)
-    for _ in range(6):
+    for _ in range(4):
+        smooth = _along_edges(sharp, factor)
         parts = smooth.reshape(height, factor, width, factor).swapaxes(1, 2)[mixed].reshape(-1, n)
         rank = np.argsort(np.argsort(-parts, axis=1, kind="stable"), axis=1)
         pixels[mixed] = rank < count
         sharp = pixels.reshape(height, width, factor, factor).swapaxes(1, 2)
         sharp = sharp.reshape(height * factor, width * factor)
-        smooth = gaussian_filter(sharp, 0.5 * factor, mode="nearest", truncate=3.0)
+    smooth = gaussian_filter(sharp, 0.5 * factor, mode="nearest", truncate=3.0)
     # where best is open or shut, low and high follow it
     return np.where(sharp > 0.5, np.maximum(smooth, 0.5), np.minimum(smooth, 0.499))
+
+
+def _along_edges(values: Floats32, factor: int) -> Floats32:
+    """Return a fine map blurred along its edges and bars.
+
+    Each place takes that of eight long Gaussians which differs most from a round one.
+    """
+    import cv2
+
+    long, short = _EDGE_BLUR
+    y, x = np.mgrid[-3 * factor : 3 * factor + 1, -3 * factor : 3 * factor + 1] / factor
+    best = even = cv2.GaussianBlur(values, (0, 0), long * factor, borderType=cv2.BORDER_REPLICATE)
+    for angle in np.arange(8) * np.pi / 8.0:
+        along, across = x * np.cos(angle) + y * np.sin(angle), y * np.cos(angle) - x * np.sin(angle)
+        kernel = np.exp(-0.5 * ((along / long) ** 2 + (across / short) ** 2))
+        blurred = cv2.filter2D(values, -1, kernel / kernel.sum(), borderType=cv2.BORDER_REPLICATE)
+        best = np.where(np.abs(blurred - even) > np.abs(best - even), blurred, best)
+    return np.asarray(best, np.float32)
 
 
 def _enlarged(values: np.ndarray, factor: int) -> np.ndarray:
