@@ -44,9 +44,9 @@ def main() -> None:
     year = weather_for(setup).daylight()[:: asked.every]
     at = sun.position(year.t_utc, setup.site)
     toward = sun.direction(at.altitude_deg, at.azimuth_deg)
-    normal = sky.direct_normal_illuminance_lx(
+    normal = sky.perez_coefficients(
         year.dni_wm2, year.dhi_wm2, at.altitude_deg, year.t_utc
-    )
+    ).direct_lx
     prepare = _cpu()
     sub = view.patch_rays(asked.height)
     scene.look(setup.room, asked.height, setup.camera.heading_deg, sub)

@@ -140,11 +140,10 @@ def test_greedy_goes_on_from_what_is_taken() -> None:
 
 @pytest.mark.property
 @settings(deadline=None, max_examples=10)
-@given(st.integers(1, 40), st.integers(0, 1000))
-def test_greedy_never_repeats_and_never_worsens(count: int, seed: int) -> None:
+@given(st.integers(1, 40))
+def test_greedy_never_repeats_and_never_worsens(count: int) -> None:
     f = light_features(LIGHT)
-    rng = np.random.default_rng(seed)
-    chosen = greedy_hours(KERNELS[1], f, f, count, weights=rng.uniform(0.1, 1, len(f)))
+    chosen = greedy_hours(KERNELS[1], f, f, count)
     assert len(set(chosen.index.tolist())) == count
     assert np.all(np.diff(chosen.variance) <= 1e-9)
 

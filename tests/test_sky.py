@@ -129,8 +129,8 @@ def test_efficacy_is_about_93_lm_per_w() -> None:
     """Littlefair 1988 and Perez 1990 put beam sunlight between 90 and 110 lm/W; low
     suns are redder.
     """
-    high = sky.direct_normal_illuminance_lx(800.0, 100.0, 50.0, 172)[0] / 800
-    low = sky.direct_normal_illuminance_lx(200.0, 40.0, 4.0, 172)[0] / 200
+    high = sky.perez_coefficients(800.0, 100.0, 50.0, 172).direct_lx[0] / 800
+    low = sky.perez_coefficients(200.0, 40.0, 4.0, 172).direct_lx[0] / 200
     assert 95 < high < 112
     assert low < 70
 

@@ -30,6 +30,9 @@ _NOT_TEXT = {
 }
 # Share of zero bytes. UTF-16 without its mark has about half; a damaged block has few. Chosen.
 _MAX_ZERO_BYTES = 0.25
+# A cell outside is an error. Every hourly mean of a real sky is inside: the solar constant is 1361
+# W/m2, cloud edges add to it, and a thermopile's night offset is a few W/m2 below zero.
+IRRADIANCE_LIMITS_WM2 = (-10.0, 1600.0)
 COMMAS = ", because numbers have decimal commas"
 _INTEGER = re.compile(r"[+-]?\d+")
 _UNIT_AT_END = re.compile(r"(.*?)[\s_]*[(\[{]([^()\[\]{}]*)[)\]}\s]*")

@@ -29,22 +29,6 @@ NOISE = 3e-3  # variance of one capture, in the kernel's unit (docs/decisions.md
 # even
 
 
-def space_filling(points: Floats, count: int, rng: np.random.Generator) -> Indices:
-    """Return indices [count], ascending, of points [n, k] spread by farthest-point sampling.
-
-    All points are returned if there are no more than `count` (1 or more). The first is drawn by
-    `rng`. Gonzalez 1985: the widest gap is at most twice the smallest possible.
-    """
-    if count >= len(points):
-        return np.arange(len(points))
-    chosen = [int(rng.integers(len(points)))]
-    gap = np.full(len(points), np.inf)
-    while len(chosen) < count:
-        gap = np.minimum(gap, ((points - points[chosen[-1]]) ** 2).sum(axis=1))
-        chosen.append(int(np.argmax(gap)))
-    return np.sort(np.array(chosen, np.intp))
-
-
 def medoids(points: Floats, count: int, rng: np.random.Generator) -> Indices:
     """Return indices [count], ascending, of the points nearest to the centres of k-means clusters.
 
@@ -77,11 +61,11 @@ def even(
     """Return ascending indices of at most `count` hours whose suns and skies are spread evenly.
 
     They are k-means medoids over sun direction, DNI and DHI (Liu, Colburn and Inanici 2020); hours
-    without weather are not chosen. If `weather` is None: by `space_filling` of sun directions.
+    without weather are not chosen. If `weather` is None: over sun direction alone.
     """
     suns = sun.direction(hours.altitude_deg, hours.azimuth_deg)
     if weather is None:
-        return space_filling(suns, count, rng)
+        return medoids(suns, count, rng)
     sky_now = weather.at(hours.t_utc)
     with_weather = np.flatnonzero(np.isfinite(sky_now.dni_wm2 + sky_now.dhi_wm2))
     sky = np.stack([sky_now.dni_wm2 / DNI_FULL_WM2, sky_now.dhi_wm2 / DHI_FULL_WM2], axis=-1)

@@ -312,7 +312,7 @@ def _facade(a: Features, facades: Facades) -> Floats:
 class GreedySelection:
     """The k hours that `greedy_hours` chose.
 
-    index [k]: their rows in the pool, in the order of choice; variance [k + 1]: weighted predictive
+    index [k]: their rows in the pool, in the order of choice; variance [k + 1]: predictive
     variance of the year divided by its prior variance (1: nothing known, 0: everything); the first
     value is before any choice, then one after each choice.
     """
@@ -329,18 +329,15 @@ def greedy_hours(
     *,
     taken: Features | None = None,
     noise: float = 3e-3,
-    weights: Floats | None = None,
     progress: Progress = quiet,
 ) -> GreedySelection:
     """Choose `count` hours of `pool`, each time the one that most reduces the variance over `year`.
 
     year, pool: features of the hours to predict and of the hours that can be chosen; no picture is
     needed. All of `pool` is chosen if it has fewer than `count` hours. taken: features of hours
-    already captured, which reduce the variance first; None for none. weights [len(year)]:
-    importance of each hour of the year, None for equal; noise: variance of one capture, in units of
-    the kernel. Cost: O((len(year) + len(pool)) len(pool) count).
+    already captured, which reduce the variance first; None for none. noise: variance
+    of one capture, in units of the kernel. Cost: O((len(year) + len(pool)) len(pool) count).
     """
-    w = np.ones(len(year)) if weights is None else np.asarray(weights, float)
     cross, own = kernel(year, pool), kernel(pool, pool)
     prior = kernel.diagonal(year)
     if taken is not None and len(taken):
@@ -353,12 +350,12 @@ def greedy_hours(
         variance_left = prior - np.einsum("ij,ji->i", kernel(year, taken), towards[:, len(pool) :])
     else:
         variance_left = prior.copy()
-    total = float(w @ prior)
-    index, variance = [], [float(w @ variance_left) / total]
+    total = float(prior.sum())
+    index, variance = [], [float(variance_left.sum()) / total]
     free = np.ones(len(pool), bool)
     for step in range(min(count, len(pool))):
         variances = np.maximum(np.diagonal(own), 0.0) + noise
-        gain = np.where(free, w @ cross**2 / variances, -1.0)
+        gain = np.where(free, (cross**2).sum(axis=0) / variances, -1.0)
         best = int(np.argmax(gain))
         index.append(best)
         free[best] = False

@@ -385,17 +385,3 @@ def perez_luminance(
     # perezlum.cal: skybright = wmean((Dz + 1.01)^10, sky, (Dz + 1.01)^-10, ground)
     share = (1.0 / (1.0 + (up + 1.01) ** -20.0)).astype(dtype)
     return bright * share + sky.ground_cdm2.astype(dtype)[:, None] * (1 - share)
-
-
-def direct_normal_illuminance_lx(
-    dni_wm2: ArrayLike,
-    dhi_wm2: ArrayLike,
-    sun_altitude_deg: ArrayLike,
-    when: ArrayLike | Sequence[datetime],
-) -> Floats:
-    """Return the sun's illuminance on a plane normal to it, [n], in lx.
-
-    By Perez's direct luminous efficacy (never 179 lm/W), about 93 lm/W on average over the hours of
-    docs/validation.md. when : day of the year or UTC times.
-    """
-    return perez_coefficients(dni_wm2, dhi_wm2, sun_altitude_deg, when).direct_lx

@@ -20,6 +20,7 @@ import numpy as np
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Site
 from fieldlum.core.strict_csv import (
+    IRRADIANCE_LIMITS_WM2,
     check_names,
     is_wm2,
     numbered,
@@ -32,11 +33,6 @@ from fieldlum.sky import sun
 from fieldlum.weather.plausibility import hours_against
 from fieldlum.weather.year import TYPICAL_YEAR
 
-# A cell outside of these two limits is an error. Chosen so that every hourly mean of a real sky is
-# inside: the solar constant is 1367 W/m2, cloud edges add to it, and the night offset of a
-# thermopile is a few W/m2 below zero. Not measured.
-HIGHEST_WM2 = 1600.0
-LOWEST_WM2 = -10.0
 # Codes of a missing value: EPW 9999, TMY3 -9900, SolarAnywhere -999 (their documentation).
 _MISSING = (9999.0, 99999.0, 999999.0, -9900.0, -9999.0, -999.0)
 # Degrees of longitude over 15 minus the zone's hours; western China (3.3 h) is the extreme of the
@@ -131,8 +127,9 @@ def _number(path: Path, line: int, name: str, text: str) -> float:
         raise _bad_row(path, f"line {line}: {name} is '{text}'", expected) from None
     if value in _MISSING:
         return math.nan
-    if not LOWEST_WM2 <= value <= HIGHEST_WM2:
-        found, expected = f"line {line}: {name} is {text}", f"{LOWEST_WM2:g} to {HIGHEST_WM2:g}"
+    low, high = IRRADIANCE_LIMITS_WM2
+    if not low <= value <= high:
+        found, expected = f"line {line}: {name} is {text}", f"{low:g} to {high:g}"
         raise InputError(path, f"{found} W/m2", f"{expected} W/m2", "correct or empty that cell")
     return value
 
@@ -482,7 +479,9 @@ def _normal(rows: Sequence[WeatherRow], place: Site) -> list[WeatherRow]:
     altitude = sun.position(times, place).altitude_deg
     beam = np.array([row.dni for row in rows])
     normal = beam / np.sin(np.radians(np.maximum(altitude, _LOW_SUN_DEG)))
-    limit = np.where(altitude < 10.0, 1.1 * sun.clearsky(times, place).dni_wm2, HIGHEST_WM2)
+    limit = np.where(
+        altitude < 10.0, 1.1 * sun.clearsky(times, place).dni_wm2, IRRADIANCE_LIMITS_WM2[1]
+    )
     dni = np.where(altitude < _LOW_SUN_DEG, 0.0, np.minimum(normal, limit))
     ghi = np.where(altitude < _LOW_SUN_DEG, np.nan, beam + [row.dhi for row in rows])
     return [

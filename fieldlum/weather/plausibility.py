@@ -31,7 +31,7 @@ _SHIFTS_MIN = (-60.0, -30.0, 0.0, 30.0, 60.0)  # between them the result is inte
 _ALTITUDES_DEG = np.arange(8.0, 33.0, 3.0)
 # This quantile of DNI is of clear hours in most climates. Chosen, not measured.
 _CLEAR_QUANTILE = 0.8
-_MIN_HOURS = 20  # of a half-day at an altitude; fewer have no quantile; chosen
+MIN_HOURS = 20  # with fewer, a median or a quantile decides nothing; chosen
 _MIN_DAYS = 300  # in a part of a year, mornings and afternoons differ by weather; chosen
 
 
@@ -75,7 +75,7 @@ def _morning_excess(weather: Weather, station: Site, shift_min: float) -> float:
     for low, high in pairwise(_ALTITUDES_DEG):
         inside = (place.altitude_deg >= low) & (place.altitude_deg < high)
         halves = weather.dni_wm2[inside & morning], weather.dni_wm2[inside & ~morning]
-        if min(len(half) for half in halves) >= _MIN_HOURS:
+        if min(len(half) for half in halves) >= MIN_HOURS:
             excess.append(_contrast(*halves))
     return float(np.mean(excess)) if excess else float("nan")
 
@@ -97,7 +97,6 @@ MAX_EXTREME_SHARE = 0.02
 # smaller median share than MIN_DIFFUSE_SHARE means that a column is another component.
 OVERCAST_CLEARNESS = 0.25
 MIN_DIFFUSE_SHARE = 0.9
-MIN_OVERCAST_HOURS = 20  # chosen so that a median is meaningful; not measured
 # Global irradiance is never below the diffuse one, and equals it under overcast skies. Direct
 # irradiance is below it in most overcast hours. Of the hours with over 20 W/m2 of diffuse, the
 # files of five places have 34 to 62 % below and 1 to 3 % equal; with global as direct they have at
@@ -126,10 +125,9 @@ MAX_CONTRADICTIONS_ANYWHERE = 0.25
 # Light below this altitude is light at night: hourly means include light from half an hour before
 # sunrise. Chosen.
 NIGHT_BELOW_DEG = -8.0
-# Share of the year's light that may be at night; a shift of one hour gives more. Not measured.
+# Share of the year's light that may be at night, and of the hours around solar midnight that may be
+# lit; a shift of one hour gives more. Not measured.
 MAX_LIGHT_AT_NIGHT = 0.01
-# Share of the hours around solar midnight that may be lit. Chosen; files have none.
-MAX_LIT_MIDNIGHTS = 0.01
 _MIDNIGHT_WITHIN_H = 1.5  # of solar midnight: no day of a wrong latitude reaches it; chosen
 SHIFTS_MIN = tuple(m for m in range(-150, 151, 15) if m)
 _HALF = timedelta(minutes=30)  # of an hour, by definition
@@ -199,7 +197,7 @@ def _wrong_column(
     clearness = total / (top * np.maximum(np.sin(np.radians(altitude)), 1e-9))
     overcast = up & (clearness < OVERCAST_CLEARNESS) & (total > 10.0)
     share = float(np.median(dhi[overcast] / total[overcast])) if overcast.any() else 1.0
-    if overcast.sum() >= MIN_OVERCAST_HOURS and share < MIN_DIFFUSE_SHARE:
+    if overcast.sum() >= MIN_HOURS and share < MIN_DIFFUSE_SHARE:
         found = f"only {100 * share:.0f} % of the irradiance of overcast hours is diffuse (median)"
         return (
             found,
@@ -210,7 +208,7 @@ def _wrong_column(
     ratio = dni[lit] / dhi[lit] - 1.0
     below = float((ratio < -_SAME_WITHIN).mean()) if lit.any() else 1.0
     equal = float((abs(ratio) <= _SAME_WITHIN).mean()) if lit.any() else 0.0
-    if lit.sum() >= MIN_OVERCAST_HOURS and below < MIN_SHARE_BELOW and equal > MAX_SHARE_EQUAL:
+    if lit.sum() >= MIN_HOURS and below < MIN_SHARE_BELOW and equal > MAX_SHARE_EQUAL:
         found = f"DNI equals DHI in {100 * equal:.0f} % of the daylight hours, and is below it in"
         expected = "overcast hours with less direct than diffuse irradiance"
         return f"{found} {100 * below:.1f} %", expected, "the column of DNI has global"
@@ -254,7 +252,7 @@ def _check_night(path: Path, weather: Weather, station: Site, altitude: Floats) 
     solar_h = np.array([t.timestamp() for t in weather.t_utc]) / 3600.0 + station.longitude_deg / 15
     midnight = night & (np.abs((solar_h + 12.0) % 24.0 - 12.0) < _MIDNIGHT_WITHIN_H)
     lit = midnight & (light > LIGHT_WM2)
-    at_midnight = lit.sum() > MAX_LIT_MIDNIGHTS * midnight.sum() and lit.sum() > MIN_CONTRADICTIONS
+    at_midnight = lit.sum() > MAX_LIGHT_AT_NIGHT * midnight.sum() and lit.sum() > MIN_CONTRADICTIONS
     share = float(light[night].sum() / max(light.sum(), 1.0))
     if share <= MAX_LIGHT_AT_NIGHT and not at_midnight:
         return

@@ -12,14 +12,12 @@ from pathlib import Path
 
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import parse_utc
-from fieldlum.core.strict_csv import read_table
+from fieldlum.core.strict_csv import IRRADIANCE_LIMITS_WM2, read_table
 from fieldlum.session.codec import change_of, check_format, read_row, sealed, write_csv
 from fieldlum.session.folder import Session
 from fieldlum.session.safe_paths import inside, refuse_link
 
 FORMAT = 1  # of the file; docs/file-formats.md
-MAX_IRRADIANCE_WM2 = 1600.0  # above the solar constant (1361), with cloud enhancement; chosen
-MIN_IRRADIANCE_WM2 = -10.0  # night offset of a thermopile; chosen
 NO_TIME = datetime(1, 1, 1, tzinfo=UTC)  # time of a row with ok = 0 whose own time is unreadable
 _REMEDY = "correct that cell, or set ok = 0"
 
@@ -142,9 +140,10 @@ def _row(path: Path, line: int, cells: dict[str, str]) -> PairRow:
     check_format(path, row.format, FORMAT)
     if not row.panorama:
         raise InputError(where, "the cell of column panorama is empty", "a picture's path", _REMEDY)
+    low, high = IRRADIANCE_LIMITS_WM2
     for name in ("dni_wm2", "dhi_wm2"):
-        if not MIN_IRRADIANCE_WM2 <= getattr(row, name) <= MAX_IRRADIANCE_WM2:
-            limits = f"{MIN_IRRADIANCE_WM2:g} to {MAX_IRRADIANCE_WM2:g} W/m2"
+        if not low <= getattr(row, name) <= high:
+            limits = f"{low:g} to {high:g} W/m2"
             raise InputError(where, f"{name} is {cells[name]!r}", limits, _REMEDY)
     return replace(row, dni_wm2=max(row.dni_wm2, 0.0), dhi_wm2=max(row.dhi_wm2, 0.0))
 
