@@ -147,11 +147,12 @@ class Fitted(Protocol):
     and predicted by a fit without its day [n]; None if not computed.
     """
 
-    name: str
-    parameters: int  # number of fitted values, which `train` reports
-    # Weighted log10 MSE [n] of each training map, predicted by a fit without its day; None if not
-    # computed.
-    held_out_mse: Floats | None
+    @property
+    def name(self) -> str: ...
+    @property
+    def parameters(self) -> int: ...
+    @property
+    def held_out_mse(self) -> Floats | None: ...
 
     def predict(self, light: Light, patch_cdm2: Floats32 | None = None) -> Prediction:
         """Predict maps of the n hours of `light`.
