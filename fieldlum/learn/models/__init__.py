@@ -142,17 +142,23 @@ class Fitted(Protocol):
     """A trained model.
 
     `state` may add a key `with_patch` to config.json: whether `predict` requires sun patches.
-    Without this key they are required unless the model was trained with patch "none". parameters:
-    number of fitted values. held_out_mse: log10 MSE of each training map, weighted by solid angle
-    and predicted by a fit without its day [n]; None if not computed.
+    Without this key they are required unless the model was trained with patch "none".
     """
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str:
+        """Name of the model, such as transport."""
+        ...
+
     @property
-    def parameters(self) -> int: ...
+    def parameters(self) -> int:
+        """Number of fitted values."""
+        ...
+
     @property
-    def held_out_mse(self) -> Floats | None: ...
+    def held_out_mse(self) -> Floats | None:
+        """Log10 MSE of each training map, weighted by solid angle, predicted without its day."""
+        ...
 
     def predict(self, light: Light, patch_cdm2: Floats32 | None = None) -> Prediction:
         """Predict maps of the n hours of `light`.
