@@ -22,7 +22,7 @@ from annual_truth_hours import Hours, chosen_hours, read_hours
 from annual_truth_office import Array, Scene, opened, sun_share, sun_through
 from numpy.typing import NDArray
 
-from fieldlum.room.scene.sun_disc import disc_rays
+from fieldlum.room.scene.trace import disc_rays
 from fieldlum.room.scene.view import pixel_rays
 
 

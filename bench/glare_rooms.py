@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from glare_agreement import compare, report, strata
 
 from fieldlum.core.records import CameraSetup, Room, Site, SiteFile, Window
-from fieldlum.room.simulate.truth import simulated_room
+from fieldlum.room.scene.radiosity import lit_room
 from fieldlum.sky.light import light_at
 from fieldlum.weather import synthetic_weather
 from fieldlum.year.glare import (
@@ -111,7 +111,7 @@ def main() -> None:
         weather = synthetic_weather(setup.site).daylight(3.0)
         rows = np.sort(rng.choice(len(weather), args.hours, replace=False))
         part = weather[rows]
-        truth = simulated_room(setup, height=args.height, quality=args.quality, workers=1)
+        truth = lit_room(setup, height=args.height, quality=args.quality, workers=1)
         light = light_at(part.t_utc, setup.site, part.dni_wm2, part.dhi_wm2)
         made = [truth.render(light[slice(k, k + 32)]) for k in range(0, len(light), 32)]
         data = {

@@ -29,9 +29,7 @@ HOURS = (
 )
 
 
-def plain(
-    truth: simulate.SimulatedRoom, light: Light, pixels: np.ndarray, bounces: int
-) -> np.ndarray:
+def plain(truth: simulate.LitRoom, light: Light, pixels: np.ndarray, bounces: int) -> np.ndarray:
     """rtrace of the complete hour, [pixels] cd/m2, without the sun's disc."""
     built, sky = truth.view.scene, light.sky
     toward = built.to_room(light.shown_sun_direction[0])
@@ -82,12 +80,9 @@ def main() -> None:
     parser.add_argument("--quality", default="quick")
     parser.add_argument("--pixels", type=int, default=600)
     parser.add_argument("--bounces", type=int, default=4)
-    parser.add_argument("--cache", type=Path)
     asked = parser.parse_args()
     setup = load_site(asked.site)
-    truth = simulate.simulated_room(
-        setup, height=asked.height, quality=asked.quality, cache=asked.cache
-    )
+    truth = simulate.lit_room(setup, height=asked.height, quality=asked.quality)
     count = 2 * asked.height**2
     area = np.repeat(
         np.cos((np.arange(asked.height) + 0.5) / asked.height * np.pi - np.pi / 2), 2 * asked.height

@@ -153,7 +153,7 @@ def case(setup: SiteFile, captures: int) -> Case:
 
 def take(made: Case, profile: CameraProfile, folder: Path, stated: dict[str, CameraProfile]):
     """Yield, for each capture, its merges by the name of the stated pose."""
-    truth = simulate.simulated_room(made.setup, height=HEIGHT, quality="draft", cache=folder)
+    truth = simulate.lit_room(made.setup, height=HEIGHT, quality="draft")
     fine = fine_windows(truth, sensor_pitch_deg(profile))
     assert fine is not None
     cloudy = CloudyLight.of(made.light[made.captured], 0.2, 9)
@@ -242,7 +242,7 @@ def in_lens(rays: Floats, axis_deg: float) -> Mask:
 
 def glare(made: Case, sunny: Indices, own: Floats) -> tuple[float, str]:
     """Return the DGP error of the disc alone on true maps, and how many views change class."""
-    truth = simulate.simulated_room(made.setup, height=HEIGHT, quality="draft", cache=CACHE)
+    truth = simulate.lit_room(made.setup, height=HEIGHT, quality="draft")
     worst = np.argsort(-(own + made.share[sunny]), kind="stable")[:GLARE_HOURS]
     some = made.light[sunny[worst]]
     maps = truth.render(some).luminance_cdm2

@@ -28,6 +28,7 @@ from fieldlum.room import simulate
 from fieldlum.room.scene.radiance import octree
 from fieldlum.session import Session, create_session
 from fieldlum.session.files.predict_json import PredictFile
+from fieldlum.sky.light import light_at
 from fieldlum.year.glare.pictures import panorama_to_fisheye
 from fieldlum.year.glare.single import panorama_glare, picture_glare
 from fieldlum.year.predict import Annual
@@ -58,11 +59,11 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> tuple[Session, Path, P
     folders = root / "right", root / "wrong"
     for room, folder in zip((ROOM, DARK), folders, strict=True):
         folder.mkdir()
-        truth = simulate.simulated_room(
-            replace(SETUP, room=room), height=24, quality="draft", cache=root / "cache"
-        )
+        truth = simulate.lit_room(replace(SETUP, room=room), height=24, quality="draft")
         for k, t in enumerate(TIMES):
-            panorama = truth.panorama(t, 0.0 if k == 0 else 500.0, 150.0)
+            dni, dhi = np.array([0.0 if k == 0 else 500.0]), np.array([150.0])
+            light_then = light_at([t], SETUP.site, dni, dhi)
+            panorama = truth.as_panorama(truth.render(light_then), 0)
             if room is ROOM:
                 write_panorama(session.panoramas / f"{slot_id(t)}.exr", panorama)
             light = panorama.luminance_cdm2

@@ -11,8 +11,7 @@ from fieldlum.core.records import Obstruction, Room, Window
 from fieldlum.room.fit.guess import Guess, guess_of
 from fieldlum.room.fit.renderer import Surfaces, surfaces, unit_patches
 from fieldlum.room.scene import build
-from fieldlum.room.scene.points import sun_points
-from fieldlum.room.scene.trace import nearest_box
+from fieldlum.room.scene.trace import nearest_box, sun_points
 
 ROOM = Room(
     width_m=4.0,

@@ -47,10 +47,8 @@ NOON = datetime(2027, 3, 20, 20, 10, tzinfo=UTC)
 
 
 @pytest.fixture(scope="module")
-def truth(tmp_path_factory) -> simulate.SimulatedRoom:
-    return simulate.simulated_room(
-        SMALL, height=20, quality="draft", cache=tmp_path_factory.mktemp("cache")
-    )
+def truth() -> simulate.LitRoom:
+    return simulate.lit_room(SMALL, height=20, quality="draft")
 
 
 def _plain_rtrace(setup: SiteFile, light: Light, height: int, pixels: np.ndarray) -> np.ndarray:
@@ -89,7 +87,7 @@ def _plain_rtrace(setup: SiteFile, light: Light, height: int, pixels: np.ndarray
 @pytest.mark.slow
 @pytest.mark.authority
 @pytest.mark.parametrize(("dni", "dhi"), [(0.0, 200.0), (700.0, 100.0)], ids=["overcast", "clear"])
-def test_plain_rtrace(truth: simulate.SimulatedRoom, dni: float, dhi: float) -> None:
+def test_plain_rtrace(truth: simulate.LitRoom, dni: float, dhi: float) -> None:
     """Radiance rendering the hour in one piece. Draft pieces and pixels of 9 degrees with one
     ray each; rtrace itself moves by 10 % here between -aa .2 and -aa 0, and stands on either
     side of us.
@@ -104,7 +102,7 @@ def test_plain_rtrace(truth: simulate.SimulatedRoom, dni: float, dhi: float) -> 
 
 @pytest.mark.slow
 @pytest.mark.analytic
-def test_gathered_light_is_complete(truth: simulate.SimulatedRoom) -> None:
+def test_gathered_light_is_complete(truth: simulate.LitRoom) -> None:
     """Under a luminance of 1 everywhere every point receives pi (glass takes its part
     near the window).
     """
@@ -116,17 +114,15 @@ def test_gathered_light_is_complete(truth: simulate.SimulatedRoom) -> None:
 @pytest.mark.slow
 @pytest.mark.property
 def test_the_same_room_comes_out_the_same() -> None:
-    """rcontrib's own sampling is seeded by the clock: fits of one room then differed by 2 % from
-    run to run.
-    """
-    first, second = (simulate.simulated_room(SMALL, height=8, quality="draft") for _ in range(2))
+    """Fits of one room would otherwise differ from run to run."""
+    first, second = (simulate.lit_room(SMALL, height=8, quality="draft") for _ in range(2))
     assert (first.from_points != second.from_points).nnz == 0
     assert (first.from_pieces != second.from_pieces).nnz == 0
 
 
 @pytest.mark.slow
 @pytest.mark.property
-def test_linear_in_light(truth: simulate.SimulatedRoom) -> None:
+def test_linear_in_light(truth: simulate.LitRoom) -> None:
     """Twice the sky and the sun, twice the picture, the patch and the disc."""
     light = light_at([NOON], SMALL.site, np.array([600.0]), np.array([100.0]))
     one, two = truth.render(light), truth.render(scaled(light, 2.0))
@@ -137,7 +133,7 @@ def test_linear_in_light(truth: simulate.SimulatedRoom) -> None:
 @pytest.mark.slow
 @pytest.mark.property
 @pytest.mark.numeric
-def test_an_hour_does_not_depend_on_its_company(truth: simulate.SimulatedRoom) -> None:
+def test_an_hour_does_not_depend_on_its_company(truth: simulate.LitRoom) -> None:
     """A resumed run renders an hour with other hours, and its file must be the same."""
     times = [datetime(2027, 3 + k % 7, 3 + k, 15 + k % 9, 30, tzinfo=UTC) for k in range(17)]
     rng = np.random.default_rng(3)
@@ -152,38 +148,24 @@ def test_an_hour_does_not_depend_on_its_company(truth: simulate.SimulatedRoom) -
 
 @pytest.mark.slow
 @pytest.mark.property
-def test_no_disc_in_the_map_and_the_sun_beside_it(truth: simulate.SimulatedRoom) -> None:
+def test_no_disc_in_the_map_and_the_sun_beside_it(truth: simulate.LitRoom) -> None:
     """The winter sun stands in the window: the map stays under any sunlit surface, its energy is
     in the source.
     """
     t = datetime(2027, 12, 20, 20, 40, tzinfo=UTC)
-    panorama = truth.panorama(t, 600.0, 60.0)
+    light = light_at([t, t], SMALL.site, np.array([600.0, 0.0]), np.array([60.0, 60.0]))
+    made = truth.render(light)
+    panorama = truth.as_panorama(made, 0)
     assert panorama.sun is not None and panorama.sun.origin == "rendering"
     assert 20e3 < panorama.sun.normal_illuminance_lx < 60e3
     assert panorama.luminance_cdm2.max() < 60e3
-    assert truth.panorama(t, 0.0, 60.0).sun is None
-
-
-@pytest.mark.slow
-@pytest.mark.property
-def test_the_cache_gives_the_same_truth(tmp_path: Path) -> None:
-    a = simulate.simulated_room(SMALL, height=8, quality="draft", cache=tmp_path)
-    b = simulate.simulated_room(SMALL, height=8, quality="draft", cache=tmp_path)
-    assert np.array_equal(a.from_points.data, b.from_points.data)
-    assert len(list(tmp_path.glob("coefficients-*"))) == 1
-    assert SMALL.room is not None
-    other = replace(SMALL, room=replace(SMALL.room, reflectance_floor=0.3))
-    simulate.simulated_room(other, height=8, quality="draft", cache=tmp_path)
-    assert len(list(tmp_path.glob("coefficients-*"))) == 2
-    # Cut off while writing: made anew.
-    (next(tmp_path.glob("coefficients-*")) / "complete").unlink()
-    simulate.simulated_room(SMALL, height=8, quality="draft", cache=tmp_path)
+    assert truth.as_panorama(made, 1).sun is None
 
 
 @pytest.mark.contract
 def test_a_room_is_needed_before_a_session_is_written(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="box room"):
-        simulate.simulated_room(replace(SMALL, room=None))
+        simulate.lit_room(replace(SMALL, room=None))
     site = tmp_path / "site.toml"
     site.write_text(
         '[site]\nname = "A"\nlatitude_deg = 47.6\nlongitude_deg = -122.3\n'

@@ -108,7 +108,7 @@ def test_the_instrument_drifts_is_shaded_and_is_far_away() -> None:
 @pytest.mark.slow
 @pytest.mark.property
 def test_every_trouble_of_room_and_camera_changes_pictures(tmp_path: Path) -> None:
-    truth = simulate.simulated_room(SETUP, height=16, quality="draft", workers=1)
+    truth = simulate.lit_room(SETUP, height=16, quality="draft", workers=1)
     rows = np.arange(5, 105, 14)
     made = truth.render(_light()[rows])
     some = [TIMES[k] for k in rows]
@@ -134,7 +134,7 @@ def test_a_session_keeps_what_is_stated_and_renders_again_for_other_troubles(
     tmp_path: Path,
 ) -> None:
     session = create_session(tmp_path / "s", SETUP, SLOTS[2::40], {"set": "test"})
-    how = {"height": 12, "quality": "draft", "cache": tmp_path, "workers": 1}
+    how = {"height": 12, "quality": "draft", "workers": 1}
     assert simulate.run(session, WEATHER, **how).rendered == 3
     clean = _rows(session)
     troubles = Troubles(instrument_drift=Trouble(0.1), exposures=Trouble(0.1, 3))
@@ -155,7 +155,7 @@ def _rows(session: Session) -> list[dict[str, str]]:
 # skies that are not Perez
 
 
-def _cloudy(truth: simulate.SimulatedRoom, times: list[datetime], sd: float, seed: int) -> Dataset:
+def _cloudy(truth: simulate.LitRoom, times: list[datetime], sd: float, seed: int) -> Dataset:
     """Captures under another cloud field each."""
     found = WEATHER.at(times)
     dni, dhi = np.nan_to_num(found.dni_wm2), np.nan_to_num(found.dhi_wm2)
@@ -181,7 +181,7 @@ def _cloudy(truth: simulate.SimulatedRoom, times: list[datetime], sd: float, see
 @pytest.mark.slow
 def test_intervals_hold_under_clouds_and_north_is_not_blamed() -> None:
     sd = 0.4  # of the logarithm of luminance: broken cumulus; the harder of the two that were tried
-    truth_of = simulate.simulated_room(SETUP, height=16, quality="draft", workers=1)
+    truth_of = simulate.lit_room(SETUP, height=16, quality="draft", workers=1)
     data = _cloudy(truth_of, TIMES, sd, 3)
     asked = [slot.t_utc for slot in simulate.sample_slots(SETUP, WEATHER, 80, 4, TIMES)]
     fitted = models.fit("transport", data, patch="absolute", seed=0)

@@ -18,7 +18,7 @@ from pathlib import Path
 from fieldlum import plan
 from fieldlum.core.records import SiteFile, Slot
 from fieldlum.room import simulate
-from fieldlum.room.simulate.truth import QUALITIES
+from fieldlum.room.scene.radiosity import QUALITIES
 from fieldlum.session import open_session, sha256
 from fieldlum.session.site_toml import load_site
 from fieldlum.weather import TYPICAL_YEAR, Weather

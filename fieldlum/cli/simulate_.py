@@ -69,7 +69,7 @@ def command(
     height = panorama_height(size)
     import_module("pyradiance")  # so that a missing package is reported before any file is written
     from fieldlum.room import simulate
-    from fieldlum.room.simulate.truth import box_room
+    from fieldlum.room.scene.radiosity import box_room
     from fieldlum.session import open_session
     from fieldlum.session.site_toml import load_site
 

@@ -28,9 +28,8 @@ from fieldlum.plan.coverage import coverage
 from fieldlum.plan.days import DaylightHours, daylight_hours, season_tag, set_days, today_at
 from fieldlum.plan.sheet import Cost, html, ics
 from fieldlum.plan.texts import Months, Plan, Request, plan_warnings, sentences, summary
-from fieldlum.room.scene.geometry import BoxScene, Opening, build
-from fieldlum.room.scene.patches import disc_visibility
-from fieldlum.room.scene.trace import blocked
+from fieldlum.room.scene.geometry import Opening, build
+from fieldlum.room.scene.trace import disc_visibility, sun_points
 from fieldlum.session import Session, create_session, replacing
 from fieldlum.sky import sun
 from fieldlum.weather import Weather
@@ -42,19 +41,18 @@ GRID = 6  # test points across and up a window; chosen, not measured
 def sun_enters(room: Room, altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> Mask:
     """Return a mask [n]: True where the sun at these angles [deg] shines through a window.
 
-    It shines through if one of 6 x 6 points of the window is lit past reveals and obstructions;
-    window bars are ignored. azimuth_deg: clockwise from true north. Raises InputError for an
-    impossible room.
+    It shines through if one of 6 x 6 points of the window is lit past reveals, bars and
+    obstructions. azimuth_deg: clockwise from true north. Raises InputError for an impossible room.
     """
     scene = build(room)
     suns = scene.to_room(sun.direction(altitude_deg, azimuth_deg))
     enters = np.zeros(len(suns), bool)
-    for opening in scene.openings:
-        points = _points(opening)
-        for i in np.flatnonzero(
-            ~enters & (suns[:, 2] > 0) & (opening.outward * suns[:, opening.axis] > 1e-6)
-        ):
-            enters[i] = _passes(scene, opening, points, suns[i])
+    for o in scene.openings:
+        at, one = _points(o), np.ones(GRID * GRID)
+        axis, sign, target = (np.full(len(at), k) for k in (o.axis, o.outward, 0))
+        points = sun_points(scene, at, axis, sign, one, target, 1)
+        for k in np.flatnonzero(~enters & (o.outward * suns[:, o.axis] > 1e-6)):
+            enters[k] = points.direct(suns[k])[0] > 0.0
     return enters
 
 
@@ -78,16 +76,6 @@ def _points(opening: Opening) -> Points:
     points[:, opening.along] = along.ravel()
     points[:, 2] = up.ravel()
     return points
-
-
-def _passes(scene: BoxScene, opening: Opening, points: Points, toward: Points) -> bool:
-    """Return whether the sun is visible from any point past reveal and obstructions."""
-    outer = points + toward * abs((opening.outer_m - opening.inner_m) / toward[opening.axis])
-    u, z = outer[:, opening.along], outer[:, 2]
-    (u0, u1), (z0, z1) = opening.u_m, opening.z_m
-    free = outer[(u > u0) & (u < u1) & (z > z0) & (z < z1)]
-    which = scene.of_kind("obstruction")
-    return bool((~blocked(scene.low[which], scene.high[which], free, toward)).any())
 
 
 # Hours of the sets `even` and `best` (Liu, Colburn and Inanici 2020; docs/planning.md).

@@ -124,14 +124,14 @@ def surface_names(room: Room, height: int, heading_deg: float) -> Array:
     """
     view = look(room, height, heading_deg)
     names = np.full(2 * height**2, "", dtype=object)
-    straight = slice(view.first_mirrored)
-    pixel, box, axis = view.pixel[straight], view.box[straight], view.axis[straight]
+    s, straight = view.samples, ~view.samples.mirrored
+    pixel, box, axis = s.pixel[straight], s.box[straight], s.axis[straight]
     kinds = np.array([b.kind for b in view.scene.boxes], dtype=object)
     names[pixel] = np.where(kinds[box] == "wall", "reveal", kinds[box])
     for wall, (normal, side) in WALLS.items():
         plane_m = (room.width_m, room.depth_m)[normal] * side
         on = (kinds[box] == "wall") & (axis == normal)
-        on &= np.abs(view.position[straight][:, normal] - plane_m) < 0.02
+        on &= np.abs(s.position[straight][:, normal] - plane_m) < 0.02
         names[pixel[on]] = wall_named(wall, room.wall_azimuth_deg)
     named = names.reshape(height, 2 * height)
     named[(view.sky > 0.05) | (view.plain > 0.05)] = "window"

@@ -14,7 +14,7 @@ from datetime import datetime
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from fieldlum.core.arrays import Array, Floats
 
@@ -165,6 +165,19 @@ def reinhart_patches(mf: int = 4) -> SkyPatches:
     out = SkyPatches(np.concatenate(directions), np.concatenate(solid_angles))
     out.directions.flags.writeable = out.solid_angles_sr.flags.writeable = False
     return out
+
+
+def reinhart_index(directions: Array, mf: int = 4) -> NDArray[np.intp]:
+    """Return the number of the patch of `reinhart_patches` that holds each direction [n, 3], [n].
+
+    Directions below the horizon count as those at it.
+    """
+    rows = np.array(patches_per_row(mf))
+    height = np.pi / 2 / (7 * mf + 0.5)
+    altitude = np.arcsin(np.clip(directions[:, 2], 0.0, 1.0))
+    row = np.minimum((altitude / height).astype(np.intp), len(rows) - 1)
+    turn = np.arctan2(directions[:, 0], directions[:, 1]) / (2.0 * np.pi)
+    return (np.cumsum(rows) - rows)[row] + np.rint(turn * rows[row]).astype(np.intp) % rows[row]
 
 
 # ----------------------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ from fieldlum.core.records import Panorama, SunSource
 from fieldlum.devices.simulated.world import detail_of
 from fieldlum.optics import projection
 from fieldlum.optics.projection import LensGeometry, angle_of_radius, lens_pixels, lens_rays
-from fieldlum.room.scene.sun_disc import DISC_RAYS, SUN_RADIUS_DEG, disc_rays
+from fieldlum.room.scene.trace import DISC_RAYS, SUN_RADIUS_DEG, disc_rays
 from fieldlum.sky.sky_view import SkyGrid, SkyPicture
 
 if TYPE_CHECKING:

@@ -167,12 +167,13 @@ class Office:
         glass = sum(np.ptp(o.u_m) * np.ptp(o.z_m) * o.transmittance for o in view.scene.openings)
         mean = (room.reflectance_ceiling + room.reflectance_floor + 2 * room.reflectance_walls) / 4
         factor = 0.90 * float(glass) / (2.0 * (w * d + w * h + d * h) * (1.0 - mean**2))
-        outside = np.isin(view.box, view.scene.of_kind("ground"))
-        shown = view.weight * view.scene.reflectance[view.box] * np.where(outside, 1.0, factor)
+        s = view.samples
+        outside = np.isin(s.box, view.scene.of_kind("ground"))
+        shown = s.weight * view.scene.reflectance[s.box] * np.where(outside, 1.0, factor)
         ground = room.reflectance_ground * view.plain.ravel()
         upward = projection.equirect_rays(_HEIGHT, 2 * _HEIGHT, 0.0)[..., 2].ravel()
         sky = view.sky.ravel() * 3.0 / 7.0 * (1.0 + 2.0 * np.abs(upward))  # CIE overcast sky
-        lit = np.bincount(view.pixel, shown, len(ground)) + ground
+        lit = np.bincount(s.pixel, shown, len(ground)) + ground
         return lit / np.pi, sky / np.pi
 
     def _scene(self, t_utc: datetime) -> Panorama:

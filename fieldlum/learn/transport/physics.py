@@ -20,9 +20,8 @@ from fieldlum.core.arrays import Floats32, Mask
 from fieldlum.core.records import Room, Site, SiteFile
 from fieldlum.optics.projection import equirect_solid_angles, wrapped
 from fieldlum.room.scene import build
-from fieldlum.room.scene.points import SunPoints, sun_points
-from fieldlum.room.simulate.gather import FIRST_PIECE
-from fieldlum.room.simulate.truth import simulated_room
+from fieldlum.room.scene.radiosity import FIRST_PIECE, lit_room
+from fieldlum.room.scene.trace import SunPoints, sun_points
 from fieldlum.sky.light import Light, light_at
 
 # Rows of the panorama of computed light. With 16 rows the error of two days is 1.4 to 1.8 times
@@ -160,14 +159,15 @@ def _physics_of(setup: SiteFile) -> Physics:
     Review 53, 2011), so that no singular values of the complete matrix are needed.
     """
     assert setup.room is not None
-    truth = simulated_room(setup, height=HEIGHT, quality=QUALITY)
-    pieces = truth.pieces
+    lit = lit_room(setup, height=HEIGHT, quality=QUALITY)
+    pieces = lit.pieces
     reflect = (pieces.reflectance / np.pi).astype(np.float32)[:, None]
     root = np.sqrt(equirect_solid_angles(HEIGHT, 2 * HEIGHT)).reshape(-1, 1)
     count = min(SUN_MODES, len(reflect))
     pictures = np.random.default_rng(0).standard_normal((len(root), count)) * root
-    first = truth.from_points[:, FIRST_PIECE:].T @ (truth.to_pixels.T @ pictures)  # [p, k]
-    bounces = truth.from_pieces[:, FIRST_PIECE:].T.tocsr()
+    points = lit.smooth.T @ (lit.to_pixels.T @ pictures)
+    first = lit.from_points[:, FIRST_PIECE:].T @ points  # [p, k]
+    bounces = lit.from_pieces[:, FIRST_PIECE:].T.tocsr()
     total = first
     # each leaves less than half of the light, so the rest is below a millionth
     for _ in range(20):
@@ -175,7 +175,7 @@ def _physics_of(setup: SiteFile) -> Physics:
     modes = np.linalg.qr(reflect * total)[0].astype(np.float32)  # [p, k]
     sky_modes = _sky_modes(setup.site)
     dark = np.zeros((FIRST_PIECE, count), np.float32)
-    sun_light = truth.pixels_cdm2(truth.columns(dark, modes)).T.astype(np.float32)  # [k, 2 h^2]
+    sun_light = lit.pixels_cdm2(lit.columns(dark, modes)).T.astype(np.float32)  # [k, 2 h^2]
     weighted = sun_light * root.ravel()
     values, vectors = np.linalg.eigh(weighted @ weighted.T)
     # number of patterns of reflected sunlight that compare hours
@@ -191,7 +191,7 @@ def _physics_of(setup: SiteFile) -> Physics:
         pieces.piece.astype(np.int32),
         sun_light=sun_light,
         sky_modes=sky_modes,
-        sky_light=truth.pixels_cdm2(truth.columns(sky_modes.T)).T.astype(np.float32),
+        sky_light=lit.pixels_cdm2(lit.columns(sky_modes.T)).T.astype(np.float32),
     )
     clear = _light_of_year(setup.site, 800.0, 100.0)
     size = np.linalg.norm(physics.features(clear, physics.sunlight(clear)), axis=1)

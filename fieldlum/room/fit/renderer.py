@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from fieldlum.room.fit.guess import Guess
 from fieldlum.room.scene.geometry import WALLS, glass_optics
-from fieldlum.room.scene.points import HARD_M, add_through
-from fieldlum.room.scene.trace import EPSILON_M, nearest_box
+from fieldlum.room.scene.trace import EPSILON_M, HARD_M, add_through, nearest_box
 
 Float32 = NDArray[np.float32]
 Array = NDArray[np.floating]

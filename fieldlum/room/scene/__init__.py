@@ -1,9 +1,6 @@
-"""Compute sun patches from room geometry, and export rooms to Radiance."""
+"""Trace a box room: sun patches, what pixels show, and its light; read and write Radiance rooms."""
 
 from fieldlum.room.scene.geometry import build
-from fieldlum.room.scene.patches import (
-    disc_visibility,
-    iter_sun_patches,
-    sun_patches,
-)
+from fieldlum.room.scene.patches import iter_sun_patches, sun_patches
+from fieldlum.room.scene.trace import disc_visibility
 from fieldlum.room.scene.view import look

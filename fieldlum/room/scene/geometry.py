@@ -320,10 +320,10 @@ def _wall_boxes(room: Room, wall: str, openings: tuple[Opening, ...]) -> Iterato
         levels = [0.0, *(z for hole in cut for z in hole), room.height_m]
         for z0, z1 in zip(levels[::2], levels[1::2], strict=True):
             if z1 > z0:
-                yield _upright(axis, (n0, n1), (u0, u1), (z0, z1), room.reflectance_walls, "wall")
+                yield upright(axis, (n0, n1), (u0, u1), (z0, z1), room.reflectance_walls, "wall")
 
 
-def _upright(
+def upright(
     axis: int,
     n: tuple[float, float],
     u: tuple[float, float],
@@ -349,12 +349,12 @@ def _frame(room: Room, window: Window, o: Opening) -> Iterator[Box]:
     n = (o.pane_m - depth, o.pane_m + depth)
     (u0, u1), (z0, z1) = o.u_m, o.z_m
     pane = (u1 - u0) / window.panes
-    upright = [(u0, u0 + f), (u1 - f, u1)]
-    upright += [(u0 + k * pane - f / 2, u0 + k * pane + f / 2) for k in range(1, window.panes)]
+    posts = [(u0, u0 + f), (u1 - f, u1)]
+    posts += [(u0 + k * pane - f / 2, u0 + k * pane + f / 2) for k in range(1, window.panes)]
     level = [(z0, z0 + f), (z1 - f, z1)]
     if z0 < window.transom_m < z1:
         level.append((window.transom_m - f / 2, window.transom_m + f / 2))
-    for u in upright:
-        yield _upright(o.axis, n, u, o.z_m, room.reflectance_frame, "frame")
+    for u in posts:
+        yield upright(o.axis, n, u, o.z_m, room.reflectance_frame, "frame")
     for z in level:
-        yield _upright(o.axis, n, (u0 + f, u1 - f), z, room.reflectance_frame, "frame")
+        yield upright(o.axis, n, (u0 + f, u1 - f), z, room.reflectance_frame, "frame")

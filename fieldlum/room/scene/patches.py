@@ -8,18 +8,35 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fieldlum.core.arrays import Floats, Floats32, Mask
+from fieldlum.core.arrays import Floats, Floats32
 from fieldlum.core.records import Progress, Room, quiet
-from fieldlum.room.scene.geometry import BoxScene, Opening, glass_optics
-from fieldlum.room.scene.points import SunPoints
-from fieldlum.room.scene.sun_disc import SunPatches, disc_rays
-from fieldlum.room.scene.trace import blocked_rays
+from fieldlum.room.scene.trace import SunPoints, disc_visibility
 from fieldlum.room.scene.view import look, patch_rays
+
+
+@dataclass(frozen=True, slots=True)
+class SunPatches:
+    """Results of direct sun at n times.
+
+    luminance_cdm2 : [n, H, W] of sunlit surfaces, without the disc; visible_fraction : [n] of the
+    disc, from the camera; disc_transmittance : [n] of the glass in front of it (0 if the disc is
+    not visible); disc_lx : [n] illuminance from the disc at the camera, on a plane normal to the
+    sun.
+    """
+
+    luminance_cdm2: Floats32
+    visible_fraction: Floats
+    disc_transmittance: Floats
+    disc_lx: Floats
+
+    def __len__(self) -> int:
+        return len(self.luminance_cdm2)
 
 
 def iter_sun_patches(
@@ -115,62 +132,3 @@ def sun_patches(
     return SunPatches(
         *(np.concatenate([getattr(p, f) for p in parts]) for f in SunPatches.__dataclass_fields__)
     )
-
-
-# ----------------------------------------------------------------------------------------------
-# the disc
-
-
-def disc_visibility(scene: BoxScene, toward: Floats) -> tuple[Floats, Floats]:
-    """Return the share of the disc that the camera sees, and its glass's transmittance, [n] each.
-
-    Both are 0 for a hidden disc. toward : [n, 3] directions to the sun in room axes.
-    """
-    visible, passed = np.zeros(len(toward)), np.zeros(len(toward))
-    for k, sun in enumerate(toward):
-        for opening, free in _seen_through(scene, sun):
-            visible[k] += free.mean()
-            glass = float(glass_optics(opening.transmittance, sun[opening.axis])[0])
-            passed[k] += free.mean() * glass
-    return visible, passed / np.maximum(visible, 1e-12)
-
-
-def visible_disc(scene: BoxScene, sun: Floats) -> Mask:
-    """Return which rays of `disc_rays` from the camera to the sun meet no box, [r].
-
-    sun: direction in room axes [3].
-    """
-    seen_rays = np.zeros(len(disc_rays(sun)), bool)
-    for _, free in _seen_through(scene, sun):
-        seen_rays |= free
-    return seen_rays
-
-
-def _seen_through(scene: BoxScene, sun: Floats) -> Iterator[tuple[Opening, Mask]]:
-    """Yield each opening that shows a part of the disc, with the rays that it lets through."""
-    eye = np.array(scene.camera_m)
-    for o in scene.openings:
-        if sun[o.axis] * o.outward > 1e-6 and sun[2] > 0 and _may_see(o, eye, sun):
-            free = _free(scene, o, eye, disc_rays(sun))
-            if free.any():
-                yield o, free
-
-
-def _may_see(o: Opening, eye: Floats, sun: Floats) -> bool:
-    distance_m = (o.outer_m - eye[o.axis]) / sun[o.axis]
-    u, z = eye[o.along] + distance_m * sun[o.along], eye[2] + distance_m * sun[2]
-    margin = 0.01 * distance_m  # the disc has a radius of 0.0047
-    return o.u_m[0] - margin < u < o.u_m[1] + margin and o.z_m[0] - margin < z < o.z_m[1] + margin
-
-
-def _free(scene: BoxScene, o: Opening, eye: Floats, rays: Floats) -> Mask:
-    """Return a mask of rays [r, 3] from the eye that leave through `o` without hitting a box."""
-    free = np.ones(len(rays), bool)
-    for plane in (o.inner_m, o.outer_m):
-        at = (plane - eye[o.axis]) / rays[:, o.axis]
-        u, z = eye[o.along] + at * rays[:, o.along], eye[2] + at * rays[:, 2]
-        free &= o.contains(u, z)
-    which = scene.of_kind("frame", "obstruction")
-    if which:
-        free[free] = ~blocked_rays(scene.low[which], scene.high[which], eye, rays[free])
-    return free

@@ -1,41 +1,29 @@
-"""Cast rays among boxes and panes exactly."""
+"""Trace rays and the sun among boxes and panes exactly: first hits, panes, disc, and shade.
+
+A point inside the panes sees the sun through an opening, past bars and boxes; a point outside sees
+it past the building. Lengths are in m, in room axes.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.core.arrays import Array, Floats, Mask
+from fieldlum.core.arrays import Floats, Floats32, Indices, Mask
 from fieldlum.core.compiled import compiled
-from fieldlum.room.scene.geometry import BoxScene, Opening, glass_optics
+from fieldlum.room.scene.geometry import Box, BoxScene, glass_optics, upright
 
 EPSILON_M = 1e-4  # points are lifted by multiples of this above their surface, to miss it; chosen
-
-
-@dataclass(frozen=True, slots=True)
-class Hits:
-    """The first box on each of n rays.
-
-    distance_m [n] : inf without a box; box [n] : its index, -1 without a box; axis [n], sign [n] :
-    axis 0..2 and sign of the face's normal.
-    """
-
-    distance_m: Floats
-    box: NDArray[np.int32]
-    axis: NDArray[np.int8]
-    sign: NDArray[np.int8]
-
-
-def first_hits(scene: BoxScene, origins: Floats, directions: Floats) -> Hits:
-    """Return the nearest box that each of n rays hits, and the distance.
-
-    origins, directions: [n, 3]. A box that contains the ray's origin is ignored. A ray without a
-    box has box -1 and an infinite distance.
-    """
-    origins = np.ascontiguousarray(np.broadcast_to(origins, directions.shape))
-    return Hits(*nearest_box(scene.low, scene.high, origins, np.ascontiguousarray(directions)))
+_GRAZING = 1e-6  # cosine; chosen: a sun 0.00006 degrees above a surface
+HARD_M = 1e-7  # width of a hard edge; chosen, below any length of a room
+_SMALLEST = 1e-9  # of a direction along an axis: avoids a division by zero; chosen
+SUN_RADIUS_DEG = 0.2665  # mean angular radius seen from the Earth: 959.6 arc seconds (IAU)
+# Attribute of a rendered panorama with a partly hidden disc: for each of `disc_rays` 1 if the
+# camera sees it, else 0.
+DISC_RAYS = "disc_rays"
 
 
 @compiled
@@ -70,67 +58,342 @@ def nearest_box(
     return distance, box, axis, sign
 
 
-@dataclass(frozen=True, slots=True)
-class Panes:
-    """The first pane on each of n rays.
+class Ends(NamedTuple):
+    """Where n rays end: on a box, or outdoors.
 
-    opening [n] : its index, -1 without a pane; distance_m [n] : inf without a pane; through, back
-    [n] : transmittance and reflectance at the ray's angle, 1 and 0 without a pane.
+    row [n]: number of the ray; toward, position [n, 3]: its direction and its end (its origin if it
+    ends outdoors); box [n]: index, -1 outdoors; axis, sign [n]: of the face's normal; weight [n]:
+    transmittance of the panes on the way, times the reflectance of a pane that mirrors the ray.
     """
 
-    opening: NDArray[np.int32]
-    distance_m: Floats
-    through: Floats
-    back: Floats
+    row: Indices
+    toward: Floats
+    position: Floats
+    box: NDArray[np.int32]
+    axis: NDArray[np.int8]
+    sign: NDArray[np.int8]
+    weight: Floats
 
 
-def pane_crossings(scene: BoxScene, origins: Floats, directions: Floats, limit_m: Floats) -> Panes:
-    """Return the first pane that each ray crosses within `limit_m` [n]."""
-    n = len(directions)
-    index, best = np.full(n, -1, np.int32), np.array(limit_m, float)
-    through, back = np.ones(n), np.zeros(n)
-    for k, o in enumerate(scene.openings):
-        at, inside = _cross(o, origins, directions, o.pane_m)
-        hit = inside & (at > EPSILON_M / 10) & (at < best)
-        best[hit], index[hit] = at[hit], k
-        through[hit], back[hit] = glass_optics(o.transmittance, directions[hit, o.axis])
-    return Panes(index, np.where(index >= 0, best, np.inf), through, back)
+def ends(scene: BoxScene, origins: Floats, rays: Floats) -> tuple[Ends, Ends]:
+    """Return where rays end straight on, and where after a reflection in the first pane they cross.
 
-
-def _cross(o: Opening, origins: Floats, directions: Floats, plane_m: float) -> tuple[Floats, Mask]:
-    """Return the distance to a plane across the opening, and whether a ray passes inside it."""
-    d = directions[:, o.axis]
-    at = (plane_m - origins[:, o.axis]) / np.where(np.abs(d) < 1e-12, 1e-12, d)
-    u = origins[:, o.along] + at * directions[:, o.along]
-    z = origins[:, 2] + at * directions[:, 2]
-    return at, o.contains(u, z)
-
-
-def blocked(low: Floats, high: Floats, points: Floats, toward: Floats) -> Mask:
-    """Return the points from which any of the boxes hides a far light, as a mask [k].
-
-    low, high : corners of the boxes [b, 3] m; points : [k, 3] m; toward : direction of the light
-    [3].
+    origins, rays: [n, 3]. A box that contains the ray's origin is ignored.
     """
-    kind = points.dtype
-    d = np.where(np.abs(toward) < 1e-9, 1e-9, toward)
-    near, far = np.where(d > 0, low, high), np.where(d > 0, high, low)
-    scaled = np.ascontiguousarray((points * (1.0 / d).astype(kind)).T)  # [3, m]
-    enter, leave = (near / d).astype(kind), (far / d).astype(kind)  # [b, 3]
-    first, last = enter[:, :1] - scaled[0], leave[:, :1] - scaled[0]  # [b, m]
-    for axis in (1, 2):
-        np.maximum(first, enter[:, axis, None] - scaled[axis], out=first)
-        np.minimum(last, leave[:, axis, None] - scaled[axis], out=last)
-    return ((first < last) & (last > EPSILON_M)).any(axis=0)
+    origins, rays = np.ascontiguousarray(origins), np.ascontiguousarray(rays)
+    distance, box, axis, sign = nearest_box(scene.low, scene.high, origins, rays)
+    through, back, pane_m, normal = _panes(scene, origins, rays, distance)
+    at = origins + rays * np.where(box >= 0, distance, 0.0)[:, None]
+    straight = Ends(np.arange(len(rays)), rays, at, box, axis, sign, through)
+    rows = np.flatnonzero(back)
+    turned = rays[rows].copy()
+    turned[np.arange(len(rows)), normal[rows]] *= -1.0
+    origin = origins[rows] + rays[rows] * pane_m[rows, None] + turned * 2 * EPSILON_M
+    distance, box, axis, sign = nearest_box(scene.low, scene.high, origin, turned)
+    at = origin + turned * np.where(box >= 0, distance, 0.0)[:, None]
+    return straight, Ends(rows, turned, at, box, axis, sign, back[rows])
 
 
-def blocked_rays(low: Array, high: Array, eye: Array, rays: Array) -> NDArray[np.bool_]:
-    """Return the rays [k, 3] from the point `eye` [3] that meet any of the boxes, as a mask [k].
+def _panes(
+    scene: BoxScene, origins: Floats, rays: Floats, limit_m: Floats
+) -> tuple[Floats, Floats, Floats, NDArray[np.int8]]:
+    """Return the transmittance of all panes that rays cross within `limit_m`, [n].
 
-    low, high : corners of the boxes [b, 3] m.
+    And the first one's reflectance, distance and axis of the normal, [n] each; reflectance 0
+    without a pane.
     """
-    d = np.where(np.abs(rays) < 1e-9, 1e-9, rays)[:, None]  # [k, 1, 3]
-    start = eye * (1.0 / d)
-    first = (np.where(d > 0, low, high) / d - start).max(axis=2)  # [k, b]
-    last = (np.where(d > 0, high, low) / d - start).min(axis=2)
-    return ((first < last) & (last > EPSILON_M)).any(axis=1)
+    through, back = np.ones(len(rays)), np.zeros(len(rays))
+    nearest, normal = limit_m.copy(), np.zeros(len(rays), np.int8)
+    for o in scene.openings:
+        d = rays[:, o.axis]
+        at = (o.pane_m - origins[:, o.axis]) / np.where(np.abs(d) < 1e-12, 1e-12, d)
+        rows = np.flatnonzero((at > EPSILON_M / 10) & (at < limit_m))
+        place = origins[rows] + at[rows, None] * rays[rows]
+        rows = rows[o.contains(place[:, o.along], place[:, 2])]
+        passed, mirrored = glass_optics(o.transmittance, d[rows])
+        through[rows] *= passed
+        first = at[rows] < nearest[rows]
+        back[rows[first]], nearest[rows[first]] = mirrored[first], at[rows[first]]
+        normal[rows[first]] = o.axis
+    return through, back, nearest, normal
+
+
+def disc_glass(scene: BoxScene, sun: Floats) -> Floats:
+    """Return the glass's transmittance of each of `disc_rays` from the camera, 0 if hidden, [r].
+
+    sun: direction in room axes [3].
+    """
+    rays = disc_rays(sun)
+    eye = np.broadcast_to(np.array(scene.camera_m), rays.shape)
+    through = _panes(scene, eye, rays, np.full(len(rays), np.inf))[0]
+    rows = np.flatnonzero((through < 1.0) & (sun[2] > 0))  # other rays meet a wall
+    out = np.zeros(len(rays))
+    if len(rows):
+        free = nearest_box(scene.low, scene.high, eye[rows].copy(), rays[rows])[1] < 0
+        out[rows[free]] = through[rows[free]]
+    return out
+
+
+def disc_visibility(scene: BoxScene, toward: Floats) -> tuple[Floats, Floats]:
+    """Return the share of the disc that the camera sees, and its glass's transmittance, [n] each.
+
+    Both are 0 for a hidden disc. toward : [n, 3] directions to the sun in room axes.
+    """
+    glass = np.array([disc_glass(scene, sun) for sun in toward]).reshape(len(toward), -1)
+    visible = (glass > 0).mean(axis=1) if len(toward) else np.zeros(0)
+    return visible, glass.mean(axis=1) / np.maximum(visible, 1e-12) if len(toward) else visible
+
+
+def disc_rays(toward: Floats, rings: int = 4) -> Floats:
+    """Return unit vectors to equal areas of the sun disc, [1 + 3 rings (rings + 1), 3].
+
+    toward : unit vector to the disc's centre [3]. The disc has the radius SUN_RADIUS_DEG; 4 rings
+    give 61 vectors.
+    """
+    radius, angle = [0.0], [0.0]
+    for ring in range(1, rings + 1):
+        count = 6 * ring
+        radius += [(ring - 0.25) / (rings + 0.25)] * count
+        angle += list((np.arange(count) + 0.5 * (ring % 2)) * 2 * np.pi / count)
+    r = np.array(radius) * np.tan(np.radians(SUN_RADIUS_DEG))
+    side = np.cross(toward, (0.0, 0.0, 1.0) if abs(toward[2]) < 0.9 else (1.0, 0.0, 0.0))
+    side /= np.linalg.norm(side)
+    other = np.cross(toward, side)
+    rays = toward + r[:, None] * (np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * other)
+    return rays / np.linalg.norm(rays, axis=1, keepdims=True)
+
+
+# ----------------------------------------------------------------------------------------------
+# the sun on points
+
+
+@compiled
+def _passed(beyond: float, softness: float) -> float:
+    """Return the share of a ray's width that is past an edge; beyond: how far its middle is, m."""
+    return min(max(beyond / softness + 0.5, 0.0), 1.0)
+
+
+@compiled
+def _inverses(sun: Floats) -> Floats:
+    """Return one over each component of a direction [3], at most 10^9."""
+    inverse = np.empty(3)
+    for axis in range(3):
+        inverse[axis] = 1.0 / (sun[axis] if abs(sun[axis]) >= _SMALLEST else _SMALLEST)
+    return inverse
+
+
+@compiled
+def _unshaded(
+    low: Floats, high: Floats, position: Floats32, point: int, inverse: Floats,
+    softness: float,
+) -> float:  # fmt: skip
+    """Return the share of a point of [r, 3] from which none of the boxes [s, 3] hides the sun.
+
+    softness: width over which the shade of a box grows at its edges, m. The line to the sun enters
+    a box through a face of one axis and leaves it through one of another; its distance from the
+    edge between them follows from its length inside, which is negative outside the box.
+    """
+    share = 1.0
+    # no shade begins farther from a box than this, as a length along the line to the sun
+    reach = 0.5 * softness * np.sqrt(inverse[0] ** 2 + inverse[1] ** 2 + inverse[2] ** 2)
+    for box in range(len(low)):
+        enters, leaves = -np.inf, np.inf
+        for axis in range(3):
+            first = (low[box, axis] - position[point, axis]) * inverse[axis]
+            last = (high[box, axis] - position[point, axis]) * inverse[axis]
+            enters, leaves = max(enters, min(first, last)), min(leaves, max(first, last))
+        if leaves <= EPSILON_M or enters - leaves > reach:
+            continue
+        if leaves - enters > reach:
+            return 0.0
+        along, across, entered, left = 0.0, 0.0, -1, -1
+        for axis in range(3):
+            first = (low[box, axis] - position[point, axis]) * inverse[axis]
+            last = (high[box, axis] - position[point, axis]) * inverse[axis]
+            if entered < 0 and min(first, last) == enters:
+                along, entered = inverse[axis], axis
+            if left < 0 and max(first, last) == leaves:
+                across, left = inverse[axis], axis
+        if entered == left:
+            return 0.0
+        share *= 1.0 - _passed((leaves - enters) / np.hypot(along, across), softness)
+        if share <= 0.0:
+            return 0.0
+    return share
+
+
+@compiled
+def _cosine(face: int, sun: Floats) -> float:
+    """Return the cosine of the sun on a face: 0, 1, 2 for +x, +y, +z; 3, 4, 5 for -x, -y, -z."""
+    return sun[face] if face < 3 else -sun[face - 3]
+
+
+@compiled
+def add_through(
+    opening: Floats, bars: Floats, low: Floats, high: Floats, position: Floats32,
+    face: NDArray[np.int8], softness: Floats32, weight: Floats, target: Indices, suns: Floats,
+    glass: Floats, totals: Floats,
+) -> None:  # fmt: skip
+    """Add weight x cosine x glass x visible share of points that see suns through an opening.
+
+    opening: axis of the wall's normal, its sign outwards, inner and outer face, u from and to, z
+    from and to [8]. bars: upright (1 or 0), span from and to, depth from and to, outwards from the
+    inner face [b, 5]. low, high: corners of boxes that shade [s, 3]. For r points: position [r, 3],
+    slightly above its surface; face, as in `_cosine`, -1 for one that no sun reaches; softness:
+    width over which an edge's shade grows, m; weight; target: column of `totals`. suns: unit
+    vectors [n, 3]; glass: transmittance at each [n]; totals [n, targets].
+    """
+    axis, outward = int(opening[0]), opening[1]
+    along, inner, thickness = 1 - axis, opening[2], (opening[3] - opening[2]) * opening[1]
+    for hour in range(len(suns)):
+        toward = suns[hour, axis] * outward
+        if toward <= _GRAZING or suns[hour, 2] <= 0.0:
+            continue
+        inverse = _inverses(suns[hour])
+        slope_u, slope_z = suns[hour, along] / toward, suns[hour, 2] / toward
+        shift_u, shift_z = slope_u * thickness, slope_z * thickness
+        low_u, high_u = opening[4] - min(shift_u, 0.0), opening[5] - max(shift_u, 0.0)
+        low_z, high_z = opening[6] - min(shift_z, 0.0), opening[7] - max(shift_z, 0.0)
+        for point in range(len(face)):
+            if face[point] < 0:
+                continue
+            across = (inner - position[point, axis]) * outward
+            u = position[point, along] + slope_u * across
+            z = position[point, 2] + slope_z * across
+            soft = softness[point]
+            if across > 2.0 * EPSILON_M:
+                share = _passed(u - low_u, soft) * _passed(high_u - u, soft)
+                if share <= 0.0:
+                    continue
+                share *= _passed(z - low_z, soft) * _passed(high_z - z, soft)
+            elif across > -thickness / 2.0:  # in the reveal: only the outer end is ahead
+                share = _passed(u + shift_u - opening[4], soft)
+                share *= _passed(opening[5] - u - shift_u, soft)
+                share *= _passed(z + shift_z - opening[6], soft)
+                share *= _passed(opening[7] - z - shift_z, soft)
+            else:
+                continue
+            cosine = _cosine(face[point], suns[hour])
+            if share <= 0.0 or cosine <= _GRAZING:
+                continue
+            for bar in range(len(bars)):
+                upright = bars[bar, 0] > 0.0
+                at, slope = (u, slope_u) if upright else (z, slope_z)
+                near, far = slope * bars[bar, 3], slope * bars[bar, 4]
+                below, above = (
+                    at + max(near, far) - bars[bar, 1],
+                    bars[bar, 2] - at - min(near, far),
+                )
+                share *= 1.0 - _passed(below, soft) * _passed(above, soft)
+            if share > 0.0:
+                share *= _unshaded(low, high, position, point, inverse, soft)
+                totals[hour, target[point]] += share * cosine * glass[hour] * weight[point]
+
+
+@compiled
+def _add_outside(
+    low: Floats, high: Floats, position: Floats32, face: NDArray[np.int8], weight: Floats,
+    target: Indices, sun: Floats, total: Floats,
+) -> None:  # fmt: skip
+    """Add weight x cosine of points from which no box hides the sun; see `add_through`."""
+    inverse = _inverses(sun)
+    for point in range(len(face)):
+        cosine = _cosine(face[point], sun)
+        if cosine > _GRAZING:
+            share = _unshaded(low, high, position, point, inverse, HARD_M)
+            total[target[point]] += share * cosine * weight[point]
+
+
+@dataclass(frozen=True)
+class _Group:
+    """Points of one kind, as `add_through` describes them, and corners of the boxes that shade."""
+
+    position: Floats32
+    face: NDArray[np.int8]
+    weight: Floats
+    target: Indices
+    low: Floats
+    high: Floats
+
+
+@dataclass(frozen=True)
+class SunPoints:
+    """Points on matt surfaces, ready for shadow tests.
+
+    `direct(toward)` returns, for each target, the sum over its points of weight x cosine x
+    glass x visibility: a luminance for weights of reflectance / pi, an irradiance for weights
+    of 1 / count, both per lx on the sun's normal. Points inside the panes see the sun only
+    through an opening; points outside see it past the building, whose panes
+    let none through. targets: their number.
+    """
+
+    scene: BoxScene
+    inside: _Group
+    outside: _Group
+    targets: int
+
+    def direct(self, toward: Floats) -> Floats32:
+        """Return each target's sum for a sun in direction `toward` [3] in room axes, [targets]."""
+        total = np.zeros((1, self.targets))
+        sun = np.asarray(toward, float)
+        if sun[2] <= 0.0:
+            return total[0].astype(np.float32)
+        group = self.inside
+        softness = np.full(len(group.face), HARD_M, np.float32)
+        for o in self.scene.openings:
+            glass = glass_optics(o.transmittance, sun[o.axis : o.axis + 1])[0]
+            add_through(
+                np.array([o.axis, o.outward, o.inner_m, o.outer_m, *o.u_m, *o.z_m], float),
+                np.empty((0, 5)), group.low, group.high, group.position, group.face, softness,
+                group.weight, group.target, sun[None], glass, total,
+            )  # fmt: skip
+        g = self.outside
+        _add_outside(g.low, g.high, g.position, g.face, g.weight, g.target, sun, total[0])
+        return total[0].astype(np.float32)
+
+
+def sun_points(
+    scene: BoxScene,
+    position: Floats,
+    axis: NDArray[np.integer],
+    sign: NDArray[np.integer],
+    weight: Floats,
+    target: NDArray[np.integer],
+    targets: int,
+) -> SunPoints:
+    """Return surface points as `SunPoints`.
+
+    position : [m, 3] in room axes; axis, sign : of the surface's normal [m]; weight : factor on a
+    point's light [m]; target : index of the sum, below `targets`, to which a point adds [m].
+    """
+    inside = _inside(scene, position)
+    raised = position.copy()
+    raised[np.arange(len(raised)), axis] += sign * 2 * EPSILON_M
+    face = np.where(np.asarray(sign) > 0, axis, np.asarray(axis) + 3).astype(np.int8)
+
+    def group(rows: Mask, boxes: list[Box]) -> _Group:
+        return _Group(
+            raised[rows].astype(np.float32),
+            face[rows],
+            weight[rows].astype(float),
+            np.asarray(target)[rows].astype(np.intp),
+            np.array([box.low for box in boxes], float).reshape(-1, 3),
+            np.array([box.high for box in boxes], float).reshape(-1, 3),
+        )
+
+    panes = [
+        upright(o.axis, (o.pane_m - EPSILON_M, o.pane_m + EPSILON_M), o.u_m, o.z_m, 0.0, "pane")
+        for o in scene.openings
+    ]
+    solid = [box for box in scene.boxes if box.kind != "ground"]
+    small = [box for box in solid if box.kind in ("frame", "obstruction")]
+    return SunPoints(scene, group(inside, small), group(~inside, solid + panes), targets)
+
+
+def _inside(scene: BoxScene, p: Floats) -> Mask:
+    """Return which points are within the building and on the room's side of every pane, [n]."""
+    low, high = np.array(scene.shell)
+    inside = ((p > low - EPSILON_M) & (p < high + EPSILON_M)).all(axis=1)
+    for o in scene.openings:
+        inside &= (o.pane_m - p[:, o.axis]) * o.outward > 0
+    return inside

@@ -1,4 +1,4 @@
-"""Sessions whose truth is known: a box room rendered by Radiance at every planned slot.
+"""Sessions whose truth is known: a box room rendered at every planned slot.
 
 The simulated camera and pyranometer read truth/<slot>.exr (a panorama and its separate sun) and
 truth/irradiance.csv. truth/pairs.csv lists the same panoramas, so that `train` and `bench` can use
@@ -11,28 +11,50 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
+from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.records import Progress, SiteFile, Slot, quiet
-from fieldlum.core.scheduler import LOCAL, Scheduler, UnitOutcome, run_each
+from fieldlum.core.scheduler import LOCAL, Scheduler, UnitOutcome, WorkUnit, run_each
+from fieldlum.core.strict_toml import plain
+from fieldlum.optics.images import write_panorama
 from fieldlum.optics.linear_light import sensor_pitch_deg
 from fieldlum.optics.profiles import load_camera_profile
-from fieldlum.room.simulate.slot_work import truth_units
-from fieldlum.room.simulate.troubles import Troubles, load_troubles, measured_irradiance, true_light
-from fieldlum.room.simulate.truth import SimulatedRoom, simulated_room
-from fieldlum.session import Session, create_session, remove_scraps, update_session
-from fieldlum.session.codec import made_from, write_object
+from fieldlum.room.scene import build
+from fieldlum.room.scene.radiosity import LitRoom, box_room, lit_room
+from fieldlum.room.simulate.fine_windows import FineWindows, fine_windows
+from fieldlum.room.simulate.troubles import (
+    Troubles,
+    knocked_camera,
+    load_troubles,
+    measured_irradiance,
+    troubled_pictures,
+    true_light,
+)
+from fieldlum.session import (
+    Session,
+    create_session,
+    remove_scraps,
+    replacing_path,
+    sha256,
+    update_session,
+)
+from fieldlum.session.codec import digest, made_from, write_object
 from fieldlum.session.files.irradiance_csv import CleanIrradiance
 from fieldlum.session.files.pairs_csv import PairRow, write_simulated_pairs
 from fieldlum.session.folder import PlanTable
 from fieldlum.sky import sun
 from fieldlum.sky.light import Light, light_at
+from fieldlum.sky.sky_view import write_sky_picture
 from fieldlum.weather import SHIPPED_SITE, Weather, read_weather, shipped_seattle, synthetic_weather
 from fieldlum.weather.files import NEAR_KM, distance_km
+
+_VERSION = 4  # of the rendering; increase it to render all hours again
+# rendered together: more would need more memory, fewer more multiplications
+_SLOTS_A_UNIT = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +110,26 @@ def sample_slots(
     ]
 
 
+@dataclass(frozen=True, slots=True)
+class _Job:
+    """How to render, and some slots of it; `shining`: their true light, `light`: as stated.
+
+    key: sha256 of session.toml; planned_utc: of all slots, because troubles depend on them;
+    pitch_deg: of the pictures around windows.
+    """
+
+    key: str
+    height: int
+    quality: str
+    pitch_deg: float
+    workers: int | None
+    planned_utc: tuple[datetime, ...]
+    troubles: Troubles
+    slots: tuple[Slot, ...] = ()
+    light: Light | None = None
+    shining: Light | None = None
+
+
 def run(
     session: Session,
     weather: Weather,
@@ -96,7 +138,6 @@ def run(
     quality: str = "paper",
     troubles: Troubles | None = None,
     force: bool = False,
-    cache: Path | None = None,
     workers: int | None = None,
     scheduler: Scheduler = LOCAL,
     progress: Progress = quiet,
@@ -104,38 +145,28 @@ def run(
     """Render the truth of every slot of a session's plan and write its pairs.
 
     Slots that were rendered before in the same way are kept, unless `force`. troubles :
-    differences from the stated session; cache : folder of the Radiance coefficients, by default the
-    session's truth/. Raises InputError for a room that cannot be rendered.
+    differences from the stated session; workers : threads of each process. Raises InputError for a
+    room that cannot be rendered.
     """
     setup, slots = session.site_file(), session.slots()
     for folder in (session.root, session.truth, session.truth / "sunpatches"):
         remove_scraps(folder)
-    truth = simulated_room(
-        setup,
-        height=height,
-        quality=quality,
-        cache=cache or session.truth,
-        workers=workers,
-        progress=progress,
-    )
+    build(box_room(setup))
     light, lit = _light_of(setup, slots, weather)
     wrong = troubles or Troubles()
     shining = true_light(light, wrong, setup.site) if wrong.names else light
     pitch_deg = sensor_pitch_deg(load_camera_profile(setup.camera.profile))
-    _forget_other(session, slots, truth, weather, wrong.key, pitch_deg)
-    owed = [int(k) for k in np.flatnonzero(lit) if force or not _done(session, slots[k])]
-    units = truth_units(
-        session,
-        cache or session.truth,
-        slots,
-        owed,
-        light,
-        shining,
-        height=height,
-        quality=quality,
-        pitch_deg=pitch_deg,
-        troubles=wrong,
-    )
+    planned = tuple(slot.t_utc for slot in slots)
+    how = _Job(sha256(session.toml), height, quality, pitch_deg, workers, planned, wrong)
+    _forget_other(session, slots, weather, how)
+    missing = [int(k) for k in np.flatnonzero(lit) if force or not _done(session, slots[k])]
+    units = []
+    for start in range(0, len(missing), _SLOTS_A_UNIT):
+        rows = np.array(missing[start : start + _SLOTS_A_UNIT])
+        some = tuple(slots[k] for k in rows)
+        job = replace(how, slots=some, light=light[rows], shining=shining[rows])
+        name, files = f"truth-{some[0].id}", (session.toml.name,)
+        units.append(WorkUnit(name, render_slots, session.root.resolve(), job, files=files))
     run_each(units, scheduler, UnitOutcome.result, progress)
     _write_irradiance(session, weather, slots, wrong)
     dni, dhi = measured_irradiance(
@@ -150,7 +181,45 @@ def run(
         **({"troubles": list(wrong.names)} if wrong.names else {}),
     }
     update_session(session, {"simulation": about})
-    return Simulated(len(owed), int(lit.sum()) - len(owed), int((~lit).sum()), weather.name)
+    return Simulated(len(missing), int(lit.sum()) - len(missing), int((~lit).sum()), weather.name)
+
+
+def render_slots(folder: Path, job: _Job) -> None:
+    """Render the slots of `job` in the session `folder`: a panorama and its sun patches for each.
+
+    Around the windows also write a picture as fine as the sensor, unless a knock turned the camera.
+    """
+    session, wrong = Session(folder), job.troubles
+    assert job.light is not None and job.shining is not None
+    room, fine = _traced(folder, job.key, job.height, job.quality, job.pitch_deg, job.workers)
+    made = room.render(job.shining)
+    maps, zone = made.luminance_cdm2, room.setup.site.timezone
+    if wrong.names:
+        # Patches are computed from what is stated, as `pair` does.
+        made = replace(made, patch_cdm2=room.render(job.light).patch_cdm2)
+        times = [slot.t_utc for slot in job.slots]
+        maps = troubled_pictures(maps, room.view.sky > 0, times, job.planned_utc, zone, wrong)
+    for k, slot in enumerate(job.slots):
+        turned = knocked_camera(slot.t_utc, job.planned_utc, zone, wrong)
+        if fine is not None and not turned:
+            factor = maps[k] / np.maximum(made.luminance_cdm2[k], 1e-9) if wrong.names else None
+            write_sky_picture(session.truth_sky_picture(slot.id), fine.picture(made, k, factor))
+        seen = replace(room.as_panorama(made, k), luminance_cdm2=maps[k])
+        direct = replace(seen, luminance_cdm2=made.patch_cdm2[k], attributes={"direct": "only"})
+        places = session.truth_panorama(slot.id), session.truth_sunpatch(slot.id)
+        for place, panorama in zip(places, (seen, direct), strict=True):
+            with replacing_path(place) as path:
+                write_panorama(path, panorama)
+
+
+@lru_cache(maxsize=1)
+def _traced(
+    root: Path, key: str, height: int, quality: str, pitch_deg: float, workers: int | None
+) -> tuple[LitRoom, FineWindows | None]:
+    """Trace a session's room and windows once in each process; `key` tells sessions apart."""
+    setup = Session(root).site_file()
+    room = lit_room(setup, height=height, quality=quality, workers=workers)
+    return room, fine_windows(room, pitch_deg)
 
 
 def make_session(out: Path, setup: SiteFile, slots: Sequence[Slot], about: PlanTable) -> Session:
@@ -172,26 +241,18 @@ def _light_of(setup: SiteFile, slots: Sequence[Slot], weather: Weather) -> tuple
     return light, (dni + dhi > 0) & (light.sun_altitude_deg > 0)
 
 
-def _forget_other(
-    session: Session,
-    slots: Sequence[Slot],
-    truth: SimulatedRoom,
-    weather: Weather,
-    troubles: str,
-    pitch_deg: float,
-) -> None:
+def _forget_other(session: Session, slots: Sequence[Slot], weather: Weather, how: _Job) -> None:
     """Delete the slots' rendered pictures of another room, size, quality, weather or troubles.
 
-    Otherwise an interrupted run could leave a mixture. troubles: key of the simulated troubles, ""
-    for none; pitch_deg: of the pictures around windows.
+    Otherwise an interrupted run could leave a mixture.
     """
-    path = session.truth / "made.json"
+    path, setup = session.truth / "made.json", session.site_file()
     light = hashlib.sha256(
         np.concatenate((weather.dni_wm2, weather.dhi_wm2)).astype("<f4").tobytes()
     ).hexdigest()
-    now = {"coefficients": truth.key, "weather": weather.name, "light_sha256": light}
-    now |= {"sun_rays": str(truth.sun_rays), "window_pitch_deg": f"{pitch_deg:.4f}"}
-    now |= {"troubles": troubles} if troubles else {}
+    room = [plain(setup.room), setup.camera.heading_deg, how.height, how.quality, _VERSION]
+    now = {"room": digest(room), "weather": weather.name, "light_sha256": light}
+    now |= {"window_pitch_deg": f"{how.pitch_deg:.4f}", "troubles": how.troubles.key}
     if made_from(path, now) is not None:
         return
     for slot in slots:
