@@ -1,7 +1,7 @@
 """Run all stages on simulated captures, and compare the results with the truth.
 
-Radiance renders the office of Liu, Colburn and Inanici (2020) at every planned hour. A simulated
-camera takes raw brackets of it, and a simulated SPN1 is read; later stages
+The simulator renders the office of Liu, Colburn and Inanici (2020) at every planned hour. Its
+camera takes raw brackets, and its SPN1 is read; later stages
 read the same files as those of real devices. Merged, paired and predicted results are then compared
 with the rendered truth.
 """

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from fieldlum.optics.projection import direction
+from fieldlum.optics.projection import altitude_azimuth_deg, direction
 from fieldlum.sky import perez as sky
 
 SUN_SR = 2 * np.pi * (1 - np.cos(np.radians(0.2665)))
@@ -164,3 +164,16 @@ def test_every_sky_is_finite_and_holds_its_light(
     if dhi > 5 and 2 < altitude < 87:
         horizontal = seen[0] @ (patches.solid_angles_sr * patches.directions[:, 2])
         assert 0.5 * made.diffuse_lx[0] < horizontal < 1.5 * made.diffuse_lx[0]
+
+
+@pytest.mark.analytic
+def test_a_direction_is_in_the_patch_around_it() -> None:
+    """Middles of patches, and directions nearly half a row or column beside them."""
+    patches = sky.reinhart_patches()
+    number = np.arange(len(patches))
+    assert (sky.reinhart_index(patches.directions) == number).all()
+    altitude, azimuth = altitude_azimuth_deg(patches.directions)
+    row_deg = 90.0 / 28.5
+    for up, turn in ((0.45, 0.0), (-0.45, 0.0), (0.0, 1.3), (0.0, -1.3)):
+        beside = direction(altitude[:120] + up * row_deg, azimuth[:120] + turn)
+        assert (sky.reinhart_index(beside) == number[:120]).all()

@@ -1,4 +1,4 @@
-"""`fieldlum simulate`: render a room by Radiance at the hours of a plan."""
+"""`fieldlum simulate`: render a room at the hours of a plan."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def command(
     force: bool = False,
     as_json: bool = False,
 ) -> None:
-    """Render a box room by Radiance at the hours of a plan.
+    """Render a box room at the hours of a plan.
 
     Writes a session with sun patches, and truth/, which simulated devices photograph.
     truth/pairs.csv lists the true panoramas, for training; pairs.csv is a copy of it until `pair`
@@ -67,7 +67,7 @@ def command(
       --seed: Seed of random hours and synthetic weather.
     """
     height = panorama_height(size)
-    import_module("pyradiance")  # so that a missing package is reported before any file is written
+    import_module("numba")  # so that a missing package is reported before any file is written
     from fieldlum.room import simulate
     from fieldlum.room.scene.radiosity import box_room
     from fieldlum.session import open_session

@@ -134,7 +134,9 @@ def cut(scene: BoxScene, piece_m: float) -> Pieces:
     step = np.where(inside, piece_m, outside_m)
     ground = np.isin(faces // 6, scene.of_kind("ground"))
     step[ground] = np.where((axis == 2) & (sign > 0), 4.0, np.inf)[ground]  # no ray meets its sides
-    counts = np.maximum(np.round((high - low) / step[:, None]), 1).astype(np.intp)
+    # a reveal has one side of its pane in each piece
+    minimum = np.where(np.isin(faces // 6, scene.of_kind("wall")), 2, 1)[:, None]
+    counts = np.maximum(np.round((high - low) / step[:, None]), minimum).astype(np.intp)
     number = counts.prod(axis=1)
     first, of = np.cumsum(number) - number, faces.repeat(number)
     row, column = np.divmod(np.arange(len(of)) - first[of], counts[of, 0])
