@@ -8,35 +8,15 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fieldlum.core.arrays import Floats, Floats32
+from fieldlum.core.arrays import Floats32
 from fieldlum.core.records import Progress, Room, quiet
 from fieldlum.room.scene.trace import SunPoints, disc_visibility
-from fieldlum.room.scene.view import look, patch_rays
-
-
-@dataclass(frozen=True, slots=True)
-class SunPatches:
-    """Results of direct sun at n times.
-
-    luminance_cdm2 : [n, H, W] of sunlit surfaces, without the disc; visible_fraction : [n] of the
-    disc, from the camera; disc_transmittance : [n] of the glass in front of it (0 if the disc is
-    not visible); disc_lx : [n] illuminance from the disc at the camera, on a plane normal to the
-    sun.
-    """
-
-    luminance_cdm2: Floats32
-    visible_fraction: Floats
-    disc_transmittance: Floats
-    disc_lx: Floats
-
-    def __len__(self) -> int:
-        return len(self.luminance_cdm2)
+from fieldlum.room.scene.view import SunPatches, look, patch_rays
 
 
 def iter_sun_patches(

@@ -16,10 +16,9 @@ from fieldlum.core.errors import InputError
 from fieldlum.core.records import Progress, Room, quiet
 from fieldlum.optics.images import RADIANCE_LM_PER_W, RADIANCE_Y
 from fieldlum.room.scene.geometry import BoxScene, transmissivity
-from fieldlum.room.scene.patches import SunPatches
 from fieldlum.room.scene.room_commands import require_permitted
 from fieldlum.room.scene.trace import SUN_RADIUS_DEG, disc_rays
-from fieldlum.room.scene.view import patch_rays, pixel_rays
+from fieldlum.room.scene.view import SunPatches, patch_rays, pixel_rays
 
 SUN_SR = 2 * np.pi * (1 - np.cos(np.radians(SUN_RADIUS_DEG)))
 # As oconv writes it after its command lines; the octree's own data follow.
