@@ -257,6 +257,9 @@ def add_through(
         for point in range(len(face)):
             if face[point] < 0:
                 continue
+            cosine = _cosine(face[point], suns[hour])
+            if cosine <= _GRAZING:
+                continue
             across = (inner - position[point, axis]) * outward
             u = position[point, along] + slope_u * across
             z = position[point, 2] + slope_z * across
@@ -273,8 +276,7 @@ def add_through(
                 share *= _passed(opening[7] - z - shift_z, soft)
             else:
                 continue
-            cosine = _cosine(face[point], suns[hour])
-            if share <= 0.0 or cosine <= _GRAZING:
+            if share <= 0.0:
                 continue
             for bar in range(len(bars)):
                 upright = bars[bar, 0] > 0.0
