@@ -330,7 +330,7 @@ def test_a_view_from_elsewhere_needs_frame_units_and_size(
     tmp_path: Path, channel: str, value: float, about: dict[str, object], found: str
 ) -> None:
     """Written by OpenEXR, with format and grid alone."""
-    channels = dict.fromkeys(CHANNELS, np.full((32, 32), 0.5, np.float32))
+    channels = {str(name): np.full((32, 32), 0.5, np.float32) for name in CHANNELS}
     channels[channel] = np.full((32, 32), value, np.float32)
     grid = asdict(GRID) | {k: v for k, v in about.items() if k in asdict(GRID)}
     text = json.dumps({"format": 1, **about, "grid": grid})
