@@ -111,7 +111,7 @@ def as_paired(data: Dataset, seed: int) -> Dataset:
 def dgp_of(maps: Array, year: Dataset) -> Array:
     """Return DGP in ten directions with the true disc, [n, 10]."""
     azimuths = view_azimuths_deg(year.heading_deg)
-    light = year.light.shown_sun_direction, year.disc_lx
+    light = year.light.apparent_sun_direction, year.disc_lx
     views = panorama_views(*maps.shape[1:], year.heading_deg, azimuths)
     return glare_directions(maps, views, *light)["dgp"]
 

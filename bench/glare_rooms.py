@@ -117,7 +117,7 @@ def main() -> None:
         data = {
             "luminance": np.concatenate([m.luminance_cdm2 for m in made]),
             "disc_lx": np.concatenate([m.disc_lx for m in made]),
-            "sun": np.concatenate([m.light.shown_sun_direction for m in made]),
+            "sun": np.concatenate([m.light.apparent_sun_direction for m in made]),
         }
         heading = setup.camera.heading_deg
         azimuths = view_azimuths_deg(heading)

@@ -60,7 +60,7 @@ def main() -> None:
     if site is not None:
         patch = sun_patches(
             site,
-            light.shown_sun_direction,
+            light.apparent_sun_direction,
             light.direct_lx,
             height=height,
             heading_deg=data.heading_deg,

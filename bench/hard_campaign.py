@@ -271,7 +271,7 @@ def _dgp(test: Dataset, maps: NDArray[np.float32], disc_lx: Floats | None) -> Fl
     azimuths = view_azimuths_deg(test.heading_deg)
     views = panorama_views(*maps.shape[1:], test.heading_deg, azimuths)
     parts = [
-        glare_directions(maps[rows], views, light.shown_sun_direction[rows], disc[rows])["dgp"]
+        glare_directions(maps[rows], views, light.apparent_sun_direction[rows], disc[rows])["dgp"]
         for rows in (slice(k, k + 64) for k in range(0, len(maps), 64))
     ]
     return np.concatenate(parts)

@@ -124,7 +124,7 @@ def render(name: str, out: Path, height: int, tests: int, days: str, troubles: T
         truth = build_truth(tree, eye, coarse.rays, low, high, GLASS)
         for rows, some in parts:
             some = replace(some, sun_azimuth_deg=(some.sun_azimuth_deg - heading + 180.0) % 360.0)
-            suns = some.shown_sun_direction
+            suns = some.apparent_sun_direction
             maps[rows], patches[rows] = pictures(truth, some, suns, coarse, fine)
             shines = np.flatnonzero((some.direct_lx > 50.0) & (suns[:, 2] > 0.0))
             free = ~cast(tree, eye, suns[shines]).any

@@ -32,7 +32,7 @@ HOURS = (
 def plain(truth: simulate.LitRoom, light: Light, pixels: np.ndarray, bounces: int) -> np.ndarray:
     """rtrace of the complete hour, [pixels] cd/m2, without the sun's disc."""
     built, sky = truth.view.scene, light.sky
-    toward = built.to_room(light.shown_sun_direction[0])
+    toward = built.to_room(light.apparent_sun_direction[0])
     numbers = [sky.norm_cdm2[0] / 179, sky.ground_cdm2[0] / 179, *sky.shape[0], *toward]
     text = "void brightfunc skyfunc\n2 skybright perezlum.cal\n0\n10 " + " ".join(
         f"{x:.8g}" for x in numbers

@@ -142,7 +142,7 @@ def case(setup: SiteFile, captures: int) -> Case:
     light = light[light.sun_altitude_deg > 2.0]
     assert setup.room is not None
     scene = build(setup.room)
-    visible, through = disc_visibility(scene, scene.to_room(light.shown_sun_direction))
+    visible, through = disc_visibility(scene, scene.to_room(light.apparent_sun_direction))
     overcast = np.flatnonzero((light.dni_wm2 < 20.0) & (light.dhi_wm2 > 60.0))
     with_disc = np.flatnonzero((visible > 0.0) & (light.dni_wm2 > 200.0))
     clear = np.flatnonzero((visible == 0.0) & (light.dni_wm2 > 200.0))
@@ -172,7 +172,7 @@ def take(made: Case, profile: CameraProfile, folder: Path, stated: dict[str, Cam
             Shot(taken.expose(e, frames / f"{i:02d}"), e, None)
             for i, e in enumerate(bracket_exposures(profile.bracket, "nd5"))
         ]
-        sun = float(cloudy.shown_altitude_deg[k]), float(cloudy.sun_azimuth_deg[k])
+        sun = float(cloudy.apparent_altitude_deg[k]), float(cloudy.sun_azimuth_deg[k])
         yield {
             name: merge_shots(
                 shots,
@@ -248,7 +248,7 @@ def glare(made: Case, sunny: Indices, own: Floats) -> tuple[float, str]:
     maps = truth.render(some).luminance_cdm2
     views = panorama_views(*maps.shape[1:], made.setup.camera.heading_deg, DIRECTIONS_DEG)
     dgp = [
-        glare_directions(maps, views, some.shown_sun_direction, share[worst] * some.direct_lx)[
+        glare_directions(maps, views, some.apparent_sun_direction, share[worst] * some.direct_lx)[
             "dgp"
         ]
         for share in (made.share[sunny], own)

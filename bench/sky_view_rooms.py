@@ -40,7 +40,7 @@ def dgp_errors(test: Dataset, own_lx: np.ndarray) -> np.ndarray:
     some = test.take(rows)
     azimuths = view_azimuths_deg(test.heading_deg)
     views = panorama_views(*test.shape, test.heading_deg, azimuths)
-    suns, maps = some.light.shown_sun_direction, some.luminance_cdm2
+    suns, maps = some.light.apparent_sun_direction, some.luminance_cdm2
     dgp = [
         glare_directions(maps, views, suns, disc)["dgp"] for disc in (some.disc_lx, own_lx[rows])
     ]

@@ -88,7 +88,7 @@ def told(data: Dataset, mode: str) -> Dataset:
         light = data.light
         made = sun_patches(
             TAPE,
-            light.shown_sun_direction,
+            light.apparent_sun_direction,
             light.direct_lx,
             height=data.shape[0],
             heading_deg=HEADING_DEG,

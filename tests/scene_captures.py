@@ -58,7 +58,7 @@ def room_captures(
     )
     setup = SiteFile(site, CameraSetup(heading_deg=180.0), room)
     patch = sun_patches(
-        room, light.shown_sun_direction, light.direct_lx, height=height, heading_deg=180.0
+        room, light.apparent_sun_direction, light.direct_lx, height=height, heading_deg=180.0
     ).luminance_cdm2
     return Dataset(
         light,

@@ -206,7 +206,7 @@ def test_discs_of_adjacent_days_in_the_same_pixel_count_once_for_the_pose() -> N
     weights = []
     for days in (("2027-06-21",), ("2027-06-20", "2027-06-21", "2027-06-22")):
         data = dataset(days, height=36)
-        shown = np.stack([data.light.shown_altitude_deg, data.light.sun_azimuth_deg], axis=1)
+        shown = np.stack([data.light.apparent_altitude_deg, data.light.sun_azimuth_deg], axis=1)
         discs = _discs(replace(data, disc_deg=shown))
         assert len(discs) == len(data)
         weights.append((discs.sigma_deg**-2).sum())

@@ -50,7 +50,7 @@ def _turned(degrees: float) -> SiteFile:
 @pytest.mark.analytic
 def test_analytic_another_disc_changes_dgp_as_glare_directions_does() -> None:
     maps = np.full((3, HEIGHT, 2 * HEIGHT), 800.0, np.float32)
-    suns = LIGHT.shown_sun_direction[[10, 200, 400]]
+    suns = LIGHT.apparent_sun_direction[[10, 200, 400]]
     azimuths = np.array([0.0, 90.0, 200.0])
     views = panorama_views(HEIGHT, 2 * HEIGHT, HEADING_DEG, azimuths)
     first, second = np.array([0.0, 3e4, 500.0]), np.array([2e4, 0.0, 800.0])
@@ -79,7 +79,7 @@ class _Perfect:
 def _data(setup: SiteFile) -> Dataset:
     """Even maps of the hours in which the room's disc may be seen; the disc is the true room's."""
     scene = build(_room())
-    visible, through = disc_visibility(scene, scene.to_room(LIGHT.shown_sun_direction))
+    visible, through = disc_visibility(scene, scene.to_room(LIGHT.apparent_sun_direction))
     rows = np.flatnonzero((visible > 0) & (LIGHT.dni_wm2 > 100))[::2]
     light = LIGHT[rows]
     maps = np.full((len(rows), HEIGHT, 2 * HEIGHT), 500.0, np.float32)

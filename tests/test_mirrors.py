@@ -53,7 +53,7 @@ def with_image(data: Dataset, towards: np.ndarray, image_lx: np.ndarray) -> Data
 
 def facade_light(light: Light, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Directions [n, 3] and illuminance [n] of the images in a facade that fills the north."""
-    suns = light.shown_sun_direction
+    suns = light.apparent_sun_direction
     towards, cosine = mirrored(suns, normal), suns @ normal
     visible = (cosine > 0.0) & in_facade(towards)
     return towards, np.where(visible, FACTOR * glass_reflectance(cosine) * light.direct_lx, 0.0)

@@ -93,16 +93,16 @@ def test_a_simulated_room_has_the_sun_of_its_prediction() -> None:
     np.testing.assert_allclose(made.patch_cdm2[0], predicted_patch(light), rtol=1e-3, atol=0.1)
     source = truth.as_panorama(made, 0).sun
     if source is not None:
-        assert source.altitude_deg == light.shown_altitude_deg[0]
+        assert source.altitude_deg == light.apparent_altitude_deg[0]
 
 
 @pytest.mark.authority
-def test_the_shown_altitude_is_that_of_spa() -> None:
+def test_the_apparent_altitude_is_that_of_spa() -> None:
     """pvlib's SPA at sea level and 12 C; below the visible horizon nothing is raised."""
     times = [LOW.replace(hour=h % 24, day=20 + h // 24) for h in range(14, 28)]
     at = sun.position(times, replace(OFFICE.site, altitude_m=0.0))
     np.testing.assert_allclose(
-        sun.shown_altitude_deg(at.altitude_deg), at.apparent_altitude_deg, atol=1e-3
+        sun.apparent_altitude_deg(at.altitude_deg), at.apparent_altitude_deg, atol=1e-3
     )
 
 
@@ -114,7 +114,7 @@ def test_a_csv_states_renderings_without_refraction(tmp_path: Path) -> None:
     path.write_text("\n".join([lines[0] + ",refraction", *(s + ",0" for s in lines[1:])]) + "\n")
     light = load_pairs(path).light
     assert not light.refraction and not light[[0, 1]].refraction
-    np.testing.assert_array_equal(light.shown_sun_direction, light.sun_direction)
+    np.testing.assert_array_equal(light.apparent_sun_direction, light.sun_direction)
     mixed = [lines[0] + ",refraction", lines[1] + ",", *(s + ",0" for s in lines[2:])]
     path.write_text("\n".join(mixed) + "\n")
     with pytest.raises(InputError, match="refraction"):

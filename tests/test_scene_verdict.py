@@ -43,7 +43,7 @@ HEIGHT = 12
 
 
 def _patch_of(light: Light) -> NDArray[np.float32]:
-    suns, lx = light.shown_sun_direction, light.direct_lx
+    suns, lx = light.apparent_sun_direction, light.direct_lx
     return scene.sun_patches(ROOM, suns, lx, height=HEIGHT, heading_deg=180.0).luminance_cdm2
 
 

@@ -39,7 +39,7 @@ def with_patches(data: Dataset) -> Dataset:
     light = data.light
     made = sun_patches(
         ROOM,
-        light.shown_sun_direction,
+        light.apparent_sun_direction,
         light.direct_lx,
         heading_deg=SETUP.camera.heading_deg,
         height=HEIGHT,
@@ -150,7 +150,7 @@ def test_a_clock_that_differs_between_days_is_corrected(sub: int) -> None:
 
 
 def patches_of_rays(light: Light, sub: int) -> Floats32:
-    suns, lx = light.shown_sun_direction, light.direct_lx
+    suns, lx = light.apparent_sun_direction, light.direct_lx
     return sun_patches(
         ROOM, suns, lx, heading_deg=SETUP.camera.heading_deg, height=HEIGHT, sub=sub
     ).luminance_cdm2
@@ -256,7 +256,7 @@ def test_a_room_wrong_by_a_tape_measure_makes_no_alarm_of_north(measure: str) ->
     light = data.light
     made = sun_patches(
         wrong,
-        light.shown_sun_direction,
+        light.apparent_sun_direction,
         light.direct_lx,
         heading_deg=SETUP.camera.heading_deg,
         height=HEIGHT,

@@ -59,7 +59,7 @@ def _plain_rtrace(setup: SiteFile, light: Light, height: int, pixels: np.ndarray
 
     assert setup.room is not None
     built = geometry.build(setup.room)
-    sky, toward = light.sky, built.to_room(light.shown_sun_direction[0])
+    sky, toward = light.sky, built.to_room(light.apparent_sun_direction[0])
     numbers = [sky.norm_cdm2[0] / 179, sky.ground_cdm2[0] / 179, *sky.shape[0], *toward]
     text = "void brightfunc skyfunc\n2 skybright perezlum.cal\n0\n10 " + " ".join(
         f"{x:.8g}" for x in numbers

@@ -105,7 +105,7 @@ def test_slats_have_their_share_although_they_are_not_black() -> None:
     """Mixed pixels are separated into sky and foreground."""
     openness = np.zeros((32, 32))
     openness[2:12, 4:28], openness[12:28, 4:28] = 1.0, 0.3
-    upwards = np.maximum(LIGHT.shown_sun_direction[:, 2], 0.0)
+    upwards = np.maximum(LIGHT.apparent_sun_direction[:, 2], 0.0)
     lit = 0.1 * (LIGHT.direct_lx * upwards / np.pi)[:, None, None]
     front = np.broadcast_to(0.1 * _shade() + lit, SKY.shape)
     view = _view(_pictures(openness, foreground=front))
@@ -120,7 +120,7 @@ def test_a_white_facade_brighter_than_the_sky_gives_no_disc() -> None:
     """It faces the camera and shines in the sun, but it does not follow the sky behind it."""
     openness = np.zeros((32, 32))
     openness[2:14, 4:28] = 1.0
-    facing = np.maximum(LIGHT.shown_sun_direction @ np.array([0.94, 0.34, 0.0]), 0.0)
+    facing = np.maximum(LIGHT.apparent_sun_direction @ np.array([0.94, 0.34, 0.0]), 0.0)
     beam = (LIGHT.direct_lx * facing / np.pi)[:, None, None]
     facade = 0.8 * (0.8 * (0.5 * _shade() + beam))
     view = _view(_pictures(openness, foreground=np.broadcast_to(facade, SKY.shape)))
@@ -134,14 +134,14 @@ def test_a_curtain_has_bounds_until_captures_show_its_disc() -> None:
     """Its luminance does not show the direct disc: low is 0; captures without a disc decide."""
     openness = np.zeros((32, 32))
     openness[2:30, 2:12] = 1.0
-    through = np.maximum(LIGHT.shown_sun_direction @ np.array([0.0, -1.0, 0.0]), 0.0)
+    through = np.maximum(LIGHT.apparent_sun_direction @ np.array([0.0, -1.0, 0.0]), 0.0)
     glow = 0.25 * (0.5 * _shade() + (LIGHT.direct_lx * through / np.pi)[:, None, None])
     front = np.broadcast_to(glow, SKY.shape)
     view = _view(_pictures(openness, foreground=front))
     cloth = (slice(4, 28), slice(16, 30))
     assert (view.low[cloth] == 0.0).all()
     assert np.median(view.high[cloth]) > 0.1
-    row, column = GRID.pixels(LIGHT.shown_sun_direction)
+    row, column = GRID.pixels(LIGHT.apparent_sun_direction)
     behind = (row > 0) & (row < 32) & (column >= 14) & (column < 32) & (LIGHT.direct_lx > 1e3)
     assert behind.sum() >= 3
     settled = _view(_pictures(openness, foreground=front), np.where(behind, 0.0, np.nan))
@@ -265,7 +265,7 @@ def test_the_disc_is_a_mean_and_the_heading_doubts_its_edge() -> None:
 def test_captures_that_contradict_the_view_correct_it() -> None:
     """A blind that the ratio cannot show: captures without a disc shut the sky there, by name."""
     pictures = _pictures(np.ones((32, 32)))
-    row, column = GRID.pixels(LIGHT.shown_sun_direction)
+    row, column = GRID.pixels(LIGHT.apparent_sun_direction)
     inside = (row > 4) & (row < 28) & (column > 4) & (column < 28) & (LIGHT.direct_lx > 1e3)
     assert inside.any()
     k = int(np.flatnonzero(inside)[0])

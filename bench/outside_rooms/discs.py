@@ -58,7 +58,7 @@ def own_disc_lx(asked: Truth) -> Array:
 
 def dgp(maps: Array, part: Dataset, asked: Truth, disc_lx: Array) -> Array:
     """Return the DGP [n, views] of maps with a sun's disc."""
-    sun = part.light.shown_sun_direction
+    sun = part.light.apparent_sun_direction
     return glare_directions(maps, asked.views, sun, disc_lx)["dgp"]
 
 

@@ -66,7 +66,7 @@ class RoomModel:
             maps["log10_sd"] = [spread for spread in spreads if spread is not None]
         hours = {
             "disc_lx": [part.disc_lx for part in parts],
-            "sun_altitude_deg": [light.shown_altitude_deg],
+            "sun_altitude_deg": [light.apparent_altitude_deg],
             "sun_azimuth_deg": [light.sun_azimuth_deg],
             "trusted": [part.trusted for part in parts],
             "expected_log10_mse": [part.prediction.expected_mse for part in parts],

@@ -221,7 +221,7 @@ def radiance_row(
             f"void glow skyglow\n0\n0\n4 {level:.6g} {level:.6g} {level:.6g} 0\nskyglow source "
             f"sky\n0\n0\n4 0 0 1 180\n"
         )
-        sun = sun_text(scene.to_room(light.shown_sun_direction)[0], float(light.direct_lx[0]))
+        sun = sun_text(scene.to_room(light.apparent_sun_direction)[0], float(light.direct_lx[0]))
         with octree(rad_text(scene), sky, sun) as tree:
             start_s, busy_s = time.monotonic(), sum(os.times()[2:4])  # of children
             trace(tree, np.array(scene.camera_m), rays, PAPER_OPTIONS)

@@ -57,11 +57,15 @@ def write_patches(
     first = read_panorama(items[0][1])
     size = first.luminance_cdm2.shape[0], first.heading_deg
     places = sun.position([t for _, _, t in items], setup.site)
-    shown_deg = sun.shown_altitude_deg(places.altitude_deg)
+    apparent_deg = sun.apparent_altitude_deg(places.altitude_deg)
     known = [plain(setup.room), plain(setup.camera), *size, patch_rays(size[0])]
     missing = []
     for (slot, _, t_utc), altitude, azimuth, lx in zip(
-        items, shown_deg.tolist(), places.azimuth_deg.tolist(), full_normal_lx.tolist(), strict=True
+        items,
+        apparent_deg.tolist(),
+        places.azimuth_deg.tolist(),
+        full_normal_lx.tolist(),
+        strict=True,
     ):
         recipe = digest([*known, round(altitude, 4), round(azimuth, 4), f"{lx:.5g}"])
         stored = made_from(session.sunpatch_sidecar(slot), recipe, [session.sunpatch(slot)])

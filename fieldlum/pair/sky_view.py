@@ -124,7 +124,7 @@ def write_sky_view(
         return None
     view = replace(view, inputs=inputs)
     view.write(session.sky_view)
-    suns = view.pose.in_pictures(light.shown_sun_direction[shares > 0.0])
+    suns = view.pose.in_pictures(light.apparent_sun_direction[shares > 0.0])
     overcast = captures[int(np.argmax(light.dhi_wm2 - light.dni_wm2))].slot
     picture = session.sky_view.with_suffix(".png")
     draw(picture, view, read_panorama(session.panorama(overcast)), suns)
@@ -163,7 +163,7 @@ def shares_of_beam(view: SkyView | None, room: Room | None, light: Light) -> tup
     """
     shares, decided = np.full(len(light), np.nan), np.zeros(len(light), bool)
     if room is not None:
-        shares = room_shares(room, light.shown_sun_direction)
+        shares = room_shares(room, light.apparent_sun_direction)
     if view is not None:
         disc = disc_of_hours(view, light)
         wide = disc.high_lx > _WIDE * disc.low_lx

@@ -38,7 +38,7 @@ from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.session.files.predict_json import DirectionYear
 from fieldlum.session.panorama_sun import SUN_FROM, read_suns
 from fieldlum.sky import sun
-from fieldlum.sky.sun import shown_altitude_deg, standard_time
+from fieldlum.sky.sun import apparent_altitude_deg, standard_time
 from fieldlum.year.glare import panorama_to_fisheye
 from fieldlum.year.predict import Annual
 from fieldlum.year.predict.annual import Pictures
@@ -191,7 +191,7 @@ def looks_section(annual: Annual, pictures: Pictures, zone: str) -> Section:
 def _fisheyes(annual: Annual, pictures: Pictures, k: int, when: str) -> Figure:
     """Return fisheyes around the room in one hour, with the sun's disc."""
     row, disc_lx, hours = int(pictures.rows[k]), float(pictures.disc_lx[k]), annual.hours
-    altitude = float(shown_altitude_deg(hours["sun_altitude_deg"][row]))
+    altitude = float(apparent_altitude_deg(hours["sun_altitude_deg"][row]))
     sun = SunSource(altitude, float(hours["sun_azimuth_deg"][row]), disc_lx)
     views, titles = [], []
     axis = (np.arange(_FISHEYE_PX) + 0.5) / _FISHEYE_PX - 0.5

@@ -85,16 +85,16 @@ class Light:
         return sun.direction(self.sun_altitude_deg, self.sun_azimuth_deg)
 
     @cached_property
-    def shown_altitude_deg(self) -> Floats:
+    def apparent_altitude_deg(self) -> Floats:
         """The altitude at which pictures show the sun, [n], in deg."""
         if not self.refraction:
             return self.sun_altitude_deg
-        return sun.shown_altitude_deg(self.sun_altitude_deg)
+        return sun.apparent_altitude_deg(self.sun_altitude_deg)
 
     @cached_property
-    def shown_sun_direction(self) -> Floats:
+    def apparent_sun_direction(self) -> Floats:
         """Unit vectors towards the sun in pictures, [n, 3]; for patches, disc and glare."""
-        return sun.direction(self.shown_altitude_deg, self.sun_azimuth_deg)
+        return sun.direction(self.apparent_altitude_deg, self.sun_azimuth_deg)
 
     @cached_property
     def sky_cdm2(self) -> Floats32:

@@ -79,7 +79,7 @@ def position(times_utc: Sequence[datetime], site: Site) -> SunPosition:
     )
 
 
-def shown_altitude_deg(altitude_deg: ArrayLike) -> Floats:
+def apparent_altitude_deg(altitude_deg: ArrayLike) -> Floats:
     """Return the altitude at which a picture shows the sun, from the true one, [n] deg.
 
     Refraction by SPA's formula (Bennett 1982, Reda and Andreas 2004) at standard pressure and 12 C:

@@ -164,7 +164,7 @@ def add_disc(
 
     disc_lx [n] : illuminance on a plane normal to the sun; light : has the sun's positions.
     """
-    place = light.shown_altitude_deg, light.sun_azimuth_deg
+    place = light.apparent_altitude_deg, light.sun_azimuth_deg
     return add_source(luminance_cdm2, place, disc_lx, heading_deg)
 
 

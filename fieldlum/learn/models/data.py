@@ -297,7 +297,7 @@ def _assemble(
     check_plausible(path, rows, setup.site)
     altitude, azimuth = _sun_columns(rows, setup)
     refraction = _refraction(path, rows)
-    shown_altitude = sun.shown_altitude_deg(altitude) if refraction else altitude
+    apparent_altitude = sun.apparent_altitude_deg(altitude) if refraction else altitude
     pictures = read_pictures(path, rows, setup, progress)
     if pictures.bounds:
         notes.append(
@@ -315,7 +315,7 @@ def _assemble(
     compared, maps = pictures.has_value.mean(axis=0) > 0.8, np.nan_to_num(pictures.maps)
     turns = camera_turns(maps, compared, heading, light=direct, progress=progress)
     for k in (k for k, row in enumerate(rows) if row.sun_in_map):
-        at = float(shown_altitude[k]), float(azimuth[k])
+        at = float(apparent_altitude[k]), float(azimuth[k])
         shown = shown_place(*at, heading, turns.angles_deg[k])
         pictures.take_disc_out(k, at, shown, float(dni[k]))
     align(pictures.maps, pictures.has_value, pictures.counts, heading, turns)

@@ -106,7 +106,7 @@ class Mirror:
 
         heading_deg: azimuth of the middle of the map `chance`.
         """
-        suns = light.shown_sun_direction
+        suns = light.apparent_sun_direction
         towards, cosine = mirrored(suns, self.normal), suns @ self.normal
         # Standard deviation of an image's place over `tolerance_rad`, which no place exceeds
         reach = 0.5 * tolerance_rad(len(self.chance))
@@ -220,7 +220,7 @@ def split_images(data: Dataset) -> tuple[Dataset, tuple[Mirror, ...]]:
     The pixels of an image get the luminance of their surroundings. If no mirror is found, return
     `data` itself and an empty tuple.
     """
-    light, suns = data.light, data.light.shown_sun_direction
+    light, suns = data.light, data.light.apparent_sun_direction
     spots = [
         spot
         for k, image in enumerate(data.luminance_cdm2)
@@ -238,7 +238,7 @@ def split_images(data: Dataset) -> tuple[Dataset, tuple[Mirror, ...]]:
 
 def _mirror(plane: MirrorPlane, data: Dataset) -> Mirror:
     """Return a plane with the energy of its images, and where they are visible."""
-    suns, rows = data.light.shown_sun_direction, np.array([image.row for image in plane.images])
+    suns, rows = data.light.apparent_sun_direction, np.array([image.row for image in plane.images])
     full_lx = glass_reflectance(suns @ plane.normal) * data.light.direct_lx  # [n], factor 1
     factors = np.array([image.spot.normal_lx for image in plane.images]) / full_lx[rows]
     valid = np.array([_is_measured(image, data) for image in plane.images])

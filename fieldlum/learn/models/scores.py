@@ -159,7 +159,7 @@ def truth(data: Dataset, *, glare: bool = True) -> Truth:
     dgp, ev, contrast = (np.full((n, k), np.nan) for k in (d, d, RAMMG_LEVELS))
     for rows in _chunks(np.flatnonzero(with_glare)):
         part = data.take(rows)
-        suns, maps = part.light.shown_sun_direction, part.luminance_cdm2
+        suns, maps = part.light.apparent_sun_direction, part.luminance_cdm2
         glare_of = glare_directions(maps, views, suns, part.disc_lx)
         dgp[rows], ev[rows] = glare_of["dgp"], glare_of["ev_lx"]
         contrast[rows] = _contrast(maps, part)
@@ -249,7 +249,7 @@ def _glare_errors(
     if not with_glare.any():
         return
     some, maps = part.take(with_glare), prediction.luminance_cdm2[with_glare]
-    suns = some.light.shown_sun_direction
+    suns = some.light.apparent_sun_direction
     glare = glare_directions(maps, test.views, suns, some.disc_lx)
     true_dgp, true_ev = test.dgp[rows[with_glare]], test.ev_lx[rows[with_glare]]
     assert test.own_disc_lx is not None
@@ -423,7 +423,7 @@ def _patches(data: Dataset, light: Light) -> Floats32 | None:
     assert data.setup.room is not None
     return sun_patches(
         data.setup.room,
-        light.shown_sun_direction,
+        light.apparent_sun_direction,
         light.direct_lx,
         height=data.shape[0],
         heading_deg=data.heading_deg,

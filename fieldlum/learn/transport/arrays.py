@@ -309,7 +309,7 @@ def around_disc(data: Dataset) -> Mask:
     height, width = data.shape
     out = np.zeros((len(data), height, width), bool)
     hours, light = np.flatnonzero(data.disc_lx > 0.0), data.light
-    altitude_deg, azimuth_deg = light.shown_altitude_deg[hours], light.sun_azimuth_deg[hours]
+    altitude_deg, azimuth_deg = light.apparent_altitude_deg[hours], light.sun_azimuth_deg[hours]
     row, column = equirect_pixel(altitude_deg, azimuth_deg, height, width, data.heading_deg)
     reach = np.arange(-2, 3)
     for t, i, j in zip(hours, row.astype(int), column.astype(int), strict=True):

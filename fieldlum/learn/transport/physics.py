@@ -70,7 +70,7 @@ class Physics:
 
         Those of suns of earlier calls are stored: the fits of one training share captures.
         """
-        toward = self._points.scene.to_room(light.shown_sun_direction)
+        toward = self._points.scene.to_room(light.apparent_sun_direction)
         out = np.zeros((len(light), len(self.modes)), np.float32)
 
         def one(k: int) -> None:

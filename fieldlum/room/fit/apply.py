@@ -51,7 +51,7 @@ def with_patches(data: Dataset, *, progress: Progress = quiet) -> Dataset:
     assert data.setup.room is not None
     made = sun_patches(
         data.setup.room,
-        data.light.shown_sun_direction,
+        data.light.apparent_sun_direction,
         data.light.direct_lx,
         height=data.shape[0],
         heading_deg=data.heading_deg,

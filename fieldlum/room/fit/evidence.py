@@ -288,7 +288,7 @@ def _clock_table(data: Dataset, rows: NDArray[np.intp]) -> Array:
     table = []
     for late in range(-_CLOCK_REACH_MIN, _CLOCK_REACH_MIN + 1):
         moved = sun.position([t - timedelta(minutes=late) for t in light.t_utc], site)
-        altitude = light.shown_altitude_deg + moved.altitude_deg - at.altitude_deg
+        altitude = light.apparent_altitude_deg + moved.altitude_deg - at.altitude_deg
         azimuth = light.sun_azimuth_deg + signed_angle_deg(moved.azimuth_deg - at.azimuth_deg)
         table.append(np.stack([altitude, azimuth], axis=-1))
     return np.stack(table)

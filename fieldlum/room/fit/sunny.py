@@ -30,7 +30,7 @@ def direct_on_windows_lx(data: Dataset, room: Room | None) -> Floats:
     Without a box room with windows, the planes are eight vertical ones, every 45 degrees.
     """
     light = data.light
-    facing = np.maximum(light.shown_sun_direction @ facades_of(room).normals.T, 0.0).max(axis=1)
+    facing = np.maximum(light.apparent_sun_direction @ facades_of(room).normals.T, 0.0).max(axis=1)
     return np.where(light.sun_altitude_deg < _LOWEST_SUN_DEG, 0.0, facing * light.direct_lx)
 
 

@@ -324,7 +324,7 @@ class LitRoom:
     def render(self, light: Light) -> Rendering:
         """Render all moments of `light` at once; memory grows with their number."""
         n, pixels = len(light), 2 * self.height**2
-        toward, direct_lx = self.view.scene.to_room(light.shown_sun_direction), light.direct_lx
+        toward, direct_lx = self.view.scene.to_room(light.apparent_sun_direction), light.direct_lx
         shown, given, sunlit = (
             np.zeros((n, points.targets), np.float32) for points in self._sun_points
         )
@@ -396,10 +396,10 @@ class LitRoom:
         light, sun, visible = made.light, None, float(made.visible_fraction[k])
         if 0.0 < visible < 1.0:
             scene = self.view.scene
-            glass = disc_glass(scene, scene.to_room(light.shown_sun_direction[k]))
+            glass = disc_glass(scene, scene.to_room(light.apparent_sun_direction[k]))
             about[DISC_RAYS] = "".join("1" if ray else "0" for ray in glass > 0)
         if made.disc_lx[k] > 0:
-            angles = float(light.shown_altitude_deg[k]), float(light.sun_azimuth_deg[k])
+            angles = float(light.apparent_altitude_deg[k]), float(light.sun_azimuth_deg[k])
             sun = SunSource(*angles, float(made.disc_lx[k]), visible, "rendering")
         heading, t_utc = self.view.heading_deg, light.t_utc[k]
         return Panorama(made.luminance_cdm2[k], heading, t_utc=t_utc, sun=sun, attributes=about)

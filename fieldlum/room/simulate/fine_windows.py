@@ -58,7 +58,7 @@ class FineWindows:
         value = np.asarray(self.to_pixels @ made.points_lx[:, k], np.float32)
         direct_lx = float(light.direct_lx[0])
         if direct_lx > 0:
-            toward = self.sun.scene.to_room(light.shown_sun_direction)[0]
+            toward = self.sun.scene.to_room(light.apparent_sun_direction)[0]
             value += self.sun.direct(toward) * np.float32(direct_lx)
         seen_sky = np.flatnonzero(self.sky)
         value[seen_sky] += light.sky_at(self.rays[seen_sky])[0] * self.sky[seen_sky]

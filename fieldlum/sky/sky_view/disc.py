@@ -48,7 +48,7 @@ class DiscOfHours:
 
 def disc_of_hours(view: SkyView, light: Light) -> DiscOfHours:
     """Return the disc of the n hours of `light` by the sky view."""
-    suns = view.pose.in_pictures(light.shown_sun_direction)
+    suns = view.pose.in_pictures(light.apparent_sun_direction)
     best, low, high = _over_disc(view, suns)  # [n] each
     best_lx = np.nan_to_num(best) * light.direct_lx
     return DiscOfHours(
@@ -72,7 +72,7 @@ def drawn_shares(
     places = np.clip((rng.permutation(count) + 0.5 - 0.5 * count) / (0.475 * count), -1.0, 1.0)
     drawn = np.zeros((count, len(light)))
     rows = np.flatnonzero(light.direct_lx > 0.0)
-    suns = light.shown_sun_direction[rows]
+    suns = light.apparent_sun_direction[rows]
     for k, (values, place) in enumerate(zip(poses, places, strict=True)):
         best, low, high = _over_disc(view, view.pose.in_pictures(suns, values))
         drawn[k, rows] = best + abs(place) * ((high if place > 0.0 else low) - best)
@@ -110,13 +110,13 @@ def disc_lx(view: SkyView | None, setup: SiteFile, light: Light) -> Floats:
     0 where neither is known. Raises InputError for an impossible room.
     """
     if view is None:
-        return room_shares(setup.room, light.shown_sun_direction) * light.direct_lx
+        return room_shares(setup.room, light.apparent_sun_direction) * light.direct_lx
     disc = disc_of_hours(view, light)
     if setup.room is None or not disc.not_seen.any():
         return disc.best_lx
     some = light[disc.not_seen]
     best = disc.best_lx.copy()
-    best[disc.not_seen] = room_shares(setup.room, some.shown_sun_direction) * some.direct_lx
+    best[disc.not_seen] = room_shares(setup.room, some.apparent_sun_direction) * some.direct_lx
     return best
 
 
@@ -149,7 +149,7 @@ def drawn_discs_lx(
             filled = room_shares(setup.room, suns.reshape(-1, 3)).reshape(filled.shape)
         part = shares[:, open_hours]
         shares[:, open_hours] = np.where(np.isnan(part), filled, part)
-    sine = np.sin(np.radians(np.maximum(light.shown_altitude_deg, 3.0)))
+    sine = np.sin(np.radians(np.maximum(light.apparent_altitude_deg, 3.0)))
     efficacy = np.exp(rng.normal(0.0, 1.0, (count, 1)) * _EFFICACY_U / sine)
     return np.nan_to_num(shares) * light.direct_lx * efficacy
 
@@ -170,7 +170,7 @@ def disc_source(view: SkyView | None, setup: SiteFile, file: str = "") -> str:
 
 
 def _turned(light: Light, azimuth_deg: float, altitude_deg: float) -> Floats:
-    altitude = np.minimum(light.shown_altitude_deg + altitude_deg, 90.0)
+    altitude = np.minimum(light.apparent_altitude_deg + altitude_deg, 90.0)
     # near the zenith a given angle on the sky is a larger change of azimuth
     turn = azimuth_deg / np.maximum(np.cos(np.radians(altitude)), 0.2)
     return direction(altitude, light.sun_azimuth_deg + turn)

@@ -326,7 +326,7 @@ def _checked(decided: _Decided, captured: Captured) -> SkyView:
     view, share, direct_lx = decided.view, captured.disc_share, captured.light.direct_lx
     strong = np.flatnonzero((direct_lx > BEAM_LX) & ~np.isnan(share))
     light, measured = captured.light[strong], share[strong]
-    suns = view.pose.in_pictures(light.shown_sun_direction)
+    suns = view.pose.in_pictures(light.apparent_sun_direction)
     without = _panes_without_disc(view, decided.scatters, suns, measured)
     names = ("openness", "transmittance", "low", "high")
     arrays = {name: getattr(view, name).copy() for name in names}

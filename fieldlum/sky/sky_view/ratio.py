@@ -142,7 +142,7 @@ def sky_share(luminance: Floats32, sky: Floats32, front: Floats32) -> tuple[Floa
 
 def usable_log(luminance: Floats32, light: Light, rays: Floats) -> Floats32:
     """Return the logarithm of luminance [n, p], NaN near the sun and where luminance is."""
-    near = light.shown_sun_direction @ rays.T > np.cos(np.radians(_NEAR_SUN_DEG))
+    near = light.apparent_sun_direction @ rays.T > np.cos(np.radians(_NEAR_SUN_DEG))
     near &= (light.direct_lx > BEAM_LX)[:, None]
     return np.where(near, np.nan, np.log(np.maximum(luminance, 0.01))).astype(np.float32)
 

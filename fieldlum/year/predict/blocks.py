@@ -177,7 +177,7 @@ def blocks(
         if room.needs_patch and space is not None:
             patch = sun_patches(
                 space,
-                part.shown_sun_direction,
+                part.apparent_sun_direction,
                 part.direct_lx,
                 height=room.height,
                 heading_deg=room.heading_deg,
@@ -340,7 +340,7 @@ class HourJudge:
             *self._bounds(block, ev_lx, contrast),
             dgp_with_disc(
                 figures,
-                sun_per_lx(light.shown_sun_direction, views),
+                sun_per_lx(light.apparent_sun_direction, views),
                 discs_lx,
                 drawn_images(block, views, len(discs_lx)),
             ).astype(np.float32),
@@ -386,7 +386,7 @@ def view_figures(block: HourBlock, views: Views) -> dict[str, Floats]:
     figures = glare_directions(
         maps,
         views,
-        np.stack([block.light.shown_sun_direction, *(image.towards for image in block.images)]),
+        np.stack([block.light.apparent_sun_direction, *(image.towards for image in block.images)]),
         np.stack([block.disc_lx, *(image.shown_lx for image in block.images)]),
     )
     figures["melanopic_edi_lx_estimate"] = figures["ev_lx"].copy()

@@ -88,7 +88,7 @@ class MelanopicYear:
         standard uncertainty of `ev_lx`.
         """
         of_map = (views["ev_lx"] - views["sun_ev_lx"]) * self.ratio(light)
-        of_sun = views["sun_ev_lx"] * sun_ratio(light.shown_altitude_deg)[:, None]
+        of_sun = views["sun_ev_lx"] * sun_ratio(light.apparent_altitude_deg)[:, None]
         edi = of_map + of_sun
         u = np.hypot(np.hypot(of_map * self.u_rel, of_sun * U_SUN), edi * u_ev_rel)
         return {"melanopic_edi_lx": edi, "u_melanopic_edi_lx": u}
@@ -100,7 +100,7 @@ def _parts(light: Light, sun_share: Floats) -> Floats:
     beam = light.dni_wm2 * sine
     clear = (beam / np.maximum(beam + light.dhi_wm2, 1.0))[:, None]
     sky = 1.0 - sun_share
-    sun = sun_share * sun_ratio(light.shown_altitude_deg)[:, None]
+    sun = sun_share * sun_ratio(light.apparent_altitude_deg)[:, None]
     return np.stack([sky, sky * clear, sun], axis=-1)
 
 
