@@ -11,7 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from fieldlum.core.arrays import Floats32
 from fieldlum.core.records import Progress, Room, quiet
@@ -60,12 +60,12 @@ def iter_sun_patches(
             rows = range(start, min(start + chunk, len(suns)))
             maps = np.zeros((len(rows), height, 2 * height), np.float32)
 
-            def fill(k: int, maps: Floats32 = maps, start: int = start) -> None:
-                if normal[k] > 0:
-                    unit = points.direct(toward[k]).reshape(height, 2 * height)
-                    np.multiply(unit, np.float32(normal[k]), out=maps[k - start])
+            def fill(some: NDArray[np.intp], maps: Floats32 = maps, start: int = start) -> None:
+                units = points.direct(toward[some]).reshape(len(some), height, 2 * height)
+                maps[some - start] = units * normal[some, None, None].astype(np.float32)
 
-            list(pool.map(fill, rows))
+            lit = np.array(rows)[normal[start : rows.stop] > 0]
+            list(pool.map(fill, np.array_split(lit, max(len(lit) // 8, 1))))
             part = slice(start, rows.stop)
             disc = normal[part] * visible[part] * through[part]
             yield SunPatches(maps, visible[part], through[part], disc)
