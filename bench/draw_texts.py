@@ -20,18 +20,18 @@ from pathlib import Path
 PACKAGE = Path(__file__).parents[1] / "fieldlum"
 ERRORS = {"InputError", "DeviceError", "NotEnoughDataError"}
 VERDICT_MODULES = (
-    "merge/quality",
+    "merge/bracket",
     "merge/stage",
-    "train/",
-    "scene_fit/verdict",
-    "scene_fit/stated_box",
-    "scene_fit/fit",
-    "glare/",
-    "predict/year",
+    "learn/train/",
+    "room/fit/stage",
+    "room/fit/stated_box",
+    "room/fit/fit",
+    "year/glare/",
+    "year/predict/year",
     "pair/irradiance",
-    "doctor/",
+    "capture/doctor",
     "capture/verify",
-    "plan/texts",
+    "plan/__init__",
     "calibrate/",
 )
 LEAST_WORDS = 12  # of a verdict: shorter strings are labels or parts

@@ -21,7 +21,7 @@ from fieldlum.optics.profiles import (
     NeutralDensity,
     save_profile,
 )
-from fieldlum.plan.texts import summary
+from fieldlum.plan import summary
 from fieldlum.session import create_session, open_session
 from fieldlum.sky import sun
 from fieldlum.weather import Weather

@@ -18,8 +18,14 @@ from fieldlum.core.records import CameraSetup, Exposure, Room, Site, SiteFile, W
 from fieldlum.optics.profiles import save_profile
 from fieldlum.plan import choose, coming, makeup
 from fieldlum.plan import sheet as calendar
-from fieldlum.plan.coverage import band_directions, coverage
-from fieldlum.plan.days import DaylightHours, daylight_hours, set_days, span
+from fieldlum.plan.days import (
+    DaylightHours,
+    band_directions,
+    coverage,
+    daylight_hours,
+    set_days,
+    span,
+)
 from fieldlum.session import Journal, create_session, open_session
 from fieldlum.session.site_toml import site_table
 from fieldlum.sky import sun

@@ -20,10 +20,9 @@ from fieldlum.core.records import Obstruction, Room, Site
 from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.train.outliers import find_changes
 from fieldlum.room.fit.apply import in_scene, with_scene
-from fieldlum.room.fit.evidence import SceneEvidence, gather
+from fieldlum.room.fit.evidence import SceneEvidence, gather, levelled
 from fieldlum.room.fit.fit import fit_scene, scene_of
 from fieldlum.room.fit.guess import Bar, Solid, WindowRect, guess_of, room_of
-from fieldlum.room.fit.light_below import levelled
 from fieldlum.room.fit.parameters import all_parameters, room_parameters, stated_albedo
 from fieldlum.room.fit.renderer import surfaces, unit_patches
 from fieldlum.room.fit.scene_file import read_scene, write_scene

@@ -21,8 +21,8 @@ from fieldlum.room.fit.evidence import gather
 from fieldlum.room.fit.fit import SceneFit
 from fieldlum.room.fit.guess import guess_of
 from fieldlum.room.fit.parameters import stated_albedo
+from fieldlum.room.fit.stage import choose_geometry, expected_year, sun_blocks
 from fieldlum.room.fit.sunny import direct_on_windows_lx, sunny_hours
-from fieldlum.room.fit.verdict import choose_geometry, expected_year, sun_blocks
 from fieldlum.sky import sun
 from fieldlum.sky.light import Light, light_at
 

@@ -24,16 +24,19 @@ from fieldlum.core.plot_style import AMBER, INK, PALE, RED, SAND, open_axes
 from fieldlum.core.records import CameraSetup, Site, SiteFile, Slot, utc_text
 from fieldlum.optics.profiles import assumed_texts
 from fieldlum.optics.projection import altitude_azimuth_deg
-from fieldlum.plan.coverage import (
+from fieldlum.plan.days import (
     DHI_CELL_WM2,
     DNI_CELL_WM2,
     NEAR_DEG,
+    SEASON_TAGS,
+    DaylightHours,
     band_directions,
     coverage,
+    hours_of,
     near_planned,
+    season_date,
     sun_band_percent,
 )
-from fieldlum.plan.days import SEASON_TAGS, DaylightHours, hours_of, season_date
 from fieldlum.room.scene.drawing import room_svg
 from fieldlum.session import exposure_text
 from fieldlum.sky import sun
