@@ -34,6 +34,7 @@ _DOUBT = (0.5, 0.75, 0.25)
 # Length and width of the blur along an edge, in pixels: bars narrower than a pixel do not break up
 # (rooms of docs/validation.md). Chosen.
 _EDGE_BLUR = (1.2, 0.35)
+_BLUR_STEPS = 5  # places of the blur in a pixel: two in its width
 FRAME = "true north"  # of the grid's azimuths
 _EXPECTED = "a sky view as docs/sky-view.md describes it"
 _REMEDY = "run fieldlum pair, or fieldlum train, again"
@@ -246,14 +247,20 @@ def _along_edges(values: Floats32, factor: int) -> Floats32:
     import cv2
 
     long, short = _EDGE_BLUR
-    y, x = np.mgrid[-3 * factor : 3 * factor + 1, -3 * factor : 3 * factor + 1] / factor
-    best = even = cv2.GaussianBlur(values, (0, 0), long * factor, borderType=cv2.BORDER_REPLICATE)
+    step = max(1, factor // _BLUR_STEPS)  # finer than the blur resolves
+    size = values.shape[1] // step, values.shape[0] // step
+    small = cv2.resize(values, size, interpolation=cv2.INTER_AREA) if step > 1 else values
+    scale = factor / step
+    reach = int(np.ceil(3.0 * scale))
+    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1] / scale
+    best = even = cv2.GaussianBlur(small, (0, 0), long * scale, borderType=cv2.BORDER_REPLICATE)
     for angle in np.arange(8) * np.pi / 8.0:
         along, across = x * np.cos(angle) + y * np.sin(angle), y * np.cos(angle) - x * np.sin(angle)
         kernel = np.exp(-0.5 * ((along / long) ** 2 + (across / short) ** 2))
-        blurred = cv2.filter2D(values, -1, kernel / kernel.sum(), borderType=cv2.BORDER_REPLICATE)
+        blurred = cv2.filter2D(small, -1, kernel / kernel.sum(), borderType=cv2.BORDER_REPLICATE)
         best = np.where(np.abs(blurred - even) > np.abs(best - even), blurred, best)
-    return np.asarray(best, np.float32)
+    best = best.astype(np.float32)
+    return cv2.resize(best, values.shape[::-1]) if step > 1 else best
 
 
 def _enlarged(values: np.ndarray, factor: int) -> np.ndarray:
