@@ -29,7 +29,7 @@ COMMANDS = (
 
 INTERRUPTED = 130  # 128 + SIGINT, as POSIX shells report Ctrl-C
 # May be missing on a small computer that only captures; see pyproject.toml.
-COMPUTE_PACKAGES = ("torch", "pyradiance")
+COMPUTE_PACKAGES = ("numba", "torch", "pyradiance")
 
 # Errors of a folder or a disk, which can happen in any command and which no stage can correct.
 _ELSEWHERE = "change its permissions, or choose another place"
