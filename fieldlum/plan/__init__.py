@@ -62,8 +62,7 @@ def sun_enters(room: Room, altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> M
         at, one = _points(o), np.ones(GRID * GRID)
         axis, sign, target = (np.full(len(at), k) for k in (o.axis, o.outward, 0))
         points = sun_points(scene, at, axis, sign, one, target, 1)
-        for k in np.flatnonzero(~enters & (o.outward * suns[:, o.axis] > 1e-6)):
-            enters[k] = points.direct(suns[k])[0] > 0.0
+        enters |= points.direct(suns)[:, 0] > 0.0
     return enters
 
 

@@ -286,7 +286,8 @@ def choose_model(trials: list[Trial]) -> ModelSelection:
         pair, fewer = _errors([winner, other]), len(other.scores) < len(winner.scores)
         if fewer and len(np.unique(pair[0].day)) < 2:  # one day is no proof
             continue
-        best, by = choose(pair).best, choose(pair).by
+        choice = choose(pair)
+        best, by = choice.best, choice.by
         if by is None and _is_baseline(winner) != _is_baseline(other):
             best = int(_is_baseline(winner))
         if best == 1 and (by or not fewer):

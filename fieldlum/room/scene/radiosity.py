@@ -328,9 +328,9 @@ class LitRoom:
         shown, given, sunlit = (
             np.zeros((n, points.targets), np.float32) for points in self._sun_points
         )
-        for k in np.flatnonzero(direct_lx > 0):
-            for out, points in zip((shown, given, sunlit), self._sun_points, strict=True):
-                out[k] = points.direct(toward[k]) * direct_lx[k]
+        lit = direct_lx > 0
+        for out, points in zip((shown, given, sunlit), self._sun_points, strict=True):
+            out[lit] = points.direct(toward[lit]) * direct_lx[lit, None]
         outdoors = np.zeros((FIRST_PIECE, n), np.float32)
         outdoors[:SKY], outdoors[PLAIN] = light.sky_cdm2.T, light.sky.ground_cdm2
         points_lx = self.smooth @ (self.from_points @ self.columns(outdoors, sunlit.T))

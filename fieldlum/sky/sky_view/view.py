@@ -34,7 +34,8 @@ _DOUBT = (0.5, 0.75, 0.25)
 # Length and width of the blur along an edge, in pixels: bars narrower than a pixel do not break up
 # (rooms of docs/validation.md). Chosen.
 _EDGE_BLUR = (1.2, 0.35)
-_BLUR_STEPS = 5  # places of the blur in a pixel: two in its width
+# Steps of that blur in a pixel; its short standard deviation then is two of them.
+_BLUR_STEPS = 5
 FRAME = "true north"  # of the grid's azimuths
 _EXPECTED = "a sky view as docs/sky-view.md describes it"
 _REMEDY = "run fieldlum pair, or fieldlum train, again"
