@@ -215,7 +215,6 @@ def test_no_other_file_can_be_had(address: str, cookie: str, path: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 @pytest.mark.contract
 def test_silent_connections_lock_nobody_out(address: str, cookie: str) -> None:
     """Twice as many as there are places; every other one begins a request and does not end it."""

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.core.arrays import Floats, Floats32, Indices
+from fieldlum.core.arrays import Floats, Floats32, Indices, Mask
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Panorama, Progress, Room, SiteFile, SunSource, quiet
 from fieldlum.optics.projection import equirect_rays
@@ -148,11 +148,7 @@ def cut(scene: BoxScene, piece_m: float) -> Pieces:
     np.put_along_axis(position, others[of, None], place, 2)
     position[np.arange(len(of)), :, axis[of]] = at_m[of, None]
     position, piece = position.reshape(-1, 3), np.arange(len(of)).repeat(_SUB**2).astype(np.int32)
-    probe = position.copy()
-    probe[np.arange(len(probe)), axis[of][piece]] += sign[of][piece] * _OFFSET_M
-    free = np.ones(len(probe), bool)
-    for box in scene.boxes:
-        free &= ~((probe > box.low) & (probe < box.high)).all(axis=1)
+    free = _is_free(scene, position, axis[of][piece], sign[of][piece])
     position, piece = position[free], piece[free]
     count = np.bincount(piece, minlength=len(of))
     total = np.stack([np.bincount(piece, position[:, k], len(of)) for k in range(3)], axis=1)
@@ -161,6 +157,18 @@ def cut(scene: BoxScene, piece_m: float) -> Pieces:
     faced = axis[of].astype(np.int8), sign[of].astype(np.int8), scene.reflectance[of // 6]
     share = 1.0 / count[piece]
     return Pieces(low, high - low, counts, first, *faced, middle, position, piece, share)
+
+
+def _is_free(
+    scene: BoxScene, position: Floats, axis: NDArray[np.integer], sign: NDArray[np.integer]
+) -> Mask:
+    """Return which points [q, 3] on faces of an axis and sign [q] no other box covers, [q]."""
+    probe = position.copy()
+    probe[np.arange(len(probe)), axis] += sign * _OFFSET_M
+    free = np.ones(len(probe), bool)
+    for box in scene.boxes:
+        free &= ~((probe > box.low) & (probe < box.high)).all(axis=1)
+    return free
 
 
 # ----------------------------------------------------------------------------------------------
