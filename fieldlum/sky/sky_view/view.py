@@ -260,8 +260,8 @@ def _along_edges(values: Floats32, factor: int) -> Floats32:
         kernel = np.exp(-0.5 * ((along / long) ** 2 + (across / short) ** 2))
         blurred = cv2.filter2D(small, -1, kernel / kernel.sum(), borderType=cv2.BORDER_REPLICATE)
         best = np.where(np.abs(blurred - even) > np.abs(best - even), blurred, best)
-    best = best.astype(np.float32)
-    return cv2.resize(best, values.shape[::-1]) if step > 1 else best
+    best = np.asarray(best, np.float32)
+    return best if step == 1 else np.asarray(cv2.resize(best, values.shape[::-1]), np.float32)
 
 
 def _enlarged(values: np.ndarray, factor: int) -> np.ndarray:
