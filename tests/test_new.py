@@ -149,24 +149,28 @@ def test_a_file_is_not_overwritten(tmp_path: Path) -> None:
 
 @pytest.mark.analytic
 def test_the_drawing_has_windows_camera_and_north_in_their_places() -> None:
-    """Scale 304 px for 6 m. The wall at the bottom looks to 215; a window 0.5 m from its left end
-    seen from inside is 0.5 m from the drawing's right wall.
+    """The wall at the bottom looks to 215; a window 0.5 m from its left end seen from inside is
+    0.5 m from the drawing's right wall. The scale follows from the wall's rectangle, 5 x 6 m.
     """
-    setup = SiteFile(replace(SEATTLE, name="<b>"), CameraSetup("", 215.0), ROOM)
-    svg = room_svg(setup)
-    assert "<b>" not in svg
+    svg = room_svg(SiteFile(replace(SEATTLE, name="<b>"), CameraSetup("", 215.0), ROOM))
     root = ET.fromstring(svg)
-    spaces = {"s": "http://www.w3.org/2000/svg"}
-    scale, left, bottom = 304 / 6, 78.0, 78.0 + 304.0
-    windows = root.findall("s:line[@stroke='#3b9ae1']", spaces)
-    xs = sorted(float(windows[0].get(key, 0)) for key in ("x1", "x2"))
-    assert xs == pytest.approx([left + 1.5 * scale, left + 4.5 * scale], abs=0.1)
-    assert float(windows[1].get("x1", 0)) == pytest.approx(left + 5 * scale, abs=0.1)
-    arrow = root.find("s:line[@stroke='#c4441c']", spaces)
-    assert arrow is not None
-    x1, y1, x2, y2 = (float(arrow.get(key, 0)) for key in ("x1", "y1", "x2", "y2"))
-    assert (x1, y1) == pytest.approx((left + scale, bottom - 2 * scale), abs=0.1)
-    assert (x2 - x1, y2 - y1) == pytest.approx((0.0, 34.0), abs=0.1)  # at the wall it faces
+
+    def points(gid: str) -> np.ndarray:
+        path = root.find(f".//*[@id='{gid}']//{{http://www.w3.org/2000/svg}}path")
+        assert path is not None
+        return np.array(re.findall(r"[-.\d]+", path.get("d", "")), float).reshape(-1, 2)
+
+    wall, south, east = points("walls"), points("window1"), points("window2")
+    low, high = wall.min(axis=0), wall.max(axis=0)
+    scale = (high[0] - low[0]) / 5.0
+    assert high[1] - low[1] == pytest.approx(6.0 * scale, rel=1e-3)
+    assert sorted((south[:, 0] - low[0]) / scale) == pytest.approx([1.5, 4.5], abs=0.01)
+    assert south[:, 1] == pytest.approx(high[1], abs=0.01)
+    assert east[:, 0] == pytest.approx(high[0], abs=0.01)
+    arrow = (points("camera") - low) / scale
+    # it points at the wall it faces, from 1 m and 2 m away from the lower left corner
+    assert np.median(arrow[:, 0]) == pytest.approx(1.0, abs=0.05)
+    assert arrow[:, 1].min() == pytest.approx(4.0, abs=0.05) and arrow[:, 1].max() > 4.4
     texts = " ".join("".join(node.itertext()) for node in root.iter())
     assert '"south" faces SW 215°' in texts and '"east" faces SE 125°' in texts
     assert wind(359.0) == "N 359°" and wind(359.9) == "N 0°"

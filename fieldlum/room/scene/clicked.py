@@ -19,6 +19,7 @@ from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Room, Window
 from fieldlum.core.strict_csv import read_table
+from fieldlum.core.strict_toml import convert
 from fieldlum.optics.projection import altitude_azimuth_deg, direction, equirect_pixel
 from fieldlum.room.scene.geometry import WALLS, room_axes
 
@@ -104,37 +105,15 @@ def clicks_from_rows(rows: Any) -> list[Click]:
 
 
 def _click(where: str, line: int, row: Any) -> Click:
-    if not isinstance(row, dict):
-        raise InputError(
-            where, "the click is no table", f"keys {', '.join(COLUMNS)}", "load the page again"
-        )
-    kind = str(row.get("kind", "")).strip()
-    if kind not in KINDS:
-        raise InputError(
-            where, f"kind '{kind[:40]}'", f"one of {', '.join(KINDS)}", "correct the kind"
-        )
+    expected = f"a kind of {', '.join(KINDS)}; numbers x_px and y_px; 1 to 50 for a window"
     try:
-        x, y = float(row["x_px"]), float(row["y_px"])
-        window = int(row.get("window") or 0)
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(
-            where,
-            f"x_px, y_px or window is no number ({error})"[:120],
-            "numbers, for window an integer (the number of the window)",
-            "correct the numbers",
-        ) from None
-    if not (np.isfinite(x) and np.isfinite(y)):
-        raise InputError(where, f"x_px {x:g}, y_px {y:g}", "finite numbers", "correct the numbers")
-    of_window = kind in ("window", "bar", "transom")
-    if of_window != (1 <= window <= 50):
-        expected = "a window number from 1 to 50" if of_window else "no window number"
-        raise InputError(
-            where,
-            f"kind {kind} with window number {window}",
-            expected,
-            "correct the window's number",
-        )
-    return Click(kind, window, x, y, line)
+        click = convert({**row, "window": row.get("window") or 0, "line": line}, Click)
+    except (AttributeError, TypeError, ValueError) as error:
+        raise InputError(where, str(error)[:120], expected, "correct the click") from None
+    if (click.kind in ("floor", "ceiling")) != (click.window == 0) or not 0 <= click.window <= 50:
+        found = f"kind {click.kind} with window number {click.window}"
+        raise InputError(where, found, expected, "correct the window's number")
+    return click
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,10 +154,10 @@ def room_from_clicks(
 
 def _check(clicks: Sequence[Click], grid: ClickGrid, where: str) -> None:
     for click in clicks:
-        inside = 0 <= click.x_px <= grid.width_px and 0 <= click.y_px <= grid.height_px
-        if not inside:
+        place = f"{where}:{click.line}"
+        if not (0 <= click.x_px <= grid.width_px and 0 <= click.y_px <= grid.height_px):
             raise InputError(
-                f"{where}:{click.line}",
+                place,
                 f"a click at x {click.x_px:g}, y {click.y_px:g} px",
                 f"a click within {grid.width_px} x {grid.height_px} px",
                 "click on the panorama, or correct x_px and y_px",
@@ -186,11 +165,10 @@ def _check(clicks: Sequence[Click], grid: ClickGrid, where: str) -> None:
         altitude, _ = grid.angles(click.x_px, click.y_px)
         side = {"floor": -1.0, "ceiling": 1.0}.get(click.kind, 0.0)
         if side and altitude * side < _HORIZON_DEG:
-            below = "lower" if side < 0 else "higher"
             raise InputError(
-                f"{where}:{click.line}",
+                place,
                 f"a {click.kind} corner at an altitude of {altitude:+.1f} deg",
-                f"an altitude of {side * _HORIZON_DEG:+g} deg or {below}",
+                f"an altitude {'below' if side < 0 else 'above'} {side * _HORIZON_DEG:+g} deg",
                 "correct the kind of this click, or its place",
             )
     count = {kind: sum(click.kind == kind for click in clicks) for kind in KINDS}
@@ -204,12 +182,8 @@ def _check(clicks: Sequence[Click], grid: ClickGrid, where: str) -> None:
     for number in _numbers(clicks):
         corners = sum(click.kind == "window" and click.window == number for click in clicks)
         if corners < 2:
-            raise InputError(
-                where,
-                f"window {number} has {corners} corners",
-                "two opposite corners",
-                "click two corners that are opposite each other",
-            )
+            found, expected = f"window {number} has {corners} corners", "two opposite corners"
+            raise InputError(where, found, expected, "click the missing corner")
 
 
 def _numbers(clicks: Sequence[Click]) -> list[int]:
@@ -308,13 +282,13 @@ def _spread(ground: Floats, theta_deg: float) -> float:
 
 def _main_wall(ground: Floats, theta_deg: float, facing: Floats) -> float:
     """Return the turn, of four possible ones, whose "south" wall is in a given direction."""
-    for quarter in range(4):
-        theta = (theta_deg + 90.0 * quarter) % 360.0
+
+    def wall(theta: float) -> str:
         turn = room_axes(theta)[:2, :2]
-        xy = ground @ turn.T
-        if _wall_of(turn @ facing, _distances(xy, "clicks")) == "south":
-            return theta
-    return theta_deg
+        return _wall_of(turn @ facing, _distances(ground @ turn.T, "clicks"))
+
+    turns = [(theta_deg + quarter) % 360.0 for quarter in (0.0, 90.0, 180.0, 270.0)]
+    return next((theta for theta in turns if wall(theta) == "south"), theta_deg)
 
 
 def _distances(xy: Floats, where: str) -> list[float]:

@@ -5,21 +5,24 @@ A drawing reveals a wrong `left_m` or azimuth, which a table does not.
 
 from __future__ import annotations
 
-from html import escape
+from io import StringIO
 from itertools import pairwise
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from fieldlum.core.arrays import Floats
+from fieldlum.core.plot_style import BLUE, INK, RED, styled
 from fieldlum.core.records import Room, SiteFile
 from fieldlum.optics.projection import compass_name
 from fieldlum.room.scene.clicked import ClickGrid
-from fieldlum.room.scene.geometry import WALL_TURN_DEG, build
+from fieldlum.room.scene.geometry import WALL_TURN_DEG, WALLS, build
 from fieldlum.session import replacing
 
-# Of the plan; the margin has room for the lengths written around it. Not measured.
-_SIZE_PX, _MARGIN_PX = 460.0, 78.0
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 _EDGE_POINTS = 24  # of a drawn edge: smooth at the width of a page; not measured
 
 
@@ -40,7 +43,7 @@ def write_room(setup: SiteFile, path: Path) -> bool:
     """Write the plan of a box room as SVG; return whether there is one. Raises as `room_svg`."""
     if drawing := room_svg(setup):
         with replacing(path, "w", encoding="utf-8") as file:
-            file.write(drawing.replace("currentColor", "black"))
+            file.write(drawing)
     return bool(drawing)
 
 
@@ -49,113 +52,63 @@ def room_svg(setup: SiteFile) -> str:
 
     Return an empty text without a room of kind "box". Raises InputError for an impossible room.
     """
-    room = setup.room
-    if room is None or room.kind != "box":
+    from matplotlib.figure import Figure
+
+    if setup.room is None or setup.room.kind != "box":
         return ""
-    scene = build(room)
-    scale = (_SIZE_PX - 2 * _MARGIN_PX) / max(room.width_m, room.depth_m)
-    width, height = room.width_m * scale, room.depth_m * scale
+    with styled():
+        figure = Figure(figsize=(5.0, 5.0))
+        axes = figure.add_axes((0.14, 0.14, 0.72, 0.72))
+        _draw_plan(axes, setup.room)
+        _draw_arrows(axes, setup.room, setup.camera.heading_deg)
+        text = StringIO()
+        figure.savefig(text, format="svg", metadata={"Date": None})
+    return text.getvalue()[text.getvalue().index("<svg") :]
 
-    def at(x_m: float, y_m: float) -> tuple[float, float]:
-        return _MARGIN_PX + x_m * scale, _MARGIN_PX + height - y_m * scale
 
-    left, top = at(0.0, room.depth_m)
-    parts = [
-        f'<rect x="{left:.1f}" y="{top:.1f}" width="{width:.1f}" height="{height:.1f}" '
-        f'fill="none" stroke="currentColor" stroke-width="3"/>'
-    ]
-    for number, (opening, window) in enumerate(
-        zip(scene.openings, room.window, strict=True), start=1
-    ):
-        ends = [
-            (opening.inner_m, u) if opening.axis == 0 else (u, opening.inner_m) for u in opening.u_m
-        ]
-        (x1, y1), (x2, y2) = (at(*end) for end in ends)
-        parts.append(
-            f'<line x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}" stroke="#3b9ae1" '
-            f'stroke-width="8"/>'
+def _draw_plan(axes: Axes, room: Room) -> None:
+    from matplotlib.patches import Rectangle
+
+    axes.set_axis_off()
+    axes.set(aspect="equal", xlim=(0.0, room.width_m), ylim=(0.0, room.depth_m))
+    wall = Rectangle((0.0, 0.0), room.width_m, room.depth_m, fill=False, ec=INK, lw=3, gid="walls")
+    axes.add_patch(wall).set_clip_on(False)
+    centred: dict[str, Any] = {"ha": "center", "va": "center", "textcoords": "offset points"}
+    for number, (o, window) in enumerate(zip(build(room).openings, room.window, strict=True), 1):
+        x, y = ((o.inner_m, o.inner_m), o.u_m)[:: 1 if o.axis == 0 else -1]
+        axes.plot(
+            x, y, color=BLUE, lw=7, solid_capstyle="butt", clip_on=False, gid=f"window{number}"
         )
-        inwards = 16.0 * opening.outward
-        dx, dy = (-inwards, 4.0) if opening.axis == 0 else (0.0, inwards + 4.0)
-        label = f"window {number}, {window.width_m:g} m"
-        parts.append(_text((x1 + x2) / 2 + dx, (y1 + y2) / 2 + dy, label, _anchor(opening)))
-    for wall, turn in WALL_TURN_DEG.items():
-        parts.append(
-            _wall_label(wall, wind(room.wall_azimuth_deg + turn), left, top, width, height)
+        label, middle = (
+            f"window {number}, {window.width_m:g} m",
+            (float(np.mean(x)), float(np.mean(y))),
         )
-    place = at(room.camera_x_m, room.camera_y_m)
-    share = room.camera_x_m / room.width_m
-    parts += _camera(room, setup.camera.heading_deg, place, share)
-    parts.append(_north(room.wall_azimuth_deg))
-    total = height + 2 * _MARGIN_PX, width + 2 * _MARGIN_PX
-    about = f"Plan of {setup.site.name}: {room.width_m:g} x {room.depth_m:g} m, from above"
-    return (
-        f'<svg viewBox="0 0 {total[1]:.0f} {total[0]:.0f}" role="img" '
-        f'aria-label="{escape(about, quote=True)}" xmlns="http://www.w3.org/2000/svg" '
-        f'font-family="sans-serif" font-size="12" fill="currentColor">{"".join(parts)}</svg>'
-    )
+        inwards = (-14 * o.outward, 0) if o.axis == 0 else (0, -14 * o.outward)
+        axes.annotate(label, middle, inwards, **centred, rotation=0 if o.axis else 90)
+    for name, turn in WALL_TURN_DEG.items():
+        axis, side = WALLS[name]
+        place, away = [0.5, 0.5], [0, 0]
+        place[axis], away[axis] = side, 32 * side - 16
+        label = f'"{name}" faces {wind(room.wall_azimuth_deg + turn)}'
+        axes.annotate(label, place, away, "axes fraction", **centred, rotation=0 if axis else 90)
 
 
-def _anchor(opening: object) -> str:
-    axis, outward = getattr(opening, "axis", 1), getattr(opening, "outward", 1)
-    return "middle" if axis == 1 else ("end" if outward > 0 else "start")
-
-
-def _text(x: float, y: float, text: str, anchor: str = "middle") -> str:
-    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{escape(text)}</text>'
-
-
-def _wall_label(
-    wall: str, azimuth: str, left: float, top: float, width: float, height: float
-) -> str:
-    """Return a wall's name and direction, placed outside the wall."""
-    x, y = {
-        "south": (left + width / 2, top + height + 22),
-        "north": (left + width / 2, top - 12),
-        "west": (left - 12, top + height / 2),
-        "east": (left + width + 12, top + height / 2),
-    }[wall]
-    label = f'"{wall}" faces {azimuth}'
-    if wall in ("south", "north"):
-        return _text(x, y, label)
-    turn = -90 if wall == "west" else 90
-    return (
-        f'<text text-anchor="middle" transform="translate({x:.1f} {y:.1f}) rotate({turn})">'
-        f"{escape(label)}</text>"
-    )
-
-
-def _camera(room: Room, heading_deg: float, at: tuple[float, float], share: float) -> list[str]:
-    """Return the camera as a dot with an arrow to its heading.
-
-    The text is placed away from a wall that is near.
-    """
+def _draw_arrows(axes: Axes, room: Room, heading_deg: float) -> None:
+    """Draw the camera with its heading, and true north in the upper left corner."""
     # The drawing's downwards direction is the "south" wall's azimuth; angles run clockwise.
-    turn = np.radians(heading_deg - room.wall_azimuth_deg + 180.0)
-    x, y = at
-    tip = x + 34 * np.sin(turn), y - 34 * np.cos(turn)
+    up_deg = room.wall_azimuth_deg + 180.0
+    at, arrow = (room.camera_x_m, room.camera_y_m), {"scale": 8.0, "width": 0.01, "clip_on": False}
+    for name, azimuth, place, colour, of in (
+        ("camera", heading_deg, at, RED, axes.transData),
+        ("north", 0.0, (-0.1, 1.1), INK, axes.transAxes),
+    ):
+        turn = np.radians(azimuth - up_deg)
+        to = np.sin(turn), np.cos(turn)
+        axes.quiver(*place, *to, color=colour, transform=of, gid=name, **arrow)
+    axes.text(-0.1, 1.1, "N ", ha="right", va="center", transform=axes.transAxes)
+    axes.plot(*at, "o", color=RED, ms=9)
     label = f"camera to {wind(heading_deg)}, {room.camera_z_m:g} m high"
-    below = y - 12 if tip[1] > y else y + 20
-    return [
-        f'<line x1="{x:.1f}" y1="{y:.1f}" x2="{tip[0]:.1f}" y2="{tip[1]:.1f}" stroke="#c4441c" '
-        f'stroke-width="3"/>',
-        f'<circle cx="{x:.1f}" cy="{y:.1f}" r="6" fill="#c4441c"/>',
-        _text(x, below, label, "start" if share < 0.35 else "end" if share > 0.65 else "middle"),
-    ]
-
-
-def _north(wall_azimuth_deg: float) -> str:
-    """Return an arrow to true north in the upper left corner."""
-    turn = 180.0 - wall_azimuth_deg
-    return (
-        f'<g transform="translate(36 36) rotate({turn:.1f})"><line x1="0" y1="20" x2="0" y2="-16" '
-        f'stroke="currentColor" stroke-width="2"/><path d="M0 -24 L6 -10 L-6 -10 Z"/></g>'
-        + _text(
-            36 + 32 * float(np.sin(np.radians(turn))),
-            40 - 32 * float(np.cos(np.radians(turn))),
-            "N",
-        )
-    )
+    axes.text(0.5, -0.16, label, ha="center", color=RED, transform=axes.transAxes)
 
 
 def outline_pixels(room: Room, grid: ClickGrid) -> dict[str, list[list[float]]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,7 @@ from fieldlum.core.arrays import Floats, Floats32
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Progress, Room, quiet
 from fieldlum.optics.images import RADIANCE_LM_PER_W, RADIANCE_Y
-from fieldlum.room.scene.geometry import BoxScene, transmissivity
+from fieldlum.room.scene.geometry import BoxScene, transmissivity, upright
 from fieldlum.room.scene.room_commands import require_permitted
 from fieldlum.room.scene.trace import SUN_RADIUS_DEG, disc_rays
 from fieldlum.room.scene.view import SunPatches, patch_rays, pixel_rays
@@ -32,112 +32,37 @@ _TRACE = ["-ab", "0", "-dj", "0", "-dt", "0", "-dc", "1", "-lr", "4", "-w-"]
 # boxes to .rad
 
 
-@dataclass(frozen=True, slots=True)
-class Face:
-    """A visible rectangle of a box.
-
-    box : index of the box; axis, sign : of the normal; at_m : coordinate on that axis; low_m,
-    high_m : extent on the other two axes.
-    """
-
-    box: int
-    axis: int
-    sign: int
-    at_m: float
-    low_m: tuple[float, float]
-    high_m: tuple[float, float]
-
-    @property
-    def others(self) -> tuple[int, int]:
-        """The two axes in the plane of the face."""
-        a, b = (k for k in range(3) if k != self.axis)
-        return a, b
-
-    def corners(self) -> Floats:
-        """Return the corners [4, 3] in m, counter-clockwise as seen from the side of the normal."""
-        a, b = self.others
-        out = np.empty((4, 3))
-        out[:, self.axis] = self.at_m
-        out[:, a] = [self.low_m[0], self.high_m[0], self.high_m[0], self.low_m[0]]
-        out[:, b] = [self.low_m[1], self.low_m[1], self.high_m[1], self.high_m[1]]
-        flipped = (self.axis == 1) == (self.sign > 0)
-        return out[::-1] if flipped else out
-
-
-def faces(scene: BoxScene) -> list[Face]:
-    """Return all faces that can be seen: not completely inside or against other boxes.
-
-    The top of the roof, and the sides and underside of the ground are left out.
-    """
-    visible = []
-    for k in range(len(scene.boxes)):
-        for axis in range(3):
-            for sign in (-1, 1):
-                at = scene.high[k, axis] if sign > 0 else scene.low[k, axis]
-                a, b = (i for i in range(3) if i != axis)
-                low, high = scene.low[k], scene.high[k]
-                face = Face(k, axis, sign, float(at), (low[a], low[b]), (high[a], high[b]))
-                if not (_is_never_seen(scene, face) or _is_covered(scene, face)):
-                    visible.append(face)
-    return visible
-
-
-def _is_never_seen(scene: BoxScene, face: Face) -> bool:
-    """Return whether a face is a side or the underside of the ground, or the top of the roof."""
-    kind, up = scene.boxes[face.box].kind, face.axis == 2 and face.sign > 0
-    return (kind == "ground" and not up) or (kind == "ceiling" and up)
-
-
-def _is_covered(scene: BoxScene, face: Face) -> bool:
-    """Return whether no sample point just in front of the face is in free air."""
-    n = 15
-    share = (np.arange(n) + 0.5) / n
-    a, b = face.others
-    points = np.empty((n * n, 3))
-    points[:, face.axis] = face.at_m + face.sign * 1e-3
-    grid = np.meshgrid(
-        *(lo + (hi - lo) * share for lo, hi in zip(face.low_m, face.high_m, strict=True))
-    )
-    points[:, a], points[:, b] = grid[0].ravel(), grid[1].ravel()
-    free = np.ones(len(points), bool)
-    for low, high in zip(scene.low, scene.high, strict=True):
-        free &= ~((points > low) & (points < high)).all(axis=1)
-    return not free.any()
-
-
-def _matt(name: str, reflectance: float) -> str:
-    return (
-        f"void plastic {name}\n0\n0\n5 {reflectance:.6g} {reflectance:.6g} {reflectance:.6g} 0 0\n"
-    )
-
-
-def _polygon(name: str, material: str, corners: Floats) -> str:
+def _rectangle(name: str, material: str, axis: int, at_m: float, low: Floats, high: Floats) -> str:
+    """Return a rectangle across an axis as text; low, high: its extent on the other two [3]."""
+    corners = np.array([low, low, high, high])
+    other = (axis + 1) % 3
+    corners[1, other], corners[3, other] = high[other], low[other]
+    corners[:, axis] = at_m
     numbers = " ".join(f"{x:.7g}" for x in corners.ravel())
-    return f"{material} polygon {name}\n0\n0\n{corners.size} {numbers}\n"
+    return f"{material} polygon {name}\n0\n0\n12 {numbers}\n"
 
 
-def rad_text(scene: BoxScene, visible: Sequence[Face] | None = None) -> str:
+def rad_text(scene: BoxScene) -> str:
     """Return the room as Radiance text in room axes.
 
-    visible : the faces to write, by default all `faces`. The k-th of the written faces has the
-    material ``f<k>``, pane k of the scene ``g<k>``; all panes are written.
+    Box k of the scene has the material ``m<k>``, pane k ``g<k>``.
     """
     parts = ["# a fieldlum box room; x right, y away from the south wall, z up\n"]
-    for k, face in enumerate(visible if visible is not None else faces(scene)):
-        parts += [
-            _matt(f"f{k}", scene.boxes[face.box].reflectance),
-            _polygon(f"face{k}", f"f{k}", face.corners()),
-        ]
+    for k, (low, high) in enumerate(zip(scene.low, scene.high, strict=True)):
+        r = f"{scene.reflectance[k]:.6g}"
+        parts.append(f"void plastic m{k}\n0\n0\n5 {r} {r} {r} 0 0\n")
+        for side, (axis, corner) in enumerate(product(range(3), (low, high))):
+            parts.append(_rectangle(f"box{k}_{side}", f"m{k}", axis, corner[axis], low, high))
     for k, o in enumerate(scene.openings):
-        tn = transmissivity(o.transmittance)
-        parts.append(f"void glass g{k}\n0\n0\n3 {tn:.6f} {tn:.6f} {tn:.6f}\n")
-        pane = Face(0, o.axis, o.outward, o.pane_m, (o.u_m[0], o.z_m[0]), (o.u_m[1], o.z_m[1]))
-        parts.append(_polygon(f"pane{k}", f"g{k}", pane.corners()))
+        tn = f"{transmissivity(o.transmittance):.6f}"
+        parts.append(f"void glass g{k}\n0\n0\n3 {tn} {tn} {tn}\n")
+        pane = upright(o.axis, (o.pane_m, o.pane_m), o.u_m, o.z_m, 0.0, "pane")
+        ends = np.array(pane.low), np.array(pane.high)
+        parts.append(_rectangle(f"pane{k}", f"g{k}", o.axis, o.pane_m, *ends))
     return "".join(parts)
 
 
 SKY_TEXT = "void glow skyglow\n0\n0\n4 1 1 1 0\nskyglow source sky\n0\n0\n4 0 0 1 180\n"
-PLAIN_TEXT = "void glow plainglow\n0\n0\n4 1 1 1 0\nplainglow source plain\n0\n0\n4 0 0 -1 180\n"
 
 
 def sun_text(direction: Floats, normal_illuminance_lx: float = RADIANCE_LM_PER_W) -> str:
