@@ -64,19 +64,23 @@ def position(times_utc: Sequence[datetime], site: Site) -> SunPosition:
 
     Arrays are in the order of times_utc, empty without times. Raises ValueError for naive times.
     """
+    index = pandas_index(times_utc, "position")
+    place = site.latitude_deg, site.longitude_deg, site.altitude_m
+    return SunPosition(*_spa(index.as_unit("ns").asi8.tobytes(), *place).copy())
+
+
+@lru_cache(maxsize=32)  # checks of a weather year ask for the same hours again
+def _spa(ns: bytes, latitude_deg: float, longitude_deg: float, altitude_m: float) -> Floats:
+    """Return the fields of `SunPosition` [3, n] at times in ns since 1970, as int64."""
+    import pandas as pd
     from pvlib.solarposition import get_solarposition
 
-    index = pandas_index(times_utc, "position")
+    index = pd.DatetimeIndex(np.frombuffer(ns, np.int64), tz="UTC")
     if len(index) == 0:
-        return SunPosition(np.empty(0), np.empty(0), np.empty(0))
-    table = get_solarposition(
-        index, site.latitude_deg, site.longitude_deg, site.altitude_m, method="nrel_numpy"
-    )
-    return SunPosition(
-        np.asarray(table["elevation"], float),
-        np.asarray(table["apparent_elevation"], float),
-        np.asarray(table["azimuth"], float) % 360.0,
-    )
+        return np.empty((3, 0))
+    table = get_solarposition(index, latitude_deg, longitude_deg, altitude_m, method="nrel_numpy")
+    columns = table["elevation"], table["apparent_elevation"], table["azimuth"] % 360.0
+    return np.array(columns, float)
 
 
 def apparent_altitude_deg(altitude_deg: ArrayLike) -> Floats:

@@ -7,6 +7,7 @@ in true north, as the pictures' stated heading gives it.
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -221,57 +222,62 @@ def _shortest_edges(openness: Floats32, factor: int) -> Floats32:
     each pixel the brightest parts, as many as its openness, are open. A blur along bars keeps those
     unbroken that are narrower than a pixel.
     """
-    from scipy.ndimage import gaussian_filter
+    import cv2
+
+    def even(values: Floats32, pixel: float) -> Floats32:
+        blurred = cv2.GaussianBlur(values, (0, 0), 0.5 * pixel, borderType=cv2.BORDER_REPLICATE)
+        return np.asarray(blurred, np.float32)
 
     (height, width), n = openness.shape, factor**2
     mixed = np.nonzero((openness > 0.0) & (openness < _OPEN_PIXEL))
     count = np.round(openness[mixed] * n)[:, None]
-    sharp = _interpolated(openness, factor)
+    sharp = np.asarray(cv2.resize(openness, (width * factor, height * factor)), np.float32)
     pixels = np.repeat((openness >= _OPEN_PIXEL)[..., None], n, axis=-1).astype(np.float32)
     for _ in range(4):
-        smooth = _along_edges(sharp, factor)
+        smooth = _blurred(sharp, factor, _along_edges)
         parts = smooth.reshape(height, factor, width, factor).swapaxes(1, 2)[mixed].reshape(-1, n)
         rank = np.argsort(np.argsort(-parts, axis=1, kind="stable"), axis=1)
         pixels[mixed] = rank < count
         sharp = pixels.reshape(height, width, factor, factor).swapaxes(1, 2)
         sharp = sharp.reshape(height * factor, width * factor)
-    smooth = gaussian_filter(sharp, 0.5 * factor, mode="nearest", truncate=3.0)
+    smooth = _blurred(sharp, factor, even)
     # where best is open or shut, low and high follow it
     return np.where(sharp > 0.5, np.maximum(smooth, 0.5), np.minimum(smooth, 0.499))
 
 
-def _along_edges(values: Floats32, factor: int) -> Floats32:
-    """Return a fine map blurred along its edges and bars.
+def _blurred(
+    values: Floats32, factor: int, blur: Callable[[Floats32, float], Floats32]
+) -> Floats32:
+    """Return a fine map after `blur`, which gets it in steps as fine as blurs need.
+
+    blur: a function of a map and the size of a pixel of the sky view in it.
+    """
+    import cv2
+
+    step = max(1, factor // _BLUR_STEPS)
+    size = values.shape[1] // step, values.shape[0] // step
+    small = np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_AREA), np.float32)
+    return np.asarray(cv2.resize(blur(small, factor / step), values.shape[::-1]), np.float32)
+
+
+def _along_edges(values: Floats32, pixel: float) -> Floats32:
+    """Return a map blurred along its edges and bars; pixel: size of a blurred pixel in it.
 
     Each place takes that of eight long Gaussians which differs most from a round one.
     """
     import cv2
 
     long, short = _EDGE_BLUR
-    step = max(1, factor // _BLUR_STEPS)  # finer than the blur resolves
-    size = values.shape[1] // step, values.shape[0] // step
-    small = cv2.resize(values, size, interpolation=cv2.INTER_AREA) if step > 1 else values
-    scale = factor / step
-    reach = int(np.ceil(3.0 * scale))
-    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1] / scale
-    best = even = cv2.GaussianBlur(small, (0, 0), long * scale, borderType=cv2.BORDER_REPLICATE)
+    reach = int(np.ceil(3.0 * pixel))
+    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1] / pixel
+    best = even = cv2.GaussianBlur(values, (0, 0), long * pixel, borderType=cv2.BORDER_REPLICATE)
     for angle in np.arange(8) * np.pi / 8.0:
         along, across = x * np.cos(angle) + y * np.sin(angle), y * np.cos(angle) - x * np.sin(angle)
         kernel = np.exp(-0.5 * ((along / long) ** 2 + (across / short) ** 2))
-        blurred = cv2.filter2D(small, -1, kernel / kernel.sum(), borderType=cv2.BORDER_REPLICATE)
+        blurred = cv2.filter2D(values, -1, kernel / kernel.sum(), borderType=cv2.BORDER_REPLICATE)
         best = np.where(np.abs(blurred - even) > np.abs(best - even), blurred, best)
-    best = np.asarray(best, np.float32)
-    return best if step == 1 else np.asarray(cv2.resize(best, values.shape[::-1]), np.float32)
+    return np.asarray(best, np.float32)
 
 
 def _enlarged(values: np.ndarray, factor: int) -> np.ndarray:
     return values.repeat(factor, axis=-2).repeat(factor, axis=-1)
-
-
-def _interpolated(values: Floats32, factor: int) -> Floats32:
-    """Return a map enlarged by `factor`, linear between the centres of pixels."""
-    from scipy.ndimage import map_coordinates
-
-    places = [(np.arange(size * factor) + 0.5) / factor - 0.5 for size in values.shape]
-    grid = np.meshgrid(*places, indexing="ij")
-    return np.asarray(map_coordinates(values, grid, order=1, mode="nearest"), np.float32)
