@@ -176,7 +176,7 @@ def test_a_short_budget_still_trains_the_network(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     few = DATA.take(range(0, len(DATA), 6))
-    monkeypatch.setattr(dense.Trainer, "pixels_per_s", lambda *_: 1e5)  # under any load
+    monkeypatch.setattr(dense.Trainer, "pixels_per_s", lambda *_: 1e4)  # under any load
     # by a clock that stands still, so that only the network itself takes time
     answer = run(few, "dense", budget_min=5.0, out=tmp_path, clock=lambda: 0.0)
     row = next(row for row in answer["models"] if row["name"] == "dense")
