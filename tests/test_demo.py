@@ -27,13 +27,13 @@ def _unseen(name: str) -> Iterator[Progress]:
 
 @pytest.fixture(scope="module")
 def outcome(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, demo.Outcome]:
-    """Every third hour of three March days, tiny maps, a draft rendering; a week of weather
+    """Every sixth hour of three March days, tiny maps, a draft rendering; a week of weather
     instead of a year.
     """
     root = tmp_path_factory.mktemp("d")
     setup = load_site(shipped("capture_plans") / "seattle-office.toml")
     request = plan.Request("9-day", today=date(demo.YEAR, 1, 1), year=demo.YEAR)
-    slots = plan.make_plan(setup, request).slots[:36:3]
+    slots = plan.make_plan(setup, request).slots[:36:6]
     create_session(root / "s", setup, slots, {"set": "test"})
     year = (shipped("capture_plans") / demo.WEATHER).read_text("utf-8").splitlines()
     head = next(k for k, line in enumerate(year) if line.startswith("month")) + 1
@@ -75,7 +75,7 @@ def test_what_was_merged_and_paired_is_the_truth(outcome: tuple[Path, demo.Outco
     """
     session = open_session(outcome[0])
     median, _, maps = demo.merged_against_truth(session)
-    assert maps == 12 and median < 0.01
+    assert maps == 6 and median < 0.01
     dni, dhi = demo.irradiance_against_truth(session)
     assert dni < 8.0 and dhi < 2.0
 
