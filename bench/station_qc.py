@@ -20,7 +20,6 @@ import numpy as np
 from fieldlum.core.arrays import Floats
 from fieldlum.core.records import Site
 from fieldlum.pair.irradiance import check, derive, sky_geometry
-from fieldlum.pair.irradiance.consistency import doubts
 from fieldlum.pair.irradiance.series import Mark, Series
 from fieldlum.sky import sun
 
@@ -32,8 +31,6 @@ COMPARED = (
     Mark.DIFFUSE,
     Mark.STUCK,
     Mark.SPIKE,
-    Mark.K_INDEX,
-    Mark.HORIZON,
 )
 
 
@@ -51,9 +48,6 @@ def read_month(path: Path) -> Series:
 def flags_row(name: str, raw: Series, site: Site) -> str:
     altitude, top = sky_geometry(raw.t_unix_s, site)
     marks = check(raw, altitude, top).marks
-    marks |= doubts(
-        Series(raw.t_unix_s, raw.ghi_wm2, raw.dhi_wm2, raw.dni_wm2, marks), altitude, top, site
-    )
     sunny = (raw.dni_wm2 > SUNNY_WM2) & (altitude > 0)
     counts = [int(((marks & mark) != 0)[sunny].sum()) for mark in COMPARED]
     every = 0

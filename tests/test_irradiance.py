@@ -28,7 +28,7 @@ from fieldlum.pair.irradiance import (
     series_of,
     sky_geometry,
 )
-from fieldlum.pair.irradiance.day_curves import MAX_DAYS, chosen_days, draw_days
+from fieldlum.pair.irradiance.days_picture import draw_days
 from fieldlum.pair.irradiance.series import local_period_s
 from fieldlum.session import DayFiles, Session, create_session, day_files, open_session
 from fieldlum.session.files.irradiance_csv import CleanIrradiance
@@ -449,15 +449,6 @@ def test_nothing_logged_is_not_enough(tmp_path: Path) -> None:
 
 # ----------------------------------------------------------------------------------------------
 # day curves
-
-
-@pytest.mark.analytic
-def test_days_with_captures_are_drawn_first() -> None:
-    # analytic: of 100 days, the two with captures (one is early too) and the earliest others
-    days = np.arange(1000, 1100)
-    shown = chosen_days(days, {1098, 1050, 5000})
-    assert len(shown) == MAX_DAYS and shown == sorted(shown)
-    assert set(shown) == {*range(1000, 1000 + MAX_DAYS - 1), 1098}
 
 
 @pytest.mark.slow

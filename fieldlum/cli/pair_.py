@@ -22,7 +22,7 @@ def command(session_folder: Path, scheduler_text: str = "local", force: bool = F
     from fieldlum import pair
     from fieldlum.core.records import counted
     from fieldlum.pair import irradiance
-    from fieldlum.pair.irradiance.day_curves import draw_days
+    from fieldlum.pair.irradiance.days_picture import draw_days
     from fieldlum.session import open_session
     from fieldlum.sky.sky_view import SkyView
 

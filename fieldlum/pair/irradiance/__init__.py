@@ -10,12 +10,11 @@ from zoneinfo import ZoneInfo
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
+from scipy.ndimage import rank_filter, uniform_filter1d
 
 from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.records import Progress, Site, counted, quiet
-from fieldlum.pair.irradiance.consistency import closure_fails, doubts
 from fieldlum.pair.irradiance.series import (
     UNUSABLE,
     Mark,
@@ -33,6 +32,7 @@ from fieldlum.sky.light_clock import CLOCK_WARN_S, clock_off_s, clock_set_s
 STUCK_S = 600.0  # seconds; the same daylight value for this long is a faulty reading; not measured
 # seconds; DIRINT uses neighbouring minutes, but not across a longer gap; chosen
 _SEGMENT_GAP_S = 1800.0
+_HALF_HOUR = ((-900.0, "left"), (900.0, "right"))  # around a row
 SPIKE_WM2 = 20.0  # a smaller deviation is never a spike; not measured
 # The next four are tested by bench/damaged_series.py: spikes found, and false alarms.
 SPIKE_OVER_NEIGHBOURS = 8.0  # least deviation, over the difference of the two neighbours
@@ -40,9 +40,7 @@ SPIKE_OVER_USUAL = 3.0  # least deviation, over the usual step around the row
 _SPIKE_ROWS = 120  # rows on each side for the usual step: ten minutes at 5 s
 # rank of the usual step, so that four other spikes in the window do not hide one; chosen
 _SPIKE_RANK = 9
-# rows processed at a time, where a copy of all rows would need much memory; chosen
-_BLOCK_ROWS = 20_000
-_RECIPE = 8  # Increase it when the arithmetic changes: clean.csv is then computed again.
+_RECIPE = 9  # Increase it when the arithmetic changes: clean.csv is then computed again.
 
 
 # ----------------------------------------------------------------------------------------------
@@ -100,6 +98,25 @@ def check(series: Series, altitude: Floats, top: Floats) -> Series:
     return Series(series.t_unix_s, ghi, dhi, dni, marks)
 
 
+def closure_fails(
+    t_unix_s: Floats, ghi: Floats, dhi: Floats, dni: Floats, altitude: Floats
+) -> Mask:
+    """Return a mask [n] of the rows that contradict global = diffuse + direct, by QCRad's test.
+
+    The ratio of global to diffuse + direct may differ from 1 by 8 % if the sun is higher than 15
+    degrees, and by 15 % if it is lower. A row is only in the mask if at least half of the testable
+    rows in the half hour around it differ by more: under broken clouds, instruments with some
+    distance differ by over 8 % in 4 % of the sunny minutes of a good station. Rows below 50 W/m2,
+    or with only two components, are not testable. altitude: of the sun [n] deg.
+    """
+    ratio = sun.closure_ratio(ghi, dhi, dni, altitude)
+    testable = np.isfinite(ratio) & (altitude > -3.0)
+    fails = testable & (np.abs(ratio - 1.0) > np.where(altitude > 15.0, 0.08, 0.15))
+    first, last = (np.searchsorted(t_unix_s, t_unix_s + s, side) for s, side in _HALF_HOUR)
+    failed, tested = (np.r_[0, np.cumsum(rows)] for rows in (fails, testable))
+    return fails & (2 * (failed[last] - failed[first]) >= tested[last] - tested[first])
+
+
 def _beam_is_unknown(t_unix_s: Floats, beam: Floats) -> Mask:
     """Return a mask of rows whose beam is within a pyranometer's zero offset over five minutes.
 
@@ -142,32 +159,18 @@ def spikes(t_unix_s: Floats, value: Floats) -> Mask:
     (bench/damaged_series.py). Rows next to a gap, and series of fewer than 243 rows, are not
     judged.
     """
-    out = np.zeros(len(value), bool)
     if len(value) < 3 + 2 * _SPIKE_ROWS:
-        return out
+        return np.zeros(len(value), bool)
     step = np.diff(value)
     step[np.diff(t_unix_s) > 2.5 * local_period_s(t_unix_s)[1:]] = np.nan
-    from_left, from_right = step[:-1], -step[1:]
-    with np.errstate(invalid="ignore"):
-        same_side = from_left * from_right > 0
-        departure = np.where(same_side, np.minimum(np.abs(from_left), np.abs(from_right)), 0.0)
-        far = (departure > SPIKE_WM2) & (
-            departure > SPIKE_OVER_NEIGHBOURS * np.abs(from_left - from_right)
-        )
-    # Steps around the candidate row k + 1, without its own two steps (k and k + 1).
-    around = np.r_[-_SPIKE_ROWS:0, 2 : 2 + _SPIKE_ROWS]
+    before, after = step[:-1], -step[1:]
+    departure = np.where(before * after > 0, np.minimum(np.abs(before), np.abs(after)), 0.0)
+    # Eleventh of all steps, because the two of a spike are larger than the others.
     size = np.abs(np.nan_to_num(step))
-    candidates = np.flatnonzero(far)
-    block = _BLOCK_ROWS // _SPIKE_ROWS
-    for first in range(0, len(candidates), block):
-        some = candidates[first : first + block]
-        near = some[:, None] + around
-        others = np.where(
-            (near >= 0) & (near < len(size)), size[np.clip(near, 0, len(size) - 1)], 0.0
-        )
-        usual = np.partition(others, -_SPIKE_RANK, axis=1)[:, -_SPIKE_RANK]
-        out[some[departure[some] > SPIKE_OVER_USUAL * usual] + 1] = True
-    return out
+    usual = rank_filter(size, -_SPIKE_RANK - 2, 2 * _SPIKE_ROWS + 2, mode="constant")[1:]
+    least = np.maximum(SPIKE_WM2, SPIKE_OVER_USUAL * usual)
+    is_spike = (departure > least) & (departure > SPIKE_OVER_NEIGHBOURS * np.abs(before - after))
+    return np.r_[False, is_spike, False]
 
 
 # ----------------------------------------------------------------------------------------------
@@ -351,8 +354,6 @@ _FAULTS = {
     Mark.IMPOSSIBLE: "an impossible irradiance: check units, columns and clock",
     Mark.EXTREME: "an extremely rare irradiance: check units, columns and clock",
     Mark.DIFFUSE: "more diffuse than global irradiance: check whether the columns are exchanged",
-    Mark.K_INDEX: "an impossible ratio of global, diffuse and direct: check instruments, tracker",
-    Mark.HORIZON: "the sun in a low part of the sky where it was never measured: check for shade",
     Mark.STUCK: "one value for over ten minutes: check the instrument and its cable",
     Mark.STATUS: "an error reported by the instrument: see its manual",
     Mark.SPIKE: "isolated spikes: check the cable",
@@ -422,7 +423,6 @@ def run(session: Session, *, force: bool = False, progress: Progress = quiet) ->
         )
     altitude, top = sky_geometry(raw.t_unix_s, site)
     checked = check(raw, altitude, top)
-    checked.marks[:] |= doubts(checked, altitude, top, site)
     series = derive(checked, altitude, site)
     quality = health(raw, series, altitude, top, broken, site)
     clean_of(series).write(clean)

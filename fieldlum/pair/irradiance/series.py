@@ -31,9 +31,6 @@ class Mark(IntFlag):
     # one reading deviates from both neighbours: a damaged line, a bird, a very small cloud
     SPIKE = 1024
     DOUBLE = 2048  # another row of the same time has other values; the first one is used
-    # clearness, diffuse share or beam transmittance that is impossible for that long
-    K_INDEX = 4096
-    HORIZON = 16384  # a part of the low sky where the sun is always hidden
 
 
 UNUSABLE = Mark.IMPOSSIBLE | Mark.STATUS | Mark.STUCK
