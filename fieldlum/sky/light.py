@@ -10,7 +10,7 @@ exists, `models.transport` to learn from pictures.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import cached_property
 
@@ -61,15 +61,13 @@ class Light:
     def __getitem__(self, rows: slice | Array | Sequence[int]) -> Light:
         """Return the times that an index, a boolean array or a slice selects."""
         index = np.arange(len(self))[rows if isinstance(rows, slice) else np.asarray(rows)]
-        return Light(
-            tuple(self.t_utc[i] for i in index),
-            self.dni_wm2[index],
-            self.dhi_wm2[index],
-            self.sun_altitude_deg[index],
-            self.sun_azimuth_deg[index],
-            None if self.perez is None else self.perez[index],
-            None if self.states is None else tuple(self.states[i] for i in index),
-            self.refraction,
+        names = ("dni_wm2", "dhi_wm2", "sun_altitude_deg", "sun_azimuth_deg")
+        return replace(
+            self,
+            t_utc=tuple(self.t_utc[i] for i in index),
+            perez=None if self.perez is None else self.perez[index],
+            states=None if self.states is None else tuple(self.states[i] for i in index),
+            **{name: getattr(self, name)[index] for name in names},
         )
 
     @cached_property
@@ -216,14 +214,8 @@ class Features:
 
     def __getitem__(self, rows: slice | Array | Sequence[int]) -> Features:
         """Return the hours that an index array, a boolean array or a slice selects."""
-        return Features(
-            self.sky[rows],
-            self.beam[rows],
-            self.direction[rows],
-            None if self.bounced is None else self.bounced[rows],
-            None if self.lamps is None else self.lamps[rows],
-            None if self.changed is None else self.changed[rows],
-        )
+        parts = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        return replace(self, **{n: v[rows] for n, v in parts.items() if v is not None})
 
 
 def light_features(light: Light) -> Features:
@@ -338,20 +330,16 @@ def greedy_hours(
     already captured, which reduce the variance first; None for none. noise: variance
     of one capture, in units of the kernel. Cost: O((len(year) + len(pool)) len(pool) count).
     """
-    cross, own = kernel(year, pool), kernel(pool, pool)
-    prior = kernel.diagonal(year)
+    cross, own, prior = kernel(year, pool), kernel(pool, pool), kernel.diagonal(year)
+    total = left = float(prior.sum())
     if taken is not None and len(taken):
         covariance = kernel(taken, taken) + noise * np.eye(len(taken))
-        towards = np.linalg.solve(
-            covariance, np.concatenate((kernel(taken, pool), kernel(taken, year)), axis=1)
-        )
-        cross = cross - kernel(year, taken) @ towards[:, : len(pool)]
-        own = own - kernel(pool, taken) @ towards[:, : len(pool)]
-        variance_left = prior - np.einsum("ij,ji->i", kernel(year, taken), towards[:, len(pool) :])
-    else:
-        variance_left = prior.copy()
-    total = float(prior.sum())
-    index, variance = [], [float(variance_left.sum()) / total]
+        year_taken, pool_taken = kernel(year, taken), kernel(pool, taken)
+        towards = np.linalg.solve(covariance, np.concatenate((pool_taken, year_taken)).T)
+        cross = cross - year_taken @ towards[:, : len(pool)]
+        own = own - pool_taken @ towards[:, : len(pool)]
+        left -= float(np.einsum("ij,ji->", year_taken, towards[:, len(pool) :]))
+    index, variance = [], [left / total]
     free = np.ones(len(pool), bool)
     for step in range(min(count, len(pool))):
         variances = np.maximum(np.diagonal(own), 0.0) + noise

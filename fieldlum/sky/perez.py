@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,85 +29,10 @@ _BINS = np.array([1.065, 1.23, 1.5, 1.95, 2.8, 4.5, 6.2])
 _CLEARNESS = (1.0, 12.01)
 _BRIGHTNESS = (0.01, 0.6)
 
-# Perez 1993, table 1: for each bin of clearness a, b, c, d, e, each as (1, Z, Delta, Delta Z).
-_SHAPE = np.fromstring(
-    """
-      1.3525  -0.2576  -0.2690  -1.4366
-     -0.7670   0.0007   1.2734  -0.1233
-      2.8000   0.6004   1.2375   1.0000
-      1.8734   0.6297   0.9738   0.2809
-      0.0356  -0.1246  -0.5718   0.9938
-
-     -1.2219  -0.7730   1.4148   1.1016
-     -0.2054   0.0367  -3.9128   0.9156
-      6.9750   0.1774   6.4477  -0.1239
-     -1.5798  -0.5081  -1.7812   0.1080
-      0.2624   0.0672  -0.2190  -0.4285
-
-     -1.1000  -0.2515   0.8952   0.0156
-      0.2782  -0.1812  -4.5000   1.1766
-     24.7219 -13.0812 -37.7000  34.8438
-     -5.0000   1.5218   3.9229  -2.6204
-     -0.0156   0.1597   0.4199  -0.5562
-
-     -0.5484  -0.6654  -0.2672   0.7117
-      0.7234  -0.6219  -5.6812   2.6297
-     33.3389 -18.3000 -62.2500  52.0781
-     -3.5000   0.0016   1.1477   0.1062
-      0.4659  -0.3296  -0.0876  -0.0329
-
-     -0.6000  -0.3566  -2.5000   2.3250
-      0.2937   0.0496  -5.6812   1.8415
-     21.0000  -4.7656 -21.5906   7.2492
-     -3.5000  -0.1554   1.4062   0.3988
-      0.0032   0.0766  -0.0656  -0.1294
-
-     -1.0156  -0.3670   1.0078   1.4051
-      0.2875  -0.5328  -3.8500   3.3750
-     14.0000  -0.9999  -7.1406   7.5469
-     -3.4000  -0.1078  -1.0750   1.5702
-     -0.0672   0.4016   0.3017  -0.4844
-
-     -1.0000   0.0211   0.5025  -0.5119
-     -0.3000   0.1922   0.7023  -1.6317
-     19.0000  -5.0000   1.2438  -1.9094
-     -4.0000   0.0250   0.3844   0.2656
-      1.0468  -0.3788  -2.4517   1.4656
-
-     -1.0500   0.0289   0.4260   0.3590
-     -0.3250   0.1156   0.7781   0.0025
-     31.0625 -14.5000 -46.1148  55.3750
-     -7.2312   0.4050  13.3500   0.6234
-      1.5000  -0.6426   1.8564   0.5636
-    """,
-    sep=" ",
-).reshape(8, 5, 4)
-
-# Perez 1990, table 4: a, b (water), c (zenith), d (brightness) of each bin.
-_DIFFUSE_EFFICACY = np.array(
-    [
-        [97.24, -0.46, 12.00, -8.91],
-        [107.22, 1.15, 0.59, -3.95],
-        [104.97, 2.96, -5.53, -8.77],
-        [102.39, 5.59, -13.95, -13.90],
-        [100.71, 5.94, -22.75, -23.74],
-        [106.42, 3.83, -36.15, -28.83],
-        [141.88, 1.90, -53.24, -14.03],
-        [152.23, 0.35, -45.27, -7.98],
-    ]
-)
-_DIRECT_EFFICACY = np.array(
-    [
-        [57.20, -4.55, -2.98, 117.12],
-        [98.99, -3.46, -1.21, 12.38],
-        [109.83, -4.90, -1.71, -8.81],
-        [110.34, -5.84, -1.99, -4.56],
-        [106.36, -3.97, -1.75, -6.16],
-        [107.19, -1.25, -1.51, -26.73],
-        [105.75, 0.77, -1.26, -34.44],
-        [101.18, 1.58, -1.10, -8.29],
-    ]
-)
+# Their coefficients by bin: the shape a to e of 1993 [8, 5, 4], the efficacies of 1990 [8, 4] each.
+_TABLES = np.loadtxt(Path(__file__).with_name("perez.txt"))
+_SHAPE = _TABLES[:40].reshape(8, 5, 4)
+_DIFFUSE_EFFICACY, _DIRECT_EFFICACY = _TABLES[40:].reshape(2, 8, 4)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -208,27 +134,6 @@ class PerezSky:
         return PerezSky(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
 
 
-def day_of_year(times_utc: Sequence[datetime]) -> Floats:
-    """Return the day of the year, from 1, [n]."""
-    return np.array([t.timetuple().tm_yday for t in times_utc], float)
-
-
-def _eccentricity(day: Floats) -> Floats:
-    angle = 2 * np.pi * (day - 1) / 365
-    return (
-        1.00011
-        + 0.034221 * np.cos(angle)
-        + 0.00128 * np.sin(angle)
-        + 0.000719 * np.cos(2 * angle)
-        + 0.000077 * np.sin(2 * angle)
-    )
-
-
-def _air_mass(zenith_deg: Floats) -> Floats:
-    """Return the relative air mass by Kasten 1966, [n]."""
-    return 1 / (np.cos(np.radians(zenith_deg)) + 0.15 * (93.885 - zenith_deg) ** -1.253)
-
-
 def _clearness_brightness(
     dni: Floats, dhi: Floats, zenith_deg: Floats, day: Floats
 ) -> tuple[Floats, Floats]:
@@ -236,11 +141,15 @@ def _clearness_brightness(
 
     Both are limited to the model's range, as in gendaylit.
     """
+    from pvlib.atmosphere import get_relative_airmass
+    from pvlib.irradiance import get_extra_radiation
+
     cubed = 1.041 * np.radians(zenith_deg) ** 3
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         clearness = ((dhi + dni) / dhi + cubed) / (1 + cubed)
     clearness = np.where(dhi > 0, clearness, np.where(dni > 0, np.inf, 1.0))
-    brightness = dhi * _air_mass(zenith_deg) / (SOLAR_CONSTANT_WM2 * _eccentricity(day))
+    top = np.asarray(get_extra_radiation(day, SOLAR_CONSTANT_WM2, "spencer"))
+    brightness = dhi * get_relative_airmass(zenith_deg, "kasten1966") / top
     minimum, maximum = _CLEARNESS
     clearness = np.where(clearness > maximum, maximum - 0.001, np.maximum(clearness, minimum))
     return clearness, np.clip(brightness, *_BRIGHTNESS)
@@ -273,15 +182,6 @@ def _relative(shape: Floats, cos_zenith: Floats, gamma: Floats) -> Floats:
     return (1 + a * np.exp(b / cos_zenith)) * (1 + c * np.exp(d * gamma) + e * np.cos(gamma) ** 2)
 
 
-@lru_cache(maxsize=1)
-def _tregenza() -> tuple[Floats, Floats]:
-    """Return zenith angle and azimuth of the points of gendaylit's integral, [145] each, in rad."""
-    counts, zenith = (30, 30, 24, 24, 18, 12, 6, 1), (84, 72, 60, 48, 36, 24, 12, 0)
-    theta = np.concatenate([np.full(n, z, float) for n, z in zip(counts, zenith, strict=True)])
-    phi = np.concatenate([np.arange(n) * 360.0 / n for n in counts])
-    return np.radians(theta), np.radians(phi)
-
-
 def _relative_horizontal(shape: Floats, zenith: Floats) -> Floats:
     """Return the integral of the relative luminance times the cosine, [n], over 145 points.
 
@@ -289,12 +189,10 @@ def _relative_horizontal(shape: Floats, zenith: Floats) -> Floats:
     which the normalisation corrects (the integral is negative too), or over a part of it, which
     then has no light.
     """
-    theta, phi = _tregenza()
-    z = zenith[:, None]
-    gamma = np.arccos(
-        np.clip(np.cos(z) * np.cos(theta) + np.sin(z) * np.sin(theta) * np.cos(phi), -1, 1)
-    )
-    parts = _relative(shape[:, None, :], np.cos(theta), gamma) * np.cos(theta)
+    rays = reinhart_patches(1).directions  # Tregenza's
+    sun = np.stack((np.zeros_like(zenith), np.sin(zenith), np.cos(zenith)), axis=-1)
+    gamma = np.arccos(np.clip(cosines(sun, rays), -1, 1))
+    parts = _relative(shape[:, None, :], rays[:, 2], gamma) * rays[:, 2]
     sign = np.where(parts.sum(axis=1) < 0, -1.0, 1.0)
     lit = np.maximum(sign[:, None] * parts, 0.0).sum(axis=1)
     return sign * np.maximum(lit, 1e-6) * 2 * np.pi / 145
@@ -326,18 +224,12 @@ def perez_coefficients(
     gendaylit. A sky outside the model (with a positive coefficient b) is levelled towards the
     horizon; gendaylit gives a black sky. Negative irradiance counts as 0.
     """
-    day = _days(when)
-    dni, dhi, altitude_deg, day = (
-        np.asarray(a, float)
-        for a in np.broadcast_arrays(
-            np.maximum(np.asarray(dni_wm2, float), 0),
-            np.maximum(np.asarray(dhi_wm2, float), 0),
-            np.clip(np.asarray(sun_altitude_deg, float), 0.0, 87.0),
-            day,
-        )
-    )
-    shape_in = dni.shape
-    dni, dhi, altitude_deg, day = (np.atleast_1d(a).ravel() for a in (dni, dhi, altitude_deg, day))
+    items = np.atleast_1d(np.asarray(when))
+    if items.dtype == object:
+        items = np.array([t.timetuple().tm_yday for t in items])
+    parts = np.broadcast_arrays(dni_wm2, dhi_wm2, sun_altitude_deg, items)
+    dni, dhi, altitude_deg, day = (np.asarray(part, float) for part in parts)
+    dni, dhi, altitude_deg = np.maximum(dni, 0), np.maximum(dhi, 0), np.clip(altitude_deg, 0, 87)
     zenith_deg = 90.0 - altitude_deg
     zenith, altitude = np.radians(zenith_deg), np.radians(altitude_deg)
     clearness, brightness = _clearness_brightness(dni, dhi, zenith_deg, day)
@@ -353,15 +245,7 @@ def perez_coefficients(
         zenith_cdm2 * _ground_over_zenith(clearness, altitude)
         + direct_lx * np.sin(altitude) / np.pi
     )
-    parts = (norm, ground, shape, clearness, brightness, direct_lx, diffuse_lx)
-    return PerezSky(*(np.asarray(p).reshape((*(shape_in or (1,)), *p.shape[1:])) for p in parts))
-
-
-def _days(when: ArrayLike | Sequence[datetime]) -> Floats:
-    items = np.asarray(when)
-    if items.dtype == object:
-        return day_of_year(list(items.ravel()))
-    return items.astype(float)
+    return PerezSky(norm, ground, shape, clearness, brightness, direct_lx, diffuse_lx)
 
 
 # Three products, added in the order x, y, z: a BLAS library adds in another order for another

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, date, datetime, time, timedelta
 from functools import lru_cache
+from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 from zoneinfo import ZoneInfo
 
@@ -29,10 +30,8 @@ SUN_SOLID_ANGLE_SR = 6.797e-5
 OBLIQUITY_DEG = 23.44  # of the ecliptic in this century (IAU): the sun's largest declination
 # Conditions of the standard atmosphere, hPa and deg C; 20 degrees or 2 km more change refraction by
 # 7 % and 22 %, a hundredth of a degree with the sun at 10 degrees.
-_STANDARD_PRESSURE_HPA, _STANDARD_TEMPERATURE_C = 1013.25, 12.0
-_HORIZON_REFRACTION_DEG = (
-    0.5667  # pvlib's default; 0.27 degrees (the disc) below it nothing is seen
-)
+_STANDARD_HPA_C = (1013.25, 12.0)
+_HORIZON_REFRACTION_DEG = 0.5667  # pvlib's default; 0.27 degrees (the disc) below it is nothing
 
 
 class SunPosition(NamedTuple):
@@ -47,15 +46,12 @@ class SunPosition(NamedTuple):
     azimuth_deg: Floats
 
 
-def pandas_index(times_utc: Sequence[datetime], who: str) -> pd.DatetimeIndex:
-    """Return times as a pandas index in UTC.
-
-    Raises ValueError for naive times, with `who` as the caller's name.
-    """
+def pandas_index(times_utc: Sequence[datetime]) -> pd.DatetimeIndex:
+    """Return times as a pandas index in UTC. Raises ValueError for naive times."""
     import pandas as pd
 
     if any(t.tzinfo is None for t in times_utc):
-        raise ValueError(f"naive time given to sun.{who}; add a time zone")
+        raise ValueError("naive time: add a time zone")
     return pd.DatetimeIndex(pd.to_datetime(list(times_utc), utc=True))
 
 
@@ -64,7 +60,7 @@ def position(times_utc: Sequence[datetime], site: Site) -> SunPosition:
 
     Arrays are in the order of times_utc, empty without times. Raises ValueError for naive times.
     """
-    index = pandas_index(times_utc, "position")
+    index = pandas_index(times_utc)
     place = site.latitude_deg, site.longitude_deg, site.altitude_m
     return SunPosition(*_spa(index.as_unit("ns").asi8.tobytes(), *place).copy())
 
@@ -93,12 +89,8 @@ def apparent_altitude_deg(altitude_deg: ArrayLike) -> Floats:
 
     altitude = np.asarray(altitude_deg, float)
     visible = altitude >= -(0.26667 + _HORIZON_REFRACTION_DEG)
-    raised = spa.atmospheric_refraction_correction(
-        _STANDARD_PRESSURE_HPA,
-        _STANDARD_TEMPERATURE_C,
-        np.where(visible, altitude, 0.0),
-        _HORIZON_REFRACTION_DEG,
-    )
+    shown = np.where(visible, altitude, 0.0), _HORIZON_REFRACTION_DEG
+    raised = spa.atmospheric_refraction_correction(*_STANDARD_HPA_C, *shown)
     return altitude + np.where(visible, raised, 0.0)
 
 
@@ -165,49 +157,27 @@ def standard_midnight(day: date, timezone: str) -> datetime:
 def clock_changes(first: date, last: date, timezone: str) -> list[tuple[datetime, timedelta]]:
     """Return the clock changes from standard midnight at the start of `first` to the end of `last`.
 
-    Each is (moment in UTC, new minus old UTC offset), in order; found to the half hour.
+    Each is (moment in UTC, new minus old UTC offset), in order; found to the half hour, on which
+    every change of the last fifty years was.
     """
-    zone = ZoneInfo(timezone)
-    start, changes = standard_midnight(first, timezone), []
-    hours = ((last - first).days + 1) * 24
-    before = start.astimezone(zone).utcoffset() or timedelta()
-    # Every change of the last fifty years was on a half hour of UTC.
-    for hour in range(1, hours * 2 + 1):
-        moment = start + timedelta(minutes=30 * hour)
-        now = moment.astimezone(zone).utcoffset() or timedelta()
-        if now != before:
-            changes.append((moment, now - before))
-        before = now
-    return changes
+    start, half_hours = standard_midnight(first, timezone), 48 * ((last - first).days + 1)
+    moments = [start + timedelta(minutes=30 * k) for k in range(half_hours + 1)]
+    local = [t.astimezone(ZoneInfo(timezone)).replace(tzinfo=UTC) for t in moments]
+    steps = [b - a - timedelta(minutes=30) for a, b in pairwise(local)]
+    return [(t, step) for t, step in zip(moments[1:], steps, strict=True) if step]
 
 
-def _apparent_longitude_deg(unix_s: float) -> float:
-    """Return the apparent geocentric ecliptic longitude of the sun, in deg.
-
-    By the steps of Reda and Andreas 2004 (pvlib.spa).
-    """
+def _ecliptic_longitude_deg(moment: datetime) -> float:
+    """Return the apparent ecliptic longitude of the sun, in deg, by SPA's equatorial place."""
     from pvlib import spa
 
-    ut = np.atleast_1d(unix_s)
-    moment = datetime.fromtimestamp(unix_s, UTC)
-    jde = spa.julian_ephemeris_day(
-        spa.julian_day(ut), spa.calculate_deltat(moment.year, moment.month)
-    )
-    jce = spa.julian_ephemeris_century(jde)
-    jme = spa.julian_ephemeris_millennium(jce)
-    nutation = np.zeros((2, 1))  # filled in place: longitude, obliquity
-    spa.longitude_obliquity_nutation(
-        jce,
-        spa.mean_elongation(jce),
-        spa.mean_anomaly_sun(jce),
-        spa.mean_anomaly_moon(jce),
-        spa.moon_argument_latitude(jce),
-        spa.moon_ascending_longitude(jce),
-        nutation,
-    )
-    aberration = spa.aberration_correction(spa.heliocentric_radius_vector(jme))
-    theta = spa.geocentric_longitude(spa.heliocentric_longitude(jme))
-    return float(spa.apparent_sun_longitude(theta, nutation[0], aberration)[0])
+    delta_t = spa.calculate_deltat(moment.year, moment.month)
+    unix_s = np.array([moment.timestamp()])
+    place = spa.solar_position_numpy(unix_s, 0, 0, 0, 0, 0, delta_t, 0, 1, sst=True)
+    ascension, declination = np.radians(place[1:])
+    tilt = np.radians(OBLIQUITY_DEG)  # exact enough: its error has no effect at the seasons
+    east = np.sin(ascension) * np.cos(tilt) + np.tan(declination) * np.sin(tilt)
+    return float(np.degrees(np.arctan2(east, np.cos(ascension)))[0])
 
 
 @lru_cache(maxsize=128)
@@ -219,12 +189,12 @@ def season(year: int, which: int) -> datetime:
     minute of the almanac's tables from 1950 to 2050.
     """
     month, target = (3, 6, 9, 12)[which], 90.0 * which
-    moment = datetime(year, month, 21, tzinfo=UTC).timestamp()
+    moment = datetime(year, month, 21, tzinfo=UTC)
     # Newton with the mean rate of the longitude: each step reduces the error about thirtyfold.
     for _ in range(8):
-        behind = float(signed_angle_deg(target - _apparent_longitude_deg(moment)))
-        moment += behind / 360.0 * 365.2422 * 86400.0
-    return datetime.fromtimestamp(round(moment), UTC)
+        behind = float(signed_angle_deg(target - _ecliptic_longitude_deg(moment)))
+        moment += timedelta(days=behind / 360.0 * 365.2422)
+    return (moment + timedelta(seconds=0.5)).replace(microsecond=0)
 
 
 def declination_deg(times_utc: Sequence[datetime]) -> Floats:
@@ -290,9 +260,6 @@ LOW_SUN_DEG = 5.0
 ZERO_OFFSET_WM2 = 2.0  # of a horizontal reading (ISO 9060, zero offset B of class A)
 # Above this altitude shares and ratios of horizontal readings can be tested. Chosen, not measured.
 CLEAR_SUN_DEG = 10.0
-# Global over extraterrestrial light, at least; the darkest storm transmits ten times as much, a
-# file in kW has a thousandth. Chosen, not measured.
-MIN_CLEARNESS = 0.005
 
 
 @contextmanager
@@ -311,9 +278,7 @@ def extraterrestrial_wm2(times_utc: Sequence[datetime]) -> Floats:
     from pvlib.irradiance import get_extra_radiation
 
     with _old_names():
-        return np.asarray(
-            get_extra_radiation(pandas_index(times_utc, "extraterrestrial_wm2")), float
-        )
+        return np.asarray(get_extra_radiation(pandas_index(times_utc)), float)
 
 
 class Irradiance(NamedTuple):
@@ -334,7 +299,7 @@ def clearsky(times_utc: Sequence[datetime], site: Site) -> Irradiance:
 
     place = Location(site.latitude_deg, site.longitude_deg, "UTC", site.altitude_m)
     with _old_names():
-        table = place.get_clearsky(pandas_index(times_utc, "clearsky"), model="ineichen")
+        table = place.get_clearsky(pandas_index(times_utc), model="ineichen")
     return Irradiance(*(np.asarray(table[name], float) for name in ("ghi", "dni", "dhi")))
 
 
@@ -355,7 +320,7 @@ def dirint_dni(ghi_wm2: ArrayLike, times_utc: Sequence[datetime], site: Site) ->
         computed = dirint(
             np.maximum(ghi, 0.0),
             zenith,
-            pandas_index(times_utc, "dirint_dni"),
+            pandas_index(times_utc),
             pressure=alt2pres(site.altitude_m),
         )
     dni = np.nan_to_num(np.asarray(computed, float), nan=0.0)
@@ -394,6 +359,13 @@ class Limits(NamedTuple):
     dni_wm2: tuple[float, Floats]
 
 
+# Lowest value; factor, power and offset of the highest GHI, DHI and DNI.
+_BSRN = {
+    False: (-4.0, ((1.5, 1.2, 100.0), (0.95, 1.2, 50.0), (1.0, 0.0, 0.0))),
+    True: (-2.0, ((1.2, 1.2, 50.0), (0.75, 1.2, 30.0), (0.95, 0.2, 10.0))),
+}
+
+
 def bsrn_limits(
     altitude_deg: ArrayLike, extraterrestrial: ArrayLike, *, extreme: bool = False
 ) -> Limits:
@@ -405,28 +377,19 @@ def bsrn_limits(
     """
     mu = np.maximum(np.sin(np.radians(altitude_deg)), 0.0)
     sa = np.asarray(extraterrestrial, float)
-    if extreme:
-        return Limits(
-            (-2.0, 1.2 * sa * mu**1.2 + 50.0),
-            (-2.0, 0.75 * sa * mu**1.2 + 30.0),
-            (-2.0, 0.95 * sa * mu**0.2 + 10.0),
-        )
-    return Limits(
-        (-4.0, 1.5 * sa * mu**1.2 + 100.0),
-        (-4.0, 0.95 * sa * mu**1.2 + 50.0),
-        (-4.0, sa + 0.0 * mu),
-    )
+    low, terms = _BSRN[extreme]
+    return Limits(*((low, factor * sa * mu**power + offset) for factor, power, offset in terms))
 
 
 def too_weak(ghi_wm2: ArrayLike, altitude_deg: ArrayLike, extraterrestrial: ArrayLike) -> Mask:
     """Return True where global is under 0.5 % of extraterrestrial sin(altitude), [n].
 
     False for a sun up to 10 degrees. Where True, the instrument is covered or dead, or the unit is
-    kW/m2.
+    kW/m2: the darkest storm transmits ten times as much, a file in kW a seventh.
     """
     altitude = np.asarray(altitude_deg, float)
     top = np.asarray(extraterrestrial, float) * np.sin(np.radians(np.maximum(altitude, 0.0)))
-    return (altitude > CLEAR_SUN_DEG) & (np.asarray(ghi_wm2, float) < MIN_CLEARNESS * top)
+    return (altitude > CLEAR_SUN_DEG) & (np.asarray(ghi_wm2, float) < 0.005 * top)
 
 
 def closure_ratio(

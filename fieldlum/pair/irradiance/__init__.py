@@ -32,7 +32,6 @@ from fieldlum.sky.light_clock import CLOCK_WARN_S, clock_off_s, clock_set_s
 STUCK_S = 600.0  # seconds; the same daylight value for this long is a faulty reading; not measured
 # seconds; DIRINT uses neighbouring minutes, but not across a longer gap; chosen
 _SEGMENT_GAP_S = 1800.0
-_HALF_HOUR = ((-900.0, "left"), (900.0, "right"))  # around a row
 SPIKE_WM2 = 20.0  # a smaller deviation is never a spike; not measured
 # The next four are tested by bench/damaged_series.py: spikes found, and false alarms.
 SPIKE_OVER_NEIGHBOURS = 8.0  # least deviation, over the difference of the two neighbours
@@ -112,7 +111,8 @@ def closure_fails(
     ratio = sun.closure_ratio(ghi, dhi, dni, altitude)
     testable = np.isfinite(ratio) & (altitude > -3.0)
     fails = testable & (np.abs(ratio - 1.0) > np.where(altitude > 15.0, 0.08, 0.15))
-    first, last = (np.searchsorted(t_unix_s, t_unix_s + s, side) for s, side in _HALF_HOUR)
+    first = np.searchsorted(t_unix_s, t_unix_s - 900.0)
+    last = np.searchsorted(t_unix_s, t_unix_s + 900.0, side="right")
     failed, tested = (np.r_[0, np.cumsum(rows)] for rows in (fails, testable))
     return fails & (2 * (failed[last] - failed[first]) >= tested[last] - tested[first])
 
