@@ -434,7 +434,7 @@ class Trainer:
     def pixels_per_s(self) -> float:
         """Return the measured speed of training; the first of four batches also compiles."""
         device, start_s = self.pixels.target.device, 0.0
-        count = min(self.largest, len(self.pixels))
+        count = min(max(self.largest // 8, MIN_BATCH), len(self.pixels))
         numbers = torch.arange(count, device=device).repeat(world())
         for k in range(4):
             start_s = time.monotonic() if k == 1 else start_s

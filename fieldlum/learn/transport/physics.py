@@ -6,8 +6,6 @@ at the level of its captures, is the prior mean of the fit, if held-out days do 
 
 from __future__ import annotations
 
-import os
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from functools import cached_property, lru_cache
@@ -71,16 +69,14 @@ class Physics:
         Those of suns of earlier calls are stored: the fits of one training share captures.
         """
         toward = self._points.scene.to_room(light.apparent_sun_direction)
+        keys = [tuple(sun) for sun in toward.tolist()]
         out = np.zeros((len(light), len(self.modes)), np.float32)
-
-        def one(k: int) -> None:
-            key = tuple(toward[k].tolist())
-            if key not in self._suns:
-                self._suns[key] = self.modes @ self._points.direct(toward[k])
-            out[k] = self._suns[key] * light.direct_lx[k]
-
-        with ThreadPoolExecutor(min(os.cpu_count() or 1, 8)) as pool:
-            list(pool.map(one, np.flatnonzero(light.direct_lx > 0.0)))
+        lit = np.flatnonzero(light.direct_lx > 0.0)
+        new = [k for k in lit if keys[k] not in self._suns]
+        for k, lx in zip(new, self._points.direct(toward[new]), strict=True):
+            self._suns[keys[k]] = self.modes @ lx
+        for k in lit:
+            out[k] = self._suns[keys[k]] * light.direct_lx[k]
         return out
 
     def features(self, light: Light, sunlight: Floats32) -> Floats32:

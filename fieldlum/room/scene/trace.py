@@ -351,15 +351,23 @@ def add_through(
 @compiled
 def _add_outside(
     low: Floats, high: Floats, position: Floats32, face: NDArray[np.int8], weight: Floats,
-    target: Indices, sun: Floats, total: Floats,
+    target: Indices, suns: Floats, totals: Floats,
 ) -> None:  # fmt: skip
-    """Add weight x cosine of points from which no box hides the sun; see `add_through`."""
-    inverse, boxes = _inverses(sun), np.arange(len(low))
-    for point in range(len(face)):
-        cosine = _cosine(face[point], sun)
-        if cosine > _GRAZING:
-            share = _unshaded(low, high, boxes, position, point, inverse, HARD_M)
-            total[target[point]] += share * cosine * weight[point]
+    """Add weight x cosine of points from which no box hides the suns; see `add_through`."""
+    boxes, hard = np.arange(len(low)), np.full(len(face), HARD_M, np.float32)
+    for first in range(0, len(face), _BLOCK):
+        last = min(first + _BLOCK, len(face))
+        bounds = _bounds(position, hard, first, last)
+        for hour in range(len(suns)):
+            if suns[hour, 2] <= 0.0:
+                continue
+            inverse = _inverses(suns[hour])
+            some = boxes[: _nearby(low, high, bounds, inverse, boxes)]
+            for point in range(first, last):
+                cosine = _cosine(face[point], suns[hour])
+                if cosine > _GRAZING:
+                    share = _unshaded(low, high, some, position, point, inverse, HARD_M)
+                    totals[hour, target[point]] += share * cosine * weight[point]
 
 
 @dataclass(frozen=True)
@@ -407,9 +415,7 @@ class SunPoints:
                 group.weight, group.target, suns, glass, totals,
             )  # fmt: skip
         g = self.outside
-        for sun, total in zip(suns, totals, strict=True):
-            if sun[2] > 0.0:
-                _add_outside(g.low, g.high, g.position, g.face, g.weight, g.target, sun, total)
+        _add_outside(g.low, g.high, g.position, g.face, g.weight, g.target, suns, totals)
         return totals.astype(np.float32).reshape(*np.shape(toward)[:-1], self.targets)
 
 

@@ -11,11 +11,12 @@ higher for windows with bright and dark panes (docs/validation.md, "Glare").
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fieldlum.core.arrays import Floats, Floats32, Mask
+from fieldlum.core.arrays import Floats, Floats32, Indices, Mask
 from fieldlum.optics.projection import (
     altitude_azimuth_deg,
     direction,
@@ -180,25 +181,37 @@ def widen(mask: Mask, radius_rad: float) -> Mask:
     out = np.zeros_like(mask)
     if len(rows) == 0:
         return out
-    reach = max(1, round(radius_rad / np.pi * height))
-    first, last = max(0, rows[0] - reach), min(height, rows[-1] + reach + 1)
-    altitude = np.pi / 2 - (np.arange(height) + 0.5) / height * np.pi
-    tiled = np.concatenate([mask, mask, mask], axis=1)[rows[0] : rows[-1] + 1]
-    counts = np.zeros((height, 3 * width + 1), np.int32)
-    counts[rows[0] : rows[-1] + 1, 1:] = np.cumsum(tiled, axis=1)
-    columns = np.arange(width, 2 * width)
-    for row in range(first, last):
-        near = np.arange(max(rows[0], row - reach), min(rows[-1], row + reach) + 1)
-        # Haversine formula: half the width, in columns, of the small circle where it meets the
-        # other row.
-        rest = np.sin(radius_rad / 2) ** 2 - np.sin((altitude[near] - altitude[row]) / 2) ** 2
-        near, rest = near[rest >= 0], rest[rest >= 0]
-        share = rest / (np.cos(altitude[near]) * np.cos(altitude[row]))
-        half = np.floor(np.arcsin(np.sqrt(np.minimum(share, 1.0))) / np.pi * width).astype(int)
-        for other, reach_columns in zip(near, np.minimum(half, width // 2), strict=True):
-            line = counts[other]
-            out[row] |= line[columns + reach_columns + 1] > line[columns - reach_columns]
+    first, last = rows[0], rows[-1]
+    tiled = np.concatenate([mask, mask, mask], axis=1)[first : last + 1]
+    counts = np.zeros((last + 1 - first, 3 * width + 1), np.int32)
+    counts[:, 1:] = np.cumsum(tiled, axis=1)
+    flat, columns = counts.ravel(), np.arange(width, 2 * width)
+    half = _half_widths(height, radius_rad)
+    for offset, widths in enumerate(half, start=-(len(half) // 2)):
+        around = np.arange(max(first - offset, 0), min(last - offset + 1, height))
+        around = around[widths[around] >= 0]
+        middle = (around + offset - first)[:, None] * (3 * width + 1) + columns
+        reach = widths[around, None]
+        out[around] |= flat.take(middle + (reach + 1)) > flat.take(middle - reach)
     return out
+
+
+@lru_cache(maxsize=8)
+def _half_widths(height: int, radius_rad: float) -> Indices:
+    """Return how wide circles around pixels are in rows above and below, by the haversine formula.
+
+    Half the width, in columns of a panorama of `height` rows, of a circle around each row [height],
+    in rows from above to below [k]; -1 where the circle does not reach.
+    """
+    reach = max(1, round(radius_rad / np.pi * height))
+    altitude = np.pi / 2 - (np.arange(height) + 0.5) / height * np.pi
+    row = np.arange(height)
+    other = row + np.arange(-reach, reach + 1)[:, None]
+    near = np.clip(other, 0, height - 1)
+    rest = np.sin(radius_rad / 2) ** 2 - np.sin((altitude[near] - altitude[row]) / 2) ** 2
+    share = np.clip(rest / (np.cos(altitude[near]) * np.cos(altitude[row])), 0.0, 1.0)
+    half = np.floor(np.arcsin(np.sqrt(share)) / np.pi * 2 * height).astype(np.intp)
+    return np.where((rest >= 0.0) & (other == near), np.minimum(half, height), -1)
 
 
 def group_pixels(mask: Mask) -> NDArray[np.int32]:
