@@ -212,7 +212,7 @@ def test_pvgis_in_json_is_the_csv(tmp_path: Path) -> None:
     csv_rows, json_rows = table(path).rows, table(tmp_path / "a.json").rows
     assert [(r.when, r.dni, r.dhi) for r in csv_rows] == [(r.when, r.dni, r.dhi) for r in json_rows]
     (tmp_path / "b.json").write_text('{"inputs": {}, "outputs": {"monthly": []}}')
-    with pytest.raises(InputError, match="no key 'hourly'"):
+    with pytest.raises(InputError, match="no entry 'hourly'"):
         table(tmp_path / "b.json")
 
 
@@ -229,16 +229,12 @@ def sam(path: Path, minute: str | None = None, source: str = "NSRDB") -> Path:
 
 @pytest.mark.slow
 @pytest.mark.contract
-@pytest.mark.parametrize(
-    ("latitude", "words"), [(20.0, "about [+](15|20|25)"), (34.0, "about [+]3")]
-)
-def test_light_of_another_latitude_is_refused_by_its_days(
-    tmp_path: Path, latitude: float, words: str
-) -> None:
+@pytest.mark.parametrize("latitude", [20.0, 34.0])
+def test_light_of_another_latitude_is_refused_by_its_days(tmp_path: Path, latitude: float) -> None:
     """No column is blamed: the beam of a file from 34 degrees is too strong for the sun at 52."""
     light = light_of(replace(NORTH, latitude_deg=latitude), hours_of(NORTH))
     path = write_epw(tmp_path / "a.epw", NORTH, light)
-    with pytest.raises(InputError, match=f"days are as long as at {words}.*file's place"):
+    with pytest.raises(InputError, match=r"no shift of the row times explains.*file's place"):
         read_weather(path, NORTH)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 from datetime import datetime, timedelta
 from itertools import pairwise
@@ -19,7 +18,7 @@ from fieldlum.optics.profiles import shipped
 from fieldlum.optics.projection import direction
 from fieldlum.sky import sun
 from fieldlum.weather.formats import WeatherRow, WeatherTable, read_table
-from fieldlum.weather.plausibility import check_hourly, check_sense, label_notes
+from fieldlum.weather.plausibility import check_hourly, check_sense
 from fieldlum.weather.year import TYPICAL_YEAR, Weather, synthetic_weather
 
 SYNTHETIC = "synthetic"  # used in place of a path: a synthetic year of the site
@@ -30,9 +29,6 @@ FILLED_GAP_HOURS = 3
 # Chosen so that the nearest airport passes and another climate does not; not measured.
 NEAR_KM = 30.0
 FAR_KM = 300.0
-# A longer gap is a mistyped year. Chosen longer than two missing years; not measured.
-LONGEST_GAP = timedelta(days=800)
-_EARTH_RADIUS_KM = 6371.0  # mean radius (IUGG)
 _HOUR = timedelta(hours=1)
 
 
@@ -73,9 +69,14 @@ def read_weather(path: Path, site: Site, *, label_shift_min: float = 0.0) -> Wea
         rows = _in_order(path, _in_utc(table, shift, site, repairs))
     columns = _values(rows, repairs)
     check_hourly(path, [row.when for row in rows])
-    weather = _fill_gaps(table, site, rows, columns, repairs)
-    repairs += _check_sense(path, table, rows, columns, weather)
-    repairs += label_notes(weather, table.place or site)
+    name = f"{path.name} ({table.place.name})" if table.place else path.name
+    weather = _fill_gaps(
+        path, Weather(name, site, (), *columns, typical=table.typical), rows, repairs
+    )
+    # Elsewhere the global irradiance was computed from the other two and proves nothing.
+    stated = {row.when: value for row, value in zip(rows, columns[2], strict=True)}
+    ghi = np.array([stated.get(t, math.nan) for t in weather.t_utc])
+    repairs += check_sense(path, weather, table.place or site, ghi)
     return replace(weather, repairs=tuple(repairs))
 
 
@@ -99,14 +100,11 @@ def distance_km(a: Site, b: Site) -> float:
     """Return the distance of two sites along the great circle, in km."""
     u = direction(a.latitude_deg, a.longitude_deg)
     v = direction(b.latitude_deg, b.longitude_deg)
-    return _EARTH_RADIUS_KM * math.acos(float(np.clip(u @ v, -1.0, 1.0)))
+    return 6371.0 * math.acos(float(np.clip(u @ v, -1.0, 1.0)))  # mean radius (IUGG)
 
 
 def _check_place(path: Path, place: Site | None, site: Site) -> list[str]:
-    if place is None:
-        return []
-    away = distance_km(place, site)
-    if away <= NEAR_KM:
+    if place is None or (away := distance_km(place, site)) <= NEAR_KM:
         return []
     if away > FAR_KM:
         where = f"{place.name} ({place.latitude_deg:g}, {place.longitude_deg:g} deg)"
@@ -126,14 +124,14 @@ def _in_utc(
     of the site's year continue at its beginning.
     """
     if not table.typical:
-        return [replace(row, when=row.when - table.clock + shift) for row in table.rows]
+        return [row._replace(when=row.when - table.clock + shift) for row in table.rows]
     offset = sun.standard_offset(site.timezone, TYPICAL_YEAR)
     rows = [row for row in table.rows if (row.when.month, row.when.day) != (2, 29)]
     if left_out := len(table.rows) - len(rows):
         repairs.append(f"29 February left out ({left_out} hours): a typical year has 365 days")
     local = [row.when.replace(year=TYPICAL_YEAR) - table.clock + shift + offset for row in rows]
     return [
-        replace(row, when=when.replace(year=TYPICAL_YEAR) - offset)
+        row._replace(when=when.replace(year=TYPICAL_YEAR) - offset)
         for row, when in zip(rows, local, strict=True)
     ]
 
@@ -149,10 +147,9 @@ def _in_order(path: Path, rows: list[WeatherRow]) -> list[WeatherRow]:
         if a.when == b.when:
             found, expected = f"{lines} are of the same hour", "every hour once"
             raise InputError(path, found, expected, "remove one of the lines")
-        if b.when - a.when > LONGEST_GAP:
+        if b.when - a.when > timedelta(days=800):  # a mistyped year
             found = f"{lines}: {a.when:%Y-%m-%d} is followed by {b.when:%Y-%m-%d}"
-            expected = f"at most {LONGEST_GAP.days} days between two rows"
-            raise InputError(path, found, expected, "correct the dates")
+            raise InputError(path, found, "at most 800 days between rows", "correct the dates")
     return rows
 
 
@@ -168,68 +165,41 @@ def _values(rows: list[WeatherRow], repairs: list[str]) -> Floats:
     return np.where(negative, 0.0, values)
 
 
-def _fill_gaps(
-    table: WeatherTable, site: Site, rows: list[WeatherRow], columns: Floats, repairs: list[str]
-) -> Weather:
+def _fill_gaps(path: Path, year: Weather, rows: list[WeatherRow], repairs: list[str]) -> Weather:
     """Return the year with short gaps interpolated and long gaps left out; list both in `repairs`.
 
-    columns : DNI, DHI, GHI of the rows, [3, n], W/m2. GHI is DHI + DNI sin(altitude) where the file
-    has none. Raises NotEnoughDataError without an hour that has both DNI and DHI.
+    year : with the irradiances of the rows. GHI is DHI + DNI sin(altitude) where the file has none.
+    Raises NotEnoughDataError without an hour that has both DNI and DHI.
     """
-    good = np.isfinite(columns[0] + columns[1])
+    good = np.isfinite(year.dni_wm2 + year.dhi_wm2)
     if not good.any():
-        raise NotEnoughDataError(
-            f"{table.name}: no hour has both DNI and DHI; use a file that has both"
-        )
+        raise NotEnoughDataError(f"{path}: no hour has both DNI and DHI; use a file that has both")
     times = [row.when for row, ok in zip(rows, good, strict=True) if ok]
-    values = columns[:, good]
-    filled, left_out = _missing_hours(times, table.typical)
+    filled, left_out = _missing_hours(times, year.typical)
     everything = sorted([*times, *filled])
-    at = np.array([t.timestamp() for t in everything])
-    have = np.array([t.timestamp() for t in times])
-    dni = np.interp(at, have, values[0])
-    dhi = np.interp(at, have, values[1])
-    height = np.maximum(np.sin(np.radians(sun.position(everything, site).altitude_deg)), 0.0)
-    ghi = dhi + dni * height
-    has_ghi = ~np.isnan(values[2])
-    ghi[np.isin(at, have[has_ghi])] = values[2][has_ghi]
-    if filled:
-        repairs.append(f"{len(filled)} missing hours interpolated: {_some(filled)}")
-    if left_out:
-        repairs.append(f"{len(left_out)} missing hours left out: {_some(left_out)}")
-    return Weather(table.name, site, tuple(everything), dni, dhi, ghi, (), table.typical)
+    at, have = (np.array([t.timestamp() for t in some]) for some in (everything, times))
+    dni, dhi = (np.interp(at, have, value[good]) for value in (year.dni_wm2, year.dhi_wm2))
+    altitude = sun.position(everything, year.site).altitude_deg
+    ghi = dhi + dni * np.maximum(np.sin(np.radians(altitude)), 0.0)
+    stated = year.ghi_wm2[good]
+    has_ghi = ~np.isnan(stated)
+    ghi[np.isin(at, have[has_ghi])] = stated[has_ghi]
+    for hours, done in ((filled, "interpolated"), (left_out, "left out")):
+        if hours:
+            shown = ", ".join(f"{t:%m-%d %H:%M}" for t in hours[:3])
+            shown += f" ... {hours[-1]:%m-%d %H:%M}" if len(hours) > 3 else ""
+            repairs.append(f"{len(hours)} missing hours {done}: {shown} UTC")
+    return replace(year, t_utc=tuple(everything), dni_wm2=dni, dhi_wm2=dhi, ghi_wm2=ghi)
 
 
 def _missing_hours(times: list[datetime], typical: bool) -> tuple[list[datetime], list[datetime]]:
     """Return the hours to interpolate and the hours to leave out."""
     filled: list[datetime] = []
     left_out: list[datetime] = []
-    for gap in _gaps(times, typical):
-        between = 0 < len(gap) <= FILLED_GAP_HOURS and times[0] < gap[0] < times[-1]
-        (filled if between else left_out).extend(gap)
-    return filled, left_out
-
-
-def _gaps(times: list[datetime], typical: bool) -> Iterator[list[datetime]]:
-    if typical:  # a typical year has 8760 hours, from local midnight to local midnight
-        lacking = 8760 - (round((times[-1] - times[0]) / _HOUR) + 1)
-        yield [times[-1] + _HOUR * (k + 1) for k in range(max(lacking, 0))]
     for a, b in pairwise(times):
-        yield [a + _HOUR * (k + 1) for k in range(round((b - a) / _HOUR) - 1)]
-
-
-def _some(times: list[datetime]) -> str:
-    shown = ", ".join(f"{t:%m-%d %H:%M}" for t in times[:3])
-    return f"{shown} ... {times[-1]:%m-%d %H:%M} UTC" if len(times) > 3 else f"{shown} UTC"
-
-
-def _check_sense(
-    path: Path, table: WeatherTable, rows: list[WeatherRow], columns: Floats, weather: Weather
-) -> list[str]:
-    """Check plausibility with the global irradiance that the file itself states; return warnings.
-
-    Elsewhere the global irradiance was computed from the other two and proves nothing.
-    """
-    ghi_by_time = {row.when: value for row, value in zip(rows, columns[2], strict=True)}
-    ghi = np.array([ghi_by_time.get(t, math.nan) for t in weather.t_utc])
-    return check_sense(path, weather, table.place or weather.site, ghi)
+        gap = [a + _HOUR * (k + 1) for k in range(round((b - a) / _HOUR) - 1)]
+        (filled if len(gap) <= FILLED_GAP_HOURS else left_out).extend(gap)
+    if typical:  # a typical year has 8760 hours, from local midnight to local midnight
+        lacking = 8759 - round((times[-1] - times[0]) / _HOUR)
+        left_out += [times[-1] + _HOUR * (k + 1) for k in range(lacking)]
+    return filled, left_out

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fieldlum.core.errors import InputError
+from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.records import Site
 from fieldlum.core.strict_csv import (
     IRRADIANCE_LIMITS_WM2,
@@ -30,23 +30,15 @@ from fieldlum.core.strict_csv import (
     split_rows,
 )
 from fieldlum.sky import sun
-from fieldlum.weather.plausibility import hours_against
+from fieldlum.weather.plausibility import contradictions
 from fieldlum.weather.year import TYPICAL_YEAR
 
 # Codes of a missing value: EPW 9999, TMY3 -9900, SolarAnywhere -999 (their documentation).
 _MISSING = (9999.0, 99999.0, 999999.0, -9900.0, -9999.0, -999.0)
-# Degrees of longitude over 15 minus the zone's hours; western China (3.3 h) is the extreme of the
-# time zones in use, so that a larger difference is a wrong sign or zone. Chosen just above.
-_LARGEST_ZONE_OFFSET_H = 3.5
 _HALF = timedelta(minutes=30)  # of an hour, by definition
 # A span of +-10 min separates labels that are half an hour apart, which a span of an hour does not.
 # Chosen.
 _NARROW = timedelta(minutes=10)
-_EVERY_DAY = 5  # every fifth day decides: 73 sunrises and sunsets, at a fifth of the time; chosen
-_HOURS_OF_LEAP_YEAR = 8784
-# Below this altitude the direct irradiance of a horizontal plane does not determine the normal one.
-# The limit of pvlib.irradiance.dni.
-_LOW_SUN_DEG = 2.0
 _OFFSET = re.compile(r"Irradiance Time Offset \(h\):\s*(-?\d+(?:\.\d+)?)", re.IGNORECASE)
 # The letters of column headings without their unit, by quantity: TMY3, SAM, NSRDB, PVGIS,
 # SolarAnywhere.
@@ -56,10 +48,14 @@ _HEADINGS = {
     "ghi": {"ghi", "global", "gh", "globalhorizontal", "globalhorizontalirradianceghi"},
 }
 _IN_PLANE = {"dni": {"gbi"}, "dhi": {"gdi"}, "ghi": set[str]()}
+# Cells of a TMY2 row: year, month, day, hour, DNI, DHI, GHI (its manual).
+_TMY2 = ((1, 3), (3, 5), (5, 7), (7, 9), (23, 27), (29, 33), (17, 21))
+_AGAIN = "download the file again as hourly data"
+Cells = Sequence[str]
+Rows = Iterable[tuple[int, Cells]]
 
 
-@dataclass(frozen=True, slots=True)
-class WeatherRow:
+class WeatherRow(NamedTuple):
     """One hour of a file; irradiances in W/m2, NaN where missing.
 
     line: number in the file, from 1; when: a time within the hour that the file states, on the
@@ -75,15 +71,14 @@ class WeatherRow:
 
 @dataclass(frozen=True, slots=True)
 class WeatherTable:
-    """The content of a file: rows, whether they are a typical year, and its name.
+    """The content of a file: rows, whether they are a typical year, and the header's place.
 
     clock: the file's clock minus UTC; shift: from the time of a row to the middle of its hour;
-    place: that of the header, None without one; notes: choices of the reader, one sentence each.
+    place: None without one; notes: choices of the reader, one sentence each.
     """
 
     rows: list[WeatherRow]
     typical: bool
-    name: str
     place: Site | None = None
     clock: timedelta = timedelta()
     shift: timedelta = timedelta()
@@ -109,8 +104,8 @@ def read_table(path: Path, lines: list[str], site: Site) -> WeatherTable:
 # cells, columns and headers
 
 
-def _bad_row(path: Path, found: str, expected: str) -> InputError:
-    return InputError(path, found, expected, "correct that row")
+def _bad_row(path: Path, line: int, found: str, expected: str) -> InputError:
+    return InputError(path, f"line {line}: {found}", expected, "correct that row")
 
 
 def _number(path: Path, line: int, name: str, text: str) -> float:
@@ -120,22 +115,19 @@ def _number(path: Path, line: int, name: str, text: str) -> float:
     """
     if text.lower() in ("", "nan", "na"):
         return math.nan
+    low, high = IRRADIANCE_LIMITS_WM2
     try:
         value = float(text)
     except ValueError:
         expected = "a number with a decimal point, in W/m2"
-        raise _bad_row(path, f"line {line}: {name} is '{text}'", expected) from None
-    if value in _MISSING:
-        return math.nan
-    low, high = IRRADIANCE_LIMITS_WM2
-    if not low <= value <= high:
-        found, expected = f"line {line}: {name} is {text}", f"{low:g} to {high:g}"
-        raise InputError(path, f"{found} W/m2", f"{expected} W/m2", "correct or empty that cell")
-    return value
+        raise _bad_row(path, line, f"{name} is '{text}'", expected) from None
+    if value not in _MISSING and not low <= value <= high:
+        raise _bad_row(path, line, f"{name} is {text} W/m2", f"{low:g} to {high:g} W/m2 or empty")
+    return math.nan if value in _MISSING else value
 
 
 def _columns(
-    path: Path, names: Sequence[str], headings: Mapping[str, set[str]] = _HEADINGS
+    path: Path, names: Cells, headings: Mapping[str, set[str]] = _HEADINGS
 ) -> dict[str, int]:
     """Return the column of each quantity: dni, dhi, and ghi if the file has it.
 
@@ -158,53 +150,46 @@ def _columns(
 
 def _rows(
     path: Path,
-    cells_of_lines: Iterable[tuple[int, Sequence[str]]],
+    found: Rows,
     columns: Mapping[str, int],
-    when: Callable[[int, Sequence[str]], datetime],
-    names: Sequence[str] = (),
+    when: Callable[[int, Cells], datetime],
+    names: Cells = (),
 ) -> list[WeatherRow]:
     """Return the rows of a file; when: the time that the cells of a line state."""
-    rows = []
     headings = {q: names[at] if names else q.upper() for q, at in columns.items()}
-    for line, cells in cells_of_lines:
-        dni, dhi, ghi = (
+    rows = []
+    for line, cells in found:
+        light = (
             _number(path, line, headings[q], cells[columns[q]]) if q in columns else math.nan
             for q in _HEADINGS
         )
-        rows.append(WeatherRow(line, when(line, cells), dni, dhi, ghi))
+        rows.append(WeatherRow(line, when(line, cells), *light))
     return rows
 
 
-def _below(
-    path: Path, lines: list[str], header: int
-) -> tuple[list[str], list[tuple[int, tuple[str, ...]]]]:
+def _below(path: Path, lines: list[str], header: int) -> tuple[list[str], Rows]:
     """Return the column names in line `header` (from 0), and the rows below them."""
     if len(lines) <= header:
-        raise InputError(
-            path, f"{len(lines)} lines", "a line of column names", "download the file again"
-        )
+        raise InputError(path, f"{len(lines)} lines", "a line of column names", _AGAIN)
     names = split_header(path, (header + 1, lines[header]))
     check_names(path, names)
     return names, split_rows(path, numbered(lines[header + 1 :], header + 2), len(names))
 
 
-def _place(
-    path: Path, cells: Sequence[Any], expected: str, name: str, *, local: bool = True
-) -> tuple[Site, timedelta]:
-    """Return a place and its clock from latitude, longitude, altitude and zone.
+def _place(path: Path, cells: Sequence[Any], expected: str, name: str) -> tuple[Site, timedelta]:
+    """Return a place and its clock from latitude, longitude, altitude and zone, None for UTC.
 
-    Raises InputError if they are no numbers, or if the zone of a local clock is far from the
-    longitude.
+    Raises InputError if they are no numbers, or if the zone of a local clock is further from the
+    longitude than western China's, 3.3 h, the extreme of the zones in use.
     """
     try:
-        latitude, longitude, altitude, zone = (float(cell) for cell in cells)
+        latitude, longitude, altitude, zone = (float(0 if cell is None else cell) for cell in cells)
         place, clock = Site(name, latitude, longitude, "UTC", altitude), timedelta(hours=zone)
     except (TypeError, ValueError):
-        stated = ", ".join(map(str, cells)) or "missing"
-        found = f"latitude, longitude, altitude and zone {stated}"
+        found = f"latitude, longitude, altitude and zone {', '.join(map(str, cells)) or 'missing'}"
         remedy = "correct the header, or download the file again"
         raise InputError(path, found, expected, remedy) from None
-    if local and abs(zone - longitude / 15) > _LARGEST_ZONE_OFFSET_H:
+    if cells[3] is not None and abs(zone - longitude / 15) > 3.5:
         found = f"time zone UTC{zone:+g} at longitude {longitude:g} deg"
         remedy = "correct the header (east is positive)"
         raise InputError(path, found, f"about UTC{longitude / 15:+.0f}", remedy)
@@ -216,12 +201,11 @@ def _header_place(
 ) -> tuple[Site, timedelta]:
     """Return the place and clock in line 1; columns : of latitude, longitude, altitude, zone."""
     cells = split_header(path, (1, lines[0]))
-    name = cells[1] if len(cells) > 1 else ""
     values = [cells[k] for k in columns] if len(cells) > max(columns) else []
-    return _place(path, values, expected, name or "weather station")
+    return _place(path, values, expected, "".join(cells[1:2]) or "weather station")
 
 
-def _moment(path: Path, line: int, date: Sequence[str], hour: str, minute: str = "0") -> datetime:
+def _moment(path: Path, line: int, date: Cells, hour: str, minute: str = "0") -> datetime:
     """Return the time of year, month and day, an hour of 0 to 24 and a minute."""
     try:
         year, month, day = (int(float(text)) for text in date)
@@ -230,8 +214,9 @@ def _moment(path: Path, line: int, date: Sequence[str], hour: str, minute: str =
         if not 0 <= hours <= 24:
             raise ValueError(f"hour {hours:g} is outside 0 to 24")
     except (ValueError, OverflowError) as error:
-        found = f"line {line}: no such time {'-'.join(date)} hour {hour} ({error})"
-        raise _bad_row(path, found, "a date of the calendar and an hour of 0 to 24") from None
+        found = f"no such time {'-'.join(date)} hour {hour} ({error})"
+        expected = "a date of the calendar and an hour of 0 to 24"
+        raise _bad_row(path, line, found, expected) from None
     return start + timedelta(seconds=round(hours * 3600))
 
 
@@ -242,11 +227,12 @@ def best_of(tables: Mapping[str, WeatherTable], what: str) -> WeatherTable:
     """
     against: dict[str, int] = {}
     for name, table in tables.items():
-        some = [row for k, row in enumerate(table.rows) if (k // 24) % _EVERY_DAY == 0]
-        times = [row.when - table.clock + table.shift for row in some]
-        light = np.nan_to_num([[row.dni, row.dhi] for row in some]).sum(axis=1)
+        times = [row.when - table.clock + table.shift for row in table.rows]
+        light = np.nan_to_num([[row.dni, row.dhi] for row in table.rows]).sum(axis=1)
         place = table.place or Site("", 0.0, 0.0)
-        against[name] = sum(hours_against(times, light, place, half) for half in (_HALF, _NARROW))
+        ends = ([t + half for t in times] for half in (-_NARROW, _NARROW))
+        altitudes = (sun.position(moments, place).altitude_deg for moments in ends)
+        against[name] = contradictions(light, *altitudes)
     chosen = min(against, key=lambda name: against[name])
     counts = ", ".join(f"{name} {count}" for name, count in against.items())
     note = f"{what} {chosen}, with which the fewest hours contradict sunrise and sunset ({counts})"
@@ -261,8 +247,8 @@ def _best_label(table: WeatherTable) -> WeatherTable:
 
 
 def _is_typical(rows: Sequence[WeatherRow]) -> bool:
-    """Return whether the months of one year come from several years."""
-    return len({row.when.year for row in rows}) > 1 and len(rows) <= _HOURS_OF_LEAP_YEAR
+    """Return whether the months of one year (at most 8784 hours) come from several years."""
+    return len({row.when.year for row in rows}) > 1 and len(rows) <= 8784
 
 
 # ----------------------------------------------------------------------------------------------
@@ -281,11 +267,11 @@ def _read_epw(path: Path, lines: list[str], site: Site) -> WeatherTable:
         cells = f"line {found[0][0]}: {len(found[0][1])} cells"
         raise InputError(path, cells, "at least 16 cells", "the file is cut: download it again")
 
-    def start(line: int, cells: Sequence[str]) -> datetime:
+    def start(line: int, cells: Cells) -> datetime:
         return _moment(path, line, cells[:3], cells[3]) - timedelta(hours=1)
 
     rows = _rows(path, found, {"ghi": 13, "dni": 14, "dhi": 15}, start)
-    table = WeatherTable(rows, True, f"{path.name} ({place.name})", place, clock, _HALF)
+    table = WeatherTable(rows, True, place, clock, _HALF)
     comments = [line for line in lines[:8] if line.upper().startswith("COMMENTS")]
     if not (stated := _OFFSET.search("\n".join(comments))):
         return table
@@ -315,7 +301,7 @@ def _read_tmy3(path: Path, lines: list[str], site: Site) -> WeatherTable:
     one_column = "ObservationTime(LST)" in names
     at = names.index("ObservationTime(LST)") if one_column else 0
 
-    def when(line: int, cells: Sequence[str]) -> datetime:
+    def when(line: int, cells: Cells) -> datetime:
         stamp = cells[at].split(" ") if one_column else cells[:2]
         month, day, year = (*stamp[0].split("/"), "", "")[:3]
         hour, _, minute = "".join(stamp[1:2]).partition(":")
@@ -324,7 +310,7 @@ def _read_tmy3(path: Path, lines: list[str], site: Site) -> WeatherTable:
 
     rows = _rows(path, found, _columns(path, names), when, names)
     typical = not one_column or _is_typical(rows) or "Type: Typical" in lines[0]
-    table = WeatherTable(rows, typical, f"{path.name} ({place.name})", place, clock)
+    table = WeatherTable(rows, typical, place, clock)
     return _best_label(table) if one_column else table
 
 
@@ -337,136 +323,115 @@ def _read_sam(path: Path, lines: list[str], site: Site) -> WeatherTable:
     expected = "a header with Latitude, Longitude, Elevation and Time Zone"
     keys, values = (split_header(path, line) for line in list(enumerate(lines[:2], start=1)))
     about = dict(zip(keys, values, strict=False))
-    cells = [about.get(key, "") for key in ("Latitude", "Longitude", "Elevation", "Time Zone")]
+    cells = [about.get(key, "?") for key in ("Latitude", "Longitude", "Elevation", "Time Zone")]
     place, clock = _place(path, cells, expected, about.get("City", "").strip("-") or "station")
     names, found = _below(path, lines, 2)
     stamp = ("Year", "Month", "Day", "Hour")
     if missing := [name for name in stamp if name not in names]:
-        expected = "columns " + ", ".join(stamp)
-        raise InputError(path, f"no column {missing[0]}", expected, "download it again")
+        raise InputError(path, f"no column {missing[0]}", f"columns {', '.join(stamp)}", _AGAIN)
     at = [names.index(name) for name in stamp]
     minutes = names.index("Minute") if "Minute" in names else None
 
-    def when(line: int, cells: Sequence[str]) -> datetime:
+    def when(line: int, cells: Cells) -> datetime:
         *date, hour = (cells[k] for k in at)
         return _moment(path, line, date, hour, "0" if minutes is None else cells[minutes])
 
     rows = _rows(path, found, _columns(path, names), when, names)
     typical = _is_typical(rows) or "TMY" in about.get("Source", "").upper()
-    table = WeatherTable(rows, typical, f"{path.name} ({place.name})", place, clock)
-    if minutes is None:
-        return replace(table, shift=_HALF)
-    return _best_label(table) if {row.when.minute for row in rows} == {0} else table
+    table = WeatherTable(rows, typical, place, clock, _HALF if minutes is None else timedelta())
+    is_full_hour = minutes is not None and {row.when.minute for row in rows} == {0}
+    return _best_label(table) if is_full_hour else table
 
 
 def _read_tmy2(path: Path, lines: list[str], site: Site) -> WeatherTable:
-    """Return the rows of a TMY2 file; each is the mean of the hour that ends at its label.
-
-    pvlib reads its fixed columns, and returns the start of the hour.
-    """
-    from pvlib.iotools import read_tmy2
-
+    """Return the rows of a TMY2 file; each is the mean of the hour that ends at its label."""
+    *name, zone, ns, north, minutes, ew, east, more, altitude = ["?"] * 8 + lines[0].split()
+    expected = "number, city, state, zone, N, degrees, minutes, W, degrees, minutes, altitude"
+    with input_errors(path, expected, "download the file again", ValueError):
+        latitude = (float(north) + float(minutes) / 60) * (-1 if ns == "S" else 1)
+        longitude = (float(east) + float(more) / 60) * (-1 if ew == "W" else 1)
+    where = _place(path, [latitude, longitude, altitude, zone], expected, " ".join(name[9:-1]))
     width = len(lines[1].rstrip()) if len(lines) > 1 else 0
     for number, line in enumerate(lines[2:], start=3):
         if len(line.rstrip()) != width:
-            found = f"line {number}: {len(line.rstrip())} characters"
-            raise _bad_row(path, found, f"{width} characters, as in line 2")
-    data: Any
-    meta: Any
-    try:
-        data, meta = read_tmy2(path)
-    except (KeyError, ValueError, IndexError, TypeError, AttributeError) as error:
-        shown = str(error).splitlines()[0][:100] if str(error) else type(error).__name__
-        raise InputError(path, shown, "a TMY2 file", "download it again as hourly data") from None
-    where = [meta[key] for key in ("latitude", "longitude", "altitude", "TZ")]
-    place, clock = _place(path, where, "a place in line 1", str(meta["City"]).strip())
-    starts = [t.replace(tzinfo=UTC) for t in data.index.to_pydatetime()]
-    values = data[["DNI", "DHI", "GHI"]].to_numpy(float).tolist()
-    cells = [(line, tuple(map(repr, row))) for line, row in enumerate(values, start=2)]
-    columns = {"dni": 0, "dhi": 1, "ghi": 2}
-    rows = _rows(path, cells, columns, lambda line, _: starts[line - 2])
-    return WeatherTable(rows, True, f"{path.name} ({place.name})", place, clock, _HALF)
+            expected = f"{width} characters, as in line 2"
+            raise _bad_row(path, number, f"{len(line.rstrip())} characters", expected)
+    found = [
+        (number, [line[a:b].strip() for a, b in _TMY2])
+        for number, line in enumerate(lines[1:], start=2)
+    ]
+
+    def start(line: int, cells: Cells) -> datetime:
+        date = (f"19{cells[0]}", *cells[1:3])
+        return _moment(path, line, date, cells[3]) - timedelta(hours=1)
+
+    rows = _rows(path, found, {"dni": 4, "dhi": 5, "ghi": 6}, start)
+    return WeatherTable(rows, True, *where, _HALF)
 
 
-def _read_pvgis_csv(path: Path, lines: list[str], site: Site) -> WeatherTable:
-    """Return the rows of a csv of PVGIS, a typical year or an hourly series."""
-    header = next((k for k, line in enumerate(lines) if line.startswith("time")), len(lines))
-    stated_texts = (line.partition(":") for line in lines[:header])
-    about = {key.strip(): value.strip() for key, _, value in stated_texts}
-    # Below the rows, an empty line and a legend follow.
-    end = next((k for k, line in enumerate(lines) if k > header and not line.strip()), len(lines))
-    for number, line in enumerate(lines[end:], start=end + 1):
-        if re.match(r"\d{8}:", line):
-            raise _bad_row(path, f"line {number}: a row below the last one", "rows without gaps")
-    names, found = _below(path, lines[:end], header)
-    keys = ("Latitude (decimal degrees)", "Longitude (decimal degrees)", "Elevation (m)")
-    stated = [*(about.get(key, "") for key in keys), "0"]
-    slope = about.get("Slope", "0").split()[0]
-    return _pvgis(path, names, found, stated, about.get("Irradiance Time Offset (h)", "0"), slope)
-
-
-def _read_pvgis_json(path: Path, lines: list[str], site: Site) -> WeatherTable:
-    """Return the rows of a json of PVGIS, a typical year or an hourly series."""
-    try:
-        answer = json.loads("\n".join(lines))
-        outputs, about = answer["outputs"], answer["inputs"]
-        hours = outputs["tmy_hourly" if "tmy_hourly" in outputs else "hourly"]
-        names = list(hours[0])
-        cells = [
-            (k, tuple("" if hour[name] is None else str(hour[name]) for name in names))
-            for k, hour in enumerate(hours, start=1)
-        ]
-        place = about["location"]
-        stated = [*(place[key] for key in ("latitude", "longitude", "elevation")), "0"]
-        offset = next((str(v) for k, v in place.items() if "offset" in k.lower()), "0")
-        fixed = about.get("mounting_system", {}).get("fixed", {})
-        slope = str(fixed.get("slope", {}).get("value", 0))
-    except (KeyError, IndexError, TypeError, AttributeError, ValueError) as error:
-        shown = f"no key {error}" if isinstance(error, KeyError) else str(error)[:100]
-        expected = "json of PVGIS with outputs of each hour"
-        raise InputError(path, shown, expected, "download it again as hourly data") from None
-    return _pvgis(path, names, cells, stated, offset, slope)
-
-
-def _pvgis(
-    path: Path,
-    names: Sequence[str],
-    found: Iterable[tuple[int, Sequence[str]]],
-    stated: Sequence[Any],
-    offset: str,
-    slope: str,
-) -> WeatherTable:
-    """Return the hours of a PVGIS file; stated : its place.
+def _read_pvgis(path: Path, lines: list[str], site: Site) -> WeatherTable:
+    """Return the rows of a csv of PVGIS, a typical year or an hourly series.
 
     Values are of one moment: the UTC time of the row plus the offset that the header states (PVGIS,
     "TMY generator" page). Times of an hourly series are the moments themselves. A series has the
     direct irradiance of a plane, which determines DNI only on a horizontal plane.
     """
-    name = f"PVGIS at {stated[0]}, {stated[1]} deg"
-    place, _ = _place(path, stated, "a place in the header", name, local=False)
-    in_plane = "Gb(i)" in names
+    header = next((k for k, line in enumerate(lines) if line.startswith("time")), len(lines))
+    stated = (line.partition(":") for line in lines[:header])
+    about = {key.strip(): value.strip() for key, _, value in stated}
+    # Below the rows, an empty line and a legend follow.
+    end = next((k for k, line in enumerate(lines) if k > header and not line.strip()), len(lines))
+    for number, line in enumerate(lines[end:], start=end + 1):
+        if re.match(r"\d{8}:", line):
+            raise _bad_row(path, number, "a row below the last one", "rows without gaps")
+    names, found = _below(path, lines[:end], header)
+    keys = ("Latitude (decimal degrees)", "Longitude (decimal degrees)", "Elevation (m)")
+    cells = [*(about.get(key, "?") for key in keys), None]
+    place, _ = _place(path, cells, "a place in the header", "PVGIS")
+    in_plane, slope = "Gb(i)" in names, about.get("Slope", "0").split()[0]
     if in_plane and slope.replace(".", "").strip("0"):
         found_slope = f"irradiance of a plane with slope {slope} deg"
         remedy = "download the series with slope 0 and its radiation components"
         raise InputError(path, found_slope, "a horizontal plane (slope 0 deg)", remedy)
-    at = next((k for k, name in enumerate(names) if name.startswith("time")), 0)
 
-    def when(line: int, cells: Sequence[str]) -> datetime:
+    def when(line: int, cells: Cells) -> datetime:
         try:
-            return datetime.strptime(cells[at], "%Y%m%d:%H%M").replace(tzinfo=UTC)
+            return datetime.strptime(cells[0], "%Y%m%d:%H%M").replace(tzinfo=UTC)
         except ValueError:
-            expected = "a time such as 20230101:0010"
-            raise _bad_row(path, f"line {line}: time '{cells[at]}'", expected) from None
+            raise _bad_row(path, line, f"time '{cells[0]}'", "one as 20230101:0010") from None
 
     columns = _columns(path, names, _IN_PLANE if in_plane else _HEADINGS)
     rows = _rows(path, found, columns, when, names)
-    name = f"{path.name} (PVGIS)"
     if in_plane:
         note = "DNI computed as Gb(i) over the sine of the sun's altitude"
-        return WeatherTable(_normal(rows, place), False, name, place, notes=(note,))
-    hours = float(offset)
+        return WeatherTable(_normal(rows, place), False, place, notes=(note,))
+    with input_errors(path, "a number of hours", "download the file again", ValueError):
+        hours = float(about.get("Irradiance Time Offset (h)", "0"))
     notes = (_moved(hours),) if hours else ()
-    return WeatherTable(rows, True, name, place, shift=timedelta(hours=hours), notes=notes)
+    return WeatherTable(rows, True, place, shift=timedelta(hours=hours), notes=notes)
+
+
+def _read_pvgis_json(path: Path, lines: list[str], site: Site) -> WeatherTable:
+    """Return the rows of a json of PVGIS, which has the content of the csv."""
+    kinds = (KeyError, IndexError, TypeError, AttributeError, ValueError)
+    with input_errors(path, "json of PVGIS with outputs of each hour", _AGAIN, *kinds):
+        answer = json.loads("\n".join(lines))
+        outputs, about = answer["outputs"], answer["inputs"]
+        hours = outputs["tmy_hourly" if "tmy_hourly" in outputs else "hourly"]
+        names = sorted(hours[0], key=lambda name: not name.startswith("time"))
+        place = about["location"]
+        offset = next((v for k, v in place.items() if "offset" in k.lower()), 0)
+        slope = about.get("mounting_system", {}).get("fixed", {}).get("slope", {}).get("value", 0)
+        head = [
+            f"Latitude (decimal degrees): {place['latitude']}",
+            f"Longitude (decimal degrees): {place['longitude']}",
+            f"Elevation (m): {place['elevation']}",
+            f"Irradiance Time Offset (h): {offset}",
+            f"Slope: {slope} deg.",
+            ",".join(names),
+        ]
+        cells = [["" if hour[n] is None else str(hour[n]) for n in names] for hour in hours]
+    return _read_pvgis(path, [*head, *map(",".join, cells)], site)
 
 
 def _normal(rows: Sequence[WeatherRow], place: Site) -> list[WeatherRow]:
@@ -477,15 +442,13 @@ def _normal(rows: Sequence[WeatherRow], place: Site) -> list[WeatherRow]:
     """
     times = [row.when for row in rows]
     altitude = sun.position(times, place).altitude_deg
-    beam = np.array([row.dni for row in rows])
-    normal = beam / np.sin(np.radians(np.maximum(altitude, _LOW_SUN_DEG)))
-    limit = np.where(
-        altitude < 10.0, 1.1 * sun.clearsky(times, place).dni_wm2, IRRADIANCE_LIMITS_WM2[1]
-    )
-    dni = np.where(altitude < _LOW_SUN_DEG, 0.0, np.minimum(normal, limit))
-    ghi = np.where(altitude < _LOW_SUN_DEG, np.nan, beam + [row.dhi for row in rows])
+    beam, dhi = np.array([(row.dni, row.dhi) for row in rows]).reshape(-1, 2).T
+    clear = sun.clearsky(times, place).dni_wm2
+    limit = np.where(altitude < 10.0, 1.1 * clear, IRRADIANCE_LIMITS_WM2[1])
+    dni = np.minimum(sun.dni_by_closure(beam, 0.0, altitude), limit)
+    ghi = np.where(altitude > 2.0, beam + dhi, np.nan)
     return [
-        replace(row, dni=float(a), ghi=float(b)) for row, a, b in zip(rows, dni, ghi, strict=True)
+        row._replace(dni=float(a), ghi=float(b)) for row, a, b in zip(rows, dni, ghi, strict=True)
     ]
 
 
@@ -500,11 +463,8 @@ def _read_csv(path: Path, lines: list[str], site: Site) -> WeatherTable:
     names = split_header(path, table[0]) if table else []
     check_names(path, names)
     dated = "t_utc" in names
-    quantities = {
-        split_heading(name)[0].lower(): k
-        for k, name in enumerate(names)
-        if is_wm2(split_heading(name)[1])
-    }
+    headings = [split_heading(name) for name in names]
+    quantities = {name.lower(): k for k, (name, unit) in enumerate(headings) if is_wm2(unit)}
     stamp = ("t_utc",) if dated else ("month", "day", "hour")
     missing = [name for name in stamp if name not in names]
     missing += [f"{name}_wm2" for name in ("dni", "dhi") if name not in quantities]
@@ -517,7 +477,7 @@ def _read_csv(path: Path, lines: list[str], site: Site) -> WeatherTable:
     # Hour 24 of 28 February belongs to 29 February only in a file with that day.
     leap = not dated and any((c[at[0]].lstrip("0"), c[at[1]]) == ("2", "29") for _, c in found)
 
-    def when(line: int, cells: Sequence[str]) -> datetime:
+    def when(line: int, cells: Cells) -> datetime:
         if not dated:
             month, day, hour = (cells[k] for k in at)
             return _moment(path, line, ("2024" if leap else "2023", month, day), hour)
@@ -525,10 +485,10 @@ def _read_csv(path: Path, lines: list[str], site: Site) -> WeatherTable:
             return read_time(cells[at[0]], utc=True).astimezone(UTC)
         except (ValueError, OverflowError) as error:
             expected = "a UTC time such as 2027-03-20T15:30:00Z"
-            raise _bad_row(path, f"line {line}: {error}", expected) from None
+            raise _bad_row(path, line, str(error), expected) from None
 
     rows = _rows(path, found, quantities, when, names)
-    return WeatherTable(rows, not dated, path.name, place, clock=timedelta() if dated else clock)
+    return WeatherTable(rows, not dated, place, timedelta() if dated else clock)
 
 
 def _place_comment(path: Path, lines: list[str], site: Site) -> tuple[Site | None, timedelta]:
@@ -570,7 +530,7 @@ FORMATS = (
         lambda start: start.suffix == ".epw" or start.first.upper().startswith("LOCATION,"),
         _read_epw,
     ),
-    Format(lambda start: start.first.startswith("Latitude (decimal degrees)"), _read_pvgis_csv),
+    Format(lambda start: start.first.startswith("Latitude (decimal degrees)"), _read_pvgis),
     Format(lambda start: start.first.startswith("{"), _read_pvgis_json),
     Format(lambda start: start.first.startswith("Source,"), _read_sam),
     Format(
