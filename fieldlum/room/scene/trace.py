@@ -245,11 +245,16 @@ def _bounds(position: Floats32, softness: Floats32, first: int, last: int) -> Fl
 
 
 @compiled
-def _misses(bounds: Floats, axis: int, near: float, far: float, low: float, high: float) -> bool:
-    """Return whether all points of `_bounds`, moved on `axis` by near to far, miss low to high."""
+def _overlap(bounds: Floats, axis: int, near: float, far: float, low: float, high: float) -> int:
+    """Return how many points of `_bounds`, moved on `axis` by near to far, are from low to high.
+
+    0: none, 1: some or unknown, 2: all.
+    """
     lowest = bounds[axis] + min(near, far) - bounds[6]
     highest = bounds[3 + axis] + max(near, far) + bounds[6]
-    return highest < low or lowest > high
+    if highest < low or lowest > high:
+        return 0
+    return 2 if lowest >= low and highest <= high else 1
 
 
 @compiled
@@ -315,17 +320,23 @@ def add_through(
             low_u, high_u = opening[4] - min(shift_u, 0.0), opening[5] - max(shift_u, 0.0)
             low_z, high_z = opening[6] - min(shift_z, 0.0), opening[7] - max(shift_z, 0.0)
             near, far = (inner - bounds[axis]) * outward, (inner - bounds[3 + axis]) * outward
-            if min(near, far) > 2.0 * EPSILON_M and (
-                _misses(bounds, along, slope_u * near, slope_u * far, low_u, high_u)
-                or _misses(bounds, 2, slope_z * near, slope_z * far, low_z, high_z)
-            ):
+            over = 1
+            if min(near, far) > 2.0 * EPSILON_M:
+                over_u = _overlap(bounds, along, slope_u * near, slope_u * far, low_u, high_u)
+                over_z = _overlap(bounds, 2, slope_z * near, slope_z * far, low_z, high_z)
+                over = min(over_u, over_z)
+            if over == 0:
                 continue
             some = boxes[: _nearby(low, high, bounds, inverse[hour], boxes)]
+            unshaded = over == 2 and len(some) + len(bars) == 0
             for point in range(first, last):
                 if face[point] < 0:
                     continue
                 cosine = _cosine(face[point], suns[hour])
                 if cosine <= _GRAZING:
+                    continue
+                if unshaded:
+                    totals[hour, target[point]] += cosine * glass[hour] * weight[point]
                     continue
                 across = (inner - position[point, axis]) * outward
                 u = position[point, along] + slope_u * across
@@ -438,7 +449,9 @@ def sun_points(
     raised[np.arange(len(raised)), axis] += sign * 2 * EPSILON_M
     face = np.where(np.asarray(sign) > 0, axis, np.asarray(axis) + 3).astype(np.int8)
 
-    def group(rows: Mask, boxes: list[Box]) -> _Group:
+    def group(chosen: Mask, boxes: list[Box]) -> _Group:
+        rows = np.flatnonzero(chosen)
+        rows = rows[np.argsort(np.asarray(target)[rows], kind="stable")]  # neighbours together
         return _Group(
             raised[rows].astype(np.float32),
             face[rows],
