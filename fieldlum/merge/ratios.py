@@ -71,13 +71,15 @@ def pair_ratio(
     predicted = y_long * assumed_ratio
     r = y_short / predicted
     weight = 1.0 / (short_variance / predicted**2 + long_variance / y_long**2 + 1e-6)
-    median = np.quantile(r, 0.5, weights=weight, method="inverted_cdf")
-    centre, spread, robust = float(median), 1.0, weight
+    root, centre, before, robust = np.sqrt(weight), float(np.median(r)), np.inf, weight
+    spread = 1.0
     for _ in range(8):
-        pull = np.abs(r - centre) * np.sqrt(weight)
+        pull = np.abs(r - centre) * root
         spread = max(1.0, robust_sigma(pull, 0.0))
         robust = weight * np.minimum(1.0, _HUBER_SIGMA * spread / np.maximum(pull, 1e-12))
-        centre = float((robust * r).sum() / robust.sum())
+        before, centre = centre, float((robust * r).sum() / robust.sum())
+        if abs(centre - before) < 1e-7 * centre:  # a millionth of what a frame's ratio can show
+            break
     if not centre > 0:
         return None
     u = float(np.hypot(spread / np.sqrt(robust.sum()) / centre, U_FRAME_RATIO))
