@@ -18,7 +18,7 @@ from fieldlum.core.errors import InputError
 from fieldlum.learn import models
 from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.mirrors import Mirror, place_deg, read_mirrors, split_images
-from fieldlum.learn.train import TimeBudget, fit_and_score, run
+from fieldlum.learn.train import fit_and_score, run
 from fieldlum.optics.projection import direction, equirect_rays
 from fieldlum.session.files.predict_json import PredictFile
 from fieldlum.sky.light import Light
@@ -270,8 +270,8 @@ def test_a_damaged_mirror_is_rejected(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.property
 def test_a_mirror_changes_only_the_pixels_of_its_images() -> None:
-    with_images = fit_and_score(MIRRORING, "mean", patch="none", budget=TimeBudget.starting(1.0))
-    without = fit_and_score(PLAIN, "mean", patch="none", budget=TimeBudget.starting(1.0))
+    with_images = fit_and_score(MIRRORING, "mean", patch="none")
+    without = fit_and_score(PLAIN, "mean", patch="none")
     a = with_images.fitted.predict(PLAIN.light[:3]).luminance_cdm2
     b = without.fitted.predict(PLAIN.light[:3]).luminance_cdm2
     np.testing.assert_allclose(a, b, rtol=0.15)

@@ -19,7 +19,6 @@ from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.dense import validation_split
 from fieldlum.learn.models.scores import Scores, light_of_year
 from fieldlum.learn.train import (
-    TimeBudget,
     Trial,
     choose_model,
     day_folds,
@@ -64,14 +63,14 @@ def test_one_day_is_parted_by_hours_and_said_so() -> None:
     day = DATA.take(DATA.days == DATA.days[0])
     assert one_day_only(day) and len(day_folds(day)) > 1
     with pytest.raises(NotEnoughDataError):
-        fit_and_score(day.take([0]), "mean", budget=TimeBudget.starting(1.0))
+        fit_and_score(day.take([0]), "mean")
 
 
 @pytest.mark.slow
 @pytest.mark.contract
 def test_auto_goes_on_without_a_model_that_needs_more_hours() -> None:
     """Three hours: two to learn from are too few for transport, and that is said."""
-    result = fit_and_score(DATA.take(range(3)), "auto", budget=TimeBudget.starting(1.0))
+    result = fit_and_score(DATA.take(range(3)), "auto")
     assert result.choice.name in {"mean", "nearest", "dense"}
     assert any(note.startswith("transport was not tried") for note in result.notes)
 
@@ -128,7 +127,7 @@ def test_run_keeps_a_model_its_scores_and_says_why(tmp_path: Path) -> None:
 @pytest.mark.analytic
 def test_a_year_is_expected_to_be_harder_than_held_out_days_of_one_season() -> None:
     march = dataset(("2027-03-17", "2027-03-18", "2027-03-19", "2027-03-20"))
-    result = fit_and_score(march, "transport", patch="none", budget=TimeBudget.starting(60.0))
+    result = fit_and_score(march, "transport", patch="none")
     assert result.year is not None
     held_out = result.table(0)[-1]["log10_mse_weighted"]
     year = light_of_year(result.data, np.random.default_rng(5))
@@ -277,33 +276,3 @@ def test_the_budget_bounds_the_complete_command(
     assert clock.now_s + 10.0 <= 60.0 * budget_min
     folds = {row["name"]: row["folds"] for row in answer["models"]}
     assert folds["transport"] >= 2 and (budget_min < 10.0 or folds["transport"] == 5)
-
-
-@pytest.mark.slow
-@pytest.mark.property
-@pytest.mark.parametrize("trial_s", [50.0, 200.0])
-def test_on_a_busy_machine_the_budget_ends_the_training(
-    trial_s: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The stored fit of transport, or its test, outlasts the budget: the best model so far."""
-    clock = CountedClock()
-
-    def fit(name: str, data: Dataset, *, progress: Any, **options: Any) -> models.Fitted:
-        options.pop("budget_s", None)
-        stored = len(data) == len(DATA)
-        for k in range(10):
-            progress(k, 10, "fitting")
-            clock.now_s += (300.0 if stored else trial_s) / 10 if name == "transport" else 0.0
-        return real("nearest" if name == "transport" else "mean", data, patch="none", seed=0)
-
-    real = models.fit
-    monkeypatch.setattr(models, "fit", fit)
-    monkeypatch.setattr(train, "MODELS", {k: v for k, v in models.MODELS.items() if not v.slow})
-    options: dict[str, Any] = {"budget_min": 5.0, "spent_s": 10.0}
-    answer = run(DATA, "auto", out=tmp_path / "auto", clock=clock, **options)
-    assert clock.now_s + 10.0 <= 320.0  # by one step at most
-    assert answer["chosen"] in ("mean", "nearest")
-    assert any("raise --budget" in note for note in answer["notes"])
-    clock.now_s = 0.0
-    with pytest.raises(NotEnoughDataError, match="transport was not fitted within the time"):
-        run(DATA, "transport", out=tmp_path / "transport", clock=clock, **options)

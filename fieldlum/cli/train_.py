@@ -47,9 +47,9 @@ def command(
 ) -> None:
     """Learn the room from pairs; score it on held-out days.
 
-    PAIRS is a session or a pairs.csv. The budget is wall time of the complete command: reading,
-    held-out days and the stored model. Where it ends, training stops, stores the best model so far
-    and reports what was left out. If captures, options and fieldlum's version have not changed, the
+    PAIRS is a session or a pairs.csv. The budget is wall time for the network, counted
+    from the start of the command. For it, quick models omit at most three of five groups of
+    held-out days. If captures, options and fieldlum's version have not changed, the
     model is trained again only with --force.
 
     \b
@@ -60,7 +60,7 @@ def command(
     Options:
       --model: auto tries all models and chooses one.
       --patch: Use sun patches in cd/m2, up to an unknown factor, or not at all.
-      --budget: Time limit of the complete command, in minutes.
+      --budget: Time limit of the dense network, in minutes.
       --seed: Seed of all random numbers in training.
       --out: Model folder to write. [default: models/MODEL in the folder of the pairs]
     """

@@ -52,80 +52,8 @@ from fieldlum.session.codec import data_digest, digest, made_from
 from fieldlum.session.files.model_files import ScoreRow, ScoresFile, TrainAnswer
 from fieldlum.version import __version__
 
-# log10 MSE, an error factor of 1.4, which a steady room with correct irradiance does not reach
-POOR_MSE = 0.02
-EXCEPTION_TIMES = 4.0  # a day this many times worse than the median day is reported
-MIN_FOLD_S = 120.0  # for a fold of the dense network: shorter ones are no measure of it
-MAX_FOLDS = 5  # Hastie et al., The Elements of Statistical Learning, 7.10: 5 or 10
-# Shares of the budget: held-out days of the quick models, and a reserve for the scan of north and
-# clock. A slow model (the dense network) gets half of the rest for its held-out days and half for
-# the stored model.
-QUICK_SHARE, KEPT_BACK_SHARE = 0.4, 0.1
+POOR_MSE = 0.02  # log10, a factor of 1.4: a steady room with correct irradiance stays below
 MODEL_FILES = ("config.json", "weights.npz")
-
-
-class OutOfTime(Exception):
-    """The budget was used up within a step, which therefore has no result."""
-
-
-@dataclass(frozen=True, slots=True)
-class TimeBudget:
-    """The time that all parts of one training together may take.
-
-    total_s: the complete budget; clock: function that returns seconds since any start, so that
-    tests can simulate time; started_s: value of the clock when the budget began.
-    """
-
-    total_s: float
-    clock: Callable[[], float]
-    started_s: float
-
-    @classmethod
-    def starting(cls, total_s: float, clock: Callable[[], float] = time.monotonic) -> TimeBudget:
-        """Return a budget of `total_s` seconds that starts now."""
-        return cls(total_s, clock, clock())
-
-    @property
-    def left_s(self) -> float:
-        """Seconds that remain; negative once the budget is used up."""
-        return self.total_s - (self.clock() - self.started_s)
-
-    @property
-    def quick_s(self) -> float:
-        """Seconds that remain for held-out days of quick models: at the start 40 % of the total.
-
-        It is 0 once they are used.
-        """
-        return max(self.left_s - (1.0 - QUICK_SHARE) * self.total_s, 0.0)
-
-    @property
-    def slow_s(self) -> float:
-        """Seconds that remain for a slow model: `left_s` less a reserve of 10 % of the total.
-
-        It is never below 0.001 s: a slow model then takes one step, and is not judged.
-        """
-        return max(self.left_s - KEPT_BACK_SHARE * self.total_s, 1e-3)
-
-    def watched(self, progress: Progress) -> Progress:
-        """Return `progress` such that it raises OutOfTime once the budget is used up.
-
-        Every long step reports its progress, so that it ends within a part of itself.
-        """
-
-        def report(finished: int, total: int, text: str) -> None:
-            if self.left_s <= 0.0:
-                raise OutOfTime
-            progress(finished, total, text)
-
-        return report
-
-    def of_model(self, name: str, progress: Progress) -> Progress:
-        """Return the progress of a model's fit, which ends with the budget.
-
-        A baseline takes a second and is always fitted; a slow model divides its own time.
-        """
-        kind = MODELS[name]
-        return progress if kind.slow or kind.baseline else self.watched(progress)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -143,12 +71,13 @@ class Fold:
     test: NDArray[np.int64]
 
 
-def day_folds(data: Dataset, count: int = MAX_FOLDS) -> tuple[Fold, ...]:
+def day_folds(data: Dataset, count: int = 5) -> tuple[Fold, ...]:
     """Distribute the days of the captures over at most `count` folds in turn.
 
     Each fold tests its days and trains with all others. If there is only one day, its hours are
     distributed instead; a single hour gives no fold (an empty tuple). Neighbouring days are tested
     in different folds, so a fold tests days between captured ones, not seasons without captures.
+    Five folds: Hastie et al., The Elements of Statistical Learning, 7.10.
     """
     unique, which = np.unique(data.days, return_inverse=True)
     groups, members = (which, len(unique)) if len(unique) > 1 else (np.arange(len(data)), len(data))
@@ -374,18 +303,19 @@ def fit_and_score(
     model: str,
     *,
     patch: Patch = "absolute",
-    budget: TimeBudget,
+    budget_s: float = 600.0,
     seed: int = 0,
     checkpoint: Path | None = None,
+    clock: Callable[[], float] = time.monotonic,
     progress: Progress = quiet,
 ) -> Result:
     """Run trials on held-out days, choose a model, and fit it to all data.
 
-    model: a name of `MODELS`, or "auto" for all of them. Steps that the budget does not permit are
-    left out and listed in the notes; with "auto" the best model so far is stored. Raises
-    NotEnoughDataError for too few hours to hold any out, or to fit `model`, and if the budget ends
-    before `model` is fitted.
+    model: a name of `MODELS`, or "auto" for all of them. budget_s: time in which the network is
+    trained [s]; a quick model only omits held-out days for it. Raises NotEnoughDataError for too
+    few hours to hold any out, or to fit `model`, and if the network has no time.
     """
+    ends_s = clock() + budget_s
     patch = patch_mode(data, patch)
     captures = len(data)
     data, mirrors = split_images(with_sky_view(data, progress=progress))
@@ -395,56 +325,37 @@ def fit_and_score(
             f"{data.source}: {counted(len(data), 'usable hour')}; at least 2 are needed to train "
             "and to test; capture more hours"
         )
-    trials, left_out = _trials(data, model, patch, seed, budget, progress)
+    options: dict[str, Any] = {"patch": patch, "seed": seed, "clock": clock, "progress": progress}
+    trials, left_out = _trials(data, model, ends_s, options)
     choice = choose_model(trials) if model == "auto" else ModelSelection(model, "requested")
-
-    def stored(name: str) -> tuple[Fitted, Spent]:
-        show, limit = budget.of_model(name, progress), budget.slow_s
-        options: dict[str, Any] = {"patch": patch, "seed": seed, "checkpoint": checkpoint}
-        return fit_timed(name, data, budget_s=limit, progress=show, **options)
-
-    try:
-        fitted, spent = stored(choice.name)
-    except (OutOfTime, NotEnoughDataError):  # the network refuses a time without one pass
-        late = f"{choice.name} was not fitted within the time of --budget"
-        if model != "auto":
-            raise NotEnoughDataError(f"{data.source}: {late}; raise --budget") from None
-        choice = choose_model([trial for trial in trials if trial.name in baselines()])
-        left_out.append(
-            f"WARNING: {late}, although it is better on held-out days: the model is {choice.name}, "
-            "the best that was; raise --budget and train again"
-        )
-        fitted, spent = stored(choice.name)
+    left_s = ends_s - clock() - 0.1 * budget_s  # the rest is for the error of a year
+    fitted, spent = fit_timed(choice.name, data, budget_s=left_s, checkpoint=checkpoint, **options)
     fitted, uncertain = findings(fitted, data, setting)
     mirror = [f"WARNING: {m.captures} of {captures} captures {m.warning}" for m in mirrors]
     notes = [*notes_of(data, patch, model, trials), *left_out, *seen_skies(fitted), *mirror]
     notes += [*changed, *uncertain]
-    try:
-        year = year_of(fitted, data, patch, seed, budget.watched(progress))
-    except OutOfTime:
-        year = None
-        notes.append("the error of a year was not computed: the budget was used up")
+    year = year_of(fitted, data, patch, seed, progress)
     return Result(fitted, tuple(trials), choice, spent.wall_s, data, tuple(notes), year, mirrors)
 
 
 def _trials(
-    data: Dataset, model: str, patch: Patch, seed: int, budget: TimeBudget, progress: Progress
+    data: Dataset, model: str, ends_s: float, options: dict[str, Any]
 ) -> tuple[list[Trial], list[str]]:
-    """Test the models on held-out days; return the trials, and notes on those without time."""
+    """Test the models on held-out days; return the trials, and notes on those that cannot be.
+
+    Each may use half of the time that is left. ends_s: by the clock of `options`, which are those
+    of `evaluate_folds`.
+    """
     names = tuple(MODELS) if model == "auto" else tuple(dict.fromkeys((*baselines(), model)))
     trials, left_out, folds = [], [], day_folds(data)
     for name in names:
-        slow = MODELS[name].slow
-        # a slow model's held-out days get half of its time, the stored model the rest
-        limit = 0.5 * budget.slow_s if slow else budget.quick_s
-        some = folds[: max(1, int(limit / MIN_FOLD_S))] if slow else folds
-        show = budget.of_model(name, progress)
-        options: dict[str, Any] = {"patch": patch, "seed": seed, "clock": budget.clock}
-        options |= {"budget_s": limit, "keep_maps": True, "progress": show}
+        limit = 0.5 * (ends_s - options["clock"]())
+        # a network that is trained for less than two minutes is no measure of it
+        some = folds[: max(1, int(limit / 120.0))] if MODELS[name].slow else folds
         try:
-            trials.append(evaluate_folds(name, data, some, **options))
-        except OutOfTime:
-            left_out.append(f"{name}: not judged: the budget was used up; raise --budget")
+            trials.append(
+                evaluate_folds(name, data, some, budget_s=limit, keep_maps=True, **options)
+            )
         except NotEnoughDataError as error:
             if model == name:
                 raise
@@ -515,7 +426,8 @@ def run(
 
     If captures and options have not changed since the same version trained the model, nothing is
     trained (unless `force`) and the answer's `kept` is True. An interrupted dense training
-    continues from its checkpoint in `out`. spent_s: part of the budget that is used already [s].
+    continues from its checkpoint in `out`. budget_min: minutes for the network, of which `spent_s` seconds are
+    used already.
     """
     mode = patch_mode(data, patch)
     inputs = {
@@ -531,14 +443,14 @@ def run(
         return {**table, "kept": True}
     check_writable(out)
     checkpoint = out / f"checkpoint-{digest([seed, mode, inputs['data']])[:12]}.pt"
-    budget = TimeBudget.starting(60.0 * budget_min - spent_s, clock)
     result = fit_and_score(
         data,
         model,
         patch=patch,
-        budget=budget,
+        budget_s=60.0 * budget_min - spent_s,
         seed=seed,
         checkpoint=checkpoint,
+        clock=clock,
         progress=progress,
     )
     answer = {
@@ -675,11 +587,11 @@ def held_out_warnings(fitted: Fitted, data: Dataset) -> list[str]:
     day, texts = data.days[some], []
     days = np.unique(day)
     means = np.array([trimmed_mean(errors[day == d], weight[day == d]) for d in days])
-    exceptions = days[(means > POOR_MSE) & (means > EXCEPTION_TIMES * np.median(means))]
+    exceptions = days[(means > POOR_MSE) & (means > 4.0 * np.median(means))]
     if len(exceptions):
         shown = ", ".join(map(str, exceptions[:5])) + (" ..." if len(exceptions) > 5 else "")
         texts.append(
-            f"WARNING: the held-out error of {shown} is over {EXCEPTION_TIMES:g} times that of the "
+            f"WARNING: the held-out error of {shown} is over 4 times that of the "
             "median day: a blind was probably moved, a lamp was on, or the irradiance is wrong; "
             "these captures are used in the training: mark what was different (fieldlum status "
             "SESSION --mark SLOT blind=half), or set ok = 0 in pairs.csv, and train again"
