@@ -426,8 +426,8 @@ def run(
 
     If captures and options have not changed since the same version trained the model, nothing is
     trained (unless `force`) and the answer's `kept` is True. An interrupted dense training
-    continues from its checkpoint in `out`. budget_min: minutes for the network, of which `spent_s` seconds are
-    used already.
+    continues from its checkpoint in `out`. budget_min: minutes for
+    the network, of which `spent_s` seconds are used already.
     """
     mode = patch_mode(data, patch)
     inputs = {
