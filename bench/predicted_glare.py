@@ -59,7 +59,7 @@ def predicted_year(
     occupied = default_occupancy().at(hours.light.t_utc, hours.setup.site.timezone)
     count = int(occupied.sum()) if occupied_hours is None else occupied_hours
     dgp, rng = found.views["dgp"][occupied], np.random.default_rng(0)
-    stated = protection(dgp, found.doubt.hours(occupied), count, azimuths, rng)
+    stated = protection(dgp, found.uncertainty.hours(occupied), count, azimuths, rng)
     ends = np.array([(row.low, row.high) for row in stated], float)
     certain = np.array([row.certain for row in stated])
     low, high = found.views["dgp_low"] - TOLERANCE, found.views["dgp_high"] + TOLERANCE

@@ -396,8 +396,8 @@ class LightBelow:
             right = (self.basis @ (weight * y)).T[..., None]  # [m, k, 1]
             fit = np.maximum(self.basis.T @ np.linalg.solve(normal, right)[..., 0].T, minimum)
             q = np.log(y / fit)
-            doubt = np.where(q > 0.0, q / BRIGHTER, q / DARKER) ** 2
-            weight = trust / (y * fit) / (1.0 + doubt)
+            excess = np.where(q > 0.0, q / BRIGHTER, q / DARKER) ** 2
+            weight = trust / (y * fit) / (1.0 + excess)
         return np.maximum(fit * scale * self.total_lx, MIN_CDM2)
 
 
@@ -428,8 +428,8 @@ def levelled(below: Array, seen: Array, patch: Array, directions: Array, weights
     field = np.zeros_like(off)
     for number in range(LEVEL_ROUNDS):
         q = off - field
-        doubt = np.where(q > 0.0, q / BRIGHTER, q / LEVEL_DARKER) ** 2
-        weight = first / (1.0 + doubt) if number else first
+        excess = np.where(q > 0.0, q / BRIGHTER, q / LEVEL_DARKER) ** 2
+        weight = first / (1.0 + excess) if number else first
         normal = (weight @ products).reshape(-1, 9, 9)
         normal = normal + 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(9)
         right = (weight * off) @ terms

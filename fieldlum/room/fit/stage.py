@@ -91,14 +91,14 @@ def run(
 def judged_scene(data: Dataset, fit: SceneFit, *, progress: Progress = quiet) -> Scene:
     """Return the fit as a scene, with the geometry of the smallest misfit and its expected error.
 
-    The scene is trusted if there are enough sunny hours (`verdict.doubt`), and if the model trusts
+    The scene is trusted if there are enough sunny hours (`why_untrusted`), and if the model trusts
     at least half of a year's hours. With fewer than three directions of the sun, the expected error
     is unknown (None). data: all captures that the fit was given.
     """
     data = fit.used(data)
     chosen, reason = choose_geometry(fit.misfit)
     scene = scene_of(fit, chosen, reason)
-    why = doubt(data, fit.stated, fit.hours)
+    why = why_untrusted(data, fit.stated, fit.hours)
     if why:
         scene = replace(scene, trusted=False, notes=(*scene.notes, why))
     if "directions" in why:
@@ -140,7 +140,7 @@ def sun_blocks(suns: Floats) -> Indices:
     return connected_components(csr_matrix(near), directed=False)[1].astype(np.intp)
 
 
-def doubt(data: Dataset, room: Room, hours: int) -> str:
+def why_untrusted(data: Dataset, room: Room, hours: int) -> str:
     """Return why sunny hours cannot confirm a scene; empty if they can.
 
     They are too few, or have fewer than three different directions of the sun. hours: that the fit

@@ -159,14 +159,14 @@ def picture_budget(
 def year_budget(
     dgp: Floats,
     ev_lx: Floats,
-    doubt: DgpUncertainty,
+    uncertainty: DgpUncertainty,
     occupied_hours: int,
     azimuths_deg: Floats,
     u_scale: float,
 ) -> list[Budget]:
     """Return the budget of the DGP that is exceeded in 5 % of the occupied hours, by direction.
 
-    dgp, ev_lx [n, d], doubt: of the n lit occupied hours.
+    dgp, ev_lx [n, d], uncertainty: of the n lit occupied hours.
     u_scale: relative standard uncertainty of the camera's scale. Another year's weather, a blind
     that moves and clouds that move within the hour are not in it.
     """
@@ -176,7 +176,7 @@ def year_budget(
         return exceeded_in_share(np.clip(values, 0.0, 1.0), occupied_hours)
 
     rng = np.random.default_rng(0)
-    errors = (np.nan_to_num(doubt.u_maps) * year_errors(dgp.shape, rng) for _ in range(DRAWS))
+    errors = (np.nan_to_num(uncertainty.u_maps) * year_errors(dgp.shape, rng) for _ in range(DRAWS))
     of_scale = u_scale * dgp_per_scale(dgp, ev_lx)
     sources = [
         (
@@ -189,12 +189,12 @@ def year_budget(
         ),
         (
             Source("part of the view that no lens saw", "B", _RECTANGULAR, 1.0, "u", "hour"),
-            np.abs(exceeded(doubt.maximum) - exceeded(doubt.minimum)) / np.sqrt(12.0),
+            np.abs(exceeded(uncertainty.maximum) - exceeded(uncertainty.minimum)) / np.sqrt(12.0),
         ),
     ]
-    if len(doubt.drawn) > 1:
+    if len(uncertainty.drawn) > 1:
         source = Source("whether the sun's disc is seen", "B", _NORMAL, 1.0, "u", "all hours")
-        sources.append((source, np.std([exceeded(d) for d in doubt.drawn], axis=0)))
+        sources.append((source, np.std([exceeded(d) for d in uncertainty.drawn], axis=0)))
     name = "DGP exceeded in 5 %"
     return _budgets({name: exceeded(dgp)}, azimuths, [(s, {name: part}) for s, part in sources])
 

@@ -13,7 +13,7 @@ low-light correction in 2.14 and 3.05, the position index in 2.12 to 3.02.
 
 from __future__ import annotations
 
-import shlex
+import re
 import subprocess
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -328,7 +328,7 @@ def parse_view(text: str, source: Path, heading_deg: float = 0.0) -> PictureView
     Raises InputError, which names `source`, for a missing or unknown view type, and for impossible
     numbers.
     """
-    options = _options(text, source)
+    options = _options(text)
     kind = options.get("vt", "")
     if kind not in _MAX_DEG:
         forms = "-vta, -vth, -vts or -vtv"
@@ -344,54 +344,44 @@ def parse_view(text: str, source: Path, heading_deg: float = 0.0) -> PictureView
         remedy = "write -vu 0 1 0 for a picture of the sky"
         raise InputError(source, "-vd and -vu are parallel", "two different directions", remedy)
     default = "45" if kind == "v" else "180"
-    angles = [_number(options.get(name, default), f"-{name}", source) for name in ("vh", "vv")]
+    angles = [
+        float(_numbers(options.get(name, default), f"-{name}", source)[0]) for name in ("vh", "vv")
+    ]
     for name, angle in zip(("-vh", "-vv"), angles, strict=True):
         if not 0.0 < angle <= _MAX_DEG[kind]:
             expected = f"an angle above 0 and at most {_MAX_DEG[kind]:g} deg"
             raise InputError(source, f"{name} {angle:g} with -vt{kind}", expected, HOW)
     up = up - forward * float(up @ forward)
-    shift, lift = (_number(options.get(name, "0"), f"-{name}", source) for name in ("vs", "vl"))
+    shift, lift = (
+        float(_numbers(options.get(name, "0"), f"-{name}", source)[0]) for name in ("vs", "vl")
+    )
     return PictureView(kind, forward, up / np.linalg.norm(up), angles[0], angles[1], shift, lift)
 
 
-def _options(text: str, source: Path) -> dict[str, str]:
-    """Return options by name; ignore unknown ones.
+def _options(text: str) -> dict[str, str]:
+    """Return the last of each option by name, such as vt = "a" for -vta; ignore unknown ones."""
+    found = {"vt": re.findall(r"(?<!\S)-vt(\S)(?!\S)", text)}
+    for name, count in _ARGUMENTS.items():
+        found[name] = re.findall(rf"(?<!\S)-{name}((?:\s+\S+){{1,{count}}})", text)
+    return {name: values[-1] for name, values in found.items() if values}
 
-    For example vt = "a" for -vta, and vd = "x y z" for -vd x y z.
-    """
+
+def _numbers(text: str, name: str, source: Path) -> Floats:
     try:
-        words = shlex.split(text)
-    except ValueError as error:
-        found = f"VIEW {text[:80]!r} ({error})"
-        raise InputError(source, found, "Radiance's view options", HOW) from None
-    options: dict[str, str] = {}
-    at = 0
-    while at < len(words):
-        name = words[at].lstrip("-")
-        at += 1
-        if name.startswith("vt") and len(name) == 3:
-            options["vt"] = name[2]
-        elif name in _ARGUMENTS:
-            options[name] = " ".join(words[at : at + _ARGUMENTS[name]])
-            at += _ARGUMENTS[name]
-    return options
-
-
-def _number(text: str, name: str, source: Path) -> float:
-    try:
-        value = float(text)
+        values = np.array(text.split(), float)
     except ValueError:
-        value = np.nan
-    if not np.isfinite(value):
-        raise InputError(source, f"{name} {text[:40]!r}", "a number", HOW)
-    return value
+        values = np.array([np.nan])
+    if not (len(values) and np.isfinite(values).all()):
+        raise InputError(source, f"{name} {text.strip()[:80]!r}", "a number in each place", HOW)
+    return values
 
 
 def _vector(text: str, name: str, source: Path) -> Floats:
-    values = np.array([_number(part, name, source) for part in text.split()])
+    values = _numbers(text, name, source)
     length = float(np.linalg.norm(values)) if len(values) == 3 else 0.0
     if not 0.0 < length < np.inf:
-        raise InputError(source, f"{name} {text[:80]!r}", "three numbers that are not all 0", HOW)
+        found = f"{name} {text.strip()[:80]!r}"
+        raise InputError(source, found, "three numbers that are not all 0", HOW)
     return values / length
 
 

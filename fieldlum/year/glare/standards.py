@@ -124,7 +124,7 @@ def dgp_uncertainty(
 
 def protection(
     dgp: Floats,
-    doubt: DgpUncertainty,
+    uncertainty: DgpUncertainty,
     occupied_hours: int,
     azimuths_deg: Floats,
     rng: np.random.Generator,
@@ -132,7 +132,7 @@ def protection(
 ) -> tuple[DirectionYear, ...]:
     """Return the EN 17037 glare protection in d view directions, with 95 % intervals.
 
-    dgp, doubt : of the n lit occupied hours, [n, d]. occupied_hours : number of lit and dark
+    dgp, uncertainty : of the n lit occupied hours, [n, d]. occupied_hours : number of lit and dark
     occupied hours. azimuths_deg : [d], clockwise from north. A direction that was not seen has no
     figures; without u_maps in all others there are no intervals. u_common : [n, d] standard
     uncertainty of DGP by an error that all hours and directions share, such as the camera's scale;
@@ -140,17 +140,19 @@ def protection(
 
     The interval comes from 400 years drawn with `rng`, with normal errors around the model's DGP;
     half of their variance is common to all hours. Each drawn year takes the sun's disc from one of
-    the drawn rooms. The lower end uses `doubt.minimum`, the upper end `doubt.maximum`.
+    the drawn rooms. The lower end uses `uncertainty.minimum`, the upper end `uncertainty.maximum`.
     """
     exceeded = exceeded_in_share(dgp, occupied_hours)
-    judged = np.array([word != NOT_SEEN for word in doubt.words])
+    judged = np.array([word != NOT_SEEN for word in uncertainty.words])
     ends = None
-    if judged.any() and np.isfinite(doubt.u_maps[:, judged]).all():
+    if judged.any() and np.isfinite(uncertainty.u_maps[:, judged]).all():
         shared = np.zeros_like(dgp) if u_common is None else u_common
-        low, high = _interval(dgp, shared, occupied_hours, rng, doubt)
+        low, high = _interval(dgp, shared, occupied_hours, rng, uncertainty)
         ends = np.stack([np.minimum(low, exceeded), np.maximum(high, exceeded)], axis=1)
     rows = []
-    for i, (azimuth, word) in enumerate(zip(np.asarray(azimuths_deg), doubt.words, strict=True)):
+    for i, (azimuth, word) in enumerate(
+        zip(np.asarray(azimuths_deg), uncertainty.words, strict=True)
+    ):
         over = {f"{limit:.2f}": int((dgp[:, i] > limit).sum()) for _, limit in CLASSES}
         row = DirectionYear(float(azimuth), NOT_SEEN, seen=word, hours_over=dict.fromkeys(over))
         if judged[i]:
@@ -194,17 +196,17 @@ def _interval(
     u_common: Floats,
     occupied_hours: int,
     rng: np.random.Generator,
-    doubt: DgpUncertainty,
+    uncertainty: DgpUncertainty,
 ) -> tuple[Floats, Floats]:
     """Return the ends of the 95 % interval of dgp_exceeded for each direction, [d] each."""
     lows, highs = [], []
-    all_seen = bool(np.array_equal(doubt.minimum, doubt.maximum, equal_nan=True))
+    all_seen = bool(np.array_equal(uncertainty.minimum, uncertainty.maximum, equal_nan=True))
     for k in range(DRAWS):
-        year = doubt.drawn[k % len(doubt.drawn)] - dgp
-        year += doubt.u_maps * year_errors(dgp.shape, rng) + u_common * rng.standard_normal()
-        darkest = np.clip(doubt.minimum + year, 0.0, 1.0)
+        year = uncertainty.drawn[k % len(uncertainty.drawn)] - dgp
+        year += uncertainty.u_maps * year_errors(dgp.shape, rng) + u_common * rng.standard_normal()
+        darkest = np.clip(uncertainty.minimum + year, 0.0, 1.0)
         lows.append(exceeded_in_share(darkest, occupied_hours))
-        brightest = np.clip(doubt.maximum + year, 0.0, 1.0)
+        brightest = np.clip(uncertainty.maximum + year, 0.0, 1.0)
         highs.append(lows[-1] if all_seen else exceeded_in_share(brightest, occupied_hours))
     return np.percentile(lows, 2.5, axis=0), np.percentile(highs, 97.5, axis=0)
 

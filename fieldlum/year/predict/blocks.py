@@ -287,13 +287,13 @@ class HourFigures:
     start: index in the year of the first hour, from 0; hours: columns of hourly.csv without a
     direction, [n] each, with `occupied` 0; views: those for each direction, [n, d] each, NaN in
     directions of which lenses saw less than half, and the further keys of `glare_directions`;
-    doubt: what is uncertain about DGP.
+    uncertainty: what is uncertain about DGP.
     """
 
     start: int
     hours: dict[str, Array]
     views: dict[str, Floats]
-    doubt: DgpUncertainty
+    uncertainty: DgpUncertainty
 
 
 def joined(parts: Sequence[HourFigures]) -> HourFigures:
@@ -304,7 +304,7 @@ def joined(parts: Sequence[HourFigures]) -> HourFigures:
         first.start,
         {name: np.concatenate([part.hours[name] for part in parts]) for name in first.hours},
         {name: np.concatenate([part.views[name] for part in parts]) for name in first.views},
-        DgpUncertainty.joined([part.doubt for part in parts]),
+        DgpUncertainty.joined([part.uncertainty for part in parts]),
     )
 
 
@@ -335,7 +335,7 @@ class HourJudge:
         ev_lx, contrast = figures["ev_lx"], figures["contrast"]
         if melanopic is not None:
             figures |= melanopic.figures(light, figures, u_ev_rel)
-        doubt = DgpUncertainty(
+        uncertainty = DgpUncertainty(
             coverage.words,
             *self._bounds(block, ev_lx, contrast),
             dgp_with_disc(
@@ -346,12 +346,12 @@ class HourJudge:
             ).astype(np.float32),
             dgp_uncertainty(ev_lx, contrast, u_ev_rel, u_source_rel),
         )
-        off = doubt.drawn - figures["dgp"].astype(np.float32)  # [m, k, d]
-        reach = 1.96 * np.nan_to_num(doubt.u_maps)  # 95 %
+        off = uncertainty.drawn - figures["dgp"].astype(np.float32)  # [m, k, d]
+        reach = 1.96 * np.nan_to_num(uncertainty.u_maps)  # 95 %
         low, high = np.percentile(off, (2.5, 97.5), axis=0)
-        figures["dgp_low"] = np.clip(doubt.minimum + np.minimum(low, 0.0) - reach, 0.0, 1.0)
-        figures["dgp_high"] = np.clip(doubt.maximum + np.maximum(high, 0.0) + reach, 0.0, 1.0)
-        figures["u_dgp"] = np.hypot(doubt.u_maps, np.sqrt((off**2).mean(axis=0)))
+        figures["dgp_low"] = np.clip(uncertainty.minimum + np.minimum(low, 0.0) - reach, 0.0, 1.0)
+        figures["dgp_high"] = np.clip(uncertainty.maximum + np.maximum(high, 0.0) + reach, 0.0, 1.0)
+        figures["u_dgp"] = np.hypot(uncertainty.u_maps, np.sqrt((off**2).mean(axis=0)))
         for values in figures.values():
             values[:, ~coverage.judged] = np.nan
         hours = {
@@ -362,7 +362,7 @@ class HourJudge:
             "expected_log10_mse": block.prediction.expected_mse,
             "disturbed_share": disturbed_share(figures["dgp"]),
         }
-        return HourFigures(start, hours, figures, doubt)
+        return HourFigures(start, hours, figures, uncertainty)
 
     def _bounds(self, block: HourBlock, ev_lx: Floats, contrast: Floats) -> tuple[Floats, Floats]:
         """Return the minimum and maximum DGP over possible light in the unseen part of each view.

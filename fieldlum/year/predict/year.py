@@ -145,7 +145,7 @@ def run(
     if store:
         finish_maps(folder, found.hours["disc_lx"], found.hours["trusted"])
     annual = Annual(folder, PredictFile(), light.t_utc, azimuths, found.hours, _columns(found))
-    rows, budgets = _protection(annual, found.doubt, hours_used, session, seed)
+    rows, budgets = _protection(annual, found.uncertainty, hours_used, session, seed)
     annual = replace(
         annual,
         summary=summary_of_year(
@@ -159,21 +159,25 @@ def run(
 
 def _columns(found: HourFigures) -> dict[str, np.ndarray]:
     """Return the figures that hourly.csv has for each direction."""
-    empty = {name: np.full(found.doubt.u_maps.shape, np.nan) for name in COLOUR_COLUMNS}
+    empty = {name: np.full(found.uncertainty.u_maps.shape, np.nan) for name in COLOUR_COLUMNS}
     columns = {*VIEW_COLUMNS, *(name for name, metric in METRICS.items() if metric.in_year)}
     return {name: v for name, v in (empty | found.views).items() if name in columns}
 
 
 def _protection(
-    annual: Annual, doubt: DgpUncertainty, hours_used: int, session: Session | None, seed: int
+    annual: Annual, uncertainty: DgpUncertainty, hours_used: int, session: Session | None, seed: int
 ) -> tuple[tuple[DirectionYear, ...], list[Budget]]:
     """Return the classes of the directions, and the budgets of their exceeded DGP."""
     used, azimuths = annual.occupied, annual.azimuths_deg
-    dgp, ev_lx, doubt = annual.views["dgp"][used], annual.views["ev_lx"][used], doubt.hours(used)
+    dgp, ev_lx, uncertainty = (
+        annual.views["dgp"][used],
+        annual.views["ev_lx"][used],
+        uncertainty.hours(used),
+    )
     u_scale = 0.0 if session is None else scale_u_rel(session)
     of_scale, rng = u_scale * dgp_per_scale(dgp, ev_lx), np.random.default_rng(seed)
-    rows = protection(dgp, doubt, hours_used, azimuths, rng, of_scale)
-    return rows, year_budget(dgp, ev_lx, doubt, hours_used, azimuths, u_scale)
+    rows = protection(dgp, uncertainty, hours_used, azimuths, rng, of_scale)
+    return rows, year_budget(dgp, ev_lx, uncertainty, hours_used, azimuths, u_scale)
 
 
 def _write(annual: Annual, budgets: list[Budget], pictures: Pictures, zone: str) -> None:
