@@ -56,7 +56,7 @@ def test_status_names_the_class_of_each_model(session: Session) -> None:
 def test_the_grace_of_a_capture_is_known_to_doctor_and_replanning(session: Session) -> None:
     late = NOON + timedelta(minutes=8)
     assert doctor.slots_ahead(session, late) == []
-    assert makeup.run(session, late).missed == 1
+    assert makeup.run(session, late)["missed"] == 1
     session.plan.write_bytes((session.root / "plan.0.csv").read_bytes())
     store_grace(session, 900.0)
     assert [slot.id for slot in doctor.slots_ahead(session, late)] == [SLOT.id]

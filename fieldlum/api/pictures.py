@@ -71,7 +71,7 @@ def plan_captures(
     request = plan.Request(capture_set, counted_from, start, year, days, count)
     if out is None:
         return plan.make_plan(setup, request, weather)
-    return plan.run(setup, request, path_of(out, "out"), weather).plan
+    return plan.run(setup, request, path_of(out, "out"), weather)[1]
 
 
 def merge_frames(

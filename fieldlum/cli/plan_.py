@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -106,7 +105,7 @@ def _planned(target: Path, asked: tuple, sky: WeatherFile, out: Path) -> tuple[d
     sentences = plan.sentences(answer)
     plan.write_calendar(session, datetime.now(UTC))
     plan.write_sheets(session, weather, [*sentences[1:], *made.warnings])
-    return asdict(answer), sentences
+    return answer, sentences
 
 
 def _permit_room(setup: SiteFile) -> None:
@@ -139,7 +138,7 @@ def _coming(target: Path, sky: WeatherFile) -> tuple[dict, list[str]]:
         terminal.say("note: no --weather: clear skies with random clouds are used")
     with terminal.progress("ranking hours") as progress:
         answer = coming.run(session, weather, datetime.now(UTC), progress)
-    return coming.as_table(answer), coming.sentences(answer, site)
+    return answer, coming.sentences(answer, site)
 
 
 def _replanned(target: Path, sky: WeatherFile) -> tuple[dict, list[str]]:
@@ -151,7 +150,7 @@ def _replanned(target: Path, sky: WeatherFile) -> tuple[dict, list[str]]:
     answer = makeup.run(session, datetime.now(UTC))
     plan.write_calendar(session, datetime.now(UTC))
     plan.write_sheets(session, _weather(sky, session.site_file().site))
-    return asdict(answer), makeup.sentences(answer)
+    return answer, makeup.sentences(answer)
 
 
 def _weather(sky: WeatherFile, site: Site) -> Weather | None:

@@ -118,4 +118,4 @@ def _planned(
         return simulate.make_session(out, setup, slots, about)
     today = plan.today_at(setup.site, datetime.now(UTC))
     request = plan.Request(set_, today, None, year, seed=seed)
-    return plan.run(setup, request, out, weather, progress).session
+    return plan.run(setup, request, out, weather, progress)[0]

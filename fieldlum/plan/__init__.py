@@ -4,18 +4,27 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
-from datetime import date, datetime
+from dataclasses import asdict, dataclass
+from datetime import date, datetime, timedelta
 from pathlib import Path
-from typing import NamedTuple
 from zoneinfo import ZoneInfo
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from fieldlum.core.arrays import Floats, Mask
+from fieldlum.core.arrays import Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
-from fieldlum.core.records import Exposure, Progress, Room, Site, SiteFile, Slot, counted, quiet
+from fieldlum.core.records import (
+    Exposure,
+    JsonTable,
+    Progress,
+    Room,
+    Site,
+    SiteFile,
+    Slot,
+    counted,
+    quiet,
+)
 from fieldlum.optics.profiles import (
     Bracket,
     assumed_texts,
@@ -35,18 +44,16 @@ from fieldlum.plan.days import (
     hours_of,
     season_tag,
     set_days,
+    span,
     today_at,
 )
-from fieldlum.plan.sheet import Cost, html, ics
-from fieldlum.room.scene.geometry import Opening, build
+from fieldlum.plan.sheet import html, ics
+from fieldlum.room.scene.geometry import build
 from fieldlum.room.scene.trace import disc_visibility, sun_points
 from fieldlum.session import Session, create_session, replacing
 from fieldlum.session.folder import PlanTable
 from fieldlum.sky import sun
 from fieldlum.weather import Weather
-
-Points = Floats
-GRID = 6  # test points across and up a window; chosen, not measured
 
 
 def sun_enters(room: Room, altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> Mask:
@@ -58,10 +65,13 @@ def sun_enters(room: Room, altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> M
     scene = build(room)
     suns = scene.to_room(sun.direction(altitude_deg, azimuth_deg))
     enters = np.zeros(len(suns), bool)
+    steps = (np.arange(6) + 0.5) / 6
     for o in scene.openings:
-        at, one = _points(o), np.ones(GRID * GRID)
-        axis, sign, target = (np.full(len(at), k) for k in (o.axis, o.outward, 0))
-        points = sun_points(scene, at, axis, sign, one, target, 1)
+        u, z = (low + (high - low) * steps for low, high in (o.u_m, o.z_m))
+        at = np.full((36, 3), o.inner_m)
+        at[:, o.along], at[:, 2] = (grid.ravel() for grid in np.meshgrid(u, z))
+        axis, sign, target = (np.full(36, k) for k in (o.axis, o.outward, 0))
+        points = sun_points(scene, at, axis, sign, np.ones(36), target, 1)
         enters |= points.direct(suns)[:, 0] > 0.0
     return enters
 
@@ -74,18 +84,6 @@ def sun_in_view(room: Room, altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> 
     """
     scene = build(room)
     return disc_visibility(scene, scene.to_room(sun.direction(altitude_deg, azimuth_deg)))[0] > 0
-
-
-def _points(opening: Opening) -> Points:
-    """Return a grid of points over the inner end of the window, [GRID * GRID, 3]."""
-    steps = (np.arange(GRID) + 0.5) / GRID
-    (u0, u1), (z0, z1) = opening.u_m, opening.z_m
-    along, up = np.meshgrid(u0 + (u1 - u0) * steps, z0 + (z1 - z0) * steps)
-    points = np.empty((along.size, 3))
-    points[:, opening.axis] = opening.inner_m
-    points[:, opening.along] = along.ravel()
-    points[:, 2] = up.ravel()
-    return points
 
 
 # Hours of the sets `even` and `best` (Liu, Colburn and Inanici 2020; docs/planning.md).
@@ -102,13 +100,6 @@ _NO_WINDOW = (
 def is_windowless(room: Room | None) -> bool:
     """Return whether a room is a box without a window."""
     return room is not None and room.kind == "box" and not room.window
-
-
-class PlannedSession(NamedTuple):
-    """The session and the plan that `run` wrote."""
-
-    session: Session
-    plan: Plan
 
 
 def make_plan(
@@ -134,8 +125,7 @@ def make_plan(
     exposures = planned_exposures(profile, setup.camera)
     slots = make_slots(chosen, setup, exposures)
     left = _variance_left(task, chosen) if task else None
-    is_month = request.set == "month"
-    months = _months(task, len(days), days[0].year, left) if task and left and is_month else None
+    to_compare = (task, left) if task and left and request.set == "month" else None
     warnings = (
         *assumed_texts(setup.camera),
         uncalibrated_text(profile),
@@ -151,7 +141,7 @@ def make_plan(
         *_cost_of(profile.bracket, exposures, setup),
         coverage(chosen, site, weather),
         left,
-        months,
+        _months(*to_compare, len(days), days[0].year) if to_compare else None,
         tuple(text for text in warnings if text),
     )
 
@@ -185,12 +175,18 @@ def _variance_left(task: choose.Learning, hours: DaylightHours) -> float:
     return choose.variance_left(task, choose.features_at(hours, task)[1])
 
 
-def _months(task: choose.Learning, days: int, year: int, variance_left: float) -> Months:
-    windows = choose.month_windows(year, days)
-    left = [_variance_left(task, daylight_hours(window, task.site)) for window in windows]
-    best = f"{date(year, int(np.argmin(left)) + 1, 1):%B}"
-    minimum = min(*left, variance_left)
-    return Months(best, variance_left / minimum, tuple(value / minimum for value in left))
+def _months(task: choose.Learning, variance_left: float, days: int, year: int) -> JsonTable:
+    """Return the expected squared error of a capture month over that of the best month.
+
+    It is the variance that the month's captures leave. best: name of the calendar month with the
+    least; times_best: of the planned month, 1 or more; by_month: of `days` days around the 16th of
+    each calendar month, January first.
+    """
+    middles = [date(year, month, 16) - timedelta(days=days // 2) for month in range(1, 13)]
+    left = [_variance_left(task, daylight_hours(span(d, days), task.site)) for d in middles]
+    best, minimum = f"{date(year, int(np.argmin(left)) + 1, 1):%B}", min(*left, variance_left)
+    by_month = [value / minimum for value in left]
+    return {"best": best, "times_best": variance_left / minimum, "by_month": by_month}
 
 
 # ----------------------------------------------------------------------------------------------
@@ -253,13 +249,13 @@ def run(
     out: Path,
     weather: Weather | None = None,
     progress: Progress = quiet,
-) -> PlannedSession:
-    """Make the plan that `request` describes, and create the session folder `out` with it.
+) -> tuple[Session, Plan]:
+    """Make the plan that `request` describes; return the new session `out`, and the plan.
 
     Raises InputError if `out` is already a session, and the errors of `make_plan`.
     """
     plan = make_plan(setup, request, weather, progress)
-    return PlannedSession(create_session(out, setup, plan.slots, plan.about(request)), plan)
+    return create_session(out, setup, plan.slots, plan.about(request)), plan
 
 
 def write_calendar(session: Session, made_utc: datetime) -> Path:
@@ -282,7 +278,7 @@ def write_sheets(
     weather: for a plot of the skies that the plan covers; notes: texts to print. Raises InputError
     if session.toml has no complete table [plan].
     """
-    cost = Cost(*_planned_cost(session)[:2])
+    cost = _planned_cost(session)[:2]
     with replacing(session.root / "plan.html") as file:
         file.write(html(session.slots(), session.site_file(), cost, weather, notes).encode())
     return session.root / "plan.html"
@@ -321,26 +317,12 @@ class Request:
 
 
 @dataclass(frozen=True, slots=True)
-class Months:
-    """Expected squared error of a capture month, relative to the best month.
-
-    The error is the variance that the month's captures leave, by the kernel. best: name of the
-    calendar month with the least; times_best: error of the planned month over the least, 1 or more;
-    by_month: that of each calendar month over the least, January first.
-    """
-
-    best: str
-    times_best: float
-    by_month: tuple[float, ...]
-
-
-@dataclass(frozen=True, slots=True)
 class Plan:
     """The slots of a set, their cost and coverage, and the warnings.
 
     days: all days of the set, also those without slots; variance_left: share of the prior variance
-    over the year that the captures leave, None without weather; months: only for the set `month`
-    with weather.
+    over the year that the captures leave, None without weather; months: comparison with the other
+    months, only for the set `month` with weather.
     """
 
     slots: tuple[Slot, ...]
@@ -349,7 +331,7 @@ class Plan:
     megabytes_per_slot: float
     coverage: Coverage
     variance_left: float | None
-    months: Months | None
+    months: JsonTable | None
     warnings: tuple[str, ...]
 
     @property
@@ -369,38 +351,8 @@ class Plan:
             "megabytes_per_slot": self.megabytes_per_slot,
             "sun_band_percent": round(self.coverage.sun_band_percent, 1),
         }
-        for name in ("start", "year", "count"):
-            if (value := getattr(request, name)) is not None:
-                table[name] = value
-        return table
-
-
-@dataclass(frozen=True, slots=True)
-class PlanSummary:
-    """The object that `plan --json` prints; its keys are a contract.
-
-    session: path of its folder; slots, days: numbers of slots, and of days with slots; first, last:
-    ids of slots; solar_noon: local time on the first day, "" if unknown; frames: of all slots, at
-    every heading; megabytes: of all slots, only if size_is_known; tags: number of slots with each
-    tag; variance_left_percent: of the prior variance over the year, None without weather; month:
-    comparison with other months, only for `--set month` with weather, else None.
-    """
-
-    session: str
-    slots: int
-    days: int
-    first: str
-    last: str
-    solar_noon: str
-    frames: int
-    seconds_per_slot: float
-    megabytes: float
-    size_is_known: bool
-    tags: dict[str, int]
-    coverage: Coverage
-    variance_left_percent: float | None
-    month: Months | None
-    warnings: tuple[str, ...]
+        stated = {name: getattr(request, name) for name in ("start", "year", "count")}
+        return table | {name: v for name, v in stated.items() if v is not None}  # type: ignore
 
 
 def plan_warnings(
@@ -414,12 +366,11 @@ def plan_warnings(
     texts: list[str] = []
     count, zone = Counter(sun.standard_date(t, site.timezone) for t in hours.t_utc), site.timezone
     if request.set not in ("even", "best"):
-        dark, midnight = ([d for d in days if count[d] == n] for n in (0, 24))
+        dark, light = (sum(count[d] == n for d in days) for n in (0, 24))
         if dark:
-            texts.append(f"polar night: no slot on {len(dark)} of {len(days)} days{_runs(dark)}")
-        if midnight:
-            of_all = f"{len(midnight)} of {len(days)} days{_runs(midnight)}"
-            texts.append(f"midnight sun: a slot in every hour of {of_all}")
+            texts.append(f"polar night: no slot on {dark} of {len(days)} days")
+        if light:
+            texts.append(f"midnight sun: a slot in every hour of {light} of {len(days)} days")
     if request.count and len(hours) < request.count:
         texts.append(
             f"--count {request.count}: the plan has only {len(hours)} slots, because no more hours "
@@ -443,86 +394,77 @@ def plan_warnings(
     return texts
 
 
-def _runs(days: Sequence[date]) -> str:
-    """Return runs of consecutive days, by their first and last day, in brackets."""
-    runs: list[list[date]] = []
-    for day in sorted(days):
-        if not runs or (day - runs[-1][-1]).days > 1:
-            runs.append([])
-        runs[-1].append(day)
-    return f" ({', '.join(' to '.join(map(str, dict.fromkeys((r[0], r[-1])))) for r in runs)})"
+def summary(session: Session, plan: Plan) -> JsonTable:
+    """Return counts, dates, cost, coverage and warnings of a plan, as `plan --json` prints.
 
-
-def summary(session: Session, plan: Plan) -> PlanSummary:
-    """Return counts, dates, cost, coverage and warnings of a plan, as `plan --json` prints."""
+    slots, days: numbers of slots, and of days with slots; first, last: ids of slots; solar_noon:
+    local time on the first day, which reveals a longitude with a wrong sign, "" if unknown; frames,
+    megabytes: of all slots, at every heading; tags: number of slots with each tag.
+    """
     slots, setup = plan.slots, session.site_file()
     site, turns = setup.site, max(len(setup.camera.headings), 1)
-    first_day = sun.standard_date(slots[0].t_utc, site.timezone)
-    transit = sun.rise_transit_set([first_day], site)[0].transit
-    noon = transit.astimezone(ZoneInfo(site.timezone)) if transit else None
-    return PlanSummary(
-        session=str(session.root),
-        slots=len(slots),
-        days=len({sun.standard_date(slot.t_utc, site.timezone) for slot in slots}),
-        first=slots[0].id,
-        last=slots[-1].id,
-        # it reveals a longitude with a wrong sign
-        solar_noon=f"{noon:%H:%M %Z}" if noon else "",
-        frames=turns * sum(len(slot.exposures) for slot in slots),
-        seconds_per_slot=plan.seconds_per_slot,
-        megabytes=round(plan.megabytes_per_slot * len(slots), 1),
-        size_is_known="profile" not in setup.camera.assumed,
-        tags=dict(sorted(Counter(tag for slot in slots for tag in slot.tags).items())),
-        coverage=plan.coverage,
-        variance_left_percent=None if plan.variance_left is None else 100 * plan.variance_left,
-        month=plan.months,
-        warnings=plan.warnings,
-    )
+    days = sorted({sun.standard_date(slot.t_utc, site.timezone) for slot in slots})
+    noon = sun.rise_transit_set(days[:1], site)[0].transit
+    return {
+        "session": str(session.root),
+        "slots": len(slots),
+        "days": len(days),
+        "first": slots[0].id,
+        "last": slots[-1].id,
+        "solar_noon": f"{noon.astimezone(ZoneInfo(site.timezone)):%H:%M %Z}" if noon else "",
+        "frames": turns * sum(len(slot.exposures) for slot in slots),
+        "seconds_per_slot": plan.seconds_per_slot,
+        "megabytes": round(plan.megabytes_per_slot * len(slots), 1),
+        "size_is_known": "profile" not in setup.camera.assumed,
+        "tags": dict(sorted(Counter(tag for slot in slots for tag in slot.tags).items())),
+        "coverage": asdict(plan.coverage),
+        "variance_left_percent": None if plan.variance_left is None else 100 * plan.variance_left,
+        "month": plan.months,
+        "warnings": plan.warnings,
+    }
 
 
-def sentences(summary: PlanSummary) -> list[str]:
+def sentences(summary: JsonTable) -> list[str]:
     """Return the summary as sentences to print; the warnings are not among them."""
-    slots, tags = summary.slots, summary.tags
+    slots, days, tags = summary["slots"], summary["days"], summary["tags"]
+    cost = f"{counted(summary['frames'], 'frame')}, {summary['seconds_per_slot']:g} s"
+    unknown = " per slot; the size of the files is unknown, because no camera is stated"
+    each, total = summary["megabytes"] / slots, summary["megabytes"] / 1000
+    known = f" and {each:.0f} MB per slot, {total:.1f} GB in total"
     texts = [
-        f"{counted(slots, 'slot')} on {counted(summary.days, 'day')}, {summary.first} to "
-        f"{summary.last}, in {summary.session}",
-        _cost_text(summary),
-        _covered_text(summary.coverage),
+        f"{counted(slots, 'slot')} on {counted(days, 'day')}, {summary['first']} to "
+        f"{summary['last']}, in {summary['session']}",
+        cost + (known if summary["size_is_known"] else unknown),
+        _covered_text(**summary["coverage"]),
     ]
-    if summary.solar_noon:
-        texts.append(f"solar noon on the first day is at {summary.solar_noon}")
+    if summary["solar_noon"]:
+        texts.append(f"solar noon on the first day is at {summary['solar_noon']}")
     if "sun-enters" in tags:
         texts.append(
             f"if the sky is clear, the sun shines through a window in {tags['sun-enters']} slots, "
             f"and the camera sees the sun itself in {tags.get('sun-in-view', 0)} slots"
         )
-    if summary.variance_left_percent is not None:
+    if (left := summary["variance_left_percent"]) is not None:
         texts.append(
-            f"after these captures {summary.variance_left_percent:.2g} % of the model's variance "
-            f"over the year is left ({10 * summary.variance_left_percent**0.5:.2g} % of its "
-            "standard uncertainty), if skies are as in the weather file"
+            f"after these captures {left:.2g} % of the model's variance over the year is left "
+            f"({10 * left**0.5:.2g} % of its standard uncertainty), if skies are as in the weather "
+            "file"
         )
-    if summary.month is not None:
+    if (month := summary["month"]) is not None:
         texts.append(
-            f"the expected squared error of a model from this month is "
-            f"{summary.month.times_best:.2f} times that of the best month, {summary.month.best}"
+            f"the expected squared error of a model from this month is {month['times_best']:.2f} "
+            f"times that of the best month, {month['best']}"
         )
     return texts
 
 
-def _cost_text(summary: PlanSummary) -> str:
-    text = f"{counted(summary.frames, 'frame')}, {summary.seconds_per_slot:g} s"
-    if not summary.size_is_known:
-        return f"{text} per slot; the size of the files is unknown, because no camera is stated"
-    each, total = summary.megabytes / summary.slots, summary.megabytes / 1000
-    return f"{text} and {each:.0f} MB per slot, {total:.1f} GB in total"
-
-
-def _covered_text(coverage: Coverage) -> str:
-    text = f"the plan covers {coverage.sun_band_percent:.0f} % of the year's sun band"
-    if coverage.irradiance_percent is None:
+def _covered_text(
+    sun_band_percent: float, irradiance_percent: float | None, both_percent: float | None
+) -> str:
+    text = f"the plan covers {sun_band_percent:.0f} % of the year's sun band"
+    if irradiance_percent is None:
         return text
     return (
-        f"{text} and the skies of {coverage.irradiance_percent:.0f} % of the weather year's "
-        f"daylight hours; {coverage.both_percent:.0f} % of these hours are covered in both"
+        f"{text} and the skies of {irradiance_percent:.0f} % of the weather year's daylight hours; "
+        f"{both_percent:.0f} % of these hours are covered in both"
     )

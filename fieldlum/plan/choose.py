@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
-from datetime import date
 
 import numpy as np
 
 from fieldlum.core.arrays import Floats, Indices
 from fieldlum.core.records import Progress, Room, Site, quiet
-from fieldlum.plan.days import DaylightHours, span
+from fieldlum.plan.days import DaylightHours
 from fieldlum.sky import sun
 from fieldlum.sky.light import Features, Kernel, facades_of, greedy_hours, light_at, light_features
 from fieldlum.weather import Weather
@@ -104,23 +103,17 @@ def learning(
     return Learning(kernel or Kernel(facades_of(room)), light_features(light), site, weather)
 
 
-def features_at(hours: DaylightHours, task: Learning) -> tuple[Indices, Features]:
-    """Return the hours with daylight in the weather (DHI above 0) and their light features.
-
-    The hours are indices [k] into `hours`, ascending.
-    """
-    return features_under(task.weather.at(hours.t_utc), hours, task)
-
-
-def features_under(
-    sky: sun.Irradiance, hours: DaylightHours, task: Learning
+def features_at(
+    hours: DaylightHours, task: Learning, sky: sun.Irradiance | None = None
 ) -> tuple[Indices, Features]:
-    """Return what `features_at` returns, for a given sky [n] at the n hours."""
-    with_light = np.flatnonzero(np.isfinite(sky.dni_wm2 + sky.dhi_wm2) & (sky.dhi_wm2 > 0))
-    times = hours[with_light].t_utc
-    return with_light, light_features(
-        light_at(times, task.site, sky.dni_wm2[with_light], sky.dhi_wm2[with_light])
-    )
+    """Return the hours with daylight (DHI above 0) and their light features.
+
+    The hours are indices [k] into `hours`, ascending. sky: at the n hours, None for the weather's.
+    """
+    sky = sky or task.weather.at(hours.t_utc)
+    lit = np.flatnonzero(np.isfinite(sky.dni_wm2 + sky.dhi_wm2) & (sky.dhi_wm2 > 0))
+    light = light_at(hours[lit].t_utc, task.site, sky.dni_wm2[lit], sky.dhi_wm2[lit])
+    return lit, light_features(light)
 
 
 def variance_left(task: Learning, captured: Features) -> float:
@@ -152,12 +145,3 @@ def best(hours: DaylightHours, task: Learning, count: int, progress: Progress = 
         task.kernel, task.year, features[pool], count, noise=NOISE, progress=progress
     )
     return np.sort(hours_known[pool[ranked.index]])
-
-
-def month_windows(year: int, days: int) -> list[list[date]]:
-    """Return twelve periods of `days` consecutive days, around 16 January to 16 December of `year`.
-
-    Each begins days // 2 before the 16th.
-    """
-    starts = [date(year, month, 16).toordinal() - days // 2 for month in range(1, 13)]
-    return [span(date.fromordinal(start), days) for start in starts]

@@ -5,15 +5,13 @@ The ranking also shows whether more captures pay.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
 from datetime import UTC, datetime, timedelta
 from zoneinfo import ZoneInfo
 
 import numpy as np
 
-from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import NotEnoughDataError, input_errors
-from fieldlum.core.records import JsonTable, Progress, Site, quiet, slot_id, utc_text
+from fieldlum.core.records import JsonTable, Progress, Site, parse_utc, quiet, slot_id, utc_text
 from fieldlum.plan import choose
 from fieldlum.plan.days import DaylightHours, daylight_hours, span
 from fieldlum.plan.makeup import captured_ids
@@ -21,55 +19,23 @@ from fieldlum.session import Session
 from fieldlum.session.files.model_files import ModelConfig
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.sky import sun
-from fieldlum.sky.light import Facades, Features, Kernel, greedy_hours, light_at, light_features
+from fieldlum.sky.light import (
+    Facades,
+    Features,
+    GreedySelection,
+    Kernel,
+    greedy_hours,
+    light_at,
+    light_features,
+)
 from fieldlum.weather import Weather
 
 AHEAD_DAYS = 14  # days ahead that are ranked; chosen
 SHOWN = 12  # best hours that are printed; chosen
-# Number of skies of an hour: the weather at the same hour on days around, three days apart. Chosen.
-SKIES = 7
 BATCH = 25  # number of captures in a batch, by which "pays" is decided; chosen
 SAME_PLACE_DEG = 0.1  # a model of a place further away is not used; about 11 km
 # A batch that reduces the remaining variance by a smaller share does not pay. Chosen, not measured.
 MIN_VARIANCE_REDUCTION = 0.10
-
-
-@dataclass(frozen=True, slots=True)
-class ComingHour:
-    """One coming daylight hour, and how much a capture then would reduce the model's uncertainty.
-
-    reduction_percent: of the remaining variance over the year, as a mean over skies of the season;
-    planned: whether the hour is a slot of the plan.
-    """
-
-    slot: str
-    t_utc: datetime
-    sun_altitude_deg: float
-    sun_azimuth_deg: float
-    reduction_percent: float
-    planned: bool
-
-
-@dataclass(frozen=True, slots=True)
-class RankedHours:
-    """Coming hours, the most useful first, and whether 25 more captures would pay.
-
-    model: trained model of the kernel, None for an untrained kernel of the facades; captured:
-    number of captures; variance_left_percent: share of the prior variance over the year that they
-    leave; next_batch_percent: share of that variance which the best 25 hours of the year would
-    remove; pays: whether this is at least 10 %.
-    """
-
-    model: str | None
-    captured: int
-    variance_left_percent: float
-    hours: tuple[ComingHour, ...]
-    next_batch_percent: float
-
-    @property
-    def pays(self) -> bool:
-        """Whether a batch of captures would reduce the remaining variance by at least 10 %."""
-        return self.next_batch_percent >= 100 * MIN_VARIANCE_REDUCTION
 
 
 def trained_kernel(session: Session) -> tuple[Kernel, str] | None:
@@ -117,46 +83,24 @@ def captured_features(session: Session, task: choose.Learning) -> Features:
     return light_features(light_at(times, task.site, np.array(dni, float), np.array(dhi, float)))
 
 
-def _reductions(
-    task: choose.Learning, captured: Features, hours: DaylightHours, progress: Progress
-) -> Floats:
-    """Return the expected reduction of the year's variance by each hour, [n].
-
-    It is a share of the remaining variance, as a mean over skies of the season.
-    """
-    base = choose.variance_left(task, captured)
-    total, count = np.zeros(len(hours)), np.zeros(len(hours))
-    for step, days in enumerate(np.arange(SKIES) * 3 - 3 * (SKIES // 2)):
-        progress(step, SKIES + BATCH, "skies of the season")
-        sky = task.weather.at([t + timedelta(days=int(days)) for t in hours.t_utc])
-        rows, features = choose.features_under(sky, hours, task)
-        if not len(rows):
-            continue
-        total[rows] += _single_gains(task, captured, features) / base
-        count[rows] += 1
-    return total / np.maximum(count, 1)
-
-
-def _single_gains(task: choose.Learning, captured: Features, pool: Features) -> Floats:
-    """Return the reduction of the year's mean variance by each single hour of the pool, [n].
-
-    It is a share of the prior variance.
-    """
-    kernel = task.kernel
-    cross, own = kernel(task.year, pool), kernel.diagonal(pool)
-    if len(captured):
-        covariance = kernel(captured, captured) + choose.NOISE * np.eye(len(captured))
-        towards = np.linalg.solve(covariance, kernel(captured, pool))
-        cross = cross - kernel(task.year, captured) @ towards
-        own = own - np.einsum("ij,ij->j", kernel(captured, pool), towards)
-    gain = (cross**2).sum(axis=0) / (np.maximum(own, 0) + choose.NOISE)
-    return gain / kernel.diagonal(task.year).sum()
+def _season_sky(weather: Weather, hours: DaylightHours) -> sun.Irradiance:
+    """Return the mean sky of seven days around each hour, three days apart, [n] each."""
+    days = [timedelta(days=k) for k in range(-9, 10, 3)]
+    skies = [weather.at([t + day for t in hours.t_utc]) for day in days]
+    count = np.maximum(np.isfinite([sky.dhi_wm2 for sky in skies]).sum(axis=0), 1)
+    return sun.Irradiance(*(np.nansum(value, axis=0) / count for value in zip(*skies, strict=True)))
 
 
 def run(
     session: Session, weather: Weather, now_utc: datetime, progress: Progress = quiet
-) -> RankedHours:
+) -> JsonTable:
     """Rank the daylight hours (hh:30) after `now_utc`, of today and 13 days; return the best 12.
+
+    The keys are those of `--json`. model: trained model of the kernel, None for an untrained kernel
+    of the facades; captured: number of captures; variance_left_percent: share of the prior variance
+    over the year that they leave; hours: each with the percentage of it that a capture then would
+    remove after those above it, under the mean sky of the season; next_batch: the percentage that
+    the best 25 hours of the year would remove, and whether this pays, from 10 % on.
 
     Raises NotEnoughDataError if these days have no more daylight, InputError for a model, pairs or
     plan that cannot be read.
@@ -168,58 +112,66 @@ def run(
     days = span(sun.standard_date(now_utc, setup.site.timezone), AHEAD_DAYS)
     hours = daylight_hours(days, setup.site)
     hours = hours[[i for i, t in enumerate(hours.t_utc) if t > now_utc]]
+    coming = f"in the coming {AHEAD_DAYS} days"
     if not len(hours):
-        raise NotEnoughDataError(
-            f"polar night at {setup.site.name}: no daylight in the coming {AHEAD_DAYS} days; run "
-            f"this command again later"
+        text = f"polar night at {setup.site.name}: no daylight {coming}; run this command again"
+        raise NotEnoughDataError(f"{text} later")
+    rows, pool = choose.features_at(hours, task, _season_sky(weather, hours))
+    if not len(rows):
+        text = f"{weather.name}: the weather has no daylight {coming}; use a typical year"
+        raise NotEnoughDataError(text)
+
+    def greedy(candidates: Features, count: int) -> GreedySelection:
+        kernel, noise = task.kernel, choose.NOISE
+        return greedy_hours(
+            kernel, task.year, candidates, count, taken=captured, noise=noise, progress=progress
         )
-    drop = 100.0 * _reductions(task, captured, hours, progress)
+
+    best, year = greedy(pool, SHOWN), greedy(task.year, BATCH).variance
     planned = {slot.id for slot in session.slots()}
-    best = []
-    for i in np.argsort(-drop)[:SHOWN].tolist():
-        t_utc, slot = hours.t_utc[i], slot_id(hours.t_utc[i])
-        angles = float(hours.altitude_deg[i]), float(hours.azimuth_deg[i])
-        best.append(ComingHour(slot, t_utc, *angles, float(drop[i]), slot in planned))
-    more = greedy_hours(
-        task.kernel,
-        task.year,
-        task.year,
-        BATCH,
-        taken=captured,
-        noise=choose.NOISE,
-        progress=lambda finished, total, text: progress(SKIES + finished, SKIES + total, text),
-    ).variance
-    left, gained = 100 * float(more[0]), 100 * float(1.0 - more[-1] / more[0])
-    return RankedHours(trained[1] if trained else None, len(captured), left, tuple(best), gained)
+    gained = 100.0 * (1.0 - year[-1] / year[0])
+    drops = -100.0 * np.diff(best.variance) / year[0]
+    return {
+        "model": trained[1] if trained else None,
+        "captured": len(captured),
+        "variance_left_percent": 100.0 * year[0],
+        "hours": [
+            {
+                "slot": slot_id(hours.t_utc[i]),
+                "t_utc": utc_text(hours.t_utc[i]),
+                "sun_altitude_deg": round(float(hours.altitude_deg[i]), 2),
+                "sun_azimuth_deg": round(float(hours.azimuth_deg[i]), 2),
+                "reduction_percent": drop,
+                "planned": slot_id(hours.t_utc[i]) in planned,
+            }
+            for i, drop in zip(rows[best.index], drops.tolist(), strict=True)
+        ],
+        "next_batch": {
+            "captures": BATCH,
+            "reduction_percent": gained,
+            "pays": bool(gained >= 100.0 * MIN_VARIANCE_REDUCTION),
+        },
+    }
 
 
-def as_table(answer: RankedHours) -> JsonTable:
-    """Return the ranking as plain values for `--json`."""
-    table = asdict(answer)
-    reduction_percent = table.pop("next_batch_percent")
-    batch = {"captures": BATCH, "reduction_percent": reduction_percent, "pays": answer.pays}
-    for hour in table["hours"]:
-        hour["t_utc"] = utc_text(hour["t_utc"])
-        hour |= {n: round(hour[n], 2) for n in ("sun_altitude_deg", "sun_azimuth_deg")}
-    return table | {"next_batch": batch}
-
-
-def sentences(answer: RankedHours, site: Site) -> list[str]:
+def sentences(answer: JsonTable, site: Site) -> list[str]:
     """Return the ranking as lines to print, with the hours in the local time of `site`."""
-    zone, left = ZoneInfo(site.timezone), answer.variance_left_percent
+    zone, left = ZoneInfo(site.timezone), answer["variance_left_percent"]
     share_left = f"{left:.2g} %" if left < 99.5 else "all"
-    model = f" (model {answer.model})" if answer.model else ""
+    model = f" (model {answer['model']})" if answer["model"] else ""
     of_year = f"{share_left} of the model's variance over the year{model}"
-    texts = [f"{answer.captured} captures leave {of_year}"]
-    for hour in answer.hours:
-        angles = f"altitude {hour.sun_altitude_deg:3.0f}, azimuth {hour.sun_azimuth_deg:3.0f} deg"
+    texts = [f"{answer['captured']} captures leave {of_year}"]
+    for hour in answer["hours"]:
+        local = parse_utc(hour["slot"]).astimezone(zone)
         texts.append(
-            f"  {hour.t_utc.astimezone(zone):%a %Y-%m-%d %H:%M %Z}  sun {angles}  reduces this "
-            f"variance by {hour.reduction_percent:5.1f} %{'  (planned)' if hour.planned else ''}"
+            f"  {local:%a %Y-%m-%d %H:%M %Z}  sun altitude {hour['sun_altitude_deg']:3.0f}, "
+            f"azimuth {hour['sun_azimuth_deg']:3.0f} deg  reduces this variance by "
+            f"{hour['reduction_percent']:5.1f} %{'  (planned)' if hour['planned'] else ''}"
         )
-    verdict = "more captures are useful" if answer.pays else "more captures add little"
+    batch = answer["next_batch"]
+    verdict = "more captures are useful" if batch["pays"] else "more captures add little"
     texts.append(
         f"the best {BATCH} hours of a year would reduce this variance by "
-        f"{answer.next_batch_percent:.0f} %: {verdict}"
+        f"{batch['reduction_percent']:.0f} %: {verdict}"
     )
     return texts

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 
-from fieldlum.core.records import Site, SiteFile, Slot, slot_id
+from fieldlum.core.records import JsonTable, Site, SiteFile, Slot, parse_utc, slot_id
 from fieldlum.plan.days import hours_of, span, sun_band_percent
 from fieldlum.session import Session, replacing, sha256, update_session, write_plan
 from fieldlum.session.folder import PlanTable
@@ -24,43 +23,10 @@ SAME_DECLINATION_DEG = 0.2
 MAX_OFF_DEG = 12.0
 
 
-@dataclass(frozen=True, slots=True)
-class MakeUp:
-    """A missed slot and the slot that repeats it, by id, and the angle between their suns.
-
-    Ids are those of slots; sun_off_deg: angle between the sun's directions in the two slots.
-    """
-
-    missed: str
-    slot: str
-    sun_off_deg: float
-
-
-@dataclass(frozen=True, slots=True)
-class MakeUpPlan:
-    """The missed slots of a session, and the make-up slots that repeat them.
-
-    missed: number of past slots captured neither themselves nor by a make-up; made_up: slots added
-    now; lost: ids of missed slots that no hour of the coming year can repeat; already: number of
-    missed slots with a make-up that is still to come; recovered: number whose make-up was captured;
-    sun_band_percent: covered part of the sun band, "planned", "without" the missed slots, and
-    "with" the make-ups; revision: of the plan, 0 for the first.
-    """
-
-    missed: int
-    made_up: tuple[MakeUp, ...]
-    lost: tuple[str, ...]
-    already: int
-    recovered: int
-    sun_band_percent: dict[str, float]
-    revision: int
-
-
 def captured_ids(session: Session) -> set[str]:
     """Return the ids of the slots whose bracket was captured completely, by the capture records."""
-    return {
-        slot for slot, state in read_slot_states(session).slots.items() if state.outcome == "done"
-    }
+    states = read_slot_states(session).slots
+    return {slot for slot, state in states.items() if state.outcome == "done"}
 
 
 def missed_slots(
@@ -75,8 +41,8 @@ def missed_slots(
 
 def make_up(
     missed: Sequence[Slot], planned: Sequence[Slot], setup: SiteFile, now_utc: datetime
-) -> tuple[list[Slot], list[MakeUp], list[Slot]]:
-    """Return make-up slots, their pairs with missed slots, and missed slots without a make-up.
+) -> tuple[list[Slot], list[JsonTable], list[str]]:
+    """Return make-up slots, the ids of pairs and angles between their suns, and ids without one.
 
     A make-up is at the same hour of standard time, on the earliest of the 370 days from tomorrow
     that has the missed day's declination within 0.2 deg (also on the other side of the solstice),
@@ -88,8 +54,8 @@ def make_up(
     midnights = [sun.standard_midnight(day, site.timezone) for day in days]
     declination = sun.declination_deg([midnight + noon for midnight in midnights])
     added: list[Slot] = []
-    pairs: list[MakeUp] = []
-    lost: list[Slot] = []
+    pairs: list[JsonTable] = []
+    lost: list[str] = []
     for slot in missed:
         day = sun.standard_date(slot.t_utc, site.timezone)
         midnight = sun.standard_midnight(day, site.timezone)
@@ -98,12 +64,12 @@ def make_up(
         times = [midnights[i] + (slot.t_utc - midnight) for i in same]
         free = _first_free(slot, times, taken, site)
         if free is None:
-            lost.append(slot)
+            lost.append(slot.id)
             continue
         new, off_deg = free
         taken.add(new.id)
         added.append(new)
-        pairs.append(MakeUp(slot.id, new.id, round(off_deg, 1)))
+        pairs.append({"missed": slot.id, "slot": new.id, "sun_off_deg": round(off_deg, 1)})
     return added, pairs, lost
 
 
@@ -123,11 +89,17 @@ def _first_free(
     return None
 
 
-def run(session: Session, now_utc: datetime) -> MakeUpPlan:
+def run(session: Session, now_utc: datetime) -> JsonTable:
     """Add make-up slots for missed ones to plan.csv; return what was missed and what was added.
 
     If a make-up was missed, the original slot gets another one. No slot is removed. If slots are
     added, the earlier plan is stored as plan.N.csv, with N its revision (0 for the first).
+
+    The keys are those of `--json`. missed: number of past slots captured neither themselves nor by
+    a make-up; made_up: pairs added now; lost: ids of missed slots that no hour of the coming year
+    can repeat; already: number with a make-up that is still to come; recovered: number whose
+    make-up was captured; sun_band_percent: covered part of the sun band, "planned", "without" the
+    missed slots, and "with" the make-ups; revision: of the plan, 0 for the first.
     """
     now_utc = now_utc.astimezone(UTC)
     about = _resumed(session)
@@ -142,18 +114,16 @@ def run(session: Session, now_utc: datetime) -> MakeUpPlan:
         about = _store_and_write(session, [*slots, *added], about, setup)
     remaining = [slot for slot in slots if slot.id in captured or slot.t_utc + grace >= now_utc]
     versions = {"planned": slots, "without": remaining, "with": [*remaining, *added]}
-    return MakeUpPlan(
-        missed=len(missed),
-        made_up=tuple(pairs),
-        lost=tuple(slot.id for slot in lost),
-        already=len(missed) - len(due),
-        recovered=len(past) - len(missed),
-        sun_band_percent={
-            name: round(sun_band_percent(hours_of(some), setup.site), 1)
-            for name, some in versions.items()
-        },
-        revision=about.get("revision", 0),
-    )
+    bands = {name: sun_band_percent(hours_of(some), setup.site) for name, some in versions.items()}
+    return {
+        "missed": len(missed),
+        "made_up": pairs,
+        "lost": lost,
+        "already": len(missed) - len(due),
+        "recovered": len(past) - len(missed),
+        "sun_band_percent": {name: round(band, 1) for name, band in bands.items()},
+        "revision": about.get("revision", 0),
+    }
 
 
 def _store_and_write(
@@ -191,27 +161,28 @@ def _resumed(session: Session) -> PlanTable:
     return about
 
 
-def sentences(answer: MakeUpPlan) -> list[str]:
+def sentences(answer: JsonTable) -> list[str]:
     """Return the make-up plan as lines to print: missed, added and lost slots, and the coverage."""
-    again = f"; {answer.recovered} missed slots have been made up for" if answer.recovered else ""
-    if not answer.missed:
+    recovered, made_up, lost = answer["recovered"], answer["made_up"], answer["lost"]
+    again = f"; {recovered} missed slots have been made up for" if recovered else ""
+    if not answer["missed"]:
         return [f"no slot is missing; the plan is unchanged{again}"]
     texts = [
-        f"{answer.missed} slots missed, {answer.already} of them already have a make-up slot{again}"
+        f"{answer['missed']} slots missed, {answer['already']} of them already have a make-up slot"
+        + again
     ]
-    if answer.made_up:
-        days = sorted({pair.slot[:8] for pair in answer.made_up})
-        shown = ", ".join(f"{d[:4]}-{d[4:6]}-{d[6:]}" for d in days[:6])
-        shown += " ..." if len(days) > 6 else ""
-        off_deg = max(pair.sun_off_deg for pair in answer.made_up)
+    if made_up:
+        days = sorted({parse_utc(pair["slot"]).date().isoformat() for pair in made_up})
+        shown = ", ".join(days[:6]) + (" ..." if len(days) > 6 else "")
         texts.append(
-            f"{len(answer.made_up)} make-up slots added on {len(days)} days: {shown}; in each of "
-            f"them the sun is within {off_deg:g} deg of its position in the missed slot"
+            f"{len(made_up)} make-up slots added on {len(days)} days: {shown}; in each of them the "
+            f"sun is within {max(pair['sun_off_deg'] for pair in made_up):g} deg of its position "
+            "in the missed slot"
         )
-    if answer.lost:
-        lost = f"{len(answer.lost)} missed slots have no make-up within a year"
-        texts.append(f"{lost}: {', '.join(answer.lost[:4])}")
-    band = answer.sun_band_percent
+    if lost:
+        text = f"{len(lost)} missed slots have no make-up within a year"
+        texts.append(f"{text}: {', '.join(lost[:4])}")
+    band = answer["sun_band_percent"]
     texts.append(
         f"share of the year's sun band covered: {band['planned']:.0f} % as planned, "
         f"{band['without']:.0f} % without the missed slots, {band['with']:.0f} % with make-up slots"

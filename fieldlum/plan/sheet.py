@@ -8,19 +8,16 @@ from __future__ import annotations
 import hashlib
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
 from datetime import UTC, date, datetime, timedelta
 from html import escape
 from io import StringIO
 from itertools import groupby
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from zoneinfo import ZoneInfo
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from fieldlum.core.arrays import Floats
-from fieldlum.core.plot_style import AMBER, INK, PALE, RED, SAND, open_axes
+from fieldlum.core.plot_style import AMBER, BLUE, GRID, INK, PALE, RED, SAND, open_axes, styled
 from fieldlum.core.records import CameraSetup, Site, SiteFile, Slot, utc_text
 from fieldlum.optics.profiles import assumed_texts
 from fieldlum.optics.projection import altitude_azimuth_deg
@@ -109,33 +106,22 @@ def _event_line(slot: Slot, zone: ZoneInfo) -> str:
     )
 
 
-_BAND_DECLINATIONS = 16  # of the drawn sun band: dots that touch; chosen
-SIZE_PX = 300.0  # of the sky chart; chosen for a third of a page
-RADIUS_PX = 122.0  # of its horizon; chosen
 # minutes after the planned time within which a bracket may start; the default of `fieldlum capture
 # --grace` (docs/capture.md)
 LATE_MINUTES = 5
 
 
-@dataclass(frozen=True, slots=True)
-class Cost:
-    """Time and storage of one slot."""
-
-    seconds_per_slot: float
-    megabytes_per_slot: float
-
-
 def html(
     slots: Sequence[Slot],
     setup: SiteFile,
-    cost: Cost,
+    cost: tuple[float, float],
     weather: Weather | None = None,
     notes: Sequence[str] = (),
 ) -> str:
     """Return one self-contained page of HTML: room and coverage plots, then a sheet for every day.
 
-    cost: time and storage of one slot; weather: for a second coverage plot, by irradiance; notes:
-    texts to print.
+    cost: seconds and megabytes of one slot; weather: for a second coverage plot, by irradiance;
+    notes: texts to print.
     """
     from jinja2 import Environment, PackageLoader, select_autoescape
 
@@ -166,16 +152,21 @@ def _figures(slots: Sequence[Slot], setup: SiteFile, weather: Weather | None) ->
         f"year's sun band (dark: within {NEAR_DEG:g} deg of a captured sun)"
     )
     year = hours.t_utc[0].year if len(hours) else datetime.now(UTC).year
-    texts = [room_svg(setup), f"<p>{escape(title)}</p>{sky_chart(year, hours, site, band=True)}"]
+    chart = _svg(sky_chart(year, hours, site, band=True))
+    texts = [room_svg(setup), f"<p>{escape(title)}</p>{chart}"]
     if weather is not None:
-        buffer = StringIO()
-        figure = irradiance_figure(hours, site, weather)
-        with warnings.catch_warnings():
-            # The site's name may have letters that the font lacks.
-            warnings.filterwarnings("ignore", message="Glyph .* missing from font")
-            figure.savefig(buffer, format="svg", dpi=110, metadata={"Date": None})
-        texts.append(buffer.getvalue()[buffer.getvalue().index("<svg") :])
+        texts.append(_svg(irradiance_figure(hours, site, weather)))
     return [text for text in texts if text]
+
+
+def _svg(figure: Figure) -> str:
+    """Return a figure as inline SVG."""
+    buffer = StringIO()
+    with styled(), warnings.catch_warnings():
+        # The site's name may have letters that the font lacks.
+        warnings.filterwarnings("ignore", message="Glyph .* missing from font")
+        figure.savefig(buffer, format="svg", metadata={"Date": None})
+    return buffer.getvalue()[buffer.getvalue().index("<svg") :]
 
 
 def irradiance_figure(hours: DaylightHours, site: Site, weather: Weather) -> Figure:
@@ -208,13 +199,16 @@ def irradiance_figure(hours: DaylightHours, site: Site, weather: Weather) -> Fig
 
 
 def _sheet(
-    number: int, day: date, slots: list[Slot], setup: SiteFile, cost: Cost, so_far: int
+    number: int,
+    day: date,
+    slots: list[Slot],
+    setup: SiteFile,
+    cost: tuple[float, float],
+    so_far: int,
 ) -> dict[str, object]:
     zone = ZoneInfo(setup.site.timezone)
     tags = sorted({tag for slot in slots for tag in slot.tags if tag in SEASON_TAGS})
-    exposures, each_s = slots[0].exposures, cost.seconds_per_slot
-    known_size = "profile" not in setup.camera.assumed
-    gigabytes = [count * cost.megabytes_per_slot / 1000 for count in (len(slots), so_far)]
+    exposures, (each_s, megabytes) = slots[0].exposures, cost
     return {
         "number": number,
         "date": f"{day:%A %d %B %Y}".replace(" 0", " "),
@@ -228,10 +222,10 @@ def _sheet(
         "exposures": [exposure_text(exposure).replace(" ", " s ", 1) for exposure in exposures],
         "same_exposures": all(slot.exposures == exposures for slot in slots),
         "each": f"{each_s:.0f} s" if each_s < 90 else f"{each_s / 60:.1f} min",
-        "size_is_known": known_size,
-        "gigabytes": f"{gigabytes[0]:.1f}",
-        "gigabytes_so_far": f"{gigabytes[1]:.1f}",
-        "sun_path": sky_chart(day.year, hours_of(slots), setup.site, day=day, camera=setup.camera),
+        "size_is_known": "profile" not in setup.camera.assumed,
+        "gigabytes": f"{len(slots) * megabytes / 1000:.1f}",
+        "gigabytes_so_far": f"{so_far * megabytes / 1000:.1f}",
+        "sun_path": _svg(sky_chart(day.year, hours_of(slots), setup.site, day, setup.camera)),
     }
 
 
@@ -253,92 +247,47 @@ def _rise_and_set(today: sun.DayOfSun, zone: ZoneInfo) -> str:
     return ", ".join(shown) or "The sun neither rises nor sets today"
 
 
-# ----------------------------------------------------------------------------------------------
-# sky chart
-
-
-def _xy(altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> Floats:
-    """Return pixels [n, 2] on a sky chart: north up, east right, zenith in the middle."""
-    r = RADIUS_PX * (1.0 - np.asarray(altitude_deg, float) / 90.0)
-    azimuth = np.radians(azimuth_deg)
-    return SIZE_PX / 2 + np.stack([r * np.sin(azimuth), -r * np.cos(azimuth)], axis=-1)
-
-
-def _circle(at: Floats, radius: float, style: str) -> str:
-    return f'<circle cx="{at[0]:.1f}" cy="{at[1]:.1f}" r="{radius:.1f}" {style}/>'
-
-
-def _text(at: Floats, text: str, colour: str, size: int = 9) -> str:
-    return (
-        f'<text x="{at[0]:.1f}" y="{at[1]:.1f}" font-size="{size}" fill="{colour}" '
-        f'text-anchor="middle" font-family="sans-serif">{text}</text>'
-    )
-
-
-def _day_path(day: date, site: Site, style: str) -> str:
-    """Return an SVG line of the sun on a day of local standard time; "" if it does not rise."""
-    start = sun.standard_midnight(day, site.timezone)
-    at = sun.position([start + timedelta(minutes=10 * k) for k in range(145)], site)
-    up = at.altitude_deg > 0
-    begins = up & ~np.concatenate(([False], up[:-1]))
-    points = zip(_xy(at.altitude_deg, at.azimuth_deg)[up], begins[up], strict=True)
-    line = "".join(f"{'M' if first else 'L'}{x:.1f} {y:.1f}" for (x, y), first in points)
-    return f'<path d="{line}" fill="none" {style}/>' if line else ""
-
-
-def _view_directions(camera: CameraSetup) -> list[str]:
-    """Return thin wedges in the directions of the camera's headings, as SVG."""
-    wedges = []
-    headings = camera.headings or (camera.heading_deg,)
-    for heading in () if "heading_deg" in camera.assumed else headings:
-        corners = _xy([1, 9, 9], [heading, heading - 3, heading + 3])
-        points = " ".join(f"{x:.1f},{y:.1f}" for x, y in corners)
-        title = "<title>view direction</title>"
-        wedges.append(f'<polygon points="{points}" fill="#1f5fa8">{title}</polygon>')
-    return wedges
-
-
 def sky_chart(
     year: int,
     hours: DaylightHours,
     site: Site,
-    *,
     day: date | None = None,
     camera: CameraSetup | None = None,
+    *,
     band: bool = False,
-) -> str:
-    """Return an SVG sky chart (north up, east right) of planned suns and the paths of the seasons.
+) -> Figure:
+    """Draw a sky chart (north up, east right) of planned suns and the paths of the seasons.
 
-    day: a path of its own, with the hour of each planned sun; camera: wedges in the directions of
+    day: a path of its own, with the hour of each planned sun; camera: marks in the directions of
     its headings; band: the year's sun band, where a planned sun is near in another colour (Figure
     15 of Liu, Colburn and Inanici 2020). A chart of azimuth against altitude would fail in the
     tropics, where the sun passes the zenith on either side.
     """
-    middle, grey = np.full(2, SIZE_PX / 2), "#8a96a3"
-    parts = [_circle(middle, RADIUS_PX, 'fill="#fdf8ec" stroke="#b9c3cd"')]
-    directions = band_directions(site, _BAND_DECLINATIONS) if band else np.zeros((0, 3))
-    altitude, azimuth = altitude_azimuth_deg(directions)
-    reached = near_planned(directions, hours)
-    for at, is_near in zip(_xy(altitude, azimuth), reached, strict=True):
-        parts.append(_circle(at, 2.2, f'fill="{AMBER if is_near else SAND}"'))
-    for level in (30, 60):
-        radius = RADIUS_PX * (1 - level / 90)
-        parts.append(_circle(middle, radius, f'fill="none" stroke="{PALE}" stroke-width="0.5"'))
-        parts.append(_text(middle - [-9.0, radius + 2], f"{level}", grey))
-    parts += _view_directions(camera) if camera else []
-    seasons = [season_date(year, which, site) for which in (0, 1, 3)]
-    parts += [_day_path(date, site, 'stroke="#e0b45c"') for date in seasons]
-    parts.append(_day_path(day, site, f'stroke="{RED}" stroke-width="2"') if day else "")
-    zone = ZoneInfo(site.timezone)
-    for t_utc, at in zip(hours.t_utc, _xy(hours.altitude_deg, hours.azimuth_deg), strict=True):
-        parts.append(_circle(at, 3.4 if day else 1.2, f'fill="{RED}"'))
-        if day:
-            parts.append(_text(at - [0.0, 6.0], f"{t_utc.astimezone(zone):%H}", INK))
-    for text, azimuth_deg in (("N", 0), ("E", 90), ("S", 180), ("W", 270)):
-        parts.append(_text(_xy(-9.0, azimuth_deg) - [0.0, -4.0], text, INK, 12))
-    label = f"Sun path of {day or year} with {len(hours)} planned captures"
-    size = f"{SIZE_PX:.0f}"
-    return (
-        f'<svg viewBox="0 0 {size} {size}" role="img" aria-label="{label}" '
-        f'xmlns="http://www.w3.org/2000/svg">{"".join(parts)}</svg>'
-    )
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(3.6, 3.6), layout="constrained")
+    axes: Any = figure.add_subplot(projection="polar")
+    axes.set(theta_offset=np.pi / 2, theta_direction=-1, rlim=(0, 90), facecolor="#fdf8ec")
+    axes.set_xticks(np.radians([0, 90, 180, 270]), ["N", "E", "S", "W"])
+    axes.set_yticks([30, 60], ["60", "30"], size=7, color=PALE)
+    axes.grid(color=GRID)
+    if band:
+        directions = band_directions(site, 16)
+        altitude, azimuth = altitude_azimuth_deg(directions)
+        colour = np.where(near_planned(directions, hours), AMBER, SAND)
+        axes.scatter(np.radians(azimuth), 90 - altitude, s=12, c=colour, linewidths=0)
+    if camera is not None and "heading_deg" not in camera.assumed:
+        for heading in camera.headings or (camera.heading_deg,):
+            axes.plot(np.radians(heading), 85, marker=(3, 0, -heading), color=BLUE, gid="view")
+    paths = [(season_date(year, which, site), AMBER, 1.0) for which in (0, 1, 3)]
+    for date_, colour, width in [*paths, *([(day, RED, 2.0)] if day else [])]:
+        start = sun.standard_midnight(date_, site.timezone)
+        at = sun.position([start + timedelta(minutes=10 * k) for k in range(145)], site)
+        zenith_deg = np.where(at.altitude_deg > 0, 90 - at.altitude_deg, np.nan)
+        axes.plot(np.radians(at.azimuth_deg), zenith_deg, color=colour, lw=width)
+    places = np.radians(hours.azimuth_deg), 90 - hours.altitude_deg
+    axes.plot(*places, "o", ms=5 if day else 2, color=RED)
+    for t_utc, *place in zip(hours.t_utc, *places, strict=True) if day else ():
+        label = f"{t_utc.astimezone(ZoneInfo(site.timezone)):%H}"
+        axes.annotate(label, place, (0, 5), textcoords="offset points", ha="center", size=8)
+    return figure
