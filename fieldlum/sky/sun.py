@@ -62,10 +62,12 @@ def position(times_utc: Sequence[datetime], site: Site) -> SunPosition:
     """
     index = pandas_index(times_utc)
     place = site.latitude_deg, site.longitude_deg, site.altitude_m
-    return SunPosition(*_spa(index.as_unit("ns").asi8.tobytes(), *place).copy())
+    # the checks of a weather year ask for the same hours again; a longer series is not stored
+    spa = _spa if len(index) <= 366 * 24 else _spa.__wrapped__
+    return SunPosition(*spa(index.as_unit("ns").asi8.tobytes(), *place).copy())
 
 
-@lru_cache(maxsize=32)  # checks of a weather year ask for the same hours again
+@lru_cache(maxsize=32)
 def _spa(ns: bytes, latitude_deg: float, longitude_deg: float, altitude_m: float) -> Floats:
     """Return the fields of `SunPosition` [3, n] at times in ns since 1970, as int64."""
     import pandas as pd
