@@ -36,7 +36,6 @@ COLUMNS = (
     "paper_rer",
     "dgp_mse_own_disc",
     "dgp_mse",
-    "dgp_r2",
     "bias_log10",
     "rammg_mse",
     "rammg_mse_cut",
@@ -49,7 +48,6 @@ COLUMNS = (
     "expected_log10_mse",
     "trusted_share",
     "in_90_band",
-    "worst_decile_found",
 )
 HEADS = {key: key for key in COLUMNS}
 

@@ -47,10 +47,9 @@ PERIODS = {
     "paper_rer": "paper RER",
     "dgp_mse_own_disc": "DGP MSE, own disc",
     "dgp_mse": "DGP MSE, true disc",
-    "dgp_r2": "DGP R2, true disc",
     "rammg_mse": "RAMMG MSE",
     "worst": "worst",
-    "untrusted_share": "not trusted",
+    "trusted_share": "trusted",
 }
 COUNTS = (25, 50, 100, 200, 500, 1000)  # captures of the learning curve; chosen
 TEST_HOURS = 300  # held-out hours of a year; chosen
@@ -115,7 +114,7 @@ def curve_counts(captures: int) -> list[int]:
 
 
 def _figures(scores: ScoreFigures) -> dict[str, object]:
-    return {key: scores[key] for key in (*ERRORS, "worst", "n_test", "untrusted_share")}
+    return {key: scores[key] for key in (*ERRORS, "worst", "n_test", "trusted_share")}
 
 
 # ----------------------------------------------------------------------------------------------
@@ -176,7 +175,6 @@ def compare_periods(
                 "name": spec.label,
                 "captures": len(train),
                 "fit_cpu_s": spent.cpu_s,
-                "dgp_r2": scores["dgp_r2"],
             }
             | _figures(scores)
         )

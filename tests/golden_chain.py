@@ -42,9 +42,9 @@ SCORE_KEYS = (
     "worst",
     "dgp_mse",
     "rammg_mse",
-    "expected_mse",
+    "expected_log10_mse",
     "in_90_band",
-    "untrusted_share",
+    "trusted_share",
 )
 PAIR_KEYS = (
     "t_utc",

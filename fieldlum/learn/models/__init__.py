@@ -39,7 +39,7 @@ Patch = Literal["absolute", "gain", "none"]
 
 
 # What rebuilding a damaged or hostile model can raise, next to `NPZ_ERRORS`.
-_BROKEN = (IndexError, TypeError, ArithmeticError, MemoryError)
+_BROKEN = (IndexError, TypeError, ArithmeticError, MemoryError, RuntimeError)
 
 
 @dataclass(frozen=True, slots=True)

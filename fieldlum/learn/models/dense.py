@@ -18,8 +18,8 @@ import os
 import pickle
 import time
 import warnings
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -190,51 +190,30 @@ def pick_device() -> torch.device:
 # the model
 
 
+@dataclass(frozen=True)
 class DenseFitted:
     """A trained network with everything that its prediction needs.
 
     net, shape: the network and its form; average_log10: mean of log10 L over the training images
     [H, W]; heading_deg: azimuth of the maps' centre column; patch: how sun patches are used;
-    domain: range of light in the captures; training: what config.json records of it; parameters:
-    number of fitted values; held_out_mse: None, because errors on days without captures are not
-    computed for a network.
+    domain: range of light in the captures; training: what config.json records of it; held_out_mse:
+    None, because errors on days without captures are not computed for a network.
     """
 
-    name = "dense"
-    held_out_mse: Floats | None = None
+    net: Net
+    shape: Shape
+    average_log10: Floats
+    heading_deg: float
+    patch: Patch
+    domain: Domain
+    training: Mapping[str, Any]
+    name: str = field(default="dense", init=False)
+    held_out_mse: None = field(default=None, init=False)
 
-    def __init__(
-        self,
-        net: Net,
-        shape: Shape,
-        average_log10: Floats,
-        heading_deg: float,
-        patch: Patch,
-        domain: Domain,
-        training: Mapping[str, Any],
-    ) -> None:
-        self._device = pick_device()
-        self.net, self.shape, self.patch = net.eval().to(self._device), shape, patch
-        self.domain, self.training = domain, training
-        self.average_log10, self.heading_deg = average_log10, heading_deg
-        self.parameters = sum(p.numel() for p in net.parameters())
-        self._inputs = inputs_of(average_log10, heading_deg, self._device)
-
-    def _encoded(self, light: Light, patch_cdm2: Floats32 | None) -> Iterator[Floats32]:
-        """Yield the encoded map [H W] of each hour."""
-        inputs = self._inputs.at(light)
-        pixels = torch.arange(len(inputs.pixel), device=self._device)  # [H W]
-        direct = torch.zeros(len(pixels), 1, device=self._device)
-        for k in range(len(light)):
-            if patch_cdm2 is not None and self.patch != "none":
-                encoded = torch.from_numpy(encode(patch_cdm2[k].reshape(-1, 1)))
-                direct = encoded.to(self._device)
-            # pixels of a chunk that fits into the processor's cache
-            parts = [
-                self.net(inputs.scene(torch.full_like(pixel, k), pixel), direct[pixel])
-                for pixel in pixels.split(16384)
-            ]
-            yield torch.cat(parts).cpu().numpy()
+    @property
+    def parameters(self) -> int:
+        """Number of fitted values."""
+        return sum(p.numel() for p in self.net.parameters())
 
     def predict(self, light: Light, patch_cdm2: Floats32 | None = None) -> Prediction:
         """Predict maps of the n hours of `light`, [n, H, W].
@@ -246,11 +225,21 @@ class DenseFitted:
         """
         if self.patch != "none" and patch_cdm2 is None:
             raise ValueError("this network was trained with sun patches: pass patch_cdm2")
-        height, width = self.average_log10.shape
-        out = np.empty((len(light), height, width), np.float32)
+        device, net = pick_device(), self.net.eval().to(pick_device())
+        inputs = inputs_of(self.average_log10, self.heading_deg, device).at(light)
+        pixels = torch.arange(len(inputs.pixel), device=device)  # [H W]
+        direct = torch.zeros(len(pixels), 1, device=device)
+        out = np.empty((len(light), *self.average_log10.shape), np.float32)
         with torch.inference_mode():
-            for k, encoded in enumerate(self._encoded(light, patch_cdm2)):
-                out[k] = decode(encoded).reshape(height, width)
+            for k in range(len(light)):
+                if patch_cdm2 is not None and self.patch != "none":
+                    direct = torch.from_numpy(encode(patch_cdm2[k].reshape(-1, 1))).to(device)
+                # pixels of a chunk that fits into the processor's cache
+                parts = [
+                    net(inputs.scene(torch.full_like(some, k), some), direct[some])
+                    for some in pixels.split(16384)
+                ]
+                out[k] = decode(torch.cat(parts).cpu().numpy()).reshape(out.shape[1:])
         return Prediction(out, None, np.full(len(out), np.nan), self.domain.holds(light))
 
     def state(self) -> ModelState:
@@ -270,7 +259,7 @@ class DenseFitted:
 def from_state(state: ModelState) -> DenseFitted:
     """Return the network that the content of a model folder describes.
 
-    Raises KeyError, TypeError or ValueError for missing or wrong content.
+    Raises KeyError, RuntimeError, TypeError or ValueError for missing or wrong content.
     """
     config, arrays = state.config, state.arrays
     table = config["shape"]
@@ -283,10 +272,7 @@ def from_state(state: ModelState) -> DenseFitted:
         for name, value in arrays.items()
         if name.startswith("net.")
     }
-    try:
-        net.load_state_dict(weights)
-    except RuntimeError as error:
-        raise ValueError(str(error).splitlines()[0]) from None
+    net.load_state_dict(weights)
     domain, about = rebuilt(Domain, config["domain"], arrays, "domain."), config["dense_training"]
     average, heading_deg = arrays["average_log10"], config["heading_deg"]
     return DenseFitted(net, shape, average, heading_deg, config["patch"], domain, about)
@@ -539,11 +525,10 @@ def fit(
     if plan is None:
         spent_s = agreed(time.monotonic() - started[0], device)
         plan = affordable_run(trainer, budget_s and max(budget_s - spent_s, 0.0))
-    file = None
     run, best = replace(plan), trainer.weights()
-    if checkpoint is not None:
-        file = Checkpoint(checkpoint, shape, data_digest(data.digest(), patch, seed))
-        run, best = file.restore(trainer) if checkpoint.is_file() else (run, best)
+    mark = data_digest(data.digest(), patch, seed, shape)
+    if checkpoint is not None and checkpoint.is_file():
+        run, best = restore(checkpoint, trainer, mark)
     last = math.inf if stop_after_epochs is None else run.epoch + stop_after_epochs
     started = started[0] - run.elapsed_s, started[1] - run.cpu_s
     numbers = torch.randperm(len(held_out), generator=torch.Generator().manual_seed(seed))[:60_000]
@@ -554,20 +539,21 @@ def fit(
             run.best, best = score, trainer.weights()
         run.epoch += 1
         run.cpu_s = time.process_time() - started[1]
-        if file is not None and rank() == 0:
-            file.store(trainer, run, best)
+        if checkpoint is not None and rank() == 0:
+            state = {"net": net.state_dict(), "optimiser": trainer.optimiser.state_dict()}
+            with replacing(checkpoint) as file:
+                torch.save(state | {"best": best, "run": asdict(run), "mark": mark}, file)
     net.load_state_dict(best)
     about = {
         "epochs": run.epoch,
         "steps": run.step,
         "seconds": round(run.elapsed_s, 1),
         "cpu_seconds": round(run.cpu_s, 1),
-        "pixels_seen_per_pixel": round(run.step * run.batch_pixels / len(trainer.pixels), 2),
+        "pixels_seen_per_pixel": run.step * run.batch_pixels / len(trainer.pixels),
         "best_validation_loss": run.best,
         "skipped_updates": run.skipped,
         "seed": seed,
         "device": device.type,
-        "plan": {"steps": run.steps, "batch_pixels": run.batch_pixels},
         "validation_slots": [data.slots[i] for i in check],
     }
     return DenseFitted(net, shape, average, data.heading_deg, patch, captured(data.light), about)
@@ -603,46 +589,26 @@ def _epoch(
             break
 
 
-@dataclass(frozen=True, slots=True)
-class Checkpoint:
-    """The file of a training that can be interrupted.
+def restore(path: Path, trainer: Trainer, mark: str) -> tuple[Run, dict[str, Tensor]]:
+    """Load a checkpoint into the trainer; return its run and its best weights.
 
-    mark: digest of training data, patch mode and seed, which `restore` compares.
+    mark: digest of training data, patch mode, seed and form. Raises InputError if it differs, and
+    for a file that cannot be read or contains other objects than tensors, numbers and texts.
     """
-
-    path: Path
-    shape: Shape
-    mark: str
-
-    def store(self, trainer: Trainer, run: Run, best: dict[str, Tensor]) -> None:
-        """Write the file atomically; best: weights with the smallest validation loss."""
-        state = {"net": trainer.net.state_dict(), "optimiser": trainer.optimiser.state_dict()}
-        state |= {"best": best, "run": asdict(run), "shape": asdict(self.shape), "data": self.mark}
-        with replacing(self.path) as file:
-            torch.save(state, file)
-
-    def restore(self, trainer: Trainer) -> tuple[Run, dict[str, Tensor]]:
-        """Load the file into the trainer; return its run and its best weights.
-
-        Raises InputError if its shape or mark differ, and for a checkpoint that cannot be read or
-        contains other objects than tensors, numbers and texts.
-        """
-        faults = (Warning, RuntimeError, LookupError, TypeError, EOFError, AttributeError)
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("error")  # torch warns before it rejects other files
-                state = torch.load(self.path, map_location=pick_device(), weights_only=True)
-            if state["shape"] != asdict(self.shape):
-                raise KeyError("the checkpoint of another network")
-            if state["data"] != self.mark:
-                raise KeyError("a checkpoint of other pictures, other irradiance or another seed")
-            trainer.net.load_state_dict(state["net"])
-            trainer.optimiser.load_state_dict(state["optimiser"])
-            return Run(**state["run"]), state["best"]
-        except (*faults, pickle.UnpicklingError) as error:
-            raise InputError(
-                self.path,
-                f"a checkpoint that cannot be used ({str(error).splitlines()[0][:120]})",
-                "a checkpoint of this training",
-                "delete the file to start the training again",
-            ) from None
+    faults = (Warning, RuntimeError, LookupError, TypeError, EOFError, AttributeError)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # torch warns before it rejects other files
+            state = torch.load(path, map_location=pick_device(), weights_only=True)
+        if state["mark"] != mark:
+            raise KeyError("a checkpoint of other pictures, other irradiance or another seed")
+        trainer.net.load_state_dict(state["net"])
+        trainer.optimiser.load_state_dict(state["optimiser"])
+        return Run(**state["run"]), state["best"]
+    except (*faults, pickle.UnpicklingError) as error:
+        raise InputError(
+            path,
+            f"a checkpoint that cannot be used ({str(error).splitlines()[0][:120]})",
+            "a checkpoint of this training",
+            "delete the file to start the training again",
+        ) from None

@@ -41,10 +41,9 @@ from fieldlum.year.glare.metrics import (
 )
 
 FLOOR_CDM2 = 1.0  # paper
-CHUNK = 24  # maps predicted at a time; chosen, limits the memory
 # fields of `Scores` that need glare
 _GLARE = (
-    *("dgp_mse", "dgp_mse_own_disc", "dgp_mae", "dgp_mean", "dgp_square"),
+    *("dgp_mse", "dgp_mse_own_disc", "dgp_mae"),
     *("rammg_error", "rammg_truth", "ev_error"),
 )
 
@@ -55,8 +54,8 @@ class Scores:
 
     Errors are of log10 luminance L, predicted less true. mse_weighted, mse: mean squared error
     of the pixels, by solid angle or equally weighted; truth2, truth2_weighted: the same of true
-    log10 L; dgp_mse, dgp_mae, dgp_mean, dgp_square: mean over ten views of the
-    squared and absolute error of DGP, of true DGP and of its square; rammg_error: RAMMG
+    log10 L; dgp_mse, dgp_mae: mean over ten views of the squared and absolute
+    error of DGP; rammg_error: RAMMG
     predicted less true; rammg_truth: true RAMMG; expected_mse: error that the model itself
     expected; trusted: whether the model trusts the hour; ev_error: mean absolute error of ln Ev;
     day: local date; weight: of the hour in choices (`hour_weights`); slots: names of the hours.
@@ -76,8 +75,6 @@ class Scores:
     dgp_mse_own_disc: Floats
     bias_log10: Floats
     dgp_mae: Floats
-    dgp_mean: Floats
-    dgp_square: Floats
     rammg_error: Floats
     rammg_truth: Floats
     expected_mse: Floats
@@ -171,8 +168,8 @@ def truth(data: Dataset, *, glare: bool = True) -> Truth:
 
 
 def _chunks(rows: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
-    for start in range(0, len(rows), CHUNK):
-        yield rows[start : start + CHUNK]
+    for start in range(0, len(rows), 24):  # limits the memory
+        yield rows[start : start + 24]
 
 
 def _contrast(maps: Floats32, data: Dataset) -> Floats:
@@ -263,8 +260,6 @@ def _glare_errors(
     scores.dgp_mse[with_glare] = mean((glare["dgp"] - true_dgp) ** 2)
     scores.dgp_mae[with_glare] = mean(np.abs(glare["dgp"] - true_dgp))
     scores.ev_error[with_glare] = mean(np.abs(np.log((glare["ev_lx"] + 1.0) / (true_ev + 1.0))))
-    scores.dgp_mean[with_glare] = mean(true_dgp)
-    scores.dgp_square[with_glare] = mean(true_dgp**2)
     true_contrast, contrast = test.contrast[rows[with_glare]], _contrast(maps, some)
     scores.rammg_truth[with_glare] = true_contrast.mean(axis=1)
     scores.rammg_error[with_glare] = contrast.mean(axis=1) - true_contrast.mean(axis=1)
@@ -286,7 +281,6 @@ def _glare_errors(
         contrast,
         measured,
         predicted,
-        np.full(len(some), np.nan),
     )
 
 
@@ -322,16 +316,12 @@ def summary(scores: Scores) -> ScoreFigures:
         "expected_log10_mse": _mean(scores.expected_mse),
         "trusted_share": float(scores.trusted.mean()),
         "dgp_mae": _mean(scores.dgp_mae),
-        "dgp_r2": _dgp_r2(scores),
         "rammg_mse": _mean(scores.rammg_error**2),
         "rammg_mse_cut": _mean(np.where(kept, scores.rammg_error**2, np.nan)),
         "n_test": len(scores),
         "predict_s_per_map": scores.seconds / max(len(scores), 1),
         "predict_cpu_s_per_map": scores.cpu_s / max(len(scores), 1),
-        "untrusted_share": float(1.0 - scores.trusted.mean()),
-        "expected_mse": _mean(scores.expected_mse),
         "in_90_band": _mean(scores.in_band),
-        "worst_decile_found": _worst_tenth_found(scores),
         "judged_dgp_error": _mean(errors.figure("dgp")),
         "judged_ev_error": _mean(errors.figure("ev")),
         "judged_log10_mse": _mean(errors.figure("log10")),
@@ -339,29 +329,8 @@ def summary(scores: Scores) -> ScoreFigures:
     }
 
 
-def _dgp_r2(scores: Scores) -> float | None:
-    """Return the coefficient of determination of DGP over all views of the evaluated maps."""
-    error, mean, square = (_mean(v) for v in (scores.dgp_mse, scores.dgp_mean, scores.dgp_square))
-    if error is None or mean is None or square is None or square <= mean**2:
-        return None
-    return 1.0 - error / (square - mean**2)
-
-
-def _worst_tenth_found(scores: Scores) -> float | None:
-    """Return which share of the worst tenth of maps the model itself ranks in its worst tenth."""
-    if not np.isfinite(scores.expected_mse).all() or len(scores) < 20:
-        return None
-    tenth = max(1, len(scores) // 10)
-    worst = set(np.argsort(-scores.mse_weighted)[:tenth])
-    feared = set(np.argsort(-scores.expected_mse)[:tenth])
-    return len(worst & feared) / tenth
-
-
 # ----------------------------------------------------------------------------------------------
 # error over a year: held-out days are close to captured ones, so theirs are too small
-
-
-YEAR_HOURS = 150  # measured: their mean expected error has a standard error of 10 to 15 %
 
 
 @dataclass(frozen=True, slots=True)
@@ -388,9 +357,10 @@ def light_of_year(data: Dataset, rng: np.random.Generator) -> Light:
     begin = datetime(first.year, 1, 1, tzinfo=UTC)
     hours = [begin + timedelta(hours=hour) for hour in range(365 * 24)]
     up = np.asarray(sun.position(hours, site).altitude_deg) > 2.0
-    times = [hours[k] for k in np.sort(rng.choice(np.flatnonzero(up), YEAR_HOURS, replace=False))]
+    count = 150  # the mean expected error of so many has a standard error of 10 to 15 %
+    times = [hours[k] for k in np.sort(rng.choice(np.flatnonzero(up), count, replace=False))]
     high = np.flatnonzero(data.light.sun_altitude_deg > 5.0)
-    drawn = rng.choice(high if len(high) else np.arange(len(data)), YEAR_HOURS)
+    drawn = rng.choice(high if len(high) else np.arange(len(data)), count)
     there = sun.clearsky([data.light.t_utc[k] for k in drawn], site)
     here = sun.clearsky(times, site)
 

@@ -45,7 +45,6 @@ from fieldlum.learn.models.scores import (
     truth,
 )
 from fieldlum.learn.train.outliers import without_changes
-from fieldlum.learn.transport import MeanTransport, Transport
 from fieldlum.room.fit.setting import Setting, scan, settle, with_right_clock
 from fieldlum.session import check_writable, sha256
 from fieldlum.session.codec import data_digest, digest, made_from
@@ -172,22 +171,11 @@ def evaluate_folds(
         scores = evaluate(
             fitted, truth(data.take(fold.test)), keep_maps=keep_maps, progress=progress
         )
-        if scores.maps is not None:
-            scores.maps = replace(scores.maps, season_deg=_season_deg(scores, data, fold))
         parts.append(scores)
         times.append(spent)
     count = round(np.mean([len(fold.train) for fold in folds[: len(parts)]]))
     wall_s, cpu_s = np.mean(times, axis=0).tolist()
     return Trial(name, join(parts), wall_s, cpu_s, count, len(parts))
-
-
-def _season_deg(scores: Scores, data: Dataset, fold: Fold) -> Floats:
-    """Return the angle between the sun of each stored map and the nearest training sun [n] deg."""
-    assert scores.maps is not None
-    row = {data.slots[k]: k for k in fold.test}
-    suns = data.light.sun_direction
-    cosine = suns[[row[slot] for slot in scores.maps.slots.tolist()]] @ suns[fold.train].T
-    return np.degrees(np.arccos(np.clip(cosine.max(axis=1), -1.0, 1.0)))
 
 
 # ----------------------------------------------------------------------------------------------
@@ -217,23 +205,13 @@ def choose_model(trials: list[Trial]) -> ModelSelection:
             continue
         choice = choose(pair)
         best, by = choice.best, choice.by
-        if by is None and _is_baseline(winner) != _is_baseline(other):
-            best = int(_is_baseline(winner))
+        plain = [MODELS[t.name.replace(":", " ").split()[0]].baseline for t in (winner, other)]
+        if by is None and plain[0] != plain[1]:
+            best = int(plain[0])
         if best == 1 and (by or not fewer):
             winner = other
     compared = [t for t in trials if t is not winner and len(t.scores) == len(first.scores)]
     return ModelSelection(winner.name, _reason([winner, *compared]))
-
-
-def _is_baseline(trial: Trial) -> bool:
-    """Return whether a trial, named NAME, NAME:PATCH or NAME (folder), is of a baseline."""
-    return MODELS[trial.name.replace(":", " ").split()[0]].baseline
-
-
-def is_clearly_worse(trial: Trial, other: Trial) -> bool:
-    """Return whether a model is worse than another on the hours of both, by a standard error."""
-    choice = choose(_errors([trial, other]))
-    return choice.best == 1 and choice.by is not None
 
 
 def _errors(trials: Sequence[Trial]) -> list[HeldOutErrors]:
@@ -251,15 +229,14 @@ def _reason(trials: list[Trial]) -> str:
     hours = f"{counted(own.judged, 'held-out hour')} of {counted(len(np.unique(own.day)), 'day')}"
     if not others:
         return f"the only model that was tested ({hours})"
-    known = [name for name in CRITERIA if np.isfinite(own.figure(name))]
     choice = choose(errors)
-    clear = choice.by if choice.best == 0 else None
-    by = clear or known[0]
+    known = [name for name in CRITERIA if np.isfinite(own.figure(name))]
+    by = choice.by if choice.best == 0 and choice.by else known[0]
     figures = zip(trials[1:], others, strict=True)
     listed = ", ".join(f"{t.name} {e.figure(by):.2g}" for t, e in figures)
     text = f"error of {CRITERIA[by]} over {hours}: {own.figure(by):.2g} ({listed})"
-    alike = ", ".join(CRITERIA[name] for name in (known[: known.index(clear)] if clear else known))
-    return f"{text}; no model is better by over a standard error: {alike}" if alike else text
+    clear = choice.best == 0 and choice.by
+    return text if clear else f"{text}; no model is better by over a standard error"
 
 
 # ----------------------------------------------------------------------------------------------
@@ -453,11 +430,12 @@ def run(
         clock=clock,
         progress=progress,
     )
+    fitted, choice = result.fitted, result.choice
     answer = {
         "models": result.table(seed),
-        "chosen": result.choice.name,
-        "reason": result.choice.reason,
-        "parameters": result.fitted.parameters,
+        "chosen": choice.name,
+        "reason": choice.reason,
+        "parameters": fitted.parameters,
         "final_fit_s": result.fit_s,
         "year": None if result.year is None else asdict(result.year),
         "notes": result.notes,
@@ -469,18 +447,11 @@ def run(
     if int(os.environ.get("RANK", "0")) == 0:  # of the processes of torchrun
         # this file is written last: it shows that the model is complete
         (out / ScoresFile.NAME).unlink(missing_ok=True)
-        models.save(
-            out,
-            result.fitted,
-            result.data,
-            patch=mode,
-            seed=seed,
-            mirrors=result.mirrors,
-            chosen_because=result.choice.reason,
-            warnings=[note for note in result.notes if note.startswith("WARNING")],
-        )
+        warned = [note for note in result.notes if note.startswith("WARNING")]
+        more = {"patch": mode, "seed": seed, "chosen_because": choice.reason, "warnings": warned}
+        models.save(out, fitted, result.data, mirrors=result.mirrors, **more)
         (out / "held_out.npz").unlink(missing_ok=True)
-        chosen = (trial for trial in result.trials if trial.name == result.choice.name)
+        chosen = (trial for trial in result.trials if trial.name == choice.name)
         if (trial := next(chosen, None)) and trial.scores.maps is not None:
             trial.scores.maps.write(out)
         answer["model_sha256"] = _model_sha256(out)
@@ -510,14 +481,14 @@ def _model_sha256(folder: Path) -> str:
 
 def seen_skies(fitted: Fitted) -> list[str]:
     """Return one note if the model learnt each capture under the sky in its windows."""
-    sd = fitted.sky_sd if isinstance(fitted, Transport | MeanTransport) else None
+    sd = getattr(fitted, "sky_sd", None)
     if sd is None:
         return []
     return [
-        f"the skies in the windows differ from the Perez model for the measured irradiance by "
-        f"{math.expm1(sd):.0%} (one standard deviation). The cause is clouds, or an "
-        "instrument that sees other light than the room. Each capture was learnt under its own "
-        "sky. Predicted hours use the Perez model, and their uncertainty includes the difference"
+        f"the skies in the windows differ from the Perez model by {math.expm1(sd):.0%} (one "
+        "standard deviation): clouds, or an instrument that sees other light than the room. Each "
+        "capture was learnt under its own sky; predictions use the Perez model, and their "
+        "uncertainty includes the difference"
     ]
 
 
@@ -531,24 +502,22 @@ def notes_of(data: Dataset, patch: Patch, model: str, trials: Sequence[Trial]) -
     notes = list(data.notes)
     if one_day_only(data):
         notes.append(
-            "all hours are from one day, so held-out hours are close to training hours and "
-            "the scores are too good: capture more days"
+            "all hours are from one day, so that the scores are too good: capture more days"
         )
     # a scene without patches was chosen on purpose and has its own note
     if patch == "none" and data.patch_cdm2 is None and data.scene is None:
-        notes.append(
-            "no sun patches in the data: add a [room] to SITE.toml, if it has none, and run "
-            "fieldlum pair for a better model"
-        )
+        notes.append("no sun patches in the data: add a [room] to SITE.toml and run fieldlum pair")
     notes += uncertain_hours(data)
     own = next((trial for trial in trials if trial.name == model), None)
     if own is None or MODELS[model].baseline:
         return tuple(notes)
-    better = [t.name for t in trials if MODELS[t.name].baseline and is_clearly_worse(own, t)]
+    others = [t for t in trials if MODELS[t.name].baseline]
+    choices = [choose(_errors([own, t])) for t in others]
+    better = [t.name for t, c in zip(others, choices, strict=True) if c.best == 1 and c.by]
     if better:
         notes.append(
-            f"WARNING: {model} is worse than {' and '.join(better)} on held-out days by more than "
-            "a standard error: do not use it before the cause is found"
+            f"WARNING: {model} is clearly worse than {' and '.join(better)} on held-out days: do "
+            "not use it before the cause is found"
         )
     return tuple(notes)
 
@@ -560,14 +529,10 @@ def uncertain_hours(data: Dataset) -> list[str]:
         return []
     part = f"{uncertain} of {counted(len(data), 'hour')}"
     weight = choice_weights(data)[beam_is_uncertain(data)].max()
-    role = (
-        f"count {weight:g} in the choice of a model and in warnings, because too few others remain"
-        if weight > 0.0
-        else "do not count in the choice of a model or in warnings"
-    )
+    role = f"count {weight:g}" if weight > 0.0 else "do not count"
     return [
-        f"{part} {role}: their direct light was not measured well (sun under {LOW_SUN_DEG:g} "
-        "degrees with a beam, or a mark of fieldlum pair)"
+        f"{part} {role} in choices and warnings: their direct light was not measured well (sun "
+        f"under {LOW_SUN_DEG:g} degrees with a beam, or a mark of fieldlum pair)"
     ]
 
 
@@ -591,10 +556,9 @@ def held_out_warnings(fitted: Fitted, data: Dataset) -> list[str]:
     if len(exceptions):
         shown = ", ".join(map(str, exceptions[:5])) + (" ..." if len(exceptions) > 5 else "")
         texts.append(
-            f"WARNING: the held-out error of {shown} is over 4 times that of the "
-            "median day: a blind was probably moved, a lamp was on, or the irradiance is wrong; "
-            "these captures are used in the training: mark what was different (fieldlum status "
-            "SESSION --mark SLOT blind=half), or set ok = 0 in pairs.csv, and train again"
+            f"WARNING: the held-out error of {shown} is over 4 times that of the median day: a "
+            "blind, a lamp or wrong irradiance; mark what was different (fieldlum status SESSION "
+            "--mark SLOT blind=half), or set ok = 0 in pairs.csv, and train again"
         )
     mean = trimmed_mean(errors, weight)
     if np.median(errors) > POOR_MSE / 4 or mean > POOR_MSE:
@@ -608,7 +572,7 @@ def held_out_warnings(fitted: Fitted, data: Dataset) -> list[str]:
     if share > 0.1:
         texts.append(
             f"WARNING: for {share:.0%} of the captures, a prediction from the other days is wrong "
-            f"by a factor of over {TRUSTED_FACTOR:g}: the room, the camera or the light changed in "
-            "a way that the model does not know; hours with similar light are not trusted"
+            f"by a factor of over {TRUSTED_FACTOR:g}: the room, the camera or the light changed; "
+            "hours with similar light are not trusted"
         )
     return texts

@@ -86,8 +86,7 @@ with equal pixels; median, p90, worst: of it over maps; rer: root of the summed 
 the summed squared truth; dgp: with the true disc, own_disc with that of the room, of fully seen
 directions; judged: trimmed means over the n_judged hours that decide a choice, of the absolute
 error of DGP, of ln Ev, and of log10_mse; bias_log10: mean signed error; in_90_band: share of pixels
-whose truth is within the model's 90 % interval; worst_decile_found: share of the worst tenth of
-hours that the model expects to be worst.
+whose truth is within the model's 90 % interval.
 """
 ScoreRow = ScoreFigures
 """One model in `train --json`: ScoreFigures, name, seed and costs.
@@ -147,8 +146,7 @@ class HeldOutMaps:
     [n]; dgp_measured, dgp_predicted: in ten view directions, both with the measured sun disc [n,
     10]; contrast_measured, contrast_predicted: mean local contrast of each level of a picture
     pyramid [n, 5] cd/m2; measured_log10, predicted_log10: log10 of cd/m2 [n, h, w], float16 (to 0.2
-    %), reduced to fewer pixels, without the disc; season_deg: angle to the nearest sun in that
-    fit's training data [n] deg.
+    %), reduced to fewer pixels, without the disc.
     """
 
     slots: NDArray[np.str_]
@@ -161,7 +159,6 @@ class HeldOutMaps:
     contrast_predicted: Floats
     measured_log10: NDArray[np.float16]
     predicted_log10: NDArray[np.float16]
-    season_deg: Floats
 
     def __len__(self) -> int:
         return len(self.slots)
