@@ -95,7 +95,6 @@ def answers(root: Path) -> dict[str, list[str]]:
         ],
         "train": ["train", session, "--model", "nearest"],
         "predict": ["predict", model, "--weather", root / "weather.csv"],
-        "campaign train": ["campaign", "train", root / "CAMPAIGN.toml"],
         "campaign report": ["campaign", "report", root / "CAMPAIGN.toml"],
         "glare": ["glare", picture],
         "info panorama": ["info", picture],

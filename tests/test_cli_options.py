@@ -7,7 +7,7 @@ import click
 import pytest
 
 from fieldlum.cli import main
-from fieldlum.cli.options import dimensions, panorama_height
+from fieldlum.cli.options import picture_height
 
 CONTEXT = click.Context(main)
 SHARED = ("as_json", "force", "scheduler_text", "site", "session_folder")
@@ -62,11 +62,13 @@ def test_every_help_has_one_form(name: str) -> None:
     ("size", "height"), [("460x230", 230), ("230X115", 115), ("16384x8192", 8192)]
 )
 def test_a_panorama_is_twice_as_wide_as_high(size: str, height: int) -> None:
-    assert panorama_height(size) == height
+    assert picture_height(size) == height
 
 
 @pytest.mark.contract
-@pytest.mark.parametrize("size", ["460", "460x", "x230", "4x2", "32768x16384", "-460x-230", "axb"])
+@pytest.mark.parametrize(
+    "size", ["460", "460x", "x230", "4x2", "460x460", "32768x16384", "-460x-230", "axb"]
+)
 def test_other_sizes_are_a_usage_error(size: str) -> None:
     with pytest.raises(click.UsageError, match="--size"):
-        dimensions(size)
+        picture_height(size)

@@ -34,12 +34,11 @@ def test_the_docs_list_every_command_in_the_order_of_the_job() -> None:
     assert [name for name in sections if name in PRESENT] == PRESENT == list(COMMANDS)
 
 
-# tests/test_bench.py compares the keys of bench with those of train; stages of a campaign print
-# what `campaign train` prints; for the others no list is kept. A new command is not added here.
+# tests/test_bench.py compares the keys of bench with those of train; the others have no kept list.
+# A new command is not added here.
 WITHOUT_KEPT_KEYS = {
     "bench",
     "compare",
-    *(f"campaign {stage}" for stage in ("merge", "plan", "predict", "status")),
     *(f"calibrate {part}" for part in ("colour", "lens", "linearity", "pixels", "response")),
     *(f"calibrate {part}" for part in ("shutter", "stray", "vignette")),
     "scene click",

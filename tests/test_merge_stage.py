@@ -244,6 +244,7 @@ def test_the_command_on_files(
 ) -> None:
     slot = take(session, 0)
     frames = sorted(str(p) for p in (session.raw / slot).glob("*.dng"))
+    frames = [str(session.raw / slot)] if suffix == ".hdr" else frames
     out = tmp_path / f"picture{suffix}"
     size = "32x16" if projection == "equirect" else "24x24"
     options = [
@@ -283,6 +284,9 @@ def test_exit_codes(session: Session, tmp_path: Path) -> None:
     assert code(str(session.root)) == 5  # nothing captured
     assert code("--frames", str(tmp_path / "none.dng"), "--camera", camera, "--out", "x.hdr") == 3
     assert code("--frames", camera, "--camera", camera, "--out", "x.png") == 3
+    (tmp_path / "empty").mkdir()
+    options = ["--frames", str(tmp_path / "empty"), "--camera", camera, "--out", "x.hdr"]
+    assert "no frames in this folder" in CliRunner().invoke(main, ["merge", *options]).output
     assert code("--frames", camera, "--camera", "no-such-camera", "--out", "x.hdr") == 3
 
 

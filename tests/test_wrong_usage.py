@@ -131,7 +131,7 @@ CASES = [
     ("calibrate lens", "Missing|missing", 2),
     ("scene fit @/empty", "session|pairs", 3),
     ("watch @/empty", "session", 3),
-    ("campaign status @/good.toml", "good.toml", 3),
+    ("campaign report @/good.toml", "good.toml", 3),
     ("simulate @/good.toml --out @/s2", "room|plan|session", 3),
     ("mrege @/session", "merge", 2),
     ("merge @/session --hieght 100", "No such option", 2),

@@ -32,7 +32,7 @@ from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.optics.linear_light import black_dn, full_dn, gain_e_per_dn, true_shutter_s
 from fieldlum.optics.photometry import linearity_factor
 from fieldlum.optics.profiles import CameraProfile
-from fieldlum.optics.raw import Mosaic, channel_positions, is_jpeg, possible_frames
+from fieldlum.optics.raw import Mosaic, channel_positions, frame_files, is_jpeg
 
 # Limits are chosen so that simulated defects are found and noise is not (tests); not measured on
 # real sensors.
@@ -60,8 +60,7 @@ def find(sources: Sequence[Path], profile: CameraProfile) -> PixelDefects:
     many pixels deviate.
     """
     require_raw(profile, "use the camera's raw files")
-    folders = [possible_frames(path) if path.is_dir() else [path] for path in sources]
-    frames = tuple(path for folder in folders for path in folder)
+    frames = tuple(frame_files(*sources))
     require(len(frames), 2, "bad pixels: dark frames", "take more with the cap on")
     deviating = [_deviating(path, profile) for path in frames]
     pixels, times = np.unique(np.concatenate(deviating), return_counts=True)

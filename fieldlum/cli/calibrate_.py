@@ -483,11 +483,10 @@ def linearity(profile: Any, sources: Annotated[Paths, "FRAMES...", EXISTING_PATH
       fieldlum calibrate linearity steady/ --camera mine.toml --out mine.toml
     """
     from fieldlum.calibrate import sensor as curves
+    from fieldlum.optics.raw import frame_files
 
-    folders = [sorted(path.glob("*")) if path.is_dir() else [path] for path in sources]
-    files = [file for folder in folders for file in folder if file.is_file()]
     plain = replace(profile, sensor=replace(profile.sensor, linearity=(), exposure_offset_s=0.0))
-    levels = curves.read_levels(files, plain)
+    levels = curves.read_levels(frame_files(*sources), plain)
     fit = curves.fit(levels)
     own = {"linearity": fit.coefficients, "linearity_u_rel": fit.u_rel}
     sensor = replace(profile.sensor, **own, exposure_offset_s=fit.offset_s)

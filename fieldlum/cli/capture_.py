@@ -90,7 +90,6 @@ def command(
     options = replace(options, grace_s=grace, log_every_s=every_s)
     awake = nullcontext() if clock == "fast" else terminal.awake()
     post, address = _post(notify), read_address(heartbeat) if heartbeat else ""
-    checks = FrameChecks(doubts, unreadable, bracket_doubts)
     if clock == "real":
         wait_for_clock(session, ticking, terminal.say)
     with (
@@ -104,9 +103,17 @@ def command(
             remote.look(live)
             display(live)
 
-        how = {"clock": ticking, "options": options, "checks": checks, "meter_uri": meter_uri}
-        seen = {"watch": watch, "listen": remote.listen}
-        states = capture.run(session, camera_uri, pyranometer_uri, **how, **seen)
+        states = capture.run(
+            session,
+            camera_uri,
+            pyranometer_uri,
+            clock=ticking,
+            options=options,
+            checks=FrameChecks(doubts, unreadable, bracket_doubts),
+            meter_uri=meter_uri,
+            watch=watch,
+            listen=remote.listen,
+        )
     _show_end(session.root, list(states.slots.values()))
 
 
@@ -145,66 +152,62 @@ def _real(*uris: str) -> str:
 
 
 # ----------------------------------------------------------------------------------------------
-# the state of a running capture: a panel on a terminal, lines in a pipe
+# the state of a running capture: all lines on a terminal, the counts of slots in a pipe
 
 
 def panel(live: Live, site: Site) -> RenderableType:
     """Return the state of a capture as a panel that rich can print."""
-    from rich.markup import escape
     from rich.panel import Panel
-    from rich.progress_bar import ProgressBar
-    from rich.table import Table
+    from rich.text import Text
 
-    rows = Table.grid(padding=(0, 2))
-    rows.add_column(style="bold", no_wrap=True, min_width=6)
-    rows.add_column(no_wrap=True)
-    for row in _rows(live, ZoneInfo(site.timezone)).items():
-        rows.add_row(*row)
-    bar = ProgressBar(total=max(1, live.planned), completed=live.planned - live.left, width=58)
-    both = Table.grid()  # a group would put the bar and the first row on one line
-    both.add_row(bar)
-    both.add_row(rows)
-    return Panel(both, title=f"fieldlum capture: {escape(site.name)}", width=64)
+    lines = [f"{name:8} {value}" for name, value in _rows(live, ZoneInfo(site.timezone)).items()]
+    text = Text("\n".join(lines), no_wrap=True, overflow="ellipsis")
+    return Panel(text, title=Text(f"fieldlum capture: {site.name}"), width=64)
 
 
 def _rows(live: Live, zone: ZoneInfo) -> dict[str, str]:
-    from rich.markup import escape
-
     from fieldlum.core.records import parse_utc
 
-    def state(text: str) -> str:
-        return f"[{'green' if text == 'ok' else 'red'}]{text}[/]"
-
-    trouble = "yellow" if live.missed or live.aborted else "green"
-    lost = f"[{trouble}]{live.missed} missed, {live.aborted} aborted[/]"
     upcoming = "none"
     if live.next_slot:
         seconds = timedelta(seconds=max(0, round(live.next_in_s or 0.0)))
-        when = "is being taken" if live.state == "capturing" else f"in [bold]{seconds}[/]"
+        when = "is being taken" if live.state == "capturing" else f"in {seconds}"
         upcoming = f"{parse_utc(live.next_slot).astimezone(zone):%a %H:%M}, {live.next_slot} {when}"
     age = f" ({live.ghi_age_s:.0f} s ago)" if live.ghi_age_s is not None else ""
     ghi = f"{live.ghi_wm2:.0f} W/m²{age}" if live.ghi_wm2 is not None else "-"
     days = f", {live.disk_days:.0f} days of captures" if live.disk_days is not None else ""
     return {
-        "slots": f"[green]{live.done} done[/], {lost}, {live.left} left",
+        "slots": _counts(live),
         "now": f"{live.state}, {live.t_utc.astimezone(zone):%Y-%m-%d %H:%M:%S %Z}",
         "next": upcoming,
-        "camera": f"{state(live.camera)} {escape(live.last_frame)}",
-        "global": f"{state(live.pyranometer)} {ghi}" if live.pyranometer else "not logged",
+        "camera": f"{live.camera} {live.last_frame}",
+        "global": f"{live.pyranometer} {ghi}" if live.pyranometer else "not logged",
         "disk": f"{live.bytes_free / 1e9:.1f} GB free{days}",
-        "last": escape(live.last_event) or "-",
+        "last": live.last_event or "-",
     }
+
+
+def _counts(live: Live) -> str:
+    return f"{live.done} done, {live.missed} missed, {live.aborted} aborted, {live.left} left"
 
 
 @contextmanager
 def shown(site: Site) -> Iterator[Watch]:
-    """Yield a function that shows the state of a capture.
+    """Yield a function that shows the state of a capture on stderr.
 
-    On a terminal it shows a panel. Otherwise it prints the counts of slots on stderr, at most 40
-    times in a plan.
+    On a terminal it shows a panel. Otherwise it prints the counts of slots, at most 20 times in a
+    plan.
     """
     if not terminal.seen():
-        yield _plain_lines()
+        settled = -1
+
+        def show(live: Live) -> None:
+            nonlocal settled
+            before, settled = settled, live.planned - live.left
+            if settled != before and settled % max(1, live.planned // 20) == 0:
+                terminal.say(f"{live.t_utc:%Y-%m-%dT%H:%M:%SZ}  {_counts(live)}")
+
+        yield show
         return
     from rich.console import Console
     from rich.live import Live as Screen
@@ -216,18 +219,3 @@ def shown(site: Site) -> Iterator[Watch]:
     finally:
         with suppress(OSError, ValueError):  # the terminal was closed
             screen.stop()
-
-
-def _plain_lines() -> Watch:
-    from fieldlum.core.records import utc_text
-
-    settled = -1
-
-    def show(live: Live) -> None:
-        nonlocal settled
-        before, settled = settled, live.planned - live.left
-        if settled != before and settled % max(1, live.planned // 20) == 0:
-            lost = f"{live.missed} missed, {live.aborted} aborted"
-            terminal.say(f"{utc_text(live.t_utc)}  {live.done} done, {lost}, {live.left} left")
-
-    return show

@@ -12,17 +12,15 @@ from fieldlum.cli.options import (
     DEFAULT_FISHEYE_SIZE,
     DEFAULT_SIZE,
     command_of,
-    dimensions,
     new_file,
-    panorama_height,
+    picture_height,
     scheduler_of,
 )
 from fieldlum.cli.terminal import print_answer, progress, say
 from fieldlum.core.errors import InputError
 
 if TYPE_CHECKING:
-    from fieldlum.core.scheduler import Scheduler
-    from fieldlum.merge import MergeOptions
+    from fieldlum.merge import MergeResult
     from fieldlum.session import Session
 
 
@@ -46,10 +44,10 @@ def command(
     \b
     Example:
       fieldlum merge my-session --scheduler processes:2
-      fieldlum merge --frames *.JPG --camera mine.toml --out office.hdr --projection fisheye
+      fieldlum merge --frames bracket/ --camera mine.toml --out office.hdr --projection fisheye
 
     Options:
-      --frames: Merge the named FILES instead of a session.
+      --frames: Merge the named files, or those in a folder, instead of a session.
       --camera: Camera profile: a TOML file or a name in calibration/ (with --frames).
       --out: OUT.exr or OUT.hdr (with --frames).
       --size WxH: Size of the result. [default: that of the session's panoramas, else 460x230;
@@ -59,7 +57,9 @@ def command(
       --fit/--no-fit: Estimate exposure ratios from the frames. [default: for raw frames
           only]
     """
-    from fieldlum.merge import MergeOptions
+    from fieldlum import merge
+    from fieldlum.optics.profiles import load_camera_profile
+    from fieldlum.optics.raw import frame_files
     from fieldlum.session import open_session
 
     if session is None or (frames and (not camera or out is None)):
@@ -67,73 +67,47 @@ def command(
     if frames:
         assert camera and out is not None
         new_file(out, force)
-        options = MergeOptions(_file_height(size, projection), projection, fit)
-        _merge_files([session, *more], camera, out, options, heading, as_json)
+        whole = projection == "equirect"
+        size = size or (DEFAULT_SIZE if whole else DEFAULT_FISHEYE_SIZE)
+        options = merge.MergeOptions(picture_height(size, 1 + whole), projection, fit)
+        files, profile = frame_files(session, *more), load_camera_profile(camera)
+        with progress("Merge") as bar:
+            result, facts = merge.files_to_picture(
+                files, profile, out, options, heading_deg=heading, progress=bar
+            )
+        answer = {"out": str(out), "verdict": result.verdict, **facts, "quality": result.quality}
+        print_answer(as_json, answer, _lines(out, result, facts))
         return
     if more or camera or out or projection != "equirect":
         raise click.UsageError("several files, --camera, --out and --projection need --frames")
-    height = panorama_height(size) if size else _present_height(open_session(session))
-    options = MergeOptions(height, fit=fit)
-    _merge_session(open_session(session), options, scheduler_of(scheduler_text), force, as_json)
-
-
-def _present_height(session: Session) -> int:
-    """Return the height of the session's panoramas, so that later brackets get the same size."""
-    from fieldlum.session.files.sidecar import newest_sidecar
-
-    before = newest_sidecar(session)
-    height = None if before is None else before.inputs.get("height")
-    return height if isinstance(height, int) else panorama_height(DEFAULT_SIZE)
-
-
-def _file_height(size: str | None, projection: str) -> int:
-    if projection == "equirect":
-        return panorama_height(size or DEFAULT_SIZE)
-    width, height = dimensions(size or DEFAULT_FISHEYE_SIZE)
-    if width != height:
-        rule = f"a fisheye picture must be square, for example {DEFAULT_FISHEYE_SIZE}"
-        raise click.UsageError(f"--size {size}: {rule}")
-    return height
-
-
-def _merge_session(
-    session: Session, options: MergeOptions, scheduler: Scheduler, force: bool, as_json: bool
-) -> None:
-    from fieldlum import merge
-
+    opened = open_session(session)
+    options = merge.MergeOptions(picture_height(size or _present_size(opened)), fit=fit)
+    scheduler = scheduler_of(scheduler_text)
     with progress("Merge") as bar:
-        verdicts = merge.run(session, options, scheduler=scheduler, force=force, progress=bar)
+        verdicts = merge.run(opened, options, scheduler=scheduler, force=force, progress=bar)
     lines = [f"{v.slot} {v.state}: {v.text}" for v in verdicts]
     print_answer(as_json, {"slots": [v.table() for v in verdicts]}, lines)
     counts = Counter(v.state for v in verdicts)
     if not as_json:
         say(", ".join(f"{counts[s]} {s}" for s in ("merged", "kept", "failed") if counts[s]))
-        if (sheet := session.panoramas / "contact-1.png").is_file():
+        if (sheet := opened.panoramas / "contact-1.png").is_file():
             say(f"look at {sheet}")
     if counts["failed"]:
         raise SystemExit(InputError.exit_code)
 
 
-def _merge_files(
-    files: list[Path],
-    camera: str,
-    out: Path,
-    options: MergeOptions,
-    heading_deg: float,
-    as_json: bool,
-) -> None:
-    from fieldlum.merge import files_to_picture
-    from fieldlum.optics.profiles import load_camera_profile
+def _present_size(session: Session) -> str:
+    """Return the size of the session's panoramas, so that later brackets get the same size."""
+    from fieldlum.session.files.sidecar import newest_sidecar
 
-    with progress("Merge") as bar:
-        result, facts = files_to_picture(
-            files, load_camera_profile(camera), out, options, heading_deg=heading_deg, progress=bar
-        )
+    before = newest_sidecar(session)
+    height = None if before is None else before.inputs.get("height")
+    return f"{2 * height}x{height}" if isinstance(height, int) else DEFAULT_SIZE
+
+
+def _lines(out: Path, result: MergeResult, facts: dict[str, float]) -> list[str]:
     lines, names = [f"{out}: {result.verdict}"], [f.file for f in result.report.frames]
     for pair in result.report.neighbours:
         pixels = f"{pair.residual_percent:+.2f} % ({pair.pixels} pixels)"
         lines.append(f"  {names[pair.long]} to {names[pair.short]}: {pixels}")
-    for name, value in facts.items():
-        lines.append(f"  {name}: {value:.5g}" if isinstance(value, float) else f"  {name}: {value}")
-    answer = {"out": str(out), "verdict": result.verdict, **facts, "quality": result.quality}
-    print_answer(as_json, answer, lines)
+    return [*lines, *(f"  {name}: {value:.5g}" for name, value in facts.items())]

@@ -4,43 +4,22 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import click
 
 from fieldlum.cli.options import command_of
 from fieldlum.core.errors import InputError
-from fieldlum.core.records import CameraSetup, Room, Site, SiteFile, Window
+from fieldlum.core.records import CameraSetup, Site, SiteFile
 
 if TYPE_CHECKING:
     from fieldlum.optics.profiles import CameraProfile, Lens
 
 T = TypeVar("T")
-_EDGE_M = 0.05  # smallest width and height of a window, so that a size remains possible; chosen
-_LEFT = "from the wall's left end, seen from inside"
-# Question, smallest and largest answer of each key, and a default if there is one. A limit may
-# follow from earlier answers, and for a window also from the length of its wall and the ceiling.
-_ROOM: Mapping[str, tuple[Any, ...]] = {
-    "width_m": ("Width along that wall", 0.3, 200.0),
-    "depth_m": ("Depth away from it", 0.3, 200.0),
-    "height_m": ("Height", 1.0, 100.0),
-    "wall_azimuth_deg": ("Azimuth that this wall faces (0: north, 180: south)", 0.0, 360.0),
-    "left_m": (f"Camera: {_LEFT}", 0.0, lambda a: a["width_m"]),
-    "camera_y_m": ("Camera: distance from that wall", 0.0, lambda a: a["depth_m"]),
-    "windows": ("How many windows", 0.0, 20.0, "1"),
-}
-_WINDOW: Mapping[str, tuple[Any, ...]] = {
-    "left_m": (f"left edge {_LEFT}", 0.0, lambda a: a["wall_m"] - 2 * _EDGE_M),
-    "width_m": ("width", _EDGE_M, lambda a: a["wall_m"] - a["left_m"]),
-    "sill_m": ("sill above the floor", 0.0, lambda a: a["ceiling_m"] - 2 * _EDGE_M, "0.9"),
-    "height_m": ("height", _EDGE_M, lambda a: a["ceiling_m"] - a["sill_m"]),
-    "transmittance": ("transmittance of the glass", 0.01, 0.92, "0.8"),
-    "panes": ("panes side by side", 1.0, 50.0, "1"),
-}
 _ANGLE = re.compile(r"([+-]?\d+(?:\.\d+)?)\s*°?\s*([NSEWnsew]?)")
 # Relative standard uncertainties of a profile that nobody calibrated, as in the shipped
 # uncalibrated profiles.
@@ -52,11 +31,6 @@ _NOTES = {  # comments in SITE.toml, by key
     "profile": "a shipped name (fieldlum info NAME), or a path",
     "heading_deg": "the panorama's middle, clockwise from true north",
     "headings": "one fisheye, turned between brackets",
-    "camera_x_m": "from the main window wall's RIGHT end, seen from inside",
-    "camera_y_m": "from the inside of that wall, which the room calls south",
-    "wall_azimuth_deg": "where that wall faces",
-    "left_m": "from the wall's LEFT end, seen from inside",
-    "sill_m": "above the floor",
 }
 
 
@@ -68,9 +42,9 @@ def command(
 ) -> None:
     """Ask about a site and write its SITE.toml, or write a camera profile.
 
-    Place, camera and heading give the full answer; a room is an option. A described room is drawn
-    as SITE.svg: check the windows and azimuths there. An existing file is not overwritten. After an
-    interruption the same command offers the answers so far.
+    Place, camera and heading give the full answer; a room is an option, which docs/file-formats.md
+    describes. An existing file is not overwritten. After an interruption the same command offers
+    the answers so far.
 
     \b
     Example:
@@ -87,7 +61,6 @@ def command(
         load_camera_profile,
         uncalibrated_text,
     )
-    from fieldlum.room.scene.drawing import room_svg, write_room
     from fieldlum.session.site_toml import load_site
 
     if site_file.exists():
@@ -103,16 +76,10 @@ def command(
     blind = coverage_text(profile, setup.camera)
     for note in filter(None, (*assumed_texts(setup.camera), uncalibrated_text(profile), blind)):
         click.echo(f"note: {note}")
-    question = "Describe the room by tape measure (y or n)? Not needed; it can sharpen the maps"
-    if dialogue.ask(question, lambda text: text.lower() in ("y", "yes"), "n"):
-        setup = replace(setup, room=room_of(dialogue, setup.camera))
-    room_svg(setup)  # refuses an impossible room
     site_file.write_text(site_text(setup), encoding="utf-8")
     load_site(site_file)
     dialogue.path.unlink(missing_ok=True)
     click.echo(f"written: {site_file}")
-    if write_room(setup, picture := site_file.with_suffix(".svg")):
-        click.echo(f"written: {picture}: check windows, camera and north in it")
     click.echo(f"next: fieldlum plan {site_file} --set 9-day --out {site_file.stem}-session")
 
 
@@ -155,15 +122,6 @@ class Dialogue:
             finding, expected = f"no answer to '{question}'", "an answer to each question"
             remedy = "run fieldlum new at a terminal, which offers the answers so far"
             raise InputError(self.site_file, finding, expected, remedy) from None
-
-    def numbers(
-        self, questions: Mapping[str, tuple[Any, ...]], prefix: str, **known: Any
-    ) -> dict[str, Any]:
-        """Return the numbers that answer a table of questions, by key, after those in `known`."""
-        for key, (question, low, high, *default) in questions.items():
-            limit: Any = high(known) if callable(high) else high
-            known[key] = self.ask(prefix + question, _number(low, round(limit, 6)), *default)
-        return known
 
 
 def _name(text: str) -> str:
@@ -267,41 +225,8 @@ def _camera(dialogue: Dialogue) -> CameraSetup:
     return CameraSetup(chosen, heading, headings, height, unknown)
 
 
-def room_of(dialogue: Dialogue, camera: CameraSetup) -> Room:
-    """Ask about a box room and its windows; return it."""
-    click.echo("All lengths in m. The first wall is the one with the main windows.")
-    size = dialogue.numbers(_ROOM, "")
-    # camera_x_m counts from the other end, because x grows to the right as seen from outside
-    x_m, count = round(size["width_m"] - size.pop("left_m"), 4), int(size.pop("windows"))
-    room = Room(camera_x_m=x_m, camera_z_m=camera.height_m, **size)
-    return replace(room, window=tuple(window_of(dialogue, k + 1, room) for k in range(count)))
-
-
-def window_of(dialogue: Dialogue, number: int, room: Room) -> Window:
-    """Ask about a window; return it."""
-    from fieldlum.room.scene.drawing import compass_walls
-
-    walls = compass_walls(room.wall_azimuth_deg)  # the names of walls that a user knows
-
-    def wall(text: str) -> Any:
-        if text.upper() not in walls:
-            raise ValueError(f"expected {', '.join(walls)}: the direction that the wall faces")
-        return walls[text.upper()]
-
-    question = f"Window {number}: wall that faces ({', '.join(walls)})"
-    name = dialogue.ask(question, wall, next(iter(walls)))
-    wall_m = room.width_m if name in ("south", "north") else room.depth_m
-    edges = {"wall_m": wall_m, "ceiling_m": room.height_m}
-    size = dialogue.numbers(_WINDOW, f"Window {number}: ", **edges)
-    own = {key: size[key] for key in _WINDOW} | {"panes": int(size["panes"])}
-    return Window(name, **own)
-
-
 def site_text(setup: SiteFile) -> str:
-    """Return the text of a SITE.toml with site, camera and, if there is one, the room.
-
-    `load_site` reads it.
-    """
+    """Return the text of a SITE.toml with site and camera; `load_site` reads it."""
     import tomli_w
 
     from fieldlum.session.site_toml import site_table

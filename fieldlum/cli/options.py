@@ -135,29 +135,20 @@ def scheduler_of(text: str) -> Scheduler:
     return parse_scheduler(text, say)
 
 
-# ----------------------------------------------------------------------------------------------
-# sizes
-
-DEFAULT_SIZE = "460x230"  # the maps of Liu, Colburn and Inanici 2020
-DEFAULT_FISHEYE_SIZE = "1000x1000"  # evalglare's usual pictures are 800 to 1200 pixels across
-_MAX_WIDTH_PX = 16384  # largest width: a map of 134 million pixels, 0.5 GB in float32; chosen
+# Width by height of maps as in Liu, Colburn and Inanici 2020, and of a fisheye: evalglare's usual
+# pictures are 800 to 1200 pixels across.
+DEFAULT_SIZE, DEFAULT_FISHEYE_SIZE = "460x230", "1000x1000"
 
 
-def dimensions(size: str) -> tuple[int, int]:
-    """Parse --size WxH to width and height [px]. Raises click.UsageError for anything else."""
+def picture_height(size: str, ratio: int = 2) -> int:
+    """Parse --size WxH to its height [px]; ratio: W / H, 2 of a panorama, 1 of a fisheye.
+
+    Raises click.UsageError for another ratio, or a height outside 8 to 8192 (a panorama of 0.5 GB).
+    """
     width, _, height = size.lower().partition("x")
-    if not (width.isdecimal() and height.isdecimal()):
-        raise click.UsageError(f"--size {size}: write WIDTHxHEIGHT, for example {DEFAULT_SIZE}")
-    if not (8 <= int(width) <= _MAX_WIDTH_PX and 8 <= int(height) <= _MAX_WIDTH_PX // 2):
-        maximum = f"{_MAX_WIDTH_PX}x{_MAX_WIDTH_PX // 2}"
-        raise click.UsageError(f"--size {size}: expected 8x8 to {maximum} pixels")
-    return int(width), int(height)
-
-
-def panorama_height(size: str) -> int:
-    """Parse a panorama's --size WxH to its height [px]. Raises click.UsageError unless W = 2H."""
-    width, height = dimensions(size)
-    if width != 2 * height:
-        rule = f"a panorama must be twice as wide as high, for example {DEFAULT_SIZE}"
-        raise click.UsageError(f"--size {size}: {rule}")
-    return height
+    numbers = [int(text) if text.isdecimal() else 0 for text in (width, height)]
+    if numbers[0] != ratio * numbers[1] or not 8 <= numbers[1] <= 8192:
+        rule = "a panorama is twice as wide as high" if ratio == 2 else "a fisheye is square"
+        example = DEFAULT_SIZE if ratio == 2 else DEFAULT_FISHEYE_SIZE
+        raise click.UsageError(f"--size {size}: {rule}, 8 to 8192 pixels high, like {example}")
+    return numbers[1]

@@ -15,7 +15,7 @@ from fieldlum.cli.options import (
     DEFAULT_SIZE,
     CaptureSet,
     command_of,
-    panorama_height,
+    picture_height,
     scheduler_of,
 )
 
@@ -66,7 +66,7 @@ def command(
           (docs/simulation.md).
       --seed: Seed of random hours and synthetic weather.
     """
-    height = panorama_height(size)
+    height = picture_height(size)
     import_module("numba")  # so that a missing package is reported before any file is written
     from fieldlum.room import simulate
     from fieldlum.room.scene.radiosity import box_room

@@ -37,6 +37,7 @@ _WORDS = {
     "object": "a table",
     "array": "a list",
 }
+_SIGNS = {"latitude_deg": " (south is negative)", "longitude_deg": " (west is negative)"}
 
 
 def convert(value: object, kind: type[T], *, strict: bool = False) -> T:
@@ -64,7 +65,7 @@ def _reason(text: str, value: Any) -> str:
     if place and not text.startswith("no entry"):
         for index, key in re.findall(r"\[(\d+)\]|([^.\[\]]+)", place):
             value = value[key or int(index)]
-        return f"{place} = {str(value)[:60]!r}, {text}"
+        return f"{place} = {str(value)[:60]!r}, {text}{_SIGNS.get(place.rpartition('.')[2], '')}"
     return f"{text} in {place}" if place else text
 
 

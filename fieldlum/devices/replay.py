@@ -19,7 +19,7 @@ from fieldlum.core.records import Exposure
 from fieldlum.devices import Camera, CameraInfo, DeviceUri
 from fieldlum.devices.clock import Clock
 from fieldlum.optics.photometry import same_exposure
-from fieldlum.optics.raw import RAW_SUFFIXES, FrameInfo, is_jpeg, read_exif
+from fieldlum.optics.raw import FrameInfo, frame_files, read_exif
 from fieldlum.session import Session, exposure_text
 
 
@@ -29,11 +29,12 @@ def frames_of(folder: Path) -> list[tuple[Path, FrameInfo]]:
     Frames without a time are last. Files without an exposure in their EXIF are skipped. Raises
     DeviceError if no frame remains.
     """
-    frames = []
-    for path in sorted(p for p in folder.rglob("[!.]*") if p.is_file()):
-        if path.suffix.lower() in RAW_SUFFIXES or is_jpeg(path):
-            with suppress(InputError):
-                frames.append((path, read_exif(path)))
+    paths, frames = [], []
+    with suppress(InputError):
+        paths = frame_files(folder)
+    for path in paths:
+        with suppress(InputError):
+            frames.append((path, read_exif(path)))
     if not frames:
         expected = "expected raw or JPEG files with their exposure in EXIF"
         raise DeviceError(f"replay: no frames in {folder}; {expected}; name another folder")

@@ -16,7 +16,7 @@ from fieldlum.core.records import Exposure
 from fieldlum.optics.linear_light import SAME_LABEL, nd_factors, true_shutter_s
 from fieldlum.optics.photometry import AUTO, LAWS, ShutterLaw, law_of_labels, z_per_cdm2
 from fieldlum.optics.profiles import CameraProfile
-from fieldlum.optics.raw import is_jpeg, possible_frames, read_exif
+from fieldlum.optics.raw import frame_files, is_jpeg, read_exif
 from fieldlum.session import sha256
 from fieldlum.session.files.capture_json import CaptureFile
 from fieldlum.session.safe_paths import refuse_link
@@ -58,12 +58,9 @@ def shots_of_slot(folder: Path) -> list[Shot]:
     """
     capture = CaptureFile.find(folder / "capture.json")
     if capture is None or not capture.frames:
-        files = possible_frames(folder)
+        files = frame_files(folder)
         for path in files:
             refuse_link(folder, path)
-        if not files:
-            remedy = "capture or import the slot again"
-            raise InputError(folder, "no frames in this folder", "raw or JPEG frames", remedy)
         return shots_of_files(files)
     for frame in capture.frames:
         refuse_link(folder, folder / frame.file)

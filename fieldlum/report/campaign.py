@@ -26,25 +26,16 @@ from fieldlum.year.predict import best_and_worst, read_annual
 _GLARE_DGP = "0.40"  # disturbing, EN 17037
 
 
+# Keys of earlier versions, whose campaigns also ran the stages; they are read and not used.
+_EARLIER = {"site", "set", "seed", "budget_min", "weather", "views", "size"}
+
+
 @dataclass(frozen=True, slots=True)
 class CampaignRoom:
-    """One room of a campaign. Paths are relative to CAMPAIGN.toml.
-
-    A value that is absent or "" is that of [common], else the default. session: its folder. site
-    and set: from which `plan` creates a missing session. model, seed, budget_min [minutes]: for
-    `train`. weather and views (number of view directions): for `predict`. size: WIDTHxHEIGHT for
-    `merge`.
-    """
+    """One room: its session's folder, from that of CAMPAIGN.toml, and the name of its model."""
 
     session: str
-    site: str = ""
-    set: str = "9-day"
     model: str = "auto"
-    seed: int = 0
-    budget_min: float = 10.0
-    weather: str = "synthetic"
-    views: int = 10
-    size: str = "460x230"
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,27 +54,19 @@ class CampaignFile(NamedTuple):
     name: str
     rooms: tuple[CampaignRoom, ...]
 
-    def file(self, name: str) -> Path:
-        """Return the path `name`, resolved from the folder of the campaign file."""
-        return self.path.parent / name
-
 
 def read_campaign(path: Path) -> CampaignFile:
     """Read a CAMPAIGN.toml; without the key `name` the file's name is used.
 
     Raises InputError for a missing file or one that is no TOML, for unknown keys or values of a
-    wrong type, without a room, for a room without a session, for a session named twice, and unless
-    budget_min and views are above 0.
+    wrong type, without a room, for a room without a session, and for a session named twice.
     """
     tables = build(_Tables, read_toml(path), str(path))
     rooms: list[CampaignRoom] = []
     for number, stated in enumerate(tables.room, start=1):
         where = f"{path} [[room]] {number}"
-        values = {k: v for part in (tables.common, stated) for k, v in part.items() if v != ""}
-        room = build(CampaignRoom, values, where)
-        for key in ("budget_min", "views"):
-            if (value := getattr(room, key)) <= 0:
-                raise InputError(where, f"{key} = {value:g}", "a number above 0", "correct it")
+        own = {k: v for k, v in (tables.common | stated).items() if k not in _EARLIER}
+        room = build(CampaignRoom, own, where)
         if room.session in {other.session for other in rooms}:
             found = f"session {room.session} occurs twice"
             raise InputError(where, found, "each session once", "remove one of its tables")
@@ -124,7 +107,7 @@ class RoomOverview:
 def overview_of(campaign: CampaignFile, room: CampaignRoom) -> RoomOverview:
     """Read one room; after any error, the overview's text `broken` states what is wrong."""
     try:
-        return _read(open_session(campaign.file(room.session)), room)
+        return _read(open_session(campaign.path.parent / room.session), room)
     except Exception as error:
         defect = "" if isinstance(error, FieldlumError | OSError) else f"{type(error).__name__}: "
         return RoomOverview(room.session, broken=defect + " ".join(str(error).split()))

@@ -26,7 +26,6 @@ from fieldlum.optics.raw.exif import TIFF_VARIANTS, FrameInfo, Tags, info_of, nu
 RAW_SUFFIXES = tuple(
     ".dng .cr2 .cr3 .crw .nef .nrw .arw .raf .rw2 .orf .pef .srw .raw".split()  # noqa: SIM905
 )
-_NO_FRAMES = {".json", ".toml", ".csv", ".txt", ".xmp", ".tmp", ".part"}
 _DAMAGE = ("data corrupted", "Unexpected end of file")  # messages of LibRaw's data streams
 _STDERR = threading.Lock()
 _ACTIVE_AREA, _COLOUR_FILTER_ARRAY = 50829, 32803  # tag, and value of Photometric (DNG 1.7)
@@ -66,13 +65,26 @@ def is_jpeg(path: Path) -> bool:
     return path.suffix.lower() in (".jpg", ".jpeg")
 
 
-def possible_frames(folder: Path) -> list[Path]:
-    """Return the files in a folder that can be frames, sorted by path.
+def frame_files(*sources: Path) -> list[Path]:
+    """Return the files among paths, and for a folder the raw and JPEG files in it, sorted by path.
 
-    Hidden files, files with the suffix of a text or of an unfinished copy, and folders are omitted.
+    Subfolders are read too. Names that begin with `.` or `@` are omitted: in such folders systems
+    store thumbnails and deleted files. Raises InputError for a folder without frames.
     """
-    files = (path for path in folder.iterdir() if path.is_file() and path.name[0] != ".")
-    return sorted(path for path in files if path.suffix.lower() not in _NO_FRAMES)
+    found: list[Path] = []
+    for source in sources:
+        inside = [
+            path
+            for path in sorted(source.rglob("*"))
+            if (path.suffix.lower() in RAW_SUFFIXES or is_jpeg(path))
+            and path.is_file()
+            and not any(name[0] in ".@" for name in path.relative_to(source).parts)
+        ]
+        if source.is_dir() and not inside:
+            expected, remedy = "a folder with raw or JPEG frames", "check the path of the folder"
+            raise InputError(source, "no frames in this folder", expected, remedy)
+        found += inside if source.is_dir() else [source]
+    return found
 
 
 # ----------------------------------------------------------------------------------------------

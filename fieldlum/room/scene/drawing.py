@@ -31,14 +31,6 @@ def wind(azimuth_deg: float) -> str:
     return f"{compass_name(azimuth_deg)} {round(azimuth_deg) % 360}°"
 
 
-def compass_walls(wall_azimuth_deg: float) -> dict[str, str]:
-    """Return the room's word of each wall by the compass direction it faces, the main wall first.
-
-    wall_azimuth_deg: that the "south" wall faces.
-    """
-    return {compass_name(wall_azimuth_deg + turn): w for w, turn in WALL_TURN_DEG.items()}
-
-
 def write_room(setup: SiteFile, path: Path) -> bool:
     """Write the plan of a box room as SVG; return whether there is one. Raises as `room_svg`."""
     if drawing := room_svg(setup):
