@@ -48,7 +48,7 @@ def command(session_folder: Path, scheduler_text: str = "local", force: bool = F
         )
         for note in view.notes:
             terminal.say(f"note: {note}")
-    cautions = (c for p in pairs if p.ok for c in p.caution.split("; ") if c)
-    for kind, texts in (("refused", (p.why for p in pairs if p.why)), ("caution", cautions)):
+    cautions = (c for p in pairs if p.ok for c in p.why.split("; ") if c)
+    for kind, texts in (("refused", (p.why for p in pairs if not p.ok)), ("caution", cautions)):
         for text, count in Counter(texts).most_common(5):
             terminal.say(f"{kind} {count}: {text}")

@@ -31,9 +31,6 @@ from fieldlum.sky import sun
 from fieldlum.sky.light import Light
 from fieldlum.sky.light_clock import lit_at_night
 
-POOR_SUN_PERCENT = 5.0  # larger uncertainty of the sun's illuminance is reported; not measured
-NIGHT_MINUTES = 5  # minutes of light with the sun well down that a lamp may cause; not measured
-
 
 @dataclass(frozen=True, slots=True)
 class BracketInterval:
@@ -62,30 +59,6 @@ class BracketInterval:
         return self.t_open_utc + (self.t_close_utc - self.t_open_utc) / 2
 
 
-@dataclass(frozen=True, slots=True)
-class Pair:
-    """One row of pairs.csv: a bracket with its light, sun and sun patch.
-
-    why: the reason that it must not be used, "" if it may be. caution: a doubt, or "". taken:
-    the bracket; light: irradiance during it. sun_altitude_deg: true altitude, without
-    refraction; sun_azimuth_deg: clockwise from north. sunpatch: file of the sun patch,
-    in the session's folder, or "".
-    """
-
-    taken: BracketInterval
-    light: Outside
-    sun_altitude_deg: float
-    sun_azimuth_deg: float
-    sunpatch: str = ""
-    why: str = ""
-    caution: str = ""
-
-    @property
-    def ok(self) -> bool:
-        """Whether the row may be used."""
-        return not self.why
-
-
 def taken_brackets(session: Session) -> list[BracketInterval]:
     """Return every panorama in order of time, with the interval of its capture.json.
 
@@ -106,22 +79,17 @@ def _taken(session: Session, path: Path) -> BracketInterval:
     capture = CaptureFile.find(session.capture_file(slot))
     sidecar = Sidecar.find(session.sidecar(slot))
     sun_u_percent = sidecar.sun.u_mosaic_percent if sidecar and sidecar.sun else 0.0
-    lost = bool(sidecar and sidecar.report.lost)
+    complete = not (sidecar and sidecar.report.lost)
     if capture is None:
-        middle = (sidecar.t_utc if sidecar is not None else None) or _slot_time(path)
-        opened, closed = middle - timedelta(seconds=15), middle + timedelta(seconds=15)
-        return BracketInterval(
-            slot, path, opened, closed, complete=not lost, sun_u_percent=sun_u_percent
-        )
+        middle = (sidecar.t_utc if sidecar else None) or _slot_time(path)
+        half = timedelta(seconds=15)
+        opened, closed, meter_lx, frames = middle - half, middle + half, None, ()
+    else:
+        opened, closed, meter_lx = capture.t_open_utc, capture.t_close_utc, capture.illuminance_lx
+        frames, complete = capture.frames, complete and capture.complete
+    hashes = frozenset(frame.sha256 for frame in frames if frame.sha256)
     return BracketInterval(
-        slot,
-        path,
-        capture.t_open_utc,
-        capture.t_close_utc,
-        capture.illuminance_lx,
-        capture.complete and not lost,
-        frozenset(f.sha256 for f in capture.frames if f.sha256),
-        sun_u_percent=sun_u_percent,
+        slot, path, opened, closed, meter_lx, complete, hashes, sun_u_percent=sun_u_percent
     )
 
 
@@ -132,8 +100,10 @@ def _slot_time(path: Path) -> datetime:
         return parse_utc(path.stem)
 
 
-def judge(taken: BracketInterval, light: Outside, altitude_deg: float, azimuth_deg: float) -> Pair:
-    """Return the row of pairs.csv for a bracket, with the first reason not to use it, if any."""
+def judge(
+    taken: BracketInterval, light: Outside, altitude_deg: float, azimuth_deg: float
+) -> PairRow:
+    """Return the row of pairs.csv for a bracket; `why` has the reason not to use it, or doubts."""
     why = light.why
     top_wm2 = sun.extraterrestrial_wm2([taken.t_utc])[0]
     if taken.double_of:
@@ -146,15 +116,23 @@ def judge(taken: BracketInterval, light: Outside, altitude_deg: float, azimuth_d
         why = "the sun is below the horizon"
     elif not why and sun.too_weak(light.ghi_wm2, altitude_deg, top_wm2):
         why = "less light than the darkest overcast sky: a covered instrument, or values in kW/m2"
-    u_percent = taken.sun_u_percent
-    caution = _joined(
-        "" if taken.complete else "bracket incomplete",
-        f"the sun covers few pixels: its illuminance is uncertain by {u_percent:.0f} %"
-        if u_percent >= POOR_SUN_PERCENT
-        else "",
-        light.caution,
+    doubts = ["" if taken.complete else "bracket incomplete"]
+    if (u_percent := taken.sun_u_percent) >= 5.0:
+        text = "the sun covers few pixels: its illuminance is uncertain by"
+        doubts.append(f"{text} {u_percent:.0f} %")
+    return PairRow(
+        taken.t_utc,
+        f"{taken.panorama.parent.name}/{taken.panorama.name}",
+        light.dni_wm2,
+        light.dhi_wm2,
+        light.ghi_wm2,
+        light.source,
+        altitude_deg,
+        azimuth_deg,
+        light.steadiness,
+        ok=not why,
+        why=why or _joined(*doubts, light.caution),
     )
-    return Pair(taken, light, altitude_deg, azimuth_deg, why=why, caution=caution)
 
 
 def _joined(*texts: str) -> str:
@@ -164,7 +142,7 @@ def _joined(*texts: str) -> str:
 def check_night(path: Path, log: CleanIrradiance, site: Site) -> None:
     """Raise InputError for over 5 minutes of light with the sun well down: wrong clock or place."""
     lit = lit_at_night(log.t_unix_s, log.ghi_wm2, site)
-    if len(lit) > NIGHT_MINUTES:
+    if len(lit) > 5:
         finding = (
             f"irradiance was logged in {len(lit)} minutes with the sun well below the horizon, "
             f"first at {utc_text(lit[0])}"
@@ -182,8 +160,8 @@ def run(
     force: bool = False,
     scheduler: Scheduler = LOCAL,
     progress: Progress = quiet,
-) -> list[Pair]:
-    """Write pairs.csv, suns.csv and, with a room, sunpatches/; return the pairs.
+) -> list[PairRow]:
+    """Write pairs.csv, suns.csv and, with a room, sunpatches/; return the rows of pairs.csv.
 
     The panoramas do not change. A simulated session's own pairs remain in truth/pairs.csv. Raises
     NotEnoughDataError if nothing is merged, InputError without irradiance/clean.csv or for light at
@@ -200,41 +178,45 @@ def run(
     check_night(session.clean_irradiance, log, setup.site)
     places = sun.position([b.t_utc for b in brackets], setup.site)
     angles = np.stack([places.altitude_deg, places.azimuth_deg], axis=1).tolist()
-    pairs = [
+    rows = [
         judge(b, outside(log, b.t_open_utc, b.t_close_utc), *at)
         for b, at in zip(brackets, angles, strict=True)
     ]
-    pairs = _with_suns(session, setup, pairs, force, scheduler, progress)
-    PairsFile(session.pairs, tuple(_row(session, pair) for pair in pairs)).write()
-    return pairs
+    usable = [k for k, row in enumerate(rows) if row.ok]
+    used = [brackets[k] for k in usable], [rows[k] for k in usable]
+    completed = _with_suns(session, setup, *used, force, scheduler, progress)
+    for k, row in zip(usable, completed, strict=True):
+        rows[k] = row
+    PairsFile(session.pairs, tuple(rows)).write()
+    return rows
 
 
 def _with_suns(
     session: Session,
     setup: SiteFile,
-    pairs: Sequence[Pair],
+    brackets: Sequence[BracketInterval],
+    rows: Sequence[PairRow],
     force: bool,
     scheduler: Scheduler,
     progress: Progress,
-) -> list[Pair]:
-    """Write sky_view.exr and suns.csv, and with a room the patches, of the usable rows."""
-    usable = [p for p in pairs if p.ok]
-    light = _light(session, usable)
-    shown = [_shown(p.taken, float(lx)) for p, lx in zip(usable, light.direct_lx, strict=True)]
+) -> list[PairRow]:
+    """Write sky_view.exr and suns.csv, and with a room the patches; return the completed rows."""
+    light = _light(session, brackets, rows)
+    shown = [_shown(b, float(lx)) for b, lx in zip(brackets, light.direct_lx, strict=True)]
     view = write_sky_view(session, shown, light, setup.site, force=force, progress=progress)
     shares, by_view = shares_of_beam(view, setup.room, light)
     patches = write_patches(
         session,
         setup,
-        [(p.taken.slot, p.taken.panorama, p.taken.t_utc) for p in usable],
+        [(b.slot, b.panorama, b.t_utc) for b in brackets],
         light.direct_lx,
         force=force,
         scheduler=scheduler,
         progress=progress,
     )
-    completed: dict[str, Pair] = {}
+    completed: list[PairRow] = []
     suns: list[SunRow] = []
-    for k, (pair, picture, patch) in enumerate(zip(usable, shown, patches, strict=True)):
+    for k, (row, picture, patch) in enumerate(zip(rows, shown, patches, strict=True)):
         source, caution = picture.sun, picture.caution
         if source is not None and not is_measured(source):
             origin = SKY_VIEW if by_view[k] else DNI
@@ -244,27 +226,19 @@ def _with_suns(
         if source is not None:
             at = source.altitude_deg, source.azimuth_deg, source.normal_illuminance_lx
             own = source.visible_fraction, source.origin, picture.recorded_lx
-            suns.append(SunRow(_name(session, pair), *at, *own))
-        caution = _joined(pair.caution, caution)
-        completed[pair.taken.slot] = replace(pair, sunpatch=patch, caution=caution)
+            suns.append(SunRow(row.panorama, *at, *own))
+        completed.append(replace(row, sunpatch=patch, why=_joined(row.why, caution)))
     write_suns(session.suns, suns)
-    return [completed.get(p.taken.slot, p) for p in pairs]
+    return completed
 
 
-def _name(session: Session, pair: Pair) -> str:
-    """Return the path of a pair's panorama in the session."""
-    return pair.taken.panorama.relative_to(session.root).as_posix()
-
-
-def _light(session: Session, pairs: Sequence[Pair]) -> Light:
-    """Return the light outside of usable pairs, with the room's states by their marks."""
+def _light(session: Session, brackets: Sequence[BracketInterval], rows: Sequence[PairRow]) -> Light:
+    """Return the light outside of usable rows, with the room's states by their marks."""
     marked = marks(session)
-    states = tuple(marked.get(p.taken.slot, "") for p in pairs)
-    numbers = [
-        (p.light.dni_wm2, p.light.dhi_wm2, p.sun_altitude_deg, p.sun_azimuth_deg) for p in pairs
-    ]
+    states = tuple(marked.get(bracket.slot, "") for bracket in brackets)
+    numbers = [(r.dni_wm2, r.dhi_wm2, r.sun_altitude_deg, r.sun_azimuth_deg) for r in rows]
     dni, dhi, altitude, azimuth = np.array(numbers).reshape(-1, 4).T
-    times = tuple(p.taken.t_utc for p in pairs)
+    times = tuple(row.t_utc for row in rows)
     return Light(times, dni, dhi, altitude, azimuth, states=states if any(states) else None)
 
 
@@ -281,22 +255,3 @@ def _shown(taken: BracketInterval, full_normal_lx: float) -> Shown:
         seen &= (panorama.flags & Flag.OUTSIDE_LENS) == 0
     recorded_lx = panorama.sun.normal_illuminance_lx if panorama.sun else 0.0
     return Shown(taken.slot, sun, recorded_lx, caution, seen, panorama.heading_deg)
-
-
-def _row(session: Session, pair: Pair) -> PairRow:
-    """Return the row of pairs.csv; an unknown figure is an empty cell."""
-    light = pair.light
-    return PairRow(
-        pair.taken.t_utc,
-        _name(session, pair),
-        light.dni_wm2,
-        light.dhi_wm2,
-        light.ghi_wm2,
-        light.source,
-        pair.sun_altitude_deg,
-        pair.sun_azimuth_deg,
-        light.steadiness,
-        pair.sunpatch,
-        ok=pair.ok,
-        why=pair.why or pair.caution,
-    )

@@ -10,11 +10,6 @@ import numpy as np
 from fieldlum.core.arrays import Floats, Mask
 from fieldlum.session.files.irradiance_csv import MEASURED, CleanIrradiance
 
-# Relative range of the global irradiance in a bracket. Not measured.
-UNSTEADY = 0.10  # a larger one gives a caution
-TOO_UNSTEADY = 0.50  # a larger change excludes the bracket, because its frames saw different light
-COARSEST_S = 900.0  # rows with longer intervals do not describe a bracket; not measured
-
 
 @dataclass(frozen=True, slots=True)
 class Outside:
@@ -42,7 +37,7 @@ def outside(log: CleanIrradiance, opened: datetime, closed: datetime) -> Outside
     If it has fewer than three rows, those within one row interval before and after it are included.
     `why` is set if rows are over 15 minutes apart, if any time of the bracket is more than two row
     intervals from a usable row, if diffuse is above global, or if global changed by over 50 % (and
-    over 10 W/m2).
+    over 10 W/m2), so that its frames saw different light; from 10 % on this is a caution.
     """
     start, end = opened.timestamp(), closed.timestamp()
     every = max(log.every_s(start), 1.0)
@@ -51,7 +46,7 @@ def outside(log: CleanIrradiance, opened: datetime, closed: datetime) -> Outside
     near = slice(max(int(first) - 1, 0), int(last) + 1)
     t_near = log.t_unix_s[near][usable[near]]
     stale = _worst_distance_s(t_near, start, end)
-    if every > COARSEST_S:
+    if every > 900.0:
         return Outside(why=f"irradiance was logged only every {every:.0f} s")
     if stale > 2.0 * every + 1.0:
         return Outside(why=_stale_text(log, near, start, end, stale))
@@ -83,11 +78,9 @@ def _stale_text(log: CleanIrradiance, near: slice, start: float, end: float, sta
     )
     if within.any() and flags:
         return f"irradiance unusable: {' '.join(flags)}"
-    return (
-        "no irradiance"
-        if not np.isfinite(stale)
-        else f"no irradiance at that time, the nearest row is {stale:.0f} s away"
-    )
+    if not np.isfinite(stale):
+        return "no irradiance"
+    return f"no irradiance at that time, the nearest row is {stale:.0f} s away"
 
 
 def _statistics(log: CleanIrradiance, rows: Mask) -> Outside:
@@ -98,9 +91,9 @@ def _statistics(log: CleanIrradiance, rows: Mask) -> Outside:
     caution, why = [], ""
     if dhi.mean() > 1.05 * mean + 10.0:
         why = "diffuse irradiance is above global: the two columns may be exchanged"
-    elif steadiness > TOO_UNSTEADY and spread > 10.0:
+    elif steadiness > 0.50 and spread > 10.0:
         why = f"light changed by {100 * steadiness:.0f} % during the bracket"
-    elif steadiness > UNSTEADY and spread > 10.0:
+    elif steadiness > 0.10 and spread > 10.0:
         caution.append(f"{_CHANGED} by {100 * steadiness:.0f} %")
     words = {word for text in log.flags[rows] for word in str(text).split()}
     caution += [text for word, text in _CAUTIONS.items() if word in words]

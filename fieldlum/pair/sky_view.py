@@ -33,12 +33,10 @@ from fieldlum.sky.sky_view.disc import room_shares
 from fieldlum.sky.sky_view.measured_discs import read_discs
 from fieldlum.version import __version__
 
-_MIN_SEEN = 0.8  # of the captures, in which a pixel has a value that a lens saw; chosen
 _SKY, _NOT_SEEN = (0.12, 0.37, 0.66), (0.93, 0.73, 0.36)  # colours, from 0 to 1
 # Ratio of the bounds of a share that calls the view undecided: glass of a stated room is known to
 # 20 % (EN 410: 0.7 to 0.9 for clear double and single panes).
 _WIDE = 1.5
-_MARGIN_DEG = 5.0  # around the view in its picture; chosen
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,11 +139,11 @@ def is_outdated(session: Session, view: SkyView) -> bool:
 
 
 def _in_lens(captures: Sequence[Shown]) -> Callable[[Floats], Mask]:
-    """Return a function that tells whether a lens saw directions [p, 3], [p]."""
+    """Return a function that tells which directions [p, 3] a lens saw in 80 % of captures."""
     masks = [capture.seen for capture in captures if capture.seen is not None]
     height, width = masks[0].shape
     alike = [mask for mask in masks if mask.shape == masks[0].shape]
-    often = np.add.reduce(alike, dtype=int) > _MIN_SEEN * len(alike)
+    often = np.add.reduce(alike, dtype=int) > 0.8 * len(alike)
     heading_deg = captures[0].heading_deg
 
     def in_lens(rays: Floats) -> Mask:
@@ -206,8 +204,7 @@ def draw(path: Path, view: SkyView, panorama: Panorama, suns: Floats) -> None:
             axes.imshow(light, cmap="gray", extent=extent)
         axes.imshow(np.concatenate([colours, alpha], -1), extent=(left, right, bottom, top))
         axes.plot(left + (azimuth - left) % 360.0, altitude, "o", mfc="none", mec=RED, ms=5)
-        axes.set_xlim(left - _MARGIN_DEG, right + _MARGIN_DEG)
-        axes.set_ylim(bottom - _MARGIN_DEG, min(top + _MARGIN_DEG, 90.0))
+        axes.set(xlim=(left - 5.0, right + 5.0), ylim=(bottom - 5.0, min(top + 5.0, 90.0)))
         axes.set_xlabel("azimuth, clockwise from true north, as the heading states it (degrees)")
         axes.set_ylabel("altitude (degrees)")
         axes.set_title(

@@ -86,11 +86,6 @@ def sun_in_view(room: Room, altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> 
     return disc_visibility(scene, scene.to_room(sun.direction(altitude_deg, azimuth_deg)))[0] > 0
 
 
-# Hours of the sets `even` and `best` (Liu, Colburn and Inanici 2020; docs/planning.md).
-EVEN_COUNT = 200
-BEST_COUNT = 50
-
-
 _NO_WINDOW = (
     "the [room] has no [[room.window]]: no daylight enters, a simulation is black and glare is 0; "
     "state its windows, or leave [room] out"
@@ -160,7 +155,7 @@ def _chosen(
     progress: Progress,
 ) -> DaylightHours:
     if request.set == "even":
-        rng, count = np.random.default_rng(request.seed), request.count or EVEN_COUNT
+        rng, count = np.random.default_rng(request.seed), request.count or 200
         return hours[choose.even(hours, weather, count, rng)]
     if request.set != "best":
         return hours
@@ -168,7 +163,7 @@ def _chosen(
         raise NotEnoughDataError(
             "the best hours depend on the climate; state a weather year with --weather FILE"
         )
-    return hours[choose.best(hours, task, request.count or BEST_COUNT, progress)]
+    return hours[choose.best(hours, task, request.count or 50, progress)]
 
 
 def _variance_left(task: choose.Learning, hours: DaylightHours) -> float:
@@ -304,7 +299,8 @@ class Request:
 
     set: 4-day, 9-day, 12-day, month, even or best; today: the local date; start: first date; year:
     of the equinoxes and solstices, or of a first date on 1 January; days: number for month, even
-    and best; count: of hours, for even and best; seed: for even.
+    and best; count: of hours, for even (200, as Liu, Colburn and Inanici 2020)
+    and best (50); seed: for even.
     """
 
     set: str

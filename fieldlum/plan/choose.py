@@ -15,8 +15,7 @@ from fieldlum.sky.light import Features, Kernel, facades_of, greedy_hours, light
 from fieldlum.weather import Weather
 
 # The paper's normalisation of irradiances (Liu, Colburn and Inanici 2020). [W/m2]
-DNI_FULL_WM2 = 1100.0
-DHI_FULL_WM2 = 700.0
+_FULL_WM2 = (1100.0, 700.0)  # DNI, DHI
 # Number of hours that represent the weather year, and of candidates for the greedy choice, whose
 # memory grows with their square. Chosen so that the ranking is stable; not measured.
 YEAR_HOURS = 800
@@ -67,7 +66,7 @@ def even(
         return medoids(suns, count, rng)
     sky_now = weather.at(hours.t_utc)
     with_weather = np.flatnonzero(np.isfinite(sky_now.dni_wm2 + sky_now.dhi_wm2))
-    sky = np.stack([sky_now.dni_wm2 / DNI_FULL_WM2, sky_now.dhi_wm2 / DHI_FULL_WM2], axis=-1)
+    sky = np.stack([sky_now.dni_wm2, sky_now.dhi_wm2], axis=-1) / _FULL_WM2
     # Halve the direction, so that each of its axes has a range of one, as the irradiances have.
     points = np.concatenate([suns / 2, sky], axis=1)  # (n, 5)
     return with_weather[medoids(points[with_weather], count, rng)]

@@ -31,17 +31,13 @@ from fieldlum.sky.light import (
 from fieldlum.weather import Weather
 
 AHEAD_DAYS = 14  # days ahead that are ranked; chosen
-SHOWN = 12  # best hours that are printed; chosen
 BATCH = 25  # number of captures in a batch, by which "pays" is decided; chosen
-SAME_PLACE_DEG = 0.1  # a model of a place further away is not used; about 11 km
-# A batch that reduces the remaining variance by a smaller share does not pay. Chosen, not measured.
-MIN_VARIANCE_REDUCTION = 0.10
 
 
 def trained_kernel(session: Session) -> tuple[Kernel, str] | None:
     """Return the kernel and the name of the session's newest transport model; None if it has none.
 
-    A model that was trained 0.1 degrees of latitude or longitude away, or more, is skipped. Raises
+    A model that was trained 0.1 degrees of latitude or longitude away (11 km) is skipped. Raises
     InputError for a model folder with wrong content.
     """
     folders = [path for path in session.model_folders() if (path / "weights.npz").is_file()]
@@ -51,7 +47,7 @@ def trained_kernel(session: Session) -> tuple[Kernel, str] | None:
         config = ModelConfig.read(folder)
         there = config.setup.get("site", {})
         off = (abs(float(there.get(name, value)) - value) for name, value in here.items())
-        if config.model != "transport" or max(off) >= SAME_PLACE_DEG:
+        if config.model != "transport" or max(off) >= 0.1:
             continue
         kinds = (OSError, ValueError, KeyError, TypeError)
         remedy = "train the model again (fieldlum train)"
@@ -127,7 +123,7 @@ def run(
             kernel, task.year, candidates, count, taken=captured, noise=noise, progress=progress
         )
 
-    best, year = greedy(pool, SHOWN), greedy(task.year, BATCH).variance
+    best, year = greedy(pool, 12), greedy(task.year, BATCH).variance
     planned = {slot.id for slot in session.slots()}
     gained = 100.0 * (1.0 - year[-1] / year[0])
     drops = -100.0 * np.diff(best.variance) / year[0]
@@ -149,7 +145,7 @@ def run(
         "next_batch": {
             "captures": BATCH,
             "reduction_percent": gained,
-            "pays": bool(gained >= 100.0 * MIN_VARIANCE_REDUCTION),
+            "pays": bool(gained >= 10.0),
         },
     }
 

@@ -20,7 +20,6 @@ from fieldlum.weather import Weather
 # Days of docs/planning.md.
 EVENT_SETS = {"9-day": ((0, 1, 3), 1), "12-day": ((0, 1, 2, 3), 1), "4-day": ((0, 1, 2, 3), 0)}
 "Set: (seasons, days before and after the event)."
-MONTH_DAYS = 31  # the longest month
 SEASON_TAGS = ("march-equinox", "june-solstice", "september-equinox", "december-solstice")
 
 
@@ -58,13 +57,10 @@ def daylight_hours(days: Iterable[date], site: Site) -> DaylightHours:
     They are in time order; a repeated day counts once.
     """
     midnights = [sun.standard_midnight(day, site.timezone) for day in sorted(set(days))]
-    times = [
-        midnight + timedelta(minutes=30 + 60 * hour) for midnight in midnights for hour in range(24)
-    ]
+    times = tuple(t + timedelta(hours=hour + 0.5) for t in midnights for hour in range(24))
     at = sun.position(times, site)
-    return DaylightHours(tuple(times), at.altitude_deg, at.azimuth_deg)[
-        np.flatnonzero(at.altitude_deg > 0)
-    ]
+    hours = DaylightHours(times, at.altitude_deg, at.azimuth_deg)
+    return hours[np.flatnonzero(at.altitude_deg > 0)]
 
 
 def span(first: date, count: int) -> list[date]:
@@ -92,10 +88,7 @@ def _event_dates(
         if year is not None:
             dates.append(season_date(year, which, site))
             continue
-        candidates = (
-            season_date(y, which, site)
-            for y in (earliest.year, earliest.year + 1, earliest.year + 2)
-        )
+        candidates = (season_date(earliest.year + k, which, site) for k in range(3))
         dates.append(next(d for d in candidates if d - timedelta(days=margin) >= earliest))
     return sorted(dates)
 
@@ -115,20 +108,14 @@ def set_days(
     if name in EVENT_SETS:
         seasons, margin = EVENT_SETS[name]
         events = _event_dates(seasons, margin, start or today, year, site)
-        return [
-            event + timedelta(days=offset)
-            for event in events
-            for offset in range(-margin, margin + 1)
-        ]
+        return [day for e in events for day in span(e - timedelta(days=margin), 2 * margin + 1)]
     if name == "month":
-        count = days or MONTH_DAYS
+        count = days or 31
         if start is not None:
             return span(start, count)
-        half = count // 2
-        equinoxes = (0,) if year is not None else (0, 2)
-        return span(
-            _event_dates(equinoxes, half, today, year, site)[0] - timedelta(days=half), count
-        )
+        equinoxes, half = (0,) if year is not None else (0, 2), count // 2
+        middle = _event_dates(equinoxes, half, today, year, site)[0]
+        return span(middle - timedelta(days=half), count)
     first = start or (date(year, 1, 1) if year is not None else today)
     return span(first, days or 365)
 
@@ -156,8 +143,7 @@ def today_at(site: Site, now_utc: datetime) -> date:
 # deg apart.
 NEAR_DEG = 10.0
 # Size of the cells in which direct and diffuse irradiance count as equal. Chosen, not measured.
-DNI_CELL_WM2 = 100.0
-DHI_CELL_WM2 = 50.0
+CELL_WM2 = (100.0, 50.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,11 +156,9 @@ class Coverage:
     deg of a planned sun.
     """
 
-    # area of the band of sun positions that are within NEAR_DEG of a planned one
     sun_band_percent: float
-    # weather hours in a cell of DNI and DHI with a planned hour
     irradiance_percent: float | None = None
-    both_percent: float | None = None  # weather hours covered in both ways
+    both_percent: float | None = None
 
 
 # ----------------------------------------------------------------------------------------------
@@ -187,9 +171,8 @@ def band_directions(site: Site, declinations: int = 41) -> Floats:
     They are unit vectors (x east, y north, z up) with declinations from -23.44 to 23.44 deg, above
     the horizon. declinations: how many of them; nine times as many hour angles.
     """
-    sine = (2 * (np.arange(declinations) + 0.5) / declinations - 1) * np.sin(
-        np.radians(sun.OBLIQUITY_DEG)
-    )
+    steps = 2 * (np.arange(declinations) + 0.5) / declinations - 1
+    sine = steps * np.sin(np.radians(sun.OBLIQUITY_DEG))
     turn = np.linspace(0, 2 * np.pi, 9 * declinations, endpoint=False)
     south, hour = (grid.ravel() for grid in np.meshgrid(sine, turn))
     across = np.sqrt(1.0 - south**2)
@@ -222,9 +205,9 @@ def near_planned(directions: Floats, hours: DaylightHours) -> Mask:
 
 def _cells(irradiance: ArrayLike) -> NDArray[np.int64]:
     """Return numbers of the cells of DNI and DHI, from [2, n]."""
-    dni, dhi = np.nan_to_num(np.asarray(irradiance, float))
-    cells = np.floor(dni / DNI_CELL_WM2) * 1000 + np.floor(dhi / DHI_CELL_WM2)
-    return cells.astype(np.int64)
+    parts = zip(np.nan_to_num(np.asarray(irradiance, float)), CELL_WM2, strict=True)
+    dni, dhi = (np.floor(value / size).astype(np.int64) for value, size in parts)
+    return 1000 * dni + dhi
 
 
 def coverage(hours: DaylightHours, site: Site, weather: Weather | None = None) -> Coverage:

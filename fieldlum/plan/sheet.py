@@ -22,8 +22,7 @@ from fieldlum.core.records import CameraSetup, Site, SiteFile, Slot, utc_text
 from fieldlum.optics.profiles import assumed_texts
 from fieldlum.optics.projection import altitude_azimuth_deg
 from fieldlum.plan.days import (
-    DHI_CELL_WM2,
-    DNI_CELL_WM2,
+    CELL_WM2,
     NEAR_DEG,
     SEASON_TAGS,
     DaylightHours,
@@ -41,8 +40,6 @@ from fieldlum.weather import Weather
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-ALARM_BEFORE = timedelta(minutes=20)  # time to set up the camera; chosen, not measured
 
 
 def by_day(slots: Sequence[Slot], site: Site) -> list[tuple[date, list[Slot]]]:
@@ -62,8 +59,8 @@ def ics(
     """Return an iCalendar file (RFC 5545) with one event for each local standard day with slots.
 
     An event ends `seconds_per_slot` (at least a minute) after its last slot begins; its alarm is 20
-    minutes before the first. made_utc: time of writing; sequence: how often the plan was changed. A
-    calendar replaces an event of the same day, because it has the same UID.
+    minutes before the first, to set up the camera. made_utc: time of writing; sequence: how often
+    the plan was changed. A calendar replaces an event of the same day, as it has the same UID.
     """
     from icalendar import Alarm, Calendar, Event
 
@@ -92,7 +89,7 @@ def ics(
             event.add(name, value)
         alarm.add("action", "DISPLAY")
         alarm.add("description", f"First bracket at {group[0].t_utc.astimezone(zone):%H:%M}")
-        alarm.add("trigger", -ALARM_BEFORE)
+        alarm.add("trigger", timedelta(minutes=-20))
         event.add_component(alarm)
         calendar.add_component(event)
     return calendar.to_ical()
@@ -183,7 +180,7 @@ def irradiance_figure(hours: DaylightHours, site: Site, weather: Weather) -> Fig
     lit = (sun.position(weather.t_utc, site).altitude_deg > 0) & (weather.dhi_wm2 > 0)
     dni, dhi = weather.dni_wm2[lit], weather.dhi_wm2[lit]
     top = max(float(dhi.max()), 500) + 25
-    bins = np.arange(0, 1150, DNI_CELL_WM2 / 2), np.arange(0, top, DHI_CELL_WM2 / 2)
+    bins = [np.arange(0, end, size / 2) for end, size in zip((1150, top), CELL_WM2, strict=True)]
     *_, picture = axes.hist2d(dni, dhi, bins=bins, norm=LogNorm(), cmap="YlOrBr", rasterized=True)
     figure.colorbar(picture, ax=axes, label="hours per year in a cell")
     planned = weather.at(hours.t_utc)

@@ -17,15 +17,8 @@ LIT_WM2 = 10.0  # global irradiance [W/m2] with the sun at 1 (clear) to 4 degree
 # Smaller offsets are not reported: mornings and evenings whose clouds differ twentyfold shift the
 # middle of the light by under 7 minutes. Chosen, with a margin of three.
 CLOCK_WARN_S = 1200.0
-_SET_S = 1800.0  # smallest step of a clock that was set; chosen, not measured
 _MIN_DAYS = 3  # least number of days before and after such a step; chosen
-# Least altitude of the day's highest sun, and least depression of the night's lowest sun; otherwise
-# clouds decide between day and night. Chosen, not measured.
-_SETS_DEG = 5.0
 _LONGEST_STORM_S = 7200.0  # longest dark spell within a day [s]; chosen, not measured
-# With a lower sun there are at most 40 lx, or 0.4 W/m2. If daylight saving was ignored, there is
-# light at this sun at every dusk or every dawn. Chosen.
-_NIGHT_SUN_DEG = -3.0
 # Rows before and after the day must not be further apart [s], otherwise the start of the light is
 # unknown. Chosen.
 _SEEN_DARK_S = 900.0
@@ -78,7 +71,7 @@ def clock_set_s(t_unix_s: Floats, ghi_wm2: Floats, site: Site) -> tuple[datetime
     scatter = [_scatter(off[:k]) + _scatter(off[k:]) for k in splits]
     k = splits[int(np.argmin(scatter))]
     step = float(np.median(off[k:]) - np.median(off[:k]))
-    return (days[k], step) if abs(step) >= _SET_S and min(scatter) < 0.5 * _scatter(off) else None
+    return (days[k], step) if abs(step) >= 1800.0 and min(scatter) < 0.5 * _scatter(off) else None
 
 
 def _scatter(values: Floats) -> float:
@@ -87,9 +80,9 @@ def _scatter(values: Floats) -> float:
 
 def _rises_and_sets(t_utc: datetime, site: Site) -> bool:
     declination = float(sun.declination_deg([t_utc])[0])
-    lowest = abs(site.latitude_deg + declination) - 90.0
+    depression = 90.0 - abs(site.latitude_deg + declination)
     highest = 90.0 - abs(site.latitude_deg - declination)
-    return lowest < -_SETS_DEG and highest > _SETS_DEG
+    return min(depression, highest) > 5.0  # otherwise clouds decide between day and night
 
 
 def complete_days(t_unix_s: Floats, ghi_wm2: Floats) -> list[tuple[float, float]]:
@@ -124,14 +117,14 @@ def complete_days(t_unix_s: Floats, ghi_wm2: Floats) -> list[tuple[float, float]
 def lit_at_night(t_unix_s: Floats, ghi_wm2: Floats, site: Site) -> list[datetime]:
     """Return the logged minutes (UTC) with over 10 W/m2 while the sun is below -3 degrees.
 
-    Such minutes show that the logger's clock, the stated offset from UTC, or the sign of the
-    longitude is wrong. Unlike `clock_off_s` this needs no complete day, but it does not estimate
-    the offset, and can miss an offset of less than half an hour. Empty if there are none.
-    t_unix_s, ghi_wm2: [n] rows.
+    Then there are at most 40 lx, or 0.4 W/m2. Such minutes show that the logger's clock, the stated
+    offset from UTC, or the sign of the longitude is wrong. Unlike `clock_off_s` this needs no
+    complete day, but it does not estimate the offset, and can miss an offset of less than half an
+    hour. Empty if there are none. t_unix_s, ghi_wm2: [n] rows.
     """
     minutes = np.unique(np.floor(t_unix_s[ghi_wm2 > LIT_WM2] / 60.0))
     if len(minutes) == 0:
         return []
     moments = [datetime.fromtimestamp(60.0 * m + 30.0, UTC) for m in minutes]
-    down = sun.position(moments, site).altitude_deg < _NIGHT_SUN_DEG
+    down = sun.position(moments, site).altitude_deg < -3.0
     return [moments[i] for i in np.flatnonzero(down)]

@@ -36,21 +36,10 @@ BRIGHTEST_SURFACE_CDM2 = 1e5
 # A uniform overcast sky of 60 klx; the least bound on surfaces where DNI shows that the sun is
 # weak. Chosen.
 _BRIGHTEST_SKY_CDM2 = 2e4
-# multiple of a white surface in the sun, as in BRIGHTEST_SURFACE_CDM2; chosen
-_SURFACE_MARGIN = 3.0
-# of the sun's illuminance by DNI; less is scattered light, not part of the sun; chosen
-_MIN_SHARE = 0.02
 _LUMENS_PER_WATT = 93.0  # of direct sunlight, accurate to 15 %; only the bounds above depend on it
-_CONTRAST = 3.0  # least ratio of the disc's brightest pixel to the median around it
-# a pixel brighter than this multiple of the bright surrounding pixels belongs to the disc; chosen
-_ABOVE_RING = 1.05
-# quantile of the ring: bars and walls in it must not make the sky a part of the sun; chosen
-_BRIGHT_QUANTILE = 0.9
-# of the brightest pixel's excess: dimmer pixels are the bright sky around the sun; chosen
-_MIN_PART = 0.05
 _SEARCH_RAD = np.radians(3.0)  # error of direction of a camera that was set up by hand; chosen
 _CLIPPED_REACH_RAD = np.radians(1.5)  # halo of a clipped disc above the clipping level, at most
-_PIXEL_SIGMA = 1 / np.sqrt(12.0)  # pixels: standard deviation of a place within a pixel
+PIXEL_SIGMA = 1 / np.sqrt(12.0)  # pixels: standard deviation of a place within a pixel
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,8 +124,11 @@ def find_disc(
 
 
 def brightest_surface_cdm2(dni_wm2: float) -> float:
-    """Return a luminance [cd/m2] that no surface or sky away from the sun exceeds under a DNI."""
-    return max(_SURFACE_MARGIN * _LUMENS_PER_WATT * dni_wm2 / np.pi, _BRIGHTEST_SKY_CDM2)
+    """Return a luminance [cd/m2] that no surface or sky away from the sun exceeds under a DNI.
+
+    It is three times that of a white surface, as in `BRIGHTEST_SURFACE_CDM2`.
+    """
+    return max(3.0 * _LUMENS_PER_WATT * dni_wm2 / np.pi, _BRIGHTEST_SKY_CDM2)
 
 
 def without_disc(luminance_cdm2: Floats, disc: SunDisc) -> Floats32:
@@ -269,19 +261,24 @@ def _disc_at(
     clipped: bool,
     measured: bool = True,
 ) -> SunDisc:
-    """Return the light within `reach_rad` of a centre, in excess of the surroundings, as a disc."""
+    """Return the light within `reach_rad` of a centre, in excess of the surroundings, as a disc.
+
+    A pixel belongs to it if it is 5 % brighter than the ring's quantile 0.9, so that bars and walls
+    in the ring do not make the sky a part of the sun, and has 5 % of the brightest pixel's excess:
+    dimmer pixels are the bright sky around the sun.
+    """
     angle = band.angle_rad(centre)
     ring = (angle > reach_rad) & (angle <= reach_rad + _ring_rad(band.pixel_rad))
     around = band.light[ring]
     surroundings = float(np.median(around)) if around.size else 0.0
-    bright = float(np.quantile(around, _BRIGHT_QUANTILE)) if around.size else 0.0
+    bright = float(np.quantile(around, 0.9)) if around.size else 0.0
     near = angle <= reach_rad
     excess = np.where(near, band.light - surroundings, 0.0)
-    part = min(_MIN_PART * float(excess.max(initial=0.0)), _BRIGHTEST_SKY_CDM2)
-    inside = (band.light > _ABOVE_RING * bright) & (excess > part)
+    part = min(0.05 * float(excess.max(initial=0.0)), _BRIGHTEST_SKY_CDM2)
+    inside = (band.light > 1.05 * bright) & (excess > part)
     excess = np.where(inside, excess, 0.0)
     energy = excess * band.solid_sr
-    sigma = np.degrees(band.pixel_rad) * _PIXEL_SIGMA if measured else np.nan
+    sigma = np.degrees(band.pixel_rad) * PIXEL_SIGMA if measured else np.nan
     if measured and inside.any():
         centre = band.centroid(inside, excess)
     if clipped:
@@ -301,7 +298,10 @@ def _disc_at(
 
 
 def _is_sun(disc: SunDisc, band: _Band, dni_wm2: float | None) -> bool:
-    """Return whether a spot is too bright and has too much energy for a surface or a sky."""
+    """Return whether a spot is too bright and has too much energy for a surface or a sky.
+
+    Less than 2 % of the sun's illuminance by DNI is scattered light, not part of the sun.
+    """
     inside = disc.pixels[band.first : band.first + len(band.light)]
     if not inside.any():
         return False
@@ -309,6 +309,6 @@ def _is_sun(disc: SunDisc, band: _Band, dni_wm2: float | None) -> bool:
     surface = BRIGHTEST_SURFACE_CDM2
     if dni_wm2 is not None:
         surface = brightest_surface_cdm2(dni_wm2)
-        minimum_lx = max(minimum_lx, _MIN_SHARE * _LUMENS_PER_WATT * dni_wm2)
-    contrast = peak > _CONTRAST * disc.surroundings_cdm2
+        minimum_lx = max(minimum_lx, 0.02 * _LUMENS_PER_WATT * dni_wm2)
+    contrast = peak > 3.0 * disc.surroundings_cdm2
     return peak > surface and contrast and disc.normal_lx >= minimum_lx

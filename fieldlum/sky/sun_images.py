@@ -16,26 +16,21 @@ from numpy.typing import ArrayLike
 
 from fieldlum.core.arrays import Floats, Indices
 from fieldlum.optics.projection import direction, equirect_rays
-from fieldlum.sky.sun_disc import SunDisc, brightest_surface_cdm2, find_disc
+from fieldlum.sky.sun_disc import PIXEL_SIGMA, SunDisc, brightest_surface_cdm2, find_disc
 
 GLASS_INDEX = 1.52  # refractive index of soda-lime glass (EN 572-1: 1.50 rounded; Radiance: 1.52)
-_MAX_SPOTS = 6  # bright spots examined in one capture; a room has few lamps of this size; chosen
 # No spot this near to the sun is an image: its pixels can be the sky around the sun, and a mirror
 # seen at such a grazing angle does not show its normal. Chosen.
 _NEAR_SUN_DEG = 10.0
 # Ephemeris, level and heading of the camera together; chosen as a large value.
 _POINTING_DEG = 1.0
 _WITHIN_PIXEL = 0.75  # pixels: half the diagonal of a pixel is 0.71
-_PIXEL_SIGMA = 1.0 / np.sqrt(12.0)  # pixels: standard deviation of a place within a pixel
 _FEWEST_CAPTURES = 3  # two spots agree in some normal by chance; chosen
 # of the spots that may be images: among hundreds of random spots some agree in a normal; chosen
 _MIN_SHARE = 0.05
-# The mirror must explain the places of the spots this much better than one fixed place. Chosen.
-_BETTER_THAN_FIXED = 0.5
 # Panes of one facade are not exactly parallel: images up to this multiple of the tolerance away
 # belong to a mirror, and spots up to the second multiple to no other mirror. Chosen.
 _DISTORTED, _NEXT_MIRROR = 2.0, 3.0
-_LAMP_SUN_MOVED = 3.0  # multiple of the tolerance: a spot that stays while the sun moves; chosen
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +110,7 @@ def bright_spots(
     rays = equirect_rays(height, width, heading_deg)
     light = np.where(rays @ sun > np.cos(near_sun_rad(height)), np.float32(0.0), light)
     spots = []
-    for _ in range(_MAX_SPOTS):
+    for _ in range(6):  # a room has few lamps of this size
         peak = np.unravel_index(int(np.argmax(light)), light.shape)
         if light[peak] <= limit:
             break
@@ -132,7 +127,7 @@ def bright_spots(
 def without_lamps(
     spots: Sequence[SunImage], suns: Floats, direct_lx: Floats, height: int
 ) -> list[SunImage]:
-    """Return the spots that are dimmer than the sun and do not stay where they are as it moves.
+    """Return the spots that are dimmer than the sun and do not stay as it moves by 3 tolerances.
 
     suns [n, 3], direct_lx [n]: of all captures, whose rows the spots name.
     """
@@ -140,7 +135,7 @@ def without_lamps(
         return []
     places, rows = _places_of(spots)
     near = np.cos(tolerance_rad(height))
-    moved = np.cos(_LAMP_SUN_MOVED * tolerance_rad(height))
+    moved = np.cos(3.0 * tolerance_rad(height))
     lamp = np.array([spot.spot.normal_lx for spot in spots]) > np.asarray(direct_lx)[rows]
     other_sun = (suns[rows] @ suns[rows].T < moved) | lamp  # [spots, spots]
     stays = ((places @ places.T > near) & other_sun).any(axis=1)
@@ -169,7 +164,10 @@ def find_mirrors(
 
 
 def _best_mirror(rest: Sequence[SunImage], suns: Floats, height: int) -> MirrorPlane | None:
-    """Return the mirror with the most images among some spots; None if no normal is certain."""
+    """Return the mirror with the most images among some spots; None if no normal is certain.
+
+    It must explain the places of the spots twice as well as one fixed place does.
+    """
     if len(rest) < _FEWEST_CAPTURES:
         return None
     places, rows = _places_of(rest)
@@ -189,9 +187,9 @@ def _best_mirror(rest: Sequence[SunImage], suns: Floats, height: int) -> MirrorP
     off = _angles(mirrored(suns[rows[chosen]], normal), places[chosen])
     middle = places[chosen].mean(axis=0)
     fixed = _angles(middle / np.linalg.norm(middle), places[chosen])
-    if np.sqrt((off**2).mean()) > _BETTER_THAN_FIXED * np.sqrt((fixed**2).mean()):
+    if np.sqrt((off**2).mean()) > 0.5 * np.sqrt((fixed**2).mean()):
         return None
-    sigma = max(float(np.sqrt((off**2).mean() / 2.0)), _PIXEL_SIGMA * np.pi / height)
+    sigma = max(float(np.sqrt((off**2).mean() / 2.0)), PIXEL_SIGMA * np.pi / height)
     _, first = np.unique(np.round(places[chosen] / (np.pi / height)), axis=0, return_index=True)
     u_rad = sigma / np.sqrt((across[chosen][first] ** 2).sum())  # places in one pixel err alike
     towards_sun = normal * np.sign((suns[rows[chosen]] @ normal).sum())

@@ -55,12 +55,10 @@ class Weather:
         up = sun.position(self.t_utc, self.site).altitude_deg > least_altitude_deg
         return self[up & (self.dni_wm2 + self.dhi_wm2 > 0.0)]
 
-    def at(self, times_utc: Sequence[datetime], *, steady: bool = True) -> sun.Irradiance:
-        """Return GHI, DNI and DHI at any moments, [n] each, W/m2; NaN where there is no weather.
+    def at(self, times_utc: Sequence[datetime]) -> sun.Irradiance:
+        """Return GHI, DNI and DHI of the hour around any moments, [n] each, W/m2; NaN without one.
 
-        steady : True for the value of the hour around the moment; False for linear interpolation
-        between the middles of hours. A typical year serves for every year; 29 February has the
-        weather of the 28th.
+        A typical year serves for every year; 29 February has the weather of the 28th.
         """
         moments = [self._dated(t) for t in times_utc] if self.typical else times_utc
         seconds = np.array([t.timestamp() for t in moments])
@@ -69,13 +67,8 @@ class Weather:
         before = after - 1
         nearest = np.where(seconds - times_s[before] < times_s[after] - seconds, before, after)
         outside = np.abs(seconds - times_s[nearest]) > 1800.5
-        share = np.clip((seconds - times_s[before]) / (times_s[after] - times_s[before]), 0.0, 1.0)
-
-        def value(series: Floats) -> Floats:
-            between = series[before] * (1 - share) + series[after] * share
-            return np.where(outside, np.nan, series[nearest] if steady else between)
-
-        return sun.Irradiance(value(self.ghi_wm2), value(self.dni_wm2), value(self.dhi_wm2))
+        values = (self.ghi_wm2, self.dni_wm2, self.dhi_wm2)
+        return sun.Irradiance(*(np.where(outside, np.nan, value[nearest]) for value in values))
 
     def _dated(self, t_utc: datetime) -> datetime:
         """Return the same moment of local standard time in this weather's own year."""

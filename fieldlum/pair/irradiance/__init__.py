@@ -29,13 +29,8 @@ from fieldlum.session.files.irradiance_csv import DERIVED, MEASURED, CleanIrradi
 from fieldlum.sky import sun
 from fieldlum.sky.light_clock import CLOCK_WARN_S, clock_off_s, clock_set_s
 
-STUCK_S = 600.0  # seconds; the same daylight value for this long is a faulty reading; not measured
 # seconds; DIRINT uses neighbouring minutes, but not across a longer gap; chosen
 _SEGMENT_GAP_S = 1800.0
-SPIKE_WM2 = 20.0  # a smaller deviation is never a spike; not measured
-# The next four are tested by bench/damaged_series.py: spikes found, and false alarms.
-SPIKE_OVER_NEIGHBOURS = 8.0  # least deviation, over the difference of the two neighbours
-SPIKE_OVER_USUAL = 3.0  # least deviation, over the usual step around the row
 _SPIKE_ROWS = 120  # rows on each side for the usual step: ten minutes at 5 s
 # rank of the usual step, so that four other spikes in the window do not hide one; chosen
 _SPIKE_RANK = 9
@@ -146,7 +141,7 @@ def _stuck(t_unix_s: Floats, ghi: Floats, altitude: Floats) -> Mask:
         sun_moved = ghi[starts] * (1.0 - lowest / highest) > smallest_step
     change_due = (ghi[starts] <= 0.0) | sun_moved | np.isinf(smallest_step)
     rows, seconds = ends - starts, t_unix_s[ends - 1] - t_unix_s[starts]
-    stuck = np.repeat((seconds > STUCK_S) & (rows > 2) & change_due, rows)
+    stuck = np.repeat((seconds > 600.0) & (rows > 2) & change_due, rows)
     return stuck & (altitude > 2.0) & np.isfinite(ghi)
 
 
@@ -155,9 +150,9 @@ def spikes(t_unix_s: Floats, value: Floats) -> Mask:
 
     Far is over 20 W/m2, over eight times the difference of the two neighbours, and over three times
     the usual step, which is the ninth largest of the other steps within 120 rows on each side.
-    Where the light changes often, as under broken clouds, no row is a spike
-    (bench/damaged_series.py). Rows next to a gap, and series of fewer than 243 rows, are not
-    judged.
+    Where the light changes often, as under broken clouds, no row is a spike: these limits find
+    spikes and few false alarms (bench/damaged_series.py). Rows next to a gap, and series of fewer
+    than 243 rows, are not judged.
     """
     if len(value) < 3 + 2 * _SPIKE_ROWS:
         return np.zeros(len(value), bool)
@@ -168,8 +163,8 @@ def spikes(t_unix_s: Floats, value: Floats) -> Mask:
     # Eleventh of all steps, because the two of a spike are larger than the others.
     size = np.abs(np.nan_to_num(step))
     usual = rank_filter(size, -_SPIKE_RANK - 2, 2 * _SPIKE_ROWS + 2, mode="constant")[1:]
-    least = np.maximum(SPIKE_WM2, SPIKE_OVER_USUAL * usual)
-    is_spike = (departure > least) & (departure > SPIKE_OVER_NEIGHBOURS * np.abs(before - after))
+    least = np.maximum(20.0, 3.0 * usual)
+    is_spike = (departure > least) & (departure > 8.0 * np.abs(before - after))
     return np.r_[False, is_spike, False]
 
 
@@ -239,8 +234,6 @@ def _without_neighbours(value: Floats) -> Mask:
 
 NIGHT_SUN_DEG = -6.0  # end of civil twilight, by definition
 NIGHT_OFFSET_WARN_WM2 = 4.0  # BSRN's limit: beyond it, night values are marked as impossible
-NIGHT_LIGHT_WM2 = 20.0  # W/m2, larger than any instrument's offset; not measured
-MAX_BY_DAY = 0.05  # a mark on a larger share of the day's rows is reported; not measured
 
 
 @dataclass(frozen=True, slots=True)
@@ -317,16 +310,12 @@ def _of_log(
     site: Site,
 ) -> Iterator[str]:
     """Yield warnings about zero, closure, clock and damaged lines of a log."""
-    if night_wm2 is not None and night_wm2 > NIGHT_LIGHT_WM2:
-        yield (
-            f"global irradiance of {night_wm2:.0f} W/m2 at night (median): check for a lamp, the "
-            "logger's clock, --utc-offset of fieldlum import, and longitude_deg; then import again"
-        )
-    elif night_wm2 is not None and abs(night_wm2) >= NIGHT_OFFSET_WARN_WM2:
-        yield (
-            f"global irradiance of {night_wm2:+.1f} W/m2 at night instead of 0: clean and "
-            "ventilate the instrument, and check its zero in the dark"
-        )
+    if night_wm2 is not None and abs(night_wm2) >= NIGHT_OFFSET_WARN_WM2:
+        cause = "clean and ventilate the instrument, and check its zero in the dark"
+        if night_wm2 > 20.0:  # larger than any instrument's offset
+            cause = "check for a lamp, the logger's clock, --utc-offset of fieldlum import, and "
+            cause += "longitude_deg; then import again"
+        yield f"global irradiance of {night_wm2:+.1f} W/m2 at night instead of 0 (median): {cause}"
     if closure is not None and closure < 0.8:
         share = f"global = diffuse + direct is true in only {100 * closure:.0f} % of the rows"
         yield f"{share}: check the clock and the tilt of the instruments"
@@ -362,7 +351,7 @@ _FAULTS = {
 
 
 def _by_day(clean: Series, altitude: Floats, top: Floats) -> Iterator[str]:
-    """Yield a sentence for each fault that too many rows have while the sun is well up."""
+    """Yield a sentence for each fault that over 5 % of the rows have while the sun is well up."""
     up = altitude > sun.CLEAR_SUN_DEG
     if not up.any():
         return
@@ -375,7 +364,7 @@ def _by_day(clean: Series, altitude: Floats, top: Floats) -> Iterator[str]:
         "within half an hour; log at least every minute"
     ] = np.isfinite(clean.ghi_wm2) & np.isnan(clean.dni_wm2)
     for text, rows in faults.items():
-        if (share := float(np.mean(rows[up]))) > MAX_BY_DAY:
+        if (share := float(np.mean(rows[up]))) > 0.05:
             yield f"{100 * share:.0f} % of the rows by day have {text}"
 
 
@@ -440,10 +429,5 @@ def _read(files: Sequence[Path], progress: Progress) -> tuple[Series, int]:
             days.append(series_of(samples))
         progress(number, len(files), path.stem)
     days = days or [series_of([])]
-    return Series(
-        np.concatenate([day.t_unix_s for day in days]),
-        np.concatenate([day.ghi_wm2 for day in days]),
-        np.concatenate([day.dhi_wm2 for day in days]),
-        np.concatenate([day.dni_wm2 for day in days]),
-        np.concatenate([day.marks for day in days]),
-    ), broken
+    names = Series.__dataclass_fields__
+    return Series(*(np.concatenate([getattr(day, n) for day in days]) for n in names)), broken
