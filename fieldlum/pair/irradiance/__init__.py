@@ -315,7 +315,7 @@ def _of_log(
         if night_wm2 > 20.0:  # larger than any instrument's offset
             cause = "check for a lamp, the logger's clock, --utc-offset of fieldlum import, and "
             cause += "longitude_deg; then import again"
-        yield f"global irradiance of {night_wm2:+.1f} W/m2 at night instead of 0 (median): {cause}"
+        yield f"global irradiance of {night_wm2:+.1f} W/m2 at night instead of 0: {cause}"
     if closure is not None and closure < 0.8:
         share = f"global = diffuse + direct is true in only {100 * closure:.0f} % of the rows"
         yield f"{share}: check the clock and the tilt of the instruments"
