@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from fieldlum.calibrate import colour
+from fieldlum.calibrate.pictures import Place
 from fieldlum.core.arrays import Floats
 from fieldlum.optics import melanopic
 from fieldlum.optics.profiles import load_camera_profile
@@ -121,10 +122,8 @@ def calibrated(
     rgb = (PATCHES * daylight(cct_k)) @ sensitivity
     rgb = 50.0 * rgb / rgb.max() * (1 + 0.01 * rng.normal(size=rgb.shape))
     profile = load_camera_profile("sim-fisheye")
-    labels = tuple(str(i) for i in range(24))
-    colours = colour.Colours(
-        rgb, colour.chart_xyz()[:, 1], np.full(24, 0.03), labels, (Path("chart"),)
-    )
+    places = tuple(Place(Path("chart"), i, 0) for i in range(24))
+    colours = colour.Colours(rgb, colour.chart_xyz()[:, 1], np.full(24, 0.03), places)
     y = colour.fit(colours, profile).y_from_rgb
     if matrix is None:
         xyz = colour.xyz_from_chart(rgb, y, cct_k)

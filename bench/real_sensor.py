@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from fieldlum.calibrate import sensor as linearity
 from fieldlum.core.records import Exposure
 from fieldlum.merge.estimator import Merged, merge_signals
-from fieldlum.merge.frames import Crop, RawSignal, load_raw
+from fieldlum.merge.frames import Crop, RawSignal, Saturation, load_raw
 from fieldlum.merge.shots import Shot
 from fieldlum.optics.linear_light import curve_u_rel
 from fieldlum.optics.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor
@@ -103,7 +103,12 @@ def bias_rows(
 
 
 def signal_of(path: Path, frame: Frame, profile: CameraProfile) -> RawSignal:
-    return load_raw(Shot(path, Exposure(frame.seconds, 4.0, 100.0)), profile, CROP, NO_PLATEAU)
+    return load_raw(
+        Shot(path, Exposure(frame.seconds, 4.0, 100.0)),
+        profile,
+        CROP,
+        Saturation({100.0: NO_PLATEAU}),
+    )
 
 
 def coverage(

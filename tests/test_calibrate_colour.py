@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from calibration_frames import CHART_SRGB, LENS, PROFILE, SIZE, TRUE_V, raw_frame, relative_angles
 
-from fieldlum.calibrate import (
-    colour,
-)
+from fieldlum.calibrate import colour, readings
+from fieldlum.calibrate.pictures import Place
 from fieldlum.calibrate.readings import LinearFrame, linear_frame, transmission
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Exposure
@@ -23,9 +22,8 @@ def _colours(
     rng = np.random.default_rng(seed)
     rgb = rng.uniform(0.1, 1.0, (count, 3)) * rng.uniform(20, 400, (count, 1))
     y = 1.07 * rgb @ np.array(truth) * (1 + noise * rng.normal(size=count))
-    return colour.Colours(
-        rgb, y, np.full(count, max(noise, 0.01)), tuple(map(str, range(count))), (Path("x"),)
-    )
+    places = tuple(Place(Path("x"), i, 0) for i in range(count))
+    return colour.Colours(rgb, y, np.full(count, max(noise, 0.01)), places)
 
 
 @pytest.mark.analytic
@@ -44,7 +42,7 @@ def test_colour_leaves_out_a_slip_and_refuses_a_muddle() -> None:
     found = colour.fit(replace(colours, y=y), replace(PROFILE, colour=Colour((0.25, 0.68, 0.07))))
     clean = colour.fit(colours, replace(PROFILE, colour=Colour((0.25, 0.68, 0.07))))
     assert found.y_from_rgb == pytest.approx(clean.y_from_rgb, rel=0.05) and found.u_rel < 0.02
-    assert f"left out: {colours.labels[4]}, 9." in found.choice.line and len(found.residual) == 12
+    assert "left out: x 4,0, 9." in found.choice.line and len(found.residual) == 12
     with pytest.raises(InputError, match="readings do not fit the colours"):
         colour.fit(replace(colours, y=np.roll(colours.y, 1) * np.geomspace(0.2, 5, 12)), PROFILE)
 
@@ -140,7 +138,7 @@ def test_a_frame_with_several_readings_is_read_once(
         reads.append(path)
         return linear_frame(path, profile)
 
-    monkeypatch.setattr(colour, "linear_frame", counted)
+    monkeypatch.setattr(readings, "linear_frame", counted)
     table = tmp_path / "spots.csv"
     middle = SIZE / 2
     rows = [f"a.dng,{middle},{middle + shift},300" for shift in (-20, 0, 20)]

@@ -84,7 +84,7 @@ def test_lens_names_slips_and_refuses_mirrored_directions() -> None:
     slipped = azimuth.copy()
     slipped[[3, 7]] += 40.0
     found = lens.fit(_with_directions(good, slipped, altitude), start)
-    assert found.doubts[0].startswith("left out") and found.doubts[0].count("off by") == 2
+    assert found.warnings[0].startswith("left out") and found.warnings[0].count("off by") == 2
     assert found.lens.centre_px == pytest.approx(truth.centre_px, abs=0.4) and found.rms_px < 0.6
 
 
@@ -96,7 +96,7 @@ def test_lens_of_a_camera_that_stands_otherwise(azimuth: float, roll: float) -> 
     found = lens.fit(_targets(truth, 30, 0.3), Lens((400.0, 350.0), 320.0, 184.0))
     assert found.lens.roll_deg == pytest.approx(roll, abs=0.3)
     assert abs((found.lens.azimuth_deg - azimuth + 180) % 360 - 180) < 0.3
-    assert any("is turned by" in doubt for doubt in found.doubts)
+    assert any("is turned by" in doubt for doubt in found.warnings)
 
 
 @pytest.mark.slow

@@ -103,7 +103,7 @@ def test_the_command_writes_what_merge_applies(tmp_path: Path) -> None:
     means = []
     for path, seconds in zip(paths, np.repeat(TIMES, 2), strict=True):
         shot = Shot(path, Exposure(float(seconds), 4.0, 100.0))
-        signal = load_raw(shot, fitted, Crop(0, 0, 48, 64), (None, None, None, None))
+        signal = load_raw(shot, fitted, Crop(0, 0, 48, 64))
         counts, _ = signal.strip(0, len(signal.counts))
         means.append(float(counts.mean() / np.mean(signal.per_cdm2)))
     assert np.ptp(np.log(means[2:-2])) < 0.004  # 1.5 % and more as recorded

@@ -10,6 +10,7 @@ from calibration_frames import PROFILE, SIZE, raw_frame
 from click.testing import CliRunner
 
 from fieldlum.calibrate import colour
+from fieldlum.calibrate.pictures import Place
 from fieldlum.cli import main
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure, Panorama, SunSource
@@ -102,9 +103,9 @@ def test_weights_follow_the_matrix_and_readings_of_a_spectrometer() -> None:
     rng = np.random.default_rng(2)
     rgb = rng.uniform(10.0, 100.0, (12, 3))
     truth = np.array([-0.1, 0.7, 0.5])
-    labels = tuple(map(str, range(12)))
+    places = tuple(Place(Path("x"), i, 0) for i in range(12))
     matrix = np.linalg.inv(CAMERA)
-    colours = colour.Colours(rgb, rgb @ CAMERA[1], np.full(12, 0.01), labels, (Path("x"),), matrix)
+    colours = colour.Colours(rgb, rgb @ CAMERA[1], np.full(12, 0.01), places, matrix)
     own = Colour(tuple(CAMERA[1].tolist()))
     table, line = colour.with_melanopic(own, colours, PROFILE, 1.0, None)
     assert table.melanopic_from_rgb == pytest.approx(MELANOPIC_FROM_XYZ @ CAMERA, abs=1e-5)

@@ -20,7 +20,7 @@ from fieldlum.devices.simulated.camera import SimulatedCamera
 from fieldlum.devices.simulated.world import SimulatedLight
 from fieldlum.merge import MergeOptions, MergeResult, Shot, merge_shots
 from fieldlum.merge.estimator import Merged, merge_signals
-from fieldlum.merge.frames import NO_PLATEAU, JpegSignal, RawSignal, lens_crop, load_raw
+from fieldlum.merge.frames import JpegSignal, RawSignal, lens_crop, load_raw
 from fieldlum.merge.project import ProjectedImage, blend
 from fieldlum.merge.shots import sorted_shots
 from fieldlum.merge.sky import disc_px, mosaic_u_rel, take_out_disc
@@ -500,7 +500,7 @@ def test_frames_of_another_camera_are_refused(tmp_path: Path) -> None:
         white_dn=4095,
     )
     with pytest.raises(InputError, match="128 x 64 pixels; expected 968 x 484"):
-        load_raw(Shot(path, Exposure(0.1, 5.6)), profile, lens_crop(profile), NO_PLATEAU)
+        load_raw(Shot(path, Exposure(0.1, 5.6)), profile, lens_crop(profile))
     own = replace(
         profile, camera=replace(profile.camera, width_px=128, height_px=64, model="Alpha 2")
     )
@@ -516,7 +516,7 @@ def test_frames_of_another_camera_are_refused(tmp_path: Path) -> None:
             path, counts, Exposure(0.1, 5.6), black_dn=(0, 0, 0, 0), white_dn=4095, model=model
         )
         with pytest.raises(InputError, match=said) if said else nullcontext():
-            load_raw(Shot(path, Exposure(0.1, 5.6)), own, lens_crop(own), NO_PLATEAU)
+            load_raw(Shot(path, Exposure(0.1, 5.6)), own, lens_crop(own))
     with pytest.raises(InputError, match="filter 'nd9'"):
         sorted_shots([Shot(path, Exposure(0.1, 5.6, 100, "nd9"))], profile)
     with pytest.raises(InputError, match="a JPEG frame"):

@@ -15,7 +15,7 @@ from fieldlum.core.records import Exposure, Flag
 from fieldlum.merge import MergeOptions, Shot, merge_frames, merge_sensor, shots_of_files
 from fieldlum.merge.bracket import orientation_conflict, verdict
 from fieldlum.merge.project import footprint_px, u_of_edges
-from fieldlum.merge.ratios import any_beyond_prior, fit_ratios, unexplained_u, weak_prior_fit
+from fieldlum.merge.ratios import any_beyond_prior, fit_ratios, unexplained_u
 from fieldlum.merge.sensor import Findings, SensorImage
 from fieldlum.merge.shots import U_ISO, exposure_covariance, sorted_shots
 from fieldlum.optics.photometry import PairRatio, true_times_s, z_per_cdm2
@@ -34,6 +34,8 @@ PROFILE = CameraProfile(
     Sensor("GBRG", (BLACK,) * 4, (15800.0,) * 4, WHITE, 4.0, 6.0, 100.0),
 )
 EXPOSURES = tuple(Exposure(t, 5.6) for t in TIMES)
+
+WEAK = np.eye(8) * 0.3**2  # prior of the exposures
 
 
 def scene() -> np.ndarray:
@@ -92,7 +94,7 @@ def test_each_colour_is_full_where_it_is(tmp_path: Path) -> None:
     full[1::2, ::2] = 14000.0  # red of GBRG
     trusting = replace(PROFILE, sensor=replace(PROFILE.sensor, saturation_dn=(WHITE,) * 4))
     image, found = merged(take(tmp_path, full=full), trusting)
-    assert found.plateau_dn[100.0] == pytest.approx((14000, 15800, 15800, 15800), abs=2)
+    assert found.saturation.plateau_dn[100.0] == pytest.approx((14000, 15800, 15800, 15800), abs=2)
     assert np.nanmax(np.abs(off(image))) < 0.01
     assert (image.merged.flags & Flag.MOTION > 0).mean() < 1e-3
 
@@ -153,7 +155,7 @@ def test_the_noise_of_pairs_is_no_disagreement() -> None:
     rng, left = np.random.default_rng(4), []
     for _ in range(200):
         pairs = [PairRatio(i, i + 1, float(0.01 * rng.normal()), 0.01, 999) for i in range(7)]
-        left.append(unexplained_u(weak_prior_fit(pairs, 8), 0.0) ** 2)
+        left.append(unexplained_u(fit_ratios(pairs, WEAK), 0.0) ** 2)
     alone = np.mean([np.var(np.cumsum(0.01 * rng.normal(size=8))) for _ in range(200)])
     assert (
         np.mean(left) < 0.5 * alone
@@ -164,11 +166,11 @@ def test_the_noise_of_pairs_is_no_disagreement() -> None:
 def test_small_steps_add_up() -> None:
     """Seven neighbours that agree within 2 % each, all to one side, lie 14 % apart."""
     pairs = [PairRatio(i, i + 1, 0.02, 0.001, 999) for i in range(7)]
-    free = weak_prior_fit(pairs, 8)
+    free = fit_ratios(pairs, WEAK)
     found = np.log(free.correction)
     assert found == pytest.approx(0.02 * (np.arange(8) - 3.5), abs=0.003)
     assert unexplained_u(free, 0.01) == pytest.approx(np.sqrt(found.std() ** 2 - 0.01**2), rel=0.01)
-    assert unexplained_u(weak_prior_fit([], 8), 0.01) == 0.0
+    assert unexplained_u(fit_ratios([], WEAK), 0.01) == 0.0
     assert any_beyond_prior(found, np.full(8, 0.01))
     assert not any_beyond_prior(found, np.full(8, 0.03))
 

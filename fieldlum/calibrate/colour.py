@@ -15,21 +15,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from fieldlum.calibrate import readings as shared
 from fieldlum.calibrate.pictures import Chart, Place
-from fieldlum.calibrate.readings import (
-    READING_U,
-    LinearFrame,
-    OrderSelection,
-    columns,
-    columns_of,
-    fit_and_choose,
-    gross_errors,
-    held_out_errors,
-    linear_frame,
-    read_table,
-    require,
-    transmission,
-)
 from fieldlum.core.arrays import Array, Floats, Mask
 from fieldlum.core.errors import InputError
 from fieldlum.core.strict_csv import read_text
@@ -38,11 +25,8 @@ from fieldlum.optics.melanopic import MELANOPIC_FROM_XYZ, U_CHART, U_MATRIX
 from fieldlum.optics.profiles import CameraProfile, Colour
 
 # Weight of the prior relative to one reading, from strong to weak; candidates of the selection.
-PULLS = ((1.0, "near the prior"), (0.1, "half-way"), (0.01, "mostly the readings"), (1e-4, "free"))
-MIN_READINGS = 4  # three coefficients, and one reading to hold out; chosen
-# a larger held-out error means that readings and colours do not belong together; chosen
-MAX_U_REL = 0.2
-CHART_U = 0.03  # relative u of a printed chart's patch: of its mean Y between two publications
+PULLS = (np.inf, 1.0, 0.1, 0.01, 1e-4)
+MIN_READINGS = 4  # three coefficients, and one reading to hold out
 # Stated corners in another order leave a misfit of 0.5 and more; uneven light up to 0.2. Chosen.
 _MAX_MISFIT = 0.4
 _WEIGHTS = Path(__file__).with_name("melanopic_weights.csv")
@@ -56,18 +40,16 @@ class Colours:
 
     rgb [n, 3] : linear camera colours, corrected for vignetting, in cd/m2 at the profile's k; y [n]
     : luminances of the same places by a meter [cd/m2], or by the chart [%]; u_rel [n] : relative
-    uncertainty of the comparison; labels, places [n] : names for messages, and where they are;
-    frames : the files; matrix [3, 3] : XYZ to camera colours, None if the frames do not state it.
-    melanopic [n] : melanopic equivalent daylight luminances by a spectrometer [cd/m2], or None.
+    uncertainty of the comparison; places [n] : where they are; matrix [3, 3] : XYZ to camera
+    colours, None if the frames do not state it. melanopic [n] : melanopic equivalent daylight
+    luminances by a spectrometer [cd/m2], or None.
     """
 
     rgb: Floats
     y: Floats
     u_rel: Floats
-    labels: tuple[str, ...]
-    frames: tuple[Path, ...]
+    places: tuple[Place, ...]
     matrix: Floats | None = None
-    places: tuple[Place, ...] = ()
     melanopic: Floats | None = None
 
 
@@ -84,7 +66,7 @@ class ColourFit(NamedTuple):
     scale: float
     u_rel: float
     residual: Floats
-    choice: OrderSelection
+    choice: shared.OrderSelection
 
 
 # ----------------------------------------------------------------------------------------------
@@ -100,11 +82,12 @@ def from_table(path: Path, profile: CameraProfile) -> Colours:
     A column spectrum with files of a JETI spectrometer replaces both. Raises InputError for an
     invalid csv, an unreadable frame, or a place that is clipped or outside the picture.
     """
-    extra = [name for name in ("melanopic_cdm2", "spectrum") if name in columns_of(path)]
+    extra = [name for name in ("melanopic_cdm2", "spectrum") if name in shared.columns_of(path)]
     light = extra if "spectrum" in extra else ["luminance_cdm2", *extra]
     required = ("file", "x_px", "y_px", *light)
-    rows = read_table(path, required, {"radius_px": 12.0, "u_rel": READING_U})
-    frames = {file: linear_frame(file, profile) for file in dict.fromkeys(r["file"] for r in rows)}
+    rows = shared.read_table(path, required, {"radius_px": 12.0, "u_rel": shared.READING_U})
+    files = dict.fromkeys(row["file"] for row in rows)
+    frames = {file: shared.linear_frame(file, profile) for file in files}
     places = tuple(Place(row["file"], row["x_px"], row["y_px"]) for row in rows)
     patches = [
         _patch(frames[place.path], place, row["radius_px"], row["u_rel"], profile)
@@ -114,12 +97,10 @@ def from_table(path: Path, profile: CameraProfile) -> Colours:
     if "spectrum" in extra:
         figures = np.array([read_spectrum(row["spectrum"]) for row in rows]).T
     else:
-        figures = columns(rows, *light)
+        figures = shared.columns(rows, *light)
     y, *melanopic = figures
-    labels = tuple(f"{at.path.stem} {at.x:g},{at.y:g}" for at in places)
     matrix = next((f.colour_matrix for f in frames.values() if f.colour_matrix is not None), None)
-    by_meter = melanopic[0] if melanopic else None
-    return Colours(rgb, y, u_rel, labels, tuple(frames), matrix, places, by_meter)
+    return Colours(rgb, y, u_rel, places, matrix, melanopic[0] if melanopic else None)
 
 
 def read_spectrum(path: Path) -> tuple[float, float]:
@@ -138,18 +119,18 @@ def read_spectrum(path: Path) -> tuple[float, float]:
             own_nm = np.linspace(float(low), float(high), len(values))
             figures.append(weights @ np.interp(nm, own_nm, values))
     if not figures:
-        expected = "lines with 'Spectral Values (380 nm - 1000 nm);' and numbers"
+        expected = "'Spectral Values (380 nm - 1000 nm);' and numbers"
         raise InputError(path, "no spectrum", expected, "export it again from JETI LiVal")
     y, melanopic = np.mean(figures, axis=0).tolist()
     return y, melanopic
 
 
 def _patch(
-    frame: LinearFrame, at: Place, radius_px: float, u_rel: float, profile: CameraProfile
+    frame: shared.LinearFrame, at: Place, radius_px: float, u_rel: float, profile: CameraProfile
 ) -> tuple[Floats, float]:
     """Return the colour [3] of a patch without vignetting, and the relative u of its comparison."""
     patch = frame.patch(at.x, at.y, radius_px)
-    rgb = patch.rgb / transmission(profile, frame.exposure.f_number, at.x, at.y)
+    rgb = patch.rgb / shared.transmission(profile, frame.exposure.f_number, at.x, at.y)
     return rgb, float(np.hypot(u_rel, patch.u_rel))
 
 
@@ -162,37 +143,36 @@ def from_chart(
     right, bottom right (black), bottom left; empty if OpenCV searches the chart. Raises InputError
     if no chart is detected, or if its patches are not in the order of a chart.
     """
-    frame = linear_frame(path, profile)
+    frame = shared.linear_frame(path, profile)
     corners = np.reshape(corners_px, (4, 2)) if len(corners_px) else find_chart(frame)
     centres, radius = patch_centres(corners)
     places = tuple(Place(path, x, y) for x, y in centres.tolist())
-    patches = [_patch(frame, place, radius, CHART_U, profile) for place in places]
+    # 3 %: between the mean Y of patches in two publications
+    patches = [_patch(frame, place, radius, 0.03, profile) for place in places]
     rgb, u_rel = (np.array(values) for values in zip(*patches, strict=True))
     if misfit(rgb) > _MAX_MISFIT:
         finding = "the 24 patches do not have a chart's colours in a chart's order"
         expected = "--corners clockwise from the corner at the dark skin (brown) patch"
-        remedy = "state --corners again, and begin at the brown patch"
-        raise InputError(path, finding, expected, remedy)
-    labels = tuple(f"patch {i + 1}" for i in range(24))
-    return Colours(rgb, chart_xyz(cct_k)[:, 1], u_rel, labels, (path,), frame.colour_matrix, places)
+        raise InputError(path, finding, expected, "state --corners again")
+    return Colours(rgb, chart_xyz(cct_k)[:, 1], u_rel, places, frame.colour_matrix)
 
 
 # ----------------------------------------------------------------------------------------------
 # fit
 
 
-def _priors(colours: Colours, profile: CameraProfile) -> list[tuple[Floats, str]]:
-    """Return the coefficients [3] of R, G, B from which the fit may start, each with a name.
+def _priors(colours: Colours, profile: CameraProfile) -> dict[str, Floats]:
+    """Return the coefficients [3] of R, G, B from which the fit may start, by a name.
 
     These are the profile's y_from_rgb and, if the frames state a colour matrix, the Y row of its
     inverse (camera to XYZ), scaled to give the mean colour of the readings the same luminance.
     """
     own = np.array(profile.colour.y_from_rgb)
-    if colours.matrix is None:
-        return [(own, "the profile's coefficients")]
-    row, grey = np.linalg.inv(colours.matrix)[1], colours.rgb.mean(axis=0)
-    by_file = row * float(own @ grey) / float(row @ grey)
-    return [(own, "the profile's coefficients"), (by_file, "the file's colour matrix")]
+    starts = {"the profile's coefficients": own}
+    if colours.matrix is not None:
+        row, grey = np.linalg.inv(colours.matrix)[1], colours.rgb.mean(axis=0)
+        starts["the file's colour matrix"] = row * float(own @ grey) / float(row @ grey)
+    return starts
 
 
 def fit(colours: Colours, profile: CameraProfile) -> ColourFit:
@@ -205,31 +185,28 @@ def fit(colours: Colours, profile: CameraProfile) -> ColourFit:
     NotEnoughDataError for fewer than four readings, InputError for readings that are not positive
     or do not fit the colours.
     """
-    require(len(colours.y), MIN_READINGS, "readings", "add readings of other colours")
-    source = colours.frames[0]
+    shared.require(len(colours.y), MIN_READINGS, "readings", "add readings of other colours")
+    source = colours.places[0].path
     if min(colours.y.min(), colours.rgb[:, 1].min()) <= 0:
-        finding = "a reading or a patch of the frame is zero or negative"
         remedy = "remove its line from the csv, or use a frame with a longer exposure"
-        raise InputError(source, finding, "readings and patches above zero", remedy)
+        raise InputError(source, "a reading or a patch of 0 or less", "values above 0", remedy)
     starts, every = _priors(colours, profile), colours
-    colours, left_out = _without_outliers(colours, [start for start, _ in starts])
-    each = np.arange(len(colours.y))
-
-    def solve(model: tuple[Floats, float], rows: Mask) -> Floats:
-        return _solve(colours, *model, rows)
-
-    def squares(_: tuple[Floats, float], a: Floats, held: Mask) -> Floats:
-        return (colours.rgb[held] @ a / colours.y[held] - 1.0) ** 2
-
-    means = [held_out_errors((s, np.inf), each, solve, squares).mean() for s, _ in starts]
-    prior = starts[int(np.argmin(means))][0]
-    models = [(name, 0, (start, np.inf)) for start, name in starts]
-    models += [(name, size, (prior, pull)) for size, (pull, name) in enumerate(PULLS, start=1)]
-    (prior, _), raw, choice = fit_and_choose("colour", models, each, solve, squares)
-    if choice.rms > MAX_U_REL:
+    colours, left_out = _without_outliers(colours, list(starts.values()))
+    (prior, _), raw, choice = shared.fit_and_choose(
+        "colour",
+        [
+            (f"{name}, weight {pull:g}", size, (start, pull))
+            for name, start in starts.items()
+            for size, pull in enumerate(PULLS)
+        ],
+        np.arange(len(colours.y)),
+        lambda model, rows: _solve(colours, *model, rows),
+        lambda _, a, held: (colours.rgb[held] @ a / colours.y[held] - 1.0) ** 2,
+    )
+    if choice.rms > 0.2:  # readings and colours do not belong together
         finding = f"held-out readings do not fit the colours (error {100 * choice.rms:.0f} %)"
-        remedy = "check the place of each reading in the csv, and that the light was steady"
-        raise InputError(source, finding, f"at most {100 * MAX_U_REL:.0f} %", remedy)
+        remedy = "check the place of each reading, and that the light was steady"
+        raise InputError(source, finding, "at most 20 %", remedy)
     grey = (colours.rgb / (colours.rgb @ prior)[:, None]).mean(axis=0)
     scale = float(raw @ grey) / float(prior @ grey)
     red, green, blue = np.round(raw / scale, 6).tolist()
@@ -246,15 +223,15 @@ def _without_outliers(colours: Colours, priors: Sequence[Floats]) -> tuple[Colou
     """
     offs = [np.log((colours.rgb @ prior) / colours.y) for prior in priors]
     off = min((o - np.median(o) for o in offs), key=lambda o: float(np.median(np.abs(o))))
-    far = gross_errors(off, 0.5)  # ln of luminance: further away is a wrong factor
+    far = shared.gross_errors(off, 0.5)  # ln of luminance: further away is a wrong factor
     if not far.any() or (~far).sum() < MIN_READINGS:
         return colours, ""
     notes = [
-        f"{colours.labels[i]}, {np.exp(-off[i]):.2g} times the value that the others predict"
-        for i in np.flatnonzero(far)
+        f"{at.path.stem} {at.x:g},{at.y:g}, {np.exp(-o):.2g} times the value by the others"
+        for at, o, is_far in zip(colours.places, off, far, strict=True)
+        if is_far
     ]
-    names = ("rgb", "y", "u_rel", *(("melanopic",) if colours.melanopic is not None else ()))
-    near = {name: getattr(colours, name)[~far] for name in names}
+    near = {name: getattr(colours, name)[~far] for name in ("rgb", "y", "u_rel")}
     return replace(colours, **near), f"; left out: {'; '.join(notes)}"
 
 
@@ -364,7 +341,7 @@ def with_melanopic(
         read = replace(colours, y=colours.melanopic, matrix=None)
         found = fit(read, replace(profile, colour=start))
         weights = np.array(found.y_from_rgb) * found.scale / scale
-        u_rel, line = max(found.u_rel, READING_U), f"{line}, then {len(read.y)} readings"
+        u_rel, line = max(found.u_rel, shared.READING_U), f"{line}, then {len(read.y)} readings"
     table = replace(
         colour,
         rgb_to_radiance=tuple(np.round(np.linalg.inv(to_xyz) @ xyz, 6).ravel().tolist()),
@@ -404,13 +381,13 @@ def patch_centres(corners: Floats) -> tuple[Array, float]:
 
     square = np.array([[0, 0], [COLUMNS, 0], [COLUMNS, ROWS], [0, ROWS]], np.float32)
     h = cv2.getPerspectiveTransform(square, corners.astype(np.float32))
-    rows, columns = np.mgrid[:ROWS, :COLUMNS].reshape(2, -1) + 0.5
-    centres = cv2.perspectiveTransform(np.stack([columns, rows], axis=1)[None], h)[0]
+    down, right = np.mgrid[:ROWS, :COLUMNS].reshape(2, -1) + 0.5
+    centres = cv2.perspectiveTransform(np.stack([right, down], axis=1)[None], h)[0]
     gap = np.linalg.norm(centres[1] - centres[0]), np.linalg.norm(centres[COLUMNS] - centres[0])
     return centres, 0.25 * float(min(gap))
 
 
-def find_chart(frame: LinearFrame) -> Floats:
+def find_chart(frame: shared.LinearFrame) -> Floats:
     """Return the corners of the chart that OpenCV detects, x and y [4, 2], as `patch_centres` does.
 
     Raises InputError if no chart is detected, or none whose colours are in a chart's order.
@@ -439,8 +416,8 @@ def find_chart(frame: LinearFrame) -> Floats:
 
     misfits = list(map(off, ways))
     if min(misfits, default=np.inf) > _MAX_MISFIT:
-        expected, remedy = "a 24-patch chart", "state the chart's corners with --corners"
-        raise InputError(frame.path, "no colour chart found", expected, remedy)
+        remedy = "state the chart's corners with --corners"
+        raise InputError(frame.path, "no colour chart found", "a 24-patch chart", remedy)
     return ways[int(np.argmin(misfits))]
 
 
@@ -448,7 +425,5 @@ def chart(colours: Colours, fit: ColourFit) -> Chart:
     """Show the readings of the patches, and the fitted luminance."""
     new = colours.rgb @ np.array(fit.y_from_rgb) * fit.scale
     title = f"colour to luminance; held-out rms {100 * fit.u_rel:.2g} %"
-    number = "patch", np.arange(1, len(new) + 1)
-    return Chart(
-        title, -fit.residual, colours.places, number, ("reading, or chart [%]", colours.y), new
-    )
+    x, y = ("patch", np.arange(1, len(new) + 1)), ("reading, or chart [%]", colours.y)
+    return Chart(title, -fit.residual, colours.places, x, y, new)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,34 +10,22 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.calibrate import readings as shared
 from fieldlum.calibrate.pictures import Chart, Place, grey_picture
-from fieldlum.calibrate.readings import (
-    OrderSelection,
-    beyond_lens,
-    columns,
-    fit_and_choose,
-    gross_errors,
-    read_table,
-    require,
-)
 from fieldlum.core.arrays import Array, Mask
 from fieldlum.core.errors import InputError
 from fieldlum.core.statistics import robust_sigma
 from fieldlum.optics.profiles import Lens
-from fieldlum.optics.projection import (
-    LensGeometry,
-    direction,
-    lens_pixels,
-    lens_rays,
-    radius_of_angle,
-    signed_angle_deg,
-)
+from fieldlum.optics.projection import direction, lens_pixels, lens_rays, radius_of_angle
 
-# Powers of the polynomial mappings, from two to four terms. Chosen; held-out targets select one.
-POWERS = {
-    "two odd terms": (1, 3),
-    "three odd terms": (1, 3, 5),
-    "four terms": (1, 2, 3, 4),
+# The mappings that are tried, with the powers of the angle in a polynomial; held-out targets
+# select one.
+MODELS = {
+    "equidistant": ("equidistant", ()),
+    "equisolid": ("equisolid", ()),
+    "two odd terms": ("polynomial", (1, 3)),
+    "three odd terms": ("polynomial", (1, 3, 5)),
+    "four terms": ("polynomial", (1, 2, 3, 4)),
 }
 # Shares of the radius. A target that misses by more than twice this is no reading error of a
 # pixel, and with a larger median no lens fits the targets. Chosen, not measured.
@@ -63,15 +51,14 @@ class Targets:
     pose_known: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class LensFit:
+class LensFit(NamedTuple):
     """A fitted lens, its held-out error, and warnings.
 
     residual_px [n] : distance of each target from its fitted place, omitted targets included;
     rms_px, rms_deg : rms distance of held-out targets, or of chessboard corners. widest_deg :
     largest angle of a target from the axis; the mapping extrapolates beyond it. choice : how the
-    polynomial's order was chosen. doubts : sentences about omitted targets and a pose far from the
-    profile's.
+    polynomial's order was chosen. warnings : sentences about omitted targets and a pose far from
+    the profile's.
     """
 
     lens: Lens
@@ -79,8 +66,8 @@ class LensFit:
     rms_deg: float
     residual_px: Array
     widest_deg: float
-    choice: OrderSelection
-    doubts: tuple[str, ...] = ()
+    choice: shared.OrderSelection
+    warnings: tuple[str, ...] = ()
 
 
 def from_table(path: Path) -> Targets:
@@ -90,7 +77,7 @@ def from_table(path: Path) -> Targets:
     is to the right, y_px down. Raises InputError for an invalid csv.
     """
     names = ("x_px", "y_px", "azimuth_deg", "altitude_deg")
-    x, y, azimuth, altitude = columns(read_table(path, names), *names)
+    x, y, azimuth, altitude = shared.columns(shared.read_table(path, names), *names)
     return Targets(x, y, direction(altitude, azimuth), path)
 
 
@@ -103,38 +90,45 @@ def fit(targets: Targets, lens: Lens) -> LensFit:
 
     The fit starts from `lens`; with `targets.pose_known` the pose does not change. Mappings with
     none to three free terms are compared on held-out targets. Targets that no lens explains, at
-    most a quarter, are omitted and listed in `doubts`. Raises NotEnoughDataError for fewer than
+    most a quarter, are omitted and listed in `warnings`. Raises NotEnoughDataError for fewer than
     eight targets; InputError for directions that are mirrored, outside the lens's full angle, or
     fit no lens.
     """
     n, pose = len(targets.x_px), not targets.pose_known
     # the parameters of a lens with one free term, and its pose
-    require(n, 8, "targets for a lens", "add targets all over the circle to the csv")
+    shared.require(n, 8, "targets for a lens", "add targets all over the circle to the csv")
     start = _posed(targets, lens) if pose else level_lens(lens)
-    models: dict[str, Model] = {"equidistant": ("equidistant", ()), "equisolid": ("equisolid", ())}
-    for name, powers in POWERS.items():
-        if n >= 3 * (len(powers) + 5):  # three targets a parameter
-            models[name] = ("polynomial", powers)
-    inliers = _inliers(targets, start, list(models.values()))
-    kept = {name: getattr(targets, name)[inliers] for name in ("x_px", "y_px", "rays")}
-    used = replace(targets, **kept)
-    model, parameters, choice = fit_and_choose(
+    # three targets a parameter
+    models = {name: m for name, m in MODELS.items() if not m[1] or n >= 3 * (len(m[1]) + 5)}
+
+    def solved(model: Model, rows: Mask) -> Lens:
+        at = targets.x_px[rows], targets.y_px[rows]
+        return _solve(start, model, *at, lambda _: targets.rays[rows], pose=pose)[0]
+
+    every = [_misses(solved(model, np.ones(n, bool)), targets)[0] for model in models.values()]
+    best = min(every, key=lambda missed: float(np.median(missed)))
+    inliers = np.flatnonzero(~shared.gross_errors(best, 2.0 * MAX_MISS * start.radius_px))
+
+    def used(rows: Mask) -> Mask:
+        return np.isin(np.arange(n), inliers[rows])
+
+    _, fitted, choice = shared.fit_and_choose(
         "lens",
         [(name, max(len(model[1]) - 1, 0), model) for name, model in models.items()],
-        np.arange(inliers.sum()),
-        lambda model, rows: _solve(used, rows, start, *model),
-        lambda model, x, held: _misses(_geometry(start, x, *model, pose), used)[0][held] ** 2,
+        np.arange(len(inliers)),
+        lambda model, rows: solved(model, used(rows)),
+        lambda _, candidate, held: _misses(candidate, targets)[0][used(held)] ** 2,
         unit="px",
         scale=1.0,
     )
-    geometry = _geometry(start, parameters, *model, pose)
-    residual, angle = _misses(geometry, targets)
-    _check(geometry, residual[inliers], angle[inliers], targets)
-    new = _with_geometry(lens, geometry, pose)
-    doubts = _doubts(targets, residual, inliers, new, lens)
-    deg_per_px = lens.full_angle_deg / 2 / geometry.radius_px
+    missed, angle = _misses(fitted, targets)
+    _check(fitted, missed[inliers], angle[inliers], targets)
+    kept = {} if pose else _pose_of(lens)
+    new = replace(_rounded(fitted), **kept)
+    rms_deg = choice.rms * lens.full_angle_deg / 2 / fitted.radius_px
     widest_deg = float(np.degrees(angle[inliers].max()))
-    return LensFit(new, choice.rms, choice.rms * deg_per_px, residual, widest_deg, choice, doubts)
+    warnings = _warnings(targets, missed, inliers, new, lens)
+    return LensFit(new, choice.rms, rms_deg, missed, widest_deg, choice, warnings)
 
 
 def level_lens(lens: Lens) -> Lens:
@@ -142,80 +136,80 @@ def level_lens(lens: Lens) -> Lens:
     return replace(lens, azimuth_deg=0.0, tilt_deg=0.0, roll_deg=0.0)
 
 
-def _geometry(
-    lens: Lens, parameters: Array, mapping: str, powers: tuple[int, ...], pose: bool
-) -> LensGeometry:
-    """Return the lens geometry that the parameter vector of a fit describes.
-
-    parameters : [n], centre x, y and radius [px], then azimuth, tilt and roll [deg] if `pose` (else
-    those of `lens` are used), then the polynomial's coefficients of all `powers` of the angle but
-    the first, which follows because they add up to 1.
-    """
-    x, y, radius, *rest = parameters.tolist()
-    angles = rest[:3] if pose else (lens.azimuth_deg, lens.tilt_deg, lens.roll_deg)
-    terms = np.zeros(max(powers, default=0))
-    if powers:
-        extra = rest[3:] if pose else rest
-        terms[np.array(powers) - 1] = [1.0 - sum(extra), *extra]
-    own = mapping, tuple(terms.tolist()), *angles
-    return LensGeometry((x, y), radius, lens.full_angle_deg, *own)  # type: ignore[arg-type]
+def _pose_of(lens: Lens) -> dict[str, float]:
+    return {name: getattr(lens, name) for name in ("azimuth_deg", "tilt_deg", "roll_deg")}
 
 
 def _solve(
-    targets: Targets, rows: Mask, lens: Lens, mapping: str, powers: tuple[int, ...]
-) -> Array:
+    start: Lens,
+    model: Model,
+    x_px: Array,
+    y_px: Array,
+    rays_of: Callable[[Array], Array],
+    others: Array | Sequence[float] = (),
+    *,
+    pose: bool,
+) -> tuple[Lens, Array, Any]:
+    """Fit a lens to places [n] by robust least squares; return it, and the other unknowns.
+
+    rays_of : directions [n, 3] of the places, by the other unknowns [m], which start at `others`.
+    pose : the lens's pose is fitted too. The last result is scipy's solution.
+    """
     from scipy.optimize import least_squares
 
-    pose, free = not targets.pose_known, max(len(powers) - 1, 0)
-    angles = [lens.azimuth_deg, lens.tilt_deg, lens.roll_deg] if pose else []
-    start = [*lens.centre_px, lens.radius_px, *angles, *[0.0] * free]
-    scale = [lens.radius_px * 0.01] * 3 + [1.0] * len(angles) + [0.05] * free
+    mapping, powers = model
+    free, posed = len(powers[1:]), 3 * pose
 
-    def misses(parameters: Array) -> Array:
-        x, y, _ = lens_pixels(
-            _geometry(lens, parameters, mapping, powers, pose), targets.rays[rows]
-        )
-        return np.concatenate([x - targets.x_px[rows], y - targets.y_px[rows]])
+    def lens_of(p: Array) -> Lens:
+        """Return the lens: centre, radius, pose if it is fitted, all powers but the first.
 
-    return least_squares(misses, start, x_scale=scale, loss="soft_l1", f_scale=2.0, max_nfev=400).x
+        The first power follows, because the coefficients of a polynomial add up to 1.
+        """
+        x, y, radius, *angles = p[: 3 + posed].tolist()
+        terms, extra = np.zeros(max(powers, default=0)), p[3 + posed : 3 + posed + free].tolist()
+        if powers:
+            terms[np.array(powers) - 1] = [1.0 - sum(extra), *extra]
+        azimuth, tilt, roll = angles or _pose_of(start).values()
+        own = start.full_angle_deg, mapping, tuple(terms.tolist()), azimuth, tilt, roll
+        return Lens((x, y), radius, *own, start.name, start.vignetting)  # type: ignore[arg-type]
+
+    def misses(p: Array) -> Array:
+        x, y, _ = lens_pixels(lens_of(p), rays_of(p[3 + posed + free :]))
+        return np.concatenate([x - x_px, y - y_px])
+
+    terms = dict(enumerate(start.coefficients, start=1))
+    angles = list(_pose_of(start).values())[:posed]
+    begin = [*start.centre_px, start.radius_px, *angles, *(terms.get(p, 0.0) for p in powers[1:])]
+    begin += list(others)
+    found = least_squares(misses, begin, x_scale="jac", loss="soft_l1", f_scale=2.0, max_nfev=400)
+    return lens_of(found.x), found.x[3 + posed + free :], found
 
 
-def _misses(geometry: LensGeometry, targets: Targets) -> tuple[Array, Array]:
+def _misses(lens: Lens, targets: Targets) -> tuple[Array, Array]:
     """Return each target's distance from its place by the lens [px], and its angle to the axis."""
-    x, y, angle_rad = lens_pixels(geometry, targets.rays)
+    x, y, angle_rad = lens_pixels(lens, targets.rays)
     return np.hypot(x - targets.x_px, y - targets.y_px), angle_rad
 
 
-def _inliers(targets: Targets, start: Lens, models: Sequence[Model]) -> Mask:
-    """Return a mask [n] of the targets that the best of the robust fits explains."""
-    every, misses = np.ones(len(targets.x_px), bool), []
-    for model in models:
-        parameters = _solve(targets, every, start, *model)
-        geometry = _geometry(start, parameters, *model, not targets.pose_known)
-        misses.append(_misses(geometry, targets)[0])
-    best = min(misses, key=lambda missed: float(np.median(missed)))
-    return ~gross_errors(best, 2.0 * MAX_MISS * start.radius_px)
-
-
-def _check(geometry: LensGeometry, missed: Array, angle: Array, targets: Targets) -> None:
+def _check(lens: Lens, missed: Array, angle: Array, targets: Targets) -> None:
     """Raise InputError for a lens that its own targets contradict."""
-    if np.median(missed) > MAX_MISS * geometry.radius_px:
+    if np.median(missed) > MAX_MISS * lens.radius_px:
         finding = f"the best lens misses half of the targets by over {np.median(missed):.0f} px"
         remedy = "check the targets' signs and units, and the columns x_px and y_px"
         raise InputError(targets.source, finding, _WANTED, remedy)
-    widest_deg, half_deg = np.degrees(angle.max()), np.degrees(geometry.half_angle_rad)
-    if beyond_lens(widest_deg / half_deg):
+    widest_deg, half_deg = np.degrees(angle.max()), lens.full_angle_deg / 2
+    if shared.beyond_lens(widest_deg / half_deg):
         finding = f"a target is {widest_deg:.0f} deg from the axis, the lens ends at {half_deg:.0f}"
         remedy = "correct the targets, or full_angle_deg in the profile"
         raise InputError(targets.source, finding, _WANTED, remedy)
 
 
-def _doubts(
-    targets: Targets, residual: Array, near: Mask, new: Lens, before: Lens
+def _warnings(
+    targets: Targets, missed: Array, inliers: Array, new: Lens, before: Lens
 ) -> tuple[str, ...]:
     far = [
-        f"{targets.x_px[i]:g}, {targets.y_px[i]:g} (off by {residual[i]:.0f} px)"
-        for i in np.flatnonzero(~near)
+        f"{targets.x_px[i]:g}, {targets.y_px[i]:g} (off by {missed[i]:.0f} px)"
+        for i in np.setdiff1d(np.arange(len(missed)), inliers)
     ]
     texts = [f"left out because no lens explains them: {'; '.join(far)}"] if far else []
     turn = new.axes() @ before.axes().T
@@ -235,11 +229,9 @@ def _posed(targets: Targets, lens: Lens) -> Lens:
     This lets the fit succeed for a turned camera. The pose is the rotation from measured to true
     directions. Raises InputError if only mirrored directions fit, which means that a sign is wrong.
     """
-    directions = lens_rays(level_lens(lens), targets.x_px, targets.y_px)
-    (miss, turn), (mirrored, _) = (
-        _turn(directions * (sign, 1.0, 1.0), targets.rays) for sign in (1.0, -1.0)
-    )
-    if mirrored < 0.5 * miss and miss > 0.1:
+    rays = lens_rays(level_lens(lens), targets.x_px, targets.y_px)
+    miss, turn = _turn(rays, targets.rays)
+    if _turn(rays * (-1.0, 1.0, 1.0), targets.rays)[0] < 0.5 * miss and miss > 0.1:
         finding = "the targets fit a lens only as a mirror image"
         remedy = "check the targets for a wrong sign, or for x and y exchanged"
         raise InputError(targets.source, finding, _WANTED, remedy)
@@ -258,7 +250,7 @@ def _turn(directions: Array, true: Array) -> tuple[float, Array]:
     """
     from scipy.spatial.transform import Rotation
 
-    off, turn = np.zeros(len(directions)), np.eye(3)
+    off, turn = np.ones(len(directions)), np.eye(3)
     for _ in range(10):
         weight = 1.0 / np.maximum(off, 0.02)
         turn = Rotation.align_vectors(true, directions, weights=weight)[0].as_matrix()
@@ -266,22 +258,13 @@ def _turn(directions: Array, true: Array) -> tuple[float, Array]:
     return float(np.median(off)), turn
 
 
-def _with_geometry(lens: Lens, geometry: LensGeometry, pose: bool) -> Lens:
-    """Return `lens` with centre, radius, mapping and pose of a geometry, rounded for the profile.
-
-    Its full angle and vignetting do not change, and its pose only with `pose`.
-    """
-    of = geometry if pose else lens
-    return replace(
-        lens,
-        centre_px=(round(geometry.centre_px[0], 3), round(geometry.centre_px[1], 3)),
-        radius_px=round(geometry.radius_px, 3),
-        mapping=geometry.mapping,
-        coefficients=tuple(round(c, 7) for c in geometry.coefficients),
-        azimuth_deg=round(float(signed_angle_deg(of.azimuth_deg)), 4) if pose else of.azimuth_deg,
-        tilt_deg=round(of.tilt_deg, 4),
-        roll_deg=round(of.roll_deg, 4),
-    )
+def _rounded(lens: Lens) -> Lens:
+    """Return a fitted lens with the digits that a profile has."""
+    x, y = np.round(lens.centre_px, 3).tolist()
+    turned = {name: round((angle + 180) % 360 - 180, 4) for name, angle in _pose_of(lens).items()}
+    terms = tuple(np.round(lens.coefficients, 7).tolist())
+    radius_px = round(lens.radius_px, 3)
+    return replace(lens, centre_px=(x, y), radius_px=radius_px, coefficients=terms, **turned)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -318,26 +301,34 @@ def fit_boards(
     it; its rms_px is the residual of the corners. Raises NotEnoughDataError for fewer than four
     boards, InputError for corners that no lens explains.
     """
+    from scipy.spatial.transform import Rotation
+
     remedy = "check the corners after --chessboard; take sharp pictures, also at the circle's edge"
-    require(len(corners), 4, "pictures in which the chessboard was detected", remedy)
+    shared.require(len(corners), 4, "pictures in which the chessboard was detected", remedy)
     points = np.zeros((rows * columns, 3))
     points[:, :2] = np.mgrid[:columns, :rows].T.reshape(-1, 2)
-    level, at = level_lens(lens), np.stack(corners)  # [boards, points, 2]
-    poses = np.array([_board_pose(level, c, points) for c in at])
-    _, poses, _ = _bundle(level, ("polynomial", POWERS["four terms"]), at, points, poses)
-    x, y = at.reshape(-1, 2).T
-    targets = Targets(x, y, _rays(poses, points).reshape(-1, 3), "chessboard", pose_known=True)
+
+    def rays_of(poses: Array) -> Array:
+        boards = poses.reshape(-1, 6)
+        at = [Rotation.from_rotvec(p[:3]).apply(points) + p[3:] for p in boards]
+        at = np.concatenate(at)
+        return at / np.linalg.norm(at, axis=-1, keepdims=True)
+
+    x, y = np.concatenate(corners).T
+    level = level_lens(lens)
+    poses = np.concatenate([_board_pose(level, c, points) for c in corners])
+    _, poses, _ = _solve(level, MODELS["four terms"], x, y, rays_of, poses, pose=False)
+    targets = Targets(x, y, rays_of(poses), "chessboard", pose_known=True)
     start = fit(targets, lens)
     powers = tuple(i + 1 for i, c in enumerate(start.lens.coefficients) if c)
-    geometry, _, solved = _bundle(
-        level_lens(start.lens), (start.lens.mapping, powers), at, points, poses
-    )
+    model, own = (start.lens.mapping, powers), level_lens(start.lens)
+    fitted, _, solved = _solve(own, model, x, y, rays_of, poses, pose=False)
     rms = float(np.sqrt(2.0 * np.mean(solved.fun**2)))
     u_px = rms / np.sqrt(2) * np.sqrt(np.diag(np.linalg.pinv(solved.jac.T @ solved.jac))[:2].max())
     text = f"residual of the corners {rms:.2f} px rms, uncertainty of the centre {u_px:.2f} px"
     choice = replace(start.choice, line=f"{start.choice.line}; {text}")
-    new, rms_deg = _with_geometry(lens, geometry, False), rms * start.rms_deg / start.rms_px
-    return replace(start, lens=new, rms_px=rms, rms_deg=rms_deg, choice=choice), targets
+    new, rms_deg = replace(_rounded(fitted), **_pose_of(lens)), rms * start.rms_deg / start.rms_px
+    return start._replace(lens=new, rms_px=rms, rms_deg=rms_deg, choice=choice), targets
 
 
 def _board_pose(level: Lens, corners: Array, points: Array) -> Array:
@@ -357,41 +348,9 @@ def _board_pose(level: Lens, corners: Array, points: Array) -> Array:
     return np.concatenate([own.as_rotvec(), turn.inv().apply(np.ravel(position))])
 
 
-def _rays(poses: Array, points: Array) -> Array:
-    """Return unit vectors to the corners of boards, [boards, points, 3]."""
-    from scipy.spatial.transform import Rotation
-
-    at = np.stack([Rotation.from_rotvec(p[:3]).apply(points) + p[3:] for p in poses])
-    return at / np.linalg.norm(at, axis=-1, keepdims=True)
-
-
-def _bundle(
-    lens: Lens, model: Model, corners: Array, points: Array, poses: Array
-) -> tuple[LensGeometry, Array, Any]:
-    """Fit a lens and the poses [boards, 6] to corners; return both, and the solution of scipy."""
-    from scipy.optimize import least_squares
-
-    free = max(len(model[1]) - 1, 0)
-    terms = [lens.coefficients[p - 1] for p in model[1][1:]] if lens.coefficients else [0.0] * free
-
-    def shown(x: Array) -> LensGeometry:
-        return _geometry(lens, x[: 3 + free], *model, pose=False)
-
-    def misses(x: Array) -> Array:
-        px, py, _ = lens_pixels(shown(x), _rays(x[3 + free :].reshape(-1, 6), points))
-        return np.concatenate([(px - corners[..., 0]).ravel(), (py - corners[..., 1]).ravel()])
-
-    unknowns = [*lens.centre_px, lens.radius_px, *terms, *poses.ravel()]
-    solved = least_squares(misses, unknowns, x_scale="jac", loss="soft_l1", max_nfev=60)
-    return shown(solved.x), solved.x[3 + free :].reshape(-1, 6), solved
-
-
 # ----------------------------------------------------------------------------------------------
 # image circle
 
-# Share of the rays inside the picture whose edge is on the circle; how near, of the radius and in
-# px. Evenly lit fields have 1.0, six exposures of a real room (8 mm fisheye) at most 0.71.
-_MIN_ON_CIRCLE, _ON_CIRCLE_REL, _ON_CIRCLE_PX = 0.9, 0.005, 2.0
 # of the profile's radius: a centre or radius that differs by more contradicts the profile; chosen
 _MAX_CHANGE = 0.15
 
@@ -406,7 +365,7 @@ class Circle(NamedTuple):
     centre_px: tuple[float, float]
     radius_px: float
     u_px: float
-    edge: Array = np.empty((2, 0))
+    edge: Array
 
 
 def circle(picture: NDArray[np.uint8], lens: Lens, source: Path | str = "circle") -> Circle:
@@ -418,20 +377,27 @@ def circle(picture: NDArray[np.uint8], lens: Lens, source: Path | str = "circle"
     rays have no edge on the circle (in a picture of a room, its edges look like the circle's), and
     for a circle whose centre or radius differs from that of `lens` by over 15 % of the radius.
     """
-    found = Circle(lens.centre_px, lens.radius_px, 0.0)
-    on_circle = 0.0
+    from scipy.optimize import least_squares
+
+    start = np.array([*lens.centre_px, lens.radius_px])
+    place, edge, on_circle, off = start, np.empty((2, 0)), 0.0, np.empty(0)
+
+    def misses(p: Array) -> Array:
+        return np.hypot(edge[0] - p[0], edge[1] - p[1]) - p[2]
+
     for reach in (2.0 * _MAX_CHANGE, 0.1, 0.1):
-        edge, rays = _edge_points(picture, found, reach)
+        edge, rays = _edge_points(picture, place, reach)
         if edge.shape[1] < 60:
             on_circle = 0.0
             break
-        found, off = _through(edge, found)
-        near = np.abs(off) < max(_ON_CIRCLE_REL * found.radius_px, _ON_CIRCLE_PX)
-        on_circle = near.sum() / rays
-    (x, y), (x0, y0) = found.centre_px, lens.centre_px
-    change = max(np.hypot(x - x0, y - y0), abs(found.radius_px - lens.radius_px)) / lens.radius_px
-    if on_circle < _MIN_ON_CIRCLE or change > _MAX_CHANGE:
-        profile = f"the profile's circle at {x0:.0f}, {y0:.0f} px, radius {lens.radius_px:.0f} px"
+        place = least_squares(misses, place, loss="soft_l1", f_scale=0.5).x
+        off = misses(place)
+        # Evenly lit fields have a share of 1.0, six exposures of a real room at most 0.71.
+        on_circle = (np.abs(off) < max(0.005 * place[2], 2.0)).sum() / rays
+    change = max(np.hypot(*(place - start)[:2]), abs(place[2] - start[2])) / lens.radius_px
+    if on_circle < 0.9 or change > _MAX_CHANGE:
+        x, y, radius = start
+        profile = f"the profile's circle at {x:.0f}, {y:.0f} px, radius {radius:.0f} px"
         raise InputError(
             source,
             f"{100 * on_circle:.0f} % of the edge of a circle, near {profile}",
@@ -439,21 +405,22 @@ def circle(picture: NDArray[np.uint8], lens: Lens, source: Path | str = "circle"
             "hold white paper in front of the lens for one frame without clipping that shows the "
             "circle; if the profile's numbers are a guess, first write nearer ones into it",
         )
-    return found
+    x, y, radius = place.tolist()
+    return Circle((x, y), radius, float(np.hypot(robust_sigma(off, 0.0), 1.0)), edge)
 
 
-def _edge_points(picture: NDArray[np.uint8], around: Circle, reach: float) -> tuple[Array, int]:
+def _edge_points(picture: NDArray[np.uint8], around: Array, reach: float) -> tuple[Array, int]:
     """Return points x, y [2, n] on the edge of a circle, and the number of rays that reach it.
 
-    The edge is searched within `reach`, a share of the radius. Rays that leave the picture inside
-    the circle are not counted.
+    around : x, y and radius of the circle [px]. The edge is searched within `reach`, a share of the
+    radius. Rays that leave the picture inside the circle are not counted.
     """
     from scipy.ndimage import gaussian_filter, map_coordinates
 
     smooth = 255 * gaussian_filter((picture.astype(np.float32) / 255) ** 2.2, 1.0)
     turn = np.linspace(0, 2 * np.pi, 720, endpoint=False)
-    out = around.radius_px * (1.0 - reach) + np.arange(0.0, 2 * reach * around.radius_px, 0.25)
-    x, y = around.centre_px
+    x, y, radius = around
+    out = radius * (1.0 - reach) + np.arange(0.0, 2 * reach * radius, 0.25)
     columns, rows = x + np.outer(np.cos(turn), out) - 0.5, y + np.outer(np.sin(turn), out) - 0.5
     line = map_coordinates(smooth, [rows, columns], order=1, mode="constant", cval=np.nan)
     inner = line[:, : len(out) // 5].mean(axis=1)
@@ -465,19 +432,6 @@ def _edge_points(picture: NDArray[np.uint8], around: Circle, reach: float) -> tu
     away = out[first[good]]
     edge = np.stack([x + np.cos(turn[good]) * away, y + np.sin(turn[good]) * away])
     return edge, int((good | reached).sum())
-
-
-def _through(edge: Array, start: Circle) -> tuple[Circle, Array]:
-    """Return the circle through points [2, n] by robust least squares, and their distances [px]."""
-    from scipy.optimize import least_squares
-
-    def misses(p: Array) -> Array:
-        return np.hypot(edge[0] - p[0], edge[1] - p[1]) - p[2]
-
-    solved = least_squares(misses, [*start.centre_px, start.radius_px], loss="soft_l1", f_scale=0.5)
-    x, y, radius = solved.x.tolist()
-    off = misses(solved.x)
-    return Circle((x, y), radius, float(np.hypot(robust_sigma(off, 0.0), 1.0)), edge), off
 
 
 def trimmed(lens: Lens, width_deg: float) -> Lens:

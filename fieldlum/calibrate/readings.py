@@ -105,25 +105,15 @@ def fit_and_choose(
     model's parameters, NaN for a datum that cannot be predicted. what, unit, scale, negligible : as
     in `choose`.
     """
-    candidates = [
-        (name, size, held_out_errors(model, groups, solve, errors)) for name, size, model in models
-    ]
+    candidates = []
+    for name, size, model in models:
+        squares = np.full(len(groups), np.nan)
+        for held in folds(groups):
+            squares[held] = errors(model, solve(model, ~held), held)
+        candidates.append((name, size, squares[np.isfinite(squares)]))
     choice = choose(what, candidates, unit, scale, negligible)
     chosen = models[choice.index][2]
     return chosen, solve(chosen, np.ones(len(groups), bool)), choice
-
-
-def held_out_errors(
-    model: Model,
-    groups: NDArray[np.integer],
-    solve: Callable[[Model, Mask], Parameters],
-    errors: Callable[[Model, Parameters, Mask], Floats],
-) -> Floats:
-    """Return the squared errors of held-out data [m], without NaN; see `fit_and_choose`."""
-    out = np.full(len(groups), np.nan)
-    for held in folds(groups):
-        out[held] = errors(model, solve(model, ~held), held)
-    return out[np.isfinite(out)]
 
 
 def folds(groups: NDArray[np.integer], count: int = 8) -> Iterator[Mask]:
@@ -167,8 +157,7 @@ def require(count: int, minimum: int, what: str, remedy: str) -> None:
 def require_raw(profile: CameraProfile, remedy: str) -> None:
     """Raise InputError for a profile of a JPEG camera."""
     if profile.camera.kind != "raw":
-        finding = "the profile is of a JPEG camera"
-        raise InputError(profile.camera.name, finding, "a profile of a raw camera", remedy)
+        raise InputError(profile.camera.name, "a JPEG camera", "a raw camera", remedy)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -187,11 +176,11 @@ def read_table(
     missing or unknown column, an invalid or empty cell, or a csv without readings.
     """
     table, mark = _table(path)
-    known, expected = (*required, *optional), f"columns {', '.join((*required, *optional))}"
+    known = *required, *optional
     wrong = [f"no column {name}" for name in required if name not in table.names]
     wrong += [f"unknown column {name}" for name in table.names if name not in known]
     if wrong:
-        raise InputError(path, wrong[0], expected, "correct the first line")
+        raise InputError(path, wrong[0], f"columns {', '.join(known)}", "correct the first line")
     readings = []
     for line, cells in table.dicts():
         row = {name: _cell(path, line, name, text, mark) for name, text in cells.items() if text}
@@ -284,7 +273,7 @@ class LinearFrame:
         x, y, r = x_px / self.step, y_px / self.step, max(radius_px / self.step, 1.0)
         name = f"the patch at x {x_px:g}, y {y_px:g} px with a radius of {radius_px:g} px"
         if not (r <= x <= w - r and r <= y <= h - r):
-            inside = f"a patch inside the picture of {w * self.step} x {h * self.step} px"
+            inside = f"one inside the picture of {w * self.step} x {h * self.step} px"
             raise InputError(self.path, name, inside, "correct x_px, y_px or radius_px")
         cut = np.s_[int(y - r) : int(y + r) + 1, int(x - r) : int(x + r) + 1]
         yy, xx = np.mgrid[cut]
@@ -303,10 +292,8 @@ def linear_frame(path: Path, profile: CameraProfile) -> LinearFrame:
 
     Raises InputError if the frame cannot be read or is of another camera.
     """
-    return _from_jpeg(path, profile) if is_jpeg(path) else _from_mosaic(path, profile)
-
-
-def _from_jpeg(path: Path, profile: CameraProfile) -> LinearFrame:
+    if not is_jpeg(path):
+        return _from_mosaic(path, profile)
     frame, r = read_jpeg(path, camera_pixels=profile.camera.pixels), profile.response
     check_frame(path, frame.codes.shape, frame.model, profile)
     tables = response_tables(profile)  # [256, 3]
@@ -386,27 +373,23 @@ def read_panoramas(
         pictures[file] = read_panorama_with_sun(file)
         attributes = pictures[file].attributes
         if attributes.get("calibration", own) != own:
-            raise InputError(
-                file,
-                f"the picture was merged with another calibration ({attributes.get('camera')})",
-                f"the calibration of {profile.camera.name}",
-                f"merge it again with this profile (fieldlum merge){remedy}",
-            )
+            finding = f"merged with another calibration ({attributes.get('camera')})"
+            again = f"merge it again with this profile (fieldlum merge){remedy}"
+            raise InputError(file, finding, f"that of {profile.camera.name}", again)
     return pictures
 
 
 def pixels_within(
-    picture: Panorama, azimuth_deg: float, altitude_deg: float, radius_rad: float
+    picture: Panorama, azimuth_deg: float, altitude_deg: float, radius_deg: float
 ) -> Mask:
-    """Return a mask [h, w] of the pixels within an angle of a direction, clockwise from north."""
+    """Return a mask [h, w] of the pixels within an angle of a direction, clockwise from north.
+
+    The disc is at least a few pixels wide.
+    """
     height, width = picture.luminance_cdm2.shape
     rays = equirect_rays(height, width, picture.heading_deg)
+    radius_rad = np.radians(max(radius_deg, 1.2 * 180.0 / height))
     return rays @ direction(altitude_deg, azimuth_deg) >= np.cos(radius_rad)
-
-
-def disc_radius_rad(picture: Panorama, radius_deg: float) -> float:
-    """Return the radius of a disc that is at least a few pixels wide [rad]."""
-    return float(np.radians(max(radius_deg, 1.2 * 180.0 / len(picture.luminance_cdm2))))
 
 
 def is_flagged(picture: Panorama, inside: Mask, flag: Flag) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -17,31 +17,19 @@ from fieldlum.core.arrays import Floats, Indices, Mask
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure
 from fieldlum.core.statistics import median_standard_error, robust_sigma
-from fieldlum.optics.linear_light import check_frame, true_shutter_s
-from fieldlum.optics.photometry import (
-    AUTO,
-    LAWS,
-    PairRatio,
-    ShutterLaw,
-    dark_floor,
-    fit_response,
-    law_of_frames,
-    law_of_labels,
-    response_table,
-)
+from fieldlum.optics.linear_light import check_frame, stated_law, true_shutter_s
+from fieldlum.optics.photometry import ShutterLaw, dark_floor, fit_response, response_table
 from fieldlum.optics.profiles import CameraProfile, Response
+from fieldlum.optics.projection import relative_radius
 from fieldlum.optics.raw import is_jpeg, read_jpeg
 
-BLOCKS = 60_000  # blocks in which places are searched; limits memory; chosen
-LOW = 27  # codes from LOW to HIGH count for the residual, and have weight in a merge; chosen
-HIGH = 228  # chosen, as LOW
-DOUBTFUL = 0.10  # of light: a still scene in steady light leaves 1 to 5 %
+# Codes that count for the residual, and have weight in a merge: the profile's defaults.
+LOW, HIGH = Response().low_code, Response().high_code
 SMOOTH = (3000.0, 300.0, 30.0, 3.0)  # stiffness of the tables that are tried
-_MIN_PLACES = 20  # places for which a step counts as measured; chosen
+_MIN_PLACES = 20  # below it `fit_response` has no result
 _SYSTEMATIC = 0.0025  # of light: rounding of codes and stray light; bench/bracket_steps.py
 _LABEL_U = 0.05  # ln of light: prior of a label, of the order of rounding to thirds (6.7 %); chosen
 _MEASURED_U = 0.02  # ln of light: a step with a larger uncertainty is the label's; chosen
-_ROUNDS, _SETTLED = 12, 2e-4  # the response adapts to the steps; ends below this change of ln light
 
 
 # ----------------------------------------------------------------------------------------------
@@ -51,12 +39,6 @@ _ROUNDS, _SETTLED = 12, 2e-4  # the response adapts to the steps; ends below thi
 # by the labels differ by up to 6.7 %. Frames that show the same places decide the deviations of
 # single steps. They cannot decide the length of all steps together, because an unknown response
 # leaves a power of the exposure free (Grossberg and Nayar 2003): the labels do.
-
-
-_DOUBT = (
-    "CAUTION: the fitted light of the same places differs by {:.0f} % between frames: check that "
-    "camera and light did not change, and take the bracket again"
-)
 
 
 class Steps(NamedTuple):
@@ -109,11 +91,11 @@ def measured_steps(
         return deviation, u
     present = [codes[bracket == index].any(axis=(0, 2)) for index in np.unique(bracket)]
     pairs = {pair for shown in present for pair in pairwise(np.flatnonzero(shown).tolist())}
-    for _ in range(_ROUNDS):
+    for _ in range(12):  # the response adapts to the steps
         further, u = _fitted(_light(codes, log_e), sorted(pairs))
         deviation = _without_stretch(deviation + further, u, np.diff(log_e))
         before, log_e = log_e, log_exposure + np.r_[0.0, np.cumsum(deviation)]
-        if np.abs(log_e - before).max() < _SETTLED:
+        if np.abs(log_e - before).max() < 2e-4:
             break
     return deviation, u
 
@@ -161,8 +143,7 @@ def _without_stretch(deviation: Floats, u: Floats, step: Floats) -> Floats:
 # sampled places
 
 
-@dataclass(frozen=True, slots=True)
-class Places:
+class Places(NamedTuple):
     """Codes of the same places in all frames of a bracket, pooled over brackets.
 
     codes [places, exposures, 3] : code of a place in R, G, B; 0 if its bracket has no such
@@ -176,8 +157,8 @@ class Places:
     log_exposure: Floats
     bracket: Indices
     law: ShutterLaw
-    steps: Steps = field(default_factory=lambda: Steps(np.zeros(1), np.zeros(0)))
-    frames: tuple[Path, ...] = ()
+    steps: Steps
+    frames: tuple[Path, ...]
 
 
 class ResponseFit(NamedTuple):
@@ -192,14 +173,6 @@ class ResponseFit(NamedTuple):
     choice: OrderSelection
 
 
-class _Part(NamedTuple):
-    """Flat places of one bracket: codes [places, frames, 3], and the exposures that EXIF states."""
-
-    codes: NDArray[np.uint8]
-    exposures: list[Exposure]
-    folder: Path
-
-
 def brackets_in(paths: Sequence[Path]) -> list[list[Path]]:
     """Return the frames of each bracket: a folder is one bracket; all single files are one more.
 
@@ -208,11 +181,10 @@ def brackets_in(paths: Sequence[Path]) -> list[list[Path]]:
     single = [path for path in paths if path.is_file()]
     brackets = [single] if single else []
     for folder in (path for path in paths if not path.is_file()):
-        frames = sorted(p for p in folder.glob("*") if is_jpeg(p))
-        if not frames:
+        brackets.append(sorted(p for p in folder.glob("*") if is_jpeg(p)))
+        if not brackets[-1]:
             expected = "a folder with the frames of one bracket"
             raise InputError(folder, "no JPEG frames", expected, "check the path of the folder")
-        brackets.append(frames)
     return brackets
 
 
@@ -221,72 +193,45 @@ def sample(
 ) -> Places:
     """Sample the same flat places in every frame of a bracket, pooled over brackets.
 
-    If the profile's shutter law is "auto", the law is that of the EXIF times, unless the frames'
-    overlap shows another one, as in `merge`. The places are spread over the brightnesses. Raises
+    If the profile's shutter law is "auto", the law is that of the EXIF times; the overlap of the
+    frames then corrects single steps. The places are spread over the brightnesses. Raises
     InputError for a bracket of mixed apertures or sizes or with fewer than three exposures,
     NotEnoughDataError for one with fewer than 50 flat, well exposed places.
     """
     parts = [_flat_places(paths, profile, rng) for paths in brackets]
-    places = _lawful(parts, profile)
-    steps = steps_by_overlap(places.codes, places.log_exposure, places.bracket)
-    files = tuple(path for paths in brackets for path in paths)
-    return replace(places, log_exposure=steps.log_exposure, steps=steps, frames=files)
-
-
-def _lawful(parts: Sequence[_Part], profile: CameraProfile) -> Places:
-    """Return the places under the profile's shutter law, or the law that labels or frames show."""
-    if profile.shutter_law != AUTO:
-        return _pool(parts, profile, ShutterLaw(profile.shutter_law, "profile"))[0]
-    labels = law_of_labels([e.shutter_s for p in parts for e in p.exposures], profile.camera.model)
-    places, settings = _pool(parts, profile, labels)
-    deviation, u = measured_steps(places.codes, places.log_exposure, places.bracket)
-    pairs = [
-        PairRatio(k + 1, k, -deviation[k], u[k], len(places.codes))
-        for k in np.flatnonzero(u < _MEASURED_U).tolist()
-    ]
-    times_s = {law: np.exp(_log_exposures(settings, profile, law)) for law in LAWS}
-    law = law_of_frames(times_s, labels, pairs)
-    return replace(places, law=law) if law.law == labels.law else _pool(parts, profile, law)[0]
-
-
-def _log_exposures(exposures: Sequence[Exposure], profile: CameraProfile, law: str) -> Floats:
-    """Return ln of (true shutter time [s] times ISO) under a shutter law, [n]."""
-    with_law = replace(profile, shutter_law=law)
-    return np.log([true_shutter_s(e.shutter_s, with_law)[0] * e.iso for e in exposures])
-
-
-def _pool(
-    parts: Sequence[_Part], profile: CameraProfile, law: ShutterLaw
-) -> tuple[Places, list[Exposure]]:
-    """Return the places of all brackets on one axis of exposures, and an exposure of each."""
-    axes = [np.round(_log_exposures(part.exposures, profile, law.law), 4) for part in parts]
-    for part, log_e in zip(parts, axes, strict=True):
-        if (count := len(np.unique(np.round(log_e, 3)))) < 3:
-            finding = f"{len(part.exposures)} frames with {count} different exposures"
+    law = stated_law([e.shutter_s for _, exposures in parts for e in exposures], profile)
+    lawful, axes = replace(profile, shutter_law=law.law), []
+    for (_, exposures), paths in zip(parts, brackets, strict=True):
+        iso_s = [true_shutter_s(e.shutter_s, lawful)[0] * e.iso for e in exposures]
+        axes.append(np.round(np.log(iso_s), 4))
+        if (count := len(np.unique(np.round(axes[-1], 3)))) < 3:
+            finding = f"{len(exposures)} frames with {count} different exposures"
             expected = "a bracket with at least three different exposures"
-            raise InputError(part.folder, finding, expected, "take a bracket with more exposures")
-    grid, first = np.unique(np.concatenate(axes), return_index=True)
-    codes = [np.zeros((len(part.codes), len(grid), 3), np.uint8) for part in parts]
-    for own, part, log_e in zip(codes, parts, axes, strict=True):
-        own[:, np.searchsorted(grid, log_e)] = part.codes
-    bracket = np.repeat(np.arange(len(parts)), [len(own) for own in codes])
-    exposures = [exposure for part in parts for exposure in part.exposures]
-    return Places(np.concatenate(codes), grid, bracket, law), [exposures[i] for i in first]
+            raise InputError(paths[0].parent, finding, expected, "take more exposures")
+    grid = np.unique(np.concatenate(axes))
+    of_brackets = [np.zeros((len(part), len(grid), 3), np.uint8) for part, _ in parts]
+    for own, (part, _), log_e in zip(of_brackets, parts, axes, strict=True):
+        own[:, np.searchsorted(grid, log_e)] = part
+    codes = np.concatenate(of_brackets)
+    bracket = np.repeat(np.arange(len(parts)), [len(own) for own in of_brackets])
+    steps = steps_by_overlap(codes, grid, bracket)
+    files = tuple(path for paths in brackets for path in paths)
+    return Places(codes, steps.log_exposure, bracket, law, steps, files)
 
 
-def _flat_places(paths: Sequence[Path], profile: CameraProfile, rng: np.random.Generator) -> _Part:
+def _flat_places(
+    paths: Sequence[Path], profile: CameraProfile, rng: np.random.Generator
+) -> tuple[NDArray[np.uint8], list[Exposure]]:
     """Return the mean codes of a bracket's 3 x 3 blocks without an edge, inside the lens circles.
 
-    At most BLOCKS blocks on a grid are read, one frame at a time, so that the memory needed does
-    not grow with the sensor.
+    The result is [places, frames, 3], and the exposures by EXIF. At most 60 000 blocks on a grid
+    are read, one frame at a time, so that the memory needed does not grow with the sensor.
     """
     height, width = profile.camera.height_px, profile.camera.width_px
-    step = max(3, int(np.ceil(np.sqrt(height * width / BLOCKS))))
+    step = max(3, int(np.ceil(np.sqrt(height * width / 60_000))))
     y, x = np.mgrid[1 : height - 1 : step, 1 : width - 1 : step]
-    inside = np.zeros(x.shape, bool)
-    for lens in profile.lens:
-        off = np.hypot(x + 0.5 - lens.centre_px[0], y + 0.5 - lens.centre_px[1])
-        inside |= off < 0.95 * lens.radius_px
+    at = [relative_radius(lens, x + 0.5, y + 0.5) for lens in profile.lens]
+    inside = np.min(at, axis=0) < 0.95
     y, x = y[inside], x[inside]
     blocks, exposures = [], []
     for path in paths:
@@ -306,8 +251,7 @@ def _flat_places(paths: Sequence[Path], profile: CameraProfile, rng: np.random.G
     require(len(flat), 50, what, "use steps of at most 2 EV, and picture walls and sky")
     brightness = codes[:, flat][..., 1].mean(axis=(0, 2)) + rng.uniform(0, 1e-3, len(flat))
     chosen = flat[_spread(brightness, min(500, len(flat)))]  # more did not change the table
-    means = np.rint(codes[:, chosen].mean(axis=2)).astype(np.uint8).transpose(1, 0, 2)
-    return _Part(means, exposures, paths[0].parent)
+    return np.rint(codes[:, chosen].mean(axis=2)).astype(np.uint8).transpose(1, 0, 2), exposures
 
 
 def _spread(level: Floats, count: int) -> Indices:
@@ -377,8 +321,9 @@ def fit(places: Places) -> ResponseFit:
         float(np.sqrt(np.nanmean(residuals(t, codes[..., c], log_e, low))))
         for c, t in enumerate(tables)
     ]
-    if choice.rms > DOUBTFUL:
-        choice = replace(choice, line=f"{choice.line}. {_DOUBT.format(100 * choice.rms)}")
+    if choice.rms > 0.1:  # a still scene in steady light leaves 1 to 5 %
+        caution = "CAUTION: check that camera and light did not change; take the bracket again"
+        choice = replace(choice, line=f"{choice.line}. {caution}")
     red, green, blue = (tuple(np.round(table, 7).tolist()) for table in tables)
     response = Response("table", red, green, blue)
     if isinstance(model, str):

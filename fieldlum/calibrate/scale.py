@@ -8,20 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fieldlum.calibrate import readings as shared
 from fieldlum.calibrate.pictures import Chart, Place
-from fieldlum.calibrate.readings import (
-    READING_U,
-    SPOT_DEG,
-    CsvRow,
-    disc_radius_rad,
-    is_flagged,
-    pixels_within,
-    read_panoramas,
-    read_table,
-    require,
-)
 from fieldlum.core.arrays import Floats, Mask
-from fieldlum.core.errors import InputError
+from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.records import Flag, Panorama
 from fieldlum.optics.images import calibration_mark
 from fieldlum.optics.photometry import illuminance_lx
@@ -30,15 +20,7 @@ from fieldlum.optics.profiles import CameraProfile
 # Relative difference from the fit beyond which a reading is an outlier, if it is above three u
 # too; and relative u of a spot's mean that means an edge in its field. Chosen, not measured.
 MIN_OUTLIER = 0.1
-# Ratios of reading to picture that typing errors cause (1 fL = 3.426 cd/m2, 1 fc = 10.764 lx).
-SLIPS = {
-    1 / 3.426: "fL entered as cd/m2",
-    1 / 10.764: "fc entered as lx",
-    1e-3: "thousands entered as ones",
-    1e3: "ones entered as thousands",
-    0.1: "a factor of ten",
-    10.0: "a factor of ten",
-}
+_UNITS = "1 fL = 3.426 cd/m2, 1 fc = 10.76 lx, 1 klx = 1000 lx"
 
 
 class LuminanceReading(NamedTuple):
@@ -84,9 +66,9 @@ def from_table(
     for the user (empty without any). Raises InputError for a line with both or neither reading, a
     place that is clipped or without light, and pictures of another calibration.
     """
-    optional = {"luminance_cdm2": None, "illuminance_lx": None, "u_rel": READING_U}
-    rows = read_table(path, ("panorama", "azimuth_deg", "altitude_deg"), optional)
-    pictures = read_panoramas(rows, profile)
+    optional = {"luminance_cdm2": None, "illuminance_lx": None, "u_rel": shared.READING_U}
+    rows = shared.read_table(path, ("panorama", "azimuth_deg", "altitude_deg"), optional)
+    pictures = shared.read_panoramas(rows, profile)
     to_k = {file: _to_k(file, picture, profile) for file, picture in pictures.items()}
     read = [_reading(path, r, pictures[r["panorama"]], to_k[r["panorama"]]) for r in rows]
     unmarked = ", ".join(file.name for file, p in pictures.items() if "k" not in p.attributes)
@@ -101,7 +83,7 @@ def from_table(
 
 
 def _reading(
-    path: Path, row: CsvRow, picture: Panorama, to_k: float
+    path: Path, row: shared.CsvRow, picture: Panorama, to_k: float
 ) -> tuple[LuminanceReading, float]:
     """Return a line of the csv as a reading, and the relative u of the picture's value."""
     at = Place(row["panorama"], row["azimuth_deg"], row["altitude_deg"])
@@ -122,18 +104,14 @@ def _reading(
 def _to_k(file: Path, picture: Panorama, profile: CameraProfile) -> float:
     """Return the profile's k divided by the k with which the picture was merged."""
     stored = picture.attributes.get("k", calibration_mark(profile)["k"])
-    try:
-        k = float(stored)
-    except ValueError:
-        k = math.nan
-    if not 0.0 < k < math.inf:
-        finding, remedy = f"the stored factor k is '{stored}'", "merge it again (fieldlum merge)"
-        raise InputError(file, finding, "a number above 0", remedy)
-    return profile.scale.k / k
+    with input_errors(file, "a number above 0", "merge it again (fieldlum merge)", ValueError):
+        if 0.0 < (k := float(stored)) < math.inf:
+            return profile.scale.k / k
+        raise ValueError(f"the stored factor k is '{stored}'")
 
 
 def _refuse_clipped(picture: Panorama, inside: Mask, file: Path | str, place: str) -> None:
-    if is_flagged(picture, inside, Flag.CLIPPED_HIGH):
+    if shared.is_flagged(picture, inside, Flag.CLIPPED_HIGH):
         finding = f"the picture is clipped in every frame {place}"
         expected = "light that at least one frame records without clipping"
         remedy = "remove this reading from the csv, or capture shorter exposures as well"
@@ -145,7 +123,7 @@ def _plane_lx(picture: Panorama, azimuth_deg: float, altitude_deg: float, file: 
 
     Raises InputError if light in front of the plane is clipped.
     """
-    front = pixels_within(picture, azimuth_deg, altitude_deg, np.pi / 2)
+    front = shared.pixels_within(picture, azimuth_deg, altitude_deg, 90.0)
     place = f"in front of the plane at azimuth {azimuth_deg:g}, altitude {altitude_deg:g} deg"
     _refuse_clipped(picture, front, file, place)
     light = picture.luminance_cdm2
@@ -164,7 +142,7 @@ def spot_cdm2(
     from scipy.stats import trim_mean
 
     place = f"at azimuth {azimuth_deg:g}, altitude {altitude_deg:g} deg"
-    inside = pixels_within(picture, azimuth_deg, altitude_deg, disc_radius_rad(picture, SPOT_DEG))
+    inside = shared.pixels_within(picture, azimuth_deg, altitude_deg, shared.SPOT_DEG)
     _refuse_clipped(picture, inside, file, place)
     values = np.asarray(picture.luminance_cdm2, float)[inside]
     values = values[np.isfinite(values)]
@@ -177,7 +155,9 @@ def spot_cdm2(
 
 
 def fit(
-    readings: list[LuminanceReading], meter_u: float = READING_U, source: Path | str = "scale"
+    readings: list[LuminanceReading],
+    meter_u: float = shared.READING_U,
+    source: Path | str = "scale",
 ) -> ScaleFit:
     """Fit one factor on k by weighted least squares of ln(meter / picture) with Huber weights.
 
@@ -186,7 +166,7 @@ def fit(
     u_rel and by more than 10 %. Raises NotEnoughDataError without readings, InputError if a reading
     is not positive, or if more than a third of them are outliers.
     """
-    require(len(readings), 1, f"{source}: readings", "add a line to the csv")
+    shared.require(len(readings), 1, f"{source}: readings", "add a line to the csv")
     meter, image, u = np.array([(r.meter, r.image, r.u_rel) for r in readings], float).T
     bad = readings[int(np.argmin(np.minimum(meter, image)))]
     if min(bad.meter, bad.image) <= 0:
@@ -222,18 +202,13 @@ def _centre(log: Floats, u: Floats) -> tuple[float, Floats]:
 
 
 def slips(readings: list[LuminanceReading], scale_fit: ScaleFit) -> list[str]:
-    """Return a text on each outlier with its ratio to the corrected picture.
-
-    If the ratio is that of two units, or a factor of 10 or 1000 either way, the text names this as
-    the likely error. The list is empty without outliers.
-    """
-    texts = []
-    for r in (r for r in readings if r.label in scale_fit.far):
-        ratio = r.meter / (r.image * scale_fit.factor)
-        near = (f" ({why}?)" for factor, why in SLIPS.items() if abs(ratio / factor - 1) < 0.06)
-        what = f"the reading of {r.meter:g} is {ratio:.3g} times the picture's value"
-        texts.append(f"{r.label}: {what}{next(near, '')}")
-    return texts
+    """Return a text on each outlier with its ratio to the corrected picture; empty without any."""
+    return [
+        f"{r.label}: the reading of {r.meter:g} is {r.meter / (r.image * scale_fit.factor):.3g} "
+        f"times the picture's value: check its unit ({_UNITS}) and its decimal point"
+        for r in readings
+        if r.label in scale_fit.far
+    ]
 
 
 def check_level(scale_fit: ScaleFit, profile: CameraProfile, path: Path) -> str:
@@ -245,13 +220,13 @@ def check_level(scale_fit: ScaleFit, profile: CameraProfile, path: Path) -> str:
     level = profile.scale.k * scale_fit.factor * sum(profile.colour.y_from_rgb)
     if 0.5 <= level <= 2.0:
         return ""
-    doubt = f"the factor k, summed over R, G and B, would be {level:.3g}; cameras have 0.5 to 2"
-    remedy = "check the units (1 fL = 3.426 cd/m2, 1 fc = 10.76 lx, 1 klx = 1000 lx)"
+    warning = f"the factor k, summed over R, G and B, would be {level:.3g}; cameras have 0.5 to 2"
+    remedy = f"check the units ({_UNITS})"
     if not 0.1 <= scale_fit.factor <= 10.0:  # another unit
-        finding = f"{doubt}; this is {scale_fit.factor:.3g} times the profile's k"
+        finding = f"{warning}; this is {scale_fit.factor:.3g} times the profile's k"
         remedy += "; for a filter or another white_dn, first write a k near it under [scale]"
         raise InputError(path, finding, "readings in cd/m2 and lx", remedy)
-    return f"{doubt}: {remedy}"
+    return f"{warning}: {remedy}"
 
 
 def chart(readings: list[LuminanceReading], fit: ScaleFit) -> Chart:

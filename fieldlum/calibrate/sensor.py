@@ -18,25 +18,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fieldlum.calibrate import readings as shared
 from fieldlum.calibrate.pictures import Chart, Place
-from fieldlum.calibrate.readings import (
-    FULL,
-    OrderSelection,
-    fit_and_choose,
-    own_mosaic,
-    require,
-    require_raw,
-)
 from fieldlum.core.arrays import Floats, Indices, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.optics.linear_light import black_dn, full_dn, gain_e_per_dn, true_shutter_s
 from fieldlum.optics.photometry import linearity_factor
 from fieldlum.optics.profiles import CameraProfile
 from fieldlum.optics.raw import Mosaic, channel_positions, frame_files, is_jpeg
-
-# Limits are chosen so that simulated defects are found and noise is not (tests); not measured on
-# real sensors.
-MAX_SHARE = 1e-3  # largest share of bad pixels; more are not a list of defects
 
 
 class PixelDefects(NamedTuple):
@@ -59,29 +48,23 @@ def find(sources: Sequence[Path], profile: CameraProfile) -> PixelDefects:
     this camera, and for a frame with light; NotEnoughDataError for fewer than two frames, or if too
     many pixels deviate.
     """
-    require_raw(profile, "use the camera's raw files")
+    shared.require_raw(profile, "use the camera's raw files")
     frames = tuple(frame_files(*sources))
-    require(len(frames), 2, "bad pixels: dark frames", "take more with the cap on")
+    shared.require(len(frames), 2, "bad pixels: dark frames", "take more with the cap on")
     deviating = [_deviating(path, profile) for path in frames]
     pixels, times = np.unique(np.concatenate(deviating), return_counts=True)
     bad = pixels[times == len(frames)]
     share = float(np.mean([len(px) for px in deviating])) / profile.camera.pixels
     by_chance = profile.camera.pixels * share ** len(frames)
-    if by_chance > 0.5:
-        raise NotEnoughDataError(
-            f"bad pixels: {100 * share:.2g} % deviate in each of {len(frames)} frames, so "
-            f"{by_chance:.2g} good pixels would deviate in all of them by chance; take more dark "
-            "frames"
-        )
-    if len(bad) > MAX_SHARE * profile.camera.pixels:
-        raise NotEnoughDataError(
-            f"bad pixels: {len(bad)} of {profile.camera.pixels}; expected at most "
-            f"{100 * MAX_SHARE:g} %; check gain and read noise under [sensor] in the profile"
-        )
     line = (
         f"bad pixels: {len(bad)}, which deviate from their neighbours in each of {len(frames)} "
         f"dark frames; {by_chance:.2g} good pixels would do so by chance"
     )
+    if by_chance > 0.5:
+        raise NotEnoughDataError(f"{line}; expected under 0.5; take more dark frames")
+    if len(bad) > 1e-3 * profile.camera.pixels:  # such a list is not one of defects
+        remedy = "check gain and read noise under [sensor] in the profile"
+        raise NotEnoughDataError(f"{line}; expected at most 0.1 % of all; {remedy}")
     rows, columns = np.unravel_index(bad, (profile.camera.height_px, profile.camera.width_px))
     places = tuple(zip(columns.tolist(), rows.tolist(), strict=True))
     return PixelDefects(places, frames, by_chance, line)
@@ -97,9 +80,8 @@ def _deviating(path: Path, profile: CameraProfile) -> Indices:
     import cv2
 
     if is_jpeg(path):
-        expected = f"raw frames of {profile.camera.name}, because JPEG files blur bad pixels"
-        raise InputError(path, "a JPEG frame", expected, "use the camera's raw frames")
-    mosaic = own_mosaic(path, profile)
+        raise InputError(path, "a JPEG frame", "raw frames", "JPEG files blur bad pixels")
+    mosaic = shared.own_mosaic(path, profile)
     far = np.zeros(mosaic.counts.shape, bool)
     gain = gain_e_per_dn(mosaic.exposure.iso, profile)
     read_dn = profile.sensor.read_noise_e / gain
@@ -108,8 +90,7 @@ def _deviating(path: Path, profile: CameraProfile) -> Indices:
         counts = np.ascontiguousarray(mosaic.counts[row::2, column::2])
         above = float(np.percentile(counts[::4, ::4], 90)) - black
         if above > max(5 * np.hypot(read_dn, 1.0), 0.01 * (profile.sensor.white_dn - black)):
-            finding = f"the frame is {above:.0f} DN above the black level"
-            remedy = "put the lens cap on and take the frame again"
+            finding, remedy = f"{above:.0f} DN above the black level", "put the lens cap on"
             raise InputError(path, finding, "a dark frame, without light", remedy)
         middle = np.asarray(cv2.medianBlur(counts, 3), np.uint16)
         off = cv2.absdiff(counts, middle)
@@ -125,7 +106,6 @@ def pixel_chart(defects: PixelDefects) -> Chart:
     return Chart(f"{len(places)} bad pixels", np.zeros(len(places)), places)
 
 
-BLOCKS = 8  # blocks per side and colour; light that varies over the frame fills the scale; chosen
 ORDERS = range(5)
 MIN_TIMES = len(ORDERS) + 1  # the coefficients of the highest order, an offset and one more
 # of the full scale: the frames must reach below the first and above the second; chosen
@@ -161,7 +141,7 @@ class LinearityFit(NamedTuple):
     offset_s: float
     u_offset_s: float
     u_rel: float
-    choice: OrderSelection
+    choice: shared.OrderSelection
 
 
 def read_levels(paths: Sequence[Path], profile: CameraProfile) -> Levels:
@@ -172,11 +152,10 @@ def read_levels(paths: Sequence[Path], profile: CameraProfile) -> Levels:
     """
     blocks, settings, seconds = [], [], []
     for path in paths:
-        mosaic = own_mosaic(path, profile)
+        mosaic = shared.own_mosaic(path, profile)
         settings.append(f"f/{mosaic.exposure.f_number:g} and ISO {mosaic.exposure.iso:g}")
         if settings[-1] != settings[0]:
-            expected, remedy = f"{settings[0]} as in the first frame", "use one aperture and ISO"
-            raise InputError(path, settings[-1], expected, remedy)
+            raise InputError(path, settings[-1], f"{settings[0]} as before", "leave it out")
         blocks.append(_blocks(mosaic, profile))
         seconds.append(true_shutter_s(mosaic.exposure.shutter_s, profile)[0])
     share, weight = np.array(blocks).transpose(1, 0, 2)
@@ -189,12 +168,12 @@ def _blocks(mosaic: Mosaic, profile: CameraProfile) -> Floats:
     levels = zip(black_dn(mosaic, profile), full_dn(mosaic, profile), strict=True)
     for (row, column), (black, top) in zip(channel_positions(mosaic.cfa), levels, strict=True):
         cell = mosaic.counts[row::2, column::2].astype(float)
-        rows, columns = (n // BLOCKS * BLOCKS for n in cell.shape)
-        shape = (BLOCKS, rows // BLOCKS, BLOCKS, columns // BLOCKS)
-        cut = cell[:rows, :columns].reshape(shape).transpose(0, 2, 1, 3).reshape(BLOCKS**2, -1)
+        rows, columns = (n // 8 for n in cell.shape)  # of a block
+        blocks = cell[: 8 * rows, : 8 * columns].reshape(8, rows, 8, columns)
+        cut = blocks.transpose(0, 2, 1, 3).reshape(64, -1)
         mean = cut.mean(axis=1) - black
         error = np.hypot(cut.std(axis=1) / np.sqrt(cut.shape[1]), _BLACK_DN)
-        good = (cut.max(axis=1) < black + FULL * (top - black)) & (mean > 25 * _BLACK_DN)
+        good = (cut.max(axis=1) < black + shared.FULL * (top - black)) & (mean > 25 * _BLACK_DN)
         share = np.where(good, mean, np.nan) / (profile.sensor.white_dn - black)
         parts.append((share, 1.0 / (_REPEATS**2 + (error / np.maximum(mean, 25 * _BLACK_DN)) ** 2)))
     return np.concatenate(parts, axis=1)
@@ -210,11 +189,11 @@ def fit(levels: Levels) -> LinearityFit:
     low, high = float(np.nanmin(levels.share)), float(np.nanmax(levels.share))
     if len(times) < MIN_TIMES or low > LOWEST or high < HIGHEST:
         raise NotEnoughDataError(
-            f"{len(times)} shutter times, with raw values of {100 * low:.0f} to {100 * high:.0f} % "
-            f"of white; expected at least {MIN_TIMES}, with values from under {100 * LOWEST:.0f} "
-            f"to over {100 * HIGHEST:.0f} %; take more frames of a steady light"
+            f"{len(times)} shutter times, with {100 * low:.0f} to {100 * high:.0f} % of white; "
+            f"expected at least {MIN_TIMES}, with under {100 * LOWEST:.0f} to over "
+            f"{100 * HIGHEST:.0f} %; take more frames of a steady light"
         )
-    _, (solution, covariance), choice = fit_and_choose(
+    _, (solution, covariance), choice = shared.fit_and_choose(
         "linearity",
         [(f"order {order}", order, order) for order in ORDERS],
         np.searchsorted(times, levels.seconds),

@@ -14,18 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fieldlum.calibrate import readings as shared
 from fieldlum.calibrate.pictures import Chart, Place
-from fieldlum.calibrate.readings import (
-    SPOT_DEG,
-    OrderSelection,
-    disc_radius_rad,
-    fit_and_choose,
-    is_flagged,
-    pixels_within,
-    read_panoramas,
-    read_table,
-    require,
-)
 from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Flag, Panorama
@@ -71,7 +61,7 @@ class StrayFit(NamedTuple):
     kernel: StrayLight
     predicted_cdm2: Floats
     total_share: float
-    choice: OrderSelection
+    choice: shared.OrderSelection
 
 
 def from_table(path: Path, profile: CameraProfile) -> list[StrayReading]:
@@ -82,10 +72,10 @@ def from_table(path: Path, profile: CameraProfile) -> list[StrayReading]:
     invalid line, for a place that `reading` rejects, and for a picture that was merged with another
     calibration or with a stray-light kernel.
     """
-    optional = {"luminance_cdm2": 0.0, "radius_deg": SPOT_DEG}
-    rows = read_table(path, ("panorama", "azimuth_deg", "altitude_deg"), optional)
+    optional = {"luminance_cdm2": 0.0, "radius_deg": shared.SPOT_DEG}
+    rows = shared.read_table(path, ("panorama", "azimuth_deg", "altitude_deg"), optional)
     plain = replace(profile, stray=StrayLight())
-    pictures = read_panoramas(rows, plain, ", after removing [stray] from the profile")
+    pictures = shared.read_panoramas(rows, plain, ", after removing [stray] from the profile")
     readings = []
     for row in rows:
         file, at_deg = row["panorama"], (row["azimuth_deg"], row["altitude_deg"])
@@ -100,7 +90,7 @@ def reading(
     profile: CameraProfile,
     at_deg: tuple[float, float],
     true_cdm2: float = 0.0,
-    radius_deg: float = SPOT_DEG,
+    radius_deg: float = shared.SPOT_DEG,
 ) -> StrayReading:
     """Return the stray light at a dark place of a picture, and the light that may cause it.
 
@@ -111,17 +101,16 @@ def reading(
     """
     height, width = picture.luminance_cdm2.shape
     light = np.nan_to_num(np.asarray(picture.luminance_cdm2, float)).ravel()
-    disc = pixels_within(picture, *at_deg, disc_radius_rad(picture, radius_deg))
+    disc = shared.pixels_within(picture, *at_deg, radius_deg)
     stray = float(light[disc.ravel()].mean()) - true_cdm2
-    wrong = ""
-    if is_flagged(picture, disc, Flag.OUTSIDE_LENS):
-        wrong = "outside the lens's field"
-    elif is_flagged(picture, disc, Flag.CLIPPED_HIGH):
-        wrong = "clipped (too bright)"
-    elif stray <= 0:
-        wrong = f"{stray + true_cdm2:.3g} cd/m2, not more than its true {true_cdm2:g} cd/m2"
-    if wrong:
-        finding = f"the dark place at {at_deg[0]:g}/{at_deg[1]:g} deg is {wrong}"
+    wrong = {
+        "outside the lens's field": shared.is_flagged(picture, disc, Flag.OUTSIDE_LENS),
+        "clipped (too bright)": shared.is_flagged(picture, disc, Flag.CLIPPED_HIGH),
+        f"{stray + true_cdm2:.3g} cd/m2, not more than its true {true_cdm2:g} cd/m2": stray <= 0,
+    }
+    if any(wrong.values()):
+        what = next(text for text, is_so in wrong.items() if is_so)
+        finding = f"the dark place at {at_deg[0]:g}/{at_deg[1]:g} deg is {what}"
         expected = "an unclipped place inside the field, brighter than in reality by stray light"
         raise InputError(file, finding, expected, "correct or remove its row of the csv")
     rays = equirect_rays(height, width, picture.heading_deg).reshape(-1, 3)
@@ -149,13 +138,13 @@ def fit(readings: Sequence[StrayReading], source: Path | str = "stray") -> Stray
     spreads over 30 % of a source's light.
     """
     remedy = "add dark places at other angles from the light"
-    require(len(readings), 8, f"{source}: readings of dark places", remedy)
+    shared.require(len(readings), 8, f"{source}: readings of dark places", remedy)
     stray = np.array([r.stray_cdm2 for r in readings])
     groups = np.unique([str(r.place.path) for r in readings], return_inverse=True)[1]
     if groups.max() < 3:  # with fewer pictures each reading is its own group
         groups = np.arange(len(readings))
     designs = {nodes: _design(readings, nodes) for nodes in NODE_SETS}
-    nodes, values, choice = fit_and_choose(
+    nodes, values, choice = shared.fit_and_choose(
         "stray light",
         [(f"{len(nodes)} angles", len(nodes), nodes) for nodes in NODE_SETS],
         groups,

@@ -12,19 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fieldlum.calibrate import readings as shared
 from fieldlum.calibrate.pictures import Chart, Place
-from fieldlum.calibrate.readings import (
-    OrderSelection,
-    beyond_lens,
-    columns,
-    columns_of,
-    fit_and_choose,
-    gross_errors,
-    linear_frame,
-    nearest_lens,
-    read_table,
-    relative_angle,
-)
 from fieldlum.core.arrays import Array, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.statistics import median_standard_error, robust_sigma
@@ -68,7 +57,7 @@ class VignettingFit(NamedTuple):
     level: float
     u_rel: float
     residual_rel: Array
-    choice: OrderSelection
+    choice: shared.OrderSelection
 
 
 # ----------------------------------------------------------------------------------------------
@@ -83,30 +72,32 @@ def from_table(path: Path, profile: CameraProfile, lens: int = 0) -> Samples:
     radius_px of the patch (default 12) in the second. lens : index for the first form; the second
     has the lens that shows the first patch. Raises InputError for other columns or values.
     """
-    if "angle_deg" not in columns_of(path):
+    if "angle_deg" not in shared.columns_of(path):
         return _from_patches(path, profile)
     optional = {"reference": 1.0, "u_rel": 0.005, "f_number": profile.bracket.f_number}
-    rows = read_table(path, ("angle_deg", "value"), optional)
-    angle, value, reference, u_rel = columns(rows, "angle_deg", "value", "reference", "u_rel")
+    rows = shared.read_table(path, ("angle_deg", "value"), optional)
+    angle, value, reference, u_rel = shared.columns(
+        rows, "angle_deg", "value", "reference", "u_rel"
+    )
     half = profile.lens[lens].full_angle_deg / 2
     r = np.abs(angle) / half
-    if beyond_lens(r.max()):
-        expected = f"at most {half:g} deg, half of the profile's full_angle_deg"
-        remedy = "check that angles are from the optical axis, or correct full_angle_deg"
-        raise InputError(path, f"an angle_deg of {half * r.max():g} deg", expected, remedy)
+    if shared.beyond_lens(r.max()):
+        finding, expected = f"an angle_deg of {half * r.max():g} deg", f"at most {half:g} deg, "
+        remedy = "check that angles are from the axis, or correct full_angle_deg in the profile"
+        raise InputError(path, finding, expected + "half of full_angle_deg", remedy)
     return Samples(r, value / reference, u_rel, rows[0]["f_number"], lens, (path,))
 
 
 def _from_patches(path: Path, profile: CameraProfile) -> Samples:
-    rows = read_table(path, ("file", "x_px", "y_px"), {"radius_px": 12.0, "reference": 1.0})
+    rows = shared.read_table(path, ("file", "x_px", "y_px"), {"radius_px": 12.0, "reference": 1.0})
     weights = np.array(profile.colour.y_from_rgb)
     places = tuple(Place(row["file"], row["x_px"], row["y_px"]) for row in rows)
-    lens = nearest_lens(profile, places[0].x, places[0].y)
+    lens = shared.nearest_lens(profile, places[0].x, places[0].y)
     readings, f_numbers = [], {}
     for row, at in zip(rows, places, strict=True):
-        frame = linear_frame(at.path, profile)
+        frame = shared.linear_frame(at.path, profile)
         patch = frame.patch(at.x, at.y, row["radius_px"])
-        value, r = float(patch.rgb @ weights), relative_angle(profile.lens[lens], at.x, at.y)
+        value, r = float(patch.rgb @ weights), shared.relative_angle(profile.lens[lens], at.x, at.y)
         readings.append((r, value / row["reference"], float(np.hypot(patch.u_rel, 0.002))))
         f_numbers[at.path] = frame.exposure.f_number
     f_number = _one_aperture(path, f_numbers, "write one table for each aperture")
@@ -119,8 +110,7 @@ def _one_aperture(source: Path, f_numbers: dict[Path, float], remedy: str) -> fl
     files = {f_number: file.name for file, f_number in f_numbers.items()}
     if len(files) > 1:
         shown = "; ".join(f"f/{f_number:g}: {files[f_number]}" for f_number in sorted(files))
-        finding = f"frames with several apertures ({shown})"
-        raise InputError(source, finding, "frames with one aperture", remedy)
+        raise InputError(source, f"several apertures ({shown})", "one aperture", remedy)
     return next(iter(files))
 
 
@@ -134,7 +124,7 @@ def from_uniform(paths: Sequence[Path], profile: CameraProfile, lens: int = 0) -
     geometry, rings = profile.lens[lens], []
     weights, f_numbers = np.array(profile.colour.y_from_rgb), {}
     for path in paths:
-        frame = linear_frame(path, profile)
+        frame = shared.linear_frame(path, profile)
         h, w = frame.bad.shape
         y, x = (np.mgrid[:h, :w] + 0.5) * frame.step
         radius = relative_radius(geometry, x, y)
@@ -143,8 +133,8 @@ def from_uniform(paths: Sequence[Path], profile: CameraProfile, lens: int = 0) -
         f_numbers[path] = frame.exposure.f_number
     f_number = _one_aperture(paths[0], f_numbers, "fit each aperture separately")
     if not rings:
-        expected = "a frame whose centre is at half of saturation"
-        raise InputError(paths[0], "all pixels are saturated or dark", expected, "take it again")
+        finding = "all pixels are saturated or dark"
+        raise InputError(paths[0], finding, "a centre at half of saturation", "take it again")
     r, value, u_rel = np.array(rings).T
     return Samples(r, value, u_rel, f_number, lens, tuple(paths))
 
@@ -201,7 +191,7 @@ def fit(samples: Samples) -> VignettingFit:
     _refuse_rising(r, value, u, samples.frames[0])
     groups = np.unique(np.round(r, 3), return_inverse=True)[1]
     orders = [order for order in ORDERS if order // 2 + 1 <= max(len(np.unique(groups)) // 2, 1)]
-    _, theta, choice = fit_and_choose(
+    _, theta, choice = shared.fit_and_choose(
         f"vignetting f/{samples.f_number:g}",
         [(f"order {o}" if o else "no loss", o // 2, o) for o in orders],
         groups,
@@ -228,12 +218,11 @@ def _check(samples: Samples) -> None:
     if len(r) < 5 or r.max() < 0.5:
         raise NotEnoughDataError(
             f"{files[0]}: {len(r)} readings up to {100 * r.max(initial=0):.0f} % of the half angle;"
-            " expected at least 5, the outermost at 50 % or further; add readings, "
-            "and check that angles are in degrees"
+            " expected at least 5, up to over 50 %; add readings, check that angles are in degrees"
         )
     bad = np.flatnonzero(~(np.isfinite(value) & (value > 0)))
     if bad.size:
-        source = files[0] if files[0] == files[-1] else f"{files[0]} to {files[-1].name}"
+        source = f"{files[0]} to {files[-1].name}" if files[1:] else files[0]
         finding = f"the reading at {100 * r[bad[0]]:.0f} % of the half angle is {value[bad[0]]:g}"
         raise InputError(source, finding, "linear values above zero", "correct or remove it")
 
@@ -252,7 +241,7 @@ def _contradicting(samples: Samples) -> Mask:
     start = np.eye(design.shape[1])[0]
     solved = least_squares(lambda t: design @ t / scaled - 1.0, start, loss="cauchy", f_scale=0.01)
     off = scaled / (design @ solved.x) - 1.0
-    outliers = gross_errors(off, MAX_ERROR)
+    outliers = shared.gross_errors(off, MAX_ERROR)
     for i in np.flatnonzero(outliers):
         away = np.where(np.arange(len(r)) == i, np.inf, np.abs(r - r[i]))
         # Compare with readings at the same angle, or else with readings on both sides.

@@ -245,7 +245,7 @@ def _by_targets(
     names = ("mapping", "centre_px", "radius_px", "coefficients", "azimuth_deg", "tilt_deg")
     figures = _figures(fit.lens, *names, "roll_deg")
     figures |= _figures(fit, "rms_px", "rms_deg", "widest_deg")
-    line, notes = "; CAUTION: ".join([fit.choice.line, *fit.doubts]), [*notes, *fit.doubts]
+    line, notes = "; CAUTION: ".join([fit.choice.line, *fit.warnings]), [*notes, *fit.warnings]
     chart = lenses.chart(targets, fit)
     return fit.lens, FittedPart({}, [line], sources, figures, chart, notes)
 
@@ -270,15 +270,12 @@ def response(profile: Any, sources: Annotated[Paths, "BRACKETS...", EXISTING_PAT
         "residual_rgb": fit.residual,
         "shutter_law": law.law,
         "shutter_law_by": law.decided_by,
-        "shutter_law_misfit_percent": law.misfit_percent,
         "iso_seconds": np.round(np.exp(places.log_exposure), 6).tolist(),
         "step_deviation_percent": np.round(100.0 * places.steps.deviation, 2).tolist(),
     }
-    changed: dict[str, Any] = {"response": fit.response}
-    if law.decided_by == "frames" or profile.shutter_law != "auto":
-        changed["shutter_law"] = law.law
     lines = [text for text in (fit.choice.line, places.steps.text) if text]
-    return FittedPart(changed, lines, places.frames, figures, responses.chart(places, fit))
+    changed, chart = {"response": fit.response}, responses.chart(places, fit)
+    return FittedPart(changed, lines, places.frames, figures, chart)
 
 
 @_part
@@ -352,8 +349,9 @@ def colour(
     new, line = fits.with_melanopic(new, colours, profile, fit.scale, cct_k)
     figures = _figures(fit, "y_from_rgb", "u_rel") | {"readings": len(colours.y)}
     figures |= _figures(new, "melanopic_from_rgb", "melanopic_u_rel")
-    frames, lines = [sources, *colours.frames], [fit.choice.line, line]
-    return FittedPart({"colour": new}, lines, frames, figures, fits.chart(colours, fit), notes)
+    files = dict.fromkeys([sources, *(at.path for at in colours.places)])
+    lines = [fit.choice.line, line]
+    return FittedPart({"colour": new}, lines, files, figures, fits.chart(colours, fit), notes)
 
 
 @_part
@@ -382,7 +380,7 @@ def scale(
 
     readings, frames, notes = scales.from_table(sources, profile)
     fit = scales.fit(readings, meter_u, sources)
-    doubt = scales.check_level(fit, profile, sources)
+    warning = scales.check_level(fit, profile, sources)
     shown = [r.image * fit.factor for r in readings]
     off = np.round(100 * fit.residual, 2).tolist()
     rows = zip([r.label for r in readings], [r.meter for r in readings], shown, off, strict=True)
@@ -393,14 +391,14 @@ def scale(
     figures = {"k": k, "u_rel": u, **_figures(fit, "factor", "far"), "illuminance": gates}
     line = f"{fit.line}; k = {k:g}, uncertainty {100 * u:.1f} % from {len(readings)} readings"
     line += "".join(f"; illuminance: {gate}" for gate in gates)
-    line += f"; CAUTION: {doubt}" if doubt else ""
+    line += f"; CAUTION: {warning}" if warning else ""
     return FittedPart(
         {"scale": replace(profile.scale, k=k, u_rel=u)},
         [line],
         [sources, *frames],
         figures,
         scales.chart(readings, fit),
-        [*notes, *scales.slips(readings, fit), *([doubt] if doubt else [])],
+        [*notes, *scales.slips(readings, fit), *([warning] if warning else [])],
         points,
         _READINGS,
         {"points": points},

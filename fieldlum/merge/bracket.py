@@ -104,8 +104,8 @@ def report_of(
             if any_beyond_prior(p.exposures.log_deviation, p.exposures.u_prior)
         ),
         noise_over_profile=float(np.sqrt(noise)),
-        plateau_dn={f"{iso:g}": dn for iso, dn in parts[0].plateau_dn.items()},
-        black_off_dn=max((p.black_off_dn for p in parts), key=abs),
+        plateau_dn={f"{iso:g}": dn for iso, dn in parts[0].saturation.plateau_dn.items()},
+        black_off_dn=max((p.saturation.black_off_dn for p in parts), key=abs),
         shutter_law=parts[0].exposures.law,
         u_ratio_percent=100 * float(np.sqrt(np.mean([p.exposures.u_rel**2 for p in parts]))),
         orientation_conflict=orientation_conflict([s for p in parts for s in p.shots], profile),
@@ -163,10 +163,7 @@ def verdict(report: MergeReport) -> str:
 
 def _exposure_notes(report: MergeReport) -> Iterator[str]:
     if report.residual_percent is None:
-        yield (
-            "no two frames have common well-exposed pixels, so the exposures could not be checked: "
-            "plan smaller steps between exposures"
-        )
+        yield "no two frames have common well-exposed pixels: plan smaller steps of exposure"
     elif report.residual_percent > 3.0:
         yield (
             f"neighbouring frames disagree by {report.residual_percent:.1f} %: the light changed "
@@ -182,9 +179,8 @@ def _exposure_notes(report: MergeReport) -> Iterator[str]:
 def _camera_notes(report: MergeReport) -> Iterator[str]:
     if report.filter_absent:
         yield (
-            f"{', '.join(report.filter_absent)}: as bright as without the filter of its label, so "
-            "it counts as a frame without it: put the filter on for these frames, or plan without "
-            "filter in SITE.toml"
+            f"{', '.join(report.filter_absent)}: as bright as without the filter of its label, and "
+            "used so: put the filter on for these frames, or plan without it"
         )
     if report.orientation_conflict:
         yield report.orientation_conflict
@@ -195,9 +191,8 @@ def _camera_notes(report: MergeReport) -> Iterator[str]:
         )
     if report.noise_over_profile > 1.0:
         yield (
-            f"shot noise or read noise is {report.noise_over_profile:.1f} times the profile's, and "
-            "the uncertainty u uses the larger value: check gain_e_per_dn and read_noise_e of "
-            "the profile"
+            f"noise is {report.noise_over_profile:.1f} times the profile's, and u contains it: "
+            "check gain_e_per_dn and read_noise_e of the profile"
         )
     for turn in (turn for turn in report.shifts if turn.sure_px > 1.0):
         yield (
@@ -208,20 +203,14 @@ def _camera_notes(report: MergeReport) -> Iterator[str]:
 
 def _view_notes(report: MergeReport) -> Iterator[str]:
     if clipped := report.clipped_percent:
-        yield (
-            f"clipped in every frame: {clipped:.2g} % of the view, where luminance is a lower "
-            "bound: add shorter exposures"
-        )
+        yield f"clipped in every frame: {clipped:.2g} % of the view: add shorter exposures"
     if (motion := report.motion_percent or 0.0) > 2.0:
         yield (
             f"motion in {motion:.1f} % of the view: people, leaves or clouds moved between frames: "
-            "do not use the pixels with the flag motion, or capture the bracket again"
+            "capture the bracket again"
         )
     if (below := report.below_noise_percent or 0.0) > 5.0:
-        yield (
-            f"below noise: {below:.1f} % of the view is too dark in every frame: add longer "
-            "exposures"
-        )
+        yield f"below noise: {below:.1f} % of the view in every frame: add longer exposures"
 
 
 @dataclass(frozen=True, slots=True)
@@ -432,8 +421,7 @@ def files_to_picture(
     cannot be merged, or if `out` ends neither in .exr nor in .hdr.
     """
     if out.suffix.lower() not in (".exr", ".hdr"):
-        remedy = "name --out with one of these suffixes"
-        raise InputError(out, f"the file has the suffix '{out.suffix}'", ".exr or .hdr", remedy)
+        raise InputError(out, f"the suffix '{out.suffix}'", ".exr or .hdr", "correct --out")
     options = options or MergeOptions()
     result = merge_frames(files, profile, options, heading_deg=heading_deg, progress=progress)
     panorama = result.panorama

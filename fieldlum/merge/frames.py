@@ -6,8 +6,8 @@ strips along their first axis, at the same places in all.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import cv2
@@ -30,10 +30,9 @@ from fieldlum.optics.linear_light import (
 )
 from fieldlum.optics.photometry import linearity_factor, saturation_plateau
 from fieldlum.optics.profiles import CameraProfile
-from fieldlum.optics.raw import channel_positions, read_jpeg, read_mosaic
+from fieldlum.optics.raw import Mosaic, channel_positions, read_jpeg, read_mosaic
 
 Plateau = tuple[float | None, ...]  # of R, G1, G2, B [DN]
-NO_PLATEAU: Plateau = (None, None, None, None)
 _FULL = 0.99  # of the saturation: a count above it is treated as saturated
 # Noise of a JPEG pixel besides its quantisation, in codes. The sensor has 0.5; rounding to YCbCr
 # and of its cosines 0.7. These errors are correlated between colours and neighbours, so that sums
@@ -73,6 +72,34 @@ def lens_crop(profile: CameraProfile) -> Crop:
         remedy = "correct centre_px and radius_px of [[lens]] in the profile"
         raise InputError(body.name, finding, "lens circles on the sensor", remedy)
     return Crop(int(top), int(left), int(bottom - top), int(right - left))
+
+
+@dataclass(slots=True)
+class Saturation:
+    """Saturation and black level of raw frames, by the most exposed frame of each ISO.
+
+    plateau_dn: counts at which R, G1, G2 and B saturate by ISO, black included, None for a colour
+    that does not saturate in the frame. One colour can saturate at lower counts than the others. At
+    a low ISO the full well limits, at a high ISO the converter. black_off_dn: the files' black
+    level minus the profile's, for the colour with the largest difference, 0 if the profile has
+    none.
+    """
+
+    plateau_dn: dict[float, Plateau] = field(default_factory=dict)
+    black_off_dn: float = 0.0
+
+    def measured(self, mosaic: Mosaic, profile: CameraProfile) -> Plateau:
+        """Return the plateau of a frame's ISO, measured in this frame if it is the first one."""
+        iso, black = mosaic.exposure.iso, profile.sensor.black_dn
+        if iso not in self.plateau_dn:
+            step = 2 * max(1, mosaic.counts.size // 6_000_000)  # limits the time
+            self.plateau_dn[iso] = tuple(
+                saturation_plateau(mosaic.counts[row::step, column::2], mosaic.white_dn)
+                for row, column in channel_positions(mosaic.cfa)
+            )
+            off = np.subtract(mosaic.black_dn, black).tolist() if any(black) else ()
+            self.black_off_dn = max([self.black_off_dn, *off], key=abs)
+        return self.plateau_dn[iso]
 
 
 @dataclass(frozen=True)
@@ -141,10 +168,14 @@ class RawSignal:
         Charge spills to neighbouring pixels and affects the other colours too.
         """
         a, b = max(first - 1, 0), min(last + 1, len(self.counts))
-        part = self.counts[a:b]
-        full = (part - self.black >= _FULL * self.saturation).reshape(-1, part.shape[-1])
-        wide = cv2.dilate(full.view(np.uint8), np.ones((5, 5), np.uint8)).reshape(part.shape)
-        return wide[first - a : last - a].view(np.bool_)
+        return self._widened(self.counts[None, a:b])[0, first - a : last - a]
+
+    def _widened(self, parts: NDArray[np.uint16]) -> Mask:
+        """Return `_near_full` of parts [parts, rows, 2, columns], each taken by itself."""
+        full = (parts - self.black >= _FULL * self.saturation).view(np.uint8)
+        square = np.ones((5, 5), np.uint8)
+        wide = [cv2.dilate(part.reshape(-1, parts.shape[-1]), square) for part in full]
+        return np.stack(wide).reshape(parts.shape).view(np.bool_)
 
     def weight(self, predicted_cdm2: Floats32) -> Floats32:
         """Return per_cdm2 over the photon and read variance of a luminance, in its shape.
@@ -184,7 +215,8 @@ class RawSignal:
         at = evenly_spread(len(self.counts), rows)
         # An odd step samples both columns of the mosaic.
         step = max(1, self.counts.shape[-1] // columns) | 1
-        full = np.concatenate([self._near_full(int(i), int(i) + 1) for i in at])[:, :, ::step]
+        around = np.clip(at[:, None] + (-1, 0, 1), 0, len(self.counts) - 1)
+        full = self._widened(self.counts[around])[:, 1, :, ::step]
         patterns = {
             name: value[..., ::step] if (value := getattr(self, name)).ndim else value
             for name in ("black", "saturation", "per_cdm2")
@@ -210,20 +242,22 @@ def _cell_pattern(cfa: str, by_colour: Sequence[float], width: int) -> Floats32:
     return np.tile(cell, (1, width // 2))
 
 
-def load_raw(shot: Shot, profile: CameraProfile, crop: Crop, plateau: Plateau) -> RawSignal:
+def load_raw(
+    shot: Shot, profile: CameraProfile, crop: Crop, saturation: Saturation | None = None
+) -> RawSignal:
     """Read a raw frame, cropped, as a linear signal.
 
-    crop: the rectangle of the sensor to read. plateau: counts at which R, G1, G2 and B saturate,
-    measured in the frames; None for a colour without. Raises InputError for a frame that cannot be
-    read or is of another camera.
+    crop: the rectangle of the sensor to read. saturation: of the bracket, to which this frame adds
+    what is not measured yet; None: of this frame. Raises InputError for a frame that cannot be read
+    or is of another camera.
     """
     mosaic = read_mosaic(shot.path, lens_f_number=shot.exposure.f_number)
     sensor, body = profile.sensor, profile.camera
     check_frame(shot.path, mosaic.counts.shape, mosaic.model, profile)
     if mosaic.cfa != sensor.cfa:
-        expected = f"{sensor.cfa}, as in {body.name}"
-        remedy = "use the profile of the camera that took it"
+        expected, remedy = f"{sensor.cfa}, as in {body.name}", "use the profile of its camera"
         raise InputError(shot.path, f"the colour filter pattern {mosaic.cfa}", expected, remedy)
+    plateau = (saturation or Saturation()).measured(mosaic, profile)
     part = mosaic.counts[crop.top : crop.top + crop.height, crop.left : crop.left + crop.width]
     counts = np.ascontiguousarray(part).reshape(crop.height // 2, 2, crop.width)
     black = black_dn(mosaic, profile)
@@ -409,59 +443,25 @@ def load_jpeg(
     )
 
 
-def saturation_and_black(
-    shots: Sequence[Shot], profile: CameraProfile
-) -> tuple[dict[float, Plateau], float]:
-    """Measure saturation and black level in the most exposed frame of each ISO.
-
-    shots: of one heading, longest exposure first. Return the counts at which R, G1, G2 and B
-    saturate by ISO, black included, None for a colour that does not saturate in the frame; and the
-    files' black level minus the profile's [DN], for the colour with the largest difference, 0 if
-    the profile has none. For a JPEG camera there are none. One colour can saturate at lower counts
-    than the others. The counts depend on the ISO: at a low ISO the full well limits, at a high ISO
-    the converter.
-    """
-    plateau_dn: dict[float, Plateau] = {}
-    off = 0.0
-    for shot in shots if profile.camera.kind == "raw" else ():
-        if shot.exposure.iso in plateau_dn:
-            continue
-        mosaic = read_mosaic(shot.path, lens_f_number=shot.exposure.f_number)
-        step = 2 * max(1, mosaic.counts.size // 6_000_000)  # limits the time
-        plateau_dn[shot.exposure.iso] = tuple(
-            saturation_plateau(mosaic.counts[row::step, column::2], mosaic.white_dn)
-            for row, column in channel_positions(mosaic.cfa)
-        )
-        if any(profile.sensor.black_dn):
-            differences = np.subtract(mosaic.black_dn, profile.sensor.black_dn).tolist()
-            off = max([off, *differences], key=abs)
-    return plateau_dn, off
-
-
 Signal = RawSignal | JpegSignal
 
 
 def read_frames(
-    shots: Sequence[Shot],
-    profile: CameraProfile,
-    crop: Crop,
-    plateau_dn: Mapping[float, Plateau],
-    progress: Progress = quiet,
-) -> list[Signal]:
-    """Read the frames of a bracket, most exposed first.
+    shots: Sequence[Shot], profile: CameraProfile, crop: Crop, progress: Progress = quiet
+) -> tuple[list[Signal], Saturation]:
+    """Read the frames of a bracket, most exposed first, and measure where they saturate.
 
-    plateau_dn: counts at which R, G1, G2 and B saturate, by ISO. Raises the errors of `load_raw`
-    and `load_jpeg`.
+    Raises the errors of `load_raw` and `load_jpeg`.
     """
     signals: list[Signal] = []
+    saturation = Saturation()
     for i, shot in enumerate(shots):
         if profile.camera.kind == "raw":
-            plateau = plateau_dn.get(shot.exposure.iso, NO_PLATEAU)
-            signals.append(load_raw(shot, profile, crop, plateau))
+            signals.append(load_raw(shot, profile, crop, saturation))
         else:
             signals.append(load_jpeg(shot, profile, crop, (i == 0, i == len(shots) - 1)))
         progress(i + 1, len(shots), "frames")
-    return signals
+    return signals, saturation
 
 
 def scaled(frames: Sequence[Signal], factors: Floats) -> list[Signal]:

@@ -232,22 +232,22 @@ def _project(sensor: SensorImage, r: Resampler) -> tuple[Floats, Floats, NDArray
 
     Only the sensor pixels of the matrices are read, so that a small target costs little.
     """
+    from scipy import sparse
+
     m, width = sensor.merged, 3 if "" in r.matrices else 1
     value, variance, of_sensor = (a.reshape(-1, width) for a in (m.value_cdm2, m.variance, m.flags))
     rgb, var = [], []
     flags = np.zeros(len(r.coverage), np.uint8)  # those of bad pixels may count, which is harmless
     for matrix in (r.matrices[colour] for colour in ("RGB" if width == 1 else ("",))):
-        own, square = matrix, matrix.copy()
+        data, where = matrix.data, (matrix.indices, matrix.indptr)
         share: Floats | float = 1.0
         if sensor.good is not None:  # scale the weights of each row without its bad pixels to 1
-            own = matrix.copy()
-            own.data = matrix.data * sensor.good.ravel()[matrix.indices]
-            share = np.maximum(_row_sums(own, own.data), 1e-6).astype(np.float32)[:, None]
+            data = data * sensor.good.ravel()[matrix.indices]
+            share = np.maximum(_row_sums(matrix, data), 1e-6).astype(np.float32)[:, None]
             # a pixel without a good sensor pixel of some colour has no value
             flags[(share[:, 0] < 0.05) & (r.coverage > 0)] |= np.uint8(Flag.FILLED)
-        square.data = own.data**2
-        rgb.append(own @ value / share)
-        var.append(square @ variance / share**2)
+        rgb.append(sparse.csr_array((data, *where), matrix.shape) @ value / share)
+        var.append(sparse.csr_array((data**2, *where), matrix.shape) @ variance / share**2)
         raised = np.bitwise_or.reduce(of_sensor[matrix.indices], axis=1)
         present = int(np.bitwise_or.reduce(raised, initial=0))
         for flag, minimum in _SHARE.items():

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fieldlum.core.arrays import Floats
-from fieldlum.core.statistics import robust_sigma
+from fieldlum.core.statistics import MAD_TO_SIGMA, robust_sigma
 from fieldlum.merge.estimator import Rows
 from fieldlum.merge.frames import RawSignal, Signal, scaled
 from fieldlum.merge.shots import Shot, exposure_covariance, times_by_law
@@ -75,7 +75,7 @@ def pair_ratio(
     spread = 1.0
     for _ in range(8):
         pull = np.abs(r - centre) * root
-        spread = max(1.0, robust_sigma(pull, 0.0))
+        spread = max(1.0, MAD_TO_SIGMA * float(np.median(pull)))
         robust = weight * np.minimum(1.0, _HUBER_SIGMA * spread / np.maximum(pull, 1e-12))
         before, centre = centre, float((robust * r).sum() / robust.sum())
         if abs(centre - before) < 1e-7 * centre:  # a millionth of what a frame's ratio can show
@@ -189,21 +189,10 @@ def unexplained(disagreements: Sequence[NeighbourQuality], explained: float) -> 
     return float(np.sqrt(max((apart**2 - noise**2) / 2 - explained**2, 0.0)))
 
 
-def weak_prior_fit(pairs: list[PairRatio], frames: int) -> RatioFit:
-    """Return the corrections of the exposures that the measured pairs alone give.
-
-    frames: number of frames. The corrections, factors on the assumed exposures, have a geometric
-    mean of 1; a frame without a pair gets 1. Only a prior of 30 % limits them, because differences
-    of 2 % between neighbours can add up over a bracket if the light changed or the response is
-    wrong.
-    """
-    return fit_ratios(pairs, np.eye(frames) * 0.3**2)
-
-
 def unexplained_u(free: RatioFit, explained: float) -> float:
     """Return the relative uncertainty of exposures that their known causes do not explain.
 
-    free: a result of `weak_prior_fit`. The uncertainty is the standard deviation of the logarithms
+    free: by the pairs and a weak prior. The uncertainty is the standard deviation of the logarithms
     of its corrections, reduced by `explained` (the known relative uncertainty) and by the noise of
     the measured pairs. Return 0 if nothing remains, or without pairs.
     """
@@ -360,7 +349,8 @@ def _trust(
         compared, disagreement = fit, u_typical
         u_extra = unexplained(residuals, u_response)
     else:
-        compared = weak_prior_fit(pairs, len(prior))
+        # Differences of 2 % between neighbours can add up over a bracket: a weak prior of 30 %.
+        compared = fit_ratios(pairs, np.eye(len(prior)) * 0.3**2)
         u_explained = float(np.hypot(u_response, u_typical))
         percents = [abs(n.residual_percent) for n in residuals]
         disagreement = float(np.median(percents)) / 100 if percents else u_typical

@@ -16,19 +16,11 @@ from fieldlum.core.arrays import Floats, Indices, Mask
 from fieldlum.core.records import Flag, Progress, quiet
 from fieldlum.core.statistics import robust_sigma
 from fieldlum.merge.estimator import Merged, Rows, merge_signals
-from fieldlum.merge.frames import (
-    Crop,
-    Plateau,
-    RawSignal,
-    Signal,
-    lens_crop,
-    read_frames,
-    saturation_and_black,
-)
+from fieldlum.merge.frames import Crop, RawSignal, Saturation, Signal, lens_crop, read_frames
 from fieldlum.merge.ratios import Exposures, RatioCurve, compare, exposures_of, take_samples
 from fieldlum.merge.shift import shifts
-from fieldlum.merge.shots import Shot, sorted_shots, stated_law
-from fieldlum.optics.linear_light import lens_geometry, nd_factors
+from fieldlum.merge.shots import Shot, sorted_shots
+from fieldlum.optics.linear_light import lens_geometry, nd_factors, stated_law
 from fieldlum.optics.profiles import CameraProfile
 from fieldlum.session.files.sidecar import ShiftQuality
 
@@ -178,16 +170,14 @@ class SensorImage:
 class Findings:
     """What the frames of one heading showed about exposures, noise, saturation and motion.
 
-    plateau_dn: counts at which R, G1, G2 and B saturate, by ISO; black_off_dn: black level of the
-    files minus the profile's; noise: noise over the profile's. turns: of the camera between frames,
-    only for pairs of frames with enough common points. absent: names of frames that were taken
-    without the filter of their label.
+    saturation: counts at which the colours saturate, and the black level; noise: noise over the
+    profile's. turns: of the camera between frames, only for pairs of frames with enough common
+    points. absent: names of frames that were taken without the filter of their label.
     """
 
     shots: tuple[Shot, ...]
     exposures: Exposures
-    plateau_dn: dict[float, Plateau]
-    black_off_dn: float
+    saturation: Saturation
     noise: SeenNoise
     turns: tuple[ShiftQuality, ...]
     absent: tuple[str, ...] = ()
@@ -210,10 +200,9 @@ def merge_sensor(
     """
     crop, is_raw = lens_crop(profile), profile.camera.kind == "raw"
     shots, absent = _without_absent_filters(shots, profile, crop)
-    law = stated_law(shots, profile)
-    plateau_dn, black_off_dn = saturation_and_black(shots, profile)
+    law = stated_law([shot.exposure.shutter_s for shot in shots], profile)
     read_with = replace(profile, shutter_law=law.law)
-    frames = read_frames(shots, read_with, crop, plateau_dn, progress)
+    frames, saturation = read_frames(shots, read_with, crop, progress)
     lenses = [lens_geometry(lens, corner_px=(crop.left, crop.top)) for lens in profile.lens]
     turns = shifts([f.small() for f in frames], lenses, [s.path.name for s in shots])
     fits = is_raw if fit is None else fit
@@ -224,9 +213,7 @@ def merge_sensor(
     merged = merge_signals(frames, shape, u_ratio=exposures.tolerance)
     good, f_number = good_pixels(profile, crop, merged.flags), shots[0].exposure.f_number
     image = SensorImage(merged, crop, turn_deg, f_number, exposures.u_curve, good)
-    return image, Findings(
-        tuple(shots), exposures, plateau_dn, black_off_dn, noise, tuple(turns), absent
-    )
+    return image, Findings(tuple(shots), exposures, saturation, noise, tuple(turns), absent)
 
 
 def _without_absent_filters(
@@ -246,9 +233,8 @@ def _without_absent_filters(
             continue
         like = min(bare, key=lambda s: abs(np.log(s.exposure.shutter_s / asked.shutter_s)))
         pair = [like, replace(shot, exposure=replace(asked, nd=""))]
-        frames = read_frames(pair, profile, crop, saturation_and_black(pair, profile)[0])
-        bare_sample, sample = take_samples(frames)
-        ratio = compare(bare_sample, sample, 0, 1)
+        first, second = take_samples(read_frames(pair, profile, crop)[0])
+        ratio = compare(first, second, 0, 1)
         factor = float(np.mean(nd_factors(asked.nd, profile)))
         if ratio is not None and ratio.log_ratio > -0.5 * np.log(factor):
             right[number] = pair[1]

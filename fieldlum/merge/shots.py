@@ -14,7 +14,7 @@ from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure
 from fieldlum.optics.linear_light import SAME_LABEL, nd_factors, true_shutter_s
-from fieldlum.optics.photometry import AUTO, LAWS, ShutterLaw, law_of_labels, z_per_cdm2
+from fieldlum.optics.photometry import LAWS, z_per_cdm2
 from fieldlum.optics.profiles import CameraProfile
 from fieldlum.optics.raw import frame_files, is_jpeg, read_exif
 from fieldlum.session import sha256
@@ -154,18 +154,6 @@ def _problems(
             finding = f"a frame with f/{f_number:g} in a bracket with f/{first:g}"
             remedy = "merge each aperture separately: light and vignetting differ"
             yield shot.path, finding, "one aperture in a bracket", remedy
-
-
-def stated_law(shots: Sequence[Shot], profile: CameraProfile) -> ShutterLaw:
-    """Return the profile's shutter law; if it is "auto", the likely law of the nominal times.
-
-    A shutter law states which true times the nominal (EXIF) times stand for. The result's
-    `decided_by` is "profile" or "labels".
-    """
-    if profile.shutter_law != AUTO:
-        return ShutterLaw(profile.shutter_law, "profile")
-    nominal_s = [shot.exposure.shutter_s for shot in shots]
-    return law_of_labels(nominal_s, profile.camera.model)
 
 
 def times_by_law(shots: Sequence[Shot], profile: CameraProfile) -> dict[str, Floats]:
