@@ -2,18 +2,14 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from fieldlum.calibrate import lens
-from fieldlum.cli import main
 from fieldlum.core.errors import InputError, NotEnoughDataError
-from fieldlum.optics.photometry import vignetting_at
-from fieldlum.optics.profiles import Lens, Vignetting, load_camera_profile
-from fieldlum.optics.projection import LensGeometry, direction, lens_pixels, lens_rays
+from fieldlum.optics.profiles import Lens
+from fieldlum.optics.projection import LensGeometry, direction, lens_pixels
 
 
 def _targets(
@@ -195,37 +191,3 @@ def test_a_circle_that_contradicts_the_profile_is_refused(x_px: float, radius_px
     wrong = Lens((x_px, 200.0), radius_px, 186.0)
     with pytest.raises(InputError, match=r"the profile's circle at .*, 200 px.*white paper"):
         lens.circle(picture, wrong, "IMG_6955.JPG")
-
-
-@pytest.mark.property
-@pytest.mark.parametrize(
-    ("mapping", "coefficients"),
-    [("equidistant", ()), ("equisolid", ()), ("polynomial", (0.9, 0.0, 0.1))],
-)
-def test_a_trimmed_lens_maps_and_darkens_as_before(
-    mapping: Any, coefficients: tuple[float, ...]
-) -> None:
-    curve = Vignetting(5.6, (1.0, 0.0, 0.2, 0.0, -0.5))
-    old = Lens((300.0, 200.0), 190.0, 186.0, mapping, coefficients, vignetting=(curve,))
-    new = lens.trimmed(old, 2.5)
-    assert new.full_angle_deg == 181.0
-    rays = lens_rays(old, np.linspace(130.0, 300.0, 9), np.full(9, 200.0))
-    np.testing.assert_allclose(lens_pixels(new, rays), lens_pixels(old, rays), atol=1e-6)
-    angles = np.linspace(0.0, 90.5, 20)
-    np.testing.assert_allclose(
-        vignetting_at(new.vignetting[0].coefficients, angles / 90.5),
-        vignetting_at(curve.coefficients, angles / 93.0),
-        rtol=1e-12,
-    )
-
-
-@pytest.mark.contract
-def test_trim_needs_no_source_and_writes_the_profile(tmp_path: Path) -> None:
-    out = tmp_path / "mine.toml"
-    words = ["calibrate", "lens", "--camera", "canon-5d2-8mm-f5.6", "--out", str(out)]
-    start = load_camera_profile("canon-5d2-8mm-f5.6").lens[0]
-    result = CliRunner().invoke(main, [*words, "--trim", "1.5"])
-    assert result.exit_code == 0, result.output
-    assert load_camera_profile(str(out)).lens[0].full_angle_deg == start.full_angle_deg - 3.0
-    for more in ([], ["--trim", "1", "--circle"], ["--trim", "1", str(out)]):
-        assert CliRunner().invoke(main, [*words, *more]).exit_code == 2

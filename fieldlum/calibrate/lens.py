@@ -1,4 +1,4 @@
-"""Fit a lens's mapping and pose to targets or chessboards; find or trim its image circle."""
+"""Fit a lens's mapping and pose to targets or chessboards, and find its image circle."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fieldlum.core.arrays import Array, Mask
 from fieldlum.core.errors import InputError
 from fieldlum.core.statistics import robust_sigma
 from fieldlum.optics.profiles import Lens
-from fieldlum.optics.projection import direction, lens_pixels, lens_rays, radius_of_angle
+from fieldlum.optics.projection import direction, lens_pixels, lens_rays
 
 # The mappings that are tried, with the powers of the angle in a polynomial; held-out targets
 # select one.
@@ -432,27 +432,6 @@ def _edge_points(picture: NDArray[np.uint8], around: Array, reach: float) -> tup
     away = out[first[good]]
     edge = np.stack([x + np.cos(turn[good]) * away, y + np.sin(turn[good]) * away])
     return edge, int((good | reached).sum())
-
-
-def trimmed(lens: Lens, width_deg: float) -> Lens:
-    """Return the lens without the outer `width_deg` of its image: half of its full angle shrinks.
-
-    Directions inside map to the same pixels, with the same vignetting. Raises InputError for a
-    width that leaves no picture.
-    """
-    half_deg = lens.full_angle_deg / 2.0 - width_deg
-    if half_deg <= 0.0:
-        finding = f"{width_deg:g} degrees less than the half angle of {lens.full_angle_deg / 2:g}"
-        raise InputError("lens", finding, "a smaller width", "state a smaller --trim")
-    share = half_deg / (lens.full_angle_deg / 2.0)
-    radius = float(radius_of_angle(lens, np.radians(half_deg)))  # of the old one
-    vignetting = tuple(
-        replace(v, coefficients=tuple(c * share**k for k, c in enumerate(v.coefficients)))
-        for v in lens.vignetting
-    )
-    terms = tuple(c * share ** (k + 1) / radius for k, c in enumerate(lens.coefficients))
-    new = replace(lens, coefficients=terms, vignetting=vignetting)
-    return replace(new, radius_px=lens.radius_px * radius, full_angle_deg=2.0 * half_deg)
 
 
 # ----------------------------------------------------------------------------------------------

@@ -162,54 +162,38 @@ def _with_lens(profile: CameraProfile, index: int, new: Lens) -> dict[str, Any]:
 @_part
 def lens(
     profile: Any,
-    sources: Annotated[Paths, "TARGETS.csv|FRAME...", EXISTING_PATH] = (),
+    sources: Annotated[Paths, "TARGETS.csv|FRAME...", EXISTING_PATH],
     lens_number: LensNumber = 1,
     circle: bool = False,
     chessboard: Annotated[Any, numbers(2, "x")] = None,
-    trim_deg: Annotated[float | None, click.FloatRange(0.1, 30)] = None,
 ) -> FittedPart:
     """Fit centre, circle, mapping and pose of a lens.
 
     TARGETS.csv has the columns x_px, y_px, azimuth_deg, altitude_deg; angles are relative to
-    the camera's heading and the horizon. --trim needs no source.
+    the camera's heading and the horizon.
 
     \b
     Example:
       fieldlum calibrate lens targets.csv --camera mine.toml --out mine.toml
       fieldlum calibrate lens board-*.jpg --chessboard 9x6 --camera mine.toml --out mine.toml
       fieldlum calibrate lens flat.jpg --circle --camera mine.toml --out mine.toml
-      fieldlum calibrate lens --trim 2.5 --camera mine.toml --out mine.toml
 
     Options:
       --lens: Number of the lens in the profile.
       --circle: Centre and radius from the edge of one bright FRAME.
       --chessboard CxR: Inner corners across x down of a board in the FRAMEs, like 9x6.
-      --trim: Leave out this many degrees at the edge of the image, where the lens is dark.
     """
-    if circle + (chessboard is not None) + (trim_deg is not None) > 1:
-        raise click.UsageError("--circle, --chessboard and --trim exclude each other")
-    if bool(sources) == (trim_deg is not None):
-        raise click.UsageError("name TARGETS.csv or FRAMEs; with --trim, name none")
+    if circle and chessboard is not None:
+        raise click.UsageError("--circle and --chessboard exclude each other")
     if circle and len(sources) != 1:
         raise click.UsageError(f"--circle works on one FRAME; {len(sources)} files were named")
     index = _lens_index(profile, lens_number)
     start = profile.lens[index]
-    if trim_deg is not None:
-        new, fitted = _trimmed(start, trim_deg)
-    elif circle:
+    if circle:
         new, fitted = _by_circle(sources[0], start)
     else:
         new, fitted = _by_targets(sources, start, chessboard)
     return replace(fitted, changed=_with_lens(profile, index, new))
-
-
-def _trimmed(start: Lens, trim_deg: float) -> tuple[Lens, FittedPart]:
-    from fieldlum.calibrate.lens import trimmed
-
-    new = trimmed(start, trim_deg)
-    was = f"{start.full_angle_deg:g} degrees, {start.radius_px:.2f} px"
-    line = f"lens: image circle of {new.full_angle_deg:g} degrees, {new.radius_px:.2f} px ({was})"
-    return new, FittedPart({}, [line], [], _figures(new, "full_angle_deg", "radius_px"))
 
 
 def _by_circle(frame: Path, start: Lens) -> tuple[Lens, FittedPart]:
