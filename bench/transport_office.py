@@ -29,7 +29,7 @@ from fieldlum.room.scene import sun_patches
 from fieldlum.sky.light import Light
 from fieldlum.sky.perez import PerezSky
 from fieldlum.sky.sun import SUN_SOLID_ANGLE_SR
-from fieldlum.sky.sun_disc import add_disc, split_disc
+from fieldlum.sky.sun_disc import add_disc, find_disc, without_disc
 
 HEADING_DEG = 180.0
 ROOM = Room(window=(Window("south", 0.5, 5.0, 0.9, 3.1, 0.88, 4, 0.08, 2.9),))
@@ -38,6 +38,16 @@ SETUP = SiteFile(
 )
 TAPE = replace(ROOM, window=(replace(ROOM.window[0], panes=1, frame_m=0.0, transom_m=0.0),))
 UNKNOWN_GAIN = 3.7  # factor that the "gain" mode has to find
+
+
+def split_disc(
+    luminance_cdm2: np.ndarray, heading_deg: float, near_deg: tuple[float, float], dni_wm2: float
+) -> tuple[np.ndarray, float]:
+    """Return a map [H, W] without the disc, and the disc's normal illuminance in lx (0 without)."""
+    disc = find_disc(luminance_cdm2, heading_deg, near_deg=near_deg, dni_wm2=dni_wm2)
+    if disc is None:
+        return luminance_cdm2, 0.0
+    return without_disc(luminance_cdm2, disc), disc.normal_lx
 
 
 def decode(codes: NDArray[np.uint16]) -> NDArray[np.float32]:

@@ -57,8 +57,8 @@ def paired_patch(folder: Path) -> Path:
     picture = folder / "p.exr"
     blank = np.ones((HEIGHT, 2 * HEIGHT), np.float32)
     write_panorama(picture, Panorama(blank, OFFICE.camera.heading_deg, t_utc=LOW))
-    items = [(slot_id(LOW), picture, LOW)]
-    write_patches(session, OFFICE, items, low_light().direct_lx, force=False, progress=quiet)
+    items = [(slot_id(LOW), picture)]
+    write_patches(session, OFFICE, items, low_light(), force=False, progress=quiet)
     return session.sunpatch(slot_id(LOW))
 
 

@@ -28,6 +28,7 @@ from fieldlum.pair.patches import write_patches
 from fieldlum.room import simulate
 from fieldlum.session import Session, create_session, remove_scraps
 from fieldlum.session.site_toml import load_site
+from fieldlum.sky.light import light_at
 from fieldlum.year import predict
 
 pytestmark = [pytest.mark.contract, pytest.mark.slow]
@@ -102,10 +103,10 @@ def simulated_year(root: Path, scheduler: Scheduler) -> dict[str, bytes]:
     slots = simulate.sample_slots(setup, weather, 18, 1)
     session = create_session(root, setup, slots, {"set": "test"})
     simulate.run(session, weather, height=8, quality="draft", scheduler=scheduler, workers=1)
-    pictures = [(s.id, session.truth_panorama(s.id), s.t_utc) for s in slots]
-    items = [item for item in pictures if item[1].is_file()]
-    lx = np.full(len(items), 50_000.0)
-    write_patches(session, setup, items, lx, force=True, scheduler=scheduler, progress=quiet)
+    rendered = [s for s in slots if session.truth_panorama(s.id).is_file()]
+    items = [(s.id, session.truth_panorama(s.id)) for s in rendered]
+    light = light_at([s.t_utc for s in rendered], setup.site, np.array(500.0), np.array(100.0))
+    write_patches(session, setup, items, light, force=True, scheduler=scheduler, progress=quiet)
     model = root.parent / "nearest"  # one model for both: its config.json has its time
     if not model.is_dir():
         data = load_pairs(session)

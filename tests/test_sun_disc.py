@@ -23,7 +23,7 @@ from fieldlum.optics.projection import (
     equirect_solid_angles,
 )
 from fieldlum.sky.sun import SUN_SOLID_ANGLE_SR
-from fieldlum.sky.sun_disc import MIN_DISC_CDM2, add_disc, find_disc, split_disc, without_disc
+from fieldlum.sky.sun_disc import MIN_DISC_CDM2, add_disc, find_disc, without_disc
 from fieldlum.year.glare.single import picture_glare
 
 HEADING_DEG = 180.0
@@ -89,6 +89,16 @@ CASES = [
     pytest.param((20.0, 182.0, 60_000.0), {"height": 60}, id="coarse"),
     pytest.param((20.0, 182.0, 60_000.0), {"height": 24}, id="very-coarse"),
 ]
+
+
+def split_disc(
+    luminance_cdm2: np.ndarray, heading_deg: float, near_deg: tuple[float, float], dni_wm2: float
+) -> tuple[np.ndarray, float]:
+    """Return a map [H, W] without the disc, and the disc's normal illuminance in lx (0 without)."""
+    disc = find_disc(luminance_cdm2, heading_deg, near_deg=near_deg, dni_wm2=dni_wm2)
+    if disc is None:
+        return luminance_cdm2, 0.0
+    return without_disc(luminance_cdm2, disc), disc.normal_lx
 
 
 @pytest.mark.analytic

@@ -208,8 +208,8 @@ def _with_suns(
     patches = write_patches(
         session,
         setup,
-        [(b.slot, b.panorama, b.t_utc) for b in brackets],
-        light.direct_lx,
+        [(b.slot, b.panorama) for b in brackets],
+        light,
         force=force,
         scheduler=scheduler,
         progress=progress,

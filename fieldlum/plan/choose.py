@@ -120,13 +120,9 @@ def variance_left(task: Learning, captured: Features) -> float:
 
     Both variances are sums over the hours of `task.year`. Without captures the share is 1.
     """
-    if not len(captured):
-        return 1.0
-    covariance = task.kernel(captured, captured) + NOISE * np.eye(len(captured))
-    factor = np.linalg.cholesky(covariance)
-    towards = np.linalg.solve(factor, task.kernel(captured, task.year))
-    prior = task.kernel.diagonal(task.year)
-    return float((prior - (towards**2).sum(axis=0)).clip(0).sum() / prior.sum())
+    nothing = task.year[:0]
+    left = greedy_hours(task.kernel, task.year, nothing, 0, taken=captured, noise=NOISE)
+    return float(left.variance[0])
 
 
 def best(hours: DaylightHours, task: Learning, count: int, progress: Progress = quiet) -> Indices:

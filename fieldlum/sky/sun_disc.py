@@ -136,19 +136,6 @@ def without_disc(luminance_cdm2: Floats, disc: SunDisc) -> Floats32:
     return np.where(disc.pixels, disc.surroundings_cdm2, luminance_cdm2).astype(np.float32)
 
 
-def split_disc(
-    luminance_cdm2: Floats32, heading_deg: float, near_deg: tuple[float, float], dni_wm2: float
-) -> tuple[Floats32, float]:
-    """Return a map [H, W] without the disc, and the disc's normal illuminance in lx (0 if absent).
-
-    near_deg : the sun's altitude and azimuth; dni_wm2 : its direct irradiance.
-    """
-    disc = find_disc(luminance_cdm2, heading_deg, near_deg=near_deg, dni_wm2=dni_wm2)
-    if disc is None:
-        return luminance_cdm2, 0.0
-    return without_disc(luminance_cdm2, disc), disc.normal_lx
-
-
 def add_disc(
     luminance_cdm2: Floats32, light: Light, disc_lx: Floats, heading_deg: float
 ) -> Floats32:

@@ -92,8 +92,8 @@ def read_table(path: Path, lines: list[str], site: Site) -> WeatherTable:
     header or row that the format does not allow, and for irradiance outside -10 to 1600 W/m2.
     """
     first, second = [*(text for _, text in numbered(lines[:50])), "", ""][:2]
-    start = Start(path.suffix.lower(), first.lstrip(), second)
-    read = next(form.read for form in FORMATS if form.recognises(start))
+    start = f"{path.suffix.lower()}\n{first.lstrip()}\n{second}"
+    read = next(read for pattern, read in FORMATS if re.match(pattern, start))
     if read is not _read_csv and lines[0].startswith("#"):
         found = f"a comment above the header '{first[:40]}'"
         raise InputError(path, found, "this format's header in line 1", "remove the comment")
@@ -509,36 +509,14 @@ def _place_comment(path: Path, lines: list[str], site: Site) -> tuple[Site | Non
 # the table
 
 
-class Start(NamedTuple):
-    """By what a format is recognised: the file's suffix in small letters, and its first lines."""
-
-    suffix: str
-    first: str
-    second: str
-
-
-class Format(NamedTuple):
-    """A weather format: how a file of it is recognised, and its reader (CONTRIBUTING.md)."""
-
-    recognises: Callable[[Start], bool]
-    read: Callable[[Path, list[str], Site], WeatherTable]
-
-
-FORMATS = (
-    Format(lambda start: start.suffix == ".tm2", _read_tmy2),
-    Format(
-        lambda start: start.suffix == ".epw" or start.first.upper().startswith("LOCATION,"),
-        _read_epw,
-    ),
-    Format(lambda start: start.first.startswith("Latitude (decimal degrees)"), _read_pvgis),
-    Format(lambda start: start.first.startswith("{"), _read_pvgis_json),
-    Format(lambda start: start.first.startswith("Source,"), _read_sam),
-    Format(
-        lambda start: (
-            "ObservationTime(LST)" in start.second
-            or start.second.lstrip('"').startswith("Date (MM/DD/YYYY)")
-        ),
-        _read_tmy3,
-    ),
-    Format(lambda start: True, _read_csv),  # the last one: its errors explain the columns
+# By what a format is recognised: a pattern of the file's suffix in small letters and its first two
+# lines; and its reader (CONTRIBUTING.md).
+FORMATS: tuple[tuple[str, Callable[[Path, list[str], Site], WeatherTable]], ...] = (
+    (r"\.tm2\n", _read_tmy2),
+    (r"\.epw\n|.*\n(?i:LOCATION),", _read_epw),
+    (r".*\nLatitude \(decimal degrees\)", _read_pvgis),
+    (r".*\n\{", _read_pvgis_json),
+    (r".*\nSource,", _read_sam),
+    (r'.*\n.*\n(.*ObservationTime\(LST\)|"?Date \(MM/DD/YYYY\))', _read_tmy3),
+    ("", _read_csv),  # the last one: its errors explain the columns
 )
