@@ -9,7 +9,7 @@ exists, `models.transport` to learn from pictures.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import cached_property
@@ -259,35 +259,31 @@ class Kernel:
         A term is omitted if `a` or `b` has None for its features.
         """
         cosine = np.clip(a.direction @ b.direction.T, -1.0, 1.0)
-        beam = np.outer(a.beam, b.beam)
-        k = self.constant * (1.0 + beam + np.outer(_ground(a), _ground(b)))
-        k += self.sky * (a.sky @ b.sky.T)
-        on = _facade(a, self.facades) @ _facade(b, self.facades).T
-        k += self.facade * on * np.exp((cosine - 1.0) / self.beam_width**2)
-        if a.bounced is not None and b.bounced is not None:
-            k += self.bounced * (a.bounced @ b.bounced.T)
-        if a.changed is not None and b.changed is not None:
-            k *= 1.0 + self.changed * (a.changed @ b.changed.T)
-        if a.lamps is not None and b.lamps is not None:
-            k += self.lamps * (a.lamps @ b.lamps.T)
-        return k
+        near = np.exp((cosine - 1.0) / self.beam_width**2)
+        return self._sum(a, b, lambda x, y: x @ y.T, near)
 
     def diagonal(self, a: Features) -> Floats:
         """Return the prior variance of each hour of `a`: the diagonal of kernel(a, a), [len(a)]."""
-        k = self.constant * (1.0 + a.beam**2 + _ground(a) ** 2)
-        k += self.sky * np.einsum("ij,ij->i", a.sky, a.sky)
-        k += self.facade * (_facade(a, self.facades) ** 2).sum(axis=1)
-        if a.bounced is not None:
-            k += self.bounced * np.einsum("ij,ij->i", a.bounced, a.bounced)
-        if a.changed is not None:
-            k *= 1.0 + self.changed * np.einsum("ij,ij->i", a.changed, a.changed)
-        if a.lamps is not None:
-            k += self.lamps * np.einsum("ij,ij->i", a.lamps, a.lamps)
+        return self._sum(a, a, lambda x, y: np.einsum("ij,ij->i", x, y), np.ones(len(a)))
+
+    def _sum(
+        self, a: Features, b: Features, product: Callable[[Array, Array], Floats], near: Floats
+    ) -> Floats:
+        beams, grounds = ((f.beam[:, None] for f in (a, b)), (_ground(f) for f in (a, b)))
+        k = self.constant * (1.0 + product(*beams) + product(*grounds))
+        k += self.sky * product(a.sky, b.sky)
+        k += self.facade * product(_facade(a, self.facades), _facade(b, self.facades)) * near
+        if a.bounced is not None and b.bounced is not None:
+            k += self.bounced * product(a.bounced, b.bounced)
+        if a.changed is not None and b.changed is not None:
+            k *= 1.0 + self.changed * product(a.changed, b.changed)
+        if a.lamps is not None and b.lamps is not None:
+            k += self.lamps * product(a.lamps, b.lamps)
         return k
 
 
 def _ground(a: Features) -> Floats:
-    return a.beam * np.maximum(a.direction[:, 2], 0.0)
+    return (a.beam * np.maximum(a.direction[:, 2], 0.0))[:, None]
 
 
 def _facade(a: Features, facades: Facades) -> Floats:

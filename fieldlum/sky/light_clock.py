@@ -17,7 +17,6 @@ LIT_WM2 = 10.0  # global irradiance [W/m2] with the sun at 1 (clear) to 4 degree
 # Smaller offsets are not reported: mornings and evenings whose clouds differ twentyfold shift the
 # middle of the light by under 7 minutes. Chosen, with a margin of three.
 CLOCK_WARN_S = 1200.0
-_MIN_DAYS = 3  # least number of days before and after such a step; chosen
 _LONGEST_STORM_S = 7200.0  # longest dark spell within a day [s]; chosen, not measured
 # Rows before and after the day must not be further apart [s], otherwise the start of the light is
 # unknown. Chosen.
@@ -27,55 +26,23 @@ _SEEN_DARK_S = 900.0
 def clock_off_s(t_unix_s: Floats, ghi_wm2: Floats, site: Site) -> float | None:
     """Return how fast the log's clock is: logged middle of the light minus solar noon [s].
 
-    It is the median over the complete days, -43 200 to 43 200 s. A positive value means that logged
-    times are later than the true ones: the clock is fast, or the stated offset from UTC is too
-    small. t_unix_s, ghi_wm2 [n]: logged times and global irradiance, in order of time; rows with
-    NaN irradiance are ignored. Return None without a complete day.
-    """
-    off = days_off_s(t_unix_s, ghi_wm2, site)[1]
-    return float(np.median(off)) if len(off) else None
-
-
-def days_off_s(t_unix_s: Floats, ghi_wm2: Floats, site: Site) -> tuple[list[datetime], Floats]:
-    """Return the middle of the light of each complete day, and that time minus solar noon.
-
-    The middle is half way between the first and the last lit row (`complete_days`), a time in UTC.
-    The difference is an array [days] in seconds, positive if the middle is after solar noon. Days
-    at which the sun does not both set and rise by 5 degrees are omitted. t_unix_s, ghi_wm2: [n]
-    rows in order of time; rows with NaN irradiance are ignored.
+    It is the median over the complete days, of the time half way between the first and the last lit
+    row, -43 200 to 43 200 s; days at which the sun does not set and rise by 5 degrees are omitted.
+    A positive value means that logged times are later than the true ones: the clock is fast, or the
+    stated offset from UTC is too small. t_unix_s, ghi_wm2 [n]: logged times and global irradiance,
+    in order of time; rows with NaN irradiance are ignored. Return None without a complete day.
     """
     finite = np.isfinite(ghi_wm2)
-    middles = [
-        0.5 * (first + last) for first, last in complete_days(t_unix_s[finite], ghi_wm2[finite])
-    ]
-    times = [t for m in middles if _rises_and_sets(t := datetime.fromtimestamp(m, UTC), site)]
+    days = complete_days(t_unix_s[finite], ghi_wm2[finite])
+    middles = [datetime.fromtimestamp(0.5 * (first + last), UTC) for first, last in days]
+    times = [t for t in middles if _rises_and_sets(t, site)]
+    if not times:
+        return None
     at = sun.position(times, site)
     east, north, up = sun.direction(at.altitude_deg, at.azimuth_deg).T
     latitude = np.radians(site.latitude_deg)
     hour_angle = np.arctan2(-east, np.cos(latitude) * up - np.sin(latitude) * north)
-    return times, hour_angle / np.pi * 43_200.0
-
-
-def clock_set_s(t_unix_s: Floats, ghi_wm2: Floats, site: Site) -> tuple[datetime, float] | None:
-    """Return the first day after the log's clock was set, and by how much it was set forward [s].
-
-    A negative step means that the clock was set back. None if there is no step. The days are split
-    so that the scatter on both sides is least, with at least three days on each. A step must be at
-    least half an hour and remove half of all scatter, because the middle of one day of broken
-    clouds can be wrong by an hour. t_unix_s, ghi_wm2: [n] rows in order of time.
-    """
-    days, off = days_off_s(t_unix_s, ghi_wm2, site)
-    splits = range(_MIN_DAYS, len(off) - _MIN_DAYS + 1)
-    if not splits:
-        return None
-    scatter = [_scatter(off[:k]) + _scatter(off[k:]) for k in splits]
-    k = splits[int(np.argmin(scatter))]
-    step = float(np.median(off[k:]) - np.median(off[:k]))
-    return (days[k], step) if abs(step) >= 1800.0 and min(scatter) < 0.5 * _scatter(off) else None
-
-
-def _scatter(values: Floats) -> float:
-    return float(np.abs(values - np.median(values)).sum())
+    return float(np.median(hour_angle)) / np.pi * 43_200.0
 
 
 def _rises_and_sets(t_utc: datetime, site: Site) -> bool:

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from zoneinfo import ZoneInfo
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +26,7 @@ from fieldlum.session import Session, day_files, read_day, remove_scraps
 from fieldlum.session.codec import convert, made_from, write_object
 from fieldlum.session.files.irradiance_csv import DERIVED, MEASURED, CleanIrradiance
 from fieldlum.sky import sun
-from fieldlum.sky.light_clock import CLOCK_WARN_S, clock_off_s, clock_set_s
+from fieldlum.sky.light_clock import CLOCK_WARN_S, clock_off_s
 
 # seconds; DIRINT uses neighbouring minutes, but not across a longer gap; chosen
 _SEGMENT_GAP_S = 1800.0
@@ -63,9 +62,7 @@ def check(series: Series, altitude: Floats, top: Floats) -> Series:
     ghi, dhi, dni = series.ghi_wm2, series.dhi_wm2, series.dni_wm2
     for extreme, mark in ((False, Mark.IMPOSSIBLE), (True, Mark.EXTREME)):
         limits = sun.bsrn_limits(altitude, top, extreme=extreme)
-        for value, (low, high) in zip(
-            (ghi, dhi, dni), (limits.ghi_wm2, limits.dhi_wm2, limits.dni_wm2), strict=True
-        ):
+        for value, (low, high) in zip((ghi, dhi, dni), limits, strict=True):
             with np.errstate(invalid="ignore"):
                 marks[(value < low) | (value > high)] |= mark
     with np.errstate(invalid="ignore"):
@@ -82,11 +79,8 @@ def check(series: Series, altitude: Floats, top: Floats) -> Series:
     computed = np.minimum(sun.dni_by_closure(ghi, dhi, altitude), top)
     computed[_beam_is_unknown(series.t_unix_s, ghi - dhi)] = 0.0
     dni = np.where(two_level, computed, dni)
-    dhi = np.where(
-        np.isfinite(ghi) & np.isfinite(dni) & np.isnan(dhi),
-        sun.dhi_by_closure(ghi, dni, altitude),
-        dhi,
-    )
+    unknown = np.isfinite(ghi) & np.isfinite(dni) & np.isnan(dhi)
+    dhi = np.where(unknown, sun.dhi_by_closure(ghi, dni, altitude), dhi)
     beam = dni * np.maximum(np.sin(np.radians(altitude)), 0.0)
     ghi = np.where(np.isfinite(dhi) & np.isfinite(dni) & np.isnan(ghi), dhi + beam, ghi)
     return Series(series.t_unix_s, ghi, dhi, dni, marks)
@@ -187,11 +181,8 @@ def minute_means(t_unix_s: Floats, value: Floats) -> tuple[Floats, Floats, NDArr
     breaks = np.flatnonzero(np.diff(present) * 60.0 > _SEGMENT_GAP_S)
     shift = np.searchsorted(breaks, np.arange(len(present)), side="left")
     centres = np.insert(60.0 * present + 30.0, breaks + 1, 60.0 * present[breaks] + 90.0)
-    return (
-        centres,
-        np.insert(means, breaks + 1, np.nan),
-        (np.arange(len(present)) + shift)[row_minute],
-    )
+    index = (np.arange(len(present)) + shift)[row_minute]
+    return centres, np.insert(means, breaks + 1, np.nan), index
 
 
 def derive(series: Series, altitude: Floats, site: Site) -> Series:
@@ -203,15 +194,13 @@ def derive(series: Series, altitude: Floats, site: Site) -> Series:
     alone = np.isfinite(series.ghi_wm2) & np.isnan(series.dhi_wm2) & np.isnan(series.dni_wm2)
     if not alone.any():
         return series
-    centres, ghi_minute, row_minute = minute_means(
-        series.t_unix_s, np.where(alone, series.ghi_wm2, np.nan)
-    )
+    ghi = np.where(alone, series.ghi_wm2, np.nan)
+    centres, ghi_minute, row_minute = minute_means(series.t_unix_s, ghi)
     times = [datetime.fromtimestamp(t, UTC) for t in centres]
     dni_minute = sun.dirint_dni(ghi_minute, times, site)
     dni_minute[_without_neighbours(ghi_minute) & (ghi_minute > 0.0)] = np.nan
-    beam_share = np.divide(
-        dni_minute, ghi_minute, out=np.zeros_like(ghi_minute), where=np.nan_to_num(ghi_minute) > 1.0
-    )
+    bright, none = np.nan_to_num(ghi_minute) > 1.0, np.zeros_like(ghi_minute)
+    beam_share = np.divide(dni_minute, ghi_minute, out=none, where=bright)
     dni = np.where(alone, beam_share[row_minute] * np.maximum(series.ghi_wm2, 0.0), series.dni_wm2)
     dhi = np.where(alone, sun.dhi_by_closure(series.ghi_wm2, dni, altitude), series.dhi_wm2)
     marks = series.marks.copy()
@@ -291,7 +280,7 @@ def health(
         clock_off_s=clock_off,
         marks={(mark.name or "").lower(): count for mark, count in counts.items() if count},
         warnings=(
-            *_of_log(raw, offset, passed, clock_off, broken, site),
+            *_of_log(offset, passed, clock_off, broken),
             *_by_day(clean, altitude, top),
         ),
     )
@@ -302,12 +291,7 @@ def health(
 
 
 def _of_log(
-    raw: Series,
-    night_wm2: float | None,
-    closure: float | None,
-    off_s: float | None,
-    broken: int,
-    site: Site,
+    night_wm2: float | None, closure: float | None, off_s: float | None, broken: int
 ) -> Iterator[str]:
     """Yield warnings about zero, closure, clock and damaged lines of a log."""
     if night_wm2 is not None and abs(night_wm2) >= NIGHT_OFFSET_WARN_WM2:
@@ -324,13 +308,6 @@ def _of_log(
             f"the middle of the logged daylight is {off_s / 60:+.0f} min from solar noon: check "
             "the logger's clock, its --utc-offset (daylight saving?) and longitude_deg, and import "
             "the file again"
-        )
-    if (was_set := clock_set_s(raw.t_unix_s, raw.ghi_wm2, site)) is not None:
-        yield (
-            f"from {was_set[0].astimezone(ZoneInfo(site.timezone)):%Y-%m-%d} on, the middle of the "
-            f"logged daylight is {was_set[1] / 60:+.0f} min from that of the days before: the "
-            "logger's clock was probably set (daylight saving?); split the file there, and import "
-            "each part with its own --utc-offset"
         )
     if broken:
         yield (
