@@ -33,8 +33,7 @@ from fieldlum.year.glare import (
     reference_version,
     view_azimuths_deg,
 )
-from fieldlum.year.glare.sources import panorama_views
-from fieldlum.year.predict.blocks import ModelRoom, blocks, view_figures
+from fieldlum.year.predict.blocks import HourJudge, ModelRoom, blocks
 from fieldlum.year.predict.year import light_of
 
 
@@ -104,7 +103,7 @@ def year(
     sample.
     """
     azimuths = view_azimuths_deg(room.heading_deg, views)
-    weights = panorama_views(room.height, room.width, room.heading_deg, azimuths)
+    judge = HourJudge(room, azimuths)
     rng = np.random.default_rng(0)
     asked = set(rng.choice(len(light), sample, replace=False).tolist())
     kept, maps_s, metrics_s = [], np.zeros(2), np.zeros(2)
@@ -112,7 +111,7 @@ def year(
     for block in blocks(fitted, room, light):
         now = _clocks()
         maps_s += now - begin
-        view_figures(block, weights)
+        judge.glare(block)
         metrics_s += _clocks() - now
         here = [
             k - block.rows.start for k in sorted(asked) if block.rows.start <= k < block.rows.stop

@@ -24,18 +24,17 @@ from fieldlum.year.glare import (
     view_azimuths_deg,
 )
 from fieldlum.year.glare.metrics import (
-    _dgi_terms,
-    _source_sums,
     cgi,
-    combine,
     dgi,
     dgps,
+    source_terms,
+    sun_per_lx,
     ugp,
     ugr,
     veiling_cdm2,
 )
 from fieldlum.year.glare.pictures import HEMISPHERE_SOURCES_SR, parse_view, picture_views
-from fieldlum.year.glare.sources import Sources, group_pixels, sources_of, widen
+from fieldlum.year.glare.sources import glare_sources, group_pixels, sources_of, widen
 from fieldlum.year.glare.standards import disturbed_share
 
 H, W = 90, 180
@@ -76,7 +75,8 @@ def test_formulas_give_their_values_at_powers_of_ten() -> None:
         dgi(100.0),
         cgi(10000.0, 400.0, 500.0),
         *(veiling_cdm2(2.0, age) for age in (0.0, 70.0, 140.0)),
-        _dgi_terms(*(np.array(x) for x in (1e5, 0.04, 2.0, 600.0))),  # 0.01^0.8 = 10^-1.6
+        # on the line of sight P = 1; 0.01^0.8 = 10^-1.6
+        source_terms(*(np.array(x) for x in (1e5, 0.01, 0.0, 0.0, 1.0, 1300.0)))[1],
     ]
     expected = [
         0.4017,
@@ -95,20 +95,23 @@ def test_formulas_give_their_values_at_powers_of_ten() -> None:
 
 @pytest.mark.analytic
 def test_light_of_the_sources_is_not_in_the_background() -> None:
-    """CIE 117: of 1000 lx, 400 lx are from sources; the rest is 600 / pi cd/m2."""
-    dark, background = np.zeros((1, 1)), 600.0 / np.pi
-    sums = np.array([400.0 * background, 400.0, 100.0, 2.0]).reshape(1, 4, 1)
-    got = combine(np.full((1, 1), 1000.0), dark, sums, dark, dark, dark)
-    found = [float(got[name][0, 0]) for name in ("ugr", "ugp", "dgi", "ev_lx")]
-    assert found == pytest.approx([16.0, 0.52, 20.0, 1000.0])
+    """CIE 117: the background is Ev less what the sources give, over pi."""
+    maps = np.full((1, H, W), 600.0 / np.pi, np.float32)
+    maps[0, 40:50, 85:95] = 3000.0
+    views = panorama_views(H, W, 180.0, [180.0])
+    source = glare_sources(maps[0], views)
+    got = glare_directions(maps, views)
+    background = (got["ev_lx"] - source.ev_lx) / np.pi
+    assert background[0, 0] < 600.0 / np.pi
+    for name, formula in (("ugr", ugr), ("ugp", ugp)):
+        assert got[name] == pytest.approx(formula(got["contrast"], background))
 
 
 @pytest.mark.analytic
 def test_the_veil_falls_with_the_square_of_the_angle() -> None:
-    figures = 5e3, 0.01, np.radians(10.0), 0.0, 50.0  # 50 lx, 10 degrees to the right
-    source = Sources(*(np.full((1, 1), x) for x in figures), [np.zeros(0, np.int64)])
-    _, ev_lx, _, veil = _source_sums(source, np.array([1000.0]))
-    assert (float(ev_lx[0]), float(veil[0])) == pytest.approx((50.0, 0.5))
+    # 50 lx, 10 degrees to the right
+    figures = (np.array(x) for x in (5e3, 0.01, np.radians(10.0), 0.0, 50.0, 1000.0))
+    assert float(source_terms(*figures)[2]) == pytest.approx(0.5)
 
 
 @pytest.mark.analytic
@@ -306,14 +309,16 @@ def test_fisheye_keeps_flux_and_the_suns_energy() -> None:
 def test_the_sun_and_its_images_add_up_over_hours_and_directions() -> None:
     """Four suns, two hours, three directions: contributions are added over the suns only."""
     rng = np.random.default_rng(1)
-    map_ev, sums = rng.uniform(500, 2000, (2, 3)), rng.uniform(0, 9, (2, 4, 3))
-    sun_ev, right, up = rng.uniform(0, 900, (4, 2, 3)), *rng.uniform(0.1, 0.6, (2, 4, 2, 3))
-    sun_cdm2 = sun_ev / SUN_SOLID_ANGLE_SR
-    figures = combine(map_ev, sun_ev, sums, sun_cdm2, right, up)
-    contrast = np.zeros((2, 3))
-    for each_ev, each_cdm2, x, y in zip(sun_ev, sun_cdm2, right, up, strict=True):
-        map_ev = map_ev + each_ev
-        contrast += each_cdm2**2 * SUN_SOLID_ANGLE_SR / position_index(x, y) ** 2
-    assert figures["ev_lx"] == pytest.approx(map_ev)
-    assert figures["sun_contrast"] == pytest.approx(contrast)
-    assert figures["contrast"] == pytest.approx(sums[:, 0] + contrast)
+    views = panorama_views(H, W, 180.0, [150.0, 180.0, 240.0])
+    maps = rng.uniform(50.0, 3000.0, (2, H, W)).astype(np.float32)
+    suns = np.stack([direction(*place) for place in rng.uniform(10, 200, (8, 2))]).reshape(4, 2, 3)
+    lx = rng.uniform(0.0, 900.0, (4, 2))
+    dark, lit = glare_directions(maps, views), glare_directions(maps, views, suns, lx)
+    ev, contrast = np.zeros((2, 2, 3))
+    for sun, each_lx in zip(suns, lx, strict=True):
+        per_lx = sun_per_lx(sun, views)
+        ev += each_lx[:, None] * per_lx[0]
+        contrast += each_lx[:, None] ** 2 * per_lx[1]
+    assert lit["ev_lx"] == pytest.approx(dark["ev_lx"] + ev)
+    assert lit["sun_contrast"] == pytest.approx(contrast)
+    assert lit["contrast"] == pytest.approx(dark["contrast"] + contrast)

@@ -13,7 +13,7 @@ from click.testing import CliRunner
 from fieldlum.cli import main
 from fieldlum.core.records import SunSource
 from fieldlum.optics.images import write_radiance_hdr
-from fieldlum.year.glare.metrics import map_ev_lx, region_ratios
+from fieldlum.year.glare.metrics import map_ev_lx, region_ratios, region_weights
 from fieldlum.year.glare.pictures import (
     PictureView,
     disc_pixels,
@@ -163,7 +163,8 @@ def test_authority_the_sun_in_view_agrees(tmp_path: Path) -> None:
 
 
 def _ratios(view: PictureView, size: int) -> dict[str, np.ndarray]:
-    return region_ratios(_scene(view, size)[None], picture_views(view, size, size))
+    weights = region_weights(picture_views(view, size, size))
+    return region_ratios(_scene(view, size)[None], weights)
 
 
 @pytest.mark.slow

@@ -20,6 +20,7 @@ from fieldlum.year.glare.metrics import (
     local_contrast,
     rammg,
     region_ratios,
+    region_weights,
 )
 from fieldlum.year.glare.pictures import parse_view, read_picture
 from fieldlum.year.glare.single import panorama_glare, picture_glare
@@ -193,7 +194,7 @@ def test_rammg_scales_with_luminance(maps: np.ndarray) -> None:
 @pytest.mark.analytic
 def test_regions() -> None:
     views = panorama_views(90, 180, 180.0, [180.0, 0.0])
-    flat = region_ratios(np.full((1, 90, 180), 50.0, np.float32), views)
+    flat = region_ratios(np.full((1, 90, 180), 50.0, np.float32), region_weights(views))
     assert flat["uniformity"] == pytest.approx(1.0, rel=1e-4)
     assert flat["task_cdm2"] == pytest.approx(50.0, rel=1e-4)
     assert np.isnan(flat["window_to_task"]).all()

@@ -35,7 +35,7 @@ from fieldlum.weather import read_weather
 from fieldlum.year.glare.metrics import glare_directions
 from fieldlum.year.glare.sources import panorama_views
 from fieldlum.year.predict import run as predict
-from fieldlum.year.predict.blocks import blocks, room_of, view_figures
+from fieldlum.year.predict.blocks import HourJudge, blocks, room_of
 from fieldlum.year.predict.year import light_of
 
 DAYS = ("2027-03-19", "2027-03-21", "2027-05-02", "2027-06-21", "2027-09-24", "2027-10-20")
@@ -212,9 +212,8 @@ def test_the_warning_is_in_every_result(tmp_path: Path) -> None:
     shown = np.flatnonzero(image.shown_lx > 1000.0)
     assert len(shown) > 3
     north = int(np.argmin(np.abs((year.azimuths_deg + 180.0) % 360.0 - 180.0)))
-    views = panorama_views(room.height, room.width, room.heading_deg, year.azimuths_deg)
     (alone,) = blocks(fitted, bare, light[:64])
-    without = view_figures(alone, views)["dgp"]
+    without = HourJudge(bare, year.azimuths_deg).glare(alone)["dgp"]
     gain = year.views["dgp"][:64] - without
     assert gain[shown, north].min() > 0.1
     np.testing.assert_allclose(gain[image.shown_lx == 0.0], 0.0, atol=1e-4)

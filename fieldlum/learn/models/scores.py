@@ -161,7 +161,7 @@ def truth(data: Dataset, *, glare: bool = True) -> Truth:
         dgp[rows], ev[rows] = glare_of["dgp"], glare_of["ev_lx"]
         contrast[rows] = _contrast(maps, part)
     own_disc = disc_lx(data.sky_view, data.setup, data.light) if glare else None
-    full = view_coverage(views).is_any(SEEN)
+    full = np.array(view_coverage(views).words) == SEEN
     full = full if full.any() else np.ones(d, bool)
     weight = choice_weights(data)
     return Truth(data, data.weights, views, with_glare, dgp, contrast, ev, full, weight, own_disc)

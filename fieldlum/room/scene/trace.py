@@ -119,20 +119,21 @@ def _panes(
     return through, back, nearest, normal
 
 
-def disc_glass(scene: BoxScene, sun: Floats) -> Floats:
-    """Return the glass's transmittance of each of `disc_rays` from the camera, 0 if hidden, [r].
+def disc_glass(scene: BoxScene, toward: Floats) -> Floats:
+    """Return the glass's transmittance of each of `disc_rays` from the camera, [..., r].
 
-    sun: direction in room axes [3].
+    It is 0 if the ray is hidden. toward: directions to the sun in room axes [..., 3].
     """
-    rays = disc_rays(sun)
-    eye = np.broadcast_to(np.array(scene.camera_m), rays.shape)
-    through = _panes(scene, eye, rays, np.full(len(rays), np.inf))[0]
-    rows = np.flatnonzero((through < 1.0) & (sun[2] > 0))  # other rays meet a wall
-    out = np.zeros(len(rays))
-    if len(rows):
-        free = nearest_box(scene.low, scene.high, eye[rows].copy(), rays[rows])[1] < 0
-        out[rows[free]] = through[rows[free]]
-    return out
+    rays = disc_rays(toward)
+    flat = rays.reshape(-1, 3)
+    eye = np.broadcast_to(np.array(scene.camera_m), flat.shape)
+    through = _panes(scene, eye, flat, np.full(len(flat), np.inf))[0]
+    is_up = np.broadcast_to(np.asarray(toward)[..., None, 2] > 0, rays.shape[:-1]).ravel()
+    rows = np.flatnonzero((through < 1.0) & is_up)  # other rays meet a wall
+    out = np.zeros(len(flat))
+    free = rows[nearest_box(scene.low, scene.high, eye[rows].copy(), flat[rows])[1] < 0]
+    out[free] = through[free]
+    return out.reshape(rays.shape[:-1])
 
 
 def disc_visibility(scene: BoxScene, toward: Floats) -> tuple[Floats, Floats]:
@@ -140,28 +141,29 @@ def disc_visibility(scene: BoxScene, toward: Floats) -> tuple[Floats, Floats]:
 
     Both are 0 for a hidden disc. toward : [n, 3] directions to the sun in room axes.
     """
-    glass = np.array([disc_glass(scene, sun) for sun in toward]).reshape(len(toward), -1)
-    visible = (glass > 0).mean(axis=1) if len(toward) else np.zeros(0)
-    return visible, glass.mean(axis=1) / np.maximum(visible, 1e-12) if len(toward) else visible
+    glass = disc_glass(scene, toward)
+    visible = (glass > 0).mean(axis=1)
+    return visible, glass.mean(axis=1) / np.maximum(visible, 1e-12)
 
 
 def disc_rays(toward: Floats, rings: int = 4) -> Floats:
-    """Return unit vectors to equal areas of the sun disc, [1 + 3 rings (rings + 1), 3].
+    """Return unit vectors to equal areas of the sun disc, [..., 1 + 3 rings (rings + 1), 3].
 
-    toward : unit vector to the disc's centre [3]. The disc has the radius SUN_RADIUS_DEG; 4 rings
-    give 61 vectors.
+    toward : unit vectors to the disc's centre [..., 3]. The disc has the radius SUN_RADIUS_DEG; 4
+    rings give 61 vectors.
     """
     radius, angle = [0.0], [0.0]
     for ring in range(1, rings + 1):
         count = 6 * ring
         radius += [(ring - 0.25) / (rings + 0.25)] * count
         angle += list((np.arange(count) + 0.5 * (ring % 2)) * 2 * np.pi / count)
-    r = np.array(radius) * np.tan(np.radians(SUN_RADIUS_DEG))
-    side = np.cross(toward, (0.0, 0.0, 1.0) if abs(toward[2]) < 0.9 else (1.0, 0.0, 0.0))
-    side /= np.linalg.norm(side)
-    other = np.cross(toward, side)
-    rays = toward + r[:, None] * (np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * other)
-    return rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    r = np.array(radius)[:, None] * np.tan(np.radians(SUN_RADIUS_DEG))
+    along = np.asarray(toward, float)[..., None, :]
+    side = np.cross(along, np.where(abs(along[..., 2:]) < 0.9, (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)))
+    side /= np.linalg.norm(side, axis=-1, keepdims=True)
+    x, y = np.cos(angle)[:, None] * side, np.sin(angle)[:, None] * np.cross(along, side)
+    rays = along + r * (x + y)
+    return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
 
 
 # ----------------------------------------------------------------------------------------------

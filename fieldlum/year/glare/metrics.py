@@ -21,8 +21,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fieldlum.core.arrays import Floats, Mask
-from fieldlum.optics.projection import PARTLY_SEEN, SEEN, seen_words
+from fieldlum.core.arrays import Floats, Floats32, Mask
+from fieldlum.optics.projection import NOT_SEEN, seen_words
 from fieldlum.sky.sun import SUN_SOLID_ANGLE_SR
 from fieldlum.year.glare.sources import (
     SOURCE_CDM2,
@@ -37,7 +37,6 @@ from fieldlum.year.glare.sources import (
 DiscLight = tuple[tuple[Floats, Floats], Floats]
 
 YOUNG_AGE, OLD_AGE = 25.0, 70.0  # years, of the two veiling luminances; at 70 CIE 146 doubles it
-_MIN_GLARE_ANGLE_RAD = float(np.radians(1.0))  # Stiles-Holladay is valid from 1 to 30 degrees
 
 _BLOCK = 1 << 16  # pixels whose light is summed in single precision: errors below 1e-5; chosen
 # Wienold and Christoffersen 2006 print 5.87e-5, 9.18e-2 and 0.16. evalglare computes with the
@@ -82,7 +81,7 @@ def ugr(contrast: ArrayLike, background_cdm2: ArrayLike) -> Floats:
 def dgi(source_sum: ArrayLike) -> Floats:
     """Return the daylight glare index DGI, 10 log10 of `source_sum`, [...]; NaN without a source.
 
-    source_sum : Hopkinson's terms summed over sources, the third row of `_source_sums`
+    source_sum : Hopkinson's terms summed over sources, the second row of `source_terms`
     (Hopkinson 1972, with the position index P for windows).
     """
     total = np.asarray(source_sum, float)
@@ -125,13 +124,12 @@ def veiling_cdm2(veiling_sum: ArrayLike, age_years: float) -> Floats:
 # the registry
 
 
-@dataclass(frozen=True, slots=True)
-class ViewSums:
+class ViewSums(NamedTuple):
     """What a metric is computed from: sums over a view, sun and its images included, [n, d] each.
 
     ev_lx : vertical illuminance; source_ev_lx : its part from glare sources; background_cdm2 : the
     rest of the map over pi. contrast : sum of L^2 omega / P^2 over sources; dgi_sum, veiling_sum :
-    third and fourth row of `_source_sums`.
+    second and third row of `source_terms`.
     """
 
     ev_lx: Floats
@@ -185,16 +183,46 @@ def glare_directions(
     dgi, ugp and cgi are NaN without a source.
     """
     maps = np.asarray(luminance_cdm2, np.float32)
-    count = len(maps)
-    disc = np.zeros(count) if disc_lx is None else np.asarray(disc_lx, float)
-    sun = np.zeros((count, 3)) if sun_direction is None else np.asarray(sun_direction, float)
-    right, up, cosine = _sun_angles(sun, views)  # [n, d], or [m, n, d]
     map_ev = map_ev_lx(maps, views)
-    sources = sources or [glare_sources(image, views) for image in maps]
-    sums = np.stack([_source_sums(*each) for each in zip(sources, map_ev, strict=True)])
-    sun_cdm2 = disc[..., None] * (cosine > 0) / SUN_SOLID_ANGLE_SR
-    sun_ev = disc[..., None] * np.clip(cosine, 0.0, None)
-    return combine(map_ev, sun_ev, sums, sun_cdm2, right, up)
+    found = sources or [glare_sources(image, views) for image in maps]
+    hour = np.repeat(np.arange(len(maps)), [len(each.pixels) for each in found])
+    figures = zip(*(each[:5] for each in found), strict=True)
+    mean, omega, right, up, ev = map(np.concatenate, figures)
+    source_ev, of_sources = np.zeros_like(map_ev), np.zeros((len(maps), 3, map_ev.shape[1]))
+    np.add.at(source_ev, hour, ev)
+    # CIE 117: the background is the part of Ev that is not from the sources.
+    background = np.maximum(map_ev - source_ev, 0.0) / np.pi
+    terms = source_terms(mean, omega, right, up, ev, background[hour])
+    np.add.at(of_sources, hour, terms.swapaxes(0, 1))
+    sun = np.zeros((len(maps), 3)) if sun_direction is None else sun_direction
+    disc = np.zeros((len(maps), 1)) if disc_lx is None else np.asarray(disc_lx, float)[..., None]
+    right, up, cosine = _sun_angles(sun, views)  # [n, d], or [m, n, d]
+    sun_ev, sun_cdm2 = disc * np.clip(cosine, 0.0, None), disc * (cosine > 0) / SUN_SOLID_ANGLE_SR
+    terms = source_terms(sun_cdm2, np.asarray(SUN_SOLID_ANGLE_SR), right, up, sun_ev, background)
+    all_ev = sun_ev.reshape(-1, *map_ev.shape).sum(axis=0)
+    of_suns = terms.reshape(3, -1, *map_ev.shape).sum(axis=1)
+    sums = of_sources.swapaxes(0, 1) + of_suns
+    view = ViewSums(map_ev + all_ev, source_ev + all_ev, background, *sums)
+    parts = {"contrast": view.contrast, "sun_contrast": of_suns[0], "sun_ev_lx": all_ev}
+    return parts | {name: metric.formula(view) for name, metric in METRICS.items()}
+
+
+def source_terms(
+    mean_cdm2: Floats, omega: Floats, right: Floats, up: Floats, ev_lx: Floats, background: Floats
+) -> Floats:
+    """Return three terms of each glare source, or sun, to sum over sources, [3, ...].
+
+    omega : solid angle, sr; right, up : coordinates [rad]; ev_lx : vertical illuminance by the
+    source; background : luminance [cd/m2]. Rows: L^2 omega / P^2 (`contrast`); Hopkinson's term
+    0.478 L^1.6 (omega / P^2)^0.8 / (Lb + 0.07 omega^0.5 L) for `dgi`; illuminance over the squared
+    angle from the line of sight [lx/deg2] for `veiling_cdm2`.
+    """
+    index = position_index(right, up)
+    share = np.maximum(background + 0.07 * np.sqrt(omega) * mean_cdm2, 1e-12)
+    dgi_term = 0.478 * mean_cdm2**1.6 * (omega / index**2) ** 0.8 / share
+    # at least 1 degree: Stiles-Holladay is valid from 1 to 30 degrees
+    angle_deg = np.degrees(np.maximum(np.hypot(right, up), np.radians(1.0)))
+    return np.stack([mean_cdm2**2 * omega / index**2, dgi_term, ev_lx / angle_deg**2])
 
 
 def map_ev_lx(luminance_cdm2: Floats, views: Views) -> Floats:
@@ -215,10 +243,9 @@ def sun_per_lx(sun_direction: Floats, views: Views) -> tuple[Floats, Floats]:
     observer. A disc of E lx adds E times the first to Ev [lx], and E squared times the second to
     `contrast` (see `glare_directions`).
     """
-    right, up, cosine = _sun_angles(np.asarray(sun_direction, float), views)
-    ahead = cosine > 0
-    contrast = ahead / (SUN_SOLID_ANGLE_SR * position_index(right, up) ** 2)
-    return np.clip(cosine, 0.0, None).astype(float), contrast.astype(float)
+    right, up, cosine = _sun_angles(sun_direction, views)
+    contrast = (cosine > 0) / (SUN_SOLID_ANGLE_SR * position_index(right, up) ** 2)
+    return np.clip(cosine, 0.0, None), contrast
 
 
 def dgp_with_disc(
@@ -244,73 +271,9 @@ def dgp_with_disc(
 
 def _sun_angles(sun: Floats, views: Views) -> tuple[Floats, Floats, Floats]:
     """Return right, up and cosine of suns [..., 3] in d views, [..., d] each."""
-    angles = [angles_from_view(sun, frame) for frame in views.frames]
+    angles = [angles_from_view(np.asarray(sun, float), frame) for frame in views.frames]
     right, up, cosine = (np.stack([part[k] for part in angles], axis=-1) for k in range(3))
     return right, up, cosine
-
-
-def _source_sums(sources: Sources, ev: Floats) -> Floats:
-    """Return four sums over the sources of a map in each of d views, [4, d], without the disc.
-
-    ev : [d] vertical illuminance of the complete map, lx. Rows: L^2 omega / P^2 (`contrast`);
-    vertical illuminance from the sources, lx; Hopkinson's terms for `dgi`; illuminance over the
-    squared angle from the line of sight [lx/deg2] for `veiling_cdm2`.
-    """
-    index = position_index(sources.right_rad, sources.up_rad)
-    source_ev = sources.ev_lx.sum(axis=0)
-    background = np.maximum(ev - source_ev, 0.0) / np.pi
-    angle_deg = _glare_angle_deg(sources.right_rad, sources.up_rad)
-    terms = _dgi_terms(sources.mean_cdm2, sources.solid_angle_sr, index, background)
-    veil = (sources.ev_lx / angle_deg**2).sum(axis=0)
-    return np.stack([sources.contrast.sum(axis=0), source_ev, terms.sum(axis=0), veil])
-
-
-def _glare_angle_deg(right_rad: Floats, up_rad: Floats) -> Floats:
-    """Return the angle from the line of sight, at least 1 degree (validity of Stiles-Holladay)."""
-    return np.degrees(np.maximum(np.hypot(right_rad, up_rad), _MIN_GLARE_ANGLE_RAD))
-
-
-def _dgi_terms(mean: Floats, omega: Floats, index: Floats, background: Floats) -> Floats:
-    """Return 0.478 L^1.6 (omega / P2)^0.8 / (Lb + 0.07 omega^0.5 L), DGI's term of a source."""
-    share = np.maximum(background + 0.07 * np.sqrt(omega) * mean, 1e-12)
-    return 0.478 * mean**1.6 * (omega / index**2) ** 0.8 / share
-
-
-def combine(
-    map_ev: Floats,
-    sun_ev: Floats,
-    sums: Floats,
-    sun_cdm2: Floats,
-    sun_right: Floats,
-    sun_up: Floats,
-) -> dict[str, Floats]:
-    """Add the sun to the other sources and return all figures of `glare_directions`, [n, d] each.
-
-    map_ev : [n, d] vertical illuminance from the map, lx; sums : [n, 4, d] by `_source_sums`,
-    without the sun. sun_ev, sun_cdm2, sun_right, sun_up : [n, d], or [m, n, d] for the sun and
-    images of it: vertical illuminance [lx] and luminance of the disc [cd/m2], both 0 for a sun
-    behind the observer, and its coordinates right and up [rad].
-    """
-
-    def total(of_suns: Floats) -> Floats:
-        return np.asarray(of_suns, float).reshape(-1, *map_ev.shape).sum(axis=0)
-
-    omega = np.asarray(SUN_SOLID_ANGLE_SR)
-    sun_index = position_index(sun_right, sun_up)
-    sun_contrast = total(sun_cdm2**2 * omega / sun_index**2)
-    all_ev = total(sun_ev)
-    # CIE 117: the background is the part of Ev that is not from the sources.
-    background = np.maximum(map_ev - sums[:, 1], 0.0) / np.pi
-    view = ViewSums(
-        map_ev + all_ev,
-        sums[:, 1] + all_ev,
-        background,
-        sums[:, 0] + sun_contrast,
-        sums[:, 2] + total(_dgi_terms(sun_cdm2, omega, sun_index, background)),
-        sums[:, 3] + total(sun_ev / _glare_angle_deg(sun_right, sun_up) ** 2),
-    )
-    parts = {"contrast": view.contrast, "sun_contrast": sun_contrast, "sun_ev_lx": all_ev}
-    return parts | {name: metric.formula(view) for name, metric in METRICS.items()}
 
 
 # ----------------------------------------------------------------------------------------------
@@ -336,14 +299,10 @@ class ViewCoverage:
     unseen_sources: Floats
     words: tuple[str, ...]
 
-    def is_any(self, *words: str) -> Mask:
-        """Return a mask [d], True for directions whose word is one of `words`."""
-        return np.array([word in words for word in self.words])
-
     @property
     def judged(self) -> Mask:
         """Mask [d], True for directions that are seen or partly seen and therefore have figures."""
-        return self.is_any(SEEN, PARTLY_SEEN)
+        return np.array(self.words) != NOT_SEEN
 
 
 def view_coverage(views: Views) -> ViewCoverage:
@@ -465,15 +424,10 @@ def rammg(luminance_cdm2: Floats) -> float:
     return float(contrast_levels(luminance_cdm2).mean())
 
 
-def region_ratios(luminance_cdm2: Floats, views: Views) -> dict[str, Floats]:
-    """Return three figures by name, [n, d] each, of n maps in d view directions.
+def region_weights(views: Views) -> tuple[Floats32, Floats32, Floats32]:
+    """Return the solid angles of hemisphere, task cone and band for `region_ratios`, [P, d] each.
 
-    luminance_cdm2 : [n, H, W]. task_cdm2 : mean luminance of the task cone, which has 15 degrees
-    radius and is 30 degrees below the line of sight. window_to_task : mean luminance of the pixels
-    above 2000 cd/m2 in the front hemisphere, over task_cdm2; NaN without such pixels. uniformity :
-    harmonic over arithmetic mean luminance of the band within 20 degrees of the horizon: 1 if the
-    band is uniform, less with dark corners. Figures are of the seen pixels; NaN if they are less
-    than 90 % of the task cone, or of the band.
+    Task and band are NaN in directions of which less than 90 % of them were seen.
     """
     rays, omega = views.rays()
     _, up, forward = np.moveaxis(rays, 1, 0)
@@ -482,9 +436,24 @@ def region_ratios(luminance_cdm2: Floats, views: Views) -> dict[str, Floats]:
     task = half * (up * np.sin(below) + forward * np.cos(below) > np.cos(radius))
     band = half * (np.abs(up) < np.sin(reach))
     for part, complete_sr in ((task, 1 - np.cos(radius)), (band, np.sin(reach))):
-        # Share of task cone or band that must be seen: 58 rows of pixels give the cone to 5 %.
-        # Chosen.
+        # 58 rows of pixels give the cone to 5 %.
         part[:, part.sum(axis=0) < 0.9 * 2 * np.pi * complete_sr] = np.nan
+    return half, task, band
+
+
+def region_ratios(
+    luminance_cdm2: Floats, weights: tuple[Floats32, Floats32, Floats32]
+) -> dict[str, Floats]:
+    """Return three figures by name, [n, d] each, of n maps in d view directions.
+
+    luminance_cdm2 : [n, H, W]; weights : of `region_weights`. task_cdm2 : mean luminance of the
+    task cone, which has 15 degrees radius and is 30 degrees below the line of sight.
+    window_to_task : mean luminance of the pixels above 2000 cd/m2 in the front hemisphere, over
+    task_cdm2; NaN without such pixels. uniformity : harmonic over arithmetic mean luminance of the
+    band within 20 degrees of the horizon: 1 if the band is uniform, less with dark corners. Figures
+    are of the seen pixels; NaN if they are less than 90 % of the task cone, or of the band.
+    """
+    half, task, band = weights
     flat = np.asarray(luminance_cdm2, np.float32).reshape(len(luminance_cdm2), -1)
     bright = flat > SOURCE_CDM2
     with np.errstate(divide="ignore", invalid="ignore"):  # regions outside the picture

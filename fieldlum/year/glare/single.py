@@ -29,6 +29,7 @@ from fieldlum.year.glare.metrics import (
     glare_directions,
     rammg,
     region_ratios,
+    region_weights,
     unseen_dgp_bounds,
     view_coverage,
 )
@@ -206,7 +207,8 @@ def _view_rows(
         picture.panorama, pixels.ravel(), views.illuminance, sun, parts["sun_ev_lx"][0], lamps=lamps
     )
     figures = {name: parts[name][0] for name in METRICS}
-    figures |= {name: ratio[0] for name, ratio in region_ratios(pixels[None], views).items()}
+    ratios = region_ratios(pixels[None], region_weights(views))
+    figures |= {name: ratio[0] for name, ratio in ratios.items()}
     figures["melanopic_edi_lx"] = edi
     figures["u_melanopic_edi_lx"] = np.full_like(edi, np.nan) if u_edi is None else u_edi
     rows = []

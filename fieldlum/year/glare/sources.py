@@ -12,11 +12,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fieldlum.core.arrays import Floats, Floats32, Indices, Mask
+from fieldlum.core.compiled import compiled
 from fieldlum.optics.projection import (
     altitude_azimuth_deg,
     direction,
@@ -176,23 +178,22 @@ def widen(mask: Mask, radius_rad: float) -> Mask:
 
     mask : [H, W = 2H]. Distances are angles on the sphere, also across the panorama's seam.
     """
+    return _widened(mask, _half_widths(len(mask), radius_rad))
+
+
+@compiled
+def _widened(mask: Mask, half: Indices) -> Mask:
+    """Mark `half` columns on either side of each True pixel, in the rows above to below it."""
     height, width = mask.shape
-    rows = np.flatnonzero(mask.any(axis=1))
     out = np.zeros_like(mask)
-    if len(rows) == 0:
-        return out
-    first, last = rows[0], rows[-1]
-    tiled = np.concatenate([mask, mask, mask], axis=1)[first : last + 1]
-    counts = np.zeros((last + 1 - first, 3 * width + 1), np.int32)
-    counts[:, 1:] = np.cumsum(tiled, axis=1)
-    flat, columns = counts.ravel(), np.arange(width, 2 * width)
-    half = _half_widths(height, radius_rad)
-    for offset, widths in enumerate(half, start=-(len(half) // 2)):
-        around = np.arange(max(first - offset, 0), min(last - offset + 1, height))
-        around = around[widths[around] >= 0]
-        middle = (around + offset - first)[:, None] * (3 * width + 1) + columns
-        reach = widths[around, None]
-        out[around] |= flat.take(middle + (reach + 1)) > flat.take(middle - reach)
+    for row in range(height):
+        for column in range(width):
+            if mask[row, column]:
+                for k in range(len(half)):
+                    other = row + len(half) // 2 - k
+                    reach = half[k, other] if 0 <= other < height else -1
+                    for step in range(-reach, reach + 1):
+                        out[other, (column + step) % width] = True
     return out
 
 
@@ -224,28 +225,22 @@ def group_pixels(mask: Mask) -> NDArray[np.int32]:
 
     labels = np.zeros(mask.shape, np.int32)
     label(widen(mask, REACH_RAD / 2), structure=np.ones((3, 3)), output=labels)
-    if labels.max() > 1:
-        labels = _join_seam(labels, int(labels.max()))
-    return np.where(mask, labels, 0).astype(np.int32)
+    return np.where(mask, _joined_at_seam(labels), 0).astype(np.int32)
 
 
-def _join_seam(labels: NDArray[np.int32], count: int) -> NDArray[np.int32]:
+def _joined_at_seam(labels: NDArray[np.int32]) -> NDArray[np.int32]:
     """Join sources that meet across the panorama's seam, or at the zenith or nadir."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     left, right = labels[:, 0], labels[:, -1]
     pairs = [(left, right), (left[1:], right[:-1]), (left[:-1], right[1:])]
     pairs += [(row, np.full_like(row, row.max())) for row in (labels[0], labels[-1])]
-    a, b = (np.concatenate([pair[k] for pair in pairs]) for k in (0, 1))
-    both = (a > 0) & (b > 0)
-    graph = coo_array((np.ones(int(both.sum())), (a[both], b[both])), shape=(count + 1, count + 1))
-    joined = connected_components(graph, directed=False)[1]
-    return np.where(labels > 0, joined[labels] + 1, 0).astype(np.int32)
+    number = np.arange(labels.max() + 1, dtype=np.int32)
+    for pair in set(zip(*np.concatenate(pairs, axis=1).tolist(), strict=True)):
+        if all(pair):
+            number[np.isin(number, number[list(pair)])] = number[list(pair)].min()
+    return number[labels]
 
 
-@dataclass(frozen=True, slots=True)
-class Sources:
+class Sources(NamedTuple):
     """The s glare sources of a picture in d view directions, [s, d] each.
 
     mean_cdm2 : mean luminance; solid_angle_sr; right_rad, up_rad : coordinates of the centre by

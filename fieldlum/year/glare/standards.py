@@ -7,8 +7,7 @@ without glare.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import structs
@@ -52,8 +51,7 @@ def dgp_per_scale(dgp: Floats, ev_lx: Floats) -> Floats:
     return DGP_EV * ev_lx + 0.13 * DGP_CONTRAST / np.log(10.0) * share
 
 
-@dataclass(frozen=True, slots=True)
-class DgpUncertainty:
+class DgpUncertainty(NamedTuple):
     """What is uncertain about the DGP of n hours in d directions.
 
     words [d] : "seen", "partly seen" or "not seen"; minimum, maximum [n, d] : DGP over possible
@@ -69,17 +67,7 @@ class DgpUncertainty:
 
     def hours(self, rows: Mask) -> DgpUncertainty:
         """Return the uncertainty of the hours for which the mask `rows` [n] is True."""
-        return DgpUncertainty(self.words, *(part[..., rows, :] for part in self._arrays))
-
-    @classmethod
-    def joined(cls, parts: Sequence[DgpUncertainty]) -> DgpUncertainty:
-        """Return the uncertainty of the hours of all parts, in their order."""
-        arrays = zip(*(part._arrays for part in parts), strict=True)
-        return cls(parts[0].words, *(np.concatenate(each, axis=-2) for each in arrays))
-
-    @property
-    def _arrays(self) -> tuple[Floats, Floats, Floats32, Floats]:
-        return self.minimum, self.maximum, self.drawn, self.u_maps
+        return DgpUncertainty(self.words, *(part[..., rows, :] for part in self[1:]))
 
 
 def class_of(dgp_exceeded: float) -> str:

@@ -41,13 +41,14 @@ from fieldlum.year.glare.metrics import (
     glare_directions,
     map_ev_lx,
     region_ratios,
+    region_weights,
     sun_per_lx,
     unseen_dgp_bounds,
     view_coverage,
 )
 from fieldlum.year.glare.sources import SOURCE_CDM2, Views, panorama_views
 from fieldlum.year.glare.standards import DgpUncertainty, dgp_uncertainty, disturbed_share
-from fieldlum.year.predict.annual import rounded, time_coordinate
+from fieldlum.year.predict.annual import Annual, rounded, time_coordinate
 from fieldlum.year.predict.melanopic import MelanopicYear
 
 BLOCK = 64  # hours; about 30 MB for each map layer at 460 x 230; chosen
@@ -216,25 +217,19 @@ def map_coordinates(
     }
 
 
-def begin_maps(folder: Path, t_utc: Sequence[datetime], room: ModelRoom) -> Path:
-    """Return a new store in `folder`: time, altitude and azimuth, and an array of maps of NaN.
+def begin_maps(folder: Path, hours: int, room: ModelRoom) -> Path:
+    """Return a new store in `folder` with an array of maps of NaN.
 
     Units of work write maps in parallel into it with `write_maps`; `finish_maps` renames it to
-    maps.zarr. t_utc: middle of each hour.
+    maps.zarr.
     """
-    import xarray as xr
     import zarr
 
     height, width, draft = room.height, room.width, folder / DRAFT
-    shutil.rmtree(draft, ignore_errors=True)
-    about = {"heading_deg": room.heading_deg, "site": room.setup.site.name}
-    frame = xr.Dataset(coords=map_coordinates(t_utc, height, room.heading_deg), attrs=about)
-    time = {"time": {"units": "seconds since 1970-01-01", "dtype": "int64"}}
-    frame.to_zarr(draft, mode="w", zarr_format=3, consolidated=False, encoding=time)
-    group: Any = zarr.open_group(draft, mode="r+", zarr_format=3)
+    group: Any = zarr.open_group(draft, mode="w", zarr_format=3)
     group.create_array(
         MAPS,
-        shape=(len(t_utc), height, width),
+        shape=(hours, height, width),
         dtype="float32",
         chunks=(8, height, width),  # hours that are decompressed to read one
         shards=(BLOCK, height, width),  # one file for each unit
@@ -257,21 +252,22 @@ def write_maps(store: Path, start: int, maps: Floats32) -> None:
     array[start : start + len(maps)] = rounded(maps)
 
 
-def finish_maps(folder: Path, disc_lx: Floats, trusted: Floats) -> None:
-    """Write `disc_lx` [lx] and `trusted` (0 or 1) of the n hours, and give the store its name."""
+def finish_maps(folder: Path, annual: Annual, room: ModelRoom) -> None:
+    """Write times, directions, `disc_lx` [lx] and `trusted`, and give the store its name."""
     import xarray as xr
-    import zarr
 
     text = "illuminance of the visible disc on a plane normal to it"
     flag = {"long_name": "similar light was captured, and the expected error is not large"}
     hours = xr.Dataset(
         {
-            "disc_lx": (("time",), disc_lx, {"units": "lx", "long_name": text}),
-            "trusted": (("time",), trusted.astype(np.int8), flag),
+            "disc_lx": ("time", annual.hours["disc_lx"], {"units": "lx", "long_name": text}),
+            "trusted": ("time", annual.hours["trusted"].astype(np.int8), flag),
         },
-        attrs=dict(zarr.open_group(folder / DRAFT, mode="r").attrs),  # to_zarr replaces them
+        coords=map_coordinates(annual.t_utc, room.height, room.heading_deg),
+        attrs={"heading_deg": room.heading_deg, "site": room.setup.site.name},
     )
-    hours.to_zarr(folder / DRAFT, mode="a", zarr_format=3, consolidated=False)
+    time = {"time": {"units": "seconds since 1970-01-01", "dtype": "int64"}}
+    hours.to_zarr(folder / DRAFT, mode="a", zarr_format=3, consolidated=False, encoding=time)
     shutil.rmtree(folder / NAME, ignore_errors=True)
     (folder / DRAFT).rename(folder / NAME)
 
@@ -280,8 +276,7 @@ def finish_maps(folder: Path, disc_lx: Floats, trusted: Floats) -> None:
 # glare of the hours
 
 
-@dataclass(frozen=True, slots=True)
-class HourFigures:
+class HourFigures(NamedTuple):
     """Figures of n consecutive hours of a year, in d view directions.
 
     start: index in the year of the first hour, from 0; hours: columns of hourly.csv without a
@@ -299,12 +294,18 @@ class HourFigures:
 def joined(parts: Sequence[HourFigures]) -> HourFigures:
     """Return the figures of all parts, which may be in any order."""
     parts = sorted(parts, key=lambda part: part.start)
-    first = parts[0]
+    start, hours, views, (words, *arrays) = parts[0]
     return HourFigures(
-        first.start,
-        {name: np.concatenate([part.hours[name] for part in parts]) for name in first.hours},
-        {name: np.concatenate([part.views[name] for part in parts]) for name in first.views},
-        DgpUncertainty.joined([part.uncertainty for part in parts]),
+        start,
+        {name: np.concatenate([part.hours[name] for part in parts]) for name in hours},
+        {name: np.concatenate([part.views[name] for part in parts]) for name in views},
+        DgpUncertainty(
+            words,
+            *(
+                np.concatenate([part.uncertainty[k] for part in parts], axis=-2)
+                for k in range(1, 1 + len(arrays))
+            ),
+        ),
     )
 
 
@@ -315,7 +316,20 @@ class HourJudge:
         """Compute the weights of the views."""
         size = room.height, room.width, room.heading_deg
         self.views = panorama_views(*size, azimuths_deg, room.seen)
-        self._coverage = view_coverage(self.views)
+        self._coverage, self._regions = view_coverage(self.views), region_weights(self.views)
+
+    def glare(self, block: HourBlock) -> dict[str, Floats]:
+        """Return the figures of k hours in d view directions, by column of hourly.csv, [k, d] each.
+
+        Those of uncertainty and of measured colour are missing. All further keys of
+        `glare_directions` are included.
+        """
+        maps, light, images = block.prediction.luminance_cdm2, block.light, block.images
+        suns = np.stack([light.apparent_sun_direction, *(image.towards for image in images)])
+        suns_lx = np.stack([block.disc_lx, *(image.shown_lx for image in images)])
+        figures = glare_directions(maps, self.views, suns, suns_lx)
+        figures["melanopic_edi_lx_estimate"] = figures["ev_lx"].copy()
+        return figures | region_ratios(maps, self._regions)
 
     def figures(
         self,
@@ -329,29 +343,27 @@ class HourJudge:
         discs_lx: illuminance of the sun's disc in random draws of its visibility [m, k]; start:
         index of the first hour; melanopic: colours by the captures, None without any.
         """
-        views, light, coverage = self.views, block.light, self._coverage
-        figures = view_figures(block, views)
+        views, light, coverage, figures = self.views, block.light, self._coverage, self.glare(block)
         u_ev_rel, u_source_rel = relative_uncertainty(block, views, figures)
         ev_lx, contrast = figures["ev_lx"], figures["contrast"]
         if melanopic is not None:
             figures |= melanopic.figures(light, figures, u_ev_rel)
-        uncertainty = DgpUncertainty(
-            coverage.words,
-            *self._bounds(block, ev_lx, contrast),
-            dgp_with_disc(
-                figures,
-                sun_per_lx(light.apparent_sun_direction, views),
-                discs_lx,
-                drawn_images(block, views, len(discs_lx)),
-            ).astype(np.float32),
-            dgp_uncertainty(ev_lx, contrast, u_ev_rel, u_source_rel),
-        )
-        off = uncertainty.drawn - figures["dgp"].astype(np.float32)  # [m, k, d]
-        reach = 1.96 * np.nan_to_num(uncertainty.u_maps)  # 95 %
+        u_maps = dgp_uncertainty(ev_lx, contrast, u_ev_rel, u_source_rel)
+        # the unseen part has at most the sky's mean or that of the brightest seen hundredth
+        brightest = light.diffuse_lx / np.pi
+        if coverage.unseen_illuminance.any():
+            seen_cdm2 = brightest_cdm2(block.prediction.luminance_cdm2, views)
+            brightest = np.maximum(brightest, seen_cdm2)
+        minimum, maximum = unseen_dgp_bounds(coverage, ev_lx, contrast, brightest)
+        per_lx = sun_per_lx(light.apparent_sun_direction, views)
+        images = _images(block, views, len(discs_lx))
+        drawn = dgp_with_disc(figures, per_lx, discs_lx, images).astype(np.float32)
+        off = drawn - figures["dgp"].astype(np.float32)  # [m, k, d]
+        reach = 1.96 * np.nan_to_num(u_maps)  # 95 %
         low, high = np.percentile(off, (2.5, 97.5), axis=0)
-        figures["dgp_low"] = np.clip(uncertainty.minimum + np.minimum(low, 0.0) - reach, 0.0, 1.0)
-        figures["dgp_high"] = np.clip(uncertainty.maximum + np.maximum(high, 0.0) + reach, 0.0, 1.0)
-        figures["u_dgp"] = np.hypot(uncertainty.u_maps, np.sqrt((off**2).mean(axis=0)))
+        figures["dgp_low"] = np.clip(minimum + np.minimum(low, 0.0) - reach, 0.0, 1.0)
+        figures["dgp_high"] = np.clip(maximum + np.maximum(high, 0.0) + reach, 0.0, 1.0)
+        figures["u_dgp"] = np.hypot(u_maps, np.sqrt((off**2).mean(axis=0)))
         for values in figures.values():
             values[:, ~coverage.judged] = np.nan
         hours = {
@@ -362,35 +374,8 @@ class HourJudge:
             "expected_log10_mse": block.prediction.expected_mse,
             "disturbed_share": disturbed_share(figures["dgp"]),
         }
+        uncertainty = DgpUncertainty(coverage.words, minimum, maximum, drawn, u_maps)
         return HourFigures(start, hours, figures, uncertainty)
-
-    def _bounds(self, block: HourBlock, ev_lx: Floats, contrast: Floats) -> tuple[Floats, Floats]:
-        """Return the minimum and maximum DGP over possible light in the unseen part of each view.
-
-        It has between 0 cd/m2 and the sky's mean or the brightest seen hundredth.
-        """
-        brightest = block.light.diffuse_lx / np.pi
-        if self._coverage.unseen_illuminance.any():
-            maps = block.prediction.luminance_cdm2
-            brightest = np.maximum(brightest, brightest_cdm2(maps, self.views))
-        return unseen_dgp_bounds(self._coverage, ev_lx, contrast, brightest)
-
-
-def view_figures(block: HourBlock, views: Views) -> dict[str, Floats]:
-    """Return the figures of k hours in d view directions, by column of hourly.csv, [k, d] each.
-
-    Those of uncertainty and of measured colour are missing. All further keys of `glare_directions`
-    are included.
-    """
-    maps = block.prediction.luminance_cdm2
-    figures = glare_directions(
-        maps,
-        views,
-        np.stack([block.light.apparent_sun_direction, *(image.towards for image in block.images)]),
-        np.stack([block.disc_lx, *(image.shown_lx for image in block.images)]),
-    )
-    figures["melanopic_edi_lx_estimate"] = figures["ev_lx"].copy()
-    return figures | region_ratios(maps, views)
 
 
 def relative_uncertainty(
@@ -403,31 +388,25 @@ def relative_uncertainty(
     too bright or too dark on a complete wall. The disc has 5 %. figures: the result of
     `glare_directions`.
     """
-    map_ev, map_source = _relative_of_map(block, views)
+    predicted, maps = block.prediction, block.prediction.luminance_cdm2
+    if predicted.log10_sd is None:
+        of_ev = of_source = np.log(10.0) * np.sqrt(np.asarray(predicted.expected_mse))[:, None]
+    else:
+        u_rel = np.float32(np.log(10.0)) * predicted.log10_sd
+        power = np.where(maps > SOURCE_CDM2, maps, np.float32(0.0)) ** 2
+        of_ev = map_ev_lx(maps * u_rel, views) / np.maximum(
+            figures["ev_lx"] - figures["sun_ev_lx"], 1e-6
+        )
+        of_source = map_ev_lx(power * u_rel, views) / np.maximum(map_ev_lx(power, views), 1e-6)
     share_ev = figures["sun_ev_lx"] / np.maximum(figures["ev_lx"], 1e-6)
     share = figures["sun_contrast"] / np.maximum(figures["contrast"], 1e-30)
     return (
-        np.hypot((1.0 - share_ev) * map_ev, share_ev * U_DISC),
-        np.hypot((1.0 - share) * map_source, share * U_DISC),
+        np.hypot((1.0 - share_ev) * of_ev, share_ev * U_DISC),
+        np.hypot((1.0 - share) * of_source, share * U_DISC),
     )
 
 
-def _relative_of_map(block: HourBlock, views: Views) -> tuple[Floats, Floats]:
-    predicted = block.prediction
-    shape = (len(predicted.trusted), len(views.azimuths_deg))
-    if predicted.log10_sd is None:
-        same = np.log(10.0) * np.sqrt(np.asarray(predicted.expected_mse, float))[:, None]
-        return np.broadcast_to(same, shape), np.broadcast_to(same, shape)
-    spread = np.float32(np.log(10.0)) * predicted.log10_sd
-    maps = predicted.luminance_cdm2
-    ev, power = (
-        map_ev_lx(light * spread, views) / np.maximum(map_ev_lx(light, views), 1e-6)
-        for light in (maps, np.where(maps > SOURCE_CDM2, maps, np.float32(0.0)) ** 2)
-    )
-    return ev, power
-
-
-def drawn_images(block: HourBlock, views: Views, count: int) -> list[DiscLight]:
+def _images(block: HourBlock, views: Views, count: int) -> list[DiscLight]:
     """Return what 1 lx of each mirror's image adds to Ev and contrast, and `count` random draws.
 
     The draws are the image's illuminance in lx [count, n], or 0 where it is hidden. Draw i (from 0)

@@ -128,7 +128,7 @@ def run(
     colours = year_of_captures(pairs, room, azimuths) if pairs else None
     _delete_earlier_year(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    store = begin_maps(folder, light.t_utc, room) if maps else None
+    store = begin_maps(folder, len(light), room) if maps else None
     found = measure(
         model_folder,
         room,
@@ -142,9 +142,9 @@ def run(
     )
     found.hours["trusted"] *= not poor(config)
     found.hours["occupied"][:] = occupancy.at(light.t_utc, zone)
-    if store:
-        finish_maps(folder, found.hours["disc_lx"], found.hours["trusted"])
     annual = Annual(folder, PredictFile(), light.t_utc, azimuths, found.hours, _columns(found))
+    if store:
+        finish_maps(folder, annual, room)
     rows, budgets = _protection(annual, found.uncertainty, hours_used, session, seed)
     annual = replace(
         annual,
@@ -249,7 +249,7 @@ def telling_pictures(fitted: Fitted, room: ModelRoom, light: Light, annual: Annu
     """
     chosen = list(telling_hours(annual))
     rows = np.array(sorted({row for _, row in chosen}), np.int64)
-    parts = list(blocks(fitted, room, light[rows]))
+    parts = list(blocks(fitted, room, light[rows], annual.hours["disc_lx"][rows]))
     maps = np.concatenate([block.pictures_cdm2(room.heading_deg) for block in parts])
     disc = np.concatenate([block.disc_lx for block in parts])
     at = [int(np.searchsorted(rows, row)) for _, row in chosen]
