@@ -5,11 +5,11 @@ The primary rays are traced once; each hour only needs shadow rays.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -54,7 +54,7 @@ def iter_sun_patches(
     points = _sun_points(room, height, heading_deg, sub or patch_rays(height))
     toward = points.scene.to_room(suns)
     visible, through = disc_visibility(points.scene, toward)
-    with ThreadPoolExecutor(min(os.cpu_count() or 1, 8)) as pool:
+    with ThreadPoolExecutor(max(cv2.getNumThreads(), 1)) as pool:  # 1 in a process of the scheduler
         for start in range(0, len(suns), chunk):
             progress(start, len(suns), "sun patches")
             rows = range(start, min(start + chunk, len(suns)))
