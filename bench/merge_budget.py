@@ -18,6 +18,7 @@ import argparse
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby
 from pathlib import Path
 from time import process_time
 
@@ -25,8 +26,7 @@ import numpy as np
 
 from fieldlum.core.records import Exposure, Flag
 from fieldlum.devices.simulated.camera import raw_counts
-from fieldlum.merge import MergeOptions
-from fieldlum.merge.bracket import merge_headings
+from fieldlum.merge import merge_sensor
 from fieldlum.merge.estimator import Merged
 from fieldlum.merge.frames import Crop, lens_crop
 from fieldlum.merge.project import blend, finish, u_of_edges, view_through
@@ -262,9 +262,10 @@ def realise(
             shots.append(
                 Shot(_photograph(exposed, e, true_s, true, path, which.quality, rng), e, heading)
             )
-    images, _ = merge_headings(
-        sorted_shots(shots, profile), profile, MergeOptions(target.height), heading_deg=180.0
-    )
+    images = []
+    for heading, group in groupby(sorted_shots(shots, profile), key=lambda s: s.heading_deg):
+        turn_deg = 0.0 if heading is None else heading - 180.0
+        images.append(merge_sensor(list(group), profile, turn_deg=turn_deg)[0])
     merged = [
         view_through(image, lens, profile, target) for image in images for lens in profile.lens
     ]

@@ -203,7 +203,7 @@ def test_turning_the_lens_by_whole_columns_shifts_the_panorama() -> None:
 
 @pytest.mark.analytic
 def test_fisheye_target_looks_along_the_lens() -> None:
-    target = Fisheye(64, 186.0, lens(azimuth_deg=70.0))
+    target = Fisheye.of_size(64, replace(lens(azimuth_deg=70.0), full_angle_deg=186.0))
     r = resampler(target, lens(azimuth_deg=70.0), (300, 300))
     x = np.tile(np.arange(300, dtype=np.float32), (300, 1))
     picture = (r.matrices[""] @ x.ravel()).reshape(64, 64)

@@ -119,7 +119,7 @@ def read_spectrum(path: Path) -> tuple[float, float]:
             own_nm = np.linspace(float(low), float(high), len(values))
             figures.append(weights @ np.interp(nm, own_nm, values))
     if not figures:
-        expected = "'Spectral Values (380 nm - 1000 nm);' and numbers"
+        expected = "lines with 'Spectral Values (380 nm - 1000 nm);' and numbers"
         raise InputError(path, "no spectrum", expected, "export it again from JETI LiVal")
     y, melanopic = np.mean(figures, axis=0).tolist()
     return y, melanopic

@@ -20,16 +20,8 @@ from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Exposure, Flag, Panorama
 from fieldlum.core.statistics import is_no_worse, robust_sigma, standard_error
 from fieldlum.core.strict_csv import CsvTable, lines_of, numbered, read_text, table_of
+from fieldlum.optics import linear_light
 from fieldlum.optics.images import calibration_mark
-from fieldlum.optics.linear_light import (
-    black_dn,
-    check_frame,
-    frame_z_per_cdm2,
-    full_dn,
-    linear_counts,
-    response_tables,
-    vignetting_of,
-)
 from fieldlum.optics.photometry import saturation_plateau, vignetting_at
 from fieldlum.optics.profiles import CameraProfile, Lens, Provenance, save_profile
 from fieldlum.optics.projection import angle_of_radius, direction, equirect_rays, relative_radius
@@ -295,19 +287,19 @@ def linear_frame(path: Path, profile: CameraProfile) -> LinearFrame:
     if not is_jpeg(path):
         return _from_mosaic(path, profile)
     frame, r = read_jpeg(path, camera_pixels=profile.camera.pixels), profile.response
-    check_frame(path, frame.codes.shape, frame.model, profile)
-    tables = response_tables(profile)  # [256, 3]
+    linear_light.check_frame(path, frame.codes.shape, frame.model, profile)
+    tables = linear_light.response_tables(profile)  # [256, 3]
     z = np.stack([tables[frame.codes[..., c], c] for c in range(3)], axis=-1)
     brightest = frame.codes.max(axis=-1)
     bad = (brightest > r.high_code) | (brightest < r.low_code)
-    rgb = z / frame_z_per_cdm2(frame.exposure, profile)
+    rgb = z / linear_light.frame_z_per_cdm2(frame.exposure, profile)
     return LinearFrame(path, rgb.astype(np.float32), bad, 1, frame.exposure)
 
 
 def own_mosaic(path: Path, profile: CameraProfile) -> Mosaic:
     """Read a raw frame of the profile's camera. Raises InputError for one of another camera."""
     mosaic = read_mosaic(path, lens_f_number=profile.camera.fixed_f_number)
-    check_frame(path, mosaic.counts.shape, mosaic.model, profile)
+    linear_light.check_frame(path, mosaic.counts.shape, mosaic.model, profile)
     return mosaic
 
 
@@ -315,16 +307,18 @@ def _from_mosaic(path: Path, profile: CameraProfile) -> LinearFrame:
     mosaic = own_mosaic(path, profile)
     rows, columns = (n // 2 * 2 for n in mosaic.counts.shape)
     planes = [mosaic.counts[r:rows:2, c:columns:2] for r, c in channel_positions(mosaic.cfa)]
-    full = full_dn(mosaic, profile, [saturation_plateau(p, mosaic.white_dn) for p in planes])
+    full = linear_light.full_dn(
+        mosaic, profile, [saturation_plateau(p, mosaic.white_dn) for p in planes]
+    )
     bad = np.zeros(planes[0].shape, bool)
     shares = []
-    for plane, black, top in zip(planes, black_dn(mosaic, profile), full, strict=True):
+    for plane, black, top in zip(planes, linear_light.black_dn(mosaic, profile), full, strict=True):
         cell = plane.astype(np.float32)
         bad |= cell > FULL * top
-        above = linear_counts(cell - black, black, profile)
+        above = linear_light.linear_counts(cell - black, black, profile)
         shares.append(above / (profile.sensor.white_dn - black))
     z = np.stack([shares[0], (shares[1] + shares[2]) / 2, shares[3]], axis=-1)
-    rgb = z / frame_z_per_cdm2(mosaic.exposure, profile)
+    rgb = z / linear_light.frame_z_per_cdm2(mosaic.exposure, profile)
     return LinearFrame(path, rgb.astype(np.float32), bad, 2, mosaic.exposure, mosaic.colour_matrix)
 
 
@@ -352,7 +346,7 @@ def transmission(profile: CameraProfile, f_number: float, x_px: float, y_px: flo
     InputError if the lens only has curves for other apertures.
     """
     lens = profile.lens[nearest_lens(profile, x_px, y_px)]
-    coefficients, _ = vignetting_of(lens, f_number)
+    coefficients, _ = linear_light.vignetting_of(lens, f_number)
     return float(vignetting_at(coefficients, relative_angle(lens, x_px, y_px)))
 
 

@@ -105,7 +105,7 @@ def _light(codes: NDArray[np.uint8], log_e: Floats) -> Floats:
     light = np.full(codes.shape, np.nan)
     for colour in range(3):
         own = codes[..., colour]
-        z = fit_response(own, log_e, smooth=30.0)[0][own]  # a stiffer one would bend the steps
+        z = fit_response(own, log_e)[0][own]  # a stiffer one would bend the steps
         counts = (own >= LOW) & (own <= HIGH) & (z > 0)
         light[..., colour] = np.where(counts, np.log(np.where(counts, z, 1.0)) - log_e, np.nan)
     return light

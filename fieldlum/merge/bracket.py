@@ -74,10 +74,7 @@ def floating_white_balance(shots: Sequence[Shot], profile: CameraProfile) -> str
 
 
 def report_of(
-    parts: Sequence[Findings],
-    flags: NDArray[np.integer],
-    target: Target,
-    profile: CameraProfile,
+    parts: Sequence[Findings], flags: NDArray[np.integer], target: Target, profile: CameraProfile
 ) -> MergeReport:
     """Return the figures of one merged bracket.
 
@@ -231,8 +228,7 @@ class MergeOptions:
         """Return the pixel grid of the result: a panorama, or a fisheye like the first lens."""
         if self.projection == "equirect":
             return Equirect(self.height)
-        lens = profile.lens[0]
-        return Fisheye(self.height, lens.full_angle_deg, lens)
+        return Fisheye.of_size(self.height, profile.lens[0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,31 +251,6 @@ class MergeResult:
     def quality(self) -> JsonTable:
         """Return the report as the object `quality` of `merge --json`."""
         return self.report.table()
-
-
-def merge_headings(
-    shots: Sequence[Shot],
-    profile: CameraProfile,
-    options: MergeOptions,
-    *,
-    heading_deg: float,
-    progress: Progress = quiet,
-) -> tuple[list[SensorImage], list[Findings]]:
-    """Merge the frames of each heading on the sensor.
-
-    shots: in the order of `sorted_shots`: by heading, then longest exposure first. heading_deg:
-    azimuth of the resulting picture's centre, clockwise from true north. Return two lists with one
-    item for each heading: the merged pixels of the sensor, and what its frames showed.
-    """
-    images, findings = [], []
-    for heading, group in groupby(shots, key=lambda s: s.heading_deg):
-        turn_deg = 0.0 if heading is None else heading - heading_deg
-        image, part = merge_sensor(
-            list(group), profile, fit=options.fit, turn_deg=turn_deg, progress=progress
-        )
-        images.append(image)
-        findings.append(part)
-    return images, findings
 
 
 def merge_shots(
@@ -305,9 +276,13 @@ def merge_shots(
     floating = floating_white_balance(shots, profile)
     if floating:
         profile = replace(profile, colour=replace(profile.colour, melanopic_from_rgb=()))
-    images, findings = merge_headings(
-        sorted_shots(shots, profile), profile, options, heading_deg=heading_deg, progress=progress
-    )
+    images, findings = [], []
+    for heading, group in groupby(sorted_shots(shots, profile), key=lambda s: s.heading_deg):
+        turn_deg = 0.0 if heading is None else heading - heading_deg
+        how = {"fit": options.fit, "turn_deg": turn_deg, "progress": progress}
+        image, part = merge_sensor(list(group), profile, **how)
+        images.append(image)
+        findings.append(part)
     views = [
         view_through(image, lens, profile, target) for image in images for lens in profile.lens
     ]
@@ -395,14 +370,12 @@ def _axis_illuminance_lx(result: MergeResult, target: Target) -> float:
     target: pixel grid of the picture. This is the vertical illuminance for a camera that looks
     horizontally.
     """
-    panorama = result.panorama
+    light, heading_deg = result.panorama.luminance_cdm2, result.panorama.heading_deg
     if isinstance(target, Equirect):
-        return vertical_illuminance_lx(
-            panorama.luminance_cdm2, panorama.heading_deg, panorama.heading_deg
-        )
+        return vertical_illuminance_lx(light, heading_deg, heading_deg)
     centre = np.arange(target.size) + 0.5
-    cosine = np.maximum(np.cos(target.angles(centre, centre)), 0.0)
-    return float((panorama.luminance_cdm2 * cosine * target.solid_angles()).sum())
+    cosine = np.maximum(target.rays(centre, centre) @ target.lens.axes()[2], 0.0)
+    return float((light * cosine * target.solid_angles()).sum())
 
 
 def files_to_picture(

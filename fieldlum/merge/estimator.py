@@ -19,10 +19,6 @@ from fieldlum.core.arrays import Floats32, Mask
 from fieldlum.core.records import Flag
 from fieldlum.merge.frames import Signal
 
-# a frame with a lower ratio does not fill pixels that other frames lost; not measured
-_READABLE_SNR = 5.0
-_MOTION_SIGMA = 5.0  # one still pixel in two million is beyond; chosen
-
 
 class Rows(NamedTuple):
     """Some pixels of a frame.
@@ -159,7 +155,8 @@ def _flag_motion(
     freedom = len(rows) - 1
     tolerated = np.zeros_like(mean)
     np.divide((u_ratio * mean) ** 2 * freedom, merged.variance, out=tolerated, where=informed)
-    moved = informed & (chi2 > _MOTION_SIGMA**2 + (freedom + tolerated))
+    # five standard deviations: one still pixel in two million is beyond
+    moved = informed & (chi2 > 5.0**2 + (freedom + tolerated))
     merged.flags[moved] |= np.uint8(Flag.MOTION)
     merged.variance[moved] *= chi2[moved] / freedom
 
@@ -179,7 +176,8 @@ def _fill_lost(
         signal = row.signal
         per, largest = (np.broadcast_to(v, value.shape) for v in (signal.per_cdm2, signal.max_cdm2))
         readable, spread = signal.readable(row.counts)
-        own = lost & readable & (row.counts > _READABLE_SNR * np.sqrt(spread))
+        # noise of a fifth: darker frames do not fill pixels that other frames lost
+        own = lost & readable & (row.counts > 5.0 * np.sqrt(spread))
         value[own] = (row.counts / per)[own]
         variance[own] = (spread / per**2)[own]
         flags[own] |= np.uint8(Flag.BLOOM)

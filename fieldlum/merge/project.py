@@ -23,11 +23,6 @@ from fieldlum.optics.profiles import CameraProfile, Lens
 from fieldlum.optics.projection import Equirect, LensGeometry, Target, lens_pixels, wrapped
 from fieldlum.optics.stray_light import stray_cdm2
 
-_MIN_SAMPLES = 3  # along an edge of a target pixel
-# Samples along an edge are a multiple of the edge's cells, which are at most half a degree wide, so
-# that large pixels have enough samples. [rad]
-_CELL_RAD = 0.009
-
 
 @dataclass(frozen=True, slots=True)
 class Resampler:
@@ -94,11 +89,13 @@ def _samples(
     of a sample inside.
     """
     (first, last), width, across = rows, target.shape[1], sub
-    cells = max(1, int(np.ceil(target.pixel_rad / _CELL_RAD)))
+    # Samples along an edge are a multiple of the edge's cells, which are at most half a degree
+    # (0.009 rad) wide, so that large pixels have enough samples.
+    cells = max(1, int(np.ceil(target.pixel_rad / 0.009)))
     if isinstance(target, Equirect):
         top, bottom = target.zenith_angle_rad(np.array(rows, float))
         widest = np.sin(np.clip(np.pi / 2.0, top, bottom))
-        across = max(_MIN_SAMPLES, int(np.ceil(sub * widest)))
+        across = max(3, int(np.ceil(sub * widest)))
     sub, across = (-(-count // cells) * cells for count in (sub, across))
     down = first + (np.arange((last - first) * sub) + 0.5) / sub
     along = (np.arange(width * across) + 0.5) / across
@@ -153,7 +150,7 @@ def _samples_per_pixel(target: Target, lens: LensGeometry, spacing_px: float) ->
     half = lens.half_angle_rad
     densest = lens.radius_px * max(1.0 / np.sin(min(half, np.pi / 2)), 1.0 / half)
     needed = np.ceil(densest * target.pixel_rad / (1.1 * spacing_px))
-    return int(np.clip(needed, _MIN_SAMPLES, 24))
+    return int(np.clip(needed, 3, 24))
 
 
 # A raw camera needs 1 MB for each block of 36 square degrees of its sky cut. Chosen for 200 blocks.
@@ -197,8 +194,6 @@ _SPOILT = Flag.CLIPPED_HIGH | Flag.BLOOM | Flag.MOTION
 # bilinear resampling. Resampling reaches two pixels where each colour has its own pixels, one pixel
 # where every pixel sees all colours.
 _LEAK_PX = {"raw": 0.35, "jpeg": 0.20}
-# width of the rim in which a lens fades out if another lens sees the same directions
-_TAPER_RAD = 0.06
 
 
 @dataclass(frozen=True, slots=True)
@@ -287,7 +282,8 @@ def view_through(
     parts = np.maximum(rgb * weights, 0.0) + 1e-30
     u_ratio = (parts * sensor.u_curve.at(rgb)).sum(axis=1) / parts.sum(axis=1)
     rgb, var = rgb / v[:, None], var / v[:, None] ** 2
-    edge = np.clip((geometry.half_angle_rad - angle) / _TAPER_RAD, 0.01, 1.0)
+    # a lens fades out in a rim of 0.06 rad if another lens sees the same directions
+    edge = np.clip((geometry.half_angle_rad - angle) / 0.06, 0.01, 1.0)
     u_vignetting = u_edge * np.clip((1.0 - v) / worst, 0.0, 1.0)
     coverage = r.coverage.astype(np.float64)
     light = rgb @ weights

@@ -23,7 +23,6 @@ from fieldlum.optics.photometry import PairRatio, ShutterLaw, law_of_frames
 from fieldlum.optics.profiles import CameraProfile
 from fieldlum.session.files.sidecar import NeighbourQuality
 
-_SNR_LONG = 30.0  # minimum signal-to-noise ratio of a pixel in the longer frame
 # Least signal-to-noise ratios in the shorter frame, tried from the highest, and number of pixels
 # that suffices. Bright pixels are preferred because a black level that is wrong by one count
 # affects dim pixels.
@@ -128,7 +127,7 @@ def compare(long: Rows, short: Rows, i: int, j: int) -> PairRatio | None:
     light = np.maximum(long.counts / long.signal.per_cdm2, 0.0).astype(np.float32)
     e_long, w_long, snr_long = _exposed(long, light)
     e_short, w_short, snr_short = _exposed(short, light)
-    well_exposed = (snr_long > _SNR_LONG) & ~(long.full | short.full)
+    well_exposed = (snr_long > 30.0) & ~(long.full | short.full)
     usable = well_exposed
     for minimum in _SNR_SHORT if isinstance(long.signal, RawSignal) else _SNR_SHORT[-1:]:
         usable = well_exposed & (snr_short > minimum)

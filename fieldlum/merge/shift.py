@@ -19,12 +19,7 @@ import cv2
 import numpy as np
 
 from fieldlum.core.arrays import Array, Floats, Floats32, Mask
-from fieldlum.optics.projection import (
-    LensGeometry,
-    lens_rays,
-    radius_of_angle,
-    relative_radius,
-)
+from fieldlum.optics.projection import LensGeometry, lens_rays, radius_of_angle, relative_radius
 from fieldlum.optics.turn_fit import fit_turn
 from fieldlum.session.files.sidecar import ShiftQuality
 

@@ -20,17 +20,10 @@ from fieldlum.core.arrays import Floats, Floats32, Indices, Mask
 from fieldlum.core.records import CLIPPED_SUN, Flag, Panorama, Site, SunSource
 from fieldlum.merge.project import ProjectedImage, blend, view_through
 from fieldlum.merge.sensor import SensorImage
+from fieldlum.optics import projection
 from fieldlum.optics.linear_light import sensor_pitch_deg
 from fieldlum.optics.profiles import CameraProfile, Lens
-from fieldlum.optics.projection import (
-    Equirect,
-    LensGeometry,
-    direction,
-    equirect_rays,
-    lens_pixels,
-    lens_rays,
-    smallest_arc,
-)
+from fieldlum.optics.projection import Equirect, LensGeometry
 from fieldlum.sky.sky_view import LOWEST_ALTITUDE_DEG, SkyGrid, SkyPicture
 from fieldlum.sky.sun import OBLIQUITY_DEG, celestial_pole, position
 from fieldlum.sky.sun_disc import SUN_RADIUS_RAD, SunDisc, find_disc, without_disc
@@ -146,8 +139,8 @@ def sun_on_sensor(
     centre; pixel_rad: size of its pixels. Azimuths are clockwise from true north. Return None if no
     lens sees the disc, or if the panorama does not determine its centre (disc.sigma_deg is NaN).
     """
-    towards = direction(disc.altitude_deg, disc.azimuth_deg - heading_deg)
-    places = [lens_pixels(lens, towards) for _, _, lens in views]
+    towards = projection.direction(disc.altitude_deg, disc.azimuth_deg - heading_deg)
+    places = [projection.lens_pixels(lens, towards) for _, _, lens in views]
     number = int(np.argmin([float(angle) for _, _, angle in places]))
     light, clipped, lens = views[number]
     x, y, angle = (float(v) for v in places[number])
@@ -169,7 +162,7 @@ def sun_on_sensor(
     # the halo of a clipped spot is not exactly round
     sigma_px = 0.05 * wide_px if bound_only else _CENTRE_PX / max(wide_px, 1.0)
     sigma_px = max(float(sigma_px), _MIN_CENTRE_PX)
-    east, north, up = (float(v) for v in lens_rays(lens, across, down))
+    east, north, up = (float(v) for v in projection.lens_rays(lens, across, down))
     altitude = float(np.degrees(np.arcsin(np.clip(up, -1.0, 1.0))))
     azimuth = (float(np.degrees(np.arctan2(east, north))) + heading_deg) % 360.0
     return altitude, azimuth, float(np.degrees(sigma_px / px_per_rad))
@@ -187,16 +180,10 @@ def _disc_weight(light: Floats32, clipped: Mask | None) -> Floats:
 
 
 _TILE_DEG = 2  # divides 180; chosen
-# Finest pixel. The sun's disc has 22 such pixels; finer ones would need four times the space.
-# Chosen.
-_FINEST_DEG = 0.1
 # Added to the sun's largest declination: half the diagonal of a tile, and two degrees for the level
 # of the camera, refraction and the disc.
 _MAX_DECLINATION_DEG = OBLIQUITY_DEG + _TILE_DEG / np.sqrt(2.0) + 2.0
 _HEADING_ERRORS_DEG = (-5.0, 0.0, 5.0)  # of a compass near steel (sky_view)
-# A tile is resampled if a part of it is brighter than this share of the picture's median luminance:
-# what a window shows is brighter than the room. Chosen.
-_MIN_SHARE = 1.25
 _SAMPLES = 3  # places of a tile in each direction at which the panorama is read; chosen
 
 
@@ -219,11 +206,13 @@ def sky_cut(
     can_be_sun = sun_tiles(heading_deg, latitude_deg) & _any(seen.coverage > 0.0, target)
     if not can_be_sun.any():
         return None
-    side = max(1, int(_TILE_DEG / max(_FINEST_DEG, sensor_pitch_deg(profile)) + 0.1))
+    # The sun's disc has 22 pixels of 0.1 degrees; finer ones would need four times the space.
+    side = max(1, int(_TILE_DEG / max(0.1, sensor_pitch_deg(profile)) + 0.1))
     used = np.flatnonzero(can_be_sun.any(axis=1))
-    first, (left, width) = int(used[0]), smallest_arc(np.asarray(can_be_sun.any(axis=0)))
+    first, (left, width) = int(used[0]), projection.smallest_arc(np.asarray(can_be_sun.any(axis=0)))
     place = np.s_[first : int(used[-1]) + 1], (left + np.arange(width)) % can_be_sun.shape[1]
-    dark_cdm2 = _MIN_SHARE * float(np.median(seen.luminance[seen.coverage > 0.0]))
+    # What a window shows is brighter than the room: only brighter tiles are resampled.
+    dark_cdm2 = 1.25 * float(np.median(seen.luminance[seen.coverage > 0.0]))
     shines = (seen.luminance > dark_cdm2) | (seen.flags & Flag.CLIPPED_HIGH > 0)
     bright = (can_be_sun & _any(shines & (seen.coverage > 0.0), target))[place]
     out = np.full((bright.shape[0] * side, bright.shape[1] * side), np.nan, np.float32)
@@ -305,7 +294,7 @@ def sun_tiles(heading_deg: float, latitude_deg: float) -> Mask:
     pole = celestial_pole(latitude_deg)
     out = np.zeros((rows, 2 * rows), bool)
     for wrong in _HEADING_ERRORS_DEG:
-        rays = equirect_rays(rows, 2 * rows, heading_deg + wrong)
+        rays = projection.equirect_rays(rows, 2 * rows, heading_deg + wrong)
         out |= np.abs(np.degrees(np.arcsin(np.clip(rays @ pole, -1, 1)))) < _MAX_DECLINATION_DEG
     above = 90.0 - np.arange(rows) * _TILE_DEG > LOWEST_ALTITUDE_DEG
     return out & above[:, None]

@@ -13,25 +13,10 @@ import numpy as np
 from msgspec import structs
 from numpy.typing import NDArray
 
+from fieldlum.core import scheduler as work
 from fieldlum.core.errors import FieldlumError, InputError, NotEnoughDataError
 from fieldlum.core.false_colour import RANGE_CDM2, UNSEEN_RGB, coloured, png_of
-from fieldlum.core.records import (
-    CLIPPED_SUN,
-    JsonTable,
-    Progress,
-    Site,
-    SunSource,
-    counted,
-    quiet,
-)
-from fieldlum.core.scheduler import (
-    LOCAL,
-    Scheduler,
-    UnitOutcome,
-    WorkUnit,
-    is_worker_trouble,
-    run_each,
-)
+from fieldlum.core.records import CLIPPED_SUN, JsonTable, Progress, Site, SunSource, counted, quiet
 from fieldlum.merge.bracket import MergeOptions, MergeResult, merge_shots
 from fieldlum.merge.shots import Shot, middle_of, shots_of_slot, verified
 from fieldlum.merge.sky import disc_px, expected_sun_deg, mosaic_u_rel
@@ -160,7 +145,7 @@ def merge_slot(root: Path, job: _MergeJob) -> Verdict:
         _write(session, job, result, {**recipe, "digest": ""} if lost else recipe)
         return Verdict(job.slot, "merged", result.verdict, result.report)
     except (FieldlumError, OSError) as error:
-        if is_worker_trouble(error):
+        if work.is_worker_trouble(error):
             raise
         return Verdict(job.slot, "failed", str(error))
 
@@ -275,7 +260,7 @@ def _sun_note(sun: SunSource | None, profile: CameraProfile) -> str:
 
 def _units(
     session: Session, slots: Iterable[str], options: MergeOptions, force: bool
-) -> list[WorkUnit]:
+) -> list[work.WorkUnit]:
     """Return the merges as units of work; each compares the sha256 of its frames itself."""
     setup = session.site_file()
     path = find_camera_profile(setup.camera.profile)
@@ -285,11 +270,11 @@ def _units(
         job = _MergeJob(slot, profile, profile_sha256, heading_deg, setup.site, options, force)
         note = session.capture_file(slot)
         files = (note.relative_to(session.root).as_posix(),) if note.is_file() else ()
-        units.append(WorkUnit(slot, merge_slot, session.root, job, files=files))
+        units.append(work.WorkUnit(slot, merge_slot, session.root, job, files=files))
     return units
 
 
-def _verdict(outcome: UnitOutcome) -> Verdict:
+def _verdict(outcome: work.UnitOutcome) -> Verdict:
     """Return a unit's verdict: "failed" if its workers failed or the disk is full."""
     if outcome.trouble or isinstance(outcome.error, OSError):
         return Verdict(outcome.unit.name, "failed", outcome.trouble or str(outcome.error))
@@ -300,7 +285,7 @@ def run(
     session: Session,
     options: MergeOptions | None = None,
     *,
-    scheduler: Scheduler = LOCAL,
+    scheduler: work.Scheduler = work.LOCAL,
     force: bool = False,
     progress: Progress = quiet,
 ) -> list[Verdict]:
@@ -320,7 +305,7 @@ def run(
     check_writable(session.panoramas)
     session.panoramas.mkdir(parents=True, exist_ok=True)
     verdicts: list[Verdict] = []
-    run_each(units, scheduler, lambda outcome: verdicts.append(_verdict(outcome)), progress)
+    work.run_each(units, scheduler, lambda outcome: verdicts.append(_verdict(outcome)), progress)
     remove_scraps(session.panoramas)  # of workers killed in this run
     verdicts.sort(key=lambda v: v.slot)
     if summary_due(session):

@@ -182,15 +182,13 @@ def _decoded(file: BinaryIO, header: RadianceHeader, path: Path) -> Floats32:
     count = len(result.stdout) // (12 * width)
     if count < scanlines:
         finding = f"the pixels are damaged, or end after scanline {count} of {scanlines}"
-        remedy = "copy the file again, because it is cut short"
-        raise InputError(path, finding, f"{scanlines} scanlines of Radiance pixels", remedy)
+        raise InputError(path, finding, "all scanlines", "it is cut short: copy it again")
     values = np.frombuffer(result.stdout, np.float32, 3 * scanlines * width)
     # Infinity is written as 1e30, and single precision ends at 3e38. [W/sr/m2]
     largest, brightest = float(values.max()), 2e30 * float(header.exposure.min())
     if not largest <= brightest:
-        expected = f"at most {brightest:.3g}"
-        remedy = "copy the file again, because it is damaged"
-        raise InputError(path, f"a pixel value of {largest:.3g}", expected, remedy)
+        finding = f"a pixel value of {largest:.3g}"
+        raise InputError(path, finding, f"at most {brightest:.3g}", "copy the file again")
     return values.reshape(scanlines, width, 3)
 
 
@@ -200,10 +198,11 @@ def _decoded(file: BinaryIO, header: RadianceHeader, path: Path) -> Floats32:
 
 def _read_header(file: BinaryIO, path: Path) -> RadianceHeader:
     """Read the header, up to the first byte of the pixels."""
-    lines = _header_lines(file, path)
+    lines = _header_lines(file)
     formats = [line[7:].strip() for line in lines if line.startswith("FORMAT=")]
-    if not lines[0].startswith("#?") and not formats:
-        raise _not_radiance(path)
+    if not lines or not (lines[0].startswith("#?") or formats):
+        remedy = "check which program wrote the file"
+        raise InputError(path, "no Radiance header", "a Radiance .hdr picture", remedy)
     kind = formats[-1] if formats else _RGBE
     if kind not in (_RGBE, _XYZE):
         remedy = "convert it by rcomb -fc -c RGB IN > OUT (spectra), or rmtxop -fc IN > OUT.hdr"
@@ -223,13 +222,8 @@ def _read_header(file: BinaryIO, path: Path) -> RadianceHeader:
     )
 
 
-def _not_radiance(path: Path) -> InputError:
-    remedy = "check which program wrote the file"
-    return InputError(path, "no Radiance header", "a Radiance .hdr picture", remedy)
-
-
-def _header_lines(file: BinaryIO, path: Path) -> list[str]:
-    """Return the lines up to the first empty one; a header of over 4 MB is damaged."""
+def _header_lines(file: BinaryIO) -> list[str]:
+    """Return the lines up to the first empty one; [] if the header is damaged, or over 4 MB."""
     lines: list[str] = []
     while line := file.readline(4_000_000):
         text = line.decode("latin-1").rstrip("\r\n")
@@ -237,9 +231,9 @@ def _header_lines(file: BinaryIO, path: Path) -> list[str]:
             break
         if not text and lines:
             return lines
-        if text or lines:
+        if text:
             lines.append(text)
-    raise _not_radiance(path)
+    return []
 
 
 def _resolution(line: bytes, path: Path) -> tuple[tuple[str, str], tuple[int, int]]:
@@ -247,13 +241,11 @@ def _resolution(line: bytes, path: Path) -> tuple[tuple[str, str], tuple[int, in
     match = _RESOLUTION.fullmatch(line)
     if match is None or match[2] == match[5]:
         finding = f"resolution line {line[:40].decode('latin-1').strip()!r}"
-        remedy = "copy the file again, because it is damaged"
-        raise InputError(path, finding, "two axes and their pixels, such as -Y 800 +X 800", remedy)
+        raise InputError(path, finding, "two axes, as -Y 800 +X 800", "copy the file again")
     counts = (int(match[3]), int(match[6]))
     if not 0 < counts[0] * counts[1] <= MAX_PIXELS:
-        expected = f"1 to {MAX_PIXELS:,} pixels"
-        remedy = "reduce it with Radiance's pfilt -1 -x 4000 -y 4000, or copy the file again"
-        raise InputError(path, f"{counts[1]} x {counts[0]} pixels", expected, remedy)
+        finding, expected = f"{counts[1]} x {counts[0]} pixels", f"1 to {MAX_PIXELS:,} pixels"
+        raise InputError(path, finding, expected, "reduce it with pfilt -1 -x 4000 -y 4000")
     return ((match[1] + match[2]).decode(), (match[4] + match[5]).decode()), counts
 
 
@@ -264,16 +256,12 @@ def _product(lines: Sequence[str], key: str, count: int, path: Path) -> Floats:
     that are not finite numbers above 0.
     """
     total = np.ones(count)
-    for line in lines:
-        if not line.startswith(key):
-            continue
+    for line in (line for line in lines if line.startswith(key)):
         row, words = np.full(count, np.nan), line[len(key) :].split()[:count]
         with suppress(ValueError):
             row[: len(words)] = [float(word) for word in words]
-        if not row.any():
-            continue
-        total = total * row
-        if not (np.isfinite(total).all() and (row > 0).all() and (total > 0).all()):
+        total = total * np.where(row.any(), row, 1.0)
+        if not (np.isfinite(total).all() and (row >= 0).all() and (total > 0).all()):
             expected = f"{key} and {'a number' if count == 1 else f'{count} numbers'} above 0"
             raise InputError(path, repr(line)[:80], expected, "correct the header line")
     return total
@@ -348,14 +336,10 @@ def write_radiance_hdr(
     if view:
         lines.append(f"VIEW= {view}")
     lines += ["EXPOSURE=1", f"FORMAT={_RGBE}", ""]
-    step = max(1, 500_000 // width)  # limits memory
-    with path.open("wb") as file:
-        file.write(("\n".join(lines) + f"\n-Y {height} +X {width}\n").encode())
-        for first in range(0, height, step):
-            rows = values[first : first + step]
-            if rows.ndim == 2:
-                rows = np.repeat(rows[..., None] / RADIANCE_LM_PER_W, 3, axis=-1)
-            file.write(encode_rgbe(rows).tobytes())
+    if values.ndim == 2:
+        values = np.repeat(values[..., None] / RADIANCE_LM_PER_W, 3, axis=-1)
+    head = "\n".join(lines) + f"\n-Y {height} +X {width}\n"
+    path.write_bytes(head.encode() + encode_rgbe(values).tobytes())
 
 
 # ITU-R BT.709, which OpenEXR assumes where a file has no attribute `chromaticities`.
@@ -394,12 +378,9 @@ def write_panorama(path: Path, panorama: Panorama, *, view: str = "equirect") ->
 
     layers = {"Y": panorama.luminance_cdm2, "u": panorama.u_cdm2, "flags": panorama.flags}
     if panorama.rgb is not None:
-        layers |= {c: panorama.rgb[..., i] for i, c in enumerate("RGB")}
-    channels = {
-        name: np.ascontiguousarray(values, np.float32)
-        for name, values in layers.items()
-        if values is not None
-    }
+        layers |= dict(zip("RGB", np.moveaxis(panorama.rgb, -1, 0), strict=True))
+    given = {name: values for name, values in layers.items() if values is not None}
+    channels = {name: np.ascontiguousarray(v, np.float32) for name, v in given.items()}
     header = {
         "compression": OpenEXR.ZIP_COMPRESSION,
         "type": OpenEXR.scanlineimage,
@@ -448,8 +429,7 @@ def read_panorama(path: Path, part: str = "") -> Panorama:
         panorama = Panorama(image.luminance_cdm2, heading, rgb=image.rgb)
     height, width = panorama.luminance_cdm2.shape
     if width != 2 * height:
-        expected = "a panorama twice as wide as high"
-        remedy = "use a picture of all directions (equirectangular)"
+        expected, remedy = "a panorama twice as wide as high", "use a picture of all directions"
         raise InputError(path, f"{width} x {height} pixels", expected, remedy)
     return panorama
 
@@ -539,8 +519,7 @@ def _check_size(headers: Sequence[Mapping[str, Any]], path: Path) -> None:
         height, width = bottom - top, right - left
         if min(width, height) < 1 or width * height * count > _MAX_VALUES:
             finding = f"{width} x {height} pixels of {count} channels"
-            expected = f"at most {_MAX_VALUES:,} values in all channels"
-            raise InputError(path, finding, expected, "reduce the picture, or copy the file again")
+            raise InputError(path, finding, f"at most {_MAX_VALUES:,} values", "reduce the picture")
 
 
 def _channels(path: Path, picture: _Picture) -> dict[str, Floats32]:
@@ -594,8 +573,7 @@ def _on_display_window(panorama: Panorama, header: Mapping[str, Any]) -> Panoram
         return wide[top : wide.shape[0] - bottom, left : wide.shape[1] - right]
 
     flags = panorama.flags
-    if flags is None:
-        flags = np.zeros(panorama.luminance_cdm2.shape, np.uint16)
+    flags = np.zeros(panorama.luminance_cdm2.shape, np.uint16) if flags is None else flags
     return replace(
         panorama,
         luminance_cdm2=placed(panorama.luminance_cdm2, np.nan),
@@ -631,22 +609,20 @@ def _chosen(headers: Sequence[Mapping[str, Any]], name: str, path: Path) -> tupl
     pictures = list(_pictures(headers))
     remedy = "name one with --part NAME (glare, view, info), or write only that picture"
     if not pictures:
-        deep = "an EXR with deep data, or with the "
         shown = ", ".join(sorted({c for header in headers for c in header["channels"]}))[:120]
-        finding = f"{deep if any(map(_is_deep, headers)) else ''}channels {shown}"
+        finding = f"{'deep data, ' if any(map(_is_deep, headers)) else ''}channels {shown}"
         expected = "a channel Y in cd/m2, or R, G and B, of one flat layer"
         raise InputError(path, finding, expected, "write only that layer")
     first = pictures[0]
     listed = ", ".join(picture.name or "(plain channels)" for picture in pictures)[:200]
     if name:
-        chosen = next((picture for picture in pictures if picture.name == name), None)
-        if chosen is None:
-            raise InputError(path, f"no part {name[:80]}", f"one of {listed}", remedy)
-        return chosen, ""
+        for picture in pictures:
+            if picture.name == name:
+                return picture, ""
+        raise InputError(path, f"no part {name[:80]}", f"one of {listed}", remedy)
     if len(headers) > 1:
         every = ", ".join(str(header.get("name", "")) for header in headers)[:200]
-        expected = f"the name of the picture to read: {listed}"
-        raise InputError(path, f"{len(headers)} parts: {every}", expected, remedy)
+        raise InputError(path, f"{len(headers)} parts: {every}", f"one of {listed}", remedy)
     if len(pictures) == 1:
         return first, ""
     if len(_stereo_views(headers[0])) > 1 or "." in next(iter(first.channels)):

@@ -240,10 +240,7 @@ def check_vignetting(coefficients: tuple[float, ...]) -> str:
     if v.min() <= 0 or v.max() > 1.05:
         return f"the vignetting V runs from {v.min():.3g} to {v.max():.3g}, not within 0 to 1.05"
     if v[-1] > 1.0:
-        return (
-            f"the vignetting V rises to {v[-1]:.3g} at the edge: a sign is wrong, or V is the "
-            "correction instead of the loss"
-        )
+        return f"the vignetting V rises to {v[-1]:.3g} at the edge: a sign is wrong"
     return ""
 
 
@@ -370,12 +367,6 @@ def fit_response(
 # illuminance
 
 
-# A map with fewer rows is subdivided to at least this many, because pixels that the plane cuts
-# count as their mean. Chosen so that a uniform hemisphere is exact to 0.05 %
-# (tests/test_projection.py).
-_ROWS = 128
-
-
 def _ray_integrals(height: int, width: int, heading_deg: float) -> Floats:
     """Return the integral of the unit vector over each pixel's solid angle, [H, W, 3], sr."""
     edges = np.linspace(0.0, np.pi, height + 1)
@@ -397,7 +388,9 @@ def _cosine_weights(height: int, width: int, heading_deg: float, normal: Floats)
     It is 0 behind the plane. It is exact except in sub-pixels that the plane cuts: these count as
     their mean, or not at all.
     """
-    fine = max(2, -(-_ROWS // height))
+    # At least 128 rows, because pixels that the plane cuts count as their mean: a hemisphere
+    # is then exact to 0.05 % (tests/test_projection.py).
+    fine = max(2, -(-128 // height))
     inside = np.maximum(_ray_integrals(height * fine, width * fine, heading_deg) @ normal, 0.0)
     return inside.reshape(height, fine, width, fine).sum(axis=(1, 3))
 

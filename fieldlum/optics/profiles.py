@@ -14,12 +14,7 @@ from fieldlum.core.errors import InputError
 from fieldlum.core.records import CameraSetup, Exposure, Slot
 from fieldlum.core.strict_toml import NotNegative, Positive, Share, build, plain, read_toml
 from fieldlum.optics.photometry import rises
-from fieldlum.optics.projection import (
-    LensGeometry,
-    angle_of_radius,
-    judged_text,
-    seen_by_lenses,
-)
+from fieldlum.optics.projection import LensGeometry, angle_of_radius, judged_text, seen_by_lenses
 
 _Side = Annotated[int, Meta(gt=0, le=100_000)]  # px
 _OfColours = Annotated[tuple[float, ...], Meta(min_length=4, max_length=4)]  # R, G1, G2, B

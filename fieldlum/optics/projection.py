@@ -9,7 +9,7 @@ right, y down, seen from behind the camera.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Annotated, Literal
 
@@ -327,12 +327,18 @@ class Equirect:
 class Fisheye:
     """A square equidistant picture (Radiance -vta) of `size` x `size` pixels.
 
-    Only azimuth, tilt and roll of `pose` are used; `full_angle_deg` spans the width.
+    lens: with full angle, azimuth, tilt and roll of the picture, and the mapping `of_size` gives.
     """
 
     size: int
-    full_angle_deg: float
-    pose: LensGeometry
+    lens: LensGeometry
+
+    @classmethod
+    def of_size(cls, size: int, lens: LensGeometry) -> Fisheye:
+        """Return a picture with the full angle and the pose of a lens."""
+        half, own = size / 2, (lens.azimuth_deg, lens.tilt_deg, lens.roll_deg)
+        plain = LensGeometry((half, half), half, lens.full_angle_deg, "equidistant", (), *own)
+        return cls(size, plain)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -342,26 +348,13 @@ class Fisheye:
     @property
     def pixel_rad(self) -> float:
         """Angle across one pixel in the radial direction, in rad."""
-        return float(np.radians(self.full_angle_deg) / self.size)
-
-    @property
-    def geometry(self) -> LensGeometry:
-        """The equidistant lens of this picture, in the pose of `pose`."""
-        half = self.size / 2
-        return replace(
-            self.pose,
-            centre_px=(half, half),
-            radius_px=half,
-            full_angle_deg=self.full_angle_deg,
-            mapping="equidistant",
-            coefficients=(),
-        )
+        return self.lens.half_angle_rad / self.lens.radius_px
 
     def view(self, heading_deg: float) -> str:
         """Return Radiance's view options; `heading_deg` is the azimuth of the panorama's centre."""
-        _, up, forward = turned(self.geometry.axes(), heading_deg)
+        _, up, forward = turned(self.lens.axes(), heading_deg)
         vd, vu = (" ".join(f"{value:.6f}" for value in np.round(v, 6) + 0.0) for v in (forward, up))
-        angle = f"{self.full_angle_deg:g}"
+        angle = f"{self.lens.full_angle_deg:g}"
         return f"-vta -vd {vd} -vu {vu} -vv {angle} -vh {angle}"
 
     def rays(self, rows: Floats, columns: Floats) -> Floats:
@@ -369,18 +362,13 @@ class Fisheye:
 
         (0, 0) is the top left corner. x right, y ahead (the panorama's heading), z up.
         """
-        return lens_rays(self.geometry, columns[None, :], rows[:, None])
-
-    def angles(self, rows: Floats, columns: Floats) -> Floats:
-        """Return the angles from the axis at continuous rows and columns, rad, [rows, columns]."""
-        half = self.size / 2
-        return np.hypot(columns[None, :] - half, rows[:, None] - half) * self.pixel_rad
+        return lens_rays(self.lens, columns[None, :], rows[:, None])
 
     def weight(self, rows: Floats, columns: Floats) -> Floats:
         """Return sin(a) / a, a the angle from the axis, [rows, columns]; 0 outside the circle."""
-        angle = self.angles(rows, columns)
-        inside = angle <= np.radians(self.full_angle_deg) / 2
-        return np.where(inside, np.abs(np.sinc(angle / np.pi)), 0.0)
+        radius = relative_radius(self.lens, columns[None, :], rows[:, None])
+        angle = radius * self.lens.half_angle_rad
+        return np.where(radius <= 1.0, np.abs(np.sinc(angle / np.pi)), 0.0)
 
     def solid_angles(self) -> Floats:
         """Return the solid angle of each pixel, in sr, [size, size]; 0 outside the circle."""

@@ -13,8 +13,6 @@ import numpy as np
 from fieldlum.core.arrays import Floats, Indices
 from fieldlum.core.statistics import MAD_TO_SIGMA, cauchy_weights
 
-_MAX_CONDITION = 1e6  # of the scaled normal matrix: beyond, edges do not determine the unknowns
-
 
 @dataclass(frozen=True, slots=True)
 class Contrasts:
@@ -60,7 +58,9 @@ def fit_turn(
             columns = np.stack([contrasts.removed(c, used) for c in (design / scale).T], axis=1)
             values = contrasts.removed(target, used)
         normal = columns.T @ (used[:, None] * columns)
-        if np.linalg.cond(normal) > _MAX_CONDITION:
+        if (
+            np.linalg.cond(normal) > 1e6
+        ):  # of the scaled matrix: edges do not determine the unknowns
             return None
         inverse = np.linalg.inv(normal)
         unknowns = inverse @ (columns.T @ (used * values))

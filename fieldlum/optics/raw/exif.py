@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
+from fractions import Fraction
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -97,9 +98,8 @@ def _rows(path: Path) -> dict[str, tuple[float, float, float]]:
 
 def _positive(cell: str, path: Path, line: int) -> float:
     """Return a number above 0, which may be a fraction such as 1/60."""
-    numerator, _, denominator = cell.partition("/")
-    with suppress(ValueError, ZeroDivisionError):
-        if 0 < (value := float(numerator) / float(denominator or 1)) < float("inf"):
+    with suppress(ValueError, ZeroDivisionError, OverflowError):
+        if (value := float(Fraction(cell))) > 0:
             return value
     expected = "a number above 0, such as 0.5 or 1/60"
     raise InputError(path, f"line {line}: {cell!r}", expected, "write decimals with a point")

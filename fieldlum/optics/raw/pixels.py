@@ -30,7 +30,6 @@ _DAMAGE = ("data corrupted", "Unexpected end of file")  # messages of LibRaw's d
 _STDERR = threading.Lock()
 _ACTIVE_AREA, _COLOUR_FILTER_ARRAY = 50829, 32803  # tag, and value of Photometric (DNG 1.7)
 _COLOUR_MATRICES = 50722, 50721  # tags ColorMatrix2 and 1
-_PANASONIC_OFFSET = 280  # tag RawDataOffset: in newer files StripOffsets is a placeholder
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -136,7 +135,8 @@ def _check_strips(path: Path) -> None:
 def _end_of_variant(tags: Any) -> int:
     """Return the end of the pixels in a maker's variant of TIFF."""
     lengths = np.ravel(tags.valueof("StripByteCounts", 0))
-    offsets = np.ravel(tags.valueof(_PANASONIC_OFFSET) or tags.valueof("StripOffsets", 0))
+    # tag 280, Panasonic's RawDataOffset: in newer files StripOffsets is a placeholder
+    offsets = np.ravel(tags.valueof(280) or tags.valueof("StripOffsets", 0))
     return max(int(at) + int(n) for at, n in zip(offsets, lengths, strict=False))
 
 
