@@ -11,7 +11,6 @@ import numpy as np
 
 from fieldlum.core.arrays import Floats, Floats32
 from fieldlum.core.records import Panorama, SunSource
-from fieldlum.optics.images import RADIANCE_Y
 
 # Melanopic EDI over X, Y and Z: least squares over CIE daylight of 4000 to 25000 K through eight
 # glazings of Rubin 1985 and from three walls; rms 1.7 % (bench/melanopic.py).
@@ -27,6 +26,7 @@ _DAYLIGHT_RATIO, _LAMP_RATIO = 0.85, 0.70
 # SPECTRL2 (Bird and Riordan 1986) with an aerosol depth of 0.1 and air mass 1 to 15.
 _SUN_RATIO, _SUN_RATIO_DECAY = 0.94, 0.058
 U_SUN = 0.07  # relative u of its melanopic illuminance: aerosol 5 %, glass and disc 5 %; chosen
+_RADIANCE_Y = (0.265, 0.670, 0.065)  # weights of R, G, B in the luminance of a stored picture
 ATTRIBUTE = "melanopic"  # of a picture: weights of R, G and B, and the ratio's relative u
 
 
@@ -49,7 +49,7 @@ def melanopic_ratio(panorama: Panorama) -> tuple[Floats32, float] | None:
         return None
     *weights, u_rel = (float(word) for word in text.split())
     rgb = np.asarray(panorama.rgb, np.float32)
-    light = rgb @ np.array(RADIANCE_Y, np.float32)
+    light = rgb @ np.array(_RADIANCE_Y, np.float32)
     ratio = np.ones_like(light)
     np.divide(rgb @ np.array(weights, np.float32), light, out=ratio, where=light > 0)
     return np.maximum(ratio, 0.0), u_rel
