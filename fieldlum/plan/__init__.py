@@ -92,11 +92,6 @@ _NO_WINDOW = (
 )
 
 
-def is_windowless(room: Room | None) -> bool:
-    """Return whether a room is a box without a window."""
-    return room is not None and room.kind == "box" and not room.window
-
-
 def make_plan(
     setup: SiteFile, request: Request, weather: Weather | None = None, progress: Progress = quiet
 ) -> Plan:
@@ -106,13 +101,13 @@ def make_plan(
     weather, or if `even` or `best` has weather without daylight on the days of the set; InputError
     for a profile or room that cannot be used.
     """
-    site = setup.site
+    site, room = setup.site, setup.room
     days = set_days(request.set, site, request.today, request.start, request.year, request.days)
     from_to = f"from {days[0]} to {days[-1]}"
     night = f"polar night: the sun does not rise at {site.name} ({site.latitude_deg:g} deg)"
     hours = daylight_hours(days, site)
     _refuse_empty(hours, f"{night} {from_to}", "choose another --start or --set")
-    task = choose.learning(site, setup.room, weather) if weather is not None else None
+    task = choose.learning(site, room, weather) if weather is not None else None
     chosen = _chosen(request, hours, weather, task, progress)
     remedy = "choose its dates with --start or --year, or another weather file"
     _refuse_empty(chosen, f"the weather file has no daylight {from_to}", remedy)
@@ -127,7 +122,7 @@ def make_plan(
         coverage_text(profile, setup.camera),
         sun_text(slots),
         *plan_warnings(days, chosen, site, request),
-        _NO_WINDOW if is_windowless(setup.room) else "",
+        _NO_WINDOW if room and room.kind == "box" and not room.window else "",
         *(weather.repairs if weather else ()),
     )
     return Plan(
@@ -200,26 +195,17 @@ def make_slots(
     zone = setup.site.timezone
     days = [sun.standard_date(t, zone) for t in hours.t_utc]
     seasons = {day: season_tag(day, setup.site) for day in set(days)}
-    low = hours.altitude_deg < sun.LOW_SUN_DEG
+    angles = hours.altitude_deg, hours.azimuth_deg
+    tagged = {"low-sun": hours.altitude_deg < sun.LOW_SUN_DEG}
+    if setup.room is not None and setup.room.kind == "box":
+        tagged["sun-enters"] = sun_enters(setup.room, *angles)
+        tagged["sun-in-view"] = sun_in_view(setup.room, *angles)
     slots = []
-    for i, marks in enumerate(zip(low, *_at_the_window(hours, setup), strict=True)):
-        names = zip(("low-sun", "sun-enters", "sun-in-view"), marks, strict=True)
-        tags = (seasons[days[i]], *(name for name, is_so in names if is_so))
-        angles = float(hours.altitude_deg[i]), float(hours.azimuth_deg[i])
+    for i, (t_utc, altitude, azimuth) in enumerate(zip(hours.t_utc, *angles, strict=True)):
+        tags = (seasons[days[i]], *(name for name, rows in tagged.items() if rows[i]))
         tags = tuple(tag for tag in tags if tag)
-        slots.append(Slot(hours.t_utc[i], *angles, tuple(exposures), tags))
+        slots.append(Slot(t_utc, float(altitude), float(azimuth), tuple(exposures), tags))
     return tuple(sorted(slots, key=lambda slot: slot.t_utc))
-
-
-def _at_the_window(hours: DaylightHours, setup: SiteFile) -> tuple[Mask, Mask]:
-    """Return two masks [n]: whether the sun enters a window, and whether the camera sees it.
-
-    Both are False without a box room.
-    """
-    if setup.room is None or setup.room.kind != "box":
-        return np.zeros(len(hours), bool), np.zeros(len(hours), bool)
-    at = (setup.room, hours.altitude_deg, hours.azimuth_deg)
-    return sun_enters(*at), sun_in_view(*at)
 
 
 def _cost_of(

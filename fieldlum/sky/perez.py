@@ -68,27 +68,15 @@ def reinhart_patches(mf: int = 4) -> SkyPatches:
     The order is that of Radiance's reinhartb.cal and rskysrc.cal: bin 0 is centred on north at the
     horizon, and azimuth increases clockwise. The ground is not a patch.
     """
-    rows = patches_per_row(mf)
+    rows = np.array(patches_per_row(mf))
     height = np.pi / 2 / (7 * mf + 0.5)
-    directions, solid_angles = [], []
-    for row, count in enumerate(rows[:-1]):
-        azimuth = np.arange(count) * 2 * np.pi / count
-        altitude = (row + 0.5) * height
-        directions.append(
-            np.stack(
-                (
-                    np.sin(azimuth) * np.cos(altitude),
-                    np.cos(azimuth) * np.cos(altitude),
-                    np.full(count, np.sin(altitude)),
-                ),
-                axis=-1,
-            )
-        )
-        band = np.sin((row + 1) * height) - np.sin(row * height)
-        solid_angles.append(np.full(count, band * 2 * np.pi / count))
-    directions.append(np.array([[0.0, 0.0, 1.0]]))
-    solid_angles.append(np.array([2 * np.pi * (1 - np.cos(height / 2))]))
-    out = SkyPatches(np.concatenate(directions), np.concatenate(solid_angles))
+    row = np.repeat(np.arange(len(rows)), rows)
+    azimuth = (np.arange(len(row)) - (np.cumsum(rows) - rows)[row]) * 2 * np.pi / rows[row]
+    altitude = np.minimum((row + 0.5) * height, np.pi / 2)
+    east, north = np.sin(azimuth) * np.cos(altitude), np.cos(azimuth) * np.cos(altitude)
+    band = np.diff(np.sin(np.minimum(np.arange(len(rows) + 1) * height, np.pi / 2)))
+    directions = np.stack((east, north, np.sin(altitude)), axis=-1)
+    out = SkyPatches(directions, (band * 2 * np.pi / rows)[row])
     out.directions.flags.writeable = out.solid_angles_sr.flags.writeable = False
     return out
 

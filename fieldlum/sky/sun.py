@@ -232,14 +232,12 @@ def rise_transit_set(days: Sequence[date], site: Site) -> list[DayOfSun]:
     touches the horizon.
     """
     events = []
-    for day in days:
-        start = standard_midnight(day, site.timezone)
+    for start in (standard_midnight(day, site.timezone) for day in days):
         times = [start + timedelta(minutes=2 * k) for k in range(721)]
         at = position(times, site)
         above = at.altitude_deg - RISE_ALTITUDE_DEG
-        west = -np.sin(np.radians(at.azimuth_deg)) * np.cos(np.radians(at.altitude_deg))
-        crossings = (_rising_through_0(value, times) for value in (above, west, -above))
-        events.append(DayOfSun(*crossings))
+        west = -direction(at.altitude_deg, at.azimuth_deg)[:, 0]
+        events.append(DayOfSun(*(_rising_through_0(v, times) for v in (above, west, -above))))
     return events
 
 
@@ -319,12 +317,8 @@ def dirint_dni(ghi_wm2: ArrayLike, times_utc: Sequence[datetime], site: Site) ->
     ghi = np.asarray(ghi_wm2, float)
     zenith = 90.0 - position(times_utc, site).altitude_deg
     with np.errstate(divide="ignore", invalid="ignore"), _old_names():
-        computed = dirint(
-            np.maximum(ghi, 0.0),
-            zenith,
-            pandas_index(times_utc),
-            pressure=alt2pres(site.altitude_m),
-        )
+        series = np.maximum(ghi, 0.0), zenith, pandas_index(times_utc)
+        computed = dirint(*series, pressure=alt2pres(site.altitude_m))
     dni = np.nan_to_num(np.asarray(computed, float), nan=0.0)
     # The beam never exceeds what the global allows, nor the irradiance above the atmosphere.
     ceiling = np.maximum(ghi, 0.0) / np.maximum(np.cos(np.radians(zenith)), np.sin(np.radians(1.0)))

@@ -74,27 +74,15 @@ def series_of(samples: Sequence[IrradianceSample]) -> Series:
     STATUS, DISORDER and DOUBLE are marked.
     """
     t = np.array([s.t_utc.timestamp() for s in samples])
-    ghi, dhi, dni = (
-        np.array([getattr(s, f"{name}_wm2") for s in samples], float)
-        for name in ("ghi", "dhi", "dni")
-    )
-    marks = np.array([_mark_of_status(s.status) for s in samples], np.int64)
+    light = np.array([(s.ghi_wm2, s.dhi_wm2, s.dni_wm2) for s in samples], float).reshape(-1, 3).T
+    # An error makes a reading unusable; more diffuse than global only makes it doubtful.
+    status = {"": Mark(0), "total below diffuse": Mark.DIFFUSE}
+    marks = np.array([status.get(s.status, Mark.STATUS) for s in samples], np.int64)
     if len(t) > 1:
         marks[1:][t[1:] < np.maximum.accumulate(t)[:-1]] |= Mark.DISORDER
     _, keep, which = np.unique(t, return_index=True, return_inverse=True)
     first = keep[which]
-    other = np.any(
-        [(v != v[first]) & ~(np.isnan(v) & np.isnan(v[first])) for v in (ghi, dhi, dni)], axis=0
-    )
-    marks[first[other]] |= Mark.DOUBLE
-    return Series(t[keep], ghi[keep], dhi[keep], dni[keep], marks[keep])
-
-
-def _mark_of_status(status: str) -> Mark:
-    """Return the mark of an instrument's status.
-
-    STATUS makes a reading unusable; DIFFUSE only makes it doubtful.
-    """
-    if not status:
-        return Mark(0)
-    return Mark.DIFFUSE if status == "total below diffuse" else Mark.STATUS
+    same = (light == light[:, first]) | (np.isnan(light) & np.isnan(light[:, first]))
+    marks[first[~same.all(axis=0)]] |= Mark.DOUBLE
+    ghi, dhi, dni = light[:, keep]
+    return Series(t[keep], ghi, dhi, dni, marks[keep])
