@@ -19,8 +19,7 @@ import numpy as np
 
 from fieldlum.core.arrays import Floats
 from fieldlum.core.records import Site
-from fieldlum.pair.irradiance import check, derive, sky_geometry
-from fieldlum.pair.irradiance.series import Mark, Series
+from fieldlum.pair.irradiance import Mark, Series, check, derive, sky_geometry
 from fieldlum.sky import sun
 
 SUNNY_WM2 = 120.0

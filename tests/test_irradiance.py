@@ -24,12 +24,12 @@ from fieldlum.pair.irradiance import (
     check,
     derive,
     health,
+    local_period_s,
     minute_means,
     series_of,
     sky_geometry,
 )
 from fieldlum.pair.irradiance.days_picture import draw_days
-from fieldlum.pair.irradiance.series import local_period_s
 from fieldlum.session import DayFiles, Session, create_session, day_files, open_session
 from fieldlum.session.files.irradiance_csv import CleanIrradiance
 from fieldlum.sky import light_clock, sun

@@ -27,7 +27,7 @@ from fieldlum.capture.logger_import import adopt_rows
 from fieldlum.cli import main
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure, Site, SiteFile, Slot
-from fieldlum.core.strict_csv import is_wm2, microvolts, split_heading, stated_unit
+from fieldlum.core.strict_csv import is_wm2, lines_of, microvolts, split_heading, stated_unit
 from fieldlum.devices.logger_files import LoggerFile, read_logger_file
 from fieldlum.report.sections import read_quality
 from fieldlum.session import create_session, day_files, read_day
@@ -35,7 +35,6 @@ from fieldlum.session.files.irradiance_csv import CleanIrradiance
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.sky import sun
 from fieldlum.weather import read_weather
-from fieldlum.weather.files import lines_of
 from fieldlum.weather.formats import read_table
 from fieldlum.year.predict.occupancy import read_occupancy
 

@@ -1,6 +1,209 @@
-"""Weather years: strict readers that list every repair, and a synthetic year without a file."""
+"""Weather years: strict readers that list every repair, and a synthetic year without a file.
+
+`formats` reads the rows of each format; this file repairs them, and `plausibility` compares them
+with the sun.
+"""
 
 from __future__ import annotations
 
-from fieldlum.weather.files import SHIPPED_SITE, SYNTHETIC, read_weather, shipped_seattle
+import math
+from dataclasses import replace
+from datetime import datetime, timedelta
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from fieldlum.core.arrays import Floats
+from fieldlum.core.errors import InputError, NotEnoughDataError, input_errors
+from fieldlum.core.records import Site
+from fieldlum.core.strict_csv import lines_of, read_text
+from fieldlum.optics.profiles import shipped
+from fieldlum.optics.projection import direction
+from fieldlum.sky import sun
+from fieldlum.weather.formats import WeatherRow, WeatherTable, read_table
+from fieldlum.weather.plausibility import check_hourly, check_sense
 from fieldlum.weather.year import TYPICAL_YEAR, Weather, synthetic_weather
+
+SYNTHETIC = "synthetic"  # used in place of a path: a synthetic year of the site
+# Gaps up to this length are interpolated and listed; longer ones are left out and listed. Chosen so
+# that an interpolation never bridges a morning or an afternoon; not measured.
+FILLED_GAP_HOURS = 3
+# A station further away than NEAR_KM is listed among the repairs, further than FAR_KM is an error.
+# Chosen so that the nearest airport passes and another climate does not; not measured.
+NEAR_KM = 30.0
+FAR_KM = 300.0
+_HOUR = timedelta(hours=1)
+
+
+# ----------------------------------------------------------------------------------------------
+# reading
+
+
+def read_weather(path: Path, site: Site, *, label_shift_min: float = 0.0) -> Weather:
+    """Read an EPW, TMY3, TMY2, PVGIS, NSRDB, SAM, SolarAnywhere or CSV file as hours at `site`.
+
+    label_shift_min : minutes added to the times that the file states, for labels that are known to
+    be wrong; listed in `.repairs`. The path ``synthetic`` gives a synthetic year of the site.
+
+    Smaller faults are repaired and listed in `.repairs`: night offsets, 29 February of a typical
+    year, gaps up to three hours. Longer gaps are left out and listed.
+
+    Raises InputError for a row that cannot be read or irradiance outside -10 to 1600 W/m2, with the
+    line, for rows that are not an hour apart, a station over 300 km away, and what `check_sense`
+    finds: light at night, wrong units, exchanged columns, labels that are not at the middle of
+    their hour. Raises NotEnoughDataError without a single hour that has DNI and DHI.
+    """
+    path = Path(path)
+    if str(path) == SYNTHETIC:
+        return synthetic_weather(site)
+    expected = "an EPW, TMY3 or CSV weather file"
+    lines = lines_of(read_text(path, expected))
+    if not any(line.strip() for line in lines):
+        raise InputError(path, "an empty file", expected, "download the file again")
+    table = read_table(path, lines, site)
+    if not table.rows:
+        raise NotEnoughDataError(f"{path}: the file has no hours; download the file again")
+    repairs = [*table.notes]
+    if label_shift_min:
+        repairs.append(f"times of all rows moved by {label_shift_min:+g} min")
+    repairs += _check_place(path, table.place, site)
+    shift = table.shift + timedelta(minutes=label_shift_min)
+    with input_errors(path, "times from year 1 to 9999", "correct the dates", OverflowError):
+        rows = _in_order(path, _in_utc(table, shift, site, repairs))
+    columns = _values(rows, repairs)
+    check_hourly(path, [row.when for row in rows])
+    name = f"{path.name} ({table.place.name})" if table.place else path.name
+    weather = _fill_gaps(
+        path, Weather(name, site, (), *columns, typical=table.typical), rows, repairs
+    )
+    # Elsewhere the global irradiance was computed from the other two and proves nothing.
+    stated = {row.when: value for row, value in zip(rows, columns[2], strict=True)}
+    ghi = np.array([stated.get(t, math.nan) for t in weather.t_utc])
+    repairs += check_sense(path, weather, table.place or site, ghi)
+    return replace(weather, repairs=tuple(repairs))
+
+
+# The place of the shipped year: Liu, Colburn, Inanici 2020, section 2.
+SHIPPED_SITE = Site("Seattle", 47.6, -122.3, "America/Los_Angeles")
+
+
+def shipped_seattle(site: Site | None = None) -> Weather:
+    """Return the shipped typical year of Seattle of Liu, Colburn and Inanici 2020.
+
+    site : the site of the result, for which the file is checked; None: Seattle.
+    """
+    return read_weather(shipped("capture_plans") / "seattle_dni_dhi.csv", site or SHIPPED_SITE)
+
+
+# ----------------------------------------------------------------------------------------------
+# checks and repairs
+
+
+def distance_km(a: Site, b: Site) -> float:
+    """Return the distance of two sites along the great circle, in km."""
+    u = direction(a.latitude_deg, a.longitude_deg)
+    v = direction(b.latitude_deg, b.longitude_deg)
+    return 6371.0 * math.acos(float(np.clip(u @ v, -1.0, 1.0)))  # mean radius (IUGG)
+
+
+def _check_place(path: Path, place: Site | None, site: Site) -> list[str]:
+    if place is None or (away := distance_km(place, site)) <= NEAR_KM:
+        return []
+    if away > FAR_KM:
+        where = f"{place.name} ({place.latitude_deg:g}, {place.longitude_deg:g} deg)"
+        found = f"weather of {where}, which is {away:.0f} km from the site"
+        remedy = "use the file of a nearer station, or correct the site's coordinates"
+        raise InputError(path, found, f"at most {FAR_KM:g} km", remedy)
+    return [f"the weather station {place.name} is {away:.0f} km from the site"]
+
+
+def _in_utc(
+    table: WeatherTable, shift: timedelta, site: Site, repairs: list[str]
+) -> list[WeatherRow]:
+    """Return the rows at the middle of their hours in UTC; a typical year in TYPICAL_YEAR.
+
+    Leaves out 29 February of a typical year on the file's own clock, and lists it in `repairs`: a
+    February of a leap year that ends with the 28th in UTC has no such day. Rows that pass the end
+    of the site's year continue at its beginning.
+    """
+    if not table.typical:
+        return [row._replace(when=row.when - table.clock + shift) for row in table.rows]
+    offset = sun.standard_offset(site.timezone, TYPICAL_YEAR)
+    rows = [row for row in table.rows if (row.when.month, row.when.day) != (2, 29)]
+    if left_out := len(table.rows) - len(rows):
+        repairs.append(f"29 February left out ({left_out} hours): a typical year has 365 days")
+    local = [row.when.replace(year=TYPICAL_YEAR) - table.clock + shift + offset for row in rows]
+    return [
+        row._replace(when=when.replace(year=TYPICAL_YEAR) - offset)
+        for row, when in zip(rows, local, strict=True)
+    ]
+
+
+def _in_order(path: Path, rows: list[WeatherRow]) -> list[WeatherRow]:
+    """Return the rows sorted by time.
+
+    Raises InputError for an hour that occurs twice and for a gap over 800 days.
+    """
+    rows = sorted(rows, key=lambda row: row.when)
+    for a, b in pairwise(rows):
+        lines = f"lines {a.line} and {b.line}"
+        if a.when == b.when:
+            found, expected = f"{lines} are of the same hour", "every hour once"
+            raise InputError(path, found, expected, "remove one of the lines")
+        if b.when - a.when > timedelta(days=800):  # a mistyped year
+            found = f"{lines}: {a.when:%Y-%m-%d} is followed by {b.when:%Y-%m-%d}"
+            raise InputError(path, found, "at most 800 days between rows", "correct the dates")
+    return rows
+
+
+def _values(rows: list[WeatherRow], repairs: list[str]) -> Floats:
+    """Return DNI, DHI and GHI of all rows, [3, n], W/m2; set negative readings to zero, listed."""
+    values = np.array([(row.dni, row.dhi, row.ghi) for row in rows]).T  # (3, n)
+    negative = values < 0
+    if negative.any():
+        repairs.append(
+            f"{int(negative.any(axis=0).sum())} hours with negative irradiance (down to "
+            f"{np.nanmin(values):.1f} W/m2, a night offset) set to zero"
+        )
+    return np.where(negative, 0.0, values)
+
+
+def _fill_gaps(path: Path, year: Weather, rows: list[WeatherRow], repairs: list[str]) -> Weather:
+    """Return the year with short gaps interpolated and long gaps left out; list both in `repairs`.
+
+    year : with the irradiances of the rows. GHI is DHI + DNI sin(altitude) where the file has none.
+    Raises NotEnoughDataError without an hour that has both DNI and DHI.
+    """
+    good = np.isfinite(year.dni_wm2 + year.dhi_wm2)
+    if not good.any():
+        raise NotEnoughDataError(f"{path}: no hour has both DNI and DHI; use a file that has both")
+    times = [row.when for row, ok in zip(rows, good, strict=True) if ok]
+    filled, left_out = _missing_hours(times, year.typical)
+    everything = sorted([*times, *filled])
+    at, have = (np.array([t.timestamp() for t in some]) for some in (everything, times))
+    dni, dhi = (np.interp(at, have, value[good]) for value in (year.dni_wm2, year.dhi_wm2))
+    altitude = sun.position(everything, year.site).altitude_deg
+    ghi = dhi + dni * np.maximum(np.sin(np.radians(altitude)), 0.0)
+    stated = year.ghi_wm2[good]
+    has_ghi = ~np.isnan(stated)
+    ghi[np.isin(at, have[has_ghi])] = stated[has_ghi]
+    for hours, done in ((filled, "interpolated"), (left_out, "left out")):
+        if hours:
+            shown = ", ".join(f"{t:%m-%d %H:%M}" for t in hours[:3])
+            shown += f" ... {hours[-1]:%m-%d %H:%M}" if len(hours) > 3 else ""
+            repairs.append(f"{len(hours)} missing hours {done}: {shown} UTC")
+    return replace(year, t_utc=tuple(everything), dni_wm2=dni, dhi_wm2=dhi, ghi_wm2=ghi)
+
+
+def _missing_hours(times: list[datetime], typical: bool) -> tuple[list[datetime], list[datetime]]:
+    """Return the hours to interpolate and the hours to leave out."""
+    filled: list[datetime] = []
+    left_out: list[datetime] = []
+    for a, b in pairwise(times):
+        gap = [a + _HOUR * (k + 1) for k in range(round((b - a) / _HOUR) - 1)]
+        (filled if len(gap) <= FILLED_GAP_HOURS else left_out).extend(gap)
+    if typical:  # a typical year has 8760 hours, from local midnight to local midnight
+        lacking = 8759 - round((times[-1] - times[0]) / _HOUR)
+        left_out += [times[-1] + _HOUR * (k + 1) for k in range(lacking)]
+    return filled, left_out

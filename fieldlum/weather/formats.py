@@ -59,7 +59,7 @@ class WeatherRow(NamedTuple):
     """One hour of a file; irradiances in W/m2, NaN where missing.
 
     line: number in the file, from 1; when: a time within the hour that the file states, on the
-    file's own clock and written as if it were UTC; in `files`, the middle of the hour in UTC.
+    file's own clock and written as if it were UTC.
     """
 
     line: int
@@ -104,14 +104,14 @@ def read_table(path: Path, lines: list[str], site: Site) -> WeatherTable:
 # cells, columns and headers
 
 
-def _bad_row(path: Path, line: int, found: str, expected: str) -> InputError:
-    return InputError(path, f"line {line}: {found}", expected, "correct that row")
+class _CellError(ValueError):
+    """A cell that cannot be read: what was found, and what was expected."""
 
 
-def _number(path: Path, line: int, name: str, text: str) -> float:
+def _number(name: str, text: str) -> float:
     """Return an irradiance; NaN for an empty cell, nan, and the codes of missing values.
 
-    Raises InputError for a cell that is no number or outside -10 to 1600 W/m2.
+    Raises _CellError for a cell that is no number or outside -10 to 1600 W/m2.
     """
     if text.lower() in ("", "nan", "na"):
         return math.nan
@@ -120,9 +120,9 @@ def _number(path: Path, line: int, name: str, text: str) -> float:
         value = float(text)
     except ValueError:
         expected = "a number with a decimal point, in W/m2"
-        raise _bad_row(path, line, f"{name} is '{text}'", expected) from None
+        raise _CellError(f"{name} is '{text}'", expected) from None
     if value not in _MISSING and not low <= value <= high:
-        raise _bad_row(path, line, f"{name} is {text} W/m2", f"{low:g} to {high:g} W/m2 or empty")
+        raise _CellError(f"{name} is {text} W/m2", f"{low:g} to {high:g} W/m2 or empty")
     return math.nan if value in _MISSING else value
 
 
@@ -150,20 +150,25 @@ def _columns(
 
 def _rows(
     path: Path,
-    found: Rows,
+    lines: Rows,
     columns: Mapping[str, int],
-    when: Callable[[int, Cells], datetime],
+    when: Callable[[Cells], datetime],
     names: Cells = (),
 ) -> list[WeatherRow]:
-    """Return the rows of a file; when: the time that the cells of a line state."""
-    headings = {q: names[at] if names else q.upper() for q, at in columns.items()}
+    """Return the rows of a file; when: the time that the cells of a line state.
+
+    Raises InputError, with the line, for a cell that cannot be read.
+    """
+    at = {q: columns.get(q) for q in _HEADINGS}
+    headings = [(k, q.upper() if k is None or not names else names[k]) for q, k in at.items()]
     rows = []
-    for line, cells in found:
-        light = (
-            _number(path, line, headings[q], cells[columns[q]]) if q in columns else math.nan
-            for q in _HEADINGS
-        )
-        rows.append(WeatherRow(line, when(line, cells), *light))
+    for line, cells in lines:
+        try:
+            light = (math.nan if k is None else _number(name, cells[k]) for k, name in headings)
+            rows.append(WeatherRow(line, when(cells), *light))
+        except _CellError as error:
+            found, expected = error.args
+            raise InputError(path, f"line {line}: {found}", expected, "correct that row") from None
     return rows
 
 
@@ -205,7 +210,7 @@ def _header_place(
     return _place(path, values, expected, "".join(cells[1:2]) or "weather station")
 
 
-def _moment(path: Path, line: int, date: Cells, hour: str, minute: str = "0") -> datetime:
+def _moment(date: Cells, hour: str, minute: str = "0") -> datetime:
     """Return the time of year, month and day, an hour of 0 to 24 and a minute."""
     try:
         year, month, day = (int(float(text)) for text in date)
@@ -216,7 +221,7 @@ def _moment(path: Path, line: int, date: Cells, hour: str, minute: str = "0") ->
     except (ValueError, OverflowError) as error:
         found = f"no such time {'-'.join(date)} hour {hour} ({error})"
         expected = "a date of the calendar and an hour of 0 to 24"
-        raise _bad_row(path, line, found, expected) from None
+        raise _CellError(found, expected) from None
     return start + timedelta(seconds=round(hours * 3600))
 
 
@@ -266,11 +271,8 @@ def _read_epw(path: Path, lines: list[str], site: Site) -> WeatherTable:
     if found and len(found[0][1]) < 16:
         cells = f"line {found[0][0]}: {len(found[0][1])} cells"
         raise InputError(path, cells, "at least 16 cells", "the file is cut: download it again")
-
-    def start(line: int, cells: Cells) -> datetime:
-        return _moment(path, line, cells[:3], cells[3]) - timedelta(hours=1)
-
-    rows = _rows(path, found, {"ghi": 13, "dni": 14, "dhi": 15}, start)
+    columns = {"ghi": 13, "dni": 14, "dhi": 15}
+    rows = _rows(path, found, columns, lambda c: _moment(c[:3], c[3]) - timedelta(hours=1))
     table = WeatherTable(rows, True, place, clock, _HALF)
     comments = [line for line in lines[:8] if line.upper().startswith("COMMENTS")]
     if not (stated := _OFFSET.search("\n".join(comments))):
@@ -301,11 +303,11 @@ def _read_tmy3(path: Path, lines: list[str], site: Site) -> WeatherTable:
     one_column = "ObservationTime(LST)" in names
     at = names.index("ObservationTime(LST)") if one_column else 0
 
-    def when(line: int, cells: Cells) -> datetime:
+    def when(cells: Cells) -> datetime:
         stamp = cells[at].split(" ") if one_column else cells[:2]
         month, day, year = (*stamp[0].split("/"), "", "")[:3]
         hour, _, minute = "".join(stamp[1:2]).partition(":")
-        label = _moment(path, line, (year, month, day), hour, minute)
+        label = _moment((year, month, day), hour, minute)
         return label if one_column else label - _HALF
 
     rows = _rows(path, found, _columns(path, names), when, names)
@@ -332,9 +334,9 @@ def _read_sam(path: Path, lines: list[str], site: Site) -> WeatherTable:
     at = [names.index(name) for name in stamp]
     minutes = names.index("Minute") if "Minute" in names else None
 
-    def when(line: int, cells: Cells) -> datetime:
+    def when(cells: Cells) -> datetime:
         *date, hour = (cells[k] for k in at)
-        return _moment(path, line, date, hour, "0" if minutes is None else cells[minutes])
+        return _moment(date, hour, "0" if minutes is None else cells[minutes])
 
     rows = _rows(path, found, _columns(path, names), when, names)
     typical = _is_typical(rows) or "TMY" in about.get("Source", "").upper()
@@ -354,18 +356,17 @@ def _read_tmy2(path: Path, lines: list[str], site: Site) -> WeatherTable:
     width = len(lines[1].rstrip()) if len(lines) > 1 else 0
     for number, line in enumerate(lines[2:], start=3):
         if len(line.rstrip()) != width:
-            expected = f"{width} characters, as in line 2"
-            raise _bad_row(path, number, f"{len(line.rstrip())} characters", expected)
-    found = [
-        (number, [line[a:b].strip() for a, b in _TMY2])
-        for number, line in enumerate(lines[1:], start=2)
-    ]
+            found, expected = (
+                f"line {number}: {len(line.rstrip())} characters",
+                f"{width} characters",
+            )
+            raise InputError(path, found, f"{expected}, as in line 2", "correct that row")
+    cells = [[line[a:b].strip() for a, b in _TMY2] for line in lines[1:]]
 
-    def start(line: int, cells: Cells) -> datetime:
-        date = (f"19{cells[0]}", *cells[1:3])
-        return _moment(path, line, date, cells[3]) - timedelta(hours=1)
+    def start(cells: Cells) -> datetime:
+        return _moment((f"19{cells[0]}", *cells[1:3]), cells[3]) - timedelta(hours=1)
 
-    rows = _rows(path, found, {"dni": 4, "dhi": 5, "ghi": 6}, start)
+    rows = _rows(path, enumerate(cells, start=2), {"dni": 4, "dhi": 5, "ghi": 6}, start)
     return WeatherTable(rows, True, *where, _HALF)
 
 
@@ -383,7 +384,8 @@ def _read_pvgis(path: Path, lines: list[str], site: Site) -> WeatherTable:
     end = next((k for k, line in enumerate(lines) if k > header and not line.strip()), len(lines))
     for number, line in enumerate(lines[end:], start=end + 1):
         if re.match(r"\d{8}:", line):
-            raise _bad_row(path, number, "a row below the last one", "rows without gaps")
+            found = f"line {number}: a row below the last one"
+            raise InputError(path, found, "rows without gaps", "correct that row")
     names, found = _below(path, lines[:end], header)
     keys = ("Latitude (decimal degrees)", "Longitude (decimal degrees)", "Elevation (m)")
     cells = [*(about.get(key, "?") for key in keys), None]
@@ -394,11 +396,11 @@ def _read_pvgis(path: Path, lines: list[str], site: Site) -> WeatherTable:
         remedy = "download the series with slope 0 and its radiation components"
         raise InputError(path, found_slope, "a horizontal plane (slope 0 deg)", remedy)
 
-    def when(line: int, cells: Cells) -> datetime:
+    def when(cells: Cells) -> datetime:
         try:
             return datetime.strptime(cells[0], "%Y%m%d:%H%M").replace(tzinfo=UTC)
         except ValueError:
-            raise _bad_row(path, line, f"time '{cells[0]}'", "one as 20230101:0010") from None
+            raise _CellError(f"time '{cells[0]}'", "one as 20230101:0010") from None
 
     columns = _columns(path, names, _IN_PLANE if in_plane else _HEADINGS)
     rows = _rows(path, found, columns, when, names)
@@ -477,15 +479,14 @@ def _read_csv(path: Path, lines: list[str], site: Site) -> WeatherTable:
     # Hour 24 of 28 February belongs to 29 February only in a file with that day.
     leap = not dated and any((c[at[0]].lstrip("0"), c[at[1]]) == ("2", "29") for _, c in found)
 
-    def when(line: int, cells: Cells) -> datetime:
+    def when(cells: Cells) -> datetime:
         if not dated:
             month, day, hour = (cells[k] for k in at)
-            return _moment(path, line, ("2024" if leap else "2023", month, day), hour)
+            return _moment(("2024" if leap else "2023", month, day), hour)
         try:
             return read_time(cells[at[0]], utc=True).astimezone(UTC)
         except (ValueError, OverflowError) as error:
-            expected = "a UTC time such as 2027-03-20T15:30:00Z"
-            raise _bad_row(path, line, str(error), expected) from None
+            raise _CellError(str(error), "a UTC time such as 2027-03-20T15:30:00Z") from None
 
     rows = _rows(path, found, quantities, when, names)
     return WeatherTable(rows, not dated, place, timedelta() if dated else clock)

@@ -49,8 +49,15 @@ from fieldlum.session.folder import PlanTable
 from fieldlum.sky import sun
 from fieldlum.sky.light import Light, light_at
 from fieldlum.sky.sky_view import write_sky_picture
-from fieldlum.weather import SHIPPED_SITE, Weather, read_weather, shipped_seattle, synthetic_weather
-from fieldlum.weather.files import NEAR_KM, distance_km
+from fieldlum.weather import (
+    NEAR_KM,
+    SHIPPED_SITE,
+    Weather,
+    distance_km,
+    read_weather,
+    shipped_seattle,
+    synthetic_weather,
+)
 
 _VERSION = 4  # of the rendering; increase it to render all hours again
 # rendered together: more would need more memory, fewer more multiplications
