@@ -224,10 +224,9 @@ def test_experience_of_like_suns_raises_the_expectation() -> None:
     wrong = np.where(sunny[of.tested], 20.0, 1.0) * of.guess_of
     of = replace(of, error_of=wrong)
     guess = np.full(len(hours), 1e-3)
-    variance = of.variance_of[: len(hours)]
-    expected = of.experience(hours, hours, variance, guess, careful=False)
+    expected = of.experience(hours, hours, guess, careful=False)
     assert (expected[sunny] > 0.015).all() and (expected[hours.beam < 0.01] < 2e-3).all()
-    careful = of.experience(hours, hours, variance, guess, careful=True)
+    careful = of.experience(hours, hours, guess, careful=True)
     assert (careful >= expected).all()
 
 

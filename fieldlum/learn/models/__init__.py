@@ -90,7 +90,7 @@ def trusted_hours(prediction: Prediction) -> Mask:
     return prediction.trusted & ~(prediction.expected_mse > TRUSTED_MSE)
 
 
-FORMAT = 4  # of fitted values in a model's folder
+FORMAT = 5  # of fitted values in a model's folder
 
 
 def state_of(model: Any, with_patch: bool) -> ModelState:

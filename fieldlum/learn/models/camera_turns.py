@@ -34,8 +34,6 @@ from fieldlum.optics.projection import (
 )
 from fieldlum.optics.turn_fit import Contrasts, fit_turn
 
-MIN_CAPTURES = 5  # fewer captures have no clear majority; not measured
-MIN_ROWS = 40  # in smaller pictures an edge is as wide as a wall; not measured
 # Smoothing [px], coarse to fine. The first value corrects turns of five pixels; the last is as wide
 # as an edge in a rendering. Measured; no command repeats it.
 _SMOOTH_PX = (3.0, 1.0, 0.7)
@@ -49,9 +47,6 @@ _LIGHT_PX = np.array((0.02, 0.05, 0.04))  # standard uncertainty by this; chosen
 # Turns about each axis count in this unit: two to three times the largest of these daily medians. A
 # pose of n captures is corrected if it differs by 1 + 1 / sqrt(n) units. Chosen.
 TURN_PX = np.array((0.08, 0.25, 0.25))
-# Fewer consecutive captures share their light, so their errors are not independent: such a pose
-# must differ as much as a single capture. Chosen.
-MIN_POSE = 5
 # In units squared. A single capture must differ by 3.1 units to count as a separate pose, twelve
 # captures by 0.9 units. Chosen.
 MOVE_COST = 4.8
@@ -231,17 +226,11 @@ class _RoomEdges:
 
 def _motion_px(shape: tuple[int, int], heading_deg: float) -> Array:
     """Return how far a turn of one degree moves each pixel (row, column), [3, 2, H, W]."""
-    height, width = shape
-    rays = equirect_rays(height, width, heading_deg)
     moves = []
     for axis in np.eye(3):
-        low, high = (
-            altitude_azimuth_deg(turned_rays(rays, heading_deg, half * axis))
-            for half in (-0.5, 0.5)
-        )
-        rows = (low[0] - high[0]) * height / 180.0
-        columns = signed_angle_deg(high[1] - low[1]) * width / 360.0
-        moves.append((rows, columns))
+        before, after = (_places(shape, heading_deg, half * axis) for half in (-0.5, 0.5))
+        rows, columns = after - before
+        moves.append((rows, (columns + shape[0]) % shape[1] - shape[0]))  # across the seam
     return np.array(moves)
 
 
@@ -275,7 +264,8 @@ def camera_turns(
     """
     count, height = luminance_cdm2.shape[:2]
     angles, u_deg, correlation = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count)
-    if count < MIN_CAPTURES or height < MIN_ROWS or not seen_mask.any():
+    # fewer captures have no clear majority; in smaller pictures an edge is as wide as a wall
+    if count < 5 or height < 40 or not seen_mask.any():
         return CameraTurns(angles, u_deg, np.ones(count, bool))
     logs, seen_mask = _smaller(luminance_cdm2, seen_mask)
     # Most captures, evenly spaced, whose median shows the room's edges, to limit the memory
@@ -347,8 +337,9 @@ def _poses(angles: Array, aligned: Mask, pixel_deg: float) -> Array:
     poses -= np.median(np.repeat(poses, counts, axis=0), axis=0)  # of most captures
     for (start, stop), pose in zip(pieces, poses, strict=True):
         size, count = np.abs(pose) / unit, stop - start
-        # in units of TURN_PX; a short pose counts as a single capture, for which two cuts pay
-        minimum = np.sqrt(2.0 * MOVE_COST) if count < MIN_POSE else 1.0 + 1.0 / np.sqrt(count)
+        # in units of TURN_PX; under five captures share their light, so that they count as a single
+        # capture, for which two cuts pay
+        minimum = np.sqrt(2.0 * MOVE_COST) if count < 5 else 1.0 + 1.0 / np.sqrt(count)
         if size.max() >= minimum:
             out[rows[start:stop]] = np.where(size < 1.0, 0.0, pose)
     return out
@@ -435,20 +426,16 @@ def turn_notes(turns: CameraTurns, days: NDArray[np.datetime64]) -> list[str]:
     for pose in np.unique(turns.angles_deg[turns.turned], axis=0):
         rows = turns.turned & (turns.angles_deg == pose).all(axis=1)
         u = np.median(turns.u_deg[rows], axis=0)
-        parts = [
-            f"{name} {angle:+.2f} +- {error:.2f}"
-            for name, angle, error in zip(("heading", "tilt", "roll"), pose, u, strict=True)
-        ]
+        names = ("heading", "tilt", "roll")
+        parts = [f"{n} {a:+.2f} +- {e:.2f}" for n, a, e in zip(names, pose, u, strict=True)]
         notes.append(
             f"the camera was turned, relative to most captures, in {_captures(rows, days)} by "
-            f"{', '.join(parts)} degrees (positive: clockwise, up, clockwise); the pictures "
-            "were turned back in memory"
+            f"{', '.join(parts)} degrees; the pictures were turned back in memory"
         )
     if not turns.aligned.all():
         notes.append(
             f"WARNING: not used: {_captures(~turns.aligned, days)} that cannot be aligned with the "
-            f"others: the camera was turned too far or moved; put them "
-            "into a separate session"
+            "others: the camera was turned too far or moved; put them into a separate session"
         )
     return notes
 
@@ -456,5 +443,4 @@ def turn_notes(turns: CameraTurns, days: NDArray[np.datetime64]) -> list[str]:
 def _captures(rows: Mask, days: NDArray[np.datetime64]) -> str:
     names = [str(day) for day in np.unique(days[rows])]
     shown = ", ".join(names[:5]) + (" ..." if len(names) > 5 else "")
-    count = int(rows.sum())
-    return f"{counted(count, 'capture')} of {shown}"
+    return f"{counted(int(rows.sum()), 'capture')} of {shown}"

@@ -51,9 +51,6 @@ from fieldlum.sky.sky_view.view import NAME as SKY_VIEW
 from fieldlum.sky.sun_disc import find_disc, without_disc
 
 _SLOT_ID = re.compile(r"\d{8}T\d{6}Z")
-# Radiance's own sun differs from SPA by up to 1.1 degrees; a time wrong by an hour moves the sun by
-# 15, by half an hour by 7.
-MAX_SUN_DEG = 2.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,8 +175,9 @@ def check_plausible(path: Path, rows: Sequence[PairRow], site: Site) -> None:
     altitude, azimuth = position.altitude_deg, position.azimuth_deg
     stated = np.array([(row.sun_altitude_deg, row.sun_azimuth_deg) for row in rows]).T
     cosine = (sun.direction(*stated) * sun.direction(altitude, azimuth)).sum(axis=1)
+    # Radiance's own sun differs from SPA by up to 1.1 degrees; half an hour moves the sun by 7.
     # Angles absent from the csv are NaN and compare False.
-    if (wrong := cosine < np.cos(np.radians(MAX_SUN_DEG))).any():
+    if (wrong := cosine < np.cos(np.radians(2.5))).any():
         k = int(np.argmax(wrong))
         at = f"altitude {altitude[k]:.1f}, azimuth {azimuth[k]:.1f} deg"
         raise InputError(
@@ -279,9 +277,8 @@ def load_pairs(
         notes.append(f"left out: {counted(refused, 'row')} with ok = 0")
     dark = [row for row in rows if row.dni_wm2 + row.dhi_wm2 <= 0.0]
     if dark:
-        more = f" and {len(dark) - 3} more" if len(dark) > 3 else ""
-        named = ", ".join(Path(row.panorama).stem for row in dark[:3])
-        notes.append(f"captures without irradiance are not used: {named}{more}")
+        named = ", ".join(Path(row.panorama).stem for row in dark)
+        notes.append(f"captures without irradiance are not used: {named}")
         rows = [row for row in rows if row.dni_wm2 + row.dhi_wm2 > 0.0]
     if not rows:
         raise NotEnoughDataError(
@@ -323,21 +320,14 @@ def _assemble(
     notes += turn_notes(turns, days)
     seen_mask, filled = fill_gaps(pictures.maps, pictures.has_value)
     if filled:
-        notes.append(
-            f"filled {counted(filled, 'missing value')} of pixels that have values in most maps, "
-            "with the median of the pixel over the maps that have one"
-        )
+        notes.append(f"{counted(filled, 'missing value')}: each the median of its pixel")
     if not seen_mask.all():
-        notes.append(
-            f"{100 * (1 - seen_mask.mean()):.0f} % of the pixels were not seen by the camera"
-        )
+        notes.append(f"{1.0 - seen_mask.mean():.0%} of the pixels were not seen by the camera")
     view = SkyView.find(path.parent / SKY_VIEW)
     if view is not None and is_outdated(Session(path.parent), view):
         notes.append(f"WARNING: {SKY_VIEW} is of earlier pictures: run fieldlum pair again")
     if view is None and Session(path.parent).toml.is_file():
-        notes.append(
-            f"no {SKY_VIEW}: the coarse maps decide the sun's disc; run fieldlum pair again"
-        )
+        notes.append(f"no {SKY_VIEW}: coarse maps decide the sun's disc; run fieldlum pair again")
     times = [row.t_utc for row in rows]
     uncertain = np.array([is_doubted(row.why) for row in rows])
     data = Dataset(

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from fieldlum.core.arrays import Floats, Floats32, Indices, Mask
-from fieldlum.core.errors import InputError
+from fieldlum.core.errors import input_errors
 from fieldlum.learn.models import rebuilt
 from fieldlum.learn.models.data import Dataset
 from fieldlum.optics.projection import (
@@ -39,8 +39,6 @@ from fieldlum.sky.sun_images import (
     ring_around,
     tolerance_rad,
 )
-
-TO_SHOW = 0.5  # an image with a larger chance is predicted
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,35 +120,23 @@ class Mirror:
             towards,
             share * light.direct_lx,
             np.where(ahead, chances.mean(axis=0, dtype=float), 0.0),
-            ahead & (chances[0] > TO_SHOW) & self.predicted,
+            ahead & (chances[0] > 0.5) & self.predicted,
         )
 
     @property
     def warning(self) -> str:
         """Warning text of `train`, to follow "WARNING: 3 of 40 captures"."""
-        azimuth, altitude = (float(v[0]) for v in place_deg(np.array([self.normal]))[::-1])
-        return (
-            f"show the sun in a plane mirror (normal at azimuth {round(azimuth)}, altitude "
-            f"{round(altitude)} degrees, u {self.u_deg:.1f} degrees): a glass facade, water or a "
-            f"glossy surface. {self._consequence()}"
-        )
-
-    def _consequence(self) -> str:
+        altitude, azimuth = (round(float(v[0])) for v in place_deg(np.array([self.normal])))
+        right = f"the other days are right for {self.judged - self.wrong} of {self.judged} captures"
         if self.predicted:
-            return (
-                "Predicted hours include the mirrored sun where captures showed it; the other days "
-                f"predict for {self.judged - self.wrong} of {self.judged} captures correctly "
-                "whether it is in view. Hours in which the captures do not decide this are not "
-                "trusted"
-            )
-        reason = (
-            f"because the other days predict {self.wrong} of {self.judged} captures wrongly"
-            if self.measured
-            else "because its images are clipped: capture with a shorter exposure or a filter"
-        )
+            result = f"Predicted hours include the mirrored sun where captures showed it ({right})"
+        else:
+            cause = right if self.measured else "its images are clipped: use a shorter exposure"
+            result = f"No mirrored sun is predicted: DGP is a lower bound ({cause})"
         return (
-            f"Predicted hours have no mirrored sun, {reason}. Hours in which it may be in view are "
-            "not trusted, and their DGP is a lower bound"
+            f"show the sun in a plane mirror (normal at azimuth {azimuth}, altitude {altitude} "
+            f"degrees, u {self.u_deg:.1f} degrees): a glass facade, water or a glossy surface. "
+            f"{result}. Hours in which it is unclear whether it is in view are not trusted"
         )
 
 
@@ -185,33 +171,21 @@ def read_mirrors(folder: Path, config: ModelConfig) -> tuple[Mirror, ...]:
     tables: Sequence[Mapping[str, Any]] = config.state.get("mirrors", ())
     if not tables:
         return ()
-    try:
+    expected, remedy = "the mirrors of fieldlum train", "train the model again (fieldlum train)"
+    with input_errors(folder, expected, remedy, OSError, ValueError, KeyError, TypeError):
         arrays = read_arrays(folder / "weights.npz")
         out = [rebuilt(Mirror, table, arrays, f"mirror{k}.") for k, table in enumerate(tables)]
         for mirror in out:
-            if mirror.chance.shape != (config.height, config.width):
-                raise ValueError(f"a chance of the shape {mirror.chance.shape}")
-            if len(mirror.normal) != 3 or not np.isfinite([*mirror.normal, mirror.u_deg]).all():
-                raise ValueError("a normal or u_deg is not a number")
-            if not np.isfinite(mirror.factor):
-                raise ValueError("a factor is not a number")
+            numbers = [*mirror.normal, mirror.u_deg, mirror.factor]
+            if mirror.chance.shape != (config.height, config.width) or len(numbers) != 5:
+                raise ValueError("mirrors that cannot be used: a map or a normal of another size")
+            if not np.isfinite(numbers).all():
+                raise ValueError("mirrors that cannot be used: a value that is not a number")
         return tuple(out)
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(
-            folder,
-            f"mirrors that cannot be used ({error})",
-            "the mirrors that fieldlum train wrote",
-            "train the model again (fieldlum train)",
-        ) from None
 
 
 # ----------------------------------------------------------------------------------------------
 # from captures
-
-
-_PRIOR_WEIGHT = 1e-4  # of a label with a chance of one half; less than any alike label; chosen
-# A label that is further than two widths away, or not alike, does not make an image certain.
-_SUPPORTED = float(np.exp(-2.0))
 
 
 def split_images(data: Dataset) -> tuple[Dataset, tuple[Mirror, ...]]:
@@ -285,7 +259,7 @@ def _chance(
         out = data.days[label] == day
         here, there = maps[:, at[out]], maps[:, at[~out]]
         held_out = _voted(rays[at[out]] @ towards[~out].T, here, there, visible[~out])
-        wrong += int(((held_out > TO_SHOW) != visible[out]).sum())
+        wrong += int(((held_out > 0.5) != visible[out]).sum())
     return chance.reshape(data.shape), wrong
 
 
@@ -306,6 +280,8 @@ def _voted(cosine: Floats, here: Floats32, there: Floats32, visible: Mask) -> Fl
     near = alike * np.exp(-0.5 * (angle_deg / 9.0) ** 2)
     # of a label at any distance whose pixel is alike
     weight = near + 0.01 * alike
-    share = (weight @ visible + 0.5 * _PRIOR_WEIGHT) / (weight.sum(axis=1) + _PRIOR_WEIGHT)
-    supported = near.max(axis=1, initial=0.0) >= _SUPPORTED
+    # a label of weight 1e-4, less than any alike one, has a chance of one half
+    share = (weight @ visible + 0.5e-4) / (weight.sum(axis=1) + 1e-4)
+    # A label further than two widths away, or not alike, does not make an image certain.
+    supported = near.max(axis=1, initial=0.0) >= np.exp(-2.0)
     return np.where(supported, share, np.minimum(share, 0.9))

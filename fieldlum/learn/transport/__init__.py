@@ -21,7 +21,7 @@ from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Progress, counted, quiet
 from fieldlum.learn.models import ModelState, Patch, Prediction, rebuilt, state_of
 from fieldlum.learn.models.data import Dataset
-from fieldlum.learn.models.held_out_choice import HeldOutErrors, choose, difference
+from fieldlum.learn.models.held_out_choice import HeldOutErrors, choose
 from fieldlum.learn.transport.arrays import (
     MIN_CDM2,
     OpenSky,
@@ -36,7 +36,6 @@ from fieldlum.learn.transport.arrays import (
 from fieldlum.learn.transport.physics import Physics, physics_of
 from fieldlum.learn.transport.solve import (
     SECOND_NOISE,
-    SECOND_SEASON,
     Basis,
     HeldOutFit,
     PixelFit,
@@ -54,7 +53,6 @@ from fieldlum.sky.light import Features, Kernel, Light
 # Number of pixels, drawn by solid angle, that choose inputs and noise, and that calibrate the
 # uncertainty. Not measured.
 CHOOSING, CALIBRATING = 250, 600
-MIN_HOURS = 3  # least number of hours from which a kernel can be chosen; not measured
 # Relative variances of a captured value, from that of a camera to that of a room that changes; the
 # second one compares inputs. Not measured.
 NOISES = (3e-3, 1e-2, 3e-2)
@@ -200,9 +198,9 @@ class Transport:
         weights = equirect_solid_angles(*self.seen.shape)[self.seen]
         guess = square.astype(float) @ (weights / weights.sum())  # [n]
         careful = self.patch_scale is None or bool(self.pixels.computed_gain.any())
-        expected = unsure.experience(features, self.captured, variance, guess, careful)
+        expected = unsure.experience(features, self.captured, guess, careful)
         wider = unsure.band * np.sqrt(expected / np.maximum(guess, 1e-12))
-        sd = np.minimum(np.sqrt(square) * wider.astype(square.dtype)[:, None], MAX_SD * LOG10_E)
+        sd = np.minimum(np.sqrt(square) * wider.astype(square.dtype)[:, None], 1.0)
         trusted = unsure.trusted(variance)
         if patch is None or unsure.slip_deg <= 0.0:
             return sd, expected, trusted
@@ -294,13 +292,11 @@ def from_state(state: ModelState) -> Transport | MeanTransport:
 class _Inputs(NamedTuple):
     """Captures with the sky that the kernel compares and the light of surfaces that it corrects.
 
-    arrays: all pixels; perez: features under Perez's skies; covariance: kernel between captures [n,
-    n]; basis: its eigenvectors; sky_sd: of the skies in the windows (`SeenSky`), None under
-    Perez's skies.
+    arrays: all pixels; covariance: kernel between captures [n, n]; basis: its eigenvectors; sky_sd:
+    of the skies in the windows (`SeenSky`), None under Perez's skies.
     """
 
     arrays: TrainingArrays
-    perez: Features
     covariance: Array
     basis: Basis
     sky_sd: float | None = None
@@ -339,22 +335,20 @@ def _mean(
     P], of which the first `count` are of held-out days.
     """
     apart = plain_errors - errors
-    best = float((plain_errors * apart).sum() / max((apart**2).sum(), MIN_VARIANCE))
+    best = float((plain_errors * apart).sum() / max((apart**2).sum(), 1e-9))
     share = float(np.clip(best, 0.0, MAX_SHARE))
     mixed = share * errors + (1.0 - share) * plain_errors
     root = share * np.sqrt((errors**2).mean()) + (1.0 - share) * np.sqrt((plain_errors**2).mean())
-    agreement = float((mixed**2).mean() / max(root**2, MIN_VARIANCE))
+    agreement = float((mixed**2).mean() / max(root**2, 1e-9))
     return MeanTransport(one, other, share, agreement, (mixed[:count] ** 2).mean(axis=1))
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # its matrices are small; chunks run at once
 def _fit(data: Dataset, patch: Patch, seed: int, progress: Progress) -> tuple[Transport, Array]:
     """Return one model, and its errors in the tests of `calibrate` [k, P]."""
-    if len(data) < MIN_HOURS:
-        raise NotEnoughDataError(
-            f"{counted(len(data), 'capture')}; light transport needs at least {MIN_HOURS}; "
-            "capture more hours"
-        )
+    if len(data) < 3:
+        found = f"{counted(len(data), 'capture')}; light transport needs at least 3"
+        raise NotEnoughDataError(f"{found}; capture more hours")
     progress(0, 100, "describing light")
     arrays, scale = _scaled(data, patch)
     kernel = Kernel(arrays.facades)
@@ -372,7 +366,7 @@ def _fit(data: Dataset, patch: Patch, seed: int, progress: Progress) -> tuple[Tr
     share = arrays.weights / arrays.weights.sum()
     drawn = rng.choice(len(arrays.weights), count, p=share)
     robust = data.scene is not None or arrays.patch is None
-    chosen, noise = _chosen(every, kernel, drawn[:CHOOSING], data.days, robust)
+    chosen, noise = _chosen(every, drawn[:CHOOSING], data.days, robust)
     arrays, basis = chosen.arrays, chosen.basis
     progress(20, 100, "fitting")
 
@@ -404,21 +398,14 @@ def _fit(data: Dataset, patch: Patch, seed: int, progress: Progress) -> tuple[Tr
 
 
 def _chosen(
-    every: list[_Inputs], kernel: Kernel, pixels: Indices, days: NDArray, robust: bool
+    every: list[_Inputs], pixels: Indices, days: NDArray, robust: bool
 ) -> tuple[_Inputs, float]:
     """Return the inputs and the noise with the smallest error on held-out days at some pixels.
 
-    A lamp that is on in all hours must explain much of the error, by two standard errors. robust:
-    exclude the smallest noise, with which errors of patches are learnt: held-out days, which have
-    nearly the same suns as others, do not show it. So do days of one season.
+    robust: exclude the smallest noise, with which errors of patches are learnt: held-out days,
+    which have nearly the same suns as others, do not show it. So do days of one season.
     """
     best = every[choose([_errors(i, pixels) for i in every]).best]
-    lit = _with_lamp(best, kernel)
-    without, with_lamp = (_errors(i, pixels) for i in (best, lit))
-    gain, error = difference(without, with_lamp, "log10")
-    # share of the held-out error that a constant lamp must explain
-    if gain > max(0.3 * without.figure("log10"), 2.0 * error):
-        best = lit
     noises = NOISES[robust or one_season(days) :]
     return best, noises[choose([_errors(best, pixels, noise) for noise in noises]).best]
 
@@ -439,24 +426,6 @@ def _scaled(data: Dataset, patch: Patch) -> tuple[TrainingArrays, float | None]:
     return replace(arrays, patch=arrays.patch * np.float32(scale)), scale
 
 
-def _compared(arrays: TrainingArrays, kernel: Kernel, perez: Features) -> _Inputs:
-    """Return inputs by what the kernel compares; perez: features under Perez's skies."""
-    covariance = kernel(arrays.features, arrays.features)
-    basis = basis_of(covariance, kernel(perez, arrays.features))
-    return _Inputs(arrays, perez, covariance, basis)
-
-
-def _with_lamp(inputs: _Inputs, kernel: Kernel) -> _Inputs:
-    """Return inputs with a lamp that is on in all hours, unless they are marked."""
-    states = replace(inputs.arrays.states, always=True)
-    lamps = states.features(inputs.arrays.light).lamps
-    arrays = replace(
-        inputs.arrays, states=states, features=replace(inputs.arrays.features, lamps=lamps)
-    )
-    lit = _compared(arrays, kernel, replace(inputs.perez, lamps=lamps))
-    return lit._replace(sky_sd=inputs.sky_sd)
-
-
 def _inputs(
     arrays: TrainingArrays, kernel: Kernel, physics: Physics | None, seen: Mask
 ) -> list[_Inputs]:
@@ -465,29 +434,27 @@ def _inputs(
     These are Perez's skies or, with at least four days, those that windows showed, each with and
     without the light of the stated room.
     """
-    sunlight = None if physics is None else physics.sunlight(arrays.light)
-    if physics is not None and sunlight is not None:
-        bounced = physics.features(arrays.light, sunlight)
+    light, sunlight, perez = arrays.light, None, None
+    if physics is not None:
+        sunlight = physics.sunlight(light)
+        bounced = physics.features(light, sunlight)
         arrays = replace(arrays, features=replace(arrays.features, bounced=bounced))
-    light = arrays.light
+        perez = physics.luminance(light, sunlight, seen)
     # fewer days do not show that other skies are better
     sky = seen_sky(arrays) if len(np.unique(arrays.days)) >= 4 else None
-    out = [_compared(arrays, kernel, arrays.features)]
-    if sky is not None:
-        shown = replace(arrays, features=sky.features(arrays))
-        out.append(_compared(shown, kernel, arrays.features)._replace(sky_sd=sky.sd))
-    if physics is None or sunlight is None:
-        return out
-    perez = physics.luminance(light, sunlight, seen)
-    under = [computed_light(arrays, perez)]
-    if sky is not None:
-        shown_light = physics.luminance(light, sunlight, seen, sky.luminance_cdm2)
-        under.append(computed_light(arrays, shown_light, perez))
-    lit = [
-        i._replace(arrays=replace(i.arrays, computed=computed))
-        for i, computed in zip(out, under, strict=True)
-    ]
-    return [*out, *lit]
+    out = []
+    for shown in (None,) if sky is None else (None, sky):
+        some = arrays if shown is None else replace(arrays, features=shown.features(arrays))
+        covariance = kernel(some.features, some.features)
+        basis = basis_of(covariance, kernel(arrays.features, some.features))
+        out.append(_Inputs(some, covariance, basis, shown and shown.sd))
+        if physics is not None and sunlight is not None and perez is not None:
+            under = perez
+            if shown is not None:
+                under = physics.luminance(light, sunlight, seen, shown.luminance_cdm2)
+            lit = replace(some, computed=computed_light(some, under, perez))
+            out.append(out[-1]._replace(arrays=lit))
+    return out
 
 
 # ----------------------------------------------------------------------------------------------
@@ -495,15 +462,6 @@ def _inputs(
 
 
 LOG10_E = float(np.log10(np.e))
-NORMAL_90 = 1.6449  # standard deviations around the mean with 90 % of a normal distribution
-# Largest standard deviation of ln L: with more than a factor of ten, one pixel would dominate the
-# hour's mean. Chosen: ln 10.
-MAX_SD = 2.3
-# Hours are alike within this chord of the sun's direction, this difference of its share, and this
-# ratio (ln) of predictive variances. FEW is the weight of all tests with this share of sun next to
-# similar ones.
-NEAR_SUN, NEAR_BEAM, NEAR_LOG, FEW = 0.2, 0.1, 1.0, 0.1
-MIN_VARIANCE = 1e-9  # avoids division by zero
 
 
 def _declination_deg(days: NDArray) -> Array:
@@ -544,8 +502,7 @@ class Uncertainty:
     the held-out errors, over their root mean square; slip_deg: displacement of computed from
     captured sun patches [deg], 0 if none is known. Of k tests, in which a captured hour was
     predicted from other days or, if there are several, from other seasons: tested, index of the
-    capture; variance_of, error_of, guess_of: predictive variance, log10 MSE, and its estimate
-    without experience [k].
+    capture; error_of, guess_of: log10 MSE, and its estimate without experience [k].
     """
 
     inverse: Array
@@ -554,7 +511,6 @@ class Uncertainty:
     patch: float
     band: float
     tested: Indices
-    variance_of: Array
     error_of: Array
     guess_of: Array
     slip_deg: float = 0.0
@@ -576,7 +532,7 @@ class Uncertainty:
         """Return the variance that remains after the second stage, with its noise, [m]."""
         cross = second_covariance(hours, captured)
         known = np.einsum("ij,ij->i", cross @ self.second, cross)
-        return np.maximum(hours.beam**2 + SECOND_SEASON - known, 0.0) + SECOND_NOISE
+        return np.maximum(hours.beam**2 - known, 0.0) + SECOND_NOISE
 
     def trusted(self, variance: Array) -> Mask:
         """Return a mask [m], True for hours whose light is similar enough to that of captures.
@@ -587,25 +543,18 @@ class Uncertainty:
         # trusted
         return variance <= 1.5 * self.novelty
 
-    def experience(
-        self, hours: Features, captured: Features, variance: Array, guess: Array, careful: bool
-    ) -> Array:
+    def experience(self, hours: Features, captured: Features, guess: Array, careful: bool) -> Array:
         """Return the log10 MSE to expect in m hours, [m].
 
-        It is `guess` [m] times found over guessed errors, both summed over the tests. Tests with
-        nearly the same sun direction, share of sun and predictive variance count most; where few
-        are similar, those with this share of sun. careful: without sun patches, or with light
-        computed for the room, `variance` does not say how errors grow away from captures. They are
-        then at least those of tests with this share of sun, the geometric mean of held-out days
-        and seasons.
+        It is `guess` [m] times found over guessed errors, both summed over the tests with about the
+        same share of sun. careful: without sun patches, or with light computed for the room, the
+        guess does not say how errors grow away from captures. They are then at least those of these
+        tests, the geometric mean of held-out days and seasons.
         """
         beam, n = captured.beam[self.tested], len(captured)
-        cosine = np.clip(hours.direction @ captured.direction[self.tested].T, -1.0, 1.0)
-        sky = np.exp(-((hours.beam[:, None] - beam) ** 2) / (2.0 * NEAR_BEAM**2)) + 1e-9
-        ratio = np.log(np.maximum(variance, MIN_VARIANCE))[:, None] - np.log(self.variance_of)
-        near = sky * np.exp((cosine - 1.0) / NEAR_SUN**2 - 0.5 * (ratio / NEAR_LOG) ** 2)
-        near += FEW * sky / sky.sum(axis=1)[:, None]
-        expected = guess * (near @ self.error_of) / (near @ self.guess_of)
+        # hours with a tenth more or less sun are alike
+        sky = np.exp(-0.5 * ((hours.beam[:, None] - beam) / 0.1) ** 2) + 1e-9
+        expected = guess * (sky @ self.error_of) / (sky @ self.guess_of)
         if not careful:
             return expected
         groups = [slice(start, start + n) for start in range(0, len(beam), n)]
@@ -630,7 +579,8 @@ def log10_variance(
     kind = surface_share.dtype
     total = surface_share**2 * variance.astype(kind)[:, None]
     total += second.astype(kind)[:, None] * noise**2 + patch_share**2
-    return np.minimum(total, kind.type(MAX_SD**2)) * kind.type(LOG10_E**2)
+    # with more than a factor of ten, one pixel would dominate the hour's mean
+    return np.minimum(total * kind.type(LOG10_E**2), kind.type(1.0))
 
 
 def calibrate(
@@ -671,13 +621,12 @@ def calibrate(
         patch,
         1.0,
         np.tile(np.arange(len(covariance)), len(tests)),
-        np.maximum(np.concatenate([test.variance for test in tests]), MIN_VARIANCE),
         error,
         guess,
     )
     features, rows = arrays.features, out.tested
     careful = arrays.patch is None or arrays.computed is not None
-    expected = out.experience(features[rows], features, out.variance_of, guess, careful)
+    expected = out.experience(features[rows], features, guess, careful)
     square = np.concatenate(squares) * (expected / guess)[:, None]
     sd = np.sqrt(square + LOG10_E**2 * arrays.unsure[rows, None])
     # the harder of days and seasons: a year has other seasons than the captures
@@ -685,7 +634,7 @@ def calibrate(
     ratios = [np.abs(test.held.error) / part for test, part in parts]
     band = max(float(np.quantile(ratio[~arrays.filled], 0.9)) for ratio in ratios)
     errors = np.concatenate([test.held.error for test in tests])
-    return replace(out, band=band / NORMAL_90), errors
+    return replace(out, band=band / 1.6449), errors
 
 
 class _Test(NamedTuple):
@@ -722,4 +671,4 @@ def _patch_sd(arrays: TrainingArrays, held: HeldOutFit) -> float:
         return 0.0
     lit = (arrays.patch > 0.3 * np.maximum(held.luminance, MIN_CDM2)) & ~arrays.filled
     error = np.abs(held.error[lit]) / LOG10_E
-    return float(np.quantile(error, 0.9) / NORMAL_90) if lit.sum() > 20 else 0.05
+    return float(np.quantile(error, 0.9) / 1.6449) if lit.sum() > 20 else 0.05

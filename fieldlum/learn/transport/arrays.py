@@ -28,10 +28,6 @@ if TYPE_CHECKING:
 from fieldlum.sky.perez import reinhart_patches
 
 MIN_CDM2 = 0.1  # in darker pixels relative errors have no meaning; not measured
-# How far the patches of a fitted scene are displaced, seen from the camera. In rooms of
-# bench/scene_judge.py edges are 1 to 2 cm off, at some 3 m, and the sun 0.2 degrees. With 1 degree
-# errors are the same within 3 %.
-SCENE_SLIP_DEG = 0.5
 # Weights of the cells and of their sum beside the sun's light in a coarse model of the room, whose
 # variance is 5 (`Kernel.bounced`): variances of 0.5 and 1. Not measured.
 CELL_WEIGHT, FLUX_WEIGHT = float(np.sqrt(0.1)), float(np.sqrt(0.2))
@@ -41,12 +37,10 @@ CELL_WEIGHT, FLUX_WEIGHT = float(np.sqrt(0.1)), float(np.sqrt(0.2))
 class StateColumns:
     """The states of the room with which captures are marked, as columns of features.
 
-    always: whether there is also a lamp that is on in every hour not marked lamp=off; lamps: states
-    that add light, such as "lamp=on"; changed: states that change the response to daylight, such as
-    "blind=half".
+    The first lamp is on in every hour that is not marked lamp=off. lamps: states that add light,
+    such as "lamp=on"; changed: states that change the response to daylight, such as "blind=half".
     """
 
-    always: bool = False
     lamps: tuple[str, ...] = ()
     changed: tuple[str, ...] = ()
 
@@ -55,15 +49,14 @@ class StateColumns:
         """Return the states with which any hour of `light` is marked."""
         parts = sorted({part for text in light.states or () for part in parse_state(text)})
         lamps = tuple(part for part in parts if part.startswith(ADDED))
-        return cls(False, lamps, tuple(part for part in parts if part not in lamps))
+        return cls(lamps, tuple(part for part in parts if part not in lamps))
 
     def features(self, light: Light) -> Features:
         """Return the features of the hours of `light`, with these states."""
         features, states = light_features(light), light.states or ("",) * len(light)
-        if self.always or self.lamps:
-            lit = np.array([float(OFF not in text) for text in states])[:, None]
-            on = np.hstack((lit[:, : int(self.always)], indicators(states, self.lamps)))
-            features = replace(features, lamps=on * (LAMP_LX / light.total_lx)[:, None])  # [n, l]
+        lit = np.array([float(OFF not in text) for text in states])[:, None]
+        on = np.hstack((lit, indicators(states, self.lamps)))
+        features = replace(features, lamps=on * (LAMP_LX / light.total_lx)[:, None])  # [n, l]
         if self.changed:
             features = replace(features, changed=indicators(states, self.changed))
         return features
@@ -345,7 +338,9 @@ def edge_weights(patch: Floats, seen: Mask, luminance: Floats, total_lx: Floats)
     """
     total = total_lx[:, None]  # [n, 1]
     dark = np.median(luminance / total, axis=0) * total  # [n, P]
-    variance = slip_variance(patch, seen, dark, SCENE_SLIP_DEG)
+    # How far the patches of a fitted scene are displaced, seen from the camera: edges are 1 to 2 cm
+    # off, at some 3 m, and the sun 0.2 degrees.
+    variance = slip_variance(patch, seen, dark, 0.5)
     # Standard deviation of ln L at which a value next to an edge has half weight; that of the
     # robust rounds.
     return cauchy_weights(np.sqrt(variance), 0.15)
@@ -399,7 +394,6 @@ def computed_light(
 # Chord over which clouds change the ratio, and noise over the field's standard deviation: the best
 # of six pairs in mitsuba_a; the likeliest of each room (0.1 to 1.0, 0.01 to 0.25) is no better.
 WIDTH, NOISE_SHARE = 0.3, 0.2
-MIN_HOURS = 5  # captures that show a sky patch, so that its median is its usual share
 
 
 @dataclass(frozen=True, slots=True)
@@ -460,7 +454,8 @@ def _patch_ratios(arrays: TrainingArrays) -> tuple[Array, Array]:
     # omit hours with a blind, or with a lamp that the glass reflects
     if arrays.light.states is not None:
         valid &= np.array([not state for state in arrays.light.states])[:, None]
-    often = np.flatnonzero(valid.sum(axis=0) >= MIN_HOURS)
+    # captures that show a sky patch, so that its median is its usual share
+    often = np.flatnonzero(valid.sum(axis=0) >= 5)
     valid, captured, perez = valid[:, often], captured[:, often], perez[:, often]
     ratios = np.where(valid, np.log(captured / np.maximum(perez, MIN_CDM2)), np.nan)
     ratios = ratios - np.nanmedian(ratios, axis=0)  # [n, w]

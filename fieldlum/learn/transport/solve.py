@@ -24,9 +24,6 @@ from fieldlum.learn.transport.arrays import MIN_CDM2, TrainingArrays, pixel_scal
 from fieldlum.sky.light import Features
 
 RANK = 100  # number of features; chosen, limits memory and time
-# Pixels per core at a time, which limits the memory of the normal matrices to some 100 MB each.
-# Chosen.
-CHUNK = 1024
 # Prior variances of the gains of computed light (next to its level in the captures), sun patch and
 # window sky. Errors with 1e-6 for computed light differ by 4 % or less, except 30 % less and 12 %
 # more in two of twelve fits; the others are not measured.
@@ -37,7 +34,6 @@ MIN_SHARE = 0.3  # of a pixel's darkest value: predictions are never lower; not 
 # Chord between two sun directions over which the second stage corrects the log residual. Without
 # the second stage, the error of a Radiance room with a fitted scene is 1.2 times as large.
 SECOND_WIDTH = 0.15
-SECOND_SEASON = 0.02  # variance of changes with the season, with or without sun; not measured
 SECOND_NOISE = 0.06  # noise of the second stage's log residuals; not measured
 
 
@@ -127,9 +123,10 @@ class PixelFit:
     noise: Floats32
 
 
-def each_chunk(work: Callable[[slice], None], count: int, size: int = CHUNK) -> Iterator[int]:
+def each_chunk(work: Callable[[slice], None], count: int, size: int = 1024) -> Iterator[int]:
     """Call `work` for every chunk, on up to eight cores; yield the number of finished pixels.
 
+    size: of a chunk, which limits the memory of the normal matrices to some 100 MB each.
     Meanwhile BLAS uses one thread, because on systems of a hundred unknowns its threads wait for
     each other.
     """
@@ -330,11 +327,10 @@ def patch_scale(arrays: TrainingArrays) -> float:
 def second_covariance(a: Features, b: Features) -> Array:
     """Return the covariance of the second stage between hours, [len(a), len(b)].
 
-    It has two parts: effects of the sun from nearly the same direction, and the season.
+    It is that of effects of the sun from nearly the same direction.
     """
     cosine = np.clip(a.direction @ b.direction.T, -1.0, 1.0)
-    sharp = np.outer(a.beam, b.beam) * np.exp((cosine - 1.0) / SECOND_WIDTH**2)
-    return sharp + SECOND_SEASON * np.exp((cosine - 1.0) / 0.25)
+    return np.outer(a.beam, b.beam) * np.exp((cosine - 1.0) / SECOND_WIDTH**2)
 
 
 def second_inverse(arrays: TrainingArrays) -> Array:
