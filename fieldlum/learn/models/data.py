@@ -518,10 +518,7 @@ def _heading(panorama: Panorama, path: Path, setup: SiteFile) -> float:
 
 
 def _checked(
-    panorama: Panorama,
-    path: Path,
-    alike: tuple[tuple[int, ...], float],
-    setup: SiteFile,
+    panorama: Panorama, path: Path, alike: tuple[tuple[int, ...], float], setup: SiteFile
 ) -> Panorama:
     """Return a picture if it has size and heading of the first row's, else raise InputError."""
     heading, (height, width) = _heading(panorama, path, setup), panorama.luminance_cdm2.shape

@@ -42,10 +42,7 @@ from fieldlum.year.glare.metrics import (
 
 FLOOR_CDM2 = 1.0  # paper
 # fields of `Scores` that need glare
-_GLARE = (
-    *("dgp_mse", "dgp_mse_own_disc", "dgp_mae"),
-    *("rammg_error", "rammg_truth", "ev_error"),
-)
+_GLARE = ("dgp_mse", "dgp_mse_own_disc", "dgp_mae", "rammg_error", "rammg_truth", "ev_error")
 
 
 @dataclass(slots=True)

@@ -303,11 +303,7 @@ class _Inputs(NamedTuple):
 
 
 def fit(
-    data: Dataset,
-    *,
-    patch: Patch = "absolute",
-    seed: int = 0,
-    progress: Progress = quiet,
+    data: Dataset, *, patch: Patch = "absolute", seed: int = 0, progress: Progress = quiet
 ) -> Transport | MeanTransport:
     """Fit a room's light transport to captures, in closed form.
 
@@ -584,11 +580,7 @@ def log10_variance(
 
 
 def calibrate(
-    arrays: TrainingArrays,
-    basis: Basis,
-    covariance: Array,
-    noise: float,
-    residual: Floats32,
+    arrays: TrainingArrays, basis: Basis, covariance: Array, noise: float, residual: Floats32
 ) -> tuple[Uncertainty, Array]:
     """Test the estimated uncertainty on held-out days and, if there are several, held-out seasons.
 
