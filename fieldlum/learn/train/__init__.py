@@ -192,26 +192,25 @@ class ModelSelection(NamedTuple):
 def choose_model(trials: list[Trial]) -> ModelSelection:
     """Choose the model with the smallest held-out error, as `held_out_choice.choose` compares it.
 
-    Models are compared in pairs, on the hours of both, those that were tested on most hours first.
-    A model tested on fewer hours (the dense network) replaces another only if it is clearly better,
-    on two days at least. A baseline repeats captured suns, and held-out days have nearly the same
-    suns as the other days: it loses to another model unless it is clearly better.
+    Models are compared on the hours that all were tested on. A baseline repeats captured suns, and
+    held-out days have nearly the same suns as the other days: it loses to another model unless it
+    is clearly better.
     """
-    first, *rest = sorted(trials, key=lambda trial: -len(trial.scores))
-    winner = first
-    for other in rest:
-        pair, fewer = _errors([winner, other]), len(other.scores) < len(winner.scores)
-        if fewer and len(np.unique(pair[0].day)) < 2:  # one day is no proof
-            continue
-        choice = choose(pair)
-        best, by = choice.best, choice.by
-        plain = [MODELS[t.name.replace(":", " ").split()[0]].baseline for t in (winner, other)]
-        if by is None and plain[0] != plain[1]:
-            best = int(plain[0])
-        if best == 1 and (by or not fewer):
-            winner = other
-    compared = [t for t in trials if t is not winner and len(t.scores) == len(first.scores)]
-    return ModelSelection(winner.name, _reason([winner, *compared]))
+    errors = _errors(trials)
+    best = choose(errors).best
+    learnt = [k for k, trial in enumerate(trials) if not is_baseline(trial)]
+    if best not in learnt and learnt:
+        rival = learnt[choose([errors[k] for k in learnt]).best]
+        if choose([errors[best], errors[rival]]).by is None:
+            best = rival
+    order = sorted(range(len(trials)), key=lambda k: k != best)
+    reason = _reason([trials[k] for k in order], [errors[k] for k in order])
+    return ModelSelection(trials[best].name, reason)
+
+
+def is_baseline(trial: Trial) -> bool:
+    """Return whether a trial, named NAME, NAME:PATCH or NAME (folder), is of a baseline."""
+    return MODELS[trial.name.replace(":", " ").split()[0]].baseline
 
 
 def _errors(trials: Sequence[Trial]) -> list[HeldOutErrors]:
@@ -223,9 +222,9 @@ def _errors(trials: Sequence[Trial]) -> list[HeldOutErrors]:
     ]
 
 
-def _reason(trials: list[Trial]) -> str:
+def _reason(trials: list[Trial], errors: list[HeldOutErrors]) -> str:
     """Return the figures of the first trial next to those of the others, and what decided."""
-    own, *others = errors = _errors(trials)
+    own, *others = errors
     hours = f"{counted(own.judged, 'held-out hour')} of {counted(len(np.unique(own.day)), 'day')}"
     if not others:
         return f"the only model that was tested ({hours})"
@@ -327,11 +326,9 @@ def _trials(
     trials, left_out, folds = [], [], day_folds(data)
     for name in names:
         limit = 0.5 * (ends_s - options["clock"]())
-        # a network that is trained for less than two minutes is no measure of it
-        some = folds[: max(1, int(limit / 120.0))] if MODELS[name].slow else folds
         try:
             trials.append(
-                evaluate_folds(name, data, some, budget_s=limit, keep_maps=True, **options)
+                evaluate_folds(name, data, folds, budget_s=limit, keep_maps=True, **options)
             )
         except NotEnoughDataError as error:
             if model == name:
@@ -511,7 +508,7 @@ def notes_of(data: Dataset, patch: Patch, model: str, trials: Sequence[Trial]) -
     own = next((trial for trial in trials if trial.name == model), None)
     if own is None or MODELS[model].baseline:
         return tuple(notes)
-    others = [t for t in trials if MODELS[t.name].baseline]
+    others = [trial for trial in trials if is_baseline(trial)]
     choices = [choose(_errors([own, t])) for t in others]
     better = [t.name for t, c in zip(others, choices, strict=True) if c.best == 1 and c.by]
     if better:
