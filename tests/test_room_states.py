@@ -51,6 +51,7 @@ def test_a_lamp_always_on_costs_nothing(tmp_path: Path) -> None:
     """Review, missing test 4: at most 1.2 times the error of the room without a lamp."""
     model = fit(lit(TRAIN, np.ones(len(TRAIN), bool)))
     test = lit(TEST, np.ones(len(TEST), bool))
+    assert model.states.always and not model_of_train().states.always
     answer = model.predict(test.light, test.patch_cdm2).luminance_cdm2
     assert log_mse(answer, test) < 1.2 * clean_mse()
     models.save(tmp_path / "m", model, TRAIN)

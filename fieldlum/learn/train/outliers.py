@@ -88,7 +88,9 @@ def process_of(data: Dataset, *, with_patch: bool, seen_skies: bool = False) -> 
         [np.median(v[ok]) if ok.any() else 1.0 for v, ok in zip(y, valid, strict=True)]
     )
     lamp = LAMP_LX / total
+    # a lamp that is on in all captures is part of the room
     covariance = Kernel(arrays.facades)(arrays.features, arrays.features)
+    covariance += 100.0 * np.outer(lamp, lamp)
     spread = level**2 * (1.0 + arrays.unsure / UNSURE)
     y = np.where(valid, y, level[:, None])
     rows = np.flatnonzero(judged)

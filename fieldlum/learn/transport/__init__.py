@@ -21,7 +21,7 @@ from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Progress, counted, quiet
 from fieldlum.learn.models import ModelState, Patch, Prediction, rebuilt, state_of
 from fieldlum.learn.models.data import Dataset
-from fieldlum.learn.models.held_out_choice import HeldOutErrors, choose
+from fieldlum.learn.models.held_out_choice import HeldOutErrors, choose, difference
 from fieldlum.learn.transport.arrays import (
     MIN_CDM2,
     OpenSky,
@@ -292,11 +292,13 @@ def from_state(state: ModelState) -> Transport | MeanTransport:
 class _Inputs(NamedTuple):
     """Captures with the sky that the kernel compares and the light of surfaces that it corrects.
 
-    arrays: all pixels; covariance: kernel between captures [n, n]; basis: its eigenvectors; sky_sd:
-    of the skies in the windows (`SeenSky`), None under Perez's skies.
+    arrays: all pixels; perez: features under Perez's skies; covariance: kernel between captures [n,
+    n]; basis: its eigenvectors; sky_sd: of the skies in the windows (`SeenSky`), None under
+    Perez's skies.
     """
 
     arrays: TrainingArrays
+    perez: Features
     covariance: Array
     basis: Basis
     sky_sd: float | None = None
@@ -362,7 +364,7 @@ def _fit(data: Dataset, patch: Patch, seed: int, progress: Progress) -> tuple[Tr
     share = arrays.weights / arrays.weights.sum()
     drawn = rng.choice(len(arrays.weights), count, p=share)
     robust = data.scene is not None or arrays.patch is None
-    chosen, noise = _chosen(every, drawn[:CHOOSING], data.days, robust)
+    chosen, noise = _chosen(every, kernel, drawn[:CHOOSING], data.days, robust)
     arrays, basis = chosen.arrays, chosen.basis
     progress(20, 100, "fitting")
 
@@ -394,14 +396,24 @@ def _fit(data: Dataset, patch: Patch, seed: int, progress: Progress) -> tuple[Tr
 
 
 def _chosen(
-    every: list[_Inputs], pixels: Indices, days: NDArray, robust: bool
+    every: list[_Inputs], kernel: Kernel, pixels: Indices, days: NDArray, robust: bool
 ) -> tuple[_Inputs, float]:
     """Return the inputs and the noise with the smallest error on held-out days at some pixels.
 
-    robust: exclude the smallest noise, with which errors of patches are learnt: held-out days,
-    which have nearly the same suns as others, do not show it. So do days of one season.
+    A lamp that is on in all hours must explain 30 % of the error, and two standard errors: with two
+    or four days, a lamp as an input doubles the error of rooms that have none. robust: exclude the
+    smallest noise, with which errors of patches are learnt: held-out days, which have nearly the
+    same suns as others, do not show it. So do days of one season.
     """
     best = every[choose([_errors(i, pixels) for i in every]).best]
+    states = replace(best.arrays.states, always=True)
+    lamps = states.features(best.arrays.light).lamps
+    some = replace(best.arrays.features, lamps=lamps), replace(best.perez, lamps=lamps)
+    lit = _compared(replace(best.arrays, states=states, features=some[0]), kernel, some[1])
+    without, with_lamp = (_errors(i, pixels) for i in (best, lit))
+    gain, error = difference(without, with_lamp, "log10")
+    if gain > max(0.3 * without.figure("log10"), 2.0 * error):
+        best = lit._replace(sky_sd=best.sky_sd)
     noises = NOISES[robust or one_season(days) :]
     return best, noises[choose([_errors(best, pixels, noise) for noise in noises]).best]
 
@@ -420,6 +432,12 @@ def _scaled(data: Dataset, patch: Patch) -> tuple[TrainingArrays, float | None]:
         return arrays, None
     scale = 1.0 if data.scene is not None else patch_scale(arrays)
     return replace(arrays, patch=arrays.patch * np.float32(scale)), scale
+
+
+def _compared(arrays: TrainingArrays, kernel: Kernel, perez: Features) -> _Inputs:
+    """Return inputs by what the kernel compares; perez: features under Perez's skies."""
+    covariance = kernel(arrays.features, arrays.features)
+    return _Inputs(arrays, perez, covariance, basis_of(covariance, kernel(perez, arrays.features)))
 
 
 def _inputs(
@@ -441,9 +459,8 @@ def _inputs(
     out = []
     for shown in (None,) if sky is None else (None, sky):
         some = arrays if shown is None else replace(arrays, features=shown.features(arrays))
-        covariance = kernel(some.features, some.features)
-        basis = basis_of(covariance, kernel(arrays.features, some.features))
-        out.append(_Inputs(some, covariance, basis, shown and shown.sd))
+        compared = _compared(some, kernel, arrays.features)
+        out.append(compared._replace(sky_sd=shown and shown.sd))
         if physics is not None and sunlight is not None and perez is not None:
             under = perez
             if shown is not None:

@@ -37,10 +37,12 @@ CELL_WEIGHT, FLUX_WEIGHT = float(np.sqrt(0.1)), float(np.sqrt(0.2))
 class StateColumns:
     """The states of the room with which captures are marked, as columns of features.
 
-    The first lamp is on in every hour that is not marked lamp=off. lamps: states that add light,
-    such as "lamp=on"; changed: states that change the response to daylight, such as "blind=half".
+    always: whether there is also a lamp that is on in every hour not marked lamp=off; lamps: states
+    that add light, such as "lamp=on"; changed: states that change the response to daylight, such as
+    "blind=half".
     """
 
+    always: bool = False
     lamps: tuple[str, ...] = ()
     changed: tuple[str, ...] = ()
 
@@ -49,14 +51,15 @@ class StateColumns:
         """Return the states with which any hour of `light` is marked."""
         parts = sorted({part for text in light.states or () for part in parse_state(text)})
         lamps = tuple(part for part in parts if part.startswith(ADDED))
-        return cls(lamps, tuple(part for part in parts if part not in lamps))
+        return cls(False, lamps, tuple(part for part in parts if part not in lamps))
 
     def features(self, light: Light) -> Features:
         """Return the features of the hours of `light`, with these states."""
         features, states = light_features(light), light.states or ("",) * len(light)
-        lit = np.array([float(OFF not in text) for text in states])[:, None]
-        on = np.hstack((lit, indicators(states, self.lamps)))
-        features = replace(features, lamps=on * (LAMP_LX / light.total_lx)[:, None])  # [n, l]
+        if self.always or self.lamps:
+            lit = np.array([float(OFF not in text) for text in states])[:, None]
+            on = np.hstack((lit[:, : int(self.always)], indicators(states, self.lamps)))
+            features = replace(features, lamps=on * (LAMP_LX / light.total_lx)[:, None])  # [n, l]
         if self.changed:
             features = replace(features, changed=indicators(states, self.changed))
         return features
