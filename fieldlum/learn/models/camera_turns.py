@@ -372,15 +372,15 @@ def _pieces(values: Array) -> list[tuple[int, int]]:
 def align(
     maps: Floats32,
     has_value: Mask,
-    counts: list[NDArray[np.float16] | None],
+    counts: NDArray[np.float16],
     heading_deg: float,
     turns: CameraTurns,
 ) -> None:
     """Turn maps, masks and weights of captures back to the pose that most captures share, in place.
 
-    maps: [n, H, W] cd/m2; has_value: [n, H, W], True for measured pixels; counts: for each capture
-    the weights of its pixels in training [H, W], None if all are 1; heading_deg: azimuth of the
-    maps' centre column. A capture that was not turned, or that cannot be aligned, does not change.
+    maps: [n, H, W] cd/m2; has_value: [n, H, W], True for measured pixels; counts: weights of the
+    pixels in training [n, H, W]; heading_deg: azimuth of the centre column. A capture that was not
+    turned, or that cannot be aligned, does not change.
 
     Interpolation blurs sharp edges, such as a window's. Therefore each pixel's weight is multiplied
     by the weight of the uncertainty that this causes; a factor below a half becomes 0.
@@ -395,9 +395,7 @@ def align(
         weight = np.where(weight < 0.5, 0.0, weight)
         share = turned_back(has_value[k].astype(float), heading_deg, angles)
         has_value[k] = share > 1.0 - 1e-6
-        if (count := counts[k]) is not None:
-            weight *= turned_back(count.astype(float), heading_deg, angles)
-        counts[k] = weight.astype(np.float16)
+        counts[k] = weight * turned_back(counts[k].astype(float), heading_deg, angles)
 
 
 def shown_place(

@@ -426,10 +426,9 @@ class PairPictures:
     maps: captured luminance [n, H, W] cd/m2; patches: luminance of the direct sun alone [n, H, W]
     cd/m2, None without pictures of sun patches; disc_lx: illuminance by the sun's disc on a plane
     normal to it [n]; disc_deg: its altitude and azimuth in map or patch [n, 2], NaN where not
-    measured; has_value: mask [n, H, W], True at measured pixels; counts: weights of the
-    pixels in training, [H, W] or None for 1, one entry for each row; heading_deg: azimuth of the
-    middle of all maps; bounds: number of maps whose sun is clipped, so that its illuminance is only
-    a lower bound.
+    measured; has_value: mask [n, H, W], True at measured pixels; counts: weights of the pixels in
+    training [n, H, W]; heading_deg: azimuth of the middle of all maps; bounds: number of maps whose
+    sun is clipped, so that its illuminance is only a lower bound.
     """
 
     maps: Floats32
@@ -437,7 +436,7 @@ class PairPictures:
     disc_lx: Floats
     disc_deg: Floats
     has_value: Mask
-    counts: list[NDArray[np.float16] | None]
+    counts: NDArray[np.float16]
     heading_deg: float
     bounds: int
 
@@ -488,14 +487,14 @@ def read_pictures(
     maps = np.empty((len(rows), *shape), np.float32)
     patches = np.empty_like(maps) if with_patch else None
     disc, bounds = np.zeros(len(rows)), 0
-    masks, counts = np.empty(maps.shape, bool), []
+    masks, counts = np.empty(maps.shape, bool), np.empty(maps.shape, np.float16)
     for k, row in enumerate(rows):
         progress(k, len(rows), pictures[k].name)
         panorama = read_panorama_with_sun(pictures[k], suns[pictures[k].parent])
         panorama = _checked(panorama, pictures[k], alike, setup)
         bounds += panorama.sun is not None and panorama.sun.origin == CLIPPED_SUN
         maps[k], masks[k] = panorama.luminance_cdm2, _has_value(panorama)
-        counts.append(pixel_counts(panorama))
+        counts[k] = pixel_counts(panorama)
         disc[k] = panorama.sun.normal_illuminance_lx if panorama.sun else 0.0
         if patches is not None:
             source = path.parent / row.sunpatch
@@ -559,14 +558,12 @@ def fill_gaps(maps: Floats32, has_value: Mask) -> tuple[Mask, int]:
     return seen_mask, int(gaps.sum())
 
 
-def pixel_counts(panorama: Panorama) -> NDArray[np.float16] | None:
+def pixel_counts(panorama: Panorama) -> NDArray[np.float16]:
     """Return the weight of each pixel in training, 0 to 1, [H, W].
 
-    It is 0 where `flags` mark a clipped, moving or filled pixel, else by the relative
-    uncertainty (1 without uncertainties). None if the picture has neither flags nor uncertainties.
+    It is 0 where `flags` mark a clipped, moving or filled pixel, else by the relative uncertainty
+    (1 without uncertainties).
     """
-    if panorama.flags is None and panorama.u_cdm2 is None:
-        return None
     counts = np.ones(panorama.luminance_cdm2.shape)
     if panorama.u_cdm2 is not None:
         light = np.maximum(np.nan_to_num(panorama.luminance_cdm2), 1e-6)
@@ -577,26 +574,21 @@ def pixel_counts(panorama: Panorama) -> NDArray[np.float16] | None:
     return counts.astype(np.float16)
 
 
-def joined_counts(
-    each: Sequence[NDArray[np.float16] | None], has_value: Mask
-) -> NDArray[np.float16] | None:
+def joined_counts(counts: NDArray[np.float16], has_value: Mask) -> NDArray[np.float16] | None:
     """Return the weights of the pixels of all captures [n, H, W]; None if all weights are 1.
 
-    each: result of `pixel_counts` for each capture, where None means 1; has_value: mask [n, H, W],
-    False where a value is missing, whose weight is 0. The weights of each pixel are divided by
-    their maximum: an uncertainty that is common to all captures (the camera's scale) does not make
-    one capture better than another. A pixel without weight in most captures gets at least 0.1.
+    counts: result of `pixel_counts` for each capture [n, H, W], which changes; has_value: mask
+    [n, H, W], False where a value is missing, whose weight is 0. The weights of each pixel are
+    divided by their maximum: an uncertainty that is common to all captures (the camera's scale)
+    does not make one capture better than another. A pixel without weight in most captures gets at
+    least 0.1.
     """
-    if all(counts is None for counts in each) and has_value.all():
-        return None
-    ones = np.ones(has_value.shape[1:], np.float16)
-    counts = np.stack([ones if weights is None else weights for weights in each])
     counts[~has_value] = 0.0
     largest = counts.max(axis=0)
     counts /= np.where(largest > 0.0, largest, np.float16(1.0))
     mostly = (counts == 0.0).mean(axis=0) > 0.5  # a lamp that is always clipped
     counts[:, mostly] = np.maximum(counts[:, mostly], np.float16(0.1))
-    return counts
+    return None if (counts == 1.0).all() else counts
 
 
 # ----------------------------------------------------------------------------------------------
