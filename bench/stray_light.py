@@ -118,7 +118,10 @@ def trap_readings(
         shape = view.true.luminance_cdm2.shape
         picture = Panorama(photographed(view, lens, dark).reshape(shape), heading)
         name = Path(f"picture{number}.exr")
-        out += [stray.reading(name, picture, profile, at, 0.0, 1.0) for at in places]
+        for azimuth_deg, altitude_deg in places:
+            row = {"panorama": name, "azimuth_deg": azimuth_deg, "altitude_deg": altitude_deg}
+            row |= {"luminance_cdm2": 0.0, "radius_deg": 1.0}
+            out.append(stray.reading(picture, profile, row))
     return out
 
 

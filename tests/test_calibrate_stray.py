@@ -121,7 +121,8 @@ def test_readings_that_cannot_be_are_refused(readings_csv: Path) -> None:
         stray.fit(grey)
     picture = Panorama(scene((40.0, 20.0)).reshape(HEIGHT, -1).astype(np.float32), 0.0)
     with pytest.raises(InputError, match="not more than its true"):
-        stray.reading(Path("p.exr"), picture, PROFILE, (0.0, -40.0), true_cdm2=30.0)
+        row = {"panorama": Path("p.exr"), "azimuth_deg": 0.0, "altitude_deg": -40.0}
+        stray.reading(picture, PROFILE, {**row, "luminance_cdm2": 30.0, "radius_deg": 0.5})
 
 
 @pytest.mark.contract

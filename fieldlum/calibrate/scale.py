@@ -89,9 +89,8 @@ def _reading(
     at = Place(row["panorama"], row["azimuth_deg"], row["altitude_deg"])
     spot, plane = row["luminance_cdm2"], row["illuminance_lx"]
     if (spot is None) == (plane is None):
-        count = "neither" if spot is None else "both"
-        finding = f"{at.x:g}/{at.y:g} deg has {count} of luminance_cdm2 and illuminance_lx"
-        raise InputError(path, finding, "one of the two in each line", "correct that line")
+        finding = f"{at.x:g}/{at.y:g} deg has {'neither' if spot is None else 'both'}"
+        raise InputError(path, finding, "luminance_cdm2 or illuminance_lx", "correct that line")
     kind, image, u_image = "spot", 0.0, 0.0
     if spot is not None:
         image, u_image = spot_cdm2(picture, at.x, at.y, at.path)
@@ -113,9 +112,8 @@ def _to_k(file: Path, picture: Panorama, profile: CameraProfile) -> float:
 def _refuse_clipped(picture: Panorama, inside: Mask, file: Path | str, place: str) -> None:
     if shared.is_flagged(picture, inside, Flag.CLIPPED_HIGH):
         finding = f"the picture is clipped in every frame {place}"
-        expected = "light that at least one frame records without clipping"
-        remedy = "remove this reading from the csv, or capture shorter exposures as well"
-        raise InputError(file, finding, expected, remedy)
+        remedy = "remove this reading, or capture shorter exposures as well"
+        raise InputError(file, finding, "light without clipping", remedy)
 
 
 def _plane_lx(picture: Panorama, azimuth_deg: float, altitude_deg: float, file: Path) -> float:
@@ -147,9 +145,8 @@ def spot_cdm2(
     values = np.asarray(picture.luminance_cdm2, float)[inside]
     values = values[np.isfinite(values)]
     if not len(values) or values.max() <= 0:
-        expected = "a direction within the lens's field, with light"
         remedy = "check the reading's azimuth (clockwise from north) and altitude (up)"
-        raise InputError(file, f"the picture has no light {place}", expected, remedy)
+        raise InputError(file, f"the picture has no light {place}", "light", remedy)
     spread = float(values.std() / values.mean() / np.sqrt(len(values)))
     return float(trim_mean(values, 0.1)), spread
 
@@ -178,9 +175,8 @@ def fit(
     far = tuple(r.label for r, is_far in zip(readings, off, strict=True) if is_far)
     if len(far) > len(log) / 3:  # the picture is wrong and not the readings
         finding = f"{len(far)} of {len(log)} readings differ from the fitted k by over 10 % and 3 u"
-        expected = "this of at most a third of the readings"
         remedy = "check azimuths (clockwise from north), one unit for all, and steady light"
-        raise InputError(source, f"{finding}: {', '.join(far[:4])}", expected, remedy)
+        raise InputError(source, f"{finding}: {', '.join(far[:4])}", "at most a third", remedy)
     scatter = float((weight * (log - centre) ** 2).sum() / max(len(log) - 1, 1))
     u_rel = math.hypot(math.sqrt(max(scatter, 1.0) / weight.sum()), meter_u)
     line = "scale: one factor from one reading; no held-out error, which needs two readings"

@@ -114,8 +114,7 @@ def from_session(
     if not brackets and others:
         finding = f"{counted(others, 'panorama')} merged with another profile"
         remedy = "merge again (fieldlum merge), or name the other profile"
-        expected = "panoramas merged with the stated profile"
-        raise InputError(session.panoramas, finding, expected, remedy)
+        raise InputError(session.panoramas, finding, "the stated profile", remedy)
     what = f"{session.panoramas}: merged brackets with overlapping frames"
     require(len(brackets), 1, what, "run fieldlum merge first")
     return brackets, tuple(files)
@@ -132,9 +131,8 @@ def with_law_of(profile: CameraProfile, sidecars: Sequence[Path]) -> CameraProfi
     if profile.shutter_law != AUTO or not laws:
         return profile
     if len(laws) > 1:
-        finding = f"the brackets were merged with several shutter laws: {', '.join(laws)}"
         remedy = 'write shutter_law = "exact" (or another) into the profile and merge again'
-        raise InputError(sidecars[0].parent, finding, "one law for all brackets", remedy)
+        raise InputError(sidecars[0].parent, f"shutter laws {', '.join(laws)}", "one law", remedy)
     return replace(profile, shutter_law=laws[0])
 
 
@@ -231,13 +229,9 @@ def fit(brackets: Sequence[Bracket], profile: CameraProfile) -> ShutterFit:
             f"{'; '.join(left_out) or 'no frames overlap'}; capture more brackets in steady light"
         )
     assumed, fitted = _held_out(brackets, steady)
-    candidates = [("times as assumed", 0, assumed), ("table", len(steady), fitted)]
-    choice = choose("shutter", candidates)
+    choice = choose("shutter", [("times as assumed", 0, assumed), ("table", len(steady), fitted)])
     if choice.index == 0:
-        raise NotEnoughDataError(
-            f"a table of fitted shutter times is no better than the profile's times: "
-            f"{choice.line}; use the profile as it is"
-        )
+        raise NotEnoughDataError(f"{choice.line}; expected better times; keep the profile")
     nominal = sorted({time for pair in steady for time in pair}, reverse=True)
     assumed_s, u_assumed = zip(*(true_shutter_s(time, profile) for time in nominal), strict=True)
     at_start = pool(brackets, drift=False)
@@ -261,10 +255,8 @@ def _why_not(pair: Pair, ratio: TimeRatio) -> str:
         return f"{what}: brackets with both times: {ratio.brackets}, needed: {MIN_BRACKETS}"
     if ratio.spread <= MAX_SPREAD:
         return ""
-    return (
-        f"{what}: the ratio varies by {100 * ratio.spread:.1f} % between brackets (standard "
-        f"deviation; limit {100 * MAX_SPREAD:g} %): the light or the shutter is unsteady"
-    )
+    varies = f"the ratio varies by {100 * ratio.spread:.1f} % between brackets (standard deviation)"
+    return f"{what}: {varies}: the light or the shutter is unsteady"
 
 
 def _held_out(brackets: Sequence[Bracket], pairs: Container[Pair]) -> Floats:

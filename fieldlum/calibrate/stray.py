@@ -69,65 +69,47 @@ def from_table(path: Path, profile: CameraProfile) -> list[StrayReading]:
 
     Optional columns: luminance_cdm2, the true luminance of the place (default 0), and radius_deg of
     the averaged disc (default 0.5). Azimuth is clockwise from north. Raises InputError for an
-    invalid line, for a place that `reading` rejects, and for a picture that was merged with another
-    calibration or with a stray-light kernel.
+    invalid line, for a place that is clipped, outside the lens or not brighter than in reality, and
+    for a picture that was merged with another calibration or with a stray-light kernel.
     """
     optional = {"luminance_cdm2": 0.0, "radius_deg": shared.SPOT_DEG}
     rows = shared.read_table(path, ("panorama", "azimuth_deg", "altitude_deg"), optional)
     plain = replace(profile, stray=StrayLight())
     pictures = shared.read_panoramas(rows, plain, ", after removing [stray] from the profile")
-    readings = []
-    for row in rows:
-        file, at_deg = row["panorama"], (row["azimuth_deg"], row["altitude_deg"])
-        true_cdm2, radius_deg = row["luminance_cdm2"], row["radius_deg"]
-        readings.append(reading(file, pictures[file], profile, at_deg, true_cdm2, radius_deg))
-    return readings
+    return [reading(pictures[row["panorama"]], profile, row) for row in rows]
 
 
-def reading(
-    file: Path,
-    picture: Panorama,
-    profile: CameraProfile,
-    at_deg: tuple[float, float],
-    true_cdm2: float = 0.0,
-    radius_deg: float = shared.SPOT_DEG,
-) -> StrayReading:
+def reading(picture: Panorama, profile: CameraProfile, row: shared.CsvRow) -> StrayReading:
     """Return the stray light at a dark place of a picture, and the light that may cause it.
 
-    at_deg : azimuth (clockwise from north) and altitude of the place; true_cdm2 : its true
-    luminance; radius_deg : radius of the averaged disc. Only the field of the lens whose axis is
-    nearest to the place counts. Raises InputError for a place that is clipped, that no lens sees,
-    or that is not brighter in the picture than true_cdm2.
+    row : of the csv. Only the field of the lens whose axis is nearest to the place counts.
     """
     height, width = picture.luminance_cdm2.shape
+    at_deg, true_cdm2 = (row["azimuth_deg"], row["altitude_deg"]), row["luminance_cdm2"]
     light = np.nan_to_num(np.asarray(picture.luminance_cdm2, float)).ravel()
-    disc = shared.pixels_within(picture, *at_deg, radius_deg)
+    disc = shared.pixels_within(picture, *at_deg, row["radius_deg"])
     stray = float(light[disc.ravel()].mean()) - true_cdm2
     wrong = {
         "outside the lens's field": shared.is_flagged(picture, disc, Flag.OUTSIDE_LENS),
         "clipped (too bright)": shared.is_flagged(picture, disc, Flag.CLIPPED_HIGH),
         f"{stray + true_cdm2:.3g} cd/m2, not more than its true {true_cdm2:g} cd/m2": stray <= 0,
     }
-    if any(wrong.values()):
-        what = next(text for text, is_so in wrong.items() if is_so)
+    for what in (text for text, is_so in wrong.items() if is_so):
         finding = f"the dark place at {at_deg[0]:g}/{at_deg[1]:g} deg is {what}"
         expected = "an unclipped place inside the field, brighter than in reality by stray light"
-        raise InputError(file, finding, expected, "correct or remove its row of the csv")
+        raise InputError(row["panorama"], finding, expected, "correct or remove its row of the csv")
     rays = equirect_rays(height, width, picture.heading_deg).reshape(-1, 3)
     flux = np.where(disc.ravel(), 0.0, light * equirect_solid_angles(height, width).ravel())
     if picture.sun is not None:
         source = direction(picture.sun.altitude_deg, picture.sun.azimuth_deg)
         rays = np.concatenate([rays, source[None]])
         flux = np.append(flux, picture.sun.normal_illuminance_lx)
-    toward = direction(at_deg[1], at_deg[0])
-    axes = [
-        direction(lens.tilt_deg, picture.heading_deg + lens.azimuth_deg) for lens in profile.lens
-    ]
+    toward, heading_deg = direction(at_deg[1], at_deg[0]), picture.heading_deg
+    axes = [direction(lens.tilt_deg, heading_deg + lens.azimuth_deg) for lens in profile.lens]
     nearest = int(np.argmax([axis @ toward for axis in axes]))
-    edge = np.cos(np.radians(profile.lens[nearest].full_angle_deg / 2))
-    use = (rays @ axes[nearest] >= edge) & (flux > 0)
+    use = (rays @ axes[nearest] >= np.cos(profile.lens[nearest].half_angle_rad)) & (flux > 0)
     away = np.arccos(np.clip(rays[use] @ toward, -1.0, 1.0))
-    return StrayReading(Place(file, *at_deg), stray, away, flux[use])
+    return StrayReading(Place(row["panorama"], *at_deg), stray, away, flux[use])
 
 
 def fit(readings: Sequence[StrayReading], source: Path | str = "stray") -> StrayFit:

@@ -79,14 +79,9 @@ def verified(shots: Sequence[Shot]) -> list[Shot]:
     now = [replace(shot, sha256=sha256(shot.path)) for shot in shots]
     changed = [b.path for a, b in zip(shots, now, strict=True) if a.sha256 not in ("", b.sha256)]
     if changed:
-        names = ", ".join(path.name for path in changed)
-        raise InputError(
-            changed[0],
-            f"the content of {names} changed after the capture or import",
-            "the frames whose sha256 is in capture.json",
-            "copy them from the card again, or remove their entries from capture.json to merge "
-            "without them",
-        )
+        finding = f"{', '.join(path.name for path in changed)} changed after capture or import"
+        remedy = "copy them from the card again, or remove them from capture.json"
+        raise InputError(changed[0], finding, "the sha256 in capture.json", remedy)
     return now
 
 
@@ -98,8 +93,7 @@ def shots_of_files(files: Sequence[Path], lens_f_number: float = 0.0) -> list[Sh
     or a copy of another one, and for a file without exposure time, f-number or ISO.
     """
     if not files:
-        remedy = "name the frames of one bracket"
-        raise InputError("merge", "no frames", "at least one raw or JPEG file", remedy)
+        raise InputError("merge", "no frames", "raw or JPEG files of one bracket", "name them")
     shots: list[Shot] = []
     for path in files:
         exposure = read_exif(path, lens_f_number=lens_f_number).exposure
@@ -123,9 +117,8 @@ def sorted_shots(shots: Sequence[Shot], profile: CameraProfile) -> list[Shot]:
 
     def collected(shot: Shot) -> float:
         e = shot.exposure
-        return z_per_cdm2(e.shutter_s, e.f_number, e.iso) / float(
-            np.mean(nd_factors(e.nd, profile))
-        )
+        factor = float(np.mean(nd_factors(e.nd, profile)))
+        return z_per_cdm2(e.shutter_s, e.f_number, e.iso) / factor
 
     return sorted(shots, key=lambda s: (s.heading_deg or 0.0, -collected(s), s.path.name))
 
@@ -140,20 +133,16 @@ def _problems(
         f_number = shot.exposure.f_number
         if is_jpeg(shot.path) != (kind == "jpeg"):
             finding = "a raw frame" if kind == "jpeg" else "a JPEG frame"
-            expected = f"{kind} frames, for which the profile {profile.camera.name} is"
-            remedy = "remove this frame, or name the profile of its camera"
-            yield shot.path, finding, expected, remedy
+            expected = f"{kind} frames, as of {profile.camera.name}"
+            yield shot.path, finding, expected, "name the profile of its camera"
         if apertures and min(abs(f_number / n - 1) for n in apertures) > SAME_LABEL:
             valid = ", ".join(f"f/{n:g}" for n in apertures)
             expected = f"{valid}, because the profile's k is not calibrated for other apertures"
-            remedy = (
-                "calibrate this aperture (fieldlum calibrate scale), or capture with one of these"
-            )
+            remedy = "calibrate this aperture (fieldlum calibrate scale)"
             yield shot.path, f"a frame with f/{f_number:g}", expected, remedy
         if abs(f_number / first - 1) > SAME_LABEL:
             finding = f"a frame with f/{f_number:g} in a bracket with f/{first:g}"
-            remedy = "merge each aperture separately: light and vignetting differ"
-            yield shot.path, finding, "one aperture in a bracket", remedy
+            yield shot.path, finding, "one aperture in a bracket", "merge each by itself"
 
 
 def times_by_law(shots: Sequence[Shot], profile: CameraProfile) -> dict[str, Floats]:

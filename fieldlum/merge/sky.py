@@ -208,9 +208,9 @@ def sky_cut(
         return None
     # The sun's disc has 22 pixels of 0.1 degrees; finer ones would need four times the space.
     side = max(1, int(_TILE_DEG / max(0.1, sensor_pitch_deg(profile)) + 0.1))
-    used = np.flatnonzero(can_be_sun.any(axis=1))
-    first, (left, width) = int(used[0]), projection.smallest_arc(np.asarray(can_be_sun.any(axis=0)))
-    place = np.s_[first : int(used[-1]) + 1], (left + np.arange(width)) % can_be_sun.shape[1]
+    rows = np.flatnonzero(can_be_sun.any(axis=1))
+    first, (left, width) = int(rows[0]), projection.smallest_arc(np.asarray(can_be_sun.any(axis=0)))
+    place = np.s_[first : int(rows[-1]) + 1], (left + np.arange(width)) % can_be_sun.shape[1]
     # What a window shows is brighter than the room: only brighter tiles are resampled.
     dark_cdm2 = 1.25 * float(np.median(seen.luminance[seen.coverage > 0.0]))
     shines = (seen.luminance > dark_cdm2) | (seen.flags & Flag.CLIPPED_HIGH > 0)
@@ -219,11 +219,9 @@ def sky_cut(
     clipped = np.zeros(out.shape, bool)
     for tiles, part in _parts(bright, first, left, side):
         light, marked = _block(images, views, profile, part, target)
-        for i, j in np.argwhere(bright[tiles]):
-            down, across = (tiles[0].start + i) * side, (tiles[1].start + j) * side
-            into = np.s_[down : down + side, across : across + side]
-            of = np.s_[i * side : (i + 1) * side, j * side : (j + 1) * side]
-            out[into], clipped[into] = light[of], marked[of]
+        into = tuple(slice(part.start * side, part.stop * side) for part in tiles)
+        used = np.kron(bright[tiles], np.ones((side, side), bool))
+        out[into], clipped[into] = np.where(used, light, np.nan), used & marked
     step_deg = _TILE_DEG / side
     corner_deg = 90.0 - first * _TILE_DEG, left * _TILE_DEG - 180.0
     grid = SkyGrid(*corner_deg, step_deg, heading_deg, *out.shape)

@@ -193,10 +193,8 @@ def _with_session_facts(
     if not complete:
         text = f"incomplete bracket: not all planned frames exist; {text}"
     if lost:
-        text = (
-            f"merged without {', '.join(lost)}, because the pixels cannot be read: copy "
-            f"these frames from the card again if it still has them; {text}"
-        )
+        why = "because the pixels cannot be read: copy these frames from the card again"
+        text = f"merged without {', '.join(lost)}, {why}; {text}"
     return replace(result, report=report, verdict=text + _sun_note(panorama.sun, profile))
 
 
@@ -298,9 +296,7 @@ def run(
     """
     slots = [folder.name for folder in session.captured_folders()]
     if not slots:
-        raise NotEnoughDataError(
-            f"{session.raw}: no captured slots; run fieldlum capture or fieldlum import first"
-        )
+        raise NotEnoughDataError(f"{session.raw}: no captured slots; run fieldlum capture first")
     units = _units(session, slots, options or MergeOptions(), force)
     check_writable(session.panoramas)
     session.panoramas.mkdir(parents=True, exist_ok=True)

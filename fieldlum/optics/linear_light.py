@@ -48,15 +48,12 @@ def check_frame(path: Path, shape: tuple[int, ...], model: str, profile: CameraP
     """
     body = profile.camera
     if shape[:2] != (body.height_px, body.width_px):
+        finding = f"a frame of {shape[1]} x {shape[0]} pixels"
         expected = f"{body.width_px} x {body.height_px} pixels, the size of {body.name}"
-        remedy = "use a profile of this camera (--camera)"
-        raise InputError(path, f"a frame of {shape[1]} x {shape[0]} pixels", expected, remedy)
+        raise InputError(path, finding, expected, "use a profile of this camera (--camera)")
     if model and body.model and not same_model(model, body.model):
         expected = f"{body.model}, the camera of {body.name}"
-        remedy = (
-            "use a profile of this camera; if this profile is right, write that model under "
-            "[camera]"
-        )
+        remedy = "use a profile of this camera, or write that model under [camera]"
         raise InputError(path, f"the frame was taken by {model}", expected, remedy)
 
 
@@ -150,9 +147,8 @@ def nd_factors(name: str, profile: CameraProfile) -> tuple[float, float, float]:
     if name in factors:
         return factors[name]
     finding = f"the filter '{name}' is not in the profile"
-    expected = f"one of its filters: {', '.join(filter(None, factors)) or 'it has none'}"
-    remedy = "add the filter to the profile under [[nd]]"
-    raise InputError(profile.camera.name, finding, expected, remedy)
+    expected = f"one of: {', '.join(filter(None, factors)) or 'it has none'}"
+    raise InputError(profile.camera.name, finding, expected, "add the filter under [[nd]]")
 
 
 def vignetting_of(lens: Lens, f_number: float) -> tuple[tuple[float, ...], float]:
@@ -165,18 +161,16 @@ def vignetting_of(lens: Lens, f_number: float) -> tuple[tuple[float, ...], float
     """
     if not lens.vignetting:
         return (1.0,), 0.0
+    remedy = "calibrate this aperture: fieldlum calibrate vignette"
     nearest = min(lens.vignetting, key=lambda v: abs(np.log(v.f_number / f_number)))
     # a curve is valid for its own aperture: a third of a stop, with rounding
     if abs(2 * np.log2(nearest.f_number / f_number)) > 0.4:
         measured = ", ".join(f"f/{v.f_number:g}" for v in lens.vignetting)
-        expected = f"one of the calibrated apertures {measured}"
-        remedy = "calibrate this aperture: fieldlum calibrate vignette"
-        raise InputError(lens.name, f"no vignetting curve for f/{f_number:g}", expected, remedy)
+        finding = f"no vignetting curve for f/{f_number:g}"
+        raise InputError(lens.name, finding, f"one of {measured}", remedy)
     if wrong := check_vignetting(nearest.coefficients):
         finding = f"the curve of f/{nearest.f_number:g}: {wrong}"
-        expected = "a curve that is 1 on the axis, and between 0 and 1 at the edge"
-        remedy = "calibrate it again: fieldlum calibrate vignette"
-        raise InputError(lens.name, finding, expected, remedy)
+        raise InputError(lens.name, finding, "1 on the axis, 0 to 1 at the edge", remedy)
     return nearest.coefficients, nearest.u_rel
 
 

@@ -365,8 +365,7 @@ def uncalibrated_text(profile: CameraProfile) -> str:
     shares = [f"{name} {100 * u:.0f} %" for name, u in (*parts, ("vignetting", vignetting)) if u]
     return (
         f"{profile.camera.name} has no date of calibration: standard uncertainties are "
-        f"{', '.join(shares)}, and directions may be wrong by some degrees; calibrate lens, "
-        "vignette, colour and scale (fieldlum calibrate -h)"
+        f"{', '.join(shares)}, and directions may be wrong by some degrees (fieldlum calibrate -h)"
     )
 
 
@@ -381,10 +380,7 @@ def find_camera_profile(name: str) -> Path:
         if candidate.is_file():
             return candidate
     expected = f"the path of a TOML file, or one of: {', '.join(camera_names())}"
-    remedy = (
-        "correct --camera, or profile under [camera] in SITE.toml ([setup.camera] in the "
-        "session.toml of a planned session)"
-    )
+    remedy = "correct --camera, or profile under [camera] in SITE.toml or session.toml"
     raise InputError(name, "no such camera profile", expected, remedy)
 
 
@@ -445,10 +441,6 @@ def sun_text(slots: Sequence[Slot]) -> str:
     if names:
         return (
             f"{text}, with frames through the filter {', '.join(names)}: a person must put it on "
-            "and take it off in each bracket, because no driver moves one; without a person plan "
-            "without a filter"
+            "and take it off in each bracket"
         )
-    return (
-        f"{text}, which no exposure reaches: the illuminance of its disc is computed from DNI; "
-        "a person at the camera can use a filter instead (filter in SITE.toml)"
-    )
+    return f"{text}, which no exposure reaches: the illuminance of its disc is computed from DNI"

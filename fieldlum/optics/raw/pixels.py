@@ -128,8 +128,7 @@ def _check_strips(path: Path) -> None:
         finding = f"broken TIFF structure ({type(error).__name__})"
         raise _damaged(path, finding, "a raw file") from None
     if end > len(content):
-        finding = f"the file has {len(content)} bytes, but its pixels end later"
-        raise _damaged(path, finding, "a complete file")
+        raise _damaged(path, f"{len(content)} bytes, its pixels end later", "a complete file")
 
 
 def _end_of_variant(tags: Any) -> int:
@@ -147,8 +146,7 @@ def _end_of(page: Any, content: mmap.mmap, path: Path) -> int:
     """
     offsets, counts = page.dataoffsets, page.databytecounts
     if page.compression == 7 and counts and content[offsets[0] : offsets[0] + 2] != b"\xff\xd8":
-        expected = "the compression that its tags state"
-        raise _damaged(path, "its pixels are no lossless JPEG", expected)
+        raise _damaged(path, "its pixels are no lossless JPEG", "what its tags state")
     bits = page.imagelength * page.imagewidth * page.bitspersample * page.samplesperpixel
     if page.compression == 1 and counts and 8 * sum(counts) < bits:
         return sys.maxsize
@@ -174,10 +172,7 @@ def opened(path: Path) -> Any:
     except Exception as error:
         reason = error.args[0] if error.args else type(error).__name__
         text = reason.decode("ascii", "replace") if isinstance(reason, bytes) else str(reason)
-        remedy = (
-            "leave the file out if it is no frame; otherwise copy it from the card again or "
-            "convert it to DNG"
-        )
+        remedy = "leave the file out if it is no frame; else copy it again or convert it to DNG"
         expected = "a raw file that LibRaw supports"
         raise InputError(path, f"LibRaw: {text}", expected, remedy) from None
     if damage:
@@ -380,9 +375,7 @@ def _codes(path: Path, max_pixels: int) -> NDArray[np.uint8]:
     except Exception as error:
         damage = f"the JPEG is damaged or cut short ({str(error).splitlines()[0][:80]})"
         finding = damage if is_jpeg else "the file is no JPEG"
-        raise InputError(
-            path, finding, "a complete JPEG", "copy the file from the card again"
-        ) from None
+        raise _damaged(path, finding, "a complete JPEG") from None
     remedy = "state width_px and height_px of the camera in its profile, or copy the file again"
     raise InputError(path, f"{width} x {height} pixels", f"at most {max_pixels:,} pixels", remedy)
 
