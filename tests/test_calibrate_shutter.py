@@ -275,7 +275,7 @@ def test_brackets_that_disagree_and_times_that_are_right_are_refused() -> None:
     ):
         shutter.fit(wild, profile())
     right = [shutter.readings_of(quality(np.exp(5e-4 * rng.standard_normal(5)))) for _ in range(12)]
-    with pytest.raises(NotEnoughDataError, match="times as assumed .*keep the profile"):
+    with pytest.raises(NotEnoughDataError, match=r"times as assumed .*keep the profile"):
         shutter.fit(right, profile())
 
 
