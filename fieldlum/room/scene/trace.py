@@ -141,7 +141,8 @@ def disc_visibility(scene: BoxScene, toward: Floats) -> tuple[Floats, Floats]:
 
     Both are 0 for a hidden disc. toward : [n, 3] directions to the sun in room axes.
     """
-    glass = disc_glass(scene, toward)
+    parts = np.array_split(toward, len(toward) // 500 + 1)  # some 10 MB each
+    glass = np.concatenate([disc_glass(scene, part) for part in parts])
     visible = (glass > 0).mean(axis=1)
     return visible, glass.mean(axis=1) / np.maximum(visible, 1e-12)
 

@@ -230,6 +230,8 @@ def group_pixels(mask: Mask) -> NDArray[np.int32]:
 
 def _joined_at_seam(labels: NDArray[np.int32]) -> NDArray[np.int32]:
     """Join sources that meet across the panorama's seam, or at the zenith or nadir."""
+    if labels.max() < 2:
+        return labels
     left, right = labels[:, 0], labels[:, -1]
     pairs = [(left, right), (left[1:], right[:-1]), (left[:-1], right[1:])]
     pairs += [(row, np.full_like(row, row.max())) for row in (labels[0], labels[-1])]

@@ -126,11 +126,11 @@ def occupied_hours(
     zone = site.timezone
     days = sorted({standard_date(t, zone) for t in times_utc})
     starts = [datetime.combine(day, time(), UTC) - standard_offset(zone, day.year) for day in days]
-    hours = [start + timedelta(hours=k) for start in starts for k in range(24)]
-    hour_numbers = {(t - starts[0]) // _HOUR for t in times_utc}
-    blank = np.array([(t - starts[0]) // _HOUR not in hour_numbers for t in hours])
-    middles = [t + _HOUR / 2 for t in hours]
-    used = occupancy.at(middles, zone) & ~(blank & (position(middles, site).altitude_deg > 0.0))
+    middles = np.array([start + (k + 0.5) * _HOUR for start in starts for k in range(24)])
+    known = {(t - starts[0]) // _HOUR for t in times_utc}
+    blank = np.array([(t - starts[0]) // _HOUR not in known for t in middles])
+    used = occupancy.at(middles.tolist(), zone)
+    used[blank] &= position(middles[blank].tolist(), site).altitude_deg <= 0.0
     if not used.any():
         raise NotEnoughDataError(
             f"the weather file has no values for any occupied hour ({occupancy.text}) on its "
