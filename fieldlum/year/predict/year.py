@@ -6,11 +6,12 @@ import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn
+from typing import NamedTuple, NoReturn
 
 import numpy as np
+from msgspec import structs
 
-from fieldlum.core.arrays import Mask
+from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Progress, quiet, utc_text
 from fieldlum.core.room_states import OFF
@@ -109,52 +110,58 @@ def run(
     check_session(model_folder, room, config.scene)
     folder = out or default_folder(model_folder)
     occupancy = default_occupancy() if occupancy_path is None else read_occupancy(occupancy_path)
-    options = {"views": views, "occupancy": occupancy.text, "maps": maps, "seed": seed}
-    inputs = _files(model_folder, weather_path, sky_view) | options
-    inputs |= {"label_shift_min": label_shift_min} if label_shift_min else {}
     lit = None if not lamps else Occupancy("off") if lamps == "off" else read_occupancy(Path(lamps))
-    inputs |= {} if lit is None else {"lamps": lit.text}
     pairs = session.pairs if session is not None and has_colour(session.pairs) else None
-    inputs |= {"melanopic": "colour"} if pairs else {}
+    options = {"views": views, "occupancy": occupancy.text, "maps": maps, "seed": seed}
+    options |= {"label_shift_min": label_shift_min, "lamps": lit.text if lit else ""}
+    inputs = _files(model_folder, weather_path, sky_view) | options | {"colour": pairs is not None}
     if not force and (existing := _already(folder, inputs)) is not None:
         return PredictedYear(existing, new=False)
     check_writable(folder)
     if sky_view is not None:
         room = replace(room, sky_view=SkyView.read(sky_view), sky_view_file=sky_view.name)
     weather = read_weather(weather_path, room.setup.site, label_shift_min=label_shift_min)
-    light, zone = _daylight(weather, weather_path, lit), weather.site.timezone
+    light = _daylight(weather, weather_path, lit)
     azimuths = view_azimuths_deg(room.heading_deg, views)
     hours_used, days = occupied_hours(occupancy, weather.t_utc, weather.site)
     colours = year_of_captures(pairs, room, azimuths) if pairs else None
     _delete_earlier_year(folder)
     folder.mkdir(parents=True, exist_ok=True)
     store = begin_maps(folder, len(light), room) if maps else None
-    found = measure(
-        model_folder,
-        room,
-        light,
-        azimuths,
-        store=store,
-        melanopic=colours,
-        seed=seed,
-        scheduler=scheduler,
-        progress=progress,
-    )
+    how = {"store": store, "melanopic": colours, "seed": seed, "scheduler": scheduler}
+    found = measure(model_folder, room, light, azimuths, progress=progress, **how)
     found.hours["trusted"] *= not poor(config)
-    found.hours["occupied"][:] = occupancy.at(light.t_utc, zone)
-    annual = Annual(folder, PredictFile(), light.t_utc, azimuths, found.hours, _columns(found))
+    found.hours["occupied"][:] = occupancy.at(light.t_utc, weather.site.timezone)
+    about = _about(room, config, weather, light, azimuths)
+    summary = structs.replace(about, inputs=inputs, days=days)
+    annual = Annual(folder, summary, light.t_utc, azimuths, found.hours, _columns(found))
+    annual, budgets = _judged(annual, found.uncertainty, hours_used, room, session, seed)
     if store:
         finish_maps(folder, annual, room)
-    rows, budgets = _protection(annual, found.uncertainty, hours_used, session, seed)
-    annual = replace(
-        annual,
-        summary=summary_of_year(
-            room, config, weather, inputs, occupancy, annual, rows, hours_used, days
-        ),
-    )
     pictures = telling_pictures(load(model_folder), room, light, annual)
-    _write(annual, budgets, pictures, zone)
+    _write(annual, budgets, pictures, weather.site.timezone)
     return PredictedYear(annual, new=True)
+
+
+def _about(
+    room: ModelRoom, config: ModelConfig, weather: Weather, light: Light, azimuths: Floats
+) -> PredictFile:
+    """Return what predict.json says of model, weather and hours."""
+    return PredictFile(
+        software={"fieldlum": __version__},
+        model=config.model,
+        setup=site_table(room.setup),
+        height=room.height,
+        width=room.width,
+        heading_deg=room.heading_deg,
+        azimuths_deg=tuple(azimuths.tolist()),
+        weather=YearWeather(weather.name, weather.synthetic, tuple(weather.repairs)),
+        hours=len(light),
+        first=utc_text(light.t_utc[0]),
+        last=utc_text(light.t_utc[-1]),
+        disc_from=room.disc_from,
+        model_warnings=tuple(config.state.get("warnings", ())),
+    )
 
 
 def _columns(found: HourFigures) -> dict[str, np.ndarray]:
@@ -164,20 +171,37 @@ def _columns(found: HourFigures) -> dict[str, np.ndarray]:
     return {name: v for name, v in (empty | found.views).items() if name in columns}
 
 
-def _protection(
-    annual: Annual, uncertainty: DgpUncertainty, hours_used: int, session: Session | None, seed: int
-) -> tuple[tuple[DirectionYear, ...], list[Budget]]:
-    """Return the classes of the directions, and the budgets of their exceeded DGP."""
-    used, azimuths = annual.occupied, annual.azimuths_deg
-    dgp, ev_lx, uncertainty = (
-        annual.views["dgp"][used],
-        annual.views["ev_lx"][used],
-        uncertainty.hours(used),
-    )
+def _judged(
+    annual: Annual,
+    uncertainty: DgpUncertainty,
+    hours_used: int,
+    room: ModelRoom,
+    session: Session | None,
+    seed: int,
+) -> tuple[Annual, list[Budget]]:
+    """Return the year with the classes of its directions, and the budgets of their exceeded DGP.
+
+    hours_used: number of occupied hours, lit and dark ones.
+    """
+    used, azimuths, summary = annual.occupied, annual.azimuths_deg, annual.summary
+    dgp, ev_lx, u = annual.views["dgp"][used], annual.views["ev_lx"][used], uncertainty.hours(used)
     u_scale = 0.0 if session is None else scale_u_rel(session)
     of_scale, rng = u_scale * dgp_per_scale(dgp, ev_lx), np.random.default_rng(seed)
-    rows = protection(dgp, uncertainty, hours_used, azimuths, rng, of_scale)
-    return rows, year_budget(dgp, ev_lx, uncertainty, hours_used, azimuths, u_scale)
+    rows = protection(dgp, u, hours_used, azimuths, rng, of_scale)
+    budgets = year_budget(dgp, ev_lx, u, hours_used, azimuths, u_scale)
+    count = int(used.sum())
+    untrusted, wide = (float(hours.sum()) / max(count, 1) for hours in unsure_hours(annual))
+    shares = [] if room.seen is None else seen_shares(room.seen, room.heading_deg, azimuths)
+    summary = structs.replace(
+        summary,
+        occupancy=YearOccupancy(
+            summary.inputs["occupancy"], hours_used, count, untrusted, untrusted + wide
+        ),
+        seen_share=tuple(round(float(share), 3) for share in shares),
+        notes=(*_notes(summary, room, untrusted, wide), *_unseen_notes(rows)),
+        protection=rows,
+    )
+    return replace(annual, summary=summary), budgets
 
 
 def _write(annual: Annual, budgets: list[Budget], pictures: Pictures, zone: str) -> None:
@@ -382,64 +406,12 @@ HOURLY_MEANS = (
     "sun. In files of PVGIS it is one moment, which stands for the hour. So the number of glare "
     "hours can be too low or too high."
 )
-# a larger share of occupied hours outside the captures is reported; not measured
 _WIDE_DGP = 0.2  # an interval of this width spans all classes (EN 17037: 0.35 to 0.45)
-
-
-def summary_of_year(
-    room: ModelRoom,
-    config: ModelConfig,
-    weather: Weather,
-    inputs: Mapping[str, Any],
-    occupancy: Occupancy,
-    annual: Annual,
-    rows: tuple[DirectionYear, ...],
-    occupied_hours: int,
-    days: int,
-) -> PredictFile:
-    """Return the content of predict.json: settings, classes and notes.
-
-    inputs: the result of `inputs_of`, and further options; rows: protection by direction;
-    occupied_hours: lit and dark ones; days: number of days in the weather file.
-    """
-    used = annual.occupied
-    count = max(int(used.sum()), 1)
-    untrusted, wide = (float(hours.sum()) / count for hours in unsure_hours(annual))
-    return PredictFile(
-        software={"fieldlum": __version__},
-        inputs=inputs,
-        model=config.model,
-        setup=site_table(room.setup),
-        height=room.height,
-        width=room.width,
-        heading_deg=room.heading_deg,
-        azimuths_deg=tuple(annual.azimuths_deg.tolist()),
-        weather=YearWeather(weather.name, weather.synthetic, tuple(weather.repairs)),
-        hours=len(annual),
-        days=days,
-        first=utc_text(annual.t_utc[0]),
-        last=utc_text(annual.t_utc[-1]),
-        occupancy=YearOccupancy(
-            occupancy.text, occupied_hours, int(used.sum()), untrusted, untrusted + wide
-        ),
-        disc_from=room.disc_from,
-        seen_share=_shares(room, annual),
-        model_warnings=tuple(config.state.get("warnings", ())),
-        notes=(*_notes(weather, room, untrusted, wide, days), *_unseen_notes(rows)),
-        protection=rows,
-    )
 
 
 def poor(config: ModelConfig) -> bool:
     """Return whether the training warned that no single map of the model is trustworthy."""
     return any(POOR_WORDS in text for text in config.state.get("warnings", ()))
-
-
-def _shares(room: ModelRoom, annual: Annual) -> tuple[float, ...]:
-    if room.seen is None:
-        return ()
-    shares = seen_shares(room.seen, room.heading_deg, annual.azimuths_deg)
-    return tuple(round(float(share), 3) for share in shares)
 
 
 _UNSEEN_NOTES = {
@@ -473,16 +445,13 @@ def unsure_hours(annual: Annual) -> tuple[Mask, Mask]:
     return untrusted, annual.occupied & ~untrusted & (widest > _WIDE_DGP)
 
 
-def _notes(
-    weather: Weather, room: ModelRoom, untrusted: float, wide: float, days: int
-) -> list[str]:
-    notes = [HOURLY_MEANS]
-    # a weather file of a year may lack some days
-    if days < 360:
+def _notes(summary: PredictFile, room: ModelRoom, untrusted: float, wide: float) -> list[str]:
+    notes, days = [HOURLY_MEANS], summary.days
+    if days < 360:  # a weather file of a year may lack some days
         notes.append(
             f"the weather has {days} days, not a year: glare classes are for these days only"
         )
-    if weather.synthetic:
+    if summary.weather.synthetic:
         notes.append("the weather is synthetic: it must not be used to judge this place")
     notes += list(room.sky_view.notes) if room.sky_view else [room.disc_from]
     if untrusted + wide > 0.05:
