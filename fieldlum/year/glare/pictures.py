@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fieldlum.core.arrays import Floats, Floats32, Mask
-from fieldlum.core.errors import FieldlumError, InputError
+from fieldlum.core.errors import FieldlumError, InputError, input_errors
 from fieldlum.core.records import Panorama, SunSource
 from fieldlum.optics.images import (
     RadianceHeader,
@@ -92,13 +92,11 @@ def _read_hdr(path: Path, view_options: str) -> Picture:
         _check_views(header, path)
     if header.heading_deg is not None and not view_options:
         return Picture(read_panorama(path), None)
-    view = parse_view(_stated(text, path), path)
-    height, width = image.luminance_cdm2.shape
-    check_proportion(view, height, width, header.pixel_aspect, path)
+    view = parse_view(text, path)
+    check_proportion(view, image.luminance_cdm2.shape, header.pixel_aspect, path)
     notes = (_INHERITED,) if header.view_is_inherited and not view_options else ()
-    return Picture(
-        Panorama(image.luminance_cdm2, view.azimuth_deg), view, "-vd" in text.split(), notes
-    )
+    pixels = Panorama(image.luminance_cdm2, view.azimuth_deg)
+    return Picture(pixels, view, "-vd" in text.split(), notes)
 
 
 def _check_views(header: RadianceHeader, path: Path) -> None:
@@ -118,30 +116,18 @@ def _check_views(header: RadianceHeader, path: Path) -> None:
 
 def _read_exr(path: Path, view_options: str, part: str) -> Picture:
     picture, stated = read_exr(path, part)
-    if stated == "equirect" and not view_options:
-        panorama = read_panorama_with_sun(path, part=part)
-        return Picture(panorama, None, notes=_notes(panorama))
-    notes = _notes(picture)
+    is_panorama = stated == "equirect" and not view_options
+    if is_panorama:
+        picture = read_panorama_with_sun(path, part=part)
+    notes = (picture.attributes["note"],) if "note" in picture.attributes else ()
+    if is_panorama:
+        return Picture(picture, None, notes=notes)
     text = view_options or ("" if stated == "equirect" else stated.removeprefix("VIEW=").strip())
-    view = parse_view(_stated(text, path), path, picture.heading_deg)
-    height, width = picture.luminance_cdm2.shape
-    check_proportion(view, height, width, 1.0, path)
-    directed = "-vd" in text.split() or not view_options
+    view = parse_view(text, path, picture.heading_deg)
+    check_proportion(view, picture.luminance_cdm2.shape, 1.0, path)
     pixels = np.asarray(picture.luminance_cdm2, np.float32)
     own = replace(picture, luminance_cdm2=pixels, heading_deg=view.azimuth_deg, rgb=None)
-    return Picture(own, view, directed, notes)
-
-
-def _notes(panorama: Panorama) -> tuple[str, ...]:
-    return (panorama.attributes["note"],) if "note" in panorama.attributes else ()
-
-
-def _stated(text: str, path: Path) -> str:
-    if not text:
-        raise InputError(
-            path, "no VIEW in the header", "the picture's view", f"{HOW}; {HOW_PANORAMA}"
-        )
-    return text
+    return Picture(own, view, "-vd" in text.split() or not view_options, notes)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -206,9 +192,8 @@ def picture_centres(height: int, width: int, rows: slice = slice(None)) -> tuple
 EXAMPLE_VIEW = "-vta -vd 0 -1 0 -vu 0 0 1 -vh 180 -vv 180"
 HOW = f'state the true view, such as --view "{EXAMPLE_VIEW}" for a fisheye that looks south'
 # Angles that Radiance accepts for equidistant (a), hemispherical, stereographic and perspective
-# views, and the numbers after each view option (rpict -v).
+# views.
 _MAX_DEG = {"a": 360.0, "h": 180.0, "s": 359.0, "v": 179.0}
-_ARGUMENTS = {"vp": 3, "vd": 3, "vu": 3, "vh": 1, "vv": 1, "vo": 1, "va": 1, "vs": 1, "vl": 1}
 
 
 @dataclass(frozen=True, slots=True)
@@ -296,22 +281,21 @@ def _reach(kind: str, angle_deg: float) -> float:
 
 
 def check_proportion(
-    view: PictureView, height: int, width: int, pixel_aspect: float, source: Path
+    view: PictureView, shape: tuple[int, ...], pixel_aspect: float, source: Path
 ) -> None:
     """Raise InputError if a picture's width over height contradicts the view's angles by over 2 %.
 
-    height, width : in pixels, one pixel more is tolerated. pixel_aspect : height over width of a
-    pixel, from the header's PIXASPECT lines. source : the file that the error names.
+    shape : height and width in pixels, one pixel more is tolerated. pixel_aspect : height over
+    width of a pixel, from the header's PIXASPECT lines. source : the file that the error names.
     """
+    height, width = shape
     expected = _reach(view.kind, view.horizontal_deg) / _reach(view.kind, view.vertical_deg)
     actual = width / height / pixel_aspect
     # -vh and -vv are often rounded to degrees
     if abs(actual / expected - 1.0) > 0.02 + 1.0 / min(width, height):
         angles = f"-vh {view.horizontal_deg:g} -vv {view.vertical_deg:g}"
-        found, ratio = (
-            f"{width} x {height} pixels with {angles}",
-            f"width over height {expected:.3f}",
-        )
+        found = f"{width} x {height} pixels with {angles}"
+        ratio = f"width over height {expected:.3f}"
         remedy = "the picture was cropped, or its VIEW is wrong: state the true view with --view"
         raise InputError(source, found, ratio, remedy)
 
@@ -328,61 +312,41 @@ def parse_view(text: str, source: Path, heading_deg: float = 0.0) -> PictureView
     Raises InputError, which names `source`, for a missing or unknown view type, and for impossible
     numbers.
     """
-    options = _options(text)
-    kind = options.get("vt", "")
+    if not text:
+        remedy = f"{HOW}; {HOW_PANORAMA}"
+        raise InputError(source, "no VIEW in the header", "the picture's view", remedy)
+    kind = (re.findall(r"(?<!\S)-vt(\S)(?!\S)", text) or [""])[-1]
     if kind not in _MAX_DEG:
-        forms = "-vta, -vth, -vts or -vtv"
-        if kind:
-            remedy = "render the picture with -vta"
-            raise InputError(source, f"the view type -vt{kind}", forms, remedy)
-        raise InputError(source, "a VIEW without a view type", forms, HOW)
-    forward = direction(0.0, heading_deg)
-    if "vd" in options:
-        forward = _vector(options["vd"], "-vd", source)
-    up = _vector(options.get("vu", "0 0 1"), "-vu", source)
+        found = f"the view type -vt{kind}" if kind else "a VIEW without a view type"
+        remedy = "render the picture with -vta" if kind else HOW
+        raise InputError(source, found, "-vta, -vth, -vts or -vtv", remedy)
+
+    def numbers(name: str, *default: float) -> Floats:
+        """Return the numbers of the last option of a name, three of them as a unit vector."""
+        is_vector = len(default) == 3
+        found = re.findall(rf"(?<!\S)-{name}((?:\s+\S+){{1,{len(default)}}})", text) or [""]
+        with input_errors(f"{source}: -{name}{found[-1][:80]}", "a number", HOW, ValueError):
+            values = np.array(found[-1].split() or default, float)
+        length = float(np.linalg.norm(values)) if is_vector else 1.0
+        if len(values) < len(default) or not np.isfinite(values).all() or not 0 < length < np.inf:
+            expected = "three numbers that are not all 0" if is_vector else "a number"
+            raise InputError(source, f"-{name}{found[-1][:80]}", expected, HOW)
+        return values / length
+
+    forward, up = numbers("vd", *direction(0.0, heading_deg)), numbers("vu", 0.0, 0.0, 1.0)
     if abs(float(forward @ up)) > 0.9999:
         remedy = "write -vu 0 1 0 for a picture of the sky"
         raise InputError(source, "-vd and -vu are parallel", "two different directions", remedy)
-    default = "45" if kind == "v" else "180"
-    angles = [
-        float(_numbers(options.get(name, default), f"-{name}", source)[0]) for name in ("vh", "vv")
-    ]
+    default = 45.0 if kind == "v" else 180.0
+    angles = [float(numbers(name, default)[0]) for name in ("vh", "vv")]
     for name, angle in zip(("-vh", "-vv"), angles, strict=True):
         if not 0.0 < angle <= _MAX_DEG[kind]:
             expected = f"an angle above 0 and at most {_MAX_DEG[kind]:g} deg"
             raise InputError(source, f"{name} {angle:g} with -vt{kind}", expected, HOW)
     up = up - forward * float(up @ forward)
-    shift, lift = (
-        float(_numbers(options.get(name, "0"), f"-{name}", source)[0]) for name in ("vs", "vl")
-    )
-    return PictureView(kind, forward, up / np.linalg.norm(up), angles[0], angles[1], shift, lift)
-
-
-def _options(text: str) -> dict[str, str]:
-    """Return the last of each option by name, such as vt = "a" for -vta; ignore unknown ones."""
-    found = {"vt": re.findall(r"(?<!\S)-vt(\S)(?!\S)", text)}
-    for name, count in _ARGUMENTS.items():
-        found[name] = re.findall(rf"(?<!\S)-{name}((?:\s+\S+){{1,{count}}})", text)
-    return {name: values[-1] for name, values in found.items() if values}
-
-
-def _numbers(text: str, name: str, source: Path) -> Floats:
-    try:
-        values = np.array(text.split(), float)
-    except ValueError:
-        values = np.array([np.nan])
-    if not (len(values) and np.isfinite(values).all()):
-        raise InputError(source, f"{name} {text.strip()[:80]!r}", "a number in each place", HOW)
-    return values
-
-
-def _vector(text: str, name: str, source: Path) -> Floats:
-    values = _numbers(text, name, source)
-    length = float(np.linalg.norm(values)) if len(values) == 3 else 0.0
-    if not 0.0 < length < np.inf:
-        found = f"{name} {text.strip()[:80]!r}"
-        raise InputError(source, found, "three numbers that are not all 0", HOW)
-    return values / length
+    shift, lift = (float(numbers(name, 0.0)[0]) for name in ("vs", "vl"))
+    up /= np.linalg.norm(up)
+    return PictureView(kind, forward, up, angles[0], angles[1], shift, lift)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -520,13 +484,11 @@ def reference_glare_of_file(path: Path) -> ReferenceGlare:
 def _parse(text: str, trouble: str) -> ReferenceGlare:
     """Parse the line ``dgp,av_lum,E_v,lum_backg,...: 0.34 ...`` and the number of sources."""
     line = next((line for line in text.splitlines() if line.startswith("dgp,")), "")
-    names, _, figures = line.partition(":")
-    row = dict(zip(names.split(","), figures.split(), strict=False))
+    names, _, values = line.partition(":")
+    row = dict(zip(names.split(","), values.split(), strict=False))
     if "dgp" not in row:
-        raise FieldlumError(
-            f"evalglare printed no result: {trouble}; expected a line that begins with 'dgp,'; "
-            "install pyradiance again"
-        )
+        remedy = "expected a line that begins with 'dgp,'; install pyradiance again"
+        raise FieldlumError(f"evalglare printed no result: {trouble}; {remedy}")
     head = text.split(maxsplit=1)[0]
     figures = [float(row.get(name, "nan")) for name in _NAMES]
     sources = int(head) if head.isdigit() else 0

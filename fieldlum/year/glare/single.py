@@ -23,24 +23,7 @@ from fieldlum.optics.projection import (
     signed_angle_deg,
 )
 from fieldlum.sky.sun_disc import find_disc, without_disc
-from fieldlum.year.glare.metrics import (
-    METRICS,
-    brightest_cdm2,
-    glare_directions,
-    rammg,
-    region_ratios,
-    region_weights,
-    unseen_dgp_bounds,
-    view_coverage,
-)
-from fieldlum.year.glare.pictures import (
-    Picture,
-    disc_pixels,
-    panorama_to_fisheye,
-    picture_views,
-    read_picture,
-    reference_glare,
-)
+from fieldlum.year.glare import metrics, pictures
 from fieldlum.year.glare.sources import (
     Sources,
     Views,
@@ -88,7 +71,7 @@ def picture_glare(
     azimuths other than the own one of a picture that is no panorama, or if a picture to scale has
     no light in its first view.
     """
-    picture = read_picture(path, view_options, part)
+    picture = pictures.read_picture(path, view_options, part)
     judge = partial(judged, picture, path, azimuths_deg, lamps=lamps)
     if measured_ev_lx is None:
         return judge(reference=reference)[0]
@@ -110,11 +93,13 @@ def panorama_glare(panorama: Panorama, azimuths_deg: Sequence[float] = ()) -> Js
     if width != 2 * height:
         found, remedy = f"a map of {width} x {height} pixels", "use an equirectangular map"
         raise InputError("panorama", found, "a map twice as wide as high", remedy)
-    return judged(Picture(panorama, None), Path("panorama"), azimuths_deg)[0] | {"file": ""}
+    return judged(pictures.Picture(panorama, None), Path("panorama"), azimuths_deg)[0] | {
+        "file": ""
+    }
 
 
 def judged(
-    picture: Picture,
+    picture: pictures.Picture,
     path: Path,
     azimuths_deg: Sequence[float] = (),
     *,
@@ -158,7 +143,7 @@ def judged(
         views = panorama_views(height, width, panorama.heading_deg, azimuths, seen_mask)
     else:
         _check_azimuths(view.azimuth_deg, azimuths_deg, path)
-        views = picture_views(view, height, width, seen_mask)
+        views = pictures.picture_views(view, height, width, seen_mask)
         share = min(1.0, float(views.moments[:, 0].sum(dtype=float)) / (2.0 * np.pi))
     sources = glare_sources(pixels, views)
     rows = _view_rows(pixels, picture, views, sources, sun, lamps)
@@ -183,13 +168,13 @@ def judged(
         "covered_share": share,
     }
     if view is None:
-        answer["rammg_cdm2"] = rammg(pixels)
+        answer["rammg_cdm2"] = metrics.rammg(pixels)
     return answer, sources
 
 
 def _view_rows(
     pixels: Floats,
-    picture: Picture,
+    picture: pictures.Picture,
     views: Views,
     sources: Sources,
     sun: SunSource | None,
@@ -198,16 +183,16 @@ def _view_rows(
     """Return the figures of each direction. pixels : luminance [H, W] without the sun."""
     rays = None if sun is None else direction(sun.altitude_deg, sun.azimuth_deg)[None]
     disc = None if sun is None else np.array([sun.normal_illuminance_lx])
-    coverage = view_coverage(views)
-    parts = glare_directions(pixels[None], views, rays, disc, sources=[sources])
-    bounds = unseen_dgp_bounds(
-        coverage, parts["ev_lx"], parts["contrast"], brightest_cdm2(pixels[None], views)
+    coverage = metrics.view_coverage(views)
+    parts = metrics.glare_directions(pixels[None], views, rays, disc, sources=[sources])
+    bounds = metrics.unseen_dgp_bounds(
+        coverage, parts["ev_lx"], parts["contrast"], metrics.brightest_cdm2(pixels[None], views)
     )
     edi, u_edi = melanopic_edi(
         picture.panorama, pixels.ravel(), views.illuminance, sun, parts["sun_ev_lx"][0], lamps=lamps
     )
-    figures = {name: parts[name][0] for name in METRICS}
-    ratios = region_ratios(pixels[None], region_weights(views))
+    figures = {name: parts[name][0] for name in metrics.METRICS}
+    ratios = metrics.region_ratios(pixels[None], metrics.region_weights(views))
     figures |= {name: ratio[0] for name, ratio in ratios.items()}
     figures["melanopic_edi_lx"] = edi
     figures["u_melanopic_edi_lx"] = np.full_like(edi, np.nan) if u_edi is None else u_edi
@@ -253,19 +238,21 @@ def _source_rows(sources: Sources) -> list[dict[str, float]]:
 def _add_reference(
     rows: list[dict[str, Any]],
     pixels: Floats,
-    picture: Picture,
+    picture: pictures.Picture,
     views: Views,
     sun: SunSource | None,
 ) -> None:
     """Add evalglare's figures to the rows; of a panorama, to those of fully seen directions."""
     for row in rows:
         if picture.view is not None:
-            disc = 0.0 if sun is None else disc_pixels(views, pixels.shape, sun)
-            row["reference"] = reference_glare(pixels + disc, view=picture.view.text)._asdict()
+            disc = 0.0 if sun is None else pictures.disc_pixels(views, pixels.shape, sun)
+            row["reference"] = pictures.reference_glare(
+                pixels + disc, view=picture.view.text
+            )._asdict()
         elif row["seen"] == SEEN:
             heading_deg, azimuth_deg = picture.panorama.heading_deg, row["azimuth_deg"]
-            shown = panorama_to_fisheye(pixels, heading_deg, azimuth_deg, sun=sun)
-            row["reference"] = reference_glare(shown)._asdict()
+            shown = pictures.panorama_to_fisheye(pixels, heading_deg, azimuth_deg, sun=sun)
+            row["reference"] = pictures.reference_glare(shown)._asdict()
 
 
 def _check_azimuths(azimuth_deg: float, asked: Sequence[float], path: Path) -> None:
@@ -337,7 +324,7 @@ def plain(value: float) -> float | None:
 # warnings
 
 
-def _picture_texts(picture: Picture, seen_mask: Mask | None) -> Iterator[str]:
+def _picture_texts(picture: pictures.Picture, seen_mask: Mask | None) -> Iterator[str]:
     """Yield the reader's notes, and warnings of unseen, dark and clipped pixels."""
     panorama = picture.panorama
     if picture.view is None and seen_mask is not None:

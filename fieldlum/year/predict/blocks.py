@@ -33,19 +33,8 @@ from fieldlum.sky.sky_view import SkyView
 from fieldlum.sky.sky_view.disc import disc_lx, disc_source, drawn_discs_lx
 from fieldlum.sky.sky_view.view import NAME as SKY_VIEW
 from fieldlum.sky.sun_disc import add_source
+from fieldlum.year.glare import metrics
 from fieldlum.year.glare.budget import U_DISC
-from fieldlum.year.glare.metrics import (
-    DiscLight,
-    brightest_cdm2,
-    dgp_with_disc,
-    glare_directions,
-    map_ev_lx,
-    region_ratios,
-    region_weights,
-    sun_per_lx,
-    unseen_dgp_bounds,
-    view_coverage,
-)
 from fieldlum.year.glare.sources import SOURCE_CDM2, Views, panorama_views
 from fieldlum.year.glare.standards import DgpUncertainty, dgp_uncertainty, disturbed_share
 from fieldlum.year.predict.annual import Annual, rounded, time_coordinate
@@ -316,7 +305,10 @@ class HourJudge:
         """Compute the weights of the views."""
         size = room.height, room.width, room.heading_deg
         self.views = panorama_views(*size, azimuths_deg, room.seen)
-        self._coverage, self._regions = view_coverage(self.views), region_weights(self.views)
+        self._coverage, self._regions = (
+            metrics.view_coverage(self.views),
+            metrics.region_weights(self.views),
+        )
 
     def glare(self, block: HourBlock) -> dict[str, Floats]:
         """Return the figures of k hours in d view directions, by column of hourly.csv, [k, d] each.
@@ -327,9 +319,9 @@ class HourJudge:
         maps, light, images = block.prediction.luminance_cdm2, block.light, block.images
         suns = np.stack([light.apparent_sun_direction, *(image.towards for image in images)])
         suns_lx = np.stack([block.disc_lx, *(image.shown_lx for image in images)])
-        figures = glare_directions(maps, self.views, suns, suns_lx)
+        figures = metrics.glare_directions(maps, self.views, suns, suns_lx)
         figures["melanopic_edi_lx_estimate"] = figures["ev_lx"].copy()
-        return figures | region_ratios(maps, self._regions)
+        return figures | metrics.region_ratios(maps, self._regions)
 
     def figures(
         self,
@@ -352,12 +344,12 @@ class HourJudge:
         # the unseen part has at most the sky's mean or that of the brightest seen hundredth
         brightest = light.diffuse_lx / np.pi
         if coverage.unseen_illuminance.any():
-            seen_cdm2 = brightest_cdm2(block.prediction.luminance_cdm2, views)
+            seen_cdm2 = metrics.brightest_cdm2(block.prediction.luminance_cdm2, views)
             brightest = np.maximum(brightest, seen_cdm2)
-        minimum, maximum = unseen_dgp_bounds(coverage, ev_lx, contrast, brightest)
-        per_lx = sun_per_lx(light.apparent_sun_direction, views)
+        minimum, maximum = metrics.unseen_dgp_bounds(coverage, ev_lx, contrast, brightest)
+        per_lx = metrics.sun_per_lx(light.apparent_sun_direction, views)
         images = _images(block, views, len(discs_lx))
-        drawn = dgp_with_disc(figures, per_lx, discs_lx, images).astype(np.float32)
+        drawn = metrics.dgp_with_disc(figures, per_lx, discs_lx, images).astype(np.float32)
         off = drawn - figures["dgp"].astype(np.float32)  # [m, k, d]
         reach = 1.96 * np.nan_to_num(u_maps)  # 95 %
         low, high = np.percentile(off, (2.5, 97.5), axis=0)
@@ -394,10 +386,12 @@ def relative_uncertainty(
     else:
         u_rel = np.float32(np.log(10.0)) * predicted.log10_sd
         power = np.where(maps > SOURCE_CDM2, maps, np.float32(0.0)) ** 2
-        of_ev = map_ev_lx(maps * u_rel, views) / np.maximum(
+        of_ev = metrics.map_ev_lx(maps * u_rel, views) / np.maximum(
             figures["ev_lx"] - figures["sun_ev_lx"], 1e-6
         )
-        of_source = map_ev_lx(power * u_rel, views) / np.maximum(map_ev_lx(power, views), 1e-6)
+        of_source = metrics.map_ev_lx(power * u_rel, views) / np.maximum(
+            metrics.map_ev_lx(power, views), 1e-6
+        )
     share_ev = figures["sun_ev_lx"] / np.maximum(figures["ev_lx"], 1e-6)
     share = figures["sun_contrast"] / np.maximum(figures["contrast"], 1e-30)
     return (
@@ -406,7 +400,7 @@ def relative_uncertainty(
     )
 
 
-def _images(block: HourBlock, views: Views, count: int) -> list[DiscLight]:
+def _images(block: HourBlock, views: Views, count: int) -> list[metrics.DiscLight]:
     """Return what 1 lx of each mirror's image adds to Ev and contrast, and `count` random draws.
 
     The draws are the image's illuminance in lx [count, n], or 0 where it is hidden. Draw i (from 0)
@@ -414,7 +408,10 @@ def _images(block: HourBlock, views: Views, count: int) -> list[DiscLight]:
     """
     draws = (np.arange(count)[:, None] + 0.5) / count
     return [
-        (sun_per_lx(image.towards, views), np.where(draws < image.chance, image.normal_lx, 0.0))
+        (
+            metrics.sun_per_lx(image.towards, views),
+            np.where(draws < image.chance, image.normal_lx, 0.0),
+        )
         for image in block.images
     ]
 
