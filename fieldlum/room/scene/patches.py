@@ -54,7 +54,8 @@ def iter_sun_patches(
     points = _sun_points(room, height, heading_deg, sub or patch_rays(height))
     toward = points.scene.to_room(suns)
     visible, through = disc_visibility(points.scene, toward)
-    with ThreadPoolExecutor(max(cv2.getNumThreads(), 1)) as pool:  # 1 in a process of the scheduler
+    threads = max(cv2.getNumThreads(), 1)  # 1 in a process of the scheduler
+    with ThreadPoolExecutor(threads) as pool:
         for start in range(0, len(suns), chunk):
             progress(start, len(suns), "sun patches")
             rows = range(start, min(start + chunk, len(suns)))
@@ -65,7 +66,7 @@ def iter_sun_patches(
                 maps[some - start] = units * normal[some, None, None].astype(np.float32)
 
             lit = np.array(rows)[normal[start : rows.stop] > 0]
-            list(pool.map(fill, np.array_split(lit, max(len(lit) // 8, 1))))
+            list(pool.map(fill, np.array_split(lit, threads)))
             part = slice(start, rows.stop)
             disc = normal[part] * visible[part] * through[part]
             yield SunPatches(maps, visible[part], through[part], disc)

@@ -146,7 +146,7 @@ def run(
 def _about(
     room: ModelRoom, config: ModelConfig, weather: Weather, light: Light, azimuths: Floats
 ) -> PredictFile:
-    """Return what predict.json says of model, weather and hours."""
+    """Return what predict.json states about model, weather and hours."""
     return PredictFile(
         software={"fieldlum": __version__},
         model=config.model,
