@@ -46,7 +46,7 @@ def main() -> None:
         light_features(every.light),
         features,
         len(pool),
-    ).index
+    ).rows
 
     def score(rows: np.ndarray) -> float:
         model = fit(pool.take(np.sort(rows)))

@@ -70,7 +70,7 @@ def most_informative(data: Dataset) -> np.ndarray:
     """Return all row indices [n], each next capture lowering the predictive variance most."""
     features = light_features(data.light)
     kernel = Kernel(facades_of(data.setup.room))
-    return greedy_hours(kernel, features, features, len(data)).index
+    return greedy_hours(kernel, features, features, len(data)).rows
 
 
 def learning_curve(

@@ -124,18 +124,18 @@ def test_greedy_equals_brute_force() -> None:
     for k in range(4):
         scores = {i: left([*taken, i]) for i in range(15) if i not in taken}
         best = min(scores, key=lambda i: scores[i])
-        assert scores[int(chosen.index[k])] == pytest.approx(scores[best], abs=1e-6)
-        assert chosen.variance[k + 1] == pytest.approx(scores[int(chosen.index[k])], abs=1e-5)
-        taken.append(int(chosen.index[k]))
+        assert scores[int(chosen.rows[k])] == pytest.approx(scores[best], abs=1e-6)
+        assert chosen.variance[k + 1] == pytest.approx(scores[int(chosen.rows[k])], abs=1e-5)
+        taken.append(int(chosen.rows[k]))
 
 
 @pytest.mark.property
 def test_greedy_goes_on_from_what_is_taken() -> None:
     f = light_features(LIGHT)
     once = greedy_hours(KERNELS[0], f, f, 8)
-    again = greedy_hours(KERNELS[0], f, f, 4, taken=f[once.index[:4]])
+    again = greedy_hours(KERNELS[0], f, f, 4, taken=f[once.rows[:4]])
     assert np.allclose(again.variance, once.variance[4:], atol=1e-4)
-    assert len(set(once.index.tolist())) == 8
+    assert len(set(once.rows.tolist())) == 8
 
 
 @pytest.mark.property
@@ -144,7 +144,7 @@ def test_greedy_goes_on_from_what_is_taken() -> None:
 def test_greedy_never_repeats_and_never_worsens(count: int) -> None:
     f = light_features(LIGHT)
     chosen = greedy_hours(KERNELS[1], f, f, count)
-    assert len(set(chosen.index.tolist())) == count
+    assert len(set(chosen.rows.tolist())) == count
     assert np.all(np.diff(chosen.variance) <= 1e-9)
 
 

@@ -65,18 +65,13 @@ def _worst_distance_s(t_unix_s: Floats, start: float, end: float) -> float:
         return float("inf")
     middles = (t_unix_s[1:] + t_unix_s[:-1]) / 2.0
     moments = np.r_[start, end, middles[(middles > start) & (middles < end)]]
-    at = np.clip(np.searchsorted(t_unix_s, moments), 1, max(len(t_unix_s) - 1, 1))
-    left, right = t_unix_s[at - 1], t_unix_s[np.minimum(at, len(t_unix_s) - 1)]
-    return float(np.minimum(np.abs(moments - left), np.abs(right - moments)).max())
+    return float(np.abs(moments[:, None] - t_unix_s).min(axis=1).max())
 
 
 def _stale_text(log: CleanIrradiance, near: slice, start: float, end: float, stale: float) -> str:
     within = (log.t_unix_s[near] >= start - 60.0) & (log.t_unix_s[near] <= end + 60.0)
-    flags = sorted(
-        {word for text in log.flags[near][within] for word in str(text).split()}
-        - {"gap", "low-sun"}
-    )
-    if within.any() and flags:
+    words = {word for text in log.flags[near][within] for word in str(text).split()}
+    if flags := sorted(words - {"gap", "low-sun"}):
         return f"irradiance unusable: {' '.join(flags)}"
     if not np.isfinite(stale):
         return "no irradiance"
@@ -98,16 +93,9 @@ def _statistics(log: CleanIrradiance, rows: Mask) -> Outside:
     words = {word for text in log.flags[rows] for word in str(text).split()}
     caution += [text for word, text in _CAUTIONS.items() if word in words]
     derived = [text for text in log.source[rows] if text != MEASURED]
-    return Outside(
-        mean,
-        max(float(dhi.mean()), 0.0),
-        max(float(dni.mean()), 0.0),
-        steadiness,
-        derived[0] if derived else MEASURED,
-        int(rows.sum()),
-        why,
-        "; ".join(caution),
-    )
+    dhi_mean, dni_mean = (max(float(value.mean()), 0.0) for value in (dhi, dni))
+    light = mean, dhi_mean, dni_mean, steadiness, (*derived, MEASURED)[0]
+    return Outside(*light, int(rows.sum()), why, "; ".join(caution))
 
 
 _CHANGED = "light changed"

@@ -20,7 +20,6 @@ _FULL_WM2 = (1100.0, 700.0)  # DNI, DHI
 # memory grows with their square. Chosen so that the ranking is stable; not measured.
 YEAR_HOURS = 800
 POOL_HOURS = 2200
-NOISE = 3e-3  # variance of one capture, in the kernel's unit (docs/decisions.md)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -121,7 +120,7 @@ def variance_left(task: Learning, captured: Features) -> float:
     Both variances are sums over the hours of `task.year`. Without captures the share is 1.
     """
     nothing = task.year[:0]
-    left = greedy_hours(task.kernel, task.year, nothing, 0, taken=captured, noise=NOISE)
+    left = greedy_hours(task.kernel, task.year, nothing, 0, taken=captured)
     return float(left.variance[0])
 
 
@@ -136,7 +135,5 @@ def best(hours: DaylightHours, task: Learning, count: int, progress: Progress = 
         return hours_known
     stride = -(-len(hours_known) // POOL_HOURS)
     pool = np.arange(0, len(hours_known), stride)
-    ranked = greedy_hours(
-        task.kernel, task.year, features[pool], count, noise=NOISE, progress=progress
-    )
-    return np.sort(hours_known[pool[ranked.index]])
+    ranked = greedy_hours(task.kernel, task.year, features[pool], count, progress=progress)
+    return np.sort(hours_known[pool[ranked.rows]])

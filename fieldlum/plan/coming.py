@@ -10,6 +10,7 @@ from zoneinfo import ZoneInfo
 
 import numpy as np
 
+from fieldlum.core.arrays import Floats, Indices
 from fieldlum.core.errors import NotEnoughDataError, input_errors
 from fieldlum.core.records import JsonTable, Progress, Site, parse_utc, quiet, slot_id, utc_text
 from fieldlum.plan import choose
@@ -19,15 +20,7 @@ from fieldlum.session import Session
 from fieldlum.session.files.model_files import ModelConfig
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.sky import sun
-from fieldlum.sky.light import (
-    Facades,
-    Features,
-    GreedySelection,
-    Kernel,
-    greedy_hours,
-    light_at,
-    light_features,
-)
+from fieldlum.sky.light import Facades, Features, Kernel, greedy_hours, light_at, light_features
 from fieldlum.weather import Weather
 
 AHEAD_DAYS = 14  # days ahead that are ranked; chosen
@@ -117,16 +110,14 @@ def run(
         text = f"{weather.name}: the weather has no daylight {coming}; use a typical year"
         raise NotEnoughDataError(text)
 
-    def greedy(candidates: Features, count: int) -> GreedySelection:
-        kernel, noise = task.kernel, choose.NOISE
-        return greedy_hours(
-            kernel, task.year, candidates, count, taken=captured, noise=noise, progress=progress
-        )
+    def greedy(candidates: Features, count: int) -> tuple[Indices, Floats]:
+        given = task.kernel, task.year, candidates, count
+        return greedy_hours(*given, taken=captured, progress=progress)
 
-    best, year = greedy(pool, 12), greedy(task.year, BATCH).variance
+    (best, variance), (_, year) = greedy(pool, 12), greedy(task.year, BATCH)
     planned = {slot.id for slot in session.slots()}
     gained = 100.0 * (1.0 - year[-1] / year[0])
-    drops = -100.0 * np.diff(best.variance) / year[0]
+    drops = -100.0 * np.diff(variance) / year[0]
     return {
         "model": trained[1] if trained else None,
         "captured": len(captured),
@@ -140,7 +131,7 @@ def run(
                 "reduction_percent": drop,
                 "planned": slot_id(hours.t_utc[i]) in planned,
             }
-            for i, drop in zip(rows[best.index], drops.tolist(), strict=True)
+            for i, drop in zip(rows[best], drops.tolist(), strict=True)
         ],
         "next_batch": {
             "captures": BATCH,

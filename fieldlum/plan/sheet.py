@@ -68,12 +68,9 @@ def ics(
     place, zone = hashlib.sha256(where.encode()).hexdigest()[:12], ZoneInfo(site.timezone)
     last_s = timedelta(seconds=max(round(seconds_per_slot), 60))
     calendar = Calendar()
-    for name, value in (
-        ("prodid", "-//fieldlum//capture plan//EN"),
-        ("version", "2.0"),
-        ("x-wr-calname", f"fieldlum {site.name}"),
-    ):
-        calendar.add(name, value)
+    calendar.add("prodid", "-//fieldlum//capture plan//EN")
+    calendar.add("version", "2.0")
+    calendar.add("x-wr-calname", f"fieldlum {site.name}")
     for day, group in by_day(slots, site):
         event, alarm = Event(), Alarm()
         for name, value in (
@@ -103,11 +100,6 @@ def _event_line(slot: Slot, zone: ZoneInfo) -> str:
     )
 
 
-# minutes after the planned time within which a bracket may start; the default of `fieldlum capture
-# --grace` (docs/capture.md)
-LATE_MINUTES = 5
-
-
 def html(
     slots: Sequence[Slot],
     setup: SiteFile,
@@ -123,9 +115,8 @@ def html(
     from jinja2 import Environment, PackageLoader, select_autoescape
 
     days = by_day(slots, setup.site)
-    environment = Environment(
-        loader=PackageLoader("fieldlum.plan", ""), autoescape=select_autoescape(default=True)
-    )
+    loader, escape_all = PackageLoader("fieldlum.plan", ""), select_autoescape(default=True)
+    environment = Environment(loader=loader, autoescape=escape_all)
     sheets, before = [], 0
     for number, (day, group) in enumerate(days, start=1):
         before += len(group)
@@ -134,7 +125,7 @@ def html(
         site=setup.site,
         sheets=sheets,
         days=len(days),
-        late=LATE_MINUTES,
+        late=5,  # minutes; the default of `fieldlum capture --grace` (docs/capture.md)
         notes=notes,
         assumed=assumed_texts(setup.camera),
         figures=_figures(slots, setup, weather),
@@ -206,11 +197,14 @@ def _sheet(
     zone = ZoneInfo(setup.site.timezone)
     tags = sorted({tag for slot in slots for tag in slot.tags if tag in SEASON_TAGS})
     exposures, (each_s, megabytes) = slots[0].exposures, cost
+    today = sun.rise_transit_set([day], setup.site)[0]
+    times = {"Sunrise": today.rise, "sunset": today.set}
+    shown = [f"{name} {t.astimezone(zone):%H:%M}" for name, t in times.items() if t]
     return {
         "number": number,
         "date": f"{day:%A %d %B %Y}".replace(" 0", " "),
         "season": " ".join(tags).replace("-", " ").capitalize(),
-        "rise_and_set": _rise_and_set(sun.rise_transit_set([day], setup.site)[0], zone),
+        "rise_and_set": ", ".join(shown) or "The sun neither rises nor sets today",
         "clock_change": [
             f"{change.total_seconds() / 3600:+g} h at {t.astimezone(zone):%H:%M %Z}"
             for t, change in sun.clock_changes(day, day, setup.site.timezone)
@@ -236,12 +230,6 @@ def _row(slot: Slot, local: datetime, day: date) -> dict[str, object]:
         "azimuth": f"{slot.sun_azimuth_deg:.0f}",
         "tags": [tag.replace("-", " ") for tag in slot.tags if tag not in SEASON_TAGS],
     }
-
-
-def _rise_and_set(today: sun.DayOfSun, zone: ZoneInfo) -> str:
-    times = {"Sunrise": today.rise, "sunset": today.set}
-    shown = [f"{name} {t.astimezone(zone):%H:%M}" for name, t in times.items() if t]
-    return ", ".join(shown) or "The sun neither rises nor sets today"
 
 
 def sky_chart(

@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -296,16 +297,15 @@ def _facade(a: Features, facades: Facades) -> Floats:
 # choosing hours
 
 
-@dataclass(frozen=True, slots=True)
-class GreedySelection:
+class GreedySelection(NamedTuple):
     """The k hours that `greedy_hours` chose.
 
-    index [k]: their rows in the pool, in the order of choice; variance [k + 1]: predictive
+    rows [k]: in the pool, in the order of choice; variance [k + 1]: predictive
     variance of the year divided by its prior variance (1: nothing known, 0: everything); the first
     value is before any choice, then one after each choice.
     """
 
-    index: Indices
+    rows: Indices
     variance: Floats
 
 
@@ -324,7 +324,8 @@ def greedy_hours(
     year, pool: features of the hours to predict and of the hours that can be chosen; no picture is
     needed. All of `pool` is chosen if it has fewer than `count` hours. taken: features of hours
     already captured, which reduce the variance first; None for none. noise: variance
-    of one capture, in units of the kernel. Cost: O((len(year) + len(pool)) len(pool) count).
+    of one capture, in units of the kernel (docs/decisions.md). Cost: O((len(year) + len(pool))
+    len(pool) count).
     """
     cross, own, prior = kernel(year, pool), kernel(pool, pool), kernel.diagonal(year)
     total = left = float(prior.sum())

@@ -36,7 +36,8 @@ class _Sun:
 
     def __init__(self, weather: Weather, station: Site) -> None:
         self.t_unix_s = np.array([t.timestamp() for t in weather.t_utc])
-        self._grid_s = np.arange(self.t_unix_s[0] - 5e4, self.t_unix_s[-1] + 5e4, 900.0)
+        half_days = np.unique(np.floor(self.t_unix_s / 43200.0)[:, None] + np.arange(-2.0, 3.0))
+        self._grid_s = (43200.0 * half_days[:, None] + np.arange(0.0, 43200.0, 900.0)).ravel()
         at = sun.position([datetime.fromtimestamp(t, UTC) for t in self._grid_s], station)
         self._altitude_deg, self._east = at.altitude_deg, np.sin(np.radians(at.azimuth_deg))
 
