@@ -252,7 +252,7 @@ def test_a_camera_on_its_side_is_told(tmp_path: Path) -> None:
     ):  # a guess; as its maker liked
         assert orientation_conflict(shots, replace(profile, lens=lenses)) == ""
     assert orientation_conflict(shots, profile).endswith(
-        "roll angles 0 and 90 deg; capture the bracket again with a fixed camera"
+        "roll angles 0 and 90 deg; capture it again"
     )
     assert "held 90 deg off" in merge_frames([s.path for s in shots[:2]], profile, SMALL).verdict
 

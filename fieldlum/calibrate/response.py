@@ -68,36 +68,21 @@ def steps_by_overlap(codes: NDArray[np.uint8], log_exposure: Floats, bracket: In
     [exposures] : ln, increasing; bracket [places] : index of each place's bracket.
     """
     step = np.diff(log_exposure)
-    deviation, u = measured_steps(codes, log_exposure, bracket)
+    deviation, u, log_e = np.zeros(len(step)), np.full(len(step), np.inf), log_exposure
+    present = [codes[bracket == index].any(axis=(0, 2)) for index in np.unique(bracket)]
+    pairs = {pair for shown in present for pair in pairwise(np.flatnonzero(shown).tolist())}
+    for _ in range(12 if len(codes) >= _MIN_PLACES else 0):  # the response adapts to the steps
+        further, u = _fitted(_light(codes, log_e), sorted(pairs))
+        deviation = _without_stretch(deviation + further, u, np.diff(log_e))
+        before, log_e = log_e, log_exposure + np.r_[0.0, np.cumsum(deviation)]
+        if np.abs(log_e - before).max() < 2e-4:
+            break
     # A power is free: the one that agrees with most labels shows which of them are contradicted.
     measured = u < _MEASURED_U
     power = float(np.median((deviation / step)[measured])) if measured.any() else 0.0
     against = np.where(measured, deviation - power * step, 0.0)
     kept = np.where(np.abs(against) > 2.0 * u, against, 0.0)
     return Steps(log_exposure + np.r_[0.0, np.cumsum(_without_stretch(kept, u, step))], kept)
-
-
-def measured_steps(
-    codes: NDArray[np.uint8], log_exposure: Floats, bracket: Indices
-) -> tuple[Floats, Floats]:
-    """Return the steps [exposures - 1] less those of log_exposure, and their u: ln of light.
-
-    Steps that the overlap does not measure have a deviation of 0 and a u above 0.02. See
-    `steps_by_overlap`.
-    """
-    step = np.diff(log_exposure)
-    deviation, u, log_e = np.zeros(len(step)), np.full(len(step), np.inf), log_exposure
-    if len(codes) < _MIN_PLACES:
-        return deviation, u
-    present = [codes[bracket == index].any(axis=(0, 2)) for index in np.unique(bracket)]
-    pairs = {pair for shown in present for pair in pairwise(np.flatnonzero(shown).tolist())}
-    for _ in range(12):  # the response adapts to the steps
-        further, u = _fitted(_light(codes, log_e), sorted(pairs))
-        deviation = _without_stretch(deviation + further, u, np.diff(log_e))
-        before, log_e = log_e, log_exposure + np.r_[0.0, np.cumsum(deviation)]
-        if np.abs(log_e - before).max() < 2e-4:
-            break
-    return deviation, u
 
 
 def _light(codes: NDArray[np.uint8], log_e: Floats) -> Floats:

@@ -91,13 +91,18 @@ def _reading(
     if (spot is None) == (plane is None):
         finding = f"{at.x:g}/{at.y:g} deg has {'neither' if spot is None else 'both'}"
         raise InputError(path, finding, "luminance_cdm2 or illuminance_lx", "correct that line")
-    kind, image, u_image = "spot", 0.0, 0.0
-    if spot is not None:
+    kind, u_image = "spot" if plane is None else "illuminance", 0.0
+    if plane is None:
         image, u_image = spot_cdm2(picture, at.x, at.y, at.path)
     else:
-        kind, image = "illuminance", _plane_lx(picture, at.x, at.y, at.path)
+        front = shared.pixels_within(picture, at.x, at.y, 90.0)
+        place = f"in front of the plane at azimuth {at.x:g}, altitude {at.y:g} deg"
+        _refuse_clipped(picture, front, at.path, place)
+        light, heading_deg = picture.luminance_cdm2, picture.heading_deg
+        image = illuminance_lx(light, heading_deg, at.y, at.x, picture.sun)
     u_rel, label = math.hypot(row["u_rel"], u_image), f"{at.path.stem} {at.x:g}/{at.y:g} deg"
-    return LuminanceReading(kind, label, spot or plane, image * to_k, u_rel, at), u_image
+    meter = float(spot or plane or 0.0)
+    return LuminanceReading(kind, label, meter, image * to_k, u_rel, at), u_image
 
 
 def _to_k(file: Path, picture: Panorama, profile: CameraProfile) -> float:
@@ -114,18 +119,6 @@ def _refuse_clipped(picture: Panorama, inside: Mask, file: Path | str, place: st
         finding = f"the picture is clipped in every frame {place}"
         remedy = "remove this reading, or capture shorter exposures as well"
         raise InputError(file, finding, "light without clipping", remedy)
-
-
-def _plane_lx(picture: Panorama, azimuth_deg: float, altitude_deg: float, file: Path) -> float:
-    """Return the illuminance of a plane that faces a direction [lx].
-
-    Raises InputError if light in front of the plane is clipped.
-    """
-    front = shared.pixels_within(picture, azimuth_deg, altitude_deg, 90.0)
-    place = f"in front of the plane at azimuth {azimuth_deg:g}, altitude {altitude_deg:g} deg"
-    _refuse_clipped(picture, front, file, place)
-    light = picture.luminance_cdm2
-    return illuminance_lx(light, picture.heading_deg, altitude_deg, azimuth_deg, picture.sun)
 
 
 def spot_cdm2(

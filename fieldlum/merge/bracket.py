@@ -12,11 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Flag, JsonTable, Panorama, Progress, quiet
 from fieldlum.merge.project import blend, finish, view_through
-from fieldlum.merge.ratios import any_beyond_prior
+from fieldlum.merge.ratios import Exposures, any_beyond_prior
 from fieldlum.merge.sensor import Findings, SensorImage, merge_sensor
 from fieldlum.merge.shots import Shot, middle_of, shots_of_files, sorted_shots
 from fieldlum.merge.sky import MEASURED, sky_cut, sun_on_sensor, take_out_disc
@@ -48,10 +47,7 @@ def orientation_conflict(shots: Sequence[Shot], profile: CameraProfile) -> str:
     rolls_deg = {roll for shot in shots if (roll := roll_deg_of(shot.path)) is not None}
     if len(rolls_deg) > 1:
         angles = " and ".join(f"{value:g}" for value in sorted(rolls_deg))
-        return (
-            f"the camera was turned within the bracket: its EXIF has the roll angles {angles} deg; "
-            "capture the bracket again with a fixed camera"
-        )
+        return f"the camera was turned within the bracket: roll angles {angles} deg; capture it again"
     off = float(signed_angle_deg(rolls_deg.pop() - lens.roll_deg)) if rolls_deg else 0.0
     if abs(off) <= 60.0:
         return ""
@@ -95,11 +91,7 @@ def report_of(
         shift_u_px=surest.u_px if surest else None,
         **_shares_percent(flags, target),
         exposure_span_percent=float(100 * max(np.ptp(p.exposures.log_deviation) for p in parts)),
-        deviations=tuple(
-            _range_text(p.exposures.log_deviation)
-            for p in parts
-            if any_beyond_prior(p.exposures.log_deviation, p.exposures.u_prior)
-        ),
+        deviations=tuple(filter(None, (_deviation_text(part.exposures) for part in parts))),
         noise_over_profile=float(np.sqrt(noise)),
         plateau_dn={f"{iso:g}": dn for iso, dn in parts[0].saturation.plateau_dn.items()},
         black_off_dn=max((p.saturation.black_off_dn for p in parts), key=abs),
@@ -143,10 +135,11 @@ def _frames(part: Findings) -> list[FrameQuality]:
     ]
 
 
-def _range_text(log_deviation: Floats) -> str:
-    """Return the smallest and the largest deviation in percent, such as "-1.2 to +0.4"."""
-    low, high = 100 * np.expm1([log_deviation.min(), log_deviation.max()])
-    return f"{low:+.1f} to {high:+.1f}"
+def _deviation_text(exposures: Exposures) -> str:
+    """Return the range of deviations in percent, such as "-1.2 to +0.4"; "" within the priors."""
+    log = exposures.log_deviation
+    low, high = 100 * np.expm1([log.min(), log.max()])
+    return f"{low:+.1f} to {high:+.1f}" if any_beyond_prior(log, exposures.u_prior) else ""
 
 
 def verdict(report: MergeReport) -> str:
@@ -301,7 +294,7 @@ def merge_shots(
     if floating:
         text += (
             f"; no melanopic colour, because EXIF of {floating} states no fixed white balance: "
-            "set one in the camera, the same as in the calibration"
+            "set that of the calibration"
         )
     return MergeResult(panorama, report, text, view, sun, sky)
 

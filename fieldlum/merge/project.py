@@ -243,7 +243,9 @@ def _project(sensor: SensorImage, r: Resampler) -> tuple[Floats, Floats, NDArray
             flags[(share[:, 0] < 0.05) & (r.coverage > 0)] |= np.uint8(Flag.FILLED)
         rgb.append(sparse.csr_array((data, *where), matrix.shape) @ value / share)
         var.append(sparse.csr_array((data**2, *where), matrix.shape) @ variance / share**2)
-        raised = np.bitwise_or.reduce(of_sensor[matrix.indices], axis=1)
+        raised = of_sensor[matrix.indices, 0]
+        for colour in range(1, width):
+            raised |= of_sensor[matrix.indices, colour]
         present = int(np.bitwise_or.reduce(raised, initial=0))
         for flag, minimum in _SHARE.items():
             if present & flag:

@@ -8,7 +8,7 @@ determine only ratios; the priors determine the common level.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -117,25 +117,31 @@ def _exposed(rows: Rows, light: Floats) -> tuple[Floats, Floats, Floats]:
     return per, weight, light * np.sqrt(weight * per)
 
 
-def compare(long: Rows, short: Rows, i: int, j: int) -> PairRatio | None:
-    """Return the measured exposure ratio of two frames over the assumed one, as a logarithm.
+def compare(long: Rows, shorts: Mapping[int, Rows], i: int = 0) -> list[PairRatio]:
+    """Return measured exposure ratios of a frame and less exposed ones over the assumed ones.
 
-    long, short: the same pixels of the more and of the less exposed frame; i, j: numbers of these
-    frames, for the result. Return None if too few pixels are well exposed in both.
+    long, shorts: the same pixels of the frames; i and the keys of `shorts`: numbers of the frames,
+    for the result. A frame with too few pixels that are well exposed in both is omitted.
     """
-    assert long.full is not None and short.full is not None  # samples state it
+    assert long.full is not None  # samples state it
     light = np.maximum(long.counts / long.signal.per_cdm2, 0.0).astype(np.float32)
-    e_long, w_long, snr_long = _exposed(long, light)
-    e_short, w_short, snr_short = _exposed(short, light)
-    well_exposed = (snr_long > 30.0) & ~(long.full | short.full)
-    usable = well_exposed
-    for minimum in _SNR_SHORT if isinstance(long.signal, RawSignal) else _SNR_SHORT[-1:]:
-        usable = well_exposed & (snr_short > minimum)
-        if usable.sum() >= _ENOUGH:
-            break
-    with np.errstate(divide="ignore"):
-        values = long.counts, short.counts, e_long / w_long, e_short / w_short, e_short / e_long
-    return pair_ratio(*(v[usable].astype(np.float64) for v in values), frames=(i, j))
+    of_long = long.counts, *_exposed(long, light)
+    bright = (of_long[-1] > 30.0) & ~long.full
+    found = []
+    for j, short in shorts.items():
+        assert short.full is not None
+        of_short = short.counts, *_exposed(short, light)
+        well_exposed = bright & ~short.full
+        usable = well_exposed
+        for minimum in _SNR_SHORT if isinstance(long.signal, RawSignal) else _SNR_SHORT[-1:]:
+            usable = well_exposed & (of_short[-1] > minimum)
+            if usable.sum() >= _ENOUGH:
+                break
+        y, e, w = (v[usable] for v in of_long[:3])
+        y_short, e_short, w_short = (v[usable] for v in of_short[:3])
+        values = y, y_short, e / w, e_short / w_short, e_short / e
+        found.append(pair_ratio(*(v.astype(np.float64) for v in values), frames=(i, j)))
+    return [pair for pair in found if pair is not None]
 
 
 def bracket_pairs(samples: Sequence[Rows]) -> list[PairRatio]:
@@ -144,12 +150,9 @@ def bracket_pairs(samples: Sequence[Rows]) -> list[PairRatio]:
     samples: one for each frame, most exposed first. Frames of a pair are at most three apart in
     that order. Empty without such pairs.
     """
-    pairs = [
-        compare(samples[i], samples[j], i, j)
-        for i in range(len(samples))
-        for j in range(i + 1, min(i + 4, len(samples)))
-    ]
-    return [pair for pair in pairs if pair is not None]
+    numbered = list(enumerate(samples))
+    groups = (compare(long, dict(numbered[i + 1 : i + 4]), i) for i, long in numbered)
+    return [pair for group in groups for pair in group]
 
 
 def neighbours(pairs: list[PairRatio], correction: Floats) -> list[NeighbourQuality]:

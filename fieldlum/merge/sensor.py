@@ -234,9 +234,9 @@ def _without_absent_filters(
         like = min(bare, key=lambda s: abs(np.log(s.exposure.shutter_s / asked.shutter_s)))
         pair = [like, replace(shot, exposure=replace(asked, nd=""))]
         first, second = take_samples(read_frames(pair, profile, crop)[0])
-        ratio = compare(first, second, 0, 1)
+        ratios = compare(first, {1: second})
         factor = float(np.mean(nd_factors(asked.nd, profile)))
-        if ratio is not None and ratio.log_ratio > -0.5 * np.log(factor):
+        if ratios and ratios[0].log_ratio > -0.5 * np.log(factor):
             right[number] = pair[1]
             absent.append(shot.path.name)
     return (sorted_shots(right, profile), tuple(sorted(absent))) if absent else (shots, ())
