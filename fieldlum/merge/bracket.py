@@ -47,7 +47,7 @@ def orientation_conflict(shots: Sequence[Shot], profile: CameraProfile) -> str:
     rolls_deg = {roll for shot in shots if (roll := roll_deg_of(shot.path)) is not None}
     if len(rolls_deg) > 1:
         angles = " and ".join(f"{value:g}" for value in sorted(rolls_deg))
-        return f"the camera was turned within the bracket: roll angles {angles} deg; capture it again"
+        return f"the camera turned within the bracket: roll angles {angles} deg; capture it again"
     off = float(signed_angle_deg(rolls_deg.pop() - lens.roll_deg)) if rolls_deg else 0.0
     if abs(off) <= 60.0:
         return ""
