@@ -11,17 +11,16 @@ from __future__ import annotations
 import importlib
 import zipfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol, get_args, get_type_hints
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeVar
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Array, Floats, Floats32, Mask
 from fieldlum.core.errors import InputError
-from fieldlum.core.records import Room
-from fieldlum.core.strict_toml import build, plain
 from fieldlum.learn.model_registry import MODELS
 from fieldlum.session import replacing
 from fieldlum.session.codec import NPZ_ERRORS, read_arrays, write_object
@@ -34,6 +33,7 @@ if TYPE_CHECKING:
     from fieldlum.learn.models.mirrors import Mirror
     from fieldlum.sky.light import Light
 
+_Part = TypeVar("_Part")
 Patch = Literal["absolute", "gain", "none"]
 """How sun patches are used: in cd/m2, up to an unknown factor, or not at all."""
 
@@ -96,46 +96,28 @@ FORMAT = 5  # of fitted values in a model's folder
 def state_of(model: Any, with_patch: bool) -> ModelState:
     """Return the fields of a dataclass as the content of a model folder, under its name."""
     arrays: dict[str, Array] = {}
-    table = stored(model, "", arrays) | {"format": FORMAT}
+    table = stored(model, "array", arrays) | {"format": FORMAT}
     return ModelState({"with_patch": with_patch, model.name: table}, arrays)
 
 
 def stored(part: Any, prefix: str, arrays: dict[str, Array]) -> dict[str, Any]:
-    """Add the arrays of nested dataclasses to `arrays`, as PART.FIELD; return other values."""
-    table: dict[str, Any] = {}
-    for f in (f for f in fields(part) if f.init):
-        value, key = getattr(part, f.name), prefix + f.name
-        if isinstance(value, np.ndarray):
-            arrays[key] = value
-        elif isinstance(value, Room):
-            table[f.name] = plain(value)
-        else:
-            table[f.name] = stored(value, f"{key}.", arrays) if is_dataclass(value) else value
-    return table
+    """Return a dataclass as plain values; add its arrays to `arrays`, as PREFIX and a number."""
+
+    def of_array(value: Array) -> str:
+        arrays[name := f"{prefix}{len(arrays)}"] = value
+        return name
+
+    return msgspec.to_builtins(part, enc_hook=of_array)
 
 
-def rebuilt(kind: Any, table: Any, arrays: Mapping[str, Array], prefix: str = "") -> Any:
+def rebuilt(kind: type[_Part], table: Any, arrays: Mapping[str, Array]) -> _Part:
     """Return the dataclass that `stored` described.
 
     Raises KeyError, TypeError or ValueError for missing or wrong content.
     """
-    if not prefix and table.get("format") != FORMAT:
+    if table.get("format", FORMAT) != FORMAT:
         raise ValueError("a model of an earlier version")
-    values, hints = {}, get_type_hints(kind)
-    for f in (f for f in fields(kind) if f.init):
-        key, kinds = prefix + f.name, get_args(hints[f.name]) or (hints[f.name],)
-        value: Any = arrays[key] if key in arrays else table[f.name]
-        if Room in kinds:
-            value = build(Room, value, "the model's room")
-        elif isinstance(value, dict):
-            part = next((k for k in kinds if is_dataclass(k)), None)
-            value = rebuilt(part, value, arrays, f"{key}.")
-        elif isinstance(value, list):
-            value = tuple(value)
-        elif float in kinds and value is not None:
-            value = float(value)
-        values[f.name] = value
-    return kind(**values)
+    return msgspec.convert(table, kind, dec_hook=lambda _, name: arrays[name])
 
 
 class Fitted(Protocol):

@@ -14,46 +14,29 @@ from fieldlum.learn.models import ModelState, Patch, Prediction, rebuilt, state_
 from fieldlum.learn.models.data import Dataset
 from fieldlum.sky.light import Light
 
-# with less direct light the sun lights a room less than the sky does
-SUNNY_WM2 = 60.0
-
 
 @dataclass(frozen=True, slots=True)
 class Domain:
-    """The range of light in the captures of a model.
+    """The light in the captures of a model.
 
-    sun_directions: unit vectors to the sun in captures with a DNI of 60 W/m2 or more [k, 3];
-    dhi_wm2, dni_wm2: least and greatest diffuse horizontal and direct normal irradiance of all
-    captures.
+    sun_directions: unit vectors to the sun in captures with a DNI of 60 W/m2 or more [k, 3].
     """
 
     sun_directions: Floats
-    dhi_wm2: tuple[float, float]
-    dni_wm2: tuple[float, float]
 
     def holds(self, light: Light) -> Mask:
         """Return a mask [n], True for the hours of `light` that are similar to captured light.
 
-        Diffuse irradiance must be in the captured range, widened by 15 % and 10 W/m2. In addition,
-        the sun must be within 12 degrees of that of a sunny capture and its DNI at most 15 % and
-        10 W/m2 above the captured maximum; or the DNI must be below 60 W/m2, if the least captured
-        DNI is below 120 W/m2.
+        The sun must be within 12 degrees of that of a sunny capture, or the DNI below 60 W/m2:
+        with less direct light the sun lights a room less than the sky does.
         """
-        low, high = self.dhi_wm2
-        slack = 0.15 * (high - low) + 10.0
-        sky_known = (light.dhi_wm2 >= low - slack) & (light.dhi_wm2 <= high + slack)
         cosine = (light.sun_direction @ self.sun_directions.T).max(axis=1, initial=-1.0)
-        sun_known = cosine >= np.cos(np.radians(12.0))
-        beam_known = light.dni_wm2 <= 1.15 * self.dni_wm2[1] + 10.0
-        overcast = (light.dni_wm2 < SUNNY_WM2) & (self.dni_wm2[0] < 2 * SUNNY_WM2)
-        return sky_known & (sun_known & beam_known | overcast)
+        return (cosine >= np.cos(np.radians(12.0))) | (light.dni_wm2 < 60.0)
 
 
 def captured(light: Light) -> Domain:
     """Return the domain of the captures whose light is `light`."""
-    dhi, dni = light.dhi_wm2, light.dni_wm2
-    suns = light.sun_direction[dni >= SUNNY_WM2]
-    return Domain(suns, (float(dhi.min()), float(dhi.max())), (float(dni.min()), float(dni.max())))
+    return Domain(light.sun_direction[light.dni_wm2 >= 60.0])
 
 
 # ----------------------------------------------------------------------------------------------

@@ -273,7 +273,7 @@ def from_state(state: ModelState) -> DenseFitted:
         if name.startswith("net.")
     }
     net.load_state_dict(weights)
-    domain, about = rebuilt(Domain, config["domain"], arrays, "domain."), config["dense_training"]
+    domain, about = rebuilt(Domain, config["domain"], arrays), config["dense_training"]
     average, heading_deg = arrays["average_log10"], config["heading_deg"]
     return DenseFitted(net, shape, average, heading_deg, config["patch"], domain, about)
 

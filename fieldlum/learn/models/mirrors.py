@@ -174,7 +174,7 @@ def read_mirrors(folder: Path, config: ModelConfig) -> tuple[Mirror, ...]:
     expected, remedy = "the mirrors of fieldlum train", "train the model again (fieldlum train)"
     with input_errors(folder, expected, remedy, OSError, ValueError, KeyError, TypeError):
         arrays = read_arrays(folder / "weights.npz")
-        out = [rebuilt(Mirror, table, arrays, f"mirror{k}.") for k, table in enumerate(tables)]
+        out = [rebuilt(Mirror, table, arrays) for table in tables]
         for mirror in out:
             numbers = [*mirror.normal, mirror.u_deg, mirror.factor]
             if mirror.chance.shape != (config.height, config.width) or len(numbers) != 5:

@@ -112,7 +112,7 @@ class Transport:
     @property
     def held_out_mse(self) -> Array:
         """Log10 MSE of each capture, predicted from other days, [n]."""
-        return self.uncertainty.held_out_mse
+        return self.uncertainty.error_of[: len(self.captured)]  # the tests by days come first
 
     @property
     def parameters(self) -> int:
@@ -198,7 +198,8 @@ class Transport:
         expected = unsure.experience(features, self.captured, guess, careful)
         wider = unsure.band * np.sqrt(expected / np.maximum(guess, 1e-12))
         sd = np.minimum(np.sqrt(square) * wider.astype(square.dtype)[:, None], 1.0)
-        trusted = unsure.trusted(variance)
+        # a trusted hour is at most 1.5 times as far from the captures as any held-out day
+        trusted = variance <= 1.5 * unsure.novelty
         if patch is None or unsure.slip_deg <= 0.0:
             return sd, expected, trusted
         dark = np.maximum(luminance * (1.0 - share), np.float32(MIN_CDM2))
@@ -525,11 +526,6 @@ class Uncertainty:
     guess_of: Array
     slip_deg: float = 0.0
 
-    @property
-    def held_out_mse(self) -> Array:
-        """Log10 MSE of each capture, predicted from other days, [n]; these tests come first."""
-        return self.error_of[: len(self.inverse)]
-
     def variance(self, cross: Array, own: Array) -> Array:
         """Return the variance of m hours that remains after the captures, in kernel units, [m].
 
@@ -543,15 +539,6 @@ class Uncertainty:
         cross = second_covariance(hours, captured)
         known = np.einsum("ij,ij->i", cross @ self.second, cross)
         return np.maximum(hours.beam**2 - known, 0.0) + SECOND_NOISE
-
-    def trusted(self, variance: Array) -> Mask:
-        """Return a mask [m], True for hours whose light is similar enough to that of captures.
-
-        Their `variance` [m] is at most 1.5 times `novelty`.
-        """
-        # An hour may be this many times further from the captures than a held-out day and still be
-        # trusted
-        return variance <= 1.5 * self.novelty
 
     def experience(self, hours: Features, captured: Features, guess: Array, careful: bool) -> Array:
         """Return the log10 MSE to expect in m hours, [m].

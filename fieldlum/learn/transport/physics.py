@@ -6,7 +6,7 @@ at the level of its captures, is the prior mean of the fit, if held-out days do 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from functools import cached_property, lru_cache
 
@@ -54,7 +54,6 @@ class Physics:
     sun_light: Floats32
     sky_modes: Floats32
     sky_light: Floats32
-    _suns: dict[tuple[float, ...], Floats32] = field(init=False, default_factory=dict, repr=False)
 
     @cached_property
     def _points(self) -> SunPoints:
@@ -63,19 +62,12 @@ class Physics:
         return sun_points(build(self.room), place, *surfaces, share, self.piece, pieces)
 
     def sunlight(self, light: Light) -> Floats32:
-        """Return the sun on the pieces in n hours as coefficients of the k modes [n, k] lx.
-
-        Those of suns of earlier calls are stored: the fits of one training share captures.
-        """
+        """Return the sun on the pieces in n hours as coefficients of the k modes [n, k] lx."""
         toward = self._points.scene.to_room(light.apparent_sun_direction)
-        keys = [tuple(sun) for sun in toward.tolist()]
         out = np.zeros((len(light), len(self.modes)), np.float32)
         lit = np.flatnonzero(light.direct_lx > 0.0)
-        new = [k for k in lit if keys[k] not in self._suns]
-        for k, lx in zip(new, self._points.direct(toward[new]), strict=True):
-            self._suns[keys[k]] = self.modes @ lx
-        for k in lit:
-            out[k] = self._suns[keys[k]] * light.direct_lx[k]
+        for k, lx in zip(lit, self._points.direct(toward[lit]), strict=True):
+            out[k] = self.modes @ lx * light.direct_lx[k]
         return out
 
     def features(self, light: Light, sunlight: Floats32) -> Floats32:

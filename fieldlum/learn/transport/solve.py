@@ -290,7 +290,7 @@ def fit_pixels(
         if some.computed is not None:
             out.computed_gain[part] = fit.gains[:, 0] * some.computed.gain
         fitted = fit.light(basis.values @ fit.b.T)
-        left = known(some) * np.log(fit.target / fitted)
+        left = ~some.filled * np.log(fit.target / fitted)
         out.second[:, part] = inverse @ left
         out.noise[part] = np.sqrt(np.maximum((left * out.second[:, part]).mean(axis=0), 0.0))
 
@@ -342,11 +342,6 @@ def second_inverse(arrays: TrainingArrays) -> Array:
     return np.linalg.inv(own + np.diag(SECOND_NOISE / arrays.sureness))
 
 
-def known(arrays: TrainingArrays) -> Floats:
-    """Return the weight of each log residual, [n, P]: 0 where `filled`, else 1."""
-    return np.where(arrays.filled, 0.0, 1.0)
-
-
 # ----------------------------------------------------------------------------------------------
 # held-out days
 
@@ -385,7 +380,7 @@ def hold_out(arrays: TrainingArrays, basis: Basis, noise: float) -> HeldOutFit:
     # smaller, because each pixel has a hat matrix
     for _ in each_chunk(one, len(scale), 128):
         pass
-    residual = known(arrays) * np.log(target / predicted)
+    residual = ~arrays.filled * np.log(target / predicted)
     inverse = second_inverse(arrays)
     solved = inverse @ residual
     for day in np.unique(arrays.days):
@@ -395,7 +390,7 @@ def hold_out(arrays: TrainingArrays, basis: Basis, noise: float) -> HeldOutFit:
     luminance = predicted * arrays.light.total_lx[:, None] * scale
     # for scores, lower values are raised to it (floor of the paper)
     floored = (np.maximum(values, 1.0) for values in (luminance, arrays.luminance))
-    error = known(arrays) * np.subtract(*(np.log10(values) for values in floored))
+    error = ~arrays.filled * np.subtract(*(np.log10(values) for values in floored))
     unknown, log10 = np.full(len(luminance), np.nan), (error**2).mean(axis=1)
     errors = HeldOutErrors(unknown, unknown, log10, arrays.days, arrays.sureness, trim=0.0)
     return HeldOutFit(luminance, error, scale, errors)
