@@ -493,7 +493,9 @@ def read_pictures(
         panorama = read_panorama_with_sun(pictures[k], suns[pictures[k].parent])
         panorama = _checked(panorama, pictures[k], alike, setup)
         bounds += panorama.sun is not None and panorama.sun.origin == CLIPPED_SUN
-        maps[k], masks[k] = panorama.luminance_cdm2, _has_value(panorama)
+        maps[k], masks[k] = panorama.luminance_cdm2, np.isfinite(panorama.luminance_cdm2)
+        if panorama.flags is not None:
+            masks[k] &= (panorama.flags & Flag.OUTSIDE_LENS) == 0
         counts[k] = pixel_counts(panorama)
         disc[k] = panorama.sun.normal_illuminance_lx if panorama.sun else 0.0
         if patches is not None:
@@ -529,11 +531,6 @@ def _checked(
         return panorama
     remedy = "merge all brackets at one size and heading, then run fieldlum pair again"
     raise InputError(path, found, f"{wanted}, as the panorama of the first row", remedy)
-
-
-def _has_value(panorama: Panorama) -> Mask:
-    good = np.isfinite(panorama.luminance_cdm2)
-    return good if panorama.flags is None else good & ((panorama.flags & Flag.OUTSIDE_LENS) == 0)
 
 
 def fill_gaps(maps: Floats32, has_value: Mask) -> tuple[Mask, int]:

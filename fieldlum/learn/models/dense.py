@@ -262,10 +262,7 @@ def from_state(state: ModelState) -> DenseFitted:
     Raises KeyError, RuntimeError, TypeError or ValueError for missing or wrong content.
     """
     config, arrays = state.config, state.arrays
-    table = config["shape"]
-    if table.get("curve", "log") != "log":  # a variant of earlier versions
-        raise ValueError("a network with another encoding of luminance")
-    shape = Shape(table["width"], table["depth"], table["patch_width"])
+    shape = rebuilt(Shape, config["shape"], arrays)
     net = Net(shape)
     weights = {
         name.removeprefix("net."): torch.from_numpy(value.copy())

@@ -365,11 +365,9 @@ def _fit(data: Dataset, patch: Patch, seed: int, progress: Progress) -> tuple[Tr
     chosen, noise = _chosen(every, kernel, drawn[:CHOOSING], data.days, robust)
     arrays, basis = chosen.arrays, chosen.basis
     progress(20, 100, "fitting")
-
-    def tick(finished: int, total: int) -> None:
-        progress(20 + 70 * finished // total, 100, "fitting")
-
-    pixels = fit_pixels(arrays, basis, noise, tick)
+    pixels = fit_pixels(
+        arrays, basis, noise, lambda done, of: progress(20 + 70 * done // of, 100, "fitting")
+    )
     progress(90, 100, "calibrating uncertainty")
     uncertainty, errors = calibrate(
         arrays[drawn], basis, chosen.covariance, noise, pixels.noise[drawn]
