@@ -18,6 +18,7 @@ from learning_room import dataset
 from msgspec import structs
 
 from fieldlum.cli import main
+from fieldlum.core.arrays import Mask
 from fieldlum.core.records import CameraSetup, Flag, Panorama
 from fieldlum.learn import models
 from fieldlum.optics.images import write_panorama, write_radiance_hdr
@@ -125,10 +126,13 @@ def test_glare_of_a_panorama_gives_no_number_for_what_was_not_seen(tmp_path: Pat
 @pytest.fixture(scope="module")
 def year(tmp_path_factory: pytest.TempPathFactory) -> predict.Annual:
     """A few days predicted by a model of a camera that saw the southern half."""
-    root = tmp_path_factory.mktemp("half")
+    return predicted(tmp_path_factory.mktemp("half"), SEEN)
+
+
+def predicted(root: Path, seen: Mask) -> predict.Annual:
     whole = dataset(("2027-03-20", "2027-03-21", "2027-06-21"), height=HEIGHT)
-    maps = np.where(SEEN, whole.luminance_cdm2, np.float32(0.0))
-    data = replace(whole, luminance_cdm2=maps, seen=SEEN)
+    maps = np.where(seen, whole.luminance_cdm2, np.float32(0.0))
+    data = replace(whole, luminance_cdm2=maps, seen=seen)
     fitted = models.fit("transport", data, patch="none")
     models.save(root / "transport", fitted, data, patch="none")
     lines = ["month,day,hour,dni_wm2,dhi_wm2"]
@@ -160,6 +164,17 @@ def test_a_year_has_no_figure_behind_the_camera(year: predict.Annual) -> None:
     assert any("have no result" in note and "0° (N)" in note for note in year.about["notes"])
     again = predict.read_annual(year.folder)
     assert not again.judged[5] and again.judged[0]
+
+
+@pytest.mark.slow
+@pytest.mark.contract
+def test_a_narrow_lens_gives_a_year_without_any_class(tmp_path: Path) -> None:
+    narrow = np.zeros_like(SEEN)
+    narrow[5:11, 12:20] = True
+    year = predicted(tmp_path, narrow)
+    assert {row.glare_class for row in year.summary.protection} == {"not seen"}
+    assert predict.read_pictures(year.folder).kinds == ()
+    assert "No view direction can be judged" in annual_page.answer(year)[0]
 
 
 @pytest.mark.slow

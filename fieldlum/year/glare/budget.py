@@ -7,7 +7,6 @@ scale over all its hours.
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,8 +19,8 @@ from fieldlum.core.errors import InputError
 from fieldlum.core.records import U_PERCENT, VEILING_GLARE, Panorama, SunSource
 from fieldlum.optics.melanopic import melanopic_edi, melanopic_ratio, ratio_u_rel
 from fieldlum.optics.projection import direction
+from fieldlum.session.codec import write_csv
 from fieldlum.session.panorama_sun import MEASURED_ORIGINS
-from fieldlum.session.writing import replacing
 from fieldlum.sky.sky_view import SkyView
 from fieldlum.sky.sky_view.pose import STATED_SD
 from fieldlum.year.glare.metrics import glare_directions
@@ -225,17 +224,15 @@ COLUMNS = (
 
 def write_budgets(path: Path, budgets: Iterable[tuple[str, Budget]]) -> None:
     """Write (file, budget) pairs as CSV: a row for each source, then one for the combined u."""
-    with replacing(path, "w", newline="", encoding="utf-8") as file:
-        out = csv.writer(file)
-        out.writerow(COLUMNS)
-        for name, b in budgets:
-            head = (name, b.figure, f"{b.azimuth_deg:g}", f"{b.estimate:.6g}", b.unit)
-            for s in b.sources:
-                share = 100 * s.contribution**2 / max(b.u**2, 1e-300)
-                figures = (s.u, s.unit, s.contribution / max(s.u, 1e-300), s.contribution, share)
-                cells = (f"{v:.4g}" if isinstance(v, float) else v for v in figures)
-                out.writerow((*head, s.name, s.kind, s.distribution, *cells, s.shared_by))
-            out.writerow((*head, "combined", "", _NORMAL, "", "", "", f"{b.u:.4g}", "100", ""))
+    rows: list[tuple[object, ...]] = []
+    for name, b in budgets:
+        head = (name, b.figure, f"{b.azimuth_deg:g}", f"{b.estimate:.6g}", b.unit)
+        for s in b.sources:
+            share = 100 * s.contribution**2 / max(b.u**2, 1e-300)
+            figures = (s.u, s.unit, s.contribution / max(s.u, 1e-300), s.contribution, share)
+            rows.append((*head, s.name, s.kind, s.distribution, *figures, s.shared_by))
+        rows.append((*head, "combined", "", _NORMAL, "", "", "", b.u, "100", ""))
+    write_csv(path, (dict(zip(COLUMNS, row, strict=True)) for row in rows), COLUMNS, digits=4)
 
 
 def _of_pixels(scene: _Scene) -> Iterator[tuple[Source, Mapping[str, Floats]]]:

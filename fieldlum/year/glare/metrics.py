@@ -73,9 +73,12 @@ def ugr(contrast: ArrayLike, background_cdm2: ArrayLike) -> Floats:
     contrast : the sum of L^2 omega / P^2 over sources, 0 without a source, for which the result is
     NaN; background_cdm2 : the background luminance Lb. Source: CIE 117:1995.
     """
-    total = np.asarray(contrast, float)
-    ratio = 0.25 * total / np.maximum(background_cdm2, 1e-6)
-    return np.where(total > 0, 8.0 * np.log10(np.maximum(ratio, 1e-30)), np.nan)
+    return _logarithm(8.0, 0.25 * np.asarray(contrast, float) / np.maximum(background_cdm2, 1e-6))
+
+
+def _logarithm(factor: float, ratio: Floats) -> Floats:
+    """Return factor times log10 of the ratio, NaN for a ratio of 0: without a source."""
+    return np.where(ratio > 0, factor * np.log10(np.maximum(ratio, 1e-30)), np.nan)
 
 
 def dgi(source_sum: ArrayLike) -> Floats:
@@ -84,8 +87,7 @@ def dgi(source_sum: ArrayLike) -> Floats:
     source_sum : Hopkinson's terms summed over sources, the second row of `source_terms`
     (Hopkinson 1972, with the position index P for windows).
     """
-    total = np.asarray(source_sum, float)
-    return np.where(total > 0, 10.0 * np.log10(np.maximum(total, 1e-30)), np.nan)
+    return _logarithm(10.0, np.asarray(source_sum, float))
 
 
 def ugp(contrast: ArrayLike, background_cdm2: ArrayLike) -> Floats:
@@ -106,7 +108,7 @@ def cgi(contrast: ArrayLike, ev_lx: ArrayLike, source_ev_lx: ArrayLike) -> Float
     """
     total = np.asarray(contrast, float)
     ratio = 2.0 * (1.0 + np.asarray(source_ev_lx, float) / 500.0) / np.maximum(ev_lx, 1e-6) * total
-    return np.where(total > 0, 8.0 * np.log10(np.maximum(ratio, 1e-30)), np.nan)
+    return _logarithm(8.0, ratio)
 
 
 def veiling_cdm2(veiling_sum: ArrayLike, age_years: float) -> Floats:

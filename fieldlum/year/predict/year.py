@@ -271,15 +271,13 @@ def telling_pictures(fitted: Fitted, room: ModelRoom, light: Light, annual: Annu
 
     The maps are not stored before, because all maps of a year would need a gigabyte of memory.
     """
-    chosen = list(telling_hours(annual))
-    rows = np.array(sorted({row for _, row in chosen}), np.int64)
-    parts = list(blocks(fitted, room, light[rows], annual.hours["disc_lx"][rows]))
-    maps = np.concatenate([block.pictures_cdm2(room.heading_deg) for block in parts])
-    disc = np.concatenate([block.disc_lx for block in parts])
-    at = [int(np.searchsorted(rows, row)) for _, row in chosen]
-    return Pictures(
-        tuple(kind for kind, _ in chosen), rows[at], maps[at], disc[at], room.heading_deg
-    )
+    kinds, hours = [list(part) for part in zip(*telling_hours(annual), strict=True)] or ([], [])
+    rows, at = np.unique(np.array(hours, np.int64), return_inverse=True)
+    maps = np.zeros((0, room.height, room.width), np.float32)  # if no direction was seen
+    for block in blocks(fitted, room, light[rows], annual.hours["disc_lx"][rows]):  # one or none
+        maps = block.pictures_cdm2(room.heading_deg)
+    disc_lx = annual.hours["disc_lx"][rows[at]]
+    return Pictures(tuple(kinds), rows[at], maps[at], disc_lx, room.heading_deg)
 
 
 # ----------------------------------------------------------------------------------------------
