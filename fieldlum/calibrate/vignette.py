@@ -206,7 +206,7 @@ def fit(samples: Samples) -> VignettingFit:
         text = f"left out, because neighbouring readings differ: {left_out}"
         choice = replace(choice, line=f"{choice.line}; {text}")
     if wrong := check_vignetting(curve):
-        remedy = "add readings up to the edge of the lens's image, and check the last ones"
+        remedy = "add readings up to the edge"
         raise InputError(samples.frames[0], wrong, "a curve above 0 up to the edge", remedy)
     residual = samples.value / (theta[0] * vignetting_at(curve, samples.r)) - 1.0
     return VignettingFit(curve, float(theta[0]), max(choice.rms, 0.001), residual, choice)
@@ -259,7 +259,7 @@ def _refuse_rising(r: Array, value: Array, u_rel: Array, source: Path) -> None:
     rise = float(change / axis)
     if rise > MAX_ERROR:
         finding = f"the readings rise by {100 * rise:.0f} % from the axis to the edge"
-        remedy = "state readings, not correction factors, of one patch in the same light"
+        remedy = "state readings, not correction factors"
         raise InputError(source, finding, "a loss towards the edge", remedy)
 
 

@@ -255,11 +255,9 @@ def check_camera(profile: CameraProfile, where: str) -> None:
 def _sensor_problems(p: CameraProfile) -> Iterator[_Problem]:
     black, saturation = p.sensor.black_dn, p.sensor.saturation_dn
     if not max(black) < min(*saturation, p.sensor.white_dn):
-        finding = f"[sensor] black_dn = {max(black):g} is not below saturation_dn and white_dn"
-        yield finding, "a black level below saturation_dn and white_dn"
+        yield f"[sensor] black_dn = {max(black):g}", "less than saturation_dn and white_dn"
     if not rises(p.sensor.linearity):
-        finding = f"sensor.linearity = {', '.join(f'{a:g}' for a in p.sensor.linearity)}"
-        remedy = "calibrate it again: fieldlum calibrate linearity"
+        finding, remedy = f"sensor.linearity = {list(p.sensor.linearity)}", "calibrate it again"
         yield finding, "corrected counts that rise with the raw counts", remedy
 
 
@@ -289,8 +287,7 @@ def _lens_problems(p: CameraProfile) -> Iterator[_Problem]:
     for lens in p.lens:
         if lens.mapping != "polynomial":
             continue
-        coefficients = ", ".join(f"{c:g}" for c in lens.coefficients) or "no coefficients"
-        finding = f"lens '{lens.name}': polynomial of {coefficients}"
+        finding = f"lens '{lens.name}': polynomial of {list(lens.coefficients) or 'no coefficients'}"
         try:
             angle_of_radius(lens, 1.0)
         except ValueError as error:
@@ -424,8 +421,7 @@ def planned_exposures(profile: CameraProfile, setup: CameraSetup) -> tuple[Expos
     names = [nd.name for nd in profile.nd]
     if setup.filter and not (setup.filter in names and profile.bracket.nd_shutter_s):
         what = "shutter times through" if setup.filter in names else "filter"
-        listed = ", ".join(names) or "none"
-        expected = f"one of its filters ({listed}), with nd_shutter_s under [bracket]"
+        expected = f"one of its filters ({', '.join(names) or 'none'}), with nd_shutter_s"
         remedy = "correct filter under [camera] in SITE.toml, or add [[nd]] to the profile"
         raise InputError(profile.camera.name, f"no {what} '{setup.filter}'", expected, remedy)
     return bracket_exposures(profile.bracket, setup.filter)

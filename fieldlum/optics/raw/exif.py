@@ -227,19 +227,16 @@ def _check_value(path: Path, value: float, stated: float, quantity: _Quantity) -
     stated : by exposures.csv, 0 if it has none.
     """
     name, tag, example, unit, low, high = quantity
+    remedy = f"write it with: exiftool -{tag}={example} FILE"
     found = f"{name} {value:g}{unit} in the EXIF"
     if not value:
-        expected = "exposure time, f-number and ISO in the EXIF"
-        exiftool = f"write it with: exiftool -{tag}={example} FILE"
-        remedy = f"{exiftool}; or state it in {EXPOSURES_CSV} in the frame's folder"
-        raise InputError(path, f"no {name} in the EXIF", expected, remedy)
+        remedy = f"{remedy}; or state it in {EXPOSURES_CSV} in the frame's folder"
+        raise InputError(path, f"no {name} in the EXIF", "exposure time, f-number and ISO", remedy)
     if not low <= value <= high:
-        remedy = f"correct it with: exiftool -{tag}={example} FILE"
         raise InputError(path, found, f"{low:g} to {high:g}{unit}", remedy)
     if stated and abs(np.log2(stated / value)) >= SAME_SETTING_EV:
         finding = f"{found}, but {stated:g}{unit} in {EXPOSURES_CSV}"
-        expected = "the same value, or none in the EXIF"
-        raise InputError(path, finding, expected, f"correct or remove the line in {EXPOSURES_CSV}")
+        raise InputError(path, finding, "the same value, or none in the EXIF", "correct the line")
 
 
 def roll_deg_of(path: Path) -> float | None:
