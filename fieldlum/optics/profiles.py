@@ -287,7 +287,8 @@ def _lens_problems(p: CameraProfile) -> Iterator[_Problem]:
     for lens in p.lens:
         if lens.mapping != "polynomial":
             continue
-        finding = f"lens '{lens.name}': polynomial of {list(lens.coefficients) or 'no coefficients'}"
+        terms = list(lens.coefficients) or "no coefficients"
+        finding = f"lens '{lens.name}': polynomial of {terms}"
         try:
             angle_of_radius(lens, 1.0)
         except ValueError as error:
