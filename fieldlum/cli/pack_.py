@@ -22,7 +22,6 @@ def command(
     licence: str,
     publisher: str,
     people: str,
-    coarse_position: bool = False,
 ) -> None:
     """Pack a session for publication, with data sheet and DOI metadata.
 
@@ -40,7 +39,6 @@ def command(
       --licence SPDX: Licence of the data, such as CC-BY-4.0.
       --publisher TEXT: Who publishes it and gives the DOI, such as Zenodo or a university.
       --people TEXT: Who can be seen, and how they consented.
-      --coarse-position: Round latitude and longitude to 0.01 degrees (about 1 km).
     """
     from fieldlum.report.export import Statement, pack
     from fieldlum.session import open_session
@@ -51,13 +49,7 @@ def command(
         raise click.BadParameter("write an SPDX identifier, like CC-BY-4.0", param_hint="--licence")
     statement = Statement(title, authors, licence, publisher, people)
     with progress("packing") as shown:
-        notes = pack(
-            open_session(session_folder),
-            archive,
-            statement,
-            coarse_position=coarse_position,
-            progress=shown,
-        )
+        notes = pack(open_session(session_folder), archive, statement, shown)
     for note in notes:
         say(f"note: {note}")
     click.echo(str(archive))

@@ -10,7 +10,6 @@ session's predicted year, which should have the model's weather file.
 from __future__ import annotations
 
 import calendar
-import csv
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -35,6 +34,7 @@ from fieldlum.report.page import comparison_png, png
 from fieldlum.room.scene.geometry import WALLS, wall_named
 from fieldlum.room.scene.view import look
 from fieldlum.session import Session, replacing
+from fieldlum.session.codec import write_csv
 from fieldlum.session.panorama_sun import read_panorama_with_sun
 from fieldlum.sky.sun import hour_of_year
 from fieldlum.year.glare.pictures import Picture, picture_rays, read_picture
@@ -104,10 +104,7 @@ def compare(
 
 def _write(out: Path, rows: Sequence[JsonTable], picture: bytes) -> tuple[Path, Path]:
     files = out / "compare.csv", out / "compare.png"
-    with replacing(files[0], "w", newline="", encoding="utf-8") as file:
-        table = csv.DictWriter(file, list(rows[0]))
-        table.writeheader()
-        table.writerows(rows)
+    write_csv(files[0], rows)
     with replacing(files[1]) as file:
         file.write(picture)
     return files
@@ -429,7 +426,10 @@ def hours_begun(path: Path, times: Floats, daylight: Mask) -> tuple[Array, list[
         raise InputError(path, found, expected, "correct the hours")
     hours, note = np.floor(times).astype(int), []
     if not (times % 1).any():
-        off_begin, off_end = (_differing(h, daylight) for h in (hours, hours - 1))
+        stated = np.zeros((2, len(daylight)), bool)
+        stated[0, hours] = stated[1, hours - 1] = True
+        days = np.unique(hours // 24)
+        off_begin, off_end = (stated ^ daylight).reshape(2, -1, 24)[:, days].sum(axis=(1, 2))
         if max(off_begin, off_end) < 3 * min(off_begin, off_end) + 1:
             found = "integer hours that may be the begin or the end of each hour"
             remedy = (
@@ -444,14 +444,6 @@ def hours_begun(path: Path, times: Floats, daylight: Mask) -> tuple[Array, list[
         found = f"{count.max()} values in hour {unique[count > 1][0]} of the year"
         raise InputError(path, found, "one row an hour", "export one view, hour by hour")
     return hours, note
-
-
-def _differing(hours: Array, daylight: Mask) -> int:
-    """Return how many hours are only in the table or only in daylight, in the table's days."""
-    stated = np.zeros_like(daylight)
-    stated[hours] = True
-    days = np.unique(hours // 24)
-    return int((stated ^ daylight).reshape(-1, 24)[days].sum())
 
 
 def _compare_hours(

@@ -1,8 +1,8 @@
 """Write a session for others: files of other programs, and an archive for publication.
 
 `export` writes Radiance, honeybee, netCDF and csv. The archive of `pack` is a zip with the
-session's files, DATASHEET.md (Gebru et al., Commun. ACM 64, 2021, in short), CITATION.cff,
-datacite.json (DataCite Metadata Schema 4.5) and MANIFEST.sha256.
+session's files, DATASHEET.md (Gebru et al., Commun. ACM 64, 2021, in short), datacite.json
+(DataCite Metadata Schema 4.5) and MANIFEST.sha256.
 """
 
 from __future__ import annotations
@@ -167,14 +167,13 @@ def _netcdf(data: xr.Dataset, path: Path) -> Path:
 _FOLDERS = ("raw", "panoramas", "irradiance", "sunpatches", "annual", "scene")
 _FILES = ("plan.csv", "journal.jsonl", "pairs.csv", "pairs.alignment.csv", "suns.csv")
 _HOME_PATH = re.compile(rb"/home/|/Users/|[A-Z]:[\\]+Users")  # in a text: a person's folder
-_LEFT_OUT = re.compile(r"(^|/)\.|\.tmp$|\.torn$|\.sha256$|^outbox")
+_LEFT_OUT = re.compile(r"(^|/)\.|\.(tmp|torn|sha256|zip)$|^outbox")
 _HOME_TABLES = ("imported", "logger_files")  # have folders of this computer
 _JPEG = (".jpg", ".jpeg")
 _FRAMES = (*_JPEG, ".tif", ".tiff", ".png", ".heic", *RAW_SUFFIXES)
 # EXIF 2.32: GPS IFD and its version, which cameras write without a position; CameraOwnerName and
 # Artist; BodySerialNumber, LensSerialNumber, and CameraSerialNumber of DNG 1.4
 _GPS, _GPS_VERSION, _OWNER, _SERIAL = 0x8825, 0, (0xA430, 0x013B), (0xA431, 0xA435, 0xC62F)
-_PLACE = re.compile(r'(l(?:at|ong)itude_deg"?\s*[:=]\s*)(-?[\d.]+(?:[eE][-+]?\d+)?)')
 
 
 class Statement(NamedTuple):
@@ -192,19 +191,14 @@ class Statement(NamedTuple):
 
 
 def pack(
-    session: Session,
-    out: Path,
-    statement: Statement,
-    *,
-    coarse_position: bool = False,
-    progress: Progress = quiet,
+    session: Session, out: Path, statement: Statement, progress: Progress = quiet
 ) -> list[str]:
     """Write the archive `out` (.zip) and return notes for its authors.
 
-    coarse_position: round latitude and longitude to 0.01 degrees, about a kilometre. Raises
-    InputError for frames whose EXIF has a position, an owner's name or a serial number.
+    Raises InputError for frames whose EXIF has a position, an owner's name or a serial number.
     """
-    _check_place(session, out)
+    if out.exists():
+        raise InputError(out, "it exists", "a new file", "remove it, or choose another name")
     if not session.captured_folders() and not session.panorama_files():
         raise InputError(session.root, "no captures", "data to publish", "pack it when it has some")
     files = sorted(_files(session))
@@ -221,12 +215,9 @@ def pack(
     if unread := [path.name for path, text in stated if text is None]:
         found = counted(len(unread), "frame")
         notes.insert(0, f"EXIF of {found} such as {unread[0]} cannot be read: look with exiftool")
-    if coarse_position:
-        notes.insert(0, "times and positions of the sun in the tables still give the exact place")
     texts = {
-        "session.toml": _session_toml(session, coarse_position),
+        "session.toml": _session_toml(session),
         "DATASHEET.md": _data_sheet(session, statement, notes, len(files)),
-        "CITATION.cff": _citation(statement),
         "datacite.json": json.dumps(_datacite(session, statement), indent=1, ensure_ascii=False),
     }
     top, digests = session.root.resolve().name, []  # of ".", too
@@ -240,26 +231,10 @@ def pack(
             add(name, text.encode())
         for number, path in enumerate(files):
             progress(number, len(files), "files")
-            data = path.read_bytes()
-            if coarse_position and path.suffix in (".json", ".toml"):
-                data = _coarse(data.decode("utf-8", "surrogateescape")).encode(
-                    "utf-8", "surrogateescape"
-                )
-            add(path.relative_to(session.root).as_posix(), data)
+            add(path.relative_to(session.root).as_posix(), path.read_bytes())
         manifest = "".join(f"{digest}  {name}\n" for name, digest in sorted(digests))
         archive.writestr(f"{top}/MANIFEST.sha256", manifest)
     return notes
-
-
-def _check_place(session: Session, out: Path) -> None:
-    """Raise InputError for an archive that exists, or that the next archive would contain."""
-    if out.exists():
-        raise InputError(out, "it exists", "a new file", "remove it, or choose another name")
-    folders = {(session.root / name).resolve() for name in _FOLDERS}
-    if folders & set(out.resolve().parents):
-        raise InputError(
-            out, "a place in the packed folders", "another folder", "write it next to the session"
-        )
 
 
 def _files(session: Session) -> Iterator[Path]:
@@ -294,18 +269,11 @@ def _private_exif(path: Path) -> str | None:
     return f"{path.name} ({', '.join(found)})" if found else ""
 
 
-def _session_toml(session: Session, coarse_position: bool) -> str:
+def _session_toml(session: Session) -> str:
     table: dict[str, Any] = tomllib.loads(session.toml.read_text(encoding="utf-8"))
     table = {name: part for name, part in table.items() if name not in _HOME_TABLES}
     table.get("devices", {}).pop("uris", None)  # addresses
-    text = tomli_w.dumps(table)
-    return _coarse(text) if coarse_position else text
-
-
-def _coarse(text: str) -> str:
-    """Return a TOML or JSON text with rounded latitudes and longitudes."""
-    # 1.1 km, 0.01 degrees of the sun
-    return _PLACE.sub(lambda m: f"{m[1]}{round(float(m[2]), 2)}", text)
+    return tomli_w.dumps(table)
 
 
 def _notes(session: Session) -> list[str]:
@@ -322,7 +290,9 @@ def _notes(session: Session) -> list[str]:
     texts = [session.root / name for name in _FILES if (session.root / name).is_file()]
     if named := [path.name for path in texts if _HOME_PATH.search(path.read_bytes())]:
         notes.append(f"folders of this computer are named in {', '.join(named)}")
-    return [*notes, "look at every contact sheet for people, screens and papers before you publish"]
+    place = "latitude and longitude in session.toml, and the suns in the tables, give the place"
+    people = "look at every contact sheet for people, screens and papers before you publish"
+    return [*notes, place, people]
 
 
 def _span(session: Session) -> tuple[str, str]:
@@ -348,21 +318,6 @@ def _data_sheet(session: Session, s: Statement, notes: Sequence[str], count: int
 - **To check before publication**: {"; ".join(notes)}.
 - **Uses**: daylight and glare research. Not suited to identify people or to judge other rooms.
 """
-
-
-def _citation(s: Statement) -> str:
-    authors = ""
-    for author in s.authors:
-        family, _, given = (part.strip() for part in author.partition(","))
-        if given:
-            names = f"family-names: {json.dumps(family)}\n    given-names: {json.dumps(given)}"
-        else:
-            names = f"name: {json.dumps(family)}"
-        authors += f"  - {names}\n"
-    return (
-        "cff-version: 1.2.0\nmessage: Please cite this data set.\ntype: dataset\n"
-        f"title: {json.dumps(s.title)}\nlicense: {s.licence}\nauthors:\n{authors}"
-    )
 
 
 def _datacite(session: Session, s: Statement) -> dict[str, Any]:

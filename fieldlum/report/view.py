@@ -9,7 +9,7 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,13 +17,7 @@ from fieldlum.core.arrays import Floats, Floats32, Mask
 from fieldlum.core.false_colour import colour_table, luminance_ends, shared_scale
 from fieldlum.core.records import JsonTable
 from fieldlum.optics.projection import direction, equirect_rays, equirect_solid_angles
-from fieldlum.year.glare.pictures import (
-    Picture,
-    PictureView,
-    picture_centres,
-    picture_rays,
-    read_picture,
-)
+from fieldlum.year.glare.pictures import Picture, picture_centres, picture_rays, read_picture
 from fieldlum.year.glare.single import judged
 from fieldlum.year.glare.sources import Sources
 
@@ -96,29 +90,23 @@ def region_statistics(region: Region, picture: MeasuredPicture) -> dict[str, flo
     return row | dict(zip(COLUMNS[3:], map(float, figures), strict=True))
 
 
-Outline = list[tuple[int, int]]
-
-
 @dataclass(frozen=True, slots=True)
 class MeasuredPicture:
     """A picture with its figures.
 
-    luminance_cdm2 : [H, W], NaN where no lens saw. solid_angle_sr : [H, W] of complete pixels, 0
-    where the view has no direction. u_cdm2 : standard uncertainty [H, W], None if unknown. view :
-    None for a panorama. heading_deg : azimuth of the centre column, clockwise from true north.
-    figures : Ev, melanopic EDI and DGP in the view direction, as text. outlines : pixels (x, y)
-    from the top left, around the strongest glare sources of a fisheye; none for a panorama. notes :
-    warnings of the glare figures.
+    picture : its pixels and view. luminance_cdm2 : [H, W], NaN where no lens saw. solid_angle_sr :
+    [H, W] of complete pixels, 0 where the view has no direction. figures : Ev, melanopic EDI and
+    DGP in the view direction, as text. outlines : pixels (x, y) from the top left, around the
+    strongest glare sources of a fisheye; none for a panorama. notes : warnings of the glare
+    figures.
     """
 
     name: str
+    picture: Picture
     luminance_cdm2: Floats32
     solid_angle_sr: Floats32
-    u_cdm2: Floats32 | None
-    view: PictureView | None
-    heading_deg: float
     figures: str
-    outlines: list[Outline]
+    outlines: list[Any]
     notes: list[str]
 
     @property
@@ -131,11 +119,11 @@ class MeasuredPicture:
 
         It is -1 where the picture has no direction.
         """
-        height, width = self.luminance_cdm2.shape
-        if self.view is None:
-            return equirect_rays(height, width, self.heading_deg) @ towards
+        (height, width), view = self.luminance_cdm2.shape, self.picture.view
+        if view is None:
+            return equirect_rays(height, width, self.picture.panorama.heading_deg) @ towards
         y, x = picture_centres(height, width)
-        cosine = picture_rays(self.view, x, y)[0] @ (self.view.frame @ towards)
+        cosine = picture_rays(view, x, y)[0] @ (view.frame @ towards)
         return np.where(self.solid_angle_sr > 0, cosine, -1.0)
 
 
@@ -145,24 +133,20 @@ def read_measured_picture(path: Path, part: str = "") -> MeasuredPicture:
     part : name of the part, layer or stereo view of an .exr; "" for the only one.
     """
     picture = read_picture(path, part=part)
-    panorama = picture.panorama
-    luminance = panorama.seen_cdm2
-    azimuths_deg = (panorama.heading_deg,) if picture.view is None else ()
+    luminance = picture.panorama.seen_cdm2
+    azimuths_deg = (picture.panorama.heading_deg,) if picture.view is None else ()
     answer, sources = judged(picture, path, azimuths_deg)
     row = answer["views"][0]
-    texts = {"ev_lx": "Ev {:.0f} lx", "melanopic_edi_lx": "m-EDI {:.0f}", "dgp": "DGP {:.3f}"}
-    if row["u_melanopic_edi_lx"] is None:
-        del texts["melanopic_edi_lx"]
-    else:
-        texts["melanopic_edi_lx"] += f" ± {row['u_melanopic_edi_lx']:.0f} lx"
+    texts = ["" if row["ev_lx"] is None else f"Ev {row['ev_lx']:.0f} lx"]
+    if (u := row["u_melanopic_edi_lx"]) is not None:
+        texts.append(f"m-EDI {row['melanopic_edi_lx']:.0f} ± {u:.0f} lx")
+    texts.append("" if row["dgp"] is None else f"DGP {row['dgp']:.3f}")
     return MeasuredPicture(
         path.name,
+        picture,
         luminance,
         _solid_angles(picture),
-        panorama.u_cdm2,
-        picture.view,
-        panorama.heading_deg,
-        "; ".join(text.format(row[k]) for k, text in texts.items() if row[k] is not None),
+        "; ".join(filter(None, texts)),
         [] if picture.view is None else _outlines(sources, luminance.shape),
         answer["warnings"],
     )
@@ -177,19 +161,17 @@ def _solid_angles(picture: Picture) -> Floats32:
     return (picture_rays(picture.view, x, y)[1] / (height * width)).astype(np.float32)
 
 
-def _outlines(sources: Sources, shape: tuple[int, ...]) -> list[Outline]:
-    """Return polygons around the strongest sources of a single view."""
+def _outlines(sources: Sources, shape: tuple[int, ...]) -> list[Any]:
+    """Return polygons around the 12 strongest sources of a single view."""
     import cv2
 
-    outlines: list[Outline] = []
-    # the 12 strongest
+    mask = np.zeros(shape, np.uint8)
+    outlines: list[Any] = []
     for number in np.argsort(sources.contrast[:, 0])[::-1][:12]:
-        mask = np.zeros(shape, np.uint8)
         mask.flat[sources.pixels[number]] = 1
         contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
-        for contour in sorted(contours, key=len, reverse=True)[:20]:
-            points = cv2.approxPolyDP(contour, 1.0, True).reshape(-1, 2)
-            outlines.append([(int(x), int(y)) for x, y in points])
+        outlines += [cv2.approxPolyDP(c, 1.0, True).reshape(-1, 2).tolist() for c in contours]
+        mask[:] = 0
     return outlines
 
 
@@ -218,10 +200,8 @@ def _draw_marks(axis, picture: MeasuredPicture, regions: Sequence[Region]) -> No
         mask = region_mask(region, picture)
         if not mask.any():
             continue
-        height, width = mask.shape
-        axis.contour(
-            mask.astype(float), [0.5], colors="lime", linewidths=1.0, extent=(0, width, 0, height)
-        )
+        extent = (0, mask.shape[1], 0, mask.shape[0])
+        axis.contour(mask.astype(float), [0.5], colors="lime", linewidths=1.0, extent=extent)
         rows, columns = np.nonzero(mask)
         axis.text(columns.mean(), rows.mean(), str(number), color="lime", fontsize=8, ha="center")
 
@@ -230,7 +210,6 @@ def _draw_marks(axis, picture: MeasuredPicture, regions: Sequence[Region]) -> No
 # 0: no light, or no lens saw the pixel.
 LOG_LOW, LOG_SPAN, CODES = -4.0, 14.0, 65534
 _U_STEP = 4  # u is at a quarter of the size: bounds the page; chosen
-_U_PER_PERCENT = 4.0  # code of relative u: quarters of a percent, at most 63 %; chosen
 
 
 def encode_luminance(luminance_cdm2: Floats32) -> str:
@@ -249,20 +228,6 @@ def encode_luminance(luminance_cdm2: Floats32) -> str:
     return base64.b64encode(zlib.compress(planes, 6)).decode("ascii")
 
 
-def encode_uncertainty(picture: MeasuredPicture) -> str:
-    """Return u over luminance at every fourth row and column, as text; "" without u.
-
-    The text is base64 of deflated bytes: 4 per percent, 1 to 255; 0 where unknown.
-    """
-    if picture.u_cdm2 is None:
-        return ""
-    some = (slice(None, None, _U_STEP), slice(None, None, _U_STEP))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        percent = 100.0 * picture.u_cdm2[some] / picture.luminance_cdm2[some]
-    codes = np.nan_to_num(np.clip(np.rint(percent * _U_PER_PERCENT), 1, 255), nan=0.0)
-    return base64.b64encode(zlib.compress(codes.astype(np.uint8).tobytes(), 6)).decode("ascii")
-
-
 def write_page(path: Path, pictures: Sequence[MeasuredPicture], rows: Sequence[JsonTable]) -> None:
     """Write one self-contained page: pictures, their figures, and the rows of the regions."""
     low, high = shared_scale(luminance_ends(picture.shown_cdm2) for picture in pictures)
@@ -274,17 +239,16 @@ def write_page(path: Path, pictures: Sequence[MeasuredPicture], rows: Sequence[J
         "colours": colour_table().tolist(),
         "log": [LOG_LOW, LOG_SPAN, CODES],
         "uStep": _U_STEP,
-        "uPerPercent": _U_PER_PERCENT,
     }
     text = Path(__file__).with_name("view.html").read_text(encoding="utf-8")
     # "<" cannot end the script early, whatever a file is called
     data = json.dumps(about).replace("<", "\\u003c")
     tag = '<script type="application/octet-stream" id="{}{}">{}</script>'
-    pixels = "".join(
-        tag.format("pixels", k, encode_luminance(picture.luminance_cdm2))
-        + tag.format("u", k, encode_uncertainty(picture))
-        for k, picture in enumerate(pictures)
-    )
+    pixels = ""
+    for k, picture in enumerate(pictures):
+        pixels += tag.format("pixels", k, encode_luminance(picture.luminance_cdm2))
+        if (u := picture.picture.panorama.u_cdm2) is not None:
+            pixels += tag.format("u", k, encode_luminance(u[::_U_STEP, ::_U_STEP]))
     title = html.escape(", ".join(picture.name for picture in pictures)[:120])
     text = text.replace("@TITLE@", title).replace("@PIXELS@", pixels).replace("@DATA@", data)
     path.write_text(text, encoding="utf-8")
@@ -292,17 +256,15 @@ def write_page(path: Path, pictures: Sequence[MeasuredPicture], rows: Sequence[J
 
 def _about(picture: MeasuredPicture) -> JsonTable:
     height, width = picture.luminance_cdm2.shape
-    view = None
-    if picture.view is not None:
-        arrays = {"frame": picture.view.frame.tolist(), "forward": None, "up": None}
-        view = asdict(picture.view) | arrays
-    figures = "; ".join(filter(None, (picture.figures, f"{width} x {height} pixels")))
+    view = picture.picture.view
+    arrays = {} if view is None else {"frame": view.frame.tolist(), "forward": None, "up": None}
     return {
         "name": picture.name,
         "width": width,
         "height": height,
-        "view": view,
-        "heading": picture.heading_deg,
-        "figures": "; ".join((figures, *picture.notes)),
+        "view": view and asdict(view) | arrays,
+        "heading": picture.picture.panorama.heading_deg,
+        "figures": "; ".join(filter(None, (picture.figures, f"{width} x {height} pixels"))),
+        "notes": picture.notes,
         "outlines": picture.outlines,
     }

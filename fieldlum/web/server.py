@@ -31,7 +31,6 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from fieldlum.core.errors import DeviceError, InputError
 from fieldlum.core.records import parse_utc, slot_id
 from fieldlum.session import Session
-from fieldlum.web.answer import Worker, answer_table
 from fieldlum.web.snapshot import Snapshots, picture_png, scale_png
 
 
@@ -189,19 +188,8 @@ def picture_routes(session: Session) -> list[Route]:
     return [Route("/picture/{slot}.png", picture), Route("/scale.png", scale)]
 
 
-def watch_routes(
-    session: Session, snapshots: Snapshots, worker: Worker | None = None
-) -> list[Route]:
-    """Return the web routes of the page of `fieldlum watch`.
-
-    worker: computes the glare classes so far, or None.
-    """
-
-    def state() -> Mapping[str, object]:
-        answer = session.root / "watch" / "answer.json"
-        written = answer.stat().st_mtime_ns if answer.is_file() else 0
-        doing = [worker.step, worker.problem] if worker else []
-        return {**snapshots.state(), "answer": " ".join([str(written), *doing])}
+def watch_routes(session: Session, snapshots: Snapshots) -> list[Route]:
+    """Return the web routes of the page of `fieldlum watch`."""
 
     def day(request: Request) -> Response:
         try:
@@ -216,8 +204,8 @@ def watch_routes(
         static_route("/", "watch.html"),
         static_route("/watch.js", "watch.js"),
         static_route("/page.css", "page.css"),
-        Route("/state.json", lambda request: _table(state)),
-        Route("/answer.json", lambda request: _table(lambda: answer_table(session, worker))),
+        Route("/state.json", lambda request: _table(snapshots.state)),
+        Route("/answer.json", lambda request: _table(snapshots.answer)),
         Route("/calendar.json", lambda request: _table(snapshots.calendar)),
         Route("/day/{day}.json", day),
         *picture_routes(session),

@@ -1,8 +1,7 @@
 """Plain tables of a session for the page of `fieldlum watch`, from files that grow.
 
-Each file is read from where the last reading ended: a page that is open for a month must not read a
-month of files every few seconds, and its memory must not grow. So each line of the journal updates
-one state, and a day of irradiance is a fixed number of bins.
+The journal is read from where the last reading ended: a page that is open for a month must not read
+a month of events every few seconds, and its memory must not grow.
 """
 
 from __future__ import annotations
@@ -24,36 +23,44 @@ import numpy as np
 import psutil
 
 from fieldlum.capture import doctor
+from fieldlum.capture.status import status
 from fieldlum.capture.utc_clock import boot_id
 from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError
 from fieldlum.core.false_colour import colour_table, coloured, luminance_ends, png_of, shared_scale
-from fieldlum.core.records import JsonTable, Site, Slot, parse_utc, utc_text
+from fieldlum.core.records import IrradianceSample, JsonTable, Site, Slot, parse_utc, utc_text
 from fieldlum.optics.images import read_panorama
 from fieldlum.session import Session
-from fieldlum.session.day_files import decode_sample
+from fieldlum.session.codec import to_json
+from fieldlum.session.day_files import decode_sample, read_day
+from fieldlum.session.files.predict_json import PredictFile
 from fieldlum.session.files.sidecar import Sidecar
 from fieldlum.session.journal import JournalEvent, decode_event
 from fieldlum.session.slot_states import SETTLED, SlotStates, fold, made_up_for
 from fieldlum.sky import sun
-from fieldlum.web.answer import QUIET_BEFORE_S, Moment
 
 BIN_S = 120  # 720 points a day: more cannot be seen in a curve as wide as a page; chosen
-_BINS = 86400 // BIN_S
 
 
-class LineTail:
-    """State that follows from the lines of a growing file; `update` reads those that are new."""
+class JournalFollower:
+    """What the journal states so far; `update` adds the lines that are new.
+
+    states: state of each slot. events: the latest 60 for the page, without frames, starts of
+    brackets and illuminances. away: devices that do not answer now, with the time since when.
+    opened: the last `open` event (start of a capture) without a `close`, or None.
+    """
 
     def __init__(self, path: Path) -> None:
-        self._path, self._offset, self._inode = path, 0, 0
-        self.clear()
+        self._path = path
+        self._begin(0)
 
-    def clear(self) -> None:
-        """Begin with the state of an empty file."""
-
-    def add(self, line: bytes) -> None:
-        """Change the state by one line; skip a damaged one."""
+    def _begin(self, inode: int) -> None:
+        self._offset, self._inode = 0, inode
+        self.states = SlotStates()
+        # more than a page shows
+        self.events: deque[JournalEvent] = deque(maxlen=60)
+        self.away: dict[str, datetime] = {}
+        self.opened: JournalEvent | None = None
 
     def update(self) -> Self:
         """Add the complete unread lines, all of a file that was replaced or shortened.
@@ -63,37 +70,17 @@ class LineTail:
         with suppress(OSError), self._path.open("rb") as file:
             about = os.fstat(file.fileno())
             if about.st_ino != self._inode or about.st_size < self._offset:
-                self._offset, self._inode = 0, about.st_ino
-                self.clear()
+                self._begin(about.st_ino)
             file.seek(self._offset)
             data = file.read()
             end = data.rfind(b"\n") + 1
             self._offset += end
             for line in data[:end].splitlines(keepends=True):
-                self.add(line)
+                if (event := decode_event(line)) is not None:
+                    self._add(event)
         return self
 
-
-class JournalFollower(LineTail):
-    """What the journal states so far.
-
-    states: state of each slot. events: the latest 60 for the page, without frames, starts of
-    brackets and illuminances. away: devices that do not answer now, with the time since when.
-    opened: the last `open` event (start of a capture) without a `close`, or None.
-    """
-
-    def clear(self) -> None:
-        """Begin with the state of an empty file."""
-        self.states = SlotStates()
-        # more than a page shows
-        self.events: deque[JournalEvent] = deque(maxlen=60)
-        self.away: dict[str, datetime] = {}
-        self.opened: JournalEvent | None = None
-
-    def add(self, line: bytes) -> None:
-        """Change the state by one line; skip a damaged one."""
-        if (event := decode_event(line)) is None:
-            return
+    def _add(self, event: JournalEvent) -> None:
         kind, device = event["event"], str(event.get("device", ""))
         fold((event,), self.states)
         if kind == "open":
@@ -106,63 +93,6 @@ class JournalFollower(LineTail):
             self.away.pop(device, None)
         if kind not in ("frame", "retake", "started", "illuminance"):
             self.events.append(event)
-
-
-class DayBins(LineTail):
-    """Mean irradiances in 720 bins of two minutes, from the logger's file of one UTC day.
-
-    flagged: mask of bins, True with an error that the instrument reported; status: number of rows
-    by such an error; last: time and global irradiance of the last row, or None.
-    """
-
-    def clear(self) -> None:
-        """Begin with the state of an empty file."""
-        self._sum, self._count = np.zeros((2, _BINS, 3))
-        self.flagged = np.zeros(_BINS, bool)
-        self.status: Counter[str] = Counter()
-        self.last: tuple[datetime, float | None] | None = None
-
-    def add(self, line: bytes) -> None:
-        """Change the state by one line; skip a damaged one."""
-        if (sample := decode_sample(line)) is None:
-            return
-        k = _bin_of(sample.t_utc)
-        row = np.array([sample.ghi_wm2, sample.dni_wm2, sample.dhi_wm2], float)
-        self._sum[k] += np.nan_to_num(row)
-        self._count[k] += np.isfinite(row)
-        if sample.status:
-            self.flagged[k] = True
-            self.status[sample.status] += 1
-        self.last = sample.t_utc, sample.ghi_wm2
-
-    @property
-    def means(self) -> Floats:
-        """GHI, DNI and DHI, in this order, [720, 3] in W/m2; NaN without a reading."""
-        return np.where(self._count > 0, self._sum / np.maximum(self._count, 1), np.nan)
-
-
-def _bin_of(t_utc: datetime) -> int:
-    return (t_utc.hour * 3600 + t_utc.minute * 60 + t_utc.second) // BIN_S
-
-
-class IrradianceFollower:
-    """Irradiance of UTC days, read when requested; the last six requested days stay in memory."""
-
-    def __init__(self, session: Session) -> None:
-        folder = session.irradiance
-        self._bins = lru_cache(6)(lambda day: DayBins(folder / f"{day.isoformat()}.csv"))
-
-    def day(self, day_utc: date) -> DayBins:
-        """Return the irradiance bins of a UTC day, with the file's newest rows."""
-        return self._bins(day_utc).update()
-
-    def latest(self, now: datetime) -> tuple[datetime, float | None] | None:
-        """Return time and global irradiance of the last row of today or yesterday (UTC).
-
-        None without a row; the irradiance [W/m2] is None if the row has none.
-        """
-        days = (now.date(), now.date() - timedelta(days=1))
-        return next((last for day in days if (last := self.day(day).last) is not None), None)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -194,16 +124,10 @@ def picture_png(path: Path, width: int, low: float, high: float) -> bytes:
     The scale is logarithmic from low to high [cd/m2]. Raises InputError for a damaged file, OSError
     for a missing one.
     """
-    # at most four times a panorama of 460 pixels, which bounds the memory
-    return _png(path, path.stat().st_mtime_ns, min(width, 1840), low, high)
-
-
-# as many as a page shows at once, of about 100 kB
-@lru_cache(maxsize=48)
-def _png(path: Path, stamp: int, width: int, low: float, high: float) -> bytes:
     import cv2
 
     values = read_panorama(path).seen_cdm2  # [H, W]
+    width = min(width, 1840)  # at most four times a panorama of 460 pixels, which bounds the memory
     if values.shape[1] > width:
         height = max(1, round(values.shape[0] * width / values.shape[1]))
         shrunk = cv2.resize(values, (width, height), interpolation=cv2.INTER_AREA)
@@ -220,27 +144,35 @@ def scale_png() -> bytes:
 # tables
 
 
-def day_curve(day: date, site: Site, followed: IrradianceFollower) -> JsonTable:
+def day_curve(day: date, site: Site, folder: Path) -> JsonTable:
     """Return the irradiance of a local day in bins of 2 min [W/m2], and which bins are flagged.
 
     Flagged are values that are impossible for the sun's altitude, and bins with an error that the
     instrument reported. Bins at night without a reading are omitted; a missing value is None.
-    followed: the session's day files.
+    folder: the session's day files. A day has 23 or 25 hours when clocks change.
     """
     zone = ZoneInfo(site.timezone)
-    start = datetime(day.year, day.month, day.day, tzinfo=zone).astimezone(UTC)
-    # 25 hours on the day when clocks go back: bins belong to a day by their local date
-    times = [start + timedelta(seconds=BIN_S * (k + 0.5)) for k in range(25 * 3600 // BIN_S)]
-    times = [t for t in times if t.astimezone(zone).date() == day]
-    index = {d: followed.day(d) for d in sorted({t.date() for t in times})}
-    means = {d: bins.means for d, bins in index.items()}
-    values = np.array([means[t.date()][_bin_of(t)] for t in times])  # [bins, 3]
-    flagged = np.array([index[t.date()].flagged[_bin_of(t)] for t in times])
+    ends = (datetime(d.year, d.month, d.day, tzinfo=zone) for d in (day, day + timedelta(days=1)))
+    start, end = (t.astimezone(UTC) for t in ends)
+    bins = (end - start) // timedelta(seconds=BIN_S)
+    times = [start + timedelta(seconds=BIN_S * (k + 0.5)) for k in range(bins)]
+    total, count = np.zeros((2, len(times), 3))
+    reported, kinds = np.zeros(len(times), bool), Counter[str]()
+    for sample in _samples(folder, start, end):
+        k = (sample.t_utc - start) // timedelta(seconds=BIN_S)
+        row = np.array([sample.ghi_wm2, sample.dni_wm2, sample.dhi_wm2], float)
+        total[k] += np.nan_to_num(row)
+        count[k] += np.isfinite(row)
+        if sample.status:
+            reported[k] = True
+            kinds[sample.status] += 1
+    values = np.where(count > 0, total / np.maximum(count, 1), np.nan)
     present = np.isfinite(values).any(axis=1)
     impossible, clear = np.zeros(len(times), bool), np.full(len(times), np.nan)
     if present.any():
-        altitude = sun.position(times, site).altitude_deg
-        limits = sun.bsrn_limits(altitude, sun.extraterrestrial_wm2(times))
+        limits = sun.bsrn_limits(
+            sun.position(times, site).altitude_deg, sun.extraterrestrial_wm2(times)
+        )
         low, high = zip(limits.ghi_wm2, limits.dni_wm2, limits.dhi_wm2, strict=True)
         impossible = ((values < low) | (values > np.stack(high, axis=-1))).any(axis=1)
         clear = sun.clearsky(times, site).ghi_wm2
@@ -250,13 +182,33 @@ def day_curve(day: date, site: Site, followed: IrradianceFollower) -> JsonTable:
         "ghi": ghi,
         "dni": dni,
         "dhi": dhi,
-        "minutes": [round((t - start).total_seconds() / 60, 1) for t in np.array(times)[keep]],
+        "minutes": (np.flatnonzero(keep) * (BIN_S / 60) + BIN_S / 120).tolist(),
         "clear_ghi": clear_ghi,
-        "flagged": (flagged | impossible)[keep].tolist(),
-        "flagged_bins": int(flagged.sum()),
+        "flagged": (reported | impossible)[keep].tolist(),
+        "flagged_bins": int(reported.sum()),
         "impossible_bins": int(impossible.sum()),
-        "status": dict(sum((bins.status for bins in index.values()), Counter())),
+        "status": dict(kinds),
     }
+
+
+def _samples(folder: Path, start: datetime, end: datetime) -> list[IrradianceSample]:
+    """Return the readings of a period within two UTC days."""
+    found: list[IrradianceSample] = []
+    for day in sorted({start.date(), end.date()}):
+        with suppress(OSError):
+            found += read_day(folder / f"{day}.csv")[0]
+    return [sample for sample in found if start <= sample.t_utc < end]
+
+
+def _latest_sample(folder: Path, now: datetime) -> JsonTable | None:
+    """Return time and global irradiance of the last row of today or yesterday (UTC)."""
+    for day in (now.date(), now.date() - timedelta(days=1)):
+        with suppress(OSError), (folder / f"{day}.csv").open("rb") as file:
+            file.seek(-min(4096, file.seek(0, os.SEEK_END)), os.SEEK_END)
+            for line in reversed(file.read().splitlines(keepends=True)):
+                if (sample := decode_sample(line)) is not None:
+                    return {"t_utc": utc_text(sample.t_utc), "ghi_wm2": sample.ghi_wm2}
+    return None
 
 
 def _numbers(values: Floats) -> list[float | None]:
@@ -267,20 +219,16 @@ Level = Literal["info", "warn", "fail"]
 
 # Events that are no news on a page: the plan's calendar shows outcomes.
 _SILENT = frozenset({"imported", "withdrawn"})
-# Sentences with fields of the event, of which some are put into words by `event_words`.
-_WORDS: dict[str, tuple[Level, str]] = {
+_WORDS: dict[str, tuple[Level, str]] = {  # sentences with fields of the event
     "done": ("warn", "Bracket {slot} is complete, with a warning: {why}."),
     "missed": ("fail", "Bracket {slot} was not taken: {why}."),
     "aborted": ("fail", "Bracket {slot} was ended before it was complete: {why}."),
     "device-lost": ("fail", "The {device} stopped answering ({why}). The capture tries it again."),
-    "device-back": ("info", "The {device} answers again after {after_s}."),
+    "device-back": ("info", "The {device} answers again after {after_s:.0f} s."),
     "bad-reading": ("warn", "The {device} gave a reading that cannot be used: {why}."),
-    "clock-step": (
-        "warn",
-        "The computer's clock jumped by {jump} s; the new time was {not_}accepted.",
-    ),
-    "suspend": ("warn", "The computer slept for {seconds}."),
-    "disk-full": ("fail", "The disk is full: {free_mb:.0f} MB are free."),
+    "clock-step": ("warn", "The computer's clock jumped by {seconds:+.0f} s."),
+    "suspend": ("warn", "The computer slept for {seconds:.0f} s."),
+    "disk-full": ("fail", "The disk is full."),
     "late": ("info", "Bracket {slot} began {by_s:.0f} s late."),
     "open": ("info", "The capture was started."),
     "close": ("info", "The capture was ended."),
@@ -298,21 +246,11 @@ def event_words(event: JournalEvent) -> tuple[Level, str] | None:
     kind, why = event["event"], event.get("why", "")
     if kind in _SILENT or (kind == "done" and (not why or why == "imported")):
         return None
-    if kind not in _WORDS:
-        return "info", kind
-    blank = dict.fromkeys(("slot", "state", "text"), "") | {"device": "a device"}
-    words = {
-        "by_s": 0.0,
-        **event,
-        "why": why or "no reason recorded",
-        "after_s": timedelta(seconds=round(event.get("after_s") or 0.0)),
-        "seconds": timedelta(seconds=round(event.get("seconds") or 0.0)),
-        "jump": f"{event.get('seconds', 0.0):+.0f}",
-        "not_": "" if event.get("followed") else "not ",
-        "free_mb": event.get("bytes_free", 0) / 1e6,
-    }
-    level, sentence = _WORDS[kind]
-    return level, sentence.format(**(blank | words))
+    level, sentence = _WORDS.get(kind, ("info", "{event}"))
+    fields = dict.fromkeys(("slot", "state", "text"), "") | {"device": "a device"}
+    numbers = dict.fromkeys(("by_s", "after_s", "seconds"), 0.0)
+    why = {"why": why or "no reason recorded"}
+    return level, sentence.format(**{**fields, **numbers, **event, **why})
 
 
 def is_running(journal: JournalFollower) -> bool:
@@ -332,13 +270,10 @@ def is_running(journal: JournalFollower) -> bool:
 def battery() -> JsonTable | None:
     """Return {"percent", "mains"} of this computer's battery; None where there is none.
 
-    mains: whether it has external power; the key is absent where that is unknown.
+    mains: whether it has external power; None if that is unknown.
     """
     found = psutil.sensors_battery() if hasattr(psutil, "sensors_battery") else None
-    if found is None:
-        return None
-    mains = {} if found.power_plugged is None else {"mains": found.power_plugged}
-    return {"percent": round(found.percent), **mains}
+    return found and {"percent": round(found.percent), "mains": found.power_plugged}
 
 
 _FINDINGS_EVERY = timedelta(minutes=5)  # not measured
@@ -371,10 +306,7 @@ class Snapshots:
     ) -> None:
         self._session, self._wall_clock = session, wall_clock
         self._lock = threading.Lock()
-        self._journal, self._irradiance = (
-            JournalFollower(session.journal),
-            IrradianceFollower(session),
-        )
+        self._journal = JournalFollower(session.journal)
         self._setup = session.site_file()
         self._zone = ZoneInfo(self._setup.site.timezone)
         self._plan: tuple[int, list[Slot]] = (-1, [])
@@ -387,7 +319,6 @@ class Snapshots:
             journal, slots, now, rehearsal, states, merged = here
             ahead = [slot for slot in slots if states[slot.id] in ("to do", "running")]
             counts = list(states.values())
-            sample = self._irradiance.latest(now)
             return {
                 "name": self._setup.site.name,
                 "folder": self._session.root.resolve().name,
@@ -401,8 +332,8 @@ class Snapshots:
                 "next": self._slot_row(ahead[0], here) if ahead else None,
                 "latest": self._latest(),
                 "devices": self._devices(journal),
-                "irradiance": sample and {"t_utc": utc_text(sample[0]), "ghi_wm2": sample[1]},
-                "disk": self._disk(slots),
+                "irradiance": _latest_sample(self._session.irradiance, now),
+                "free_bytes": shutil.disk_usage(self._session.root).free,
                 "computer": battery(),
                 "events": self._events(journal),
                 "findings": self._doctor(now),
@@ -410,16 +341,25 @@ class Snapshots:
                 "today": self._local_day(now).isoformat(),
             }
 
-    def moment(self) -> Moment:
-        """Return whether there is time to compute, and how many slots are done."""
-        with self._lock:
-            journal, slots, now, rehearsal, states, _ = self._present()
-            ahead = [slot.t_utc for slot in slots if states[slot.id] == "to do"]
-            running = is_running(journal)
-            captured = sum(state.outcome == "done" for state in journal.states.slots.values())
-            far = not ahead or (ahead[0] - now).total_seconds() > QUIET_BEFORE_S
-            busy = running and (rehearsal or not far or "running" in states.values())
-            return Moment(not busy, captured)
+    def answer(self) -> JsonTable:
+        """Return the glare classes of the newest predicted year, None without one.
+
+        With them is the command that comes next, as `fieldlum status` states it.
+        """
+        folders = self._session.annual_folders()
+        newest = max(folders, key=lambda f: (f / PredictFile.NAME).stat().st_mtime, default=None)
+        year = None if newest is None else PredictFile.read(newest)
+        return {
+            "next_step": status(self._session)["next_step"],
+            "year": year
+            and {
+                "model": year.model,
+                "weather": year.weather.name,
+                "synthetic": year.weather.synthetic,
+                "warnings": [*year.model_warnings, *year.notes],
+                "protection": to_json(year.protection),
+            },
+        }
 
     def calendar(self) -> JsonTable:
         """Return the local days of the plan with the state of each slot.
@@ -451,7 +391,7 @@ class Snapshots:
                 "date": day.isoformat(),
                 "slots": rows,
                 "scale": _scale(paths),
-                "irradiance": day_curve(day, self._setup.site, self._irradiance),
+                "irradiance": day_curve(day, self._setup.site, self._session.irradiance),
             }
 
     # ------------------------------------------------------------------------------------------
@@ -538,13 +478,6 @@ class Snapshots:
             "camera_clock_offset_s": None if offset_s is None else float(offset_s),
             "away": {name: utc_text(t) for name, t in journal.away.items()},
         }
-
-    def _disk(self, slots: list[Slot]) -> JsonTable:
-        free = shutil.disk_usage(self._session.root).free
-        planned = float(self._session.table().get("plan", {}).get("megabytes_per_slot", 0.0))
-        days = len({self._local_day(slot.t_utc) for slot in slots})
-        per_day = 1e6 * planned * len(slots) / max(days, 1)
-        return {"free_bytes": free, "days": free / per_day if per_day else None}
 
     def _events(self, journal: JournalFollower) -> list[JsonTable]:
         """Return the latest events, newest first; equal sentences in a row become one."""
