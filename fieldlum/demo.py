@@ -216,7 +216,7 @@ def run(
     annual, _ = stage(
         "predict a year", lambda p: predict.run(model, weather, progress=p, **predicting)
     )
-    page = stage("report", lambda p: report.run(session, progress=p))
+    page = stage("report", lambda p: report.run(session))
     outcome = Outcome(page, seconds, _figures(session, scores, annual))
     table = {"preset": preset, "seconds": seconds, "figures": outcome.figures, "scores": scores}
     write_object(folder / "demo.json", table)

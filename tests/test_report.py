@@ -87,7 +87,6 @@ def test_the_page_is_one_file_without_a_link_outside(page: Path) -> None:
     assert "http://" not in re.sub(
         r"http://www\.w3\.org|http://purl\.org|http://creativecommons\.org", "", text
     )
-    assert (page.parent / "report.json").is_file()
 
 
 @pytest.mark.slow

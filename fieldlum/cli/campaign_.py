@@ -40,7 +40,7 @@ def report_command(
 
     campaign, folder = read_campaign(campaign_file), out or campaign_file.parent / "campaign"
     with progress("campaign report") as show:
-        page, rooms = write_overview(campaign, folder, progress=show)
+        page, rooms = write_overview(campaign, folder, show)
     broken = [room for room in rooms if room.broken]
     for room in broken:
         say(f"skipped: {room.session}: {room.broken}")

@@ -8,7 +8,7 @@ from typing import Literal
 import click
 
 from fieldlum.cli.options import command_of
-from fieldlum.cli.terminal import progress, say
+from fieldlum.cli.terminal import say
 
 
 @command_of("report")
@@ -19,8 +19,8 @@ def command(
 ) -> None:
     """Write a page that shows in which direction to sit, and why.
 
-    Writes index.html, which loads no other file, and report.json. For an assessor it writes
-    assessor.html: EN 17037, BREEAM, LEED and WELL, with instruments, method and intervals.
+    Writes index.html, which loads no other file. For an assessor it writes assessor.html: EN
+    17037, BREEAM, LEED and WELL, with instruments, method and intervals.
 
     \b
     Example:
@@ -33,9 +33,6 @@ def command(
     from fieldlum.report import run
     from fieldlum.session import open_session
 
-    with progress("report") as shown:
-        page = run(
-            open_session(session_folder), out, for_assessor=for_reader == "assessor", progress=shown
-        )
+    page = run(open_session(session_folder), out, for_assessor=for_reader == "assessor")
     say(f"report: {page.stat().st_size / 1e6:.2g} MB")
     click.echo(str(page))

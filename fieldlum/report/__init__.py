@@ -1,52 +1,31 @@
-"""Write one self-contained page of a session: index.html, with report.json next to it.
+"""Write one self-contained page of a session, index.html or assessor.html.
 
 Results that do not exist yet are left out.
 """
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
-from typing import NamedTuple
 
 from fieldlum.core.errors import NotEnoughDataError
-from fieldlum.core.records import Progress, Site, quiet, slot_id
+from fieldlum.core.records import Site, slot_id
 from fieldlum.core.strict_csv import read_table
 from fieldlum.report import assessor
 from fieldlum.report.page import Section, Table, named, render, sentence
 from fieldlum.session import Session, remove_scraps, replacing
-from fieldlum.session.files.model_files import HeldOutMaps, ModelConfig, ScoresFile
+from fieldlum.session.files.model_files import HeldOutMaps, ScoresFile
 from fieldlum.session.files.pairs_csv import PairsFile
-from fieldlum.version import __version__
 from fieldlum.year.glare.budget import BUDGET_FILE
 from fieldlum.year.predict import Annual, newest_annual, read_pictures
 
 
-class SessionArtefacts(NamedTuple):
-    """Results of a session that the report shows; None for a result that does not exist yet."""
-
-    model: Path | None
-    config: ModelConfig | None
-    scores: ScoresFile | None
-    annual: Annual | None
-
-
-def find(session: Session) -> SessionArtefacts:
-    """Return the newest predicted year, and the model that predicted it, else the newest model.
-
-    Newest is by the time of the files. Raises InputError for a damaged year or model.
-    """
-    from fieldlum.learn.models import read_config
-
-    annual = newest_annual(session)
+def _model_of(session: Session, annual: Annual | None) -> Path | None:
+    """Return the model that predicted the year, else the newest model; None without one."""
     models = [path for path in session.model_folders() if (path / "weights.npz").is_file()]
     named = annual.summary.inputs["model"] if annual else ""
-    newest = max(
+    return max(
         models, key=lambda f: (f.name == named, (f / "config.json").stat().st_mtime), default=None
     )
-    if newest is None:
-        return SessionArtefacts(None, None, None, annual)
-    return SessionArtefacts(newest, read_config(newest), ScoresFile.find(newest), annual)
 
 
 def _budget_section(year: Annual) -> list[Section]:
@@ -73,11 +52,11 @@ def _budget_section(year: Annual) -> list[Section]:
     return [Section("budget", "Uncertainty budget", text, tables=tables)]
 
 
-def _page(session: Session, artefacts: SessionArtefacts) -> str:
+def _page(session: Session, year: Annual | None) -> str:
     from fieldlum.report import sections
 
     site, pairs = session.site_file().site, PairsFile.read(session.pairs)
-    zone, year = site.timezone, artefacts.annual
+    model, zone = _model_of(session, year), site.timezone
     shown: list[Section] = []
     answer = "No year has been predicted yet."
     why = "Train a model and run fieldlum predict to get the answer here."
@@ -87,10 +66,10 @@ def _page(session: Session, artefacts: SessionArtefacts) -> str:
         shown.append(sections.looks_section(year, read_pictures(year.folder), zone))
         shown.append(sections.melanopic_section(year, zone))
         shown += _budget_section(year)
-    if artefacts.model is not None:
-        held = HeldOutMaps.find(artefacts.model)
+    if model is not None:
         names = {slot_id(r.t_utc): Path(r.panorama).stem for r in pairs.usable if r.panorama}
-        shown.append(sections.accuracy_section(held, artefacts.scores, names))
+        held, scores = HeldOutMaps.find(model), ScoresFile.find(model)
+        shown.append(sections.accuracy_section(held, scores, names))
     shown.append(
         sections.captures_section(session, site, pairs, {} if year is None else year.hours)
     )
@@ -98,24 +77,29 @@ def _page(session: Session, artefacts: SessionArtefacts) -> str:
         site.name,
         answer,
         why,
-        _facts(site, artefacts, pairs),
+        _facts(site, model, year, pairs),
         shown,
         _warnings(session, year),
         None if year is None else sections.polar(year),
     )
 
 
-def _facts(site: Site, artefacts: SessionArtefacts, pairs: PairsFile) -> list[tuple[str, str]]:
-    captures, model = len(pairs.usable), []
-    if artefacts.config is not None:
+def _facts(
+    site: Site, model: Path | None, year: Annual | None, pairs: PairsFile
+) -> list[tuple[str, str]]:
+    from fieldlum.learn.models import read_config
+
+    captures, facts = len(pairs.usable), []
+    if model is not None:
+        config = read_config(model)
         # training leaves out what it cannot use
-        captures = len(artefacts.config.training.slots) or captures
-        model = [("model", artefacts.config.model)]
+        captures = len(config.training.slots) or captures
+        facts = [("model", config.model)]
     place = f"{site.latitude_deg:.2f}, {site.longitude_deg:.2f}"
-    facts = [("place", place), ("captures used", f"{captures}"), *model]
-    if artefacts.annual is None:
+    facts = [("place", place), ("captures used", f"{captures}"), *facts]
+    if year is None:
         return facts
-    summary = artefacts.annual.summary
+    summary = year.summary
     unsure = summary.occupancy.unsure_share
     unsure = summary.occupancy.untrusted_share if unsure is None else unsure
     return [
@@ -141,41 +125,22 @@ def _warnings(session: Session, year: Annual | None) -> list[str]:
     return [sentence(text) for text in texts]
 
 
-def run(
-    session: Session,
-    out: Path | None = None,
-    *,
-    for_assessor: bool = False,
-    progress: Progress = quiet,
-) -> Path:
-    """Write index.html and report.json into `out`, by default report/; return the page's path.
+def run(session: Session, out: Path | None = None, *, for_assessor: bool = False) -> Path:
+    """Write index.html into `out`, by default report/, and return its path.
 
-    for_assessor: write assessor.html instead of index.html. Raises NotEnoughDataError if the
-    session has no pairs.csv yet, InputError for results that cannot be read, and for an assessor
-    also without a predicted year.
+    It shows the newest predicted year and the model of it. for_assessor: write assessor.html
+    instead. Raises NotEnoughDataError if the session has no pairs.csv yet, InputError for results
+    that cannot be read, and for an assessor also without a predicted year.
     """
     if not session.pairs.is_file():
         raise NotEnoughDataError(
             f"{session.root}: no pairs.csv, because no bracket was paired yet; run fieldlum merge "
             "and fieldlum pair first"
         )
-    artefacts = find(session)
-    folder = out or session.report
+    folder, year = out or session.report, newest_annual(session)
     remove_scraps(folder)
     page = folder / ("assessor.html" if for_assessor else "index.html")
-    progress(0, 1, "page")
-    text = assessor.page(session, artefacts.annual) if for_assessor else _page(session, artefacts)
-    progress(1, 1, "")
+    text = assessor.page(session, year) if for_assessor else _page(session, year)
     with replacing(page, "w", encoding="utf-8") as file:
         file.write(text)
-    summary = {
-        "site": session.site_file().site.name,
-        "fieldlum": __version__,
-        "session": session.table(),
-        "model": artefacts.model.name if artefacts.model else None,
-        "scores": artefacts.scores.table() if artefacts.scores else {},
-        "annual": artefacts.annual.about if artefacts.annual else None,
-    }
-    with replacing(folder / "report.json", "w", encoding="utf-8") as file:
-        json.dump(summary, file, indent=1, ensure_ascii=False, default=str)
     return page

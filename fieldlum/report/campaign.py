@@ -5,7 +5,6 @@ A room that cannot be read is named on the page.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -18,7 +17,7 @@ from fieldlum.core.strict_toml import build, read_toml
 from fieldlum.report.page import Section, Table, chip, named, render
 from fieldlum.report.sections import exceeded_text
 from fieldlum.session import Session, open_session, replacing
-from fieldlum.session.codec import to_json
+from fieldlum.session.codec import to_json, write_object
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.files.predict_json import DirectionYear, PredictFile
 from fieldlum.year.predict import best_and_worst, read_annual
@@ -87,9 +86,8 @@ class RoomOverview:
 
     broken: why the room could not be read, "" if it could. captured, planned: numbers of slots.
     to_do: slots that can still be captured. usable: rows of pairs.csv that training uses. failed:
-    number of slots without a usable panorama. worst, best: directions with the highest and
-    lowest DGP in 5 % of the hours, as the room's own report names them; a partly seen direction
-    counts with the upper end of its interval.
+    slots missed, aborted or rejected by `pair`. worst, best: directions with the highest and lowest
+    DGP in 5 % of the hours, as the room's own report names them.
     """
 
     session: str
@@ -118,35 +116,24 @@ def _read(session: Session, room: CampaignRoom) -> RoomOverview:
     from fieldlum.session.slot_states import slots_ahead
 
     stages, pairs = status(session), PairsFile.find(session.pairs)
-    folder = session.annual / room.model
+    capture, folder = stages["capture"], session.annual / room.model
     year = read_annual(folder).summary if folder in session.annual_folders() else PredictFile()
     best, worst = best_and_worst(year.protection) or (None, None)
     return RoomOverview(
         room.session,
-        captured=stages["capture"]["done"],
+        captured=capture["done"],
         planned=stages["plan"]["slots"],
         to_do=len(slots_ahead(session, datetime.now(UTC))),
         usable=len(pairs.usable),
-        failed=_failed(session, pairs),
+        failed=capture["missed"] + capture["aborted"] + len(pairs.refused),
         occupied_hours=year.occupancy.hours,
         worst=worst,
         best=best,
     )
 
 
-def _failed(session: Session, pairs: PairsFile) -> int:
-    """Return the number of slots missed, aborted, not merged or rejected by `fieldlum pair`."""
-    from fieldlum.session.slot_states import read_slot_states
-
-    captured = {folder.name for folder in session.captured_folders()}
-    failed = captured - {path.stem for path in session.panorama_files()}
-    failed |= {Path(row.panorama).stem for row in pairs.refused}
-    states = read_slot_states(session).slots.items()
-    return len(failed | {name for name, s in states if s.outcome in ("missed", "aborted")})
-
-
 def write_overview(
-    campaign: CampaignFile, out: Path, *, progress: Progress = quiet
+    campaign: CampaignFile, out: Path, progress: Progress = quiet
 ) -> tuple[Path, list[RoomOverview]]:
     """Write index.html and overview.json into `out`; return the page's path and the overviews.
 
@@ -158,13 +145,12 @@ def write_overview(
         rooms.append(overview_of(campaign, room))
     page = out / "index.html"
     with replacing(page, "w", encoding="utf-8") as file:
-        file.write(_page(campaign, rooms))
-    with replacing(out / "overview.json", "w", encoding="utf-8") as file:
-        json.dump({"rooms": [to_json(room) for room in rooms]}, file, indent=1)
+        file.write(_page(campaign.name, rooms))
+    write_object(out / "overview.json", {"rooms": [to_json(room) for room in rooms]})
     return page, rooms
 
 
-def _page(campaign: CampaignFile, rooms: Sequence[RoomOverview]) -> str:
+def _page(name: str, rooms: Sequence[RoomOverview]) -> str:
     broken = [room for room in rooms if room.broken]
     judged = [room.worst for room in rooms if room.worst is not None]
     bad = sum(worst.glare_class == "none" for worst in judged)
@@ -177,7 +163,7 @@ def _page(campaign: CampaignFile, rooms: Sequence[RoomOverview]) -> str:
     sums = {"captured": "captures", "to_do": "slots to do", "usable": "usable pairs"}
     facts = [(title, f"{sum(getattr(room, key) for room in rooms)}") for key, title in sums.items()]
     return render(
-        campaign.name,
+        name,
         answer,
         f"{counted(sum(room.failed for room in rooms), 'slot')} failed; "
         f"{counted(len(broken), 'session')} could not be read.",
@@ -188,15 +174,6 @@ def _page(campaign: CampaignFile, rooms: Sequence[RoomOverview]) -> str:
 
 
 def _table(rooms: Sequence[RoomOverview]) -> Section:
-    head = (
-        "room",
-        "captured",
-        "to do",
-        "failed",
-        "worst direction",
-        "class",
-        "DGP in 5 % of hours",
-    )
     body = []
     for room in sorted(rooms, key=lambda r: -((r.worst and r.worst.dgp_exceeded) or -1.0)):
         worst, best, glare = room.worst, room.best, ("–",) * 6
@@ -208,8 +185,10 @@ def _table(rooms: Sequence[RoomOverview]) -> Section:
         body.append((room.session, captured, f"{room.to_do}", f"{room.failed}", *glare))
     text = (
         "The room with the most glare first. A class in grey is not certain yet: the captures do "
-        "not decide it. Failed slots were missed, aborted, not merged, or rejected by fieldlum "
-        "pair: fieldlum status lists them, and fieldlum plan SESSION --next ranks coming hours."
+        "not decide it. Failed slots were missed, aborted, or rejected by fieldlum pair: fieldlum "
+        "status lists them, and fieldlum plan SESSION --next ranks coming hours."
     )
-    ends = (f"hours above {_GLARE_DGP}", "best direction", "")
-    return Section("rooms", "Rooms", text, tables=(Table((*head, *ends), body),))
+    counts = ("room", "captured", "to do", "failed")
+    glare = ("worst direction", "class", "DGP in 5 %", f"hours above {_GLARE_DGP}")
+    head = (*counts, *glare, "best direction", "class")
+    return Section("rooms", "Rooms", text, tables=(Table(head, body),))

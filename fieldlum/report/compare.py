@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from fieldlum.core.arrays import Array, Floats, Mask
 from fieldlum.core.errors import InputError, input_errors
@@ -27,7 +26,6 @@ from fieldlum.optics.projection import (
     direction,
     equirect_pixel,
     equirect_rays,
-    equirect_solid_angles,
     signed_angle_deg,
 )
 from fieldlum.report.page import comparison_png, png
@@ -37,7 +35,7 @@ from fieldlum.session import Session, replacing
 from fieldlum.session.codec import write_csv
 from fieldlum.session.panorama_sun import read_panorama_with_sun
 from fieldlum.sky.sun import hour_of_year
-from fieldlum.year.glare.pictures import Picture, picture_rays, read_picture
+from fieldlum.year.glare.pictures import picture_directions, read_picture
 from fieldlum.year.glare.single import seen_pixels, valid_pixels
 from fieldlum.year.glare.standards import DISTURBING_DGP
 from fieldlum.year.predict import Annual
@@ -151,17 +149,16 @@ def _compare_pictures(session: Session, model: Path, out: Path, progress: Progre
     for number, path in enumerate(shared):
         progress(number, len(shared), "pictures")
         capture = read_panorama_with_sun(measured[path.stem])
-        light, model_light, weight = _on_one_grid(capture, measured[path.stem], path)
-        names = _labels(room, len(light), capture.heading_deg)
+        names, light, model_light, weight = _on_one_grid(capture, measured[path.stem], path, room)
         own = _of_surfaces(path.stem, names, light, model_light, weight)
         rows += own
-        shown = light, np.where(weight > 0, model_light, np.nan)
-        worst.append((abs(np.log(own[0]["ratio"])), f"{path.stem}\n{_off(own[0]['ratio'])}", shown))
+        shown = [np.where(weight > 0, part, np.nan) for part in (light, model_light)]
+        worst.append((abs(np.log(own[0]["ratio"])), f"{path.stem}, {_off(own[0]['ratio'])}", shown))
         worst = sorted(worst, key=lambda item: -item[0])[:3]
     surfaces = _surfaces(rows)
-    named = ", ".join(title.replace("\n", " (") + ")" for _, title, _ in worst)
+    named = "; ".join(title for _, title, _ in worst)
     text = [*_where(surfaces), f"Largest differences: {named}."]
-    own, other = zip(*(shown for _, _, shown in worst), strict=True)
+    own, other = zip(*(shown for *_, shown in worst), strict=True)
     picture = comparison_png(own, other, [title for _, title, _ in worst], "model")
     return Comparison(surfaces, [], text, _write(out, rows, picture))
 
@@ -176,50 +173,38 @@ def _labels(room: Room | None, height: int, heading_deg: float) -> Array:
     return np.where(altitude > 45.0, "above", np.where(altitude < -45.0, "below", named))
 
 
-def _on_one_grid(capture: Panorama, path: Path, model: Path) -> tuple[Floats, Floats, Floats]:
-    """Return luminances [H, W] of a capture and of the model in its directions, and solid angles.
+def _on_one_grid(
+    capture: Panorama, path: Path, model: Path, room: Room | None
+) -> tuple[Array, Floats, Floats, Floats]:
+    """Return, for each pixel of the model's picture [H, W]: surface, luminances, solid angle.
 
-    The solid angle is 0 where one of the pictures has no value, and around the sun.
+    The luminances are those of the capture and of the model. The solid angle is 0 where one of the
+    pictures has no value, and around the sun.
     """
+    picture = read_picture(model)
+    model_light, _ = valid_pixels(picture.panorama, model)
+    rays, weight = picture_directions(picture)
     light, _ = valid_pixels(capture, path)
     height, width = light.shape
-    rays = equirect_rays(height, width, capture.heading_deg)
-    weight = equirect_solid_angles(height, width).astype(float)
+    place = equirect_pixel(*altitude_azimuth_deg(rays), height, width, capture.heading_deg)
+    row, column = (np.floor(part).astype(int) for part in place)
+    at = np.minimum(row, height - 1), column % width
     seen = seen_pixels(capture)
     if seen is not None:
-        weight[~seen] = 0.0
-    picture = read_picture(model)
-    model_light, inside = _at_rays(picture, model, rays)
-    weight[~inside] = 0.0
+        weight = np.where(seen[at], weight, 0.0)
+    if picture.view is not None and picture.view.kind != "v":
+        # beyond its angle a fisheye's square has no picture
+        ahead = rays @ picture.view.forward
+        weight = np.where(ahead > np.cos(np.radians(picture.view.horizontal_deg) / 2), weight, 0.0)
     if capture.sun is not None:
         sun = direction(capture.sun.altitude_deg, capture.sun.azimuth_deg)
         # within 2 degrees of the sun, one of the pictures may have the disc
-        weight[rays @ sun > np.cos(np.radians(2.0))] = 0.0
-    if not (weight * light).sum() > 0.0 or not (weight * model_light).sum() > 0.0:
+        weight = np.where(rays @ sun > np.cos(np.radians(2.0)), 0.0, weight)
+    if not (weight * light[at]).sum() > 0.0 or not (weight * model_light).sum() > 0.0:
         found, expected = "no light in the capture's directions", "the same directions in cd/m2"
         raise InputError(model, found, expected, "check VIEW, north (y axis) and unit")
-    return light, model_light, weight
-
-
-def _at_rays(picture: Picture, path: Path, rays: Floats) -> tuple[Floats, Array]:
-    """Return the luminance of a picture in directions [H, W, 3], and where it has one."""
-    pixels, _ = valid_pixels(picture.panorama, path)
-    height, width = pixels.shape
-    if picture.view is None:
-        place = equirect_pixel(
-            *altitude_azimuth_deg(rays), height, width, picture.panorama.heading_deg
-        )
-        row, column = (np.floor(part).astype(int) for part in place)
-        return pixels[np.clip(row, 0, height - 1), column % width], np.ones(rays.shape[:2], bool)
-    x, y = (np.arange(width) + 0.5) / width - 0.5, 0.5 - (np.arange(height) + 0.5) / height
-    view_rays, in_picture = picture_rays(picture.view, x[None, :], y[:, None])
-    distance, nearest = KDTree((view_rays @ picture.view.frame).reshape(-1, 3)).query(rays)
-    row_rad = np.pi / rays.shape[0]
-    inside = (distance < row_rad) & (in_picture.ravel()[nearest] > 0)
-    if picture.view.kind != "v":  # beyond its angle a fisheye's square has no picture
-        half = np.radians(picture.view.horizontal_deg) / 2
-        inside &= rays @ picture.view.forward > np.cos(half - row_rad)
-    return pixels.ravel()[nearest], inside
+    names = _labels(room, height, capture.heading_deg)
+    return names[at], light[at], model_light, weight
 
 
 def _of_surfaces(

@@ -37,12 +37,17 @@ def named(azimuth_deg: float) -> str:
 
 def sentence(text: str) -> str:
     """Return a note as a sentence: a capital at its begin, a full stop at its end."""
-    return f"{text[0].upper()}{text[1:].rstrip('.')}."
+    return f"{text[0].upper()}{text[1:].rstrip('.')}.".replace("+-", "±")
+
+
+def class_name(row: DirectionYear) -> str:
+    """Return the glare class in words; EN 17037 has no name for what is below its minimum."""
+    return "below minimum" if row.glare_class == "none" else row.glare_class
 
 
 def chip(row: DirectionYear, more: str = "") -> dict[str, str]:
     """Return a cell with the glare class of a direction in its colour, grey while it is open."""
-    return {"kind": row.glare_class if row.certain else "open", "text": row.glare_class + more}
+    return {"kind": row.glare_class if row.certain else "open", "text": class_name(row) + more}
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,71 +205,54 @@ def picture_grid(
     columns: int,
     width_in: float,
     scale_cdm2: tuple[float, float] = RANGE_CDM2,
+    *,
+    ratios: bool = False,
 ) -> tuple[Drawing, list[Axes]]:
     """Draw luminance pictures [H, W] in cd/m2 in false colour, with titles and one colour bar.
 
-    width_in: of one picture in inches. NaN is white. The axes are in pixels from the top left.
+    width_in: of one picture in inches. NaN is white. ratios: the last column has binary logarithms
+    of ratios, drawn from blue (1/2) to red (2) with their own bar. The axes are in pixels from the
+    top left.
     """
     rows, columns = -(-len(maps) // columns), min(columns, len(maps))
     height_in = width_in * max(image.shape[0] / image.shape[1] for image in maps) + 0.4
+    light = ScalarMappable(LogNorm(*scale_cdm2), COLOUR_MAP)
+    ratio = ScalarMappable(Normalize(-1.0, 1.0), "RdBu_r")
     with styled():
         figure = Drawing((width_in * columns, height_in * rows + 0.6), layout="constrained")
-        cells = list(figure.subplots(rows, columns, squeeze=False).flat)
-        norm = LogNorm(*scale_cdm2)
-        for axes in cells:
+        grid = figure.subplots(rows, columns, squeeze=False)
+        styles = [light] * (columns - ratios) + [ratio] * ratios
+        for axes in grid.flat:
             axes.set_axis_off()
-        for axes, image, title in zip(cells, maps, titles, strict=False):
+        for axes, image, title, style in zip(grid.flat, maps, titles, styles * rows, strict=False):
             extent = (0.0, float(image.shape[1]), float(image.shape[0]), 0.0)
-            axes.imshow(np.clip(image, *scale_cdm2), norm=norm, cmap=COLOUR_MAP, extent=extent)
+            shown = np.clip(image, *scale_cdm2) if style is light else image
+            axes.imshow(shown, norm=style.norm, cmap=style.cmap, extent=extent)
             axes.set_title(title, fontsize=9)
-        bar = ScalarMappable(norm, COLOUR_MAP)
-        options: dict[str, Any] = {"shrink": 0.5, "aspect": 40, "extend": "both"}
-        figure.colorbar(bar, ax=cells, location="bottom", label="luminance, cd/m²", **options)
-    return figure, cells[: len(maps)]
+        options: dict[str, Any] = {"location": "bottom", "aspect": 40, "extend": "both"}
+        cells = grid[:, : columns - ratios]
+        shrink = 1.0 if ratios else 0.5
+        figure.colorbar(light, ax=cells, label="luminance, cd/m²", shrink=shrink, **options)
+        if ratios:
+            bar = figure.colorbar(ratio, ax=grid[:, -1], label="ratio", **options)
+            factors = {0.5: "÷2", 0.8: "÷1.25", 1.0: "1", 1.25: "×1.25", 2.0: "×2"}
+            bar.set_ticks([float(np.log2(f)) for f in factors], labels=list(factors.values()))
+    return figure, list(grid.flat)[: len(maps)]
 
 
 def comparison_png(
-    measured: Sequence[Floats] | Floats,
-    predicted: Sequence[Floats] | Floats,
-    labels: Sequence[str],
-    name: str = "predicted",
+    measured: Iterable[Floats], predicted: Iterable[Floats], labels: Sequence[str], name: str
 ) -> bytes:
     """Return a PNG with a row for each of n maps: measured, predicted, and their ratio.
 
-    measured, predicted: [H, W] each, cd/m2; labels: [n]; name: of the second column. The ratio
-    is red above 1, on a logarithmic scale from 1/2 to 2; values below 1 cd/m2 count as 1. As Liu,
-    Colburn and Inanici 2020, Figures 9 and 23.
+    measured, predicted: [H, W] each, cd/m2; labels: [n]; name: of the second column. Values below
+    1 cd/m2 count as 1 in the ratio. As Liu, Colburn and Inanici 2020, Figures 9 and 23.
     """
-    n = len(measured)
-    ratio = [
-        np.log2(np.maximum(other, 1.0) / np.maximum(own, 1.0))
-        for own, other in zip(measured, predicted, strict=True)
-    ]
-    styles = ((LogNorm(*RANGE_CDM2), COLOUR_MAP), (Normalize(-1.0, 1.0), "RdBu_r"))
-    columns = (
-        ("measured", measured, *styles[0]),
-        (name, predicted, *styles[0]),
-        (f"{name} over measured", ratio, *styles[1]),
-    )
-    with styled():
-        figure = Drawing((12.0, 2.0 * n + 0.9), layout="constrained")
-        cells = figure.subplots(n, 3, squeeze=False)
-        for k, (title, maps, norm, colours) in enumerate(columns):
-            for axes, image in zip(cells[:, k], maps, strict=True):
-                shown = np.clip(image, *RANGE_CDM2) if k < 2 else image
-                axes.imshow(shown, norm=norm, cmap=colours)
-                axes.set(xticks=[], yticks=[])
-            cells[0, k].set_title(title, fontsize=10)
-        for axes, label in zip(cells[:, 0], labels, strict=True):
-            axes.set_ylabel(label, fontsize=8)
-        bars = [
-            figure.colorbar(ScalarMappable(*style), ax=cells[:, part], location="bottom", aspect=40)
-            for style, part in zip(styles, (slice(2), 2), strict=True)
-        ]
-        bars[0].set_label("cd/m²")
-        factors = {0.5: "÷2", 0.8: "÷1.25", 1.0: "1", 1.25: "×1.25", 2.0: "×2"}
-        bars[1].set_ticks([float(np.log2(f)) for f in factors], labels=list(factors.values()))
-        return png(figure)
+    maps, titles = [], []
+    for own, other, label in zip(measured, predicted, labels, strict=True):
+        maps += [own, other, np.log2(np.maximum(other, 1.0) / np.maximum(own, 1.0))]
+        titles += [f"measured: {label}", name, f"{name} over measured"]
+    return png(picture_grid(maps, titles, 3, 4.0, ratios=True)[0])
 
 
 # ----------------------------------------------------------------------------------------------

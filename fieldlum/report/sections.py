@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime, timedelta
-from pathlib import Path
 from typing import Any, NamedTuple
 from zoneinfo import ZoneInfo
 
@@ -13,7 +12,6 @@ import numpy as np
 
 from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.records import Site, SunSource, counted
-from fieldlum.core.strict_csv import read_table
 from fieldlum.optics.projection import NOT_SEEN, PARTLY_SEEN
 from fieldlum.report.page import (
     DGP,
@@ -40,11 +38,13 @@ from fieldlum.session.panorama_sun import SUN_FROM, read_suns
 from fieldlum.sky import sun
 from fieldlum.sky.sun import apparent_altitude_deg, standard_time
 from fieldlum.year.glare import panorama_to_fisheye
+from fieldlum.year.glare.standards import EXCEEDED_SHARE
 from fieldlum.year.predict import Annual
 from fieldlum.year.predict.annual import Pictures
 from fieldlum.year.predict.year import best_and_worst
 
 _FISHEYE_PX = 220  # of a fisheye's edge: about its size on the page
+GA_DGP, SDG_DGP = 0.40, 0.38  # honeybee's and ClimateStudio's limits
 
 
 def answer(annual: Annual) -> tuple[str, str]:
@@ -108,22 +108,65 @@ def interval_text(row: DirectionYear) -> str:
     return "–" if row.low is None else f"{row.low:.2f} to {row.high:.2f}"
 
 
+class Share(NamedTuple):
+    """A share in percent: its best value, and the ends of its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+    def text(self) -> str:
+        """Return the share with its interval, if it is wider than the digits shown."""
+        value, low, high = (f"{part:.0f}" for part in self)
+        return f"{value} %" if low == high else f"{value} % ({low} to {high})"
+
+    def above(self, limit: float) -> str:
+        """Return whether the share exceeds a limit [%]: yes, no, or cannot tell."""
+        return "yes" if self.low > limit else "no" if self.high <= limit else "cannot tell"
+
+
+def _hours_over(annual: Annual, limit: float) -> list[Share]:
+    """Return the share of the occupied hours whose DGP exceeds a limit, for each direction."""
+    used, count = annual.occupied, max(annual.summary.occupancy.hours, 1)
+    dgp, low, high = (annual.views[name][used] for name in ("dgp", "dgp_low", "dgp_high"))
+    low, high = np.where(np.isnan(low), dgp, low), np.where(np.isnan(high), dgp, high)
+    shares = [100.0 * (values > limit).sum(axis=0) / count for values in (dgp, low, high)]
+    return [Share(*map(float, row)) for row in zip(*shares, strict=True)]
+
+
+def disturbed(annual: Annual) -> list[str]:
+    """Return for each direction whether it is disturbed as sDG counts it: yes, no, cannot tell.
+
+    A direction that was not seen has "–".
+    """
+    shares = zip(_hours_over(annual, SDG_DGP), annual.judged, strict=True)
+    return [share.above(100 * EXCEEDED_SHARE) if good else "–" for share, good in shares]
+
+
 def directions_section(annual: Annual) -> Section:
     """Return the section with the class of each view direction."""
-    rows = []
-    for row in annual.summary.protection:
+    rows, summary = [], annual.summary.protection
+    for row, over, sdg in zip(summary, _hours_over(annual, GA_DGP), disturbed(annual), strict=True):
         unknown = "cannot tell yet" if row.low is not None else "no uncertainty known"
         settled = "–" if row.glare_class == NOT_SEEN else "yes" if row.certain else unknown
         of_class = chip(row, ", partly seen" if row.seen == PARTLY_SEEN else "")
         hours = ("–" if count is None else count for count in row.hours_over.values())
-        dgp = exceeded_text(row), interval_text(row)
-        rows.append((named(row.azimuth_deg), of_class, settled, *dgp, *hours))
+        free = (
+            "–" if sdg == "–" else Share(100 - over.value, 100 - over.high, 100 - over.low).text()
+        )
+        figures = exceeded_text(row), interval_text(row), *hours, free, sdg
+        rows.append((named(row.azimuth_deg), of_class, settled, *figures))
     head = ("view direction", "class", "settled", "DGP in 5 %", "95 % interval")
     notes = " ".join(map(sentence, annual.summary.notes[1:]))
     text = f"Occupied hours: {annual.summary.occupancy.text}. {notes}"
-    if any(not row.certain and row.low is not None for row in annual.summary.protection):
+    if any(not row.certain and row.low is not None for row in summary):
         text += " Hours whose capture helps to settle a class: fieldlum plan SESSION --next."
-    table = Table((*head, "h > .35", "h > .40", "h > .45"), rows)
+    text += (
+        " GA (glare autonomy, honeybee): occupied hours with DGP of at most 0.40. sDG "
+        "(ClimateStudio): whether DGP exceeds 0.38 in over 5 % of them."
+    )
+    hours = ("h > .35", "h > .40", "h > .45")
+    table = Table((*head, *hours, "GA", "sDG: disturbed"), rows)
     return Section("directions", "Where to sit", text, tables=(table,))
 
 
@@ -216,23 +259,6 @@ _MELANOPIC = (
     "06:00 to 19:00 is the advice of Brown et al. 2022. WELL v2 L03 asks for 136 or 250 lx in the "
     "four hours from 09:00 to 13:00, with enhanced daylight for 109 or 163 lx."
 )
-
-
-class Share(NamedTuple):
-    """A share in percent: its best value, and the ends of its 95 % interval."""
-
-    value: float
-    low: float
-    high: float
-
-    def text(self) -> str:
-        """Return the share with its interval, if it has one."""
-        interval = "" if self.low == self.high else f" ({self.low:.0f} to {self.high:.0f})"
-        return f"{self.value:.0f} %{interval}"
-
-    def above(self, limit: float) -> str:
-        """Return whether the share exceeds a limit [%]: yes, no, or cannot tell."""
-        return "yes" if self.low > limit else "no" if self.high <= limit else "cannot tell"
 
 
 def has_melanopic(annual: Annual) -> bool:
@@ -333,13 +359,13 @@ def _held_out_figure(held: HeldOutMaps, names: Mapping[str, str]) -> Figure:
     order, n = np.argsort(held.log10_mse), len(held)
     picks = list(dict.fromkeys(int(order[i]) for i in (n // 2, min(int(0.9 * n), n - 1), n - 1)))
     slots = [names.get(str(held.slots[i]), str(held.slots[i])) for i in picks]
-    labels = [f"{slot}\n{text}" for slot, text in zip(slots, SHOWN, strict=False)]
+    labels = [f"{slot}, {text}" for slot, text in zip(slots, SHOWN, strict=False)]
     measured, predicted = (
         10.0 ** maps[picks].astype(np.float32)
         for maps in (held.measured_log10, held.predicted_log10)
     )
     return Figure(
-        comparison_png(measured, predicted, labels),
+        comparison_png(measured, predicted, labels, "predicted"),
         "Measured and predicted luminance panoramas with their ratio.",
         "Measured, predicted and their ratio for held-out hours "
         f"({', '.join(SHOWN[: len(picks)])}), without the sun's disc. Red is predicted too bright, "
@@ -419,25 +445,10 @@ def captures_section(
         ),
     )
     refused = Counter(row.why or "no reason recorded" for row in pairs.refused)
-    columns, quality = read_quality(session.quality)
-    tables = (
-        Table(("reason", "brackets"), tuple(refused.items()), "Brackets that are not used"),
-        Table(columns, quality, f"Quality of each bracket ({len(quality)})", folded=True),
-    )
-    some = [table for table in tables if table.rows]
+    table = Table(("reason", "brackets"), tuple(refused.items()), "Brackets that are not used")
+    some = [table] if refused else []
     text = _captures_text(session, site, pairs)
     return Section("captured", "What was captured", text, (figures,), some)
-
-
-def read_quality(path: Path) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:
-    """Return the columns and the rows of a quality.csv as text; both empty for a missing file.
-
-    Raises InputError, with the line, for a damaged file.
-    """
-    if not path.is_file():
-        return (), ()
-    table = read_table(path, "a quality.csv that merge wrote", "run fieldlum merge again")
-    return table.names, tuple(cells for _, cells in table.rows)
 
 
 def _columns(rows: Sequence[PairRow], names: Sequence[str]) -> list[Floats]:

@@ -13,11 +13,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fieldlum.core.arrays import Floats, Floats32, Mask
+from fieldlum.core.arrays import Floats32, Mask
 from fieldlum.core.false_colour import colour_table, luminance_ends, shared_scale
 from fieldlum.core.records import JsonTable
-from fieldlum.optics.projection import direction, equirect_rays, equirect_solid_angles
-from fieldlum.year.glare.pictures import Picture, picture_centres, picture_rays, read_picture
+from fieldlum.optics.projection import direction
+from fieldlum.year.glare.pictures import Picture, picture_directions, read_picture
 from fieldlum.year.glare.single import judged
 from fieldlum.year.glare.sources import Sources
 
@@ -67,7 +67,8 @@ def region_mask(region: Region, picture: MeasuredPicture) -> Mask:
         cx, cy, radius = region.values
         return np.hypot(x - cx, y - cy) <= radius
     azimuth, altitude, radius = region.values
-    return picture.cosine_to(direction(altitude, azimuth)) >= np.cos(np.radians(radius))
+    cosine = picture_directions(picture.picture)[0] @ direction(altitude, azimuth)
+    return (cosine >= np.cos(np.radians(radius))) & (picture.solid_angle_sr > 0)
 
 
 def region_statistics(region: Region, picture: MeasuredPicture) -> dict[str, float | str | None]:
@@ -114,18 +115,6 @@ class MeasuredPicture:
         """The luminance, NaN also where the picture has no direction."""
         return np.where(self.solid_angle_sr > 0, self.luminance_cdm2, np.float32(np.nan))
 
-    def cosine_to(self, towards: Floats) -> Floats:
-        """Return the cosine between pixels and a unit vector (x east, y north, z up), [H, W].
-
-        It is -1 where the picture has no direction.
-        """
-        (height, width), view = self.luminance_cdm2.shape, self.picture.view
-        if view is None:
-            return equirect_rays(height, width, self.picture.panorama.heading_deg) @ towards
-        y, x = picture_centres(height, width)
-        cosine = picture_rays(view, x, y)[0] @ (view.frame @ towards)
-        return np.where(self.solid_angle_sr > 0, cosine, -1.0)
-
 
 def read_measured_picture(path: Path, part: str = "") -> MeasuredPicture:
     """Read a picture and judge its glare. Raises InputError for an unusable file.
@@ -145,20 +134,11 @@ def read_measured_picture(path: Path, part: str = "") -> MeasuredPicture:
         path.name,
         picture,
         luminance,
-        _solid_angles(picture),
+        picture_directions(picture)[1].astype(np.float32),
         "; ".join(filter(None, texts)),
         [] if picture.view is None else _outlines(sources, luminance.shape),
         answer["warnings"],
     )
-
-
-def _solid_angles(picture: Picture) -> Floats32:
-    """Return the solid angle of each complete pixel [sr], also behind the observer, [H, W]."""
-    height, width = picture.panorama.luminance_cdm2.shape
-    if picture.view is None:
-        return equirect_solid_angles(height, width).astype(np.float32)
-    y, x = picture_centres(height, width)
-    return (picture_rays(picture.view, x, y)[1] / (height * width)).astype(np.float32)
 
 
 def _outlines(sources: Sources, shape: tuple[int, ...]) -> list[Any]:

@@ -170,14 +170,13 @@ def picture_routes(session: Session) -> list[Route]:
         slot = request.path_params["slot"]
         try:
             low, high = (float(request.query_params[name]) for name in ("low", "high"))
-            width = int(request.query_params.get("width", "920"))
             safe = slot_id(parse_utc(slot)) == slot  # as a part of a file's name
         except (KeyError, ValueError):
             raise HTTPException(400) from None
-        if not (safe and 1e-6 <= low < high <= 1e12 and width >= 16):
+        if not (safe and 1e-6 <= low < high <= 1e12):
             raise HTTPException(400)
         try:
-            data = picture_png(session.panorama(slot), width, low, high)
+            data = picture_png(session.panorama(slot), low, high)
         except (InputError, OSError):
             raise HTTPException(404) from None
         return Response(data, media_type="image/png", headers=_CACHED)

@@ -16,7 +16,7 @@ from dataclasses import asdict
 from datetime import UTC, date, datetime, timedelta
 from functools import lru_cache
 from pathlib import Path
-from typing import Literal, NamedTuple, Self
+from typing import Literal, Self
 from zoneinfo import ZoneInfo
 
 import numpy as np
@@ -99,18 +99,18 @@ class JournalFollower:
 # pictures
 
 
-def scale_of(paths: Iterable[Path]) -> tuple[float, float]:
-    """Return the ends of one scale for several panoramas in cd/m2, see `shared_scale`.
+def scale_of(paths: Iterable[Path]) -> JsonTable:
+    """Return one scale of panoramas in cd/m2, and a text that changes when one is written again.
 
     A panorama that cannot be read is left out: a merge may be writing it.
     """
-    ends = []
+    ends, stamps = [], [0]
     for path in paths:
-        try:
-            ends.append(_ends(path, path.stat().st_mtime_ns))
-        except (InputError, OSError):
-            continue
-    return shared_scale(ends)
+        with suppress(InputError, OSError):
+            stamps.append(path.stat().st_mtime_ns)
+            ends.append(_ends(path, stamps[-1]))
+    low, high = shared_scale(ends)
+    return {"low": low, "high": high, "stamp": f"{max(stamps):x}"}
 
 
 @lru_cache(maxsize=1024)
@@ -118,8 +118,8 @@ def _ends(path: Path, stamp: int) -> tuple[float, float] | None:
     return luminance_ends(read_panorama(path).seen_cdm2)
 
 
-def picture_png(path: Path, width: int, low: float, high: float) -> bytes:
-    """Return a panorama in false colour as PNG, at most `width` pixels wide.
+def picture_png(path: Path, low: float, high: float) -> bytes:
+    """Return a panorama in false colour as PNG, at most 1840 pixels wide: four times the usual.
 
     The scale is logarithmic from low to high [cd/m2]. Raises InputError for a damaged file, OSError
     for a missing one.
@@ -127,10 +127,8 @@ def picture_png(path: Path, width: int, low: float, high: float) -> bytes:
     import cv2
 
     values = read_panorama(path).seen_cdm2  # [H, W]
-    width = min(width, 1840)  # at most four times a panorama of 460 pixels, which bounds the memory
-    if values.shape[1] > width:
-        height = max(1, round(values.shape[0] * width / values.shape[1]))
-        shrunk = cv2.resize(values, (width, height), interpolation=cv2.INTER_AREA)
+    if values.shape[1] > 1840:
+        shrunk = cv2.resize(values, (1840, 920), interpolation=cv2.INTER_AREA)
         values = np.asarray(shrunk, np.float32)
     return png_of(coloured(values, low, high))
 
@@ -281,20 +279,6 @@ _FINDINGS_EVERY = timedelta(minutes=5)  # not measured
 _REHEARSAL = timedelta(hours=1)
 
 
-class _Present(NamedTuple):
-    """The journal and the plan as they are now, and the state of each slot.
-
-    rehearsal: whether `now` is the simulated time of a capture; merged: slots with a panorama.
-    """
-
-    journal: JournalFollower
-    slots: list[Slot]
-    now: datetime
-    rehearsal: bool
-    states: dict[str, str]
-    merged: set[str]
-
-
 class Snapshots:
     """Tables of one session for the page of `fieldlum watch`, usable from several threads.
 
@@ -309,16 +293,18 @@ class Snapshots:
         self._journal = JournalFollower(session.journal)
         self._setup = session.site_file()
         self._zone = ZoneInfo(self._setup.site.timezone)
-        self._plan: tuple[int, list[Slot]] = (-1, [])
+        self._slots: list[Slot] = []
+        self._states: dict[str, str] = {}  # by slot id
+        self._merged: set[str] = set()  # slots with a panorama
         self._findings: tuple[datetime, list[JsonTable]] | None = None
 
     def state(self) -> JsonTable:
         """Return the present state: next slot, counts, newest picture, devices, events, checks."""
         with self._lock:
-            here = self._present()
-            journal, slots, now, rehearsal, states, merged = here
-            ahead = [slot for slot in slots if states[slot.id] in ("to do", "running")]
-            counts = list(states.values())
+            now, rehearsal = self._update()
+            states = list(self._states.values())
+            ahead = [s for s in self._slots if self._states[s.id] in ("to do", "running")]
+            version = hash((*self._states.items(), *sorted(self._merged)))
             return {
                 "name": self._setup.site.name,
                 "folder": self._session.root.resolve().name,
@@ -326,18 +312,18 @@ class Snapshots:
                 "now_utc": utc_text(now),
                 "now_local": f"{now.astimezone(self._zone):%a %d %b %Y, %H:%M}",
                 "rehearsal": rehearsal,
-                "running": is_running(journal),
-                "counts": {word: counts.count(word) for word in dict.fromkeys(counts)},
-                "slots": len(slots),
-                "next": self._slot_row(ahead[0], here) if ahead else None,
+                "running": is_running(self._journal),
+                "counts": {word: states.count(word) for word in dict.fromkeys(states)},
+                "slots": len(states),
+                "next": self._slot_row(ahead[0]) if ahead else None,
                 "latest": self._latest(),
-                "devices": self._devices(journal),
+                "devices": self._devices(),
                 "irradiance": _latest_sample(self._session.irradiance, now),
                 "free_bytes": shutil.disk_usage(self._session.root).free,
                 "computer": battery(),
-                "events": self._events(journal),
+                "events": self._events(),
                 "findings": self._doctor(now),
-                "version": f"{self._plan[0]}-{len(merged)}-{hash(tuple(counts)) & 0xFFFFFFFF:x}",
+                "version": f"{version:x}",
                 "today": self._local_day(now).isoformat(),
             }
 
@@ -367,11 +353,11 @@ class Snapshots:
         The states are done, missed, aborted, made up (by another slot), running, to do.
         """
         with self._lock:
-            here = self._present()
+            self._update()
             days: dict[str, list[JsonTable]] = {}
-            for slot in here.slots:
+            for slot in self._slots:
                 day = self._local_day(slot.t_utc).isoformat()
-                days.setdefault(day, []).append(self._slot_row(slot, here))
+                days.setdefault(day, []).append(self._slot_row(slot))
             return {"days": [{"date": day, "slots": rows} for day, rows in sorted(days.items())]}
 
     def day(self, day: date) -> JsonTable:
@@ -380,71 +366,55 @@ class Snapshots:
         The scale is one for all pictures of the day [cd/m2].
         """
         with self._lock:
-            here = self._present()
-            today = [slot for slot in here.slots if self._local_day(slot.t_utc) == day]
-            rows = [self._slot_row(slot, here) for slot in today]
+            self._update()
+            rows = [self._slot_row(s) for s in self._slots if self._local_day(s.t_utc) == day]
             for row in rows:
-                why = here.journal.states.state(row["slot"]).why
+                why = self._journal.states.state(row["slot"]).why
                 row["verdict"] = self._verdict(row["slot"], why)
-            paths = [self._session.panorama(row["slot"]) for row in rows if row["picture"]]
             return {
                 "date": day.isoformat(),
                 "slots": rows,
-                "scale": _scale(paths),
+                "scale": scale_of(self._session.panorama(r["slot"]) for r in rows if r["picture"]),
                 "irradiance": day_curve(day, self._setup.site, self._session.irradiance),
             }
 
     # ------------------------------------------------------------------------------------------
     # parts
 
-    def _present(self) -> _Present:
-        journal, slots = self._journal.update(), self._slots()
-        now, rehearsal = self._now(journal)
-        states = self._states(slots, journal, now)
-        merged = {path.stem for path in self._session.panorama_files()}
-        return _Present(journal, slots, now, rehearsal, states, merged)
+    def _update(self) -> tuple[datetime, bool]:
+        """Read the files, and return the time, and whether it is the simulated one of a capture."""
+        journal, now = self._journal.update(), self._wall_clock()
+        # a plan spoilt by hand: the one before still holds, as in capture
+        with suppress(OSError, InputError):
+            self._slots = sorted(self._session.slots(), key=lambda slot: slot.t_utc)
+        last = journal.states.last_utc or now
+        rehearsal = last - now > _REHEARSAL
+        now = last if rehearsal else now
+        self._states = {slot.id: self._state(slot, now) for slot in self._slots}
+        for missed, instead in made_up_for(self._slots).items():
+            done = any(self._states[makeup.id] == "done" for makeup in instead)
+            if done and self._states.get(missed) != "done":
+                self._states[missed] = "made up"
+        self._merged = {path.stem for path in self._session.panorama_files()}
+        return now, rehearsal
 
-    def _slots(self) -> list[Slot]:
-        """Return the plan, read again only when the file changed."""
-        try:
-            stamp = self._session.plan.stat().st_mtime_ns
-            if stamp != self._plan[0]:
-                self._plan = stamp, sorted(self._session.slots(), key=lambda slot: slot.t_utc)
-        except (OSError, InputError):  # spoilt by hand: the plan before still holds, as in capture
-            pass
-        return self._plan[1]
+    def _state(self, slot: Slot, now: datetime) -> str:
+        outcome = self._journal.states.state(slot.id).outcome
+        if outcome in SETTLED:
+            return outcome
+        if outcome == "started" and self._journal.opened is not None:
+            return "running"
+        return "to do" if slot.t_utc + self._session.grace >= now else "missed"
 
-    def _now(self, journal: JournalFollower) -> tuple[datetime, bool]:
-        now, last = self._wall_clock(), journal.states.last_utc
-        rehearsal = last is not None and last - now > _REHEARSAL
-        return (last if rehearsal and last is not None else now), rehearsal
-
-    def _states(self, slots: list[Slot], journal: JournalFollower, now: datetime) -> dict[str, str]:
-        """Return done, missed, aborted, "made up", running or "to do" for each slot."""
-        grace = self._session.grace
-        states: dict[str, str] = {}
-        for slot in slots:
-            outcome = journal.states.state(slot.id).outcome
-            if outcome in SETTLED:
-                states[slot.id] = outcome
-            elif outcome == "started" and journal.opened is not None:
-                states[slot.id] = "running"
-            else:
-                states[slot.id] = "to do" if slot.t_utc + grace >= now else "missed"
-        for missed, instead in made_up_for(slots).items():
-            if states.get(missed) != "done" and any(states[s.id] == "done" for s in instead):
-                states[missed] = "made up"
-        return states
-
-    def _slot_row(self, slot: Slot, here: _Present) -> JsonTable:
+    def _slot_row(self, slot: Slot) -> JsonTable:
         local = slot.t_utc.astimezone(self._zone)
         return {
             "slot": slot.id,
             "t_utc": utc_text(slot.t_utc),
             "local": f"{local:%H:%M}",
             "day": f"{local:%a %d %b %Y}",
-            "state": here.states[slot.id],
-            "picture": slot.id in here.merged,
+            "state": self._states[slot.id],
+            "picture": slot.id in self._merged,
             "sun_altitude_deg": round(slot.sun_altitude_deg, 1),
             "sun_azimuth_deg": round(slot.sun_azimuth_deg, 1),
         }
@@ -455,7 +425,7 @@ class Snapshots:
         if not files:
             return None
         slot = files[0].stem
-        row = {"slot": slot, "verdict": self._verdict(slot, "no sidecar"), **_scale(files)}
+        row = {"slot": slot, "verdict": self._verdict(slot, "no sidecar"), **scale_of(files)}
         with suppress(ValueError):
             local = parse_utc(slot).astimezone(self._zone)
             row |= {"local": f"{local:%a %d %b %Y, %H:%M}", "date": local.date().isoformat()}
@@ -468,21 +438,19 @@ class Snapshots:
             return str(error)
         return sidecar.verdict if sidecar is not None else without_sidecar
 
-    def _devices(self, journal: JournalFollower) -> JsonTable:
-        table = self._session.table().get("devices", {})
-        camera = table.get("camera", {})
-        offset_s = camera.get("clock_offset_s")
+    def _devices(self) -> JsonTable:
+        camera = self._session.table().get("devices", {}).get("camera", {})
         return {
             "camera": " ".join(str(camera.get(k, "")) for k in ("make", "model")).strip(),
             "camera_battery": str(camera.get("battery", "")),
-            "camera_clock_offset_s": None if offset_s is None else float(offset_s),
-            "away": {name: utc_text(t) for name, t in journal.away.items()},
+            "camera_clock_offset_s": camera.get("clock_offset_s"),
+            "away": {name: utc_text(t) for name, t in self._journal.away.items()},
         }
 
-    def _events(self, journal: JournalFollower) -> list[JsonTable]:
+    def _events(self) -> list[JsonTable]:
         """Return the latest events, newest first; equal sentences in a row become one."""
         rows: list[JsonTable] = []
-        for event in reversed(journal.events):
+        for event in reversed(self._journal.events):
             words = event_words(event)
             if words is None:
                 continue
@@ -505,10 +473,3 @@ class Snapshots:
 
     def _local_day(self, t_utc: datetime) -> date:
         return t_utc.astimezone(self._zone).date()
-
-
-def _scale(paths: list[Path]) -> JsonTable:
-    """Return one scale of panoramas, and a text that changes when one of them is written again."""
-    low, high = scale_of(paths)
-    stamp = max((path.stat().st_mtime_ns for path in paths), default=0)
-    return {"low": low, "high": high, "stamp": f"{stamp:x}"}

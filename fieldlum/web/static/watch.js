@@ -166,9 +166,9 @@ function drawState(s) {
   tick();
 }
 
-function address(slot, scale, width) {
+function address(slot, scale) {
   const stamp = encodeURIComponent(scale.stamp);
-  return `/picture/${slot}.png?low=${scale.low}&high=${scale.high}&width=${width}&v=${stamp}`;
+  return `/picture/${slot}.png?low=${scale.low}&high=${scale.high}&v=${stamp}`;
 }
 function drawLatest(latest) {
   const image = byId("latest"),
@@ -179,7 +179,7 @@ function drawLatest(latest) {
     show("latest-text", "No panorama is merged yet: fieldlum merge SESSION.");
     return;
   }
-  const src = address(latest.slot, latest, 1200);
+  const src = address(latest.slot, latest);
   if (image.getAttribute("src") !== src) image.src = src;
   image.alt = `Luminance of ${latest.slot} in false colour`;
   show("latest-text", `${latest.local || latest.slot}: ${latest.verdict}`);
@@ -273,7 +273,7 @@ function drawDay(d) {
     ...d.slots.map(slot => {
       const picture = slot.picture
         ? put("img", {
-            src: address(slot.slot, d.scale, 464),
+            src: address(slot.slot, d.scale),
             alt: `Luminance at ${slot.local}`,
             loading: "lazy",
             width: 232,

@@ -36,7 +36,13 @@ from fieldlum.optics.images import (
     read_radiance_hdr,
     write_radiance_hdr,
 )
-from fieldlum.optics.projection import altitude_azimuth_deg, direction, equirect_pixel
+from fieldlum.optics.projection import (
+    altitude_azimuth_deg,
+    direction,
+    equirect_pixel,
+    equirect_rays,
+    equirect_solid_angles,
+)
 from fieldlum.session.panorama_sun import read_panorama_with_sun
 from fieldlum.sky.sun import SUN_SOLID_ANGLE_SR
 from fieldlum.sky.sun_disc import SUN_RADIUS_RAD
@@ -270,6 +276,21 @@ def picture_rays(view: PictureView, x: ArrayLike, y: ArrayLike) -> tuple[Floats,
         density = forward**3
     rays = np.stack([across * shrink, upwards * shrink, forward], axis=-1)
     return rays, density * 4.0 * reach[0] * reach[1]
+
+
+def picture_directions(picture: Picture) -> tuple[Floats, Floats]:
+    """Return directions [H, W, 3] (x east, y north, z up) of pixels, and solid angles [H, W] in sr.
+
+    The solid angle is that of a complete pixel, also behind the observer; 0 where the view has no
+    direction.
+    """
+    height, width = picture.panorama.luminance_cdm2.shape
+    if picture.view is None:
+        rays = equirect_rays(height, width, picture.panorama.heading_deg)
+        return rays, equirect_solid_angles(height, width)
+    y, x = picture_centres(height, width)
+    rays, density = picture_rays(picture.view, x, y)
+    return rays @ picture.view.frame, density / (height * width)
 
 
 def _reach(kind: str, angle_deg: float) -> float:
