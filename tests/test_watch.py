@@ -384,7 +384,9 @@ def _year(dgp: float) -> PredictFile:
         for azimuth, certain, value in figures
     )
     weather = YearWeather(HOSTILE, synthetic=True)
-    return PredictFile(model="transport", weather=weather, notes=(HOSTILE,), protection=rows)
+    return PredictFile(
+        model="transport", weather=weather, model_warnings=(HOSTILE,), protection=rows
+    )
 
 
 # ----------------------------------------------------------------------------------------------

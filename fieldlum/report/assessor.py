@@ -96,14 +96,14 @@ def _words(rows: list[tuple[str, str]], title: str = "") -> Table:
 
 
 def _camera_rows(profile: CameraProfile) -> list[tuple[str, str]]:
-    scale, colour = 100 * profile.scale.u_rel, profile.colour
+    camera, colour = profile.camera, profile.colour
     melanopic = f"{100 * colour.melanopic_u_rel:.1f} %" if colour.melanopic_from_rgb else "none"
     origin = profile.provenance.fitted_by or profile.provenance.source or "not stated"
     return [
-        ("camera", f"{profile.camera.name} ({profile.camera.make} {profile.camera.model})"),
-        ("camera, calibrated", f"{profile.camera.date or 'no date'}, by {origin}"),
+        ("camera", f"{camera.name} ({camera.make} {camera.model})"),
+        ("camera, calibrated", f"{camera.date or 'no date'}, by {origin}"),
         ("camera, valid until", profile.expires or "not stated"),
-        ("luminance scale, standard uncertainty", f"{scale:.1f} %"),
+        ("luminance scale, standard uncertainty", f"{100 * profile.scale.u_rel:.1f} %"),
         ("melanopic colour, standard uncertainty", melanopic),
     ]
 
@@ -136,7 +136,11 @@ def page(session: Session, annual: Annual | None) -> str:
         melanopic_section(annual, zone),
         Section("method", "Method", " ".join((METHOD, *map(sentence, summary.notes[:1])))),
         Section("instruments", "What was measured", tables=(_instruments(session, setup),)),
-        Section("versions", "Versions and files", tables=(_words(versions),)),
+        Section(
+            "versions",
+            "Versions and files",
+            tables=(Table(("item", "value"), versions, words=True),),
+        ),
         Section("signatures", "Signatures", tables=(signatures,)),
     )
     return render(

@@ -227,13 +227,12 @@ def _surfaces(rows: Sequence[JsonTable]) -> list[JsonTable]:
     """Return each surface over all pictures, "all" first."""
     surfaces = []
     for name in dict.fromkeys(row["surface"] for row in rows):
-        own = [row for row in rows if row["surface"] == name]
-        quartiles = np.percentile([row["ratio"] for row in own], (50, 25, 75))
-        means = {
-            k: float(np.mean([row[k] for row in own])) for k in ("measured_cdm2", "model_cdm2")
-        }
-        spread = dict(zip(("ratio", "low", "high"), map(float, quartiles), strict=True))
-        surfaces.append({"name": name, **means, **spread, "pictures": len(own)})
+        keys = ("measured_cdm2", "model_cdm2", "ratio")
+        own = np.array([[row[key] for key in keys] for row in rows if row["surface"] == name])
+        ratio, low, high = np.percentile(own[:, 2], (50, 25, 75)).tolist()
+        means = dict(zip(keys, own.mean(axis=0).tolist(), strict=True))
+        spread = {"ratio": ratio, "low": low, "high": high, "pictures": len(own)}
+        surfaces.append({"name": name, **means, **spread})
     return surfaces
 
 

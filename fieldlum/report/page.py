@@ -6,7 +6,6 @@ import base64
 import io
 import json
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -50,18 +49,12 @@ def chip(row: DirectionYear, more: str = "") -> dict[str, str]:
     return {"kind": row.glare_class if row.certain else "open", "text": class_name(row) + more}
 
 
-@dataclass(frozen=True, slots=True)
-class Figure:
+class Figure(NamedTuple):
     """A picture with its alternative text and caption: SVG text, or the bytes of a PNG."""
 
     content: str | bytes
     alt: str
     caption: str
-
-    @property
-    def png(self) -> str:
-        """The PNG in base64; "" for SVG text."""
-        return base64.b64encode(self.content).decode() if isinstance(self.content, bytes) else ""
 
 
 class Table(NamedTuple):
@@ -154,13 +147,10 @@ def render(
     """
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    blocks = {"trim_blocks": True, "lstrip_blocks": True, "undefined": StrictUndefined}
+    loader = FileSystemLoader(Path(__file__).parent)
+    environment = Environment(loader=loader, autoescape=True, **blocks)
+    environment.filters["base64"] = lambda data: base64.b64encode(data).decode()
     return environment.get_template("page.html.j2").render(
         title=title,
         answer=answer,

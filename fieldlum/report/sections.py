@@ -296,11 +296,11 @@ def melanopic_shares(annual: Annual, zone: str) -> list[tuple[Share, list[Share]
 
 def _days_with(bright: Mask, hour: Floats, day: Floats) -> Floats:
     """Return the number of days that are bright in all of the hours of WELL, [d]."""
-    rows = (hour >= WELL_HOURS[0]) & (hour < WELL_HOURS[1])
-    days, index = np.unique(day[rows], return_inverse=True)
-    counts = np.zeros((len(days), bright.shape[1]))
-    np.add.at(counts, index, bright[rows])
-    return (counts >= WELL_HOURS[1] - WELL_HOURS[0]).sum(axis=0)
+    hours = np.arange(*WELL_HOURS)
+    grid = np.zeros((len(hours), int(np.ptp(day)) + 1, bright.shape[1]), bool)
+    rows = np.isin(hour, hours)
+    grid[hour[rows] - hours[0], day[rows] - day.min()] = bright[rows]
+    return grid.all(axis=0).sum(axis=0)
 
 
 def melanopic_section(annual: Annual, zone: str) -> Section:
@@ -311,8 +311,8 @@ def melanopic_section(annual: Annual, zone: str) -> Section:
         for azimuth, good, (hours, days) in shares
         if good
     ]
-    limits = (f"days ≥ {limit:.0f} lx, 09–13 h" for limit in WELL_EDI_LX)
-    head = ("view direction", "hours ≥ 250 lx, 06–19 h", *limits)
+    limits = (f"days ≥ {limit:.0f} lx, 9 to 13 h" for limit in WELL_EDI_LX)
+    head = ("view direction", "hours ≥ 250 lx, 6 to 19 h", *limits)
     origin = (
         "By the colour of the captures, with 95 % intervals."
         if has_melanopic(annual)
@@ -379,9 +379,7 @@ _COLUMNS = {
     "judged_dgp_error": "DGP error",
     "judged_ev_error": "ln Ev error",
     "judged_log10_mse": "log10 MSE",
-    "n_judged": "judged hours",
     "dgp_mae": "DGP error, all hours",
-    "log10_mse_weighted": "log10 MSE, all hours",
 }
 
 
@@ -415,40 +413,26 @@ def captures_section(
     hours = sun.position([start + timedelta(hours=h) for h in range(8760)], site)
     up = hours.altitude_deg > 0
     suns, skies = ("sun_azimuth_deg", "sun_altitude_deg"), ("dni_wm2", "dhi_wm2")
-    path = captured_svg(
-        (hours.azimuth_deg[up], hours.altitude_deg[up]),
-        _columns(used, suns),
-        "hours of the year",
-        xlabel="sun azimuth, ° from north",
-        ylabel="sun altitude, °",
-        ylim=(0, None),
+    axes = {"xlabel": "sun azimuth, ° from north", "ylabel": "sun altitude, °", "ylim": (0, None)}
+    positions = (hours.azimuth_deg[up], hours.altitude_deg[up])
+    path = Figure(
+        captured_svg(positions, _columns(used, suns), "hours of the year", **axes),
+        f"Sun positions of a year in grey and of the {len(used)} captured hours in red.",
+        "Sun positions of the year and of the captures. Hours far from every red point are "
+        "extrapolated.",
     )
-    irradiance = captured_svg(
-        [year.get(name, np.empty(0)) for name in skies],
-        _columns(used, skies),
-        "weather file",
-        xlabel="direct normal irradiance, W/m²",
-        ylabel="diffuse horizontal irradiance, W/m²",
-    )
-    figures = (
-        Figure(
-            path,
-            f"Sun positions of a year in grey and of the {len(used)} captured hours in red.",
-            "Sun positions of the year and of the captures. Hours far from every red point are "
-            "extrapolated.",
-        ),
-        Figure(
-            irradiance,
-            "Direct against diffuse irradiance of the weather year in grey and of the captures in "
-            "red.",
-            "Skies of the weather file and of the captures.",
-        ),
+    axes = {"xlabel": "direct normal irradiance, W/m²", "ylabel": "diffuse irradiance, W/m²"}
+    weather = [year.get(name, np.empty(0)) for name in skies]
+    irradiance = Figure(
+        captured_svg(weather, _columns(used, skies), "weather file", **axes),
+        "Direct against diffuse irradiance of the weather year in grey and of the captures in red.",
+        "Skies of the weather file and of the captures.",
     )
     refused = Counter(row.why or "no reason recorded" for row in pairs.refused)
     table = Table(("reason", "brackets"), tuple(refused.items()), "Brackets that are not used")
     some = [table] if refused else []
     text = _captures_text(session, site, pairs)
-    return Section("captured", "What was captured", text, (figures,), some)
+    return Section("captured", "What was captured", text, ((path, irradiance),), some)
 
 
 def _columns(rows: Sequence[PairRow], names: Sequence[str]) -> list[Floats]:

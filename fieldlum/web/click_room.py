@@ -46,16 +46,14 @@ class ClickedPicture:
 
         Raises InputError if it does not exist.
         """
-        files = session.panorama_files()
-        chosen = next((path for path in files if path.stem == slot), None) if slot else None
-        if not files:
-            remedy = f"run fieldlum merge {session.root}"
-            raise InputError(session.root, "no merged panorama", "a merged session", remedy)
-        if slot and chosen is None:
-            expected = f"a slot such as {files[-1].stem}"
-            raise InputError(session.root, f"no panorama {slot}", expected, "see panoramas/")
+        files = {path.stem: path for path in session.panorama_files()}
+        if not files or (slot and slot not in files):
+            expected = f"a slot such as {max(files, default='20270320T193000Z')}"
+            remedy = f"see panoramas/, or run fieldlum merge {session.root}"
+            raise InputError(session.root, f"no merged panorama {slot}", expected, remedy)
         heights_deg = {slot.id: slot.sun_altitude_deg for slot in session.slots()}
-        path = chosen or max(files, key=lambda file: heights_deg.get(file.stem, -90.0))
+        slot = slot or max(files, key=lambda name: heights_deg.get(name, -90.0))
+        path = files[slot]
         panorama = read_panorama(path)
         height, width = panorama.luminance_cdm2.shape
         return cls(session, path.stem, ClickGrid(height, width, panorama.heading_deg))

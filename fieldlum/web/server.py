@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import asyncio
 import hmac
-import json
 import secrets
 import socket
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -37,17 +36,16 @@ from fieldlum.web.snapshot import Snapshots, picture_png, scale_png
 async def json_body(request: Request, max_bytes: int) -> Mapping[str, Any]:
     """Return the JSON object of a request of at most `max_bytes`, else raise HTTPException.
 
-    Its status is 415 for another content type, 413 for a longer body, 400 for other content.
+    Its status is 415 for another content type, 413 for a longer body or one without a stated
+    length, 400 for other content.
     """
     if request.headers.get("content-type", "").partition(";")[0] != "application/json":
         raise HTTPException(415)
-    data = b""
-    async for part in request.stream():
-        data += part
-        if len(data) > max_bytes:
-            raise HTTPException(413)
+    length = request.headers.get("content-length", "")
+    if not length.isdecimal() or int(length) > max_bytes:
+        raise HTTPException(413)
     try:
-        asked = json.loads(data)
+        asked = await request.json()
     except (ValueError, RecursionError):
         raise HTTPException(400) from None
     if not isinstance(asked, dict):
@@ -62,10 +60,7 @@ SECURITY_HEADERS = {
     ),
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
-    "X-Frame-Options": "DENY",
-    "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
-    "Permissions-Policy": "camera=(), microphone=(), geolocation=()",
     "Cache-Control": "no-store",
 }
 """Sent with each answer."""

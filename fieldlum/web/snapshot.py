@@ -259,10 +259,8 @@ def is_running(journal: JournalFollower) -> bool:
     opened = journal.opened
     if opened is None or opened.get("boot_id") not in ("", None, boot_id()):
         return False
-    try:
-        return psutil.pid_exists(int(opened.get("pid", 0)) or -1)
-    except (ValueError, OverflowError):
-        return False
+    pid = opened.get("pid", 0)
+    return 0 < pid < 2**31 and psutil.pid_exists(pid)
 
 
 def battery() -> JsonTable | None:
@@ -342,7 +340,7 @@ class Snapshots:
                 "model": year.model,
                 "weather": year.weather.name,
                 "synthetic": year.weather.synthetic,
-                "warnings": [*year.model_warnings, *year.notes],
+                "warnings": year.model_warnings,
                 "protection": to_json(year.protection),
             },
         }
@@ -451,17 +449,14 @@ class Snapshots:
         """Return the latest events, newest first; equal sentences in a row become one."""
         rows: list[JsonTable] = []
         for event in reversed(self._journal.events):
-            words = event_words(event)
-            if words is None:
-                continue
-            if rows and rows[-1]["text"] == words[1]:
+            level, text = event_words(event) or ("", "")
+            if rows and rows[-1]["text"] == text:
                 rows[-1]["times"] += 1
-                continue
-            local = parse_utc(event["t_utc"]).astimezone(self._zone)
-            at = f"{local:%a %d %b %H:%M}"
-            rows.append({"level": words[0], "text": words[1], "local": at, "times": 1})
-        # about a screen
-        return rows[:25]
+            elif text:
+                local = parse_utc(event["t_utc"]).astimezone(self._zone)
+                row = {"level": level, "text": text, "local": f"{local:%a %d %b %H:%M}"}
+                rows.append(row | {"times": 1})
+        return rows[:25]  # about a screen
 
     def _doctor(self, now: datetime) -> list[JsonTable]:
         """Return doctor's findings that need no device; a capture may be using the devices."""

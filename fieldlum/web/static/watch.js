@@ -445,12 +445,13 @@ function drawAnswer(a) {
 function answerRow(row) {
   const seen = row.dgp_exceeded !== null;
   const between = row.low === null ? "" : ` (${number(row.low, 2)} to ${number(row.high, 2)})`;
-  const likely = `cannot tell yet (${row.class} is likeliest)`;
+  const name = row.class === "none" ? "below minimum" : row.class;
+  const likely = `cannot tell yet (${name} is likeliest)`;
   return put(
     "tr",
     {},
     put("th", {scope: "row"}, wind(row.azimuth_deg)),
-    put("td", {}, !seen ? "not seen" : row.certain ? `${row.class} protection` : likely),
+    put("td", {}, !seen ? "not seen" : row.certain ? name : likely),
     put("td", {}, seen ? number(row.dgp_exceeded, 2) + between : "–"),
   );
 }
