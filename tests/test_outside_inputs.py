@@ -29,7 +29,6 @@ from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure, Site, SiteFile, Slot
 from fieldlum.core.strict_csv import is_wm2, lines_of, microvolts, split_heading, stated_unit
 from fieldlum.devices.logger_files import LoggerFile, read_logger_file
-from fieldlum.report.sections import read_quality
 from fieldlum.session import create_session, day_files, read_day
 from fieldlum.session.files.irradiance_csv import CleanIrradiance
 from fieldlum.session.files.pairs_csv import PairsFile
@@ -681,7 +680,6 @@ def _files() -> dict[str, tuple[str, int, Any]]:
     table5 += [f'"{t:%Y-%m-%d %H:%M:%S}",{k},{k}.5,{k}.4' for k, t in enumerate(days)]
     clean = ["t_utc,ghi_wm2,dhi_wm2,dni_wm2,source,flags"]
     clean += [f"{t:%Y-%m-%dT%H:%M:%S.000Z},{k}.5,{k}.4,{k}.3,measured," for k, t in enumerate(days)]
-    quality = ["slot,verdict,frames", *(f"{k},good,{k}.5" for k in range(12))]
     readings = ["x_px,y_px,azimuth_deg,note_px", *(f"{k}.5,{k}.4,{k}.3,{k}.2" for k in range(12))]
     return {
         "epw": ("\n".join(epw) + "\n", 8, _hours),
@@ -693,7 +691,6 @@ def _files() -> dict[str, tuple[str, int, Any]]:
         "toa5": ("\n".join(table5) + "\n", 4, _samples),
         "readings": ("\n".join(readings) + "\n", 1, _readings),
         "clean": ("\n".join(clean) + "\n", 1, _clean),
-        "quality": ("\n".join(quality) + "\n", 1, read_quality),
     }
 
 

@@ -20,21 +20,20 @@ from fieldlum.session import Session, open_session, replacing
 from fieldlum.session.codec import to_json, write_object
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.files.predict_json import DirectionYear, PredictFile
-from fieldlum.year.predict import best_and_worst, read_annual
+from fieldlum.year.predict import best_and_worst, newest_annual
 
 _GLARE_DGP = "0.40"  # disturbing, EN 17037
 
 
 # Keys of earlier versions, whose campaigns also ran the stages; they are read and not used.
-_EARLIER = {"site", "set", "seed", "budget_min", "weather", "views", "size"}
+_EARLIER = {"site", "set", "model", "seed", "budget_min", "weather", "views", "size"}
 
 
 @dataclass(frozen=True, slots=True)
 class CampaignRoom:
-    """One room: its session's folder, from that of CAMPAIGN.toml, and the name of its model."""
+    """One room: its session's folder, from that of CAMPAIGN.toml."""
 
     session: str
-    model: str = "auto"
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +86,7 @@ class RoomOverview:
     broken: why the room could not be read, "" if it could. captured, planned: numbers of slots.
     to_do: slots that can still be captured. usable: rows of pairs.csv that training uses. failed:
     slots missed, aborted or rejected by `pair`. worst, best: directions with the highest and lowest
-    DGP in 5 % of the hours, as the room's own report names them.
+    DGP in 5 % of the hours of the newest predicted year, as the room's own report names them.
     """
 
     session: str
@@ -105,22 +104,22 @@ class RoomOverview:
 def overview_of(campaign: CampaignFile, room: CampaignRoom) -> RoomOverview:
     """Read one room; after any error, the overview's text `broken` states what is wrong."""
     try:
-        return _read(open_session(campaign.path.parent / room.session), room)
+        return _read(open_session(campaign.path.parent / room.session), room.session)
     except Exception as error:
         defect = "" if isinstance(error, FieldlumError | OSError) else f"{type(error).__name__}: "
         return RoomOverview(room.session, broken=defect + " ".join(str(error).split()))
 
 
-def _read(session: Session, room: CampaignRoom) -> RoomOverview:
+def _read(session: Session, name: str) -> RoomOverview:
     from fieldlum.capture.status import status
     from fieldlum.session.slot_states import slots_ahead
 
     stages, pairs = status(session), PairsFile.find(session.pairs)
-    capture, folder = stages["capture"], session.annual / room.model
-    year = read_annual(folder).summary if folder in session.annual_folders() else PredictFile()
+    annual, capture = newest_annual(session), stages["capture"]
+    year = PredictFile() if annual is None else annual.summary
     best, worst = best_and_worst(year.protection) or (None, None)
     return RoomOverview(
-        room.session,
+        name,
         captured=capture["done"],
         planned=stages["plan"]["slots"],
         to_do=len(slots_ahead(session, datetime.now(UTC))),
@@ -181,8 +180,8 @@ def _table(rooms: Sequence[RoomOverview]) -> Section:
             hours = f"{worst.hours_over[_GLARE_DGP]} of {room.occupied_hours}"
             glare = (named(worst.azimuth_deg), chip(worst), exceeded_text(worst), hours)
             glare = (*glare, named(best.azimuth_deg), chip(best))
-        captured = f"{room.captured} of {room.planned}"
-        body.append((room.session, captured, f"{room.to_do}", f"{room.failed}", *glare))
+        counts = (f"{room.captured} of {room.planned}", f"{room.to_do}", f"{room.failed}")
+        body.append((room.session, *(("not read", "–", "–") if room.broken else counts), *glare))
     text = (
         "The room with the most glare first. A class in grey is not certain yet: the captures do "
         "not decide it. Failed slots were missed, aborted, or rejected by fieldlum pair: fieldlum "
