@@ -416,9 +416,7 @@ def hours_begun(path: Path, times: Floats, daylight: Mask) -> tuple[Array, list[
         off_begin, off_end = (stated ^ daylight).reshape(2, -1, 24)[:, days].sum(axis=(1, 2))
         if max(off_begin, off_end) < 3 * min(off_begin, off_end) + 1:
             found = "integer hours that may be the begin or the end of each hour"
-            remedy = (
-                "add 0.5 to hours at which each begins, subtract 0.5 from those at which it ends"
-            )
+            remedy = "add 0.5 to hours at which each begins, subtract 0.5 where it ends"
             raise InputError(path, found, "hours with a fraction, such as 9.5", remedy)
         word = "begins" if off_begin < off_end else "ends"
         hours = hours if off_begin < off_end else hours - 1

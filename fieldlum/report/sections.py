@@ -103,11 +103,6 @@ def exceeded_text(row: DirectionYear, unknown: str = "–") -> str:
     return unknown if row.dgp_exceeded is None else f"{row.dgp_exceeded:.2f}"
 
 
-def interval_text(row: DirectionYear) -> str:
-    """Return the 95 % interval of that DGP."""
-    return "–" if row.low is None else f"{row.low:.2f} to {row.high:.2f}"
-
-
 class Share(NamedTuple):
     """A share in percent: its best value, and the ends of its 95 % interval."""
 
@@ -151,10 +146,9 @@ def directions_section(annual: Annual) -> Section:
         settled = "–" if row.glare_class == NOT_SEEN else "yes" if row.certain else unknown
         of_class = chip(row, ", partly seen" if row.seen == PARTLY_SEEN else "")
         hours = ("–" if count is None else count for count in row.hours_over.values())
-        free = (
-            "–" if sdg == "–" else Share(100 - over.value, 100 - over.high, 100 - over.low).text()
-        )
-        figures = exceeded_text(row), interval_text(row), *hours, free, sdg
+        free = Share(100 - over.value, 100 - over.high, 100 - over.low).text()
+        interval = "–" if row.low is None else f"{row.low:.2f} to {row.high:.2f}"
+        figures = exceeded_text(row), interval, *hours, "–" if sdg == "–" else free, sdg
         rows.append((named(row.azimuth_deg), of_class, settled, *figures))
     head = ("view direction", "class", "settled", "DGP in 5 %", "95 % interval")
     notes = " ".join(map(sentence, annual.summary.notes[1:]))

@@ -414,7 +414,6 @@ class Snapshots:
             "state": self._states[slot.id],
             "picture": slot.id in self._merged,
             "sun_altitude_deg": round(slot.sun_altitude_deg, 1),
-            "sun_azimuth_deg": round(slot.sun_azimuth_deg, 1),
         }
 
     def _latest(self) -> JsonTable | None:
@@ -426,7 +425,7 @@ class Snapshots:
         row = {"slot": slot, "verdict": self._verdict(slot, "no sidecar"), **scale_of(files)}
         with suppress(ValueError):
             local = parse_utc(slot).astimezone(self._zone)
-            row |= {"local": f"{local:%a %d %b %Y, %H:%M}", "date": local.date().isoformat()}
+            row["local"] = f"{local:%a %d %b %Y, %H:%M}"
         return row
 
     def _verdict(self, slot: str, without_sidecar: str) -> str:
