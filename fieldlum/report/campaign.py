@@ -30,9 +30,7 @@ _EARLIER = {"site", "set", "model", "seed", "budget_min", "weather", "views", "s
 
 
 @dataclass(frozen=True, slots=True)
-class CampaignRoom:
-    """One room: its session's folder, from that of CAMPAIGN.toml."""
-
+class _Room:
     session: str
 
 
@@ -41,16 +39,16 @@ class _Tables:
     """The tables of a CAMPAIGN.toml as they are stated."""
 
     name: str = ""
-    common: dict[str, Any] = field(default_factory=dict)
+    common: dict[str, Any] = field(default_factory=dict)  # of earlier versions
     room: tuple[dict[str, Any], ...] = ()
 
 
 class CampaignFile(NamedTuple):
-    """The content of a CAMPAIGN.toml: its name, and its rooms with the values of [common]."""
+    """The content of a CAMPAIGN.toml: its name, and the folders of its sessions."""
 
     path: Path
     name: str
-    rooms: tuple[CampaignRoom, ...]
+    sessions: tuple[str, ...]
 
 
 def read_campaign(path: Path) -> CampaignFile:
@@ -60,19 +58,19 @@ def read_campaign(path: Path) -> CampaignFile:
     wrong type, without a room, for a room without a session, and for a session named twice.
     """
     tables = build(_Tables, read_toml(path), str(path))
-    rooms: list[CampaignRoom] = []
+    sessions: list[str] = []
     for number, stated in enumerate(tables.room, start=1):
         where = f"{path} [[room]] {number}"
-        own = {k: v for k, v in (tables.common | stated).items() if k not in _EARLIER}
-        room = build(CampaignRoom, own, where)
-        if room.session in {other.session for other in rooms}:
-            found = f"session {room.session} occurs twice"
+        own = {k: v for k, v in stated.items() if k not in _EARLIER}
+        session = build(_Room, own, where).session
+        if session in sessions:
+            found = f"session {session} occurs twice"
             raise InputError(where, found, "each session once", "remove one of its tables")
-        rooms.append(room)
-    if not rooms:
+        sessions.append(session)
+    if not sessions:
         expected = "a table [[room]] with session = FOLDER for each room"
         raise InputError(path, "no [[room]]", expected, "add a table [[room]] for each room")
-    return CampaignFile(path, tables.name or path.stem, tuple(rooms))
+    return CampaignFile(path, tables.name or path.stem, tuple(sessions))
 
 
 # ----------------------------------------------------------------------------------------------
@@ -101,13 +99,13 @@ class RoomOverview:
     best: DirectionYear | None = None
 
 
-def overview_of(campaign: CampaignFile, room: CampaignRoom) -> RoomOverview:
-    """Read one room; after any error, the overview's text `broken` states what is wrong."""
+def overview_of(folder: Path, name: str) -> RoomOverview:
+    """Read the session `name` in a folder; after any error, `broken` states what is wrong."""
     try:
-        return _read(open_session(campaign.path.parent / room.session), room.session)
+        return _read(open_session(folder / name), name)
     except Exception as error:
         defect = "" if isinstance(error, FieldlumError | OSError) else f"{type(error).__name__}: "
-        return RoomOverview(room.session, broken=defect + " ".join(str(error).split()))
+        return RoomOverview(name, broken=defect + " ".join(str(error).split()))
 
 
 def _read(session: Session, name: str) -> RoomOverview:
@@ -139,9 +137,9 @@ def write_overview(
     The overviews are in the order of the rooms.
     """
     rooms = []
-    for k, room in enumerate(campaign.rooms):
-        progress(k, len(campaign.rooms), room.session)
-        rooms.append(overview_of(campaign, room))
+    for k, name in enumerate(campaign.sessions):
+        progress(k, len(campaign.sessions), name)
+        rooms.append(overview_of(campaign.path.parent, name))
     page = out / "index.html"
     with replacing(page, "w", encoding="utf-8") as file:
         file.write(_page(campaign.name, rooms))
