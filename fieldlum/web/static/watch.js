@@ -433,7 +433,7 @@ function drawAnswer(a) {
       ? "No year has been predicted yet."
       : `From the newest predicted year: model ${year.model}, weather ${year.weather}.` +
           (year.synthetic
-            ? " The weather is synthetic: do not judge this place by it; give predict --weather FILE."
+            ? " The weather is synthetic: do not judge this place by it."
             : ""),
   );
   show("answer-step", a.next_step);
