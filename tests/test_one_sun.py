@@ -15,7 +15,7 @@ from fieldlum.core.records import Panorama, Slot, quiet, slot_id
 from fieldlum.learn.models.data import load_pairs
 from fieldlum.optics.images import read_panorama, write_panorama
 from fieldlum.optics.profiles import shipped
-from fieldlum.pair.patches import write_patches
+from fieldlum.pair import write_patches
 from fieldlum.room import simulate
 from fieldlum.session import Session, create_session
 from fieldlum.session.site_toml import load_site
@@ -68,7 +68,7 @@ def test_patches_of_an_earlier_version_with_other_rays_are_computed_again(
 ) -> None:
     written = paired_patch(tmp_path).stat().st_ino
     assert paired_patch(tmp_path).stat().st_ino == written
-    monkeypatch.setattr("fieldlum.pair.patches.patch_rays", lambda _: 3)
+    monkeypatch.setattr("fieldlum.pair.patch_rays", lambda _: 3)
     assert paired_patch(tmp_path).stat().st_ino != written
 
 

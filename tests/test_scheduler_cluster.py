@@ -24,7 +24,7 @@ from fieldlum.core.scheduler import (
 from fieldlum.learn import models
 from fieldlum.learn.models.data import load_pairs
 from fieldlum.optics.profiles import save_profile, shipped
-from fieldlum.pair.patches import write_patches
+from fieldlum.pair import write_patches
 from fieldlum.room import simulate
 from fieldlum.session import Session, create_session, remove_scraps
 from fieldlum.session.site_toml import load_site
