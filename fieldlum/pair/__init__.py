@@ -28,7 +28,6 @@ from fieldlum.core.scheduler import LOCAL, Scheduler, UnitOutcome, WorkUnit, run
 from fieldlum.core.strict_toml import plain
 from fieldlum.optics.images import read_panorama, write_panorama
 from fieldlum.pair.interval import Outside, outside
-from fieldlum.pair.irradiance import lit_at_night
 from fieldlum.pair.sky_view import Shown, shares_of_beam, write_sky_view
 from fieldlum.pair.sun_strength import DNI, SKY_VIEW, completed_sun, is_measured, measured_sun
 from fieldlum.room.scene import iter_sun_patches
@@ -42,6 +41,7 @@ from fieldlum.session.files.sidecar import Sidecar, warn_if_changed
 from fieldlum.session.panorama_sun import SunRow, write_suns
 from fieldlum.sky import sun
 from fieldlum.sky.light import Light
+from fieldlum.sky.light_clock import lit_at_night
 
 
 @dataclass(frozen=True, slots=True)
