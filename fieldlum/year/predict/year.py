@@ -6,7 +6,7 @@ import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple, NoReturn
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import structs
@@ -130,9 +130,9 @@ def run(
     store = begin_maps(folder, len(light), room) if maps else None
     how = {"store": store, "melanopic": colours, "seed": seed, "scheduler": scheduler}
     found = measure(model_folder, room, light, azimuths, progress=progress, **how)
-    found.hours["trusted"] *= not poor(config)
     found.hours["occupied"][:] = occupancy.at(light.t_utc, weather.site.timezone)
     about = _about(room, config, weather, light, azimuths)
+    found.hours["trusted"] *= not any(POOR_WORDS in text for text in about.model_warnings)
     summary = structs.replace(about, inputs=inputs, days=days)
     annual = Annual(folder, summary, light.t_utc, azimuths, found.hours, _columns(found))
     annual, budgets = _judged(annual, found.uncertainty, hours_used, room, session, seed)
@@ -311,38 +311,40 @@ def check_session(model_folder: Path, room: ModelRoom, scene: UsedScene | None =
     then the room and heading as stated before the fit are compared.
     """
     session = session_of(model_folder)
-    if session is None:
-        return
-    setup = session.site_file()
-    mine, theirs = room.setup.site, setup.site
-    own, other = (np.array([site.latitude_deg, site.longitude_deg]) for site in (mine, theirs))
-    if np.abs(own - other).max() > 0.01:
-        found, expected = (
-            f"{s.name} ({s.latitude_deg:g}, {s.longitude_deg:g} deg)" for s in (mine, theirs)
+    for found, expected in () if session is None else _differences(session, room, scene):
+        remedy = "merge, pair and train again, or use the model that was trained on this session"
+        raise InputError(
+            model_folder, f"a model {found}", f"{expected}, as in this session", remedy
         )
-        _refuse(model_folder, f"of the site {found}", expected)
-    stated = scene["stated"] if scene else site_table(room.setup)
+
+
+def _differences(
+    session: Session, room: ModelRoom, scene: UsedScene | None
+) -> Iterator[tuple[str, str]]:
+    """Yield what a model states and what its session has, for each difference."""
+    setup, mine = session.site_file(), room.setup.site
+    places = [(s.latitude_deg, s.longitude_deg) for s in (mine, setup.site)]
+    if np.abs(np.subtract(places[0], places[1])).max() > 0.01:
+        own, other = (
+            f"{s.name} ({s.latitude_deg:g}, {s.longitude_deg:g} deg)" for s in (mine, setup.site)
+        )
+        yield f"of the site {own}", other
+    stated, actual = scene["stated"] if scene else site_table(room.setup), site_table(setup)
     for table in ("camera", "room"):  # both affect every map
-        own, other = stated.get(table) or {}, site_table(setup).get(table) or {}
+        own, other = (each.get(table) or {} for each in (stated, actual))
         for name in sorted({*own, *other} - {"profile"}):
             if own.get(name) != other.get(name):
                 found = f"with [{table}] {name} = {own.get(name, 'none')}"
-                _refuse(model_folder, found, str(other.get(name, "none")))
+                yield found, str(other.get(name, "none"))
     heading_deg = float(scene["stated_heading_deg"]) if scene else room.heading_deg
     for path in session.panorama_files()[:1]:
         first = read_panorama(path)
         height, width = first.luminance_cdm2.shape
         if (height, width) != (room.height, room.width):
             found = f"with pictures of {room.width} x {room.height} pixels"
-            _refuse(model_folder, found, f"{width} x {height} pixels")
+            yield found, f"{width} x {height} pixels"
         if abs(signed_angle_deg(first.heading_deg - heading_deg)) > 0.1:
-            found = f"with a heading of {heading_deg:g} deg"
-            _refuse(model_folder, found, f"{first.heading_deg:g} deg")
-
-
-def _refuse(model_folder: Path, found: str, expected: str) -> NoReturn:
-    remedy = "merge, pair and train again, or use the model that was trained on this session"
-    raise InputError(model_folder, f"a model {found}", f"{expected}, as in this session", remedy)
+            yield f"with a heading of {heading_deg:g} deg", f"{first.heading_deg:g} deg"
 
 
 def _files(model: Path, weather: Path, sky_view: Path | None) -> dict[str, object]:
@@ -405,11 +407,6 @@ HOURLY_MEANS = (
     "hours can be too low or too high."
 )
 _WIDE_DGP = 0.2  # an interval of this width spans all classes (EN 17037: 0.35 to 0.45)
-
-
-def poor(config: ModelConfig) -> bool:
-    """Return whether the training warned that no single map of the model is trustworthy."""
-    return any(POOR_WORDS in text for text in config.state.get("warnings", ()))
 
 
 _UNSEEN_NOTES = {
