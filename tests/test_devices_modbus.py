@@ -326,7 +326,7 @@ def test_any_registers_give_a_plausible_value_or_a_device_error(
 
 @pytest.mark.contract
 @pytest.mark.parametrize(
-    ("name", "said"), [("smp", "Kipp & Zonen SMP3"), ("ascii/arduino-keys", "ghi_wm2, dhi_wm2")]
+    ("name", "said"), [("smp", "Kipp & Zonen"), ("ascii/arduino-keys", "ghi_wm2, dhi_wm2")]
 )
 def test_info_tells_instrument_profiles(name: str, said: str) -> None:
     from click.testing import CliRunner

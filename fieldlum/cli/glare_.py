@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -21,8 +23,7 @@ _COLUMNS = {
     "dgp": ("DGP", ".3f"),
     "dgps": ("DGPs", ".3f"),
     "ev_lx": ("Ev", ".0f"),
-}
-_LAST_COLUMNS = {
+    "melanopic_edi_lx": ("m-EDI", ".0f"),
     "u_melanopic_edi_lx": ("±u", ".0f"),
     "ugr": ("UGR", ".1f"),
     "dgi": ("DGI", ".1f"),
@@ -81,18 +82,15 @@ def command(
     from fieldlum.year.glare.budget import budget_of_file, write_budgets
     from fieldlum.year.glare.single import picture_glare
 
-    images = tuple(
-        picture
-        for path in images
-        for picture in (open_session(path).panorama_files() if path.is_dir() else [path])
-    )
-    how = {"view_options": view_options, "part": part, "measured_ev_lx": calibrate_ev_lx}
+    folders = [open_session(path).panorama_files() if path.is_dir() else [path] for path in images]
+    pictures = list(chain.from_iterable(folders))
+    judge = partial(picture_glare, view_options=view_options, part=part, lamps=lamps)
     rows: list[dict[str, Any]] = []
     budgets: list[tuple[str, Budget]] = []
     bad = 0
-    for path in images:
+    for path in pictures:
         try:
-            answer = picture_glare(path, view_azimuths, reference=reference, lamps=lamps, **how)
+            answer = judge(path, view_azimuths, reference=reference, measured_ev_lx=calibrate_ev_lx)
             for warning in answer["warnings"]:
                 say(f"fieldlum glare: {path}: {warning}")
             rows += csv_rows(answer)
@@ -107,8 +105,8 @@ def command(
         write_csv(csv_path, rows)
     if budget_path is not None and budgets:
         write_budgets(budget_path, budgets)
-    if bad and len(images) > 1:
-        say(f"fieldlum glare: {bad} of {len(images)} pictures could not be judged")
+    if bad and len(pictures) > 1:
+        say(f"fieldlum glare: {bad} of {len(pictures)} pictures could not be judged")
     if bad:
         raise SystemExit(InputError.exit_code)
 
@@ -133,15 +131,12 @@ def _lines(answer: JsonTable) -> Iterator[str]:
     if (sun := answer["sun"]) is not None:
         source = SUN_FROM.get(str(sun["origin"]), str(sun["origin"]))
         yield f"  the sun's disc: {sun['normal_illuminance_lx']:.0f} lx normal to it, {source}"
-    is_estimate = answer["melanopic_der"] != "colour"
     rows = []
     for view in answer["views"]:
-        bounds = ""
-        if "dgp_low" in view and "dgp_high" in view:
-            bounds = f", DGP {view['dgp_low']:.3f} to {view['dgp_high']:.3f}"
+        low, high = view.get("dgp_low"), view.get("dgp_high")
+        bounds = "" if low is None or high is None else f", DGP {low:.3f} to {high:.3f}"
         rows.append({**view, "text": f"{view['verdict']}{bounds}"})
-    edi = ("m-EDI*" if is_estimate else "m-EDI", ".0f")
-    yield from table_lines(rows, {**_COLUMNS, "melanopic_edi_lx": edi, **_LAST_COLUMNS}, "  ")
+    yield from table_lines(rows, _COLUMNS, "  ")
     for view in answer["views"]:
         if r := view.get("reference"):
             figures = f"DGP {r['dgp']:.3f}, Ev {r['ev_lx']:.0f} lx, UGR {r['ugr']:.1f}"
@@ -150,5 +145,6 @@ def _lines(answer: JsonTable) -> Iterator[str]:
     share = answer["disturbed_share"]
     if share is not None and len(answer["views"]) > 1:
         yield f"  disturbing (DGP above 0.40) in {100 * share:.0f} % of the seen directions"
-    colour = "m-EDI by the camera's colour, with its standard uncertainty"
-    yield f"  {'* an estimate: Ev with the spectrum of D65' if is_estimate else colour}"
+    by_colour = answer["melanopic_der"] == "colour"
+    how = "the camera's colour" if by_colour else "an estimate: Ev with the spectrum of D65"
+    yield f"  m-EDI by {how}"

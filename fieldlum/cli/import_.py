@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from contextlib import suppress
 from datetime import datetime, timedelta
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,10 +15,7 @@ from fieldlum.cli import terminal
 from fieldlum.cli.options import command_of
 
 if TYPE_CHECKING:
-    from fieldlum.capture.match_card import Offset, Report
-
-_SHOWN = 20  # lines of each kind; fits a terminal; chosen
-
+    from fieldlum.capture.match_card import Report
 
 _MAX_OFFSET = timedelta(hours=14)  # of the islands of Kiribati, the largest in use
 
@@ -91,10 +89,11 @@ def command(
     from fieldlum.session import open_session
 
     session = open_session(session_folder)
-    how: dict[str, Any] = {"utc_offset_s": utc_offset_s, "logger_utc_offset_s": logger_utc_offset_s}
-    how |= {"columns": dict(columns) or None, "sensitivities": dict(sensitivity) or None}
+    add = partial(import_card.run, session, folder, logger=irradiance_file)
+    add = partial(add, columns=dict(columns) or None, sensitivities=dict(sensitivity) or None)
+    add = partial(add, utc_offset_s=utc_offset_s, logger_utc_offset_s=logger_utc_offset_s)
     with terminal.progress("import") as shown:
-        report = import_card.run(session, folder, logger=irradiance_file, **how, progress=shown)
+        report = add(progress=shown)
     for line in _summary(report):
         terminal.say(line)
     frames, rows = counted(report.frames, "frame"), counted(report.rows, "row")
@@ -109,9 +108,13 @@ def command(
 def _summary(report: Report) -> list[str]:
     from statistics import median
 
-    # one line for campaigns with the same clock
-    clocks = [f"camera clock: UTC {_clock(offset)}, {offset.how}" for offset in report.offsets]
-    lines = list(dict.fromkeys(clocks))
+    from fieldlum.capture.match_card import hms, hms_list
+
+    lines = []
+    for offset in report.offsets:
+        clock = hms_list(offset.exif_s) if offset.exif_s else hms(offset.seconds)
+        lines.append(f"camera clock: UTC {clock}, {offset.how}")
+    lines = list(dict.fromkeys(lines))  # one line for campaigns with the same clock
     if report.late_s:
         lines.append(f"brackets start {median(report.late_s):+.0f} s from their slots (median)")
     if report.moved:
@@ -120,13 +123,6 @@ def _summary(report: Report) -> list[str]:
             "their frames now have other slots or times: merge and pair again"
         )
     for what, texts in (("note", report.notes), ("not imported", report.left_out)):
-        lines += [f"{what}: {text}" for text in texts[:_SHOWN]]
-        if len(texts) > _SHOWN:
-            lines.append(f"{what}: {len(texts) - _SHOWN} more, not shown")
+        lines += [f"{what}: {text}" for text in texts[:20]]
+        lines += [f"{what}: {len(texts) - 20} more, not shown"] if len(texts) > 20 else []
     return lines
-
-
-def _clock(offset: Offset) -> str:
-    from fieldlum.capture.match_card import hms, hms_list
-
-    return hms_list(offset.exif_s) if offset.exif_s else hms(offset.seconds)

@@ -1,4 +1,4 @@
-"""`fieldlum info`: describe any file of fieldlum in a few lines."""
+"""`fieldlum info`: describe any file of fieldlum."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from fieldlum.cli.options import command_of
 from fieldlum.cli.terminal import emit_json, say
 from fieldlum.core.errors import InputError
 
-Facts = dict[str, object]  # facts about a file by name, as --json prints them
-_LINE = 200  # characters of a value without --json; chosen
+Facts = dict[str, Any]  # facts about a file by name, as --json prints them
 
 
 @command_of("info")
@@ -40,19 +39,22 @@ def command(files: tuple[Path, ...], part: str = "", json_lines: bool = False) -
         if json_lines:
             emit_json(facts)
         else:
-            click.echo(str(facts.pop("file")))
+            click.echo(facts.pop("file"))
             for name, value in facts.items():
                 click.echo(f"  {name:24} {_short(value)}")
     if bad:
         raise SystemExit(InputError.exit_code)
 
 
-def _short(value: object) -> str:
+def _short(value: Any) -> str:
     """Return a value as one readable line, which may be shortened; `--json` has all of it."""
-    if isinstance(value, dict | list) and (len(str(value)) > _LINE or "{" in str(value)):
-        return f"{len(value)} entries"
     text = str(value)
-    return text if len(text) <= _LINE else f"{text[:_LINE]} ..."
+    if isinstance(value, dict):
+        text = f"{len(value)} entries"
+    elif isinstance(value, list) and value and isinstance(value[0], dict):
+        names = (str(next(iter(entry.values()), "")) for entry in value)
+        text = f"{len(value)} entries: {', '.join(names)}"
+    return text if len(text) <= 200 else f"{text[:200]} ..."
 
 
 def describe(path: Path, part: str = "") -> Facts:
@@ -116,66 +118,47 @@ def _radiance(path: Path) -> Facts:
     from fieldlum.optics.images import read_radiance_hdr
 
     image = read_radiance_hdr(path)
-    is_panorama = image.header.heading_deg is not None
-    kind, view = ("panorama", "equirect") if is_panorama else ("Radiance picture", "missing")
-    return {"kind": kind, "view": image.header.view or view, **_light(image.luminance_cdm2)}
+    view = image.header.view or ("missing" if image.header.heading_deg is None else "equirect")
+    return {"kind": "Radiance picture", "view": view, **_light(image.luminance_cdm2)}
 
 
 def _toml(path: Path) -> Facts:
     from fieldlum.core.strict_toml import build, read_toml
-    from fieldlum.optics.profiles import CameraProfile as Profile
-    from fieldlum.session.site_toml import site_from_table
-
-    table = read_toml(path)
-    if "site" in table:
-        setup = site_from_table(table, str(path))
-        room = f"{setup.room.kind}, {len(setup.room.window)} windows" if setup.room else "none"
-        place = f"{setup.site.latitude_deg:g}, {setup.site.longitude_deg:g}"
-        return {"kind": "site", "name": setup.site.name, "place": place, "room": room}
-    if "camera" in table:
-        profile = build(Profile, table, str(path))
-        return {
-            "kind": "camera profile",
-            "name": profile.camera.name,
-            "lenses": len(profile.lens),
-            "frames": len(profile.bracket.shutter_s),
-            "k": profile.scale.k,
-            "u_k_percent": 100 * profile.scale.u_rel,
-            "calibrated": profile.camera.date or "never",
-            "source": profile.provenance.source,
-        }
-    if "entry" in table:
-        return _instrument(path, "form" in table)
-    if "setup" in table and "plan" in table:
-        name = table["setup"].get("site", {}).get("name", "")
-        return {"kind": "session", "name": name, **table["plan"]}
-    found = f"a TOML file with the tables {', '.join(table) or '(none)'}"
-    expected = "a site, a camera profile, an instrument profile ([[entry]]) or a session"
-    raise InputError(path, found, expected, "name such a file")
-
-
-def _instrument(path: Path, lines_form: bool) -> Facts:
     from fieldlum.devices.ascii_lines import load_ascii_profile
     from fieldlum.devices.modbus import load_register_profile
+    from fieldlum.optics.profiles import CameraProfile
+    from fieldlum.session.site_toml import site_from_table
 
-    if lines_form:
-        lines = load_ascii_profile(str(path))
-        kind, gives = "instrument profile (lines)", [e.quantity for e in lines.entry]
-        return {"kind": kind, "name": lines.name, "form": lines.form, "gives": ", ".join(gives)}
-    of = load_register_profile(str(path))
-    facts = {"kind": "instrument profile (Modbus)", "name": of.kind}
-    facts["instruments"] = f"{of.maker} {', '.join(of.models)}"
-    return {**facts, "gives": ", ".join(e.name for e in of.entry), "source": of.source}
+    table, kind = read_toml(path), "session"
+    if "site" in table:
+        kind, _ = "site", site_from_table(table, str(path))
+    elif "camera" in table:
+        kind, _ = "camera profile", build(CameraProfile, table, str(path))
+    elif "entry" in table:
+        load = load_ascii_profile if "form" in table else load_register_profile
+        kind, _ = "instrument profile", load(str(path))
+    elif "setup" not in table:
+        found = f"a TOML file with the tables {', '.join(table) or '(none)'}"
+        expected = "a site, a camera profile, an instrument profile ([[entry]]) or a session"
+        raise InputError(path, found, expected, "name such a file")
+    return {"kind": kind, **_flat(table)} | {"kind": kind}
+
+
+def _flat(table: Facts, prefix: str = "") -> Facts:
+    """Return nested tables as one, with names such as scale.k."""
+    flat: Facts = {}
+    for name, value in table.items():
+        key = prefix + name
+        flat |= _flat(value, f"{key}.") if isinstance(value, dict) else {key: value}
+    return flat
 
 
 def _csv(path: Path) -> Facts:
     from fieldlum.session import PLAN_COLUMNS, read_plan
 
-    with path.open(encoding="utf-8", errors="replace") as file:
-        head = file.readline().strip().split(",")
-        rows = sum(1 for _ in file)
-    if tuple(head) != PLAN_COLUMNS:
-        return {"kind": "table", "rows": rows, "columns": " ".join(head)}
+    head, *rows = path.read_text(encoding="utf-8", errors="replace").splitlines() or [""]
+    if tuple(head.split(",")) != PLAN_COLUMNS:
+        return {"kind": "table", "rows": len(rows), "columns": head}
     slots = read_plan(path)
     days = sorted({slot.t_utc.date() for slot in slots})
     span = f"{days[0]} to {days[-1]}" if days else "empty"
@@ -217,10 +200,9 @@ def _folder(path: Path) -> Facts:
         return _toml(path / "session.toml")
     if (model := ModelConfig.find(path)) is not None:
         return {"kind": "model", **model.state}
-    if (path / "predict.json").is_file():
-        year = read_object(path / "predict.json", "a predicted year", "run fieldlum predict again")
-        names = ("model", "width", "height", "hours", "first", "last", "weather", "protection")
-        return {"kind": "predicted year", **{name: year.get(name) for name in names}}
+    if (year := path / "predict.json").is_file():
+        about = read_object(year, "a predicted year", "run fieldlum predict again")
+        return {"kind": "predicted year", **about}
     expected = "a folder with session.toml, config.json or predict.json"
     found, remedy = "no session, model or predicted year", "name such a folder, or a file in it"
     raise InputError(path, found, expected, remedy)
