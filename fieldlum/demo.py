@@ -9,11 +9,11 @@ with the rendered truth.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from datetime import date
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -34,23 +34,8 @@ WEATHER = "seattle_dni_dhi.csv"
 YEAR = 2027  # of the simulated captures; chosen
 
 
-@dataclass(frozen=True, slots=True)
-class Preset:
-    """Settings of a demo: rows of the maps [px], quality of the truth, minutes of training.
-
-    height: rows of the panoramas, which are twice as wide; quality: of the rendered truth;
-    budget_min: of `train`.
-    """
-
-    height: int
-    quality: str
-    budget_min: float
-
-
-PRESETS = {"quick": Preset(115, "quick", 2.0), "paper": Preset(230, "paper", 30.0)}
-
-Show = Callable[[str], Any]
-"""Called with a stage's name; returns a context manager that yields a Progress."""
+# Rows of the panoramas [px], which are twice as wide; quality of the truth; minutes of `train`.
+PRESETS = {"quick": (115, "quick", 2.0), "paper": (230, "paper", 30.0)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,8 +158,7 @@ def run(
     folder: Path,
     *,
     preset: str = "quick",
-    seed: int = 1,
-    show: Show,
+    show: Callable[[str], AbstractContextManager[Progress]],
     workers: int = 2,
     weather: Path | None = None,
 ) -> Outcome:
@@ -191,32 +175,36 @@ def run(
     from fieldlum.room import simulate
     from fieldlum.year import predict
 
-    how, weather = PRESETS[preset], weather or shipped("capture_plans") / WEATHER
+    height, quality, budget_min = PRESETS[preset]
+    weather, pool = weather or shipped("capture_plans") / WEATHER, Scheduler(workers)
     seconds: dict[str, float] = {}
 
-    def stage(name: str, work: Callable[[Progress], Any]) -> Any:
+    @contextmanager
+    def stage(name: str) -> Iterator[Progress]:
         started = time.monotonic()
         with show(name) as progress:
-            answer = work(progress)
+            yield progress
         seconds[name] = round(time.monotonic() - started, 1)
-        return answer
 
-    session = stage("plan", lambda _: prepare(folder))
-    year = simulate.weather_for(session.site_file(), weather)
-    render = {"height": how.height, "quality": how.quality, "workers": workers}
-    stage("render the room", lambda p: simulate.run(session, year, progress=p, **render))
-    stage("capture", lambda p: capture(session, seed, p))
-    options, pool = merge.MergeOptions(height=how.height), Scheduler(workers)
-    stage("merge", lambda p: merge.run(session, options, scheduler=pool, progress=p))
-    stage("pair", lambda p: (irradiance.run(session, progress=p), pair.run(session, progress=p)))
-    model = session.models / MODEL
-    learning = {"budget_min": how.budget_min, "seed": seed, "out": model}
-    scores = stage("train", lambda p: train.run(load_pairs(session), MODEL, progress=p, **learning))
-    predicting = {"seed": seed, "scheduler": pool}
-    annual, _ = stage(
-        "predict a year", lambda p: predict.run(model, weather, progress=p, **predicting)
-    )
-    page = stage("report", lambda p: report.run(session))
+    with stage("plan"):
+        session = prepare(folder)
+    year, model = simulate.weather_for(session.site_file(), weather), session.models / MODEL
+    with stage("render the room") as bar:
+        simulate.run(session, year, height=height, quality=quality, workers=workers, progress=bar)
+    with stage("capture") as bar:
+        capture(session, 1, bar)
+    with stage("merge") as bar:
+        merge.run(session, merge.MergeOptions(height=height), scheduler=pool, progress=bar)
+    with stage("pair") as bar:
+        irradiance.run(session, progress=bar)
+        pair.run(session, progress=bar)
+    with stage("train") as bar:
+        data = load_pairs(session)
+        scores = train.run(data, MODEL, budget_min=budget_min, seed=1, out=model, progress=bar)
+    with stage("predict a year") as bar:
+        annual, _ = predict.run(model, weather, seed=1, scheduler=pool, progress=bar)
+    with stage("report"):
+        page = report.run(session)
     outcome = Outcome(page, seconds, _figures(session, scores, annual))
     table = {"preset": preset, "seconds": seconds, "figures": outcome.figures, "scores": scores}
     write_object(folder / "demo.json", table)

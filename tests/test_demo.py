@@ -43,7 +43,7 @@ def outcome(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, demo.Outcom
         if line.split(",")[:2] in (["3", "19"], ["3", "20"], ["3", "21"], ["3", "22"])
     ]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(demo.PRESETS, "quick", demo.Preset(23, "draft", 0.02))
+        patch.setitem(demo.PRESETS, "quick", (23, "draft", 0.02))
         weather = root / "week.csv"
         weather.write_text("\n".join([*year[:head], *week]) + "\n", encoding="utf-8")
         return root / "s", demo.run(root / "s", show=_unseen, workers=1, weather=weather)

@@ -54,27 +54,13 @@ class _CommandGroup(click.Group):
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names of the commands."""
-        return list(COMMANDS)
+        return list(self.commands)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Return a command, or None for an unknown name."""
         if cmd_name not in COMMANDS:
             return None
         return import_module(f"fieldlum.cli.{cmd_name}_").command
-
-    def resolve_command(
-        self, ctx: click.Context, args: list[str]
-    ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Return the command's name, the command, and the arguments after its name.
-
-        An unknown name is a usage error, which suggests a similar name if there is one.
-        """
-        from difflib import get_close_matches
-
-        near = get_close_matches(args[0], COMMANDS, n=1)
-        if args[0] not in COMMANDS and near and not args[0].startswith("-"):
-            ctx.fail(f"No such command '{args[0]}'. Did you mean '{near[0]}'?")
-        return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: click.Context) -> object:
         """Run the command; print expected errors as one line and exit with their code."""
@@ -142,6 +128,7 @@ def _hold_standard_files() -> None:
 
 @click.group(
     cls=_CommandGroup,
+    commands=dict.fromkeys(COMMANDS, click.Command(None)),  # in the order of --help
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
 )
 @click.version_option(__version__, package_name="fieldlum")

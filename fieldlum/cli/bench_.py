@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -51,12 +52,12 @@ def command(
     from fieldlum.bench.rows import load
 
     with progress("reading pictures") as show:
-        names, given = models.split(","), {"test": test, "site": site, "sky_view": sky_view}
-        loaded = load(pairs, names, scene=scene, progress=show, **given)
+        read = partial(load, pairs, models.split(","), test=test, site=site)
+        loaded = read(scene=scene, sky_view=sky_view, progress=show)
     for note in loaded.data.notes:
         say(note)
     with progress("benchmark") as show:
-        settings = {"budget_min": budget, "with_stress": stress, "render_hours": render}
-        answer = run(loaded, out=out, progress=show, **settings)
+        judge = partial(run, loaded, out=out, budget_min=budget, progress=show)
+        answer = judge(with_stress=stress, render_hours=render)
     print_answer(as_json, answer, [(out / "bench.md").read_text(encoding="utf-8")])
     say(f"tables and charts in {out}")

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -34,18 +34,20 @@ def _every(camera: str, out: Path, picture: Path | None = None, as_json: bool = 
     """
 
 
-_READINGS = {
-    "reading": ("reading", "<"),
-    "meter": ("meter", ".4g"),
-    "picture": ("picture", ".4g"),
-    "off_percent": ("meter less picture [%]", "+.2f"),
-}
-_TIMES = {
-    "nominal_s": ("nominal [s]", ".6g"),
-    "true_s": ("true [s]", ".6g"),
-    "off_percent": ("from the profile [%]", "+.2f"),
-    "u_rel": ("u (relative)", ".2g"),
-    "brackets": ("brackets", "d"),
+_TABLES = {  # columns of figures that are tables
+    "points": {
+        "reading": ("reading", "<"),
+        "meter": ("meter", ".4g"),
+        "picture": ("picture", ".4g"),
+        "off_percent": ("meter less picture [%]", "+.2f"),
+    },
+    "times": {
+        "nominal_s": ("nominal [s]", ".6g"),
+        "true_s": ("true [s]", ".6g"),
+        "off_percent": ("from the profile [%]", "+.2f"),
+        "u_rel": ("u (relative)", ".2g"),
+        "brackets": ("brackets", "d"),
+    },
 }
 
 
@@ -54,9 +56,8 @@ class FittedPart:
     """What a fit changes in the profile, and what is printed about it.
 
     changed : fields of the profile. lines : one about each fit, stored in the profile. frames :
-    files whose sha256 is stored. figures : printed, in the order; only_json : printed only with
-    --json. chart : of the fit. notes : for the user, on stderr. rows,
-    columns : a table that is printed first. profile : to start from, if it is not that of --camera.
+    files whose sha256 is stored. figures : printed, in the order; those in `_TABLES` first. chart :
+    of the fit. notes : for the user, on stderr.
     """
 
     changed: dict[str, Any]
@@ -65,10 +66,6 @@ class FittedPart:
     figures: dict[str, Any]
     chart: Chart | None = None
     notes: Sequence[str] = ()
-    rows: Sequence[dict[str, Any]] = ()
-    columns: Mapping[str, tuple[str, str]] = field(default_factory=dict)
-    only_json: dict[str, Any] = field(default_factory=dict)
-    profile: CameraProfile | None = None
 
 
 class _InOrder(click.Group):
@@ -115,13 +112,16 @@ def _run(
         terminal.say(f"note: {note}")
     if picture and new.chart:
         draw(new.chart, picture)
-    start, today = new.profile or profile, datetime.now(UTC).date()
-    save_calibration(out, start, new.frames, new.lines, today, **new.changed)
-    answer = {**new.figures, **new.only_json, "why": new.lines, "profile": str(out)}
-    table = terminal.table_lines(new.rows, new.columns, "  ") if new.rows else []
-    figures = {n: list(v) if isinstance(v, tuple) else v for n, v in new.figures.items()}
-    shown = [f"{name}: {value}" for name, value in figures.items()]
-    terminal.print_answer(as_json, answer, [*table, *new.lines, *shown, f"wrote {out}"])
+    today = datetime.now(UTC).date()
+    save_calibration(out, profile, new.frames, new.lines, today, **new.changed)
+    lines, shown = [], [*new.lines]
+    for name, value in new.figures.items():
+        if columns := _TABLES.get(name):
+            lines += terminal.table_lines(value, columns, "  ")
+        else:
+            shown.append(f"{name}: {list(value) if isinstance(value, tuple) else value}")
+    answer = {**new.figures, "why": new.lines, "profile": str(out)}
+    terminal.print_answer(as_json, answer, [*lines, *shown, f"wrote {out}"])
 
 
 def _part(fit: Callable[..., FittedPart]) -> click.Command:
@@ -130,10 +130,8 @@ def _part(fit: Callable[..., FittedPart]) -> click.Command:
     own = list(signature.parameters.values())[1:]
     fit.__signature__ = signature.replace(parameters=own)  # type: ignore[attr-defined]
     made = declare(fit, fit.__name__, SHARED)
-    made.callback, made.params = (
-        partial(_run, fit),
-        [*made.params, *declare(_every, "", SHARED).params],
-    )
+    made.callback = partial(_run, fit)
+    made.params += declare(_every, "", SHARED).params
     command.add_command(made)
     return made
 
@@ -365,28 +363,21 @@ def scale(
     readings, frames, notes = scales.from_table(sources, profile)
     fit = scales.fit(readings, meter_u, sources)
     warning = scales.check_level(fit, profile, sources)
-    shown = [r.image * fit.factor for r in readings]
-    off = np.round(100 * fit.residual, 2).tolist()
-    rows = zip([r.label for r in readings], [r.meter for r in readings], shown, off, strict=True)
-    points = [dict(zip(_READINGS, row, strict=True)) for row in rows]
-    planes = [(x, r.meter) for r, x in zip(readings, shown, strict=True) if r.kind != "spot"]
-    gates = [illuminance_verdict(*plane) for plane in planes]
+    points, gates = [], []
+    for r, off in zip(readings, np.round(100 * fit.residual, 2).tolist(), strict=True):
+        row = r.label, r.meter, r.image * fit.factor, off
+        points.append(dict(zip(_TABLES["points"], row, strict=True)))
+        if r.kind != "spot":
+            gates.append(illuminance_verdict(r.image * fit.factor, r.meter))
     k, u = round(profile.scale.k * fit.factor, 5), round(fit.u_rel, 4)
     figures = {"k": k, "u_rel": u, **_figures(fit, "factor", "far"), "illuminance": gates}
+    figures["points"] = points
     line = f"{fit.line}; k = {k:g}, uncertainty {100 * u:.1f} % from {len(readings)} readings"
     line += "".join(f"; illuminance: {gate}" for gate in gates)
     line += f"; CAUTION: {warning}" if warning else ""
-    return FittedPart(
-        {"scale": replace(profile.scale, k=k, u_rel=u)},
-        [line],
-        [sources, *frames],
-        figures,
-        scales.chart(readings, fit),
-        [*notes, *scales.slips(readings, fit), *([warning] if warning else [])],
-        points,
-        _READINGS,
-        {"points": points},
-    )
+    notes = [*notes, *scales.slips(readings, fit), *filter(None, [warning])]
+    changed, chart = {"scale": replace(profile.scale, k=k, u_rel=u)}, scales.chart(readings, fit)
+    return FittedPart(changed, [line], [sources, *frames], figures, chart, notes)
 
 
 @_part
@@ -415,18 +406,9 @@ def shutter(profile: Any, sources: Annotated[Paths, "SESSION...", EXISTING_PATH]
         off_percent = round(100 * (t.true_s / assumed_s - 1), 3)
         own = {"assumed_s": assumed_s, "brackets": count, "off_percent": off_percent}
         times.append(_figures(t, "nominal_s", "true_s", "u_rel") | own)
-    return FittedPart(
-        {"shutter": shutters.with_times(lawful, fit)},
-        [fit.line],
-        files,
-        {"times": len(times)},
-        shutters.chart(fit),
-        [f"not used: {why}; capture more brackets in steady light" for why in fit.left_out],
-        times,
-        _TIMES,
-        {"times": times},
-        lawful,
-    )
+    notes = [f"not used: {why}; capture more brackets in steady light" for why in fit.left_out]
+    changed = {"shutter": shutters.with_times(lawful, fit), "shutter_law": lawful.shutter_law}
+    return FittedPart(changed, [fit.line], files, {"times": times}, shutters.chart(fit), notes)
 
 
 @_part
@@ -447,8 +429,7 @@ def pixels(profile: Any, sources: Annotated[Paths, "FRAME|FOLDER...", EXISTING_P
     figures = {"found": len(defects.bad_px), "new": len(bad_px) - len(sensor.bad_px)}
     figures |= {"views": len(defects.frames), "by_chance": defects.by_chance}
     changed, chart = {"sensor": replace(sensor, bad_px=bad_px)}, finder.pixel_chart(defects)
-    own = {"bad_px": defects.bad_px}
-    return FittedPart(changed, [defects.line], defects.frames, figures, chart, only_json=own)
+    return FittedPart(changed, [defects.line], defects.frames, figures, chart)
 
 
 @_part

@@ -119,20 +119,17 @@ def command(
 
 def _show_end(root: Path, slots: list[SlotState]) -> None:
     """Print the counts of brackets; raise DeviceError if most of them aborted."""
-    from fieldlum.core.records import counted
-
     outcomes = Counter(slot.outcome for slot in slots)
-    done = counted(outcomes["done"], "bracket")
+    done, missed, aborted = (outcomes[name] for name in ("done", "missed", "aborted"))
     with suppress(OSError):  # the terminal may be closed by now
-        click.echo(f"{root}: {done}, {outcomes['missed']} missed, {outcomes['aborted']} aborted")
-    aborted = [slot.why for slot in slots if slot.outcome == "aborted"]
+        click.echo(f"{root}: {done} brackets, {missed} missed, {aborted} aborted")
     if aborted:
-        terminal.say(f"the last aborted bracket: {aborted[-1]}")
-    if len(aborted) > outcomes["done"]:
+        why = [slot.why for slot in slots if slot.outcome == "aborted"][-1]
+        terminal.say(f"the last aborted bracket: {why}")
+    if aborted > done:
         raise DeviceError(
-            f"{counted(len(aborted), 'bracket')} aborted, but only {outcomes['done']} completed; "
-            f"find the cause with fieldlum doctor {root}, then plan the lost hours again with "
-            f"fieldlum plan {root} --replan"
+            f"{aborted} brackets aborted, but only {done} completed; find the cause with fieldlum "
+            f"doctor {root}, then plan the lost hours again with fieldlum plan {root} --replan"
         )
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
+from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import click
 
@@ -87,10 +88,9 @@ def command(
         with terminal.progress("planning") as progress:
             session = _planned(out, setup, weather, (set_, year, count, seed), progress)
     assert session is not None
-    how: dict[str, Any] = {"height": height, "quality": chosen, "troubles": troubles}
-    how |= {"force": force, "scheduler": scheduler_of(scheduler_text)}
+    render = partial(simulate.run, session, weather, height=height, quality=chosen, force=force)
     with terminal.progress("simulating") as progress:
-        made = simulate.run(session, weather, **how, progress=progress)
+        made = render(troubles=troubles, scheduler=scheduler_of(scheduler_text), progress=progress)
     answer = {"session": str(session.root), "rendered": made.rendered, "kept": made.kept}
     answer |= {"dark": made.dark, "weather": made.weather, "size": size, "quality": chosen}
     dark = f", {made.dark} slots without light" if made.dark else ""
