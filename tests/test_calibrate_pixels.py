@@ -80,7 +80,10 @@ def test_the_command(tmp_path: Path) -> None:
     words = ["calibrate", "pixels", *dark, "--camera", str(camera), "--out", str(out)]
     ran = CliRunner().invoke(main, [*words, "--json", "--picture", str(tmp_path / "p.png")])
     assert ran.exit_code == 0, ran.output
-    assert json.loads(ran.stdout)["found"] == 4 and (tmp_path / "p.png").stat().st_size > 1000
+    assert (
+        len(json.loads(ran.stdout)["sensor"]["bad_px"]) == 5
+        and (tmp_path / "p.png").stat().st_size > 1000
+    )
     new = load_camera_profile(out)
     assert (
         set(new.sensor.bad_px) == HOT | STUCK | {(1, 2)} and "dark frames" in new.provenance.log[-1]

@@ -21,7 +21,7 @@ from fieldlum.optics.linear_light import check_frame, stated_law, true_shutter_s
 from fieldlum.optics.photometry import ShutterLaw, dark_floor, fit_response, response_table
 from fieldlum.optics.profiles import CameraProfile, Response
 from fieldlum.optics.projection import relative_radius
-from fieldlum.optics.raw import is_jpeg, read_jpeg
+from fieldlum.optics.raw import frame_files, is_jpeg, read_jpeg
 
 # Codes that count for the residual, and have weight in a merge: the profile's defaults.
 LOW, HIGH = Response().low_code, Response().high_code
@@ -166,7 +166,7 @@ def brackets_in(paths: Sequence[Path]) -> list[list[Path]]:
     single = [path for path in paths if path.is_file()]
     brackets = [single] if single else []
     for folder in (path for path in paths if not path.is_file()):
-        brackets.append(sorted(p for p in folder.glob("*") if is_jpeg(p)))
+        brackets.append([p for p in frame_files(folder) if is_jpeg(p)])
         if not brackets[-1]:
             expected = "a folder with the frames of one bracket"
             raise InputError(folder, "no JPEG frames", expected, "check the path of the folder")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -56,16 +56,16 @@ class FittedPart:
     """What a fit changes in the profile, and what is printed about it.
 
     changed : fields of the profile. lines : one about each fit, stored in the profile. frames :
-    files whose sha256 is stored. figures : printed, in the order; those in `_TABLES` first. chart :
-    of the fit. notes : for the user, on stderr.
+    files whose sha256 is stored. chart : of the fit. notes : for the user, on stderr. figures :
+    further ones of the answer, printed; those in `_TABLES` as a table.
     """
 
     changed: dict[str, Any]
     lines: list[str]
     frames: Iterable[Path]
-    figures: dict[str, Any]
-    chart: Chart | None = None
+    chart: Chart
     notes: Sequence[str] = ()
+    figures: dict[str, Any] = field(default_factory=dict)
 
 
 class _InOrder(click.Group):
@@ -104,24 +104,23 @@ def _run(
     """Fit one part, draw it, print what it found, and write the profile."""
     from fieldlum.calibrate import save_calibration
     from fieldlum.calibrate.pictures import draw
+    from fieldlum.core.strict_toml import plain
     from fieldlum.optics.profiles import load_camera_profile
 
     profile = load_camera_profile(camera)
     new = fit(profile, **own)
     for note in new.notes:
         terminal.say(f"note: {note}")
-    if picture and new.chart:
+    if picture:
         draw(new.chart, picture)
     today = datetime.now(UTC).date()
     save_calibration(out, profile, new.frames, new.lines, today, **new.changed)
-    lines, shown = [], [*new.lines]
-    for name, value in new.figures.items():
-        if columns := _TABLES.get(name):
-            lines += terminal.table_lines(value, columns, "  ")
-        else:
-            shown.append(f"{name}: {list(value) if isinstance(value, tuple) else value}")
-    answer = {**new.figures, "why": new.lines, "profile": str(out)}
-    terminal.print_answer(as_json, answer, [*lines, *shown, f"wrote {out}"])
+    lines = []
+    for name in _TABLES.keys() & new.figures:
+        lines += terminal.table_lines(new.figures[name], _TABLES[name], "  ")
+    answer = {**plain(new.changed), **new.figures, "why": new.lines, "profile": str(out)}
+    shown = [f"{name}: {value}" for name, value in new.figures.items() if name not in _TABLES]
+    terminal.print_answer(as_json, answer, [*lines, *new.lines, *shown, f"wrote {out}"])
 
 
 def _part(fit: Callable[..., FittedPart]) -> click.Command:
@@ -134,11 +133,6 @@ def _part(fit: Callable[..., FittedPart]) -> click.Command:
     made.params += declare(_every, "", SHARED).params
     command.add_command(made)
     return made
-
-
-def _figures(source: Any, *names: str) -> dict[str, Any]:
-    """Return attributes of a result by their names, to print."""
-    return {name: getattr(source, name) for name in names}
 
 
 def _lens_index(profile: CameraProfile, lens_number: int) -> int:
@@ -186,31 +180,29 @@ def lens(
     if circle and len(sources) != 1:
         raise click.UsageError(f"--circle works on one FRAME; {len(sources)} files were named")
     index = _lens_index(profile, lens_number)
-    start = profile.lens[index]
     if circle:
-        new, fitted = _by_circle(sources[0], start)
-    else:
-        new, fitted = _by_targets(sources, start, chessboard)
-    return replace(fitted, changed=_with_lens(profile, index, new))
+        return _by_circle(sources[0], profile, index)
+    return _by_targets(sources, profile, index, chessboard)
 
 
-def _by_circle(frame: Path, start: Lens) -> tuple[Lens, FittedPart]:
+def _by_circle(frame: Path, profile: CameraProfile, index: int) -> FittedPart:
     from fieldlum.calibrate import lens as lenses
 
+    start = profile.lens[index]
     found = lenses.circle(lenses.grey_picture(frame), start, frame)
     (x, y), radius_px = found.centre_px, found.radius_px
     new = replace(start, centre_px=(round(x, 2), round(y, 2)), radius_px=round(radius_px, 2))
+    changed, chart = _with_lens(profile, index, new), lenses.circle_chart(found, frame)
     line = f"lens: circle of radius {radius_px:.1f} px, uncertainty {found.u_px:.1f} px"
-    figures = _figures(found, "centre_px", "radius_px", "u_px")
-    return new, FittedPart({}, [line], [frame], figures, lenses.circle_chart(found, frame))
+    return FittedPart(changed, [line], [frame], chart)
 
 
 def _by_targets(
-    sources: Paths, start: Lens, chessboard: tuple[float, ...] | None
-) -> tuple[Lens, FittedPart]:
+    sources: Paths, profile: CameraProfile, index: int, chessboard: tuple[float, ...] | None
+) -> FittedPart:
     from fieldlum.calibrate import lens as lenses
 
-    notes = []
+    start, notes = profile.lens[index], []
     if chessboard:
         columns, rows = map(int, chessboard)
         corners = {path: lenses.chessboard_corners(path, columns, rows) for path in sources}
@@ -224,12 +216,9 @@ def _by_targets(
     if fit.widest_deg < 0.9 * half_deg:
         widest = f"no target beyond {fit.widest_deg:.0f} deg from the axis"
         notes.append(f"{widest}: the mapping from there to {half_deg:g} deg is extrapolated")
-    names = ("mapping", "centre_px", "radius_px", "coefficients", "azimuth_deg", "tilt_deg")
-    figures = _figures(fit.lens, *names, "roll_deg")
-    figures |= _figures(fit, "rms_px", "rms_deg", "widest_deg")
     line, notes = "; CAUTION: ".join([fit.choice.line, *fit.warnings]), [*notes, *fit.warnings]
-    chart = lenses.chart(targets, fit)
-    return fit.lens, FittedPart({}, [line], sources, figures, chart, notes)
+    changed, chart = _with_lens(profile, index, fit.lens), lenses.chart(targets, fit)
+    return FittedPart(changed, [line], sources, chart, notes)
 
 
 @_part
@@ -247,17 +236,10 @@ def response(profile: Any, sources: Annotated[Paths, "BRACKETS...", EXISTING_PAT
     from fieldlum.calibrate import response as responses
 
     places = responses.sample(responses.brackets_in(sources), profile, np.random.default_rng(1))
-    fit, law = responses.fit(places), places.law
-    figures = _figures(fit.response, "kind", "u_rel") | {
-        "residual_rgb": fit.residual,
-        "shutter_law": law.law,
-        "shutter_law_by": law.decided_by,
-        "iso_seconds": np.round(np.exp(places.log_exposure), 6).tolist(),
-        "step_deviation_percent": np.round(100.0 * places.steps.deviation, 2).tolist(),
-    }
+    fit = responses.fit(places)
     lines = [text for text in (fit.choice.line, places.steps.text) if text]
     changed, chart = {"response": fit.response}, responses.chart(places, fit)
-    return FittedPart(changed, lines, places.frames, figures, chart)
+    return FittedPart(changed, lines, places.frames, chart)
 
 
 @_part
@@ -288,9 +270,8 @@ def vignette(
         samples = vignettes.from_uniform(sources, profile, index)
     fit, old = vignettes.fit(samples), profile.lens[samples.lens]
     changed = _with_lens(profile, samples.lens, vignettes.with_curve(old, samples.f_number, fit))
-    figures = _figures(samples, "f_number") | _figures(fit, "coefficients", "u_rel")
     chart = vignettes.chart(samples, fit, old.full_angle_deg / 2)
-    return FittedPart(changed, [fit.choice.line], samples.frames, figures, chart)
+    return FittedPart(changed, [fit.choice.line], samples.frames, chart)
 
 
 @_part
@@ -329,11 +310,9 @@ def colour(
         notes.append(f"the readings multiply k by {fit.scale:.3f}: run fieldlum calibrate scale")
     new = replace(profile.colour, y_from_rgb=fit.y_from_rgb, u_rel=round(fit.u_rel, 5))
     new, line = fits.with_melanopic(new, colours, profile, fit.scale, cct_k)
-    figures = _figures(fit, "y_from_rgb", "u_rel") | {"readings": len(colours.y)}
-    figures |= _figures(new, "melanopic_from_rgb", "melanopic_u_rel")
     files = dict.fromkeys([sources, *(at.path for at in colours.places)])
     lines = [fit.choice.line, line]
-    return FittedPart({"colour": new}, lines, files, figures, fits.chart(colours, fit), notes)
+    return FittedPart({"colour": new}, lines, files, fits.chart(colours, fit), notes)
 
 
 @_part
@@ -370,14 +349,14 @@ def scale(
         if r.kind != "spot":
             gates.append(illuminance_verdict(r.image * fit.factor, r.meter))
     k, u = round(profile.scale.k * fit.factor, 5), round(fit.u_rel, 4)
-    figures = {"k": k, "u_rel": u, **_figures(fit, "factor", "far"), "illuminance": gates}
-    figures["points"] = points
+    figures = {"points": points, "k": k, "u_rel": u, "factor": fit.factor, "far": fit.far}
+    figures["illuminance"] = gates
     line = f"{fit.line}; k = {k:g}, uncertainty {100 * u:.1f} % from {len(readings)} readings"
     line += "".join(f"; illuminance: {gate}" for gate in gates)
     line += f"; CAUTION: {warning}" if warning else ""
     notes = [*notes, *scales.slips(readings, fit), *filter(None, [warning])]
     changed, chart = {"scale": replace(profile.scale, k=k, u_rel=u)}, scales.chart(readings, fit)
-    return FittedPart(changed, [line], [sources, *frames], figures, chart, notes)
+    return FittedPart(changed, [line], [sources, *frames], chart, notes, figures)
 
 
 @_part
@@ -405,10 +384,10 @@ def shutter(profile: Any, sources: Annotated[Paths, "SESSION...", EXISTING_PATH]
     for t, assumed_s, count in zip(fit.times, fit.assumed_s, fit.brackets, strict=True):
         off_percent = round(100 * (t.true_s / assumed_s - 1), 3)
         own = {"assumed_s": assumed_s, "brackets": count, "off_percent": off_percent}
-        times.append(_figures(t, "nominal_s", "true_s", "u_rel") | own)
+        times.append(asdict(t) | own)
     notes = [f"not used: {why}; capture more brackets in steady light" for why in fit.left_out]
     changed = {"shutter": shutters.with_times(lawful, fit), "shutter_law": lawful.shutter_law}
-    return FittedPart(changed, [fit.line], files, {"times": times}, shutters.chart(fit), notes)
+    return FittedPart(changed, [fit.line], files, shutters.chart(fit), notes, {"times": times})
 
 
 @_part
@@ -426,10 +405,8 @@ def pixels(profile: Any, sources: Annotated[Paths, "FRAME|FOLDER...", EXISTING_P
 
     defects, sensor = finder.find(sources, profile), profile.sensor
     bad_px = tuple(sorted({*sensor.bad_px, *defects.bad_px}))
-    figures = {"found": len(defects.bad_px), "new": len(bad_px) - len(sensor.bad_px)}
-    figures |= {"views": len(defects.frames), "by_chance": defects.by_chance}
     changed, chart = {"sensor": replace(sensor, bad_px=bad_px)}, finder.pixel_chart(defects)
-    return FittedPart(changed, [defects.line], defects.frames, figures, chart)
+    return FittedPart(changed, [defects.line], defects.frames, chart)
 
 
 @_part
@@ -453,10 +430,9 @@ def linearity(profile: Any, sources: Annotated[Paths, "FRAMES...", EXISTING_PATH
     fit = curves.fit(levels)
     own = {"linearity": fit.coefficients, "linearity_u_rel": fit.u_rel}
     sensor = replace(profile.sensor, **own, exposure_offset_s=fit.offset_s)
-    figures: dict[str, Any] = {"linearity": fit.coefficients, "u_rel": fit.u_rel}
-    figures |= {"exposure_offset_s": fit.offset_s, "u_exposure_offset_s": fit.u_offset_s}
-    chart = curves.chart(levels, fit)
-    return FittedPart({"sensor": sensor}, [fit.choice.line], levels.frames, figures, chart)
+    changed, chart, lines = {"sensor": sensor}, curves.chart(levels, fit), [fit.choice.line]
+    figures = {"u_exposure_offset_s": fit.u_offset_s}
+    return FittedPart(changed, lines, levels.frames, chart, figures=figures)
 
 
 @_part
@@ -477,9 +453,8 @@ def stray(profile: Any, sources: Annotated[Path, "READINGS.csv", EXISTING_PATH])
 
     readings = haze.from_table(sources, profile)
     fit = haze.fit(readings, sources)
-    figures = _figures(fit.kernel, "angle_deg", "per_sr", "u_rel")
-    figures["total_share"] = round(fit.total_share, 5)
     changed = {"stray": fit.kernel, "glare_floor_rel": 0.0}  # the kernel's u_rel replaces the floor
     frames = [sources, *dict.fromkeys(r.place.path for r in readings)]
     chart = haze.chart(readings, fit)
-    return FittedPart(changed, [fit.choice.line], frames, figures, chart)
+    figures = {"total_share": round(fit.total_share, 5)}
+    return FittedPart(changed, [fit.choice.line], frames, chart, figures=figures)

@@ -13,11 +13,8 @@ from fieldlum.cli.declared import EXISTING_PATH
 from fieldlum.cli.options import DAY, CaptureSet, Year, command_of
 
 if TYPE_CHECKING:
-    from fieldlum.core.records import Site, SiteFile
+    from fieldlum.core.records import SiteFile
     from fieldlum.weather import Weather
-
-WeatherFile = tuple[Path | None, float]
-"""A weather file, and the minutes to add to its times."""
 
 
 @command_of("plan")
@@ -57,6 +54,10 @@ def command(
       --next: Rank the hours of the next two weeks by how much they would improve the model.
       --replan: Add make-up slots for the missed ones.
     """
+    from fieldlum.session import open_session
+    from fieldlum.session.site_toml import load_site
+    from fieldlum.weather import read_weather
+
     of_session, day = next_ or replan, start.date() if start else None
     dates, sets = (out, day, year, days, count), ("month", "even", "best")
     example = "for example: fieldlum plan SITE.toml --set 9-day --out my-session"
@@ -77,25 +78,27 @@ def command(
     }
     if text := next((text for text, is_wrong in wrong.items() if is_wrong), ""):
         raise click.UsageError(text)
-    sky = (weather_file, label_shift_min)
+    setup = open_session(target).site_file() if of_session else load_site(target)
+    weather = weather_file and read_weather(
+        weather_file, setup.site, label_shift_min=label_shift_min
+    )
     if next_:
-        answer, sentences = _coming(target, sky)
+        answer, sentences = _coming(target, weather)
     elif replan:
-        answer, sentences = _replanned(target, sky)
+        answer, sentences = _replanned(target, weather)
     else:
         assert out is not None
-        answer, sentences = _planned(target, (set_, day, year, days, count), sky, out)
+        answer, sentences = _planned(setup, (set_, day, year, days, count), weather, out)
     terminal.print_answer(as_json, answer, sentences)
 
 
-def _planned(target: Path, asked: tuple, sky: WeatherFile, out: Path) -> tuple[dict, list[str]]:
+def _planned(
+    setup: SiteFile, asked: tuple, weather: Weather | None, out: Path
+) -> tuple[dict, list[str]]:
     from fieldlum import plan
-    from fieldlum.session.site_toml import load_site
 
-    setup = load_site(target)
     set_, *dates = asked
     request = plan.Request(set_, plan.today_at(setup.site, datetime.now(UTC)), *dates)
-    weather = _weather(sky, setup.site)
     _permit_room(setup)
     with terminal.progress("choosing hours") as progress:
         session, made = plan.run(setup, request, out, weather, progress)
@@ -125,14 +128,13 @@ def _permit_room(setup: SiteFile) -> None:
         terminal.say(f"note: could not store the permission ({error}): fieldlum permit {path}")
 
 
-def _coming(target: Path, sky: WeatherFile) -> tuple[dict, list[str]]:
+def _coming(target: Path, weather: Weather | None) -> tuple[dict, list[str]]:
     from fieldlum.plan import coming
     from fieldlum.session import open_session
     from fieldlum.weather import synthetic_weather
 
     session = open_session(target)
     site = session.site_file().site
-    weather = _weather(sky, site)
     if weather is None:
         weather = synthetic_weather(site)
         terminal.say("note: no --weather: clear skies with random clouds are used")
@@ -141,7 +143,7 @@ def _coming(target: Path, sky: WeatherFile) -> tuple[dict, list[str]]:
     return answer, coming.sentences(answer, site)
 
 
-def _replanned(target: Path, sky: WeatherFile) -> tuple[dict, list[str]]:
+def _replanned(target: Path, weather: Weather | None) -> tuple[dict, list[str]]:
     from fieldlum import plan
     from fieldlum.plan import makeup
     from fieldlum.session import open_session
@@ -149,12 +151,5 @@ def _replanned(target: Path, sky: WeatherFile) -> tuple[dict, list[str]]:
     session = open_session(target)
     answer = makeup.run(session, datetime.now(UTC))
     plan.write_calendar(session, datetime.now(UTC))
-    plan.write_sheets(session, _weather(sky, session.site_file().site))
+    plan.write_sheets(session, weather)
     return answer, makeup.sentences(answer)
-
-
-def _weather(sky: WeatherFile, site: Site) -> Weather | None:
-    from fieldlum.weather import read_weather
-
-    path, label_shift_min = sky
-    return None if path is None else read_weather(path, site, label_shift_min=label_shift_min)
