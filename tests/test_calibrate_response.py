@@ -113,7 +113,7 @@ def test_response_refuses_what_is_no_bracket(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="three different exposures"):
         response.sample(response.brackets_in([folder]), JPEG_PROFILE, np.random.default_rng(0))
     (tmp_path / "empty").mkdir()
-    with pytest.raises(InputError, match="no JPEG"):
+    with pytest.raises(InputError, match="no frames in this folder"):
         response.brackets_in([tmp_path / "empty"])
 
 
