@@ -58,9 +58,8 @@ def export(
     maps/SLOT-AZ.hdr: Radiance fisheyes with VIEW and the sun, facing `azimuths_deg` (clockwise from
     true north; the camera's heading if empty). sky_view.csv: the share of the sun's beam that
     arrives from each direction, with its 95 % bounds, empty where no lens saw; sky_view_mask.png:
-    the same as a fisheye. room.rad: the fitted
-    room, else the stated one, in room axes. pairs.nc, year.nc: netCDF 3 with units. Raises
-    InputError for a damaged file.
+    the same as a fisheye. room.rad: the fitted room, else the stated one, in room axes. pairs.nc,
+    year.nc: netCDF 3 with units. Raises InputError for a damaged file.
     """
     panoramas = session.panorama_files()
     if not panoramas and not session.annual_folders():
