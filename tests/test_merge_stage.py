@@ -284,7 +284,8 @@ def test_exit_codes(session: Session, tmp_path: Path) -> None:
     assert code(str(session.root)) == 5  # nothing captured
     assert code("--frames", str(tmp_path / "none.dng"), "--camera", camera, "--out", "x.hdr") == 3
     assert code("--frames", camera, "--camera", camera, "--out", "x.png") == 3
-    (tmp_path / "empty").mkdir()
+    (tmp_path / "empty" / "bracket").mkdir(parents=True)
+    (tmp_path / "empty" / "bracket" / "a.dng").touch()  # brackets of subfolders are not mixed
     options = ["--frames", str(tmp_path / "empty"), "--camera", camera, "--out", "x.hdr"]
     assert "no frames in this folder" in CliRunner().invoke(main, ["merge", *options]).output
     assert code("--frames", camera, "--camera", "no-such-camera", "--out", "x.hdr") == 3

@@ -31,7 +31,7 @@ def frames_of(folder: Path) -> list[tuple[Path, FrameInfo]]:
     """
     paths, frames = [], []
     with suppress(InputError):
-        paths = frame_files(folder)
+        paths = frame_files(folder, deep=True)
     for path in paths:
         with suppress(InputError):
             frames.append((path, read_exif(path)))

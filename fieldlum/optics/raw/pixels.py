@@ -64,17 +64,18 @@ def is_jpeg(path: Path) -> bool:
     return path.suffix.lower() in (".jpg", ".jpeg")
 
 
-def frame_files(*sources: Path) -> list[Path]:
+def frame_files(*sources: Path, deep: bool = False) -> list[Path]:
     """Return the files among paths, and for a folder the raw and JPEG files in it, sorted by path.
 
-    Subfolders are read too. Names that begin with `.` or `@` are omitted: in such folders systems
-    store thumbnails and deleted files. Raises InputError for a folder without frames.
+    deep: also those in its subfolders, which may be of other brackets. Names that begin with `.` or
+    `@` are omitted: in such folders systems store thumbnails and deleted files. Raises InputError
+    for a folder without frames.
     """
     found: list[Path] = []
     for source in sources:
         inside = [
             path
-            for path in sorted(source.rglob("*"))
+            for path in sorted(source.glob("**/*" if deep else "*"))
             if (path.suffix.lower() in RAW_SUFFIXES or is_jpeg(path))
             and path.is_file()
             and not any(name[0] in ".@" for name in path.relative_to(source).parts)
