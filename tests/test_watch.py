@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import http.client
 import json
+import os
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator
+import threading
+import time
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import replace
-from datetime import UTC, date, datetime, timedelta
+from datetime import date, timedelta
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
-from zoneinfo import ZoneInfo
 
 import click
 import numpy as np
@@ -31,19 +33,19 @@ from fieldlum.core.records import IrradianceSample, Panorama, SiteFile, Slot, ut
 from fieldlum.devices.clock import FastClock
 from fieldlum.optics.images import write_panorama
 from fieldlum.session import DayFiles, Journal, Session, create_session, read_journal
-from fieldlum.session.files.predict_json import DirectionYear, PredictFile, YearWeather
 from fieldlum.session.files.sidecar import Sidecar
 from fieldlum.session.writing import encode_line
+from fieldlum.web.answer import Moment, Worker, answer_table
 from fieldlum.web.server import Guard, qr_lines
-from fieldlum.web.snapshot import JournalFollower, Snapshots, day_curve
+from fieldlum.web.snapshot import DayBins, JournalFollower, Snapshots
 
 HOSTILE = '<img src=x onerror="document.body.dataset.hacked=1">'
 ANSWER = (
-    "model transport",
+    "From 12 captures",
     "S 180°",
     "cannot tell yet (medium is likeliest)",
     "not seen",
-    "0.36 (0.34 to 0.38)",
+    "0.360",
 )
 MAIN = "import sys; sys.argv[0] = 'fieldlum'; from fieldlum.cli import main; main()"
 # The pipe closes when pytest ends, also if it is killed: no server outlives it.
@@ -86,7 +88,9 @@ def _session(folder: Path) -> Session:
         ghi = 5000.0 if k == 20 else 300.0 + k
         days.append(IrradianceSample(t, ghi, 100.0, 400.0, status=status))
     days.close()
-    _year(0.36).write(session.annual / "auto")
+    (session.root / "watch").mkdir()
+    answer = json.dumps(_answer(0.36, 12))
+    (session.root / "watch" / "answer.json").write_text(answer, encoding="utf-8")
     return session
 
 
@@ -100,7 +104,7 @@ def address(session: Session) -> Iterator[str]:
     yield from _watched(session)
 
 
-def _watched(session: Session) -> Iterator[str]:
+def _watched(session: Session, *options: str) -> Iterator[str]:
     """The first line that `fieldlum watch` prints."""
     command = [
         sys.executable,
@@ -110,7 +114,9 @@ def _watched(session: Session) -> Iterator[str]:
         str(session.root),
         "--port",
         "0",
+        "--no-compute",
     ]
+    command += options
     process = subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
@@ -199,6 +205,7 @@ def test_other_hosts_origins_and_methods_are_refused(address: str, cookie: str) 
         "/picture/20270320T153000Z%00.png?low=1&high=9",
         "/picture/20270320T153000Z.png?low=9&high=1",
         "/picture/20270320T153000Z.png?low=nan&high=inf",
+        "/picture/20270320T153000Z.png?low=1&high=9&width=-5",
         "/picture/20270320T153000Z.png",
         "/picture/19990320T153000Z.png?low=1&high=9",
         "/day/../session.toml",
@@ -309,13 +316,17 @@ def test_the_tables_hold_plan_verdicts_and_flags(session: Session) -> None:
 def test_before_the_first_slot_it_counts_down(tmp_path: Path) -> None:
     plain = make_session(tmp_path / "s")
     state = Snapshots(plain, lambda: T0 - timedelta(days=3)).state()
+    Journal(plain).append("open", T0, pid=os.getpid(), boot_id="")
+    for before_s, quiet in ((100.0, True), (60.0, False)):
+        at = T0 - timedelta(seconds=before_s)
+        assert Snapshots(plain, lambda at=at: at).moment() == (quiet, 0)
     assert state["next"]["t_utc"] == utc_text(T0)
     assert state["latest"] is None and state["irradiance"] is None
     assert state["counts"] == {"to do": 3}
 
 
 @pytest.mark.property
-def test_a_followed_journal_gives_what_a_whole_reading_gives(tmp_path: Path) -> None:
+def test_followed_files_give_what_a_whole_reading_gives(tmp_path: Path) -> None:
     """A line that is written in two pieces, a torn tail that is cut, a file that is replaced."""
     plain = make_session(tmp_path / "s")
     follower = JournalFollower(plain.journal)
@@ -336,24 +347,13 @@ def test_a_followed_journal_gives_what_a_whole_reading_gives(tmp_path: Path) -> 
     assert list(follower.update().events) == read_journal(plain)
     plain.journal.write_bytes(b"")
     assert not follower.update().events
-
-
-@pytest.mark.property
-@pytest.mark.parametrize("day, hours", [(date(2027, 3, 14), 23), (date(2027, 11, 7), 25)])
-def test_a_day_has_the_hours_of_its_clocks(tmp_path: Path, day: date, hours: int) -> None:
-    """Readings of the day and of a minute before and after it, each hour; means in their bins."""
-    plain = make_session(tmp_path / "s")
-    zone = ZoneInfo(SEATTLE.timezone)
-    start = datetime(day.year, day.month, day.day, tzinfo=zone).astimezone(UTC)
     days = DayFiles(plain)
-    for k in range(60 * (hours + 1)):
-        t = start + timedelta(minutes=k - 30)
-        days.append(IrradianceSample(t, 100.0 + (k % 2), None, None))
+    bins = DayBins(plain.irradiance / f"{T0:%Y-%m-%d}.csv")
+    for k in range(10):
+        days.append(IrradianceSample(T0 + timedelta(seconds=12 * k), 100.0 + k))
+        bins.update()
+    assert np.nansum(bins.means[:, 0]) == pytest.approx(104.5)
     days.close()
-    curve = day_curve(day, SEATTLE, plain.irradiance)
-    minutes = curve["minutes"]
-    assert (minutes[0], minutes[-1], len(minutes)) == (1.0, 60.0 * hours - 1.0, 30 * hours)
-    assert set(curve["ghi"]) == {100.5} and set(curve["dhi"]) == {None}
 
 
 # ----------------------------------------------------------------------------------------------
@@ -361,32 +361,101 @@ def test_a_day_has_the_hours_of_its_clocks(tmp_path: Path, day: date, hours: int
 
 
 @pytest.mark.contract
-def test_the_answer_is_of_the_newest_year_and_names_the_next_command(
-    session: Session, tmp_path: Path
-) -> None:
-    answer = Snapshots(session).answer()
-    assert answer["next_step"] == f"fieldlum pair {session.root}"
-    assert [row["class"] for row in answer["year"]["protection"]] == ["medium"] * 3
-    assert Snapshots(make_session(tmp_path / "s")).answer()["year"] is None
+def test_a_step_is_stopped_while_a_slot_is_near(tmp_path: Path) -> None:
+    """The step writes numbers; while a bracket is taken it has the state T and writes nothing."""
+    plain = make_session(tmp_path / "s")
+    code = (
+        "import time, os\nfor k in range(40):\n print(k, os.nice(0), flush=True)\n time.sleep(.05)"
+    )
+    near = [False]
+    worker = Worker(
+        plain,
+        lambda: Moment(not near[0], 0),
+        program=(sys.executable, "-c", code),
+        look_every_s=0.02,
+    )
+    good: list[bool] = []
+    thread = threading.Thread(target=lambda: good.append(worker._run("merge")))
+    out = worker.folder / "merge.out"
+    thread.start()
+    _until(lambda: out.is_file() and len(out.read_text().splitlines()) > 3)
+    near[0] = True
+    time.sleep(0.4)
+    before = out.read_text()
+    time.sleep(0.4)
+    assert out.read_text() == before
+    assert before.splitlines()[-1].endswith(" 19")
+    near[0] = False
+    thread.join(20)
+    assert good == [True]
+    assert len(out.read_text().splitlines()) == 40
 
 
-def _year(dgp: float) -> PredictFile:
-    figures = ((0.0, True, dgp), (180.0, False, 0.41), (270.0, False, None))
-    rows = tuple(
-        DirectionYear(
-            azimuth,
-            "medium",
-            certain=certain,
-            dgp_exceeded=value,
-            low=None if value is None else value - 0.02,
-            high=None if value is None else value + 0.02,
-        )
-        for azimuth, certain, value in figures
+@pytest.mark.slow
+@pytest.mark.contract
+def test_steps_run_once_for_new_captures_and_their_faults_are_named(tmp_path: Path) -> None:
+    plain = make_session(tmp_path / "s")
+    code = (
+        "import sys; print(sys.argv[1]); sys.exit('pair: no light' if sys.argv[1] == 'pair' else 0)"
     )
-    weather = YearWeather(HOSTILE, synthetic=True)
-    return PredictFile(
-        model="transport", weather=weather, model_warnings=(HOSTILE,), protection=rows
-    )
+    moments = [Moment(False, 9), Moment(True, 0), Moment(True, 9)]
+    worker = Worker(plain, lambda: moments[0], program=(sys.executable, "-c", code))
+    for _ in range(2):
+        worker.work()
+        assert not worker.folder.exists()
+        moments.pop(0)
+    worker.work()
+    assert worker.problem == "pair: no light"
+    (worker.folder / "merge.out").unlink()
+    worker.work()
+    assert not (worker.folder / "merge.out").exists()
+    assert answer_table(plain, worker)["last"] is None
+
+
+@pytest.mark.slow
+@pytest.mark.contract
+def test_new_brackets_are_merged_as_the_user_merged_the_others(tmp_path: Path) -> None:
+    plain = make_session(tmp_path / "s")
+    inputs = {"height": 115, "fit": False}
+    plain.panoramas.mkdir()
+    Sidecar(plain.slots()[0].id, inputs=inputs).write(plain.sidecar(plain.slots()[0].id))
+    code = "import sys; print(*sys.argv[1:])"
+    worker = Worker(plain, lambda: Moment(True, 1), program=(sys.executable, "-c", code))
+    worker.work()
+    said = (worker.folder / "merge.out").read_text().split()
+    assert said[4:] == ["--size", "230x115", "--no-fit"]
+
+
+def _until(true: Callable[[], bool]) -> None:
+    end = time.monotonic() + 30
+    while not true():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def _answer(dgp: float, captures: int) -> dict[str, Any]:
+    rows = [
+        {
+            "azimuth_deg": az,
+            "class": "medium",
+            "certain": certain,
+            "seen": "seen",
+            "dgp_exceeded": value,
+            "low": None if value is None else value - 0.02,
+            "high": None if value is None else value + 0.02,
+        }
+        for az, certain, value in ((0.0, True, dgp), (180.0, False, 0.41), (270.0, False, None))
+    ]
+    hour = {"t_utc": "2027-03-24T15:30:00Z", "reduction_percent": 2.5, "planned": False}
+    return {
+        "t_utc": "2027-03-21T02:00:00Z",
+        "captures": captures,
+        "weather": HOSTILE,
+        "synthetic": True,
+        "warnings": [HOSTILE],
+        "protection": rows,
+        "useful": [hour],
+    }
 
 
 # ----------------------------------------------------------------------------------------------

@@ -9,16 +9,23 @@ import click
 
 from fieldlum.cli import terminal
 from fieldlum.cli.options import Port, command_of
+from fieldlum.core.errors import InputError
 
 DEFAULT_PORT = 8765  # chosen, because other programs rarely use it; scene click has the next number
 
 
 @command_of("watch")
-def command(session_folder: Path, port: Port = DEFAULT_PORT, lan: bool = False) -> None:
+def command(
+    session_folder: Path,
+    port: Port = DEFAULT_PORT,
+    lan: bool = False,
+    weather: str = "synthetic",
+    compute: bool = True,
+) -> None:
     """Show a session as a live page in the browser.
 
-    The command first prints the page's address, with a token that is new in each run. The page
-    only reads files: a running capture does not wait for it.
+    The command first prints the page's address, with a token that is new in each run. A running
+    capture does not wait for the page: computing for the page stops before each slot.
 
     \b
     Example:
@@ -29,21 +36,37 @@ def command(session_folder: Path, port: Port = DEFAULT_PORT, lan: bool = False) 
       --port: Port of the page; 0 takes a free one.
       --lan: Let other devices of this network open the page. It is plain HTTP: anyone who
           can listen to the network can read it.
+      --weather FILE|synthetic: Weather year for the prediction so far, as for predict.
+      --compute/--no-compute: Merge new brackets and compute the prediction so far, at
+          lowest priority between slots.
     """
     from fieldlum.session import open_session
 
     session = open_session(session_folder)
     with terminal.web_library():
         from fieldlum.web.server import prepare, watch_routes
+    from fieldlum.web.answer import Worker
     from fieldlum.web.snapshot import Snapshots
 
-    served = prepare(watch_routes(session, Snapshots(session)), port, lan=lan)
+    if weather != "synthetic" and not Path(weather).is_file():
+        raise InputError(
+            weather, "no such file", "a weather year, or the word synthetic", "check the path"
+        )
+    snapshots = Snapshots(session)
+    worker = Worker(session, snapshots.moment, weather) if compute else None
+    served = prepare(watch_routes(session, snapshots, worker), port, lan=lan)
     click.echo(served.address)
     sys.stdout.flush()
     if lan:
         _show_lan(served.address)
-    with terminal.unattended():
-        served.run()
+    if worker is not None:
+        worker.start()
+    try:
+        with terminal.unattended():
+            served.run()
+    finally:
+        if worker is not None:
+            worker.close()
 
 
 def _show_lan(address: str) -> None:

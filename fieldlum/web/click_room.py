@@ -46,14 +46,16 @@ class ClickedPicture:
 
         Raises InputError if it does not exist.
         """
-        files = {path.stem: path for path in session.panorama_files()}
-        if not files or (slot and slot not in files):
-            expected = f"a slot such as {max(files, default='20270320T193000Z')}"
-            remedy = f"see panoramas/, or run fieldlum merge {session.root}"
-            raise InputError(session.root, f"no merged panorama {slot}", expected, remedy)
+        files = session.panorama_files()
+        chosen = next((path for path in files if path.stem == slot), None) if slot else None
+        if not files:
+            remedy = f"run fieldlum merge {session.root}"
+            raise InputError(session.root, "no merged panorama", "a merged session", remedy)
+        if slot and chosen is None:
+            expected = f"a slot such as {files[-1].stem}"
+            raise InputError(session.root, f"no panorama {slot}", expected, "see panoramas/")
         heights_deg = {slot.id: slot.sun_altitude_deg for slot in session.slots()}
-        slot = slot or max(files, key=lambda name: heights_deg.get(name, -90.0))
-        path = files[slot]
+        path = chosen or max(files, key=lambda file: heights_deg.get(file.stem, -90.0))
         panorama = read_panorama(path)
         height, width = panorama.luminance_cdm2.shape
         return cls(session, path.stem, ClickGrid(height, width, panorama.heading_deg))
@@ -108,13 +110,14 @@ def click_routes(picture: ClickedPicture, camera_height_m: float) -> list[Route]
     session = picture.session
 
     def about(request: Request) -> Response:
-        setup = session.site_file()
+        setup, path = session.site_file(), session.panorama(picture.slot)
+        low, high = scale_of([path])
         answer = {
             "name": setup.site.name,
             "slot": picture.slot,
             "width": picture.grid.width_px,
             "height": picture.grid.height_px,
-            "scale": scale_of([session.panorama(picture.slot)]),
+            "scale": {"low": low, "high": high, "stamp": f"{path.stat().st_mtime_ns:x}"},
             "camera_height_m": camera_height_m,
             "has_room": setup.room is not None,
         }

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import hmac
+import json
 import secrets
 import socket
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -30,22 +31,24 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from fieldlum.core.errors import DeviceError, InputError
 from fieldlum.core.records import parse_utc, slot_id
 from fieldlum.session import Session
+from fieldlum.web.answer import Worker, answer_table
 from fieldlum.web.snapshot import Snapshots, picture_png, scale_png
 
 
 async def json_body(request: Request, max_bytes: int) -> Mapping[str, Any]:
     """Return the JSON object of a request of at most `max_bytes`, else raise HTTPException.
 
-    Its status is 415 for another content type, 413 for a longer body or one without a stated
-    length, 400 for other content.
+    Its status is 415 for another content type, 413 for a longer body, 400 for other content.
     """
     if request.headers.get("content-type", "").partition(";")[0] != "application/json":
         raise HTTPException(415)
-    length = request.headers.get("content-length", "")
-    if not length.isdecimal() or int(length) > max_bytes:
-        raise HTTPException(413)
+    data = b""
+    async for part in request.stream():
+        data += part
+        if len(data) > max_bytes:
+            raise HTTPException(413)
     try:
-        asked = await request.json()
+        asked = json.loads(data)
     except (ValueError, RecursionError):
         raise HTTPException(400) from None
     if not isinstance(asked, dict):
@@ -60,7 +63,10 @@ SECURITY_HEADERS = {
     ),
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
+    "Permissions-Policy": "camera=(), microphone=(), geolocation=()",
     "Cache-Control": "no-store",
 }
 """Sent with each answer."""
@@ -165,13 +171,14 @@ def picture_routes(session: Session) -> list[Route]:
         slot = request.path_params["slot"]
         try:
             low, high = (float(request.query_params[name]) for name in ("low", "high"))
+            width = int(request.query_params.get("width", "920"))
             safe = slot_id(parse_utc(slot)) == slot  # as a part of a file's name
         except (KeyError, ValueError):
             raise HTTPException(400) from None
-        if not (safe and 1e-6 <= low < high <= 1e12):
+        if not (safe and 1e-6 <= low < high <= 1e12 and width >= 16):
             raise HTTPException(400)
         try:
-            data = picture_png(session.panorama(slot), low, high)
+            data = picture_png(session.panorama(slot), width, low, high)
         except (InputError, OSError):
             raise HTTPException(404) from None
         return Response(data, media_type="image/png", headers=_CACHED)
@@ -182,8 +189,19 @@ def picture_routes(session: Session) -> list[Route]:
     return [Route("/picture/{slot}.png", picture), Route("/scale.png", scale)]
 
 
-def watch_routes(session: Session, snapshots: Snapshots) -> list[Route]:
-    """Return the web routes of the page of `fieldlum watch`."""
+def watch_routes(
+    session: Session, snapshots: Snapshots, worker: Worker | None = None
+) -> list[Route]:
+    """Return the web routes of the page of `fieldlum watch`.
+
+    worker: computes the glare classes so far, or None.
+    """
+
+    def state() -> Mapping[str, object]:
+        answer = session.root / "watch" / "answer.json"
+        written = answer.stat().st_mtime_ns if answer.is_file() else 0
+        doing = [worker.step, worker.problem] if worker else []
+        return {**snapshots.state(), "answer": " ".join([str(written), *doing])}
 
     def day(request: Request) -> Response:
         try:
@@ -198,8 +216,8 @@ def watch_routes(session: Session, snapshots: Snapshots) -> list[Route]:
         static_route("/", "watch.html"),
         static_route("/watch.js", "watch.js"),
         static_route("/page.css", "page.css"),
-        Route("/state.json", lambda request: _table(snapshots.state)),
-        Route("/answer.json", lambda request: _table(snapshots.answer)),
+        Route("/state.json", lambda request: _table(state)),
+        Route("/answer.json", lambda request: _table(lambda: answer_table(session, worker))),
         Route("/calendar.json", lambda request: _table(snapshots.calendar)),
         Route("/day/{day}.json", day),
         *picture_routes(session),

@@ -1,7 +1,8 @@
 """Plain tables of a session for the page of `fieldlum watch`, from files that grow.
 
-The journal is read from where the last reading ended: a page that is open for a month must not read
-a month of events every few seconds, and its memory must not grow.
+Each file is read from where the last reading ended: a page that is open for a month must not read a
+month of files every few seconds, and its memory must not grow. So each line of the journal updates
+one state, and a day of irradiance is a fixed number of bins.
 """
 
 from __future__ import annotations
@@ -16,51 +17,43 @@ from dataclasses import asdict
 from datetime import UTC, date, datetime, timedelta
 from functools import lru_cache
 from pathlib import Path
-from typing import Literal, Self
+from typing import Literal, NamedTuple, Self
 from zoneinfo import ZoneInfo
 
 import numpy as np
 import psutil
 
 from fieldlum.capture import doctor
-from fieldlum.capture.status import status
 from fieldlum.capture.utc_clock import boot_id
 from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError
 from fieldlum.core.false_colour import colour_table, coloured, luminance_ends, png_of, shared_scale
-from fieldlum.core.records import IrradianceSample, JsonTable, Site, Slot, parse_utc, utc_text
+from fieldlum.core.records import JsonTable, Site, Slot, parse_utc, utc_text
 from fieldlum.optics.images import read_panorama
 from fieldlum.session import Session
-from fieldlum.session.codec import to_json
-from fieldlum.session.day_files import decode_sample, read_day
-from fieldlum.session.files.predict_json import PredictFile
+from fieldlum.session.day_files import decode_sample
 from fieldlum.session.files.sidecar import Sidecar
 from fieldlum.session.journal import JournalEvent, decode_event
 from fieldlum.session.slot_states import SETTLED, SlotStates, fold, made_up_for
 from fieldlum.sky import sun
+from fieldlum.web.answer import QUIET_BEFORE_S, Moment
 
 BIN_S = 120  # 720 points a day: more cannot be seen in a curve as wide as a page; chosen
+_BINS = 86400 // BIN_S
 
 
-class JournalFollower:
-    """What the journal states so far; `update` adds the lines that are new.
-
-    states: state of each slot. events: the latest 60 for the page, without frames, starts of
-    brackets and illuminances. away: devices that do not answer now, with the time since when.
-    opened: the last `open` event (start of a capture) without a `close`, or None.
-    """
+class LineTail:
+    """State that follows from the lines of a growing file; `update` reads those that are new."""
 
     def __init__(self, path: Path) -> None:
-        self._path = path
-        self._begin(0)
+        self._path, self._offset, self._inode = path, 0, 0
+        self.clear()
 
-    def _begin(self, inode: int) -> None:
-        self._offset, self._inode = 0, inode
-        self.states = SlotStates()
-        # more than a page shows
-        self.events: deque[JournalEvent] = deque(maxlen=60)
-        self.away: dict[str, datetime] = {}
-        self.opened: JournalEvent | None = None
+    def clear(self) -> None:
+        """Begin with the state of an empty file."""
+
+    def add(self, line: bytes) -> None:
+        """Change the state by one line; skip a damaged one."""
 
     def update(self) -> Self:
         """Add the complete unread lines, all of a file that was replaced or shortened.
@@ -70,17 +63,37 @@ class JournalFollower:
         with suppress(OSError), self._path.open("rb") as file:
             about = os.fstat(file.fileno())
             if about.st_ino != self._inode or about.st_size < self._offset:
-                self._begin(about.st_ino)
+                self._offset, self._inode = 0, about.st_ino
+                self.clear()
             file.seek(self._offset)
             data = file.read()
             end = data.rfind(b"\n") + 1
             self._offset += end
             for line in data[:end].splitlines(keepends=True):
-                if (event := decode_event(line)) is not None:
-                    self._add(event)
+                self.add(line)
         return self
 
-    def _add(self, event: JournalEvent) -> None:
+
+class JournalFollower(LineTail):
+    """What the journal states so far.
+
+    states: state of each slot. events: the latest 60 for the page, without frames, starts of
+    brackets and illuminances. away: devices that do not answer now, with the time since when.
+    opened: the last `open` event (start of a capture) without a `close`, or None.
+    """
+
+    def clear(self) -> None:
+        """Begin with the state of an empty file."""
+        self.states = SlotStates()
+        # more than a page shows
+        self.events: deque[JournalEvent] = deque(maxlen=60)
+        self.away: dict[str, datetime] = {}
+        self.opened: JournalEvent | None = None
+
+    def add(self, line: bytes) -> None:
+        """Change the state by one line; skip a damaged one."""
+        if (event := decode_event(line)) is None:
+            return
         kind, device = event["event"], str(event.get("device", ""))
         fold((event,), self.states)
         if kind == "open":
@@ -95,22 +108,79 @@ class JournalFollower:
             self.events.append(event)
 
 
+class DayBins(LineTail):
+    """Mean irradiances in 720 bins of two minutes, from the logger's file of one UTC day.
+
+    flagged: mask of bins, True with an error that the instrument reported; status: number of rows
+    by such an error; last: time and global irradiance of the last row, or None.
+    """
+
+    def clear(self) -> None:
+        """Begin with the state of an empty file."""
+        self._sum, self._count = np.zeros((2, _BINS, 3))
+        self.flagged = np.zeros(_BINS, bool)
+        self.status: Counter[str] = Counter()
+        self.last: tuple[datetime, float | None] | None = None
+
+    def add(self, line: bytes) -> None:
+        """Change the state by one line; skip a damaged one."""
+        if (sample := decode_sample(line)) is None:
+            return
+        k = _bin_of(sample.t_utc)
+        row = np.array([sample.ghi_wm2, sample.dni_wm2, sample.dhi_wm2], float)
+        self._sum[k] += np.nan_to_num(row)
+        self._count[k] += np.isfinite(row)
+        if sample.status:
+            self.flagged[k] = True
+            self.status[sample.status] += 1
+        self.last = sample.t_utc, sample.ghi_wm2
+
+    @property
+    def means(self) -> Floats:
+        """GHI, DNI and DHI, in this order, [720, 3] in W/m2; NaN without a reading."""
+        return np.where(self._count > 0, self._sum / np.maximum(self._count, 1), np.nan)
+
+
+def _bin_of(t_utc: datetime) -> int:
+    return (t_utc.hour * 3600 + t_utc.minute * 60 + t_utc.second) // BIN_S
+
+
+class IrradianceFollower:
+    """Irradiance of UTC days, read when requested; the last six requested days stay in memory."""
+
+    def __init__(self, session: Session) -> None:
+        folder = session.irradiance
+        self._bins = lru_cache(6)(lambda day: DayBins(folder / f"{day.isoformat()}.csv"))
+
+    def day(self, day_utc: date) -> DayBins:
+        """Return the irradiance bins of a UTC day, with the file's newest rows."""
+        return self._bins(day_utc).update()
+
+    def latest(self, now: datetime) -> tuple[datetime, float | None] | None:
+        """Return time and global irradiance of the last row of today or yesterday (UTC).
+
+        None without a row; the irradiance [W/m2] is None if the row has none.
+        """
+        days = (now.date(), now.date() - timedelta(days=1))
+        return next((last for day in days if (last := self.day(day).last) is not None), None)
+
+
 # ----------------------------------------------------------------------------------------------
 # pictures
 
 
-def scale_of(paths: Iterable[Path]) -> JsonTable:
-    """Return one scale of panoramas in cd/m2, and a text that changes when one is written again.
+def scale_of(paths: Iterable[Path]) -> tuple[float, float]:
+    """Return the ends of one scale for several panoramas in cd/m2, see `shared_scale`.
 
     A panorama that cannot be read is left out: a merge may be writing it.
     """
-    ends, stamps = [], [0]
+    ends = []
     for path in paths:
-        with suppress(InputError, OSError):
-            stamps.append(path.stat().st_mtime_ns)
-            ends.append(_ends(path, stamps[-1]))
-    low, high = shared_scale(ends)
-    return {"low": low, "high": high, "stamp": f"{max(stamps):x}"}
+        try:
+            ends.append(_ends(path, path.stat().st_mtime_ns))
+        except (InputError, OSError):
+            continue
+    return shared_scale(ends)
 
 
 @lru_cache(maxsize=1024)
@@ -118,17 +188,25 @@ def _ends(path: Path, stamp: int) -> tuple[float, float] | None:
     return luminance_ends(read_panorama(path).seen_cdm2)
 
 
-def picture_png(path: Path, low: float, high: float) -> bytes:
-    """Return a panorama in false colour as PNG, at most 1840 pixels wide: four times the usual.
+def picture_png(path: Path, width: int, low: float, high: float) -> bytes:
+    """Return a panorama in false colour as PNG, at most `width` pixels wide.
 
     The scale is logarithmic from low to high [cd/m2]. Raises InputError for a damaged file, OSError
     for a missing one.
     """
+    # at most four times a panorama of 460 pixels, which bounds the memory
+    return _png(path, path.stat().st_mtime_ns, min(width, 1840), low, high)
+
+
+# as many as a page shows at once, of about 100 kB
+@lru_cache(maxsize=48)
+def _png(path: Path, stamp: int, width: int, low: float, high: float) -> bytes:
     import cv2
 
     values = read_panorama(path).seen_cdm2  # [H, W]
-    if values.shape[1] > 1840:
-        shrunk = cv2.resize(values, (1840, 920), interpolation=cv2.INTER_AREA)
+    if values.shape[1] > width:
+        height = max(1, round(values.shape[0] * width / values.shape[1]))
+        shrunk = cv2.resize(values, (width, height), interpolation=cv2.INTER_AREA)
         values = np.asarray(shrunk, np.float32)
     return png_of(coloured(values, low, high))
 
@@ -142,35 +220,27 @@ def scale_png() -> bytes:
 # tables
 
 
-def day_curve(day: date, site: Site, folder: Path) -> JsonTable:
+def day_curve(day: date, site: Site, followed: IrradianceFollower) -> JsonTable:
     """Return the irradiance of a local day in bins of 2 min [W/m2], and which bins are flagged.
 
     Flagged are values that are impossible for the sun's altitude, and bins with an error that the
     instrument reported. Bins at night without a reading are omitted; a missing value is None.
-    folder: the session's day files. A day has 23 or 25 hours when clocks change.
+    followed: the session's day files.
     """
     zone = ZoneInfo(site.timezone)
-    ends = (datetime(d.year, d.month, d.day, tzinfo=zone) for d in (day, day + timedelta(days=1)))
-    start, end = (t.astimezone(UTC) for t in ends)
-    bins = (end - start) // timedelta(seconds=BIN_S)
-    times = [start + timedelta(seconds=BIN_S * (k + 0.5)) for k in range(bins)]
-    total, count = np.zeros((2, len(times), 3))
-    reported, kinds = np.zeros(len(times), bool), Counter[str]()
-    for sample in _samples(folder, start, end):
-        k = (sample.t_utc - start) // timedelta(seconds=BIN_S)
-        row = np.array([sample.ghi_wm2, sample.dni_wm2, sample.dhi_wm2], float)
-        total[k] += np.nan_to_num(row)
-        count[k] += np.isfinite(row)
-        if sample.status:
-            reported[k] = True
-            kinds[sample.status] += 1
-    values = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    start = datetime(day.year, day.month, day.day, tzinfo=zone).astimezone(UTC)
+    # 25 hours on the day when clocks go back: bins belong to a day by their local date
+    times = [start + timedelta(seconds=BIN_S * (k + 0.5)) for k in range(25 * 3600 // BIN_S)]
+    times = [t for t in times if t.astimezone(zone).date() == day]
+    index = {d: followed.day(d) for d in sorted({t.date() for t in times})}
+    means = {d: bins.means for d, bins in index.items()}
+    values = np.array([means[t.date()][_bin_of(t)] for t in times])  # [bins, 3]
+    flagged = np.array([index[t.date()].flagged[_bin_of(t)] for t in times])
     present = np.isfinite(values).any(axis=1)
     impossible, clear = np.zeros(len(times), bool), np.full(len(times), np.nan)
     if present.any():
-        limits = sun.bsrn_limits(
-            sun.position(times, site).altitude_deg, sun.extraterrestrial_wm2(times)
-        )
+        altitude = sun.position(times, site).altitude_deg
+        limits = sun.bsrn_limits(altitude, sun.extraterrestrial_wm2(times))
         low, high = zip(limits.ghi_wm2, limits.dni_wm2, limits.dhi_wm2, strict=True)
         impossible = ((values < low) | (values > np.stack(high, axis=-1))).any(axis=1)
         clear = sun.clearsky(times, site).ghi_wm2
@@ -180,33 +250,13 @@ def day_curve(day: date, site: Site, folder: Path) -> JsonTable:
         "ghi": ghi,
         "dni": dni,
         "dhi": dhi,
-        "minutes": (np.flatnonzero(keep) * (BIN_S / 60) + BIN_S / 120).tolist(),
+        "minutes": [round((t - start).total_seconds() / 60, 1) for t in np.array(times)[keep]],
         "clear_ghi": clear_ghi,
-        "flagged": (reported | impossible)[keep].tolist(),
-        "flagged_bins": int(reported.sum()),
+        "flagged": (flagged | impossible)[keep].tolist(),
+        "flagged_bins": int(flagged.sum()),
         "impossible_bins": int(impossible.sum()),
-        "status": dict(kinds),
+        "status": dict(sum((bins.status for bins in index.values()), Counter())),
     }
-
-
-def _samples(folder: Path, start: datetime, end: datetime) -> list[IrradianceSample]:
-    """Return the readings of a period within two UTC days."""
-    found: list[IrradianceSample] = []
-    for day in sorted({start.date(), end.date()}):
-        with suppress(OSError):
-            found += read_day(folder / f"{day}.csv")[0]
-    return [sample for sample in found if start <= sample.t_utc < end]
-
-
-def _latest_sample(folder: Path, now: datetime) -> JsonTable | None:
-    """Return time and global irradiance of the last row of today or yesterday (UTC)."""
-    for day in (now.date(), now.date() - timedelta(days=1)):
-        with suppress(OSError), (folder / f"{day}.csv").open("rb") as file:
-            file.seek(-min(4096, file.seek(0, os.SEEK_END)), os.SEEK_END)
-            for line in reversed(file.read().splitlines(keepends=True)):
-                if (sample := decode_sample(line)) is not None:
-                    return {"t_utc": utc_text(sample.t_utc), "ghi_wm2": sample.ghi_wm2}
-    return None
 
 
 def _numbers(values: Floats) -> list[float | None]:
@@ -217,16 +267,20 @@ Level = Literal["info", "warn", "fail"]
 
 # Events that are no news on a page: the plan's calendar shows outcomes.
 _SILENT = frozenset({"imported", "withdrawn"})
-_WORDS: dict[str, tuple[Level, str]] = {  # sentences with fields of the event
+# Sentences with fields of the event, of which some are put into words by `event_words`.
+_WORDS: dict[str, tuple[Level, str]] = {
     "done": ("warn", "Bracket {slot} is complete, with a warning: {why}."),
     "missed": ("fail", "Bracket {slot} was not taken: {why}."),
     "aborted": ("fail", "Bracket {slot} was ended before it was complete: {why}."),
     "device-lost": ("fail", "The {device} stopped answering ({why}). The capture tries it again."),
-    "device-back": ("info", "The {device} answers again after {after_s:.0f} s."),
+    "device-back": ("info", "The {device} answers again after {after_s}."),
     "bad-reading": ("warn", "The {device} gave a reading that cannot be used: {why}."),
-    "clock-step": ("warn", "The computer's clock jumped by {seconds:+.0f} s."),
-    "suspend": ("warn", "The computer slept for {seconds:.0f} s."),
-    "disk-full": ("fail", "The disk is full."),
+    "clock-step": (
+        "warn",
+        "The computer's clock jumped by {jump} s; the new time was {not_}accepted.",
+    ),
+    "suspend": ("warn", "The computer slept for {seconds}."),
+    "disk-full": ("fail", "The disk is full: {free_mb:.0f} MB are free."),
     "late": ("info", "Bracket {slot} began {by_s:.0f} s late."),
     "open": ("info", "The capture was started."),
     "close": ("info", "The capture was ended."),
@@ -244,11 +298,21 @@ def event_words(event: JournalEvent) -> tuple[Level, str] | None:
     kind, why = event["event"], event.get("why", "")
     if kind in _SILENT or (kind == "done" and (not why or why == "imported")):
         return None
-    level, sentence = _WORDS.get(kind, ("info", "{event}"))
-    fields = dict.fromkeys(("slot", "state", "text"), "") | {"device": "a device"}
-    numbers = dict.fromkeys(("by_s", "after_s", "seconds"), 0.0)
-    why = {"why": why or "no reason recorded"}
-    return level, sentence.format(**{**fields, **numbers, **event, **why})
+    if kind not in _WORDS:
+        return "info", kind
+    blank = dict.fromkeys(("slot", "state", "text"), "") | {"device": "a device"}
+    words = {
+        "by_s": 0.0,
+        **event,
+        "why": why or "no reason recorded",
+        "after_s": timedelta(seconds=round(event.get("after_s") or 0.0)),
+        "seconds": timedelta(seconds=round(event.get("seconds") or 0.0)),
+        "jump": f"{event.get('seconds', 0.0):+.0f}",
+        "not_": "" if event.get("followed") else "not ",
+        "free_mb": event.get("bytes_free", 0) / 1e6,
+    }
+    level, sentence = _WORDS[kind]
+    return level, sentence.format(**(blank | words))
 
 
 def is_running(journal: JournalFollower) -> bool:
@@ -259,22 +323,41 @@ def is_running(journal: JournalFollower) -> bool:
     opened = journal.opened
     if opened is None or opened.get("boot_id") not in ("", None, boot_id()):
         return False
-    pid = opened.get("pid", 0)
-    return 0 < pid < 2**31 and psutil.pid_exists(pid)
+    try:
+        return psutil.pid_exists(int(opened.get("pid", 0)) or -1)
+    except (ValueError, OverflowError):
+        return False
 
 
 def battery() -> JsonTable | None:
     """Return {"percent", "mains"} of this computer's battery; None where there is none.
 
-    mains: whether it has external power; None if that is unknown.
+    mains: whether it has external power; the key is absent where that is unknown.
     """
     found = psutil.sensors_battery() if hasattr(psutil, "sensors_battery") else None
-    return found and {"percent": round(found.percent), "mains": found.power_plugged}
+    if found is None:
+        return None
+    mains = {} if found.power_plugged is None else {"mains": found.power_plugged}
+    return {"percent": round(found.percent), **mains}
 
 
 _FINDINGS_EVERY = timedelta(minutes=5)  # not measured
 # A journal this far ahead of the computer's clock comes from `capture --clock fast`. Chosen.
 _REHEARSAL = timedelta(hours=1)
+
+
+class _Present(NamedTuple):
+    """The journal and the plan as they are now, and the state of each slot.
+
+    rehearsal: whether `now` is the simulated time of a capture; merged: slots with a panorama.
+    """
+
+    journal: JournalFollower
+    slots: list[Slot]
+    now: datetime
+    rehearsal: bool
+    states: dict[str, str]
+    merged: set[str]
 
 
 class Snapshots:
@@ -288,21 +371,23 @@ class Snapshots:
     ) -> None:
         self._session, self._wall_clock = session, wall_clock
         self._lock = threading.Lock()
-        self._journal = JournalFollower(session.journal)
+        self._journal, self._irradiance = (
+            JournalFollower(session.journal),
+            IrradianceFollower(session),
+        )
         self._setup = session.site_file()
         self._zone = ZoneInfo(self._setup.site.timezone)
-        self._slots: list[Slot] = []
-        self._states: dict[str, str] = {}  # by slot id
-        self._merged: set[str] = set()  # slots with a panorama
+        self._plan: tuple[int, list[Slot]] = (-1, [])
         self._findings: tuple[datetime, list[JsonTable]] | None = None
 
     def state(self) -> JsonTable:
         """Return the present state: next slot, counts, newest picture, devices, events, checks."""
         with self._lock:
-            now, rehearsal = self._update()
-            states = list(self._states.values())
-            ahead = [s for s in self._slots if self._states[s.id] in ("to do", "running")]
-            version = hash((*self._states.items(), *sorted(self._merged)))
+            here = self._present()
+            journal, slots, now, rehearsal, states, merged = here
+            ahead = [slot for slot in slots if states[slot.id] in ("to do", "running")]
+            counts = list(states.values())
+            sample = self._irradiance.latest(now)
             return {
                 "name": self._setup.site.name,
                 "folder": self._session.root.resolve().name,
@@ -310,40 +395,31 @@ class Snapshots:
                 "now_utc": utc_text(now),
                 "now_local": f"{now.astimezone(self._zone):%a %d %b %Y, %H:%M}",
                 "rehearsal": rehearsal,
-                "running": is_running(self._journal),
-                "counts": {word: states.count(word) for word in dict.fromkeys(states)},
-                "slots": len(states),
-                "next": self._slot_row(ahead[0]) if ahead else None,
+                "running": is_running(journal),
+                "counts": {word: counts.count(word) for word in dict.fromkeys(counts)},
+                "slots": len(slots),
+                "next": self._slot_row(ahead[0], here) if ahead else None,
                 "latest": self._latest(),
-                "devices": self._devices(),
-                "irradiance": _latest_sample(self._session.irradiance, now),
-                "free_bytes": shutil.disk_usage(self._session.root).free,
+                "devices": self._devices(journal),
+                "irradiance": sample and {"t_utc": utc_text(sample[0]), "ghi_wm2": sample[1]},
+                "disk": self._disk(slots),
                 "computer": battery(),
-                "events": self._events(),
+                "events": self._events(journal),
                 "findings": self._doctor(now),
-                "version": f"{version:x}",
+                "version": f"{self._plan[0]}-{len(merged)}-{hash(tuple(counts)) & 0xFFFFFFFF:x}",
                 "today": self._local_day(now).isoformat(),
             }
 
-    def answer(self) -> JsonTable:
-        """Return the glare classes of the newest predicted year, None without one.
-
-        With them is the command that comes next, as `fieldlum status` states it.
-        """
-        folders = self._session.annual_folders()
-        newest = max(folders, key=lambda f: (f / PredictFile.NAME).stat().st_mtime, default=None)
-        year = None if newest is None else PredictFile.read(newest)
-        return {
-            "next_step": status(self._session)["next_step"],
-            "year": year
-            and {
-                "model": year.model,
-                "weather": year.weather.name,
-                "synthetic": year.weather.synthetic,
-                "warnings": year.model_warnings,
-                "protection": to_json(year.protection),
-            },
-        }
+    def moment(self) -> Moment:
+        """Return whether there is time to compute, and how many slots are done."""
+        with self._lock:
+            journal, slots, now, rehearsal, states, _ = self._present()
+            ahead = [slot.t_utc for slot in slots if states[slot.id] == "to do"]
+            running = is_running(journal)
+            captured = sum(state.outcome == "done" for state in journal.states.slots.values())
+            far = not ahead or (ahead[0] - now).total_seconds() > QUIET_BEFORE_S
+            busy = running and (rehearsal or not far or "running" in states.values())
+            return Moment(not busy, captured)
 
     def calendar(self) -> JsonTable:
         """Return the local days of the plan with the state of each slot.
@@ -351,11 +427,11 @@ class Snapshots:
         The states are done, missed, aborted, made up (by another slot), running, to do.
         """
         with self._lock:
-            self._update()
+            here = self._present()
             days: dict[str, list[JsonTable]] = {}
-            for slot in self._slots:
+            for slot in here.slots:
                 day = self._local_day(slot.t_utc).isoformat()
-                days.setdefault(day, []).append(self._slot_row(slot))
+                days.setdefault(day, []).append(self._slot_row(slot, here))
             return {"days": [{"date": day, "slots": rows} for day, rows in sorted(days.items())]}
 
     def day(self, day: date) -> JsonTable:
@@ -364,56 +440,73 @@ class Snapshots:
         The scale is one for all pictures of the day [cd/m2].
         """
         with self._lock:
-            self._update()
-            rows = [self._slot_row(s) for s in self._slots if self._local_day(s.t_utc) == day]
+            here = self._present()
+            today = [slot for slot in here.slots if self._local_day(slot.t_utc) == day]
+            rows = [self._slot_row(slot, here) for slot in today]
             for row in rows:
-                why = self._journal.states.state(row["slot"]).why
+                why = here.journal.states.state(row["slot"]).why
                 row["verdict"] = self._verdict(row["slot"], why)
+            paths = [self._session.panorama(row["slot"]) for row in rows if row["picture"]]
             return {
                 "date": day.isoformat(),
                 "slots": rows,
-                "scale": scale_of(self._session.panorama(r["slot"]) for r in rows if r["picture"]),
-                "irradiance": day_curve(day, self._setup.site, self._session.irradiance),
+                "scale": _scale(paths),
+                "irradiance": day_curve(day, self._setup.site, self._irradiance),
             }
 
     # ------------------------------------------------------------------------------------------
     # parts
 
-    def _update(self) -> tuple[datetime, bool]:
-        """Read the files, and return the time, and whether it is the simulated one of a capture."""
-        journal, now = self._journal.update(), self._wall_clock()
-        # a plan spoilt by hand: the one before still holds, as in capture
-        with suppress(OSError, InputError):
-            self._slots = sorted(self._session.slots(), key=lambda slot: slot.t_utc)
-        last = journal.states.last_utc or now
-        rehearsal = last - now > _REHEARSAL
-        now = last if rehearsal else now
-        self._states = {slot.id: self._state(slot, now) for slot in self._slots}
-        for missed, instead in made_up_for(self._slots).items():
-            done = any(self._states[makeup.id] == "done" for makeup in instead)
-            if done and self._states.get(missed) != "done":
-                self._states[missed] = "made up"
-        self._merged = {path.stem for path in self._session.panorama_files()}
-        return now, rehearsal
+    def _present(self) -> _Present:
+        journal, slots = self._journal.update(), self._slots()
+        now, rehearsal = self._now(journal)
+        states = self._states(slots, journal, now)
+        merged = {path.stem for path in self._session.panorama_files()}
+        return _Present(journal, slots, now, rehearsal, states, merged)
 
-    def _state(self, slot: Slot, now: datetime) -> str:
-        outcome = self._journal.states.state(slot.id).outcome
-        if outcome in SETTLED:
-            return outcome
-        if outcome == "started" and self._journal.opened is not None:
-            return "running"
-        return "to do" if slot.t_utc + self._session.grace >= now else "missed"
+    def _slots(self) -> list[Slot]:
+        """Return the plan, read again only when the file changed."""
+        try:
+            stamp = self._session.plan.stat().st_mtime_ns
+            if stamp != self._plan[0]:
+                self._plan = stamp, sorted(self._session.slots(), key=lambda slot: slot.t_utc)
+        except (OSError, InputError):  # spoilt by hand: the plan before still holds, as in capture
+            pass
+        return self._plan[1]
 
-    def _slot_row(self, slot: Slot) -> JsonTable:
+    def _now(self, journal: JournalFollower) -> tuple[datetime, bool]:
+        now, last = self._wall_clock(), journal.states.last_utc
+        rehearsal = last is not None and last - now > _REHEARSAL
+        return (last if rehearsal and last is not None else now), rehearsal
+
+    def _states(self, slots: list[Slot], journal: JournalFollower, now: datetime) -> dict[str, str]:
+        """Return done, missed, aborted, "made up", running or "to do" for each slot."""
+        grace = self._session.grace
+        states: dict[str, str] = {}
+        for slot in slots:
+            outcome = journal.states.state(slot.id).outcome
+            if outcome in SETTLED:
+                states[slot.id] = outcome
+            elif outcome == "started" and journal.opened is not None:
+                states[slot.id] = "running"
+            else:
+                states[slot.id] = "to do" if slot.t_utc + grace >= now else "missed"
+        for missed, instead in made_up_for(slots).items():
+            if states.get(missed) != "done" and any(states[s.id] == "done" for s in instead):
+                states[missed] = "made up"
+        return states
+
+    def _slot_row(self, slot: Slot, here: _Present) -> JsonTable:
         local = slot.t_utc.astimezone(self._zone)
         return {
             "slot": slot.id,
             "t_utc": utc_text(slot.t_utc),
             "local": f"{local:%H:%M}",
             "day": f"{local:%a %d %b %Y}",
-            "state": self._states[slot.id],
-            "picture": slot.id in self._merged,
+            "state": here.states[slot.id],
+            "picture": slot.id in here.merged,
             "sun_altitude_deg": round(slot.sun_altitude_deg, 1),
+            "sun_azimuth_deg": round(slot.sun_azimuth_deg, 1),
         }
 
     def _latest(self) -> JsonTable | None:
@@ -422,10 +515,10 @@ class Snapshots:
         if not files:
             return None
         slot = files[0].stem
-        row = {"slot": slot, "verdict": self._verdict(slot, "no sidecar"), **scale_of(files)}
+        row = {"slot": slot, "verdict": self._verdict(slot, "no sidecar"), **_scale(files)}
         with suppress(ValueError):
             local = parse_utc(slot).astimezone(self._zone)
-            row["local"] = f"{local:%a %d %b %Y, %H:%M}"
+            row |= {"local": f"{local:%a %d %b %Y, %H:%M}", "date": local.date().isoformat()}
         return row
 
     def _verdict(self, slot: str, without_sidecar: str) -> str:
@@ -435,27 +528,39 @@ class Snapshots:
             return str(error)
         return sidecar.verdict if sidecar is not None else without_sidecar
 
-    def _devices(self) -> JsonTable:
-        camera = self._session.table().get("devices", {}).get("camera", {})
+    def _devices(self, journal: JournalFollower) -> JsonTable:
+        table = self._session.table().get("devices", {})
+        camera = table.get("camera", {})
+        offset_s = camera.get("clock_offset_s")
         return {
             "camera": " ".join(str(camera.get(k, "")) for k in ("make", "model")).strip(),
             "camera_battery": str(camera.get("battery", "")),
-            "camera_clock_offset_s": camera.get("clock_offset_s"),
-            "away": {name: utc_text(t) for name, t in self._journal.away.items()},
+            "camera_clock_offset_s": None if offset_s is None else float(offset_s),
+            "away": {name: utc_text(t) for name, t in journal.away.items()},
         }
 
-    def _events(self) -> list[JsonTable]:
+    def _disk(self, slots: list[Slot]) -> JsonTable:
+        free = shutil.disk_usage(self._session.root).free
+        planned = float(self._session.table().get("plan", {}).get("megabytes_per_slot", 0.0))
+        days = len({self._local_day(slot.t_utc) for slot in slots})
+        per_day = 1e6 * planned * len(slots) / max(days, 1)
+        return {"free_bytes": free, "days": free / per_day if per_day else None}
+
+    def _events(self, journal: JournalFollower) -> list[JsonTable]:
         """Return the latest events, newest first; equal sentences in a row become one."""
         rows: list[JsonTable] = []
-        for event in reversed(self._journal.events):
-            level, text = event_words(event) or ("", "")
-            if rows and rows[-1]["text"] == text:
+        for event in reversed(journal.events):
+            words = event_words(event)
+            if words is None:
+                continue
+            if rows and rows[-1]["text"] == words[1]:
                 rows[-1]["times"] += 1
-            elif text:
-                local = parse_utc(event["t_utc"]).astimezone(self._zone)
-                row = {"level": level, "text": text, "local": f"{local:%a %d %b %H:%M}"}
-                rows.append(row | {"times": 1})
-        return rows[:25]  # about a screen
+                continue
+            local = parse_utc(event["t_utc"]).astimezone(self._zone)
+            at = f"{local:%a %d %b %H:%M}"
+            rows.append({"level": words[0], "text": words[1], "local": at, "times": 1})
+        # about a screen
+        return rows[:25]
 
     def _doctor(self, now: datetime) -> list[JsonTable]:
         """Return doctor's findings that need no device; a capture may be using the devices."""
@@ -467,3 +572,10 @@ class Snapshots:
 
     def _local_day(self, t_utc: datetime) -> date:
         return t_utc.astimezone(self._zone).date()
+
+
+def _scale(paths: list[Path]) -> JsonTable:
+    """Return one scale of panoramas, and a text that changes when one of them is written again."""
+    low, high = scale_of(paths)
+    stamp = max((path.stat().st_mtime_ns for path in paths), default=0)
+    return {"low": low, "high": high, "stamp": f"{stamp:x}"}

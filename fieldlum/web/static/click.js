@@ -270,7 +270,7 @@ async function start() {
   byId("replace").checked = false;
   byId("replace").disabled = !a.has_room;
   byId("picture").src =
-    `/picture/${a.slot}.png?low=${a.scale.low}&high=${a.scale.high}&v=${a.scale.stamp}`;
+    `/picture/${a.slot}.png?low=${a.scale.low}&high=${a.scale.high}&width=1840&v=${a.scale.stamp}`;
   page.svg = draw(
     "svg",
     {viewBox: `0 0 ${a.width} ${a.height}`, class: "over", "aria-label": "Points on the panorama"},

@@ -5,7 +5,7 @@
 const byId = id => document.getElementById(id);
 const POLL_MS = 5000,
   HIDDEN_POLL_MS = 60000,
-  DAY_MS = 60000, // between readings of today's irradiance, and of the answer
+  DAY_MS = 60000,
   STALE_S = 600;
 const SIGNS = {done: "●", "made up": "◐", "to do": "○", missed: "✕", aborted: "▲", running: "◉"};
 const SVG = "http://www.w3.org/2000/svg";
@@ -16,7 +16,7 @@ const view = {
   version: "",
   dayAt: 0,
   clockOff: 0,
-  answerAt: 0,
+  answer: null,
   follow: true,
 };
 
@@ -133,8 +133,9 @@ function drawState(s) {
     "ghi",
     s.irradiance && s.irradiance.ghi_wm2 !== null ? `${number(s.irradiance.ghi_wm2)} W/m²` : "–",
   );
-  show("disk", `${(s.free_bytes / 1e9).toFixed(1)} GB free`);
+  show("disk", `${(s.disk.free_bytes / 1e9).toFixed(1)} GB free`);
   const power = [];
+  if (s.disk.days !== null) power.push(`${Math.floor(s.disk.days)} days of captures`);
   if (s.computer)
     power.push(
       `computer ${s.computer.percent} %${s.computer.mains === false ? ", on battery" : ""}`,
@@ -166,9 +167,9 @@ function drawState(s) {
   tick();
 }
 
-function address(slot, scale) {
+function address(slot, scale, width) {
   const stamp = encodeURIComponent(scale.stamp);
-  return `/picture/${slot}.png?low=${scale.low}&high=${scale.high}&v=${stamp}`;
+  return `/picture/${slot}.png?low=${scale.low}&high=${scale.high}&width=${width}&v=${stamp}`;
 }
 function drawLatest(latest) {
   const image = byId("latest"),
@@ -179,7 +180,7 @@ function drawLatest(latest) {
     show("latest-text", "No panorama is merged yet: fieldlum merge SESSION.");
     return;
   }
-  const src = address(latest.slot, latest);
+  const src = address(latest.slot, latest, 1200);
   if (image.getAttribute("src") !== src) image.src = src;
   image.alt = `Luminance of ${latest.slot} in false colour`;
   show("latest-text", `${latest.local || latest.slot}: ${latest.verdict}`);
@@ -273,7 +274,7 @@ function drawDay(d) {
     ...d.slots.map(slot => {
       const picture = slot.picture
         ? put("img", {
-            src: address(slot.slot, d.scale),
+            src: address(slot.slot, d.scale, 464),
             alt: `Luminance at ${slot.local}`,
             loading: "lazy",
             width: 232,
@@ -425,35 +426,70 @@ function wind(azimuth) {
   return `${WINDS[Math.round(azimuth / 22.5) % 16]} ${Math.round(azimuth)}°`;
 }
 function drawAnswer(a) {
-  const year = a.year;
-  byId("answer-section").classList.remove("hidden");
-  show(
-    "answer-line",
-    !year
-      ? "No year has been predicted yet."
-      : `From the newest predicted year: model ${year.model}, weather ${year.weather}.` +
-          (year.synthetic
-            ? " The weather is synthetic: do not judge this place by it."
-            : ""),
+  const last = a.last,
+    lines = [];
+  byId("answer-section").classList.toggle("hidden", !last && !a.computes);
+  if (last)
+    lines.push(
+      `From ${last.captures} captures, weather ${last.weather}.` +
+        (last.synthetic
+          ? " The weather is made up: it shows how the answer moves, " +
+            "not what this place has. Give --weather FILE."
+          : ""),
+    );
+  else
+    lines.push(
+      `The answer begins with ${a.least_captures} captures and is computed between slots.`,
+    );
+  if (a.step) lines.push(`Being computed: ${a.step}.`);
+  if (a.problem) lines.push(`The last step failed: ${a.problem}`);
+  show("answer-line", lines.join(" "));
+  byId("answer-rows").replaceChildren(
+    ...(last ? last.protection : []).map(row =>
+      put(
+        "tr",
+        {},
+        put("th", {scope: "row"}, wind(row.azimuth_deg)),
+        put(
+          "td",
+          {},
+          row.dgp_exceeded === null
+            ? "not seen"
+            : row.certain
+              ? `${row.class} protection`
+              : `cannot tell yet (${row.class} is likeliest)`,
+        ),
+        put(
+          "td",
+          {},
+          row.dgp_exceeded === null
+            ? "–"
+            : `${number(row.dgp_exceeded, 3)}` +
+                (row.low === null ? "" : ` (${number(row.low, 3)} to ${number(row.high, 3)})`),
+        ),
+      ),
+    ),
   );
-  show("answer-step", a.next_step);
-  byId("answer-table").classList.toggle("hidden", !year);
-  byId("answer-rows").replaceChildren(...(year ? year.protection : []).map(answerRow));
-  const texts = year ? year.warnings.slice(0, 4) : [];
-  byId("answer-notes").replaceChildren(...texts.map(text => put("li", {}, text)));
+  const next = [];
+  if (last) {
+    for (const hour of last.useful.slice(0, 4))
+      next.push(
+        `Useful coming hour: ${local(hour.t_utc)}${hour.planned ? ", planned" : ", not planned"} ` +
+          `(${number(hour.reduction_percent, 1)} % of the model's remaining variance).`,
+      );
+    for (const text of last.warnings.slice(0, 4)) next.push(`Doubt: ${text}`);
+  }
+  byId("answer-next").replaceChildren(...next.map(text => put("li", {}, text)));
 }
-function answerRow(row) {
-  const seen = row.dgp_exceeded !== null;
-  const between = row.low === null ? "" : ` (${number(row.low, 2)} to ${number(row.high, 2)})`;
-  const name = row.class === "none" ? "below minimum" : row.class;
-  const likely = `cannot tell yet (${name} is likeliest)`;
-  return put(
-    "tr",
-    {},
-    put("th", {scope: "row"}, wind(row.azimuth_deg)),
-    put("td", {}, !seen ? "not seen" : row.certain ? name : likely),
-    put("td", {}, seen ? number(row.dgp_exceeded, 2) + between : "–"),
-  );
+function local(t) {
+  return new Date(t).toLocaleString("en-GB", {
+    weekday: "short",
+    day: "numeric",
+    month: "short",
+    hour: "2-digit",
+    minute: "2-digit",
+    timeZone: view.state.timezone,
+  });
 }
 
 function step(by) {
@@ -486,9 +522,9 @@ async function refresh() {
     const changed = s.version !== view.version,
       turned = view.state !== null && s.today !== view.state.today;
     drawState(s);
-    if (changed || performance.now() - view.answerAt > DAY_MS) {
+    if (s.answer !== view.answer) {
       drawAnswer(await ask("/answer.json"));
-      view.answerAt = performance.now();
+      view.answer = s.answer;
     }
     if (changed) {
       drawCalendar(await ask("/calendar.json"));

@@ -1,0 +1,241 @@
+"""Compute the answer so far: the commands from frames to glare classes, at low priority.
+
+Each command runs in its own process. It is paused before a slot begins and continues after it, so
+that a capture on the same computer never waits. Merge and pair write into the
+session; the model and the year are in its folder watch/, separate from the user's own.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import NamedTuple
+
+import psutil
+
+from fieldlum.core.errors import InputError
+from fieldlum.core.records import JsonTable, parse_utc, utc_text
+from fieldlum.session import Session, replacing
+from fieldlum.session.codec import to_json
+from fieldlum.session.files.predict_json import PredictFile
+from fieldlum.session.files.sidecar import Sidecar, newest_sidecar
+
+# A bracket begins with the camera waking up: a minute before it the computer is the capture's.
+# Chosen.
+QUIET_BEFORE_S = 90.0
+ANSWER_EVERY = timedelta(hours=6)  # fitting takes minutes: at most a few times a day; chosen
+MIN_CAPTURES = 8  # fewer leave every class open; chosen
+PROGRAM = (
+    sys.executable,
+    "-c",
+    "import sys; sys.argv[0] = 'fieldlum'; from fieldlum.cli import main; main()",
+)
+
+
+class Moment(NamedTuple):
+    """State that decides whether there is time to compute.
+
+    is_quiet: no bracket is running, none begins within 90 s, and time is not simulated and fast.
+    captured: number of complete slots.
+    """
+
+    is_quiet: bool
+    captured: int
+
+
+@dataclass(slots=True)
+class Worker:
+    """Runs merge, pair, train and predict of a session in a thread, while no slot is near.
+
+    moment: returns the present state of the capture. weather: a file, or "synthetic". program:
+    starts fieldlum; look_every_s: pause between two looks for work; problem: error of the last
+    step, or ""; step: what is computed now, or "".
+    """
+
+    session: Session
+    moment: Callable[[], Moment]
+    weather: str = "synthetic"
+    program: Sequence[str] = PROGRAM
+    look_every_s: float = 5.0
+    problem: str = ""
+    step: str = ""
+    _stop: threading.Event = field(default_factory=threading.Event)
+    _thread: threading.Thread | None = None
+    _merged_at: int = -1
+    _answered_at: int = -1
+
+    @property
+    def folder(self) -> Path:
+        """The session's folder watch/, with the model, the year and the last answer."""
+        return self.session.root / "watch"
+
+    def start(self) -> None:
+        """Start the thread and return at once."""
+        self._thread = threading.Thread(target=self._loop, name="answer", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop the running command and the thread."""
+        self._stop.set()
+        if self._thread is not None:
+            self._thread.join(20.0)
+
+    def _loop(self) -> None:
+        while not self._stop.wait(self.look_every_s):
+            with suppress(OSError):  # a share that is away: look again later
+                self.work()
+
+    def work(self) -> None:
+        """Merge and pair new brackets if no slot is near; then train and predict if it is time.
+
+        It is time if 8 or more slots are captured, slots were captured since the last training of
+        this process, and the last answer (predicted year) is 6 or more hours old or missing.
+        """
+        now = self.moment()
+        if not now.is_quiet or now.captured == 0:
+            return
+        if now.captured != self._merged_at:
+            root = str(self.session.root)
+            before = newest_sidecar(self.session)  # what the user merged is not merged otherwise
+            options = () if before is None else _merge_options(before)
+            good = self._run("merge", "merge", root, "--scheduler", "processes:1", *options)
+            good = good and self._run("pair", "pair", root)
+            if not self._stop.is_set():
+                self._merged_at = now.captured
+            if not good:
+                return
+        due = now.captured != self._answered_at and now.captured >= MIN_CAPTURES
+        if due and self._is_old():
+            self._answer(now.captured)
+
+    def _is_old(self) -> bool:
+        last = read_answer(self.session)
+        return last is None or datetime.now(UTC) - parse_utc(last["t_utc"]) >= ANSWER_EVERY
+
+    def _answer(self, captured: int) -> None:
+        model, annual, root = self.folder / "model", self.folder / "annual", str(self.session.root)
+        fitting = ("train", root, "--model", "transport", "--out", str(model))
+        year = ("predict", str(model), "--weather", self.weather, "--out", str(annual))
+        good = self._run("train", *fitting) and self._run("predict", *year)
+        if good:
+            option = () if self.weather == "synthetic" else ("--weather", self.weather)
+            self._run("useful hours", "plan", root, "--next", "--json", *option)
+            with suppress(OSError, ValueError, KeyError, InputError):
+                self._keep(captured, annual)
+        if not self._stop.is_set():
+            self._answered_at = captured
+
+    def _keep(self, captured: int, annual: Path) -> None:
+        """Write the classes into answer.json."""
+        year = PredictFile.read(annual)
+        hours: list[JsonTable] = []
+        with suppress(OSError, ValueError, KeyError):
+            hours = json.loads((self.folder / "useful hours.out").read_text("utf-8"))["hours"]
+        answer = {
+            "t_utc": utc_text(datetime.now(UTC)),
+            "captures": captured,
+            "weather": year.weather.name,
+            "synthetic": year.weather.synthetic,
+            "warnings": [*year.model_warnings, *year.notes],
+            "protection": to_json(year.protection),
+            "useful": hours[:8],
+        }
+        with replacing(self.folder / "answer.json", "w", encoding="utf-8") as file:
+            json.dump(answer, file)
+
+    def _run(self, name: str, *arguments: str) -> bool:
+        """Run one command at the lowest priority and return whether it succeeded.
+
+        The command is paused while a slot is near.
+        """
+        if self._stop.is_set():
+            return False
+        self.folder.mkdir(exist_ok=True)
+        self.step = name
+        out, notes = self.folder / f"{name}.out", self.folder / f"{name}.err"
+        threads = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+        try:
+            with out.open("wb") as answer, notes.open("wb") as errors:
+                process = psutil.Popen(
+                    [*self.program, *arguments],
+                    stdin=subprocess.DEVNULL,
+                    stdout=answer,
+                    stderr=errors,
+                    env={**os.environ, **dict.fromkeys(threads, "1")},
+                    start_new_session=True,
+                )
+                with suppress(psutil.Error):  # 19 is the lowest priority of POSIX
+                    process.nice(getattr(psutil, "IDLE_PRIORITY_CLASS", 19))
+                code = self._attended(process)
+        finally:
+            self.step = ""
+        if code == 0:
+            self.problem = ""
+        elif not self._stop.is_set():
+            lines = notes.read_text("utf-8", "replace").strip().splitlines()
+            self.problem = (lines or [f"{name}: exit code {code}"])[-1][:400]
+        return code == 0
+
+    def _attended(self, process: psutil.Popen) -> int | None:
+        """Wait until a process ends, pause it near slots, and return its exit code."""
+        stopped = False
+        while True:
+            with suppress(psutil.TimeoutExpired, subprocess.TimeoutExpired):
+                return process.wait(min(self.look_every_s, 1.0))
+            if self._stop.is_set():
+                _each(process, "kill")
+                return process.wait()
+            if self.moment().is_quiet == stopped:
+                _each(process, "resume" if stopped else "suspend")
+                stopped = not stopped
+
+
+def _each(process: psutil.Popen, act: str) -> None:
+    """Kill, suspend or resume a process and its children; those that have ended are skipped."""
+    with suppress(psutil.Error):
+        for one in (process, *process.children(recursive=True)):
+            with suppress(psutil.Error):
+                getattr(one, act)()
+
+
+def read_answer(session: Session) -> JsonTable | None:
+    """Return the stored answer (watch/answer.json); None for a missing or damaged file.
+
+    It is the result of one run of `Worker`: its time, number of captures, weather, warnings, the
+    glare class of each view direction over a predicted year, and useful coming hours.
+    """
+    try:
+        answer = json.loads((session.root / "watch" / "answer.json").read_text(encoding="utf-8"))
+        parse_utc(answer["t_utc"])
+    except (OSError, ValueError, TypeError, KeyError):
+        return None
+    return answer
+
+
+def answer_table(session: Session, worker: Worker | None) -> JsonTable:
+    """Return the last answer (None without one) and the present step.
+
+    worker: None if nothing is computed here.
+    """
+    return {
+        "last": read_answer(session),
+        "computes": worker is not None,
+        "step": worker.step if worker else "",
+        "problem": worker.problem if worker else "",
+        "least_captures": MIN_CAPTURES,
+    }
+
+
+def _merge_options(sidecar: Sidecar) -> tuple[str, ...]:
+    """Return options of `fieldlum merge`, with which it merges as it merged this bracket."""
+    height, fit = sidecar.inputs.get("height"), sidecar.inputs.get("fit")
+    size = ("--size", f"{2 * height}x{height}") if isinstance(height, int) else ()
+    return size if fit is None else (*size, "--fit" if fit else "--no-fit")
