@@ -19,7 +19,7 @@ import numpy as np
 
 from fieldlum.core.arrays import Floats
 from fieldlum.core.records import Site
-from fieldlum.pair.irradiance import Mark, Series, check, derive, sky_geometry
+from fieldlum.pair.irradiance import Mark, Series, check, derive, sky_geometry, suspicions
 from fieldlum.sky import sun
 
 SUNNY_WM2 = 120.0
@@ -30,6 +30,8 @@ COMPARED = (
     Mark.DIFFUSE,
     Mark.STUCK,
     Mark.SPIKE,
+    Mark.K_INDEX,
+    Mark.HORIZON,
 )
 
 
@@ -46,7 +48,8 @@ def read_month(path: Path) -> Series:
 
 def flags_row(name: str, raw: Series, site: Site) -> str:
     altitude, top = sky_geometry(raw.t_unix_s, site)
-    marks = check(raw, altitude, top).marks
+    checked = check(raw, altitude, top)
+    marks = checked.marks | suspicions(checked, altitude, top, site)
     sunny = (raw.dni_wm2 > SUNNY_WM2) & (altitude > 0)
     counts = [int(((marks & mark) != 0)[sunny].sum()) for mark in COMPARED]
     every = 0

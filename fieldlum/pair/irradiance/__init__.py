@@ -15,6 +15,12 @@ from scipy.ndimage import rank_filter, uniform_filter1d
 from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.records import IrradianceSample, Progress, Site, counted, quiet
+from fieldlum.pair.irradiance.consistency import (
+    clear_sky,
+    closure_fails,
+    k_index_fails,
+    shaded_horizon,
+)
 from fieldlum.session import Session, day_files, read_day, remove_scraps
 from fieldlum.session.codec import convert, made_from, write_object
 from fieldlum.session.files.irradiance_csv import DERIVED, MEASURED, CleanIrradiance
@@ -26,7 +32,7 @@ _SEGMENT_GAP_S = 1800.0
 _SPIKE_ROWS = 120  # rows on each side for the usual step: ten minutes at 5 s
 # rank of the usual step, so that four other spikes in the window do not hide one; chosen
 _SPIKE_RANK = 9
-_RECIPE = 9  # Increase it when the arithmetic changes: clean.csv is then computed again.
+_RECIPE = 10  # Increase it when the arithmetic changes: clean.csv is then computed again.
 
 
 # ----------------------------------------------------------------------------------------------
@@ -51,6 +57,9 @@ class Mark(IntFlag):
     # one reading deviates from both neighbours: a damaged line, a bird, a very small cloud
     SPIKE = 1024
     DOUBLE = 2048  # another row of the same time has other values; the first one is used
+    # clearness, diffuse share or beam transmittance that is impossible for that long
+    K_INDEX = 4096
+    HORIZON = 16384  # a part of the low sky where the sun is always hidden
 
 
 UNUSABLE = Mark.IMPOSSIBLE | Mark.STATUS | Mark.STUCK
@@ -158,26 +167,6 @@ def check(series: Series, altitude: Floats, top: Floats) -> Series:
     return Series(series.t_unix_s, ghi, dhi, dni, marks)
 
 
-def closure_fails(
-    t_unix_s: Floats, ghi: Floats, dhi: Floats, dni: Floats, altitude: Floats
-) -> Mask:
-    """Return a mask [n] of the rows that contradict global = diffuse + direct, by QCRad's test.
-
-    The ratio of global to diffuse + direct may differ from 1 by 8 % if the sun is higher than 15
-    degrees, and by 15 % if it is lower. A row is only in the mask if at least half of the testable
-    rows in the half hour around it differ by more: under broken clouds, instruments with some
-    distance differ by over 8 % in 4 % of the sunny minutes of a good station. Rows below 50 W/m2,
-    or with only two components, are not testable. altitude: of the sun [n] deg.
-    """
-    ratio = sun.closure_ratio(ghi, dhi, dni, altitude)
-    testable = np.isfinite(ratio) & (altitude > -3.0)
-    fails = testable & (np.abs(ratio - 1.0) > np.where(altitude > 15.0, 0.08, 0.15))
-    first = np.searchsorted(t_unix_s, t_unix_s - 900.0)
-    last = np.searchsorted(t_unix_s, t_unix_s + 900.0, side="right")
-    failed, tested = (np.r_[0, np.cumsum(rows)] for rows in (fails, testable))
-    return fails & (2 * (failed[last] - failed[first]) >= tested[last] - tested[first])
-
-
 def _beam_is_unknown(t_unix_s: Floats, beam: Floats) -> Mask:
     """Return a mask of rows whose beam is within a pyranometer's zero offset over five minutes.
 
@@ -209,6 +198,21 @@ def _stuck(t_unix_s: Floats, ghi: Floats, altitude: Floats) -> Mask:
     rows, seconds = ends - starts, t_unix_s[ends - 1] - t_unix_s[starts]
     stuck = np.repeat((seconds > 600.0) & (rows > 2) & change_due, rows)
     return stuck & (altitude > 2.0) & np.isfinite(ghi)
+
+
+def suspicions(series: Series, altitude: Floats, top: Floats, site: Site) -> NDArray[np.int64]:
+    """Return marks [n] of rows with impossible k-indices or a shaded horizon; values stay.
+
+    altitude, top [n]: from `sky_geometry`.
+    """
+    complete = (series.marks & Mark.DERIVED) == 0
+    ghi, dni = (np.where(complete, v, np.nan) for v in (series.ghi_wm2, series.dni_wm2))
+    marks, t = np.zeros(len(ghi), np.int64), series.t_unix_s
+    marks[k_index_fails(t, ghi, series.dhi_wm2, series.dni_wm2, altitude, top)] |= Mark.K_INDEX
+    if np.isfinite(dni).any():
+        azimuth, clear_dni = clear_sky(t, site)
+        marks[shaded_horizon(t, dni, altitude, azimuth, clear_dni)] |= Mark.HORIZON
+    return marks
 
 
 def spikes(t_unix_s: Floats, value: Floats) -> Mask:
@@ -392,6 +396,8 @@ _FAULTS = {
     Mark.IMPOSSIBLE: "an impossible irradiance: check units, columns and clock",
     Mark.EXTREME: "an extremely rare irradiance: check units, columns and clock",
     Mark.DIFFUSE: "more diffuse than global irradiance: check whether the columns are exchanged",
+    Mark.K_INDEX: "an impossible ratio of global, diffuse and direct: check instruments, tracker",
+    Mark.HORIZON: "the sun in a low part of the sky where it was never measured: check for shade",
     Mark.STUCK: "one value for over ten minutes: check the instrument and its cable",
     Mark.STATUS: "an error reported by the instrument: see its manual",
     Mark.SPIKE: "isolated spikes: check the cable",
@@ -461,6 +467,7 @@ def run(session: Session, *, force: bool = False, progress: Progress = quiet) ->
         )
     altitude, top = sky_geometry(raw.t_unix_s, site)
     checked = check(raw, altitude, top)
+    checked.marks[:] |= suspicions(checked, altitude, top, site)
     series = derive(checked, altitude, site)
     quality = health(raw, series, altitude, top, broken, site)
     clean_of(series).write(clean)

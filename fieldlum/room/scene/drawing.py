@@ -79,10 +79,12 @@ def _draw_plan(axes: Axes, room: Room) -> None:
         axes.annotate(label, middle, inwards, **centred, rotation=0 if o.axis else 90)
     for name, turn in WALL_TURN_DEG.items():
         axis, side = WALLS[name]
-        place, away = [0.5, 0.5], [0, 0]
-        place[axis], away[axis] = side, 32 * side - 16
+        place, away = (0.5, float(side)), (0, 32 * side - 16)
         label = f'"{name}" faces {wind(room.wall_azimuth_deg + turn)}'
-        axes.annotate(label, place, away, "axes fraction", **centred, rotation=0 if axis else 90)
+        if axis == 0:
+            place, away = place[::-1], away[::-1]
+        turned = 0 if axis else 90
+        axes.annotate(label, place, away, "axes fraction", **centred, rotation=turned)
 
 
 def _draw_arrows(axes: Axes, room: Room, heading_deg: float) -> None:
