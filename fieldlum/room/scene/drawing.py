@@ -79,10 +79,8 @@ def _draw_plan(axes: Axes, room: Room) -> None:
         axes.annotate(label, middle, inwards, **centred, rotation=0 if o.axis else 90)
     for name, turn in WALL_TURN_DEG.items():
         axis, side = WALLS[name]
-        place, away = (0.5, float(side)), (0, 32 * side - 16)
-        label = f'"{name}" faces {wind(room.wall_azimuth_deg + turn)}'
-        if axis == 0:
-            place, away = place[::-1], away[::-1]
+        label, off = f'"{name}" faces {wind(room.wall_azimuth_deg + turn)}', 32 * side - 16
+        place, away = ((0.5, side), (0, off)) if axis else ((side, 0.5), (off, 0))
         turned = 0 if axis else 90
         axes.annotate(label, place, away, "axes fraction", **centred, rotation=turned)
 
