@@ -66,7 +66,7 @@ def test_a_changed_frame_is_refused_by_name_and_merged_once_restored(
     damage(folder / "1.dng")
     first, second = merge.run(session, SMALL)
     assert (first.state, second.state) == ("failed", "merged")
-    assert "1.dng" in first.text and "changed after the capture or import" in first.text
+    assert "1.dng" in first.text and "changed after capture or import" in first.text
     assert not session.panorama(folder.name).exists()
     shutil.copytree(copy, folder, dirs_exist_ok=True)
     assert states(session) == ["merged", "kept"]
