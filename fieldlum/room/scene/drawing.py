@@ -97,7 +97,7 @@ def _draw_arrows(axes: Axes, room: Room, heading_deg: float) -> None:
         turn = np.radians(azimuth - up_deg)
         to = np.sin(turn), np.cos(turn)
         axes.quiver(*place, *to, color=colour, transform=of, gid=name, **arrow)
-    axes.text(-0.1, 1.1, "N ", ha="right", va="center", transform=axes.transAxes)
+    axes.text(-0.15, 1.1, "N", ha="right", va="center", transform=axes.transAxes)
     axes.plot(*at, "o", color=RED, ms=9)
     label = f"camera to {wind(heading_deg)}, {room.camera_z_m:g} m high"
     axes.text(0.5, -0.16, label, ha="center", color=RED, transform=axes.transAxes)
