@@ -248,3 +248,6 @@ def test_an_own_profile_has_the_size_and_camera_of_a_photo(tmp_path: Path) -> No
     assert (profile.bracket.f_number, profile.scale.u_rel, profile.camera.date) == (4.0, 0.5, "")
     shown = CliRunner().invoke(main, ["info", start])
     assert shown.exit_code == 0 and "camera profile" in shown.output, shown.output
+    raw = ["new", str(tmp_path / "r.toml"), "--camera", "canon-eos-8mm-uncalibrated"]
+    shown = CliRunner().invoke(main, [*raw, "--photo", str(photo)])
+    assert shown.exit_code == 3 and "a jpeg frame; expected a raw frame" in shown.output

@@ -244,6 +244,8 @@ def test_signs_are_checked_by_the_place_of_the_time_zone(tmp_path: Path) -> None
         (33.9, 18.4, "Africa/Johannesburg", "sign of the latitude"),
         (-33.9, -18.4, "Africa/Johannesburg", "sign of the longitude"),
         (47.6, 122.3, "America/Los_Angeles", "sign of the longitude"),
+        (9.1, 38.7, "Europe/Lisbon", "exchanged"),
+        (-9.1, 38.7, "Europe/Lisbon", "exchanged"),
         (-4.2, -69.9, "America/Bogota", ""),
         (5.5, 95.3, "Asia/Jakarta", ""),
         (39.5, 76.0, "Asia/Shanghai", ""),
@@ -255,4 +257,8 @@ def test_signs_are_checked_by_the_place_of_the_time_zone(tmp_path: Path) -> None
     place = 'latitude_deg = 33.9\nlongitude_deg = 18.4\ntimezone = "Africa/Johannesburg"\n'
     path.write_text(f'[site]\nname = "s"\n{place}', encoding="utf-8")
     with pytest.raises(InputError, match="other sign of the latitude"):
+        load_site(path)
+    right = place.replace("33.9", "-33.9")
+    path.write_text(f'[site]\nname = "s"\n{right}[camera]\nheading_deg = 2250\n', encoding="utf-8")
+    with pytest.raises(InputError, match="heading_deg = '2250'"):
         load_site(path)

@@ -297,11 +297,17 @@ def _of_photo(profile: CameraProfile, photo: Path) -> CameraProfile:
     before, sensor = profile.camera, profile.sensor
     info = read_exif(photo, lens_f_number=before.fixed_f_number)
     f_number, iso = info.exposure.f_number, info.exposure.iso
-    if is_jpeg(photo):
-        kind, (width, height) = "jpeg", jpeg_size(photo)
+    kind = "jpeg" if is_jpeg(photo) else "raw"
+    if kind != before.kind:  # its response would be wrong by a factor of several
+        start = "phone-clip-on-fisheye" if kind == "jpeg" else "canon-eos-8mm"
+        found, expected = f"a {kind} frame", f"a {before.kind} frame, as {before.name} takes"
+        remedy = f"name such a frame, or start from a profile such as {start}-uncalibrated"
+        raise InputError(photo, found, expected, remedy)
+    if kind == "jpeg":
+        width, height = jpeg_size(photo)
     else:
         mosaic = read_mosaic(photo, lens_f_number=before.fixed_f_number)
-        kind, (height, width) = "raw", mosaic.counts.shape
+        height, width = mosaic.counts.shape
         sensor = Sensor(cfa=mosaic.cfa, white_dn=mosaic.white_dn, iso=iso)
         click.echo(f"black level {mosaic.black_dn[0]:g} DN, white level {mosaic.white_dn:g} DN")
     by, across = height / before.height_px, width / before.width_px
@@ -315,7 +321,7 @@ def _of_photo(profile: CameraProfile, photo: Path) -> CameraProfile:
     size = {"width_px": width, "height_px": height, "make": info.make, "model": info.model}
     return replace(
         profile,
-        camera=replace(before, kind=kind, name=name, **size),
+        camera=replace(before, name=name, **size),
         lens=tuple(map(scaled, profile.lens)),
         sensor=sensor,
         bracket=replace(profile.bracket, f_number=f_number, iso=iso),

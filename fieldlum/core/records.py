@@ -104,6 +104,9 @@ class Site:
     altitude_m: Annotated[float, Meta(ge=-500.0, le=9000.0)] = 0.0
 
 
+_Azimuth = Annotated[float, Meta(ge=-360.0, le=360.0)]
+
+
 @dataclass(frozen=True, slots=True)
 class CameraSetup:
     """The camera of a session.
@@ -117,8 +120,8 @@ class CameraSetup:
     """
 
     profile: str = ""
-    heading_deg: float = 180.0
-    headings: tuple[float, ...] = ()
+    heading_deg: _Azimuth = 180.0
+    headings: tuple[_Azimuth, ...] = ()
     height_m: float = 1.6
     assumed: tuple[str, ...] = ()
     filter: str = ""

@@ -74,11 +74,13 @@ def wrong_sign_text(site: Site) -> str:
         (away_km(-lat, lon), "latitude"),
         (away_km(lat, -lon), "longitude"),
         (away_km(-lat, -lon), "latitude and longitude"),
+        (away_km(lon, lat) if abs(lon) <= 90.0 else math.inf, ""),
     )
     if (away := away_km(lat, lon)) < _FAR_FROM_ZONE_KM or near > away / 2:
         return ""
     found = f"{lat:g}, {lon:g} is {away:.0f} km from {site.timezone}"
-    return f"{found}, and with the other sign of the {which} {near:.0f} km"
+    how = f"the other sign of the {which}" if which else "latitude and longitude exchanged"
+    return f"{found}, and with {how} {near:.0f} km"
 
 
 def site_table(setup: SiteFile) -> TomlTable:

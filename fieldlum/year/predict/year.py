@@ -355,7 +355,8 @@ def _files(model: Path, weather: Path, sky_view: Path | None) -> dict[str, objec
     synthetic = str(weather) == SYNTHETIC
     if not synthetic and not weather.is_file():
         expected = "a weather file, or the word synthetic"
-        raise InputError(weather, "no such file", expected, "check the path")
+        found = "a folder" if weather.is_dir() else "no such file"
+        raise InputError(weather, found, expected, "name a weather file, or the word synthetic")
     weights, view = model / "weights.npz", sky_view or model / SKY_VIEW
     return {
         "model": model.resolve().name,
