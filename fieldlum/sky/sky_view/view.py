@@ -196,7 +196,7 @@ def _fine_edges(maps: Floats32, openness: Floats32, factor: int) -> Floats32:
     The shortest edges between sky and what is in front of it give each pixel its openness. Where
     mixed pixels fill a square, slats or leaves keep their mean.
     """
-    from scipy.ndimage import binary_opening, maximum_filter
+    from scipy.ndimage import binary_opening, find_objects, maximum_filter
 
     shown, size = np.nan_to_num(openness), 3
     lens = factor * _FINE_DEG <= _LENS_PIXEL_DEG
@@ -205,7 +205,12 @@ def _fine_edges(maps: Floats32, openness: Floats32, factor: int) -> Floats32:
     mixed = (shown > 0.0) & (shown < _OPEN_PIXEL)
     texture = np.asarray(binary_opening(mixed, np.ones((size, size))), bool)
     edge = _enlarged((maximum_filter(shown, size) > 0.0) & ~texture, factor)
-    drawn, own = _shortest_edges(shown, factor), _enlarged(maps, factor)
+    own = _enlarged(maps, factor)
+    drawn = np.zeros(own.shape[1:], np.float32)
+    reached = maximum_filter(shown, 11) > 0.0  # five pixels: four standard deviations of the blur
+    for part in find_objects(reached.astype(np.int8)):  # one box around all of them
+        fine = tuple(slice(s.start * factor, s.stop * factor) for s in part)
+        drawn[fine] = _shortest_edges(shown[part], factor)
     out = own.copy()
     for fine, values, minimum in zip(out, maps, _DOUBT, strict=True):
         pane = maximum_filter(np.nan_to_num(values), size)  # value of the open neighbour
