@@ -261,7 +261,9 @@ def _write_own_camera(path: Path, start: str, photo: Path | None) -> None:
     click.echo(f"note: {uncalibrated_text(profile)}")
     if photo is None:
         click.echo("note: size and camera are those of the start: state a frame with --photo")
-    click.echo(f"next: fieldlum calibrate lens -h, then state profile = {path} in SITE.toml")
+    click.echo(
+        f'next: fieldlum calibrate lens -h, then profile = "{path}" under [camera] in SITE.toml'
+    )
 
 
 def started_profile(profile: CameraProfile, start: str) -> CameraProfile:
