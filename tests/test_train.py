@@ -91,6 +91,23 @@ def test_candidates_are_compared_on_the_hours_they_share() -> None:
     assert choose_model([all_days, easy]).name == "transport"
 
 
+@pytest.mark.property
+def test_a_slow_model_that_saw_few_days_does_not_decide_between_quick_ones() -> None:
+    """On the first day nearest looks best; over all days transport is. The network knows the
+    first day only.
+    """
+    first = int((DATA.days == DATA.days[0]).sum())
+    rest = len(DATA) - first
+    quick = [
+        trial("nearest", [0.1] * first + [9.0] * rest),
+        trial("transport", [0.2] * first + [0.1] * rest),
+    ]
+    assert choose_model([*quick, trial("dense", [0.3] * first)]).name == "transport"
+    assert choose_model([*quick, trial("dense", [0.01] * first)]).name == "transport", (
+        "one day is no proof"
+    )
+
+
 @pytest.mark.slow
 @pytest.mark.contract
 def test_run_keeps_a_model_its_scores_and_says_why(tmp_path: Path) -> None:

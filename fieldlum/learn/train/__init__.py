@@ -192,9 +192,27 @@ class ModelSelection(NamedTuple):
 def choose_model(trials: list[Trial]) -> ModelSelection:
     """Choose the model with the smallest held-out error, as `held_out_choice.choose` compares it.
 
-    Models are compared on the hours that all were tested on. A baseline repeats captured suns, and
-    held-out days have nearly the same suns as the other days: it loses to another model unless it
-    is clearly better.
+    Models that were tested on most hours are compared first. One that was tested on fewer (the
+    dense network) replaces their best only if it is clearly better in the hours of both, of two
+    days at least.
+    """
+    most = max(len(trial.scores) for trial in trials)
+    compared = [trial for trial in trials if len(trial.scores) == most]
+    best = _best(compared)
+    for other in trials:
+        pair = _errors([best, other])
+        if len(other.scores) < most and len(np.unique(pair[0].day)) > 1:
+            choice = choose(pair)
+            best = other if choice.best == 1 and choice.by else best
+    named = [best, *(trial for trial in compared if trial is not best)]
+    return ModelSelection(best.name, _reason(named, _errors(named)))
+
+
+def _best(trials: list[Trial]) -> Trial:
+    """Return the best of models that were tested on the same hours.
+
+    A baseline repeats captured suns, and held-out days have nearly the same suns as the other days:
+    it loses to another model unless it is clearly better.
     """
     errors = _errors(trials)
     best = choose(errors).best
@@ -203,9 +221,7 @@ def choose_model(trials: list[Trial]) -> ModelSelection:
         rival = learnt[choose([errors[k] for k in learnt]).best]
         if choose([errors[best], errors[rival]]).by is None:
             best = rival
-    order = sorted(range(len(trials)), key=lambda k: k != best)
-    reason = _reason([trials[k] for k in order], [errors[k] for k in order])
-    return ModelSelection(trials[best].name, reason)
+    return trials[best]
 
 
 def is_baseline(trial: Trial) -> bool:
