@@ -58,9 +58,7 @@ def fit_turn(
             columns = np.stack([contrasts.removed(c, used) for c in (design / scale).T], axis=1)
             values = contrasts.removed(target, used)
         normal = columns.T @ (used[:, None] * columns)
-        if (
-            np.linalg.cond(normal) > 1e6
-        ):  # of the scaled matrix: edges do not determine the unknowns
+        if np.linalg.cond(normal) > 1e6:  # edges do not determine the unknowns
             return None
         inverse = np.linalg.inv(normal)
         unknowns = inverse @ (columns.T @ (used * values))
