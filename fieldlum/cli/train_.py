@@ -47,10 +47,10 @@ def command(
 ) -> None:
     """Learn the room from pairs; score it on held-out days.
 
-    PAIRS is a session or a pairs.csv. The budget is wall time for the network, counted
-    from the start of the command. For it, quick models omit at most three of five groups of
-    held-out days. If captures, options and fieldlum's version have not changed, the
-    model is trained again only with --force.
+    PAIRS is a session or a pairs.csv. The budget is the wall time in which the network
+    must be trained, from the start of the command; to leave it time, quick models are tested on
+    fewer groups of held-out days, on two of five at least. If captures, options and fieldlum's
+    version have not changed, the model is trained again only with --force.
 
     \b
     Example:

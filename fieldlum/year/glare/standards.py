@@ -162,7 +162,7 @@ def _sentence(row: DirectionYear) -> str:
     """Return class, DGP and certainty of a direction."""
     if row.dgp_exceeded is None:
         return "not seen: no lens saw enough of this direction"
-    text = "no class" if row.glare_class == NO_CLASS else f"class {row.glare_class}"
+    text = "below minimum" if row.glare_class == NO_CLASS else f"class {row.glare_class}"
     if row.seen != SEEN:
         text = f"{text}, from the seen part of the view"
     if row.low is None:
