@@ -6,6 +6,7 @@ from dataclasses import replace
 from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 from click.testing import CliRunner
@@ -283,6 +284,26 @@ def test_a_plan_of_an_earlier_version_with_filter_frames_is_asked_for_them(tmp_p
     assert session.slots()[0].exposures == exposures and not session.site_file().camera.filter
     finding = every(doctor.check_sun, session, NOW)[-1]
     assert "through the filter nd3: a person must put it on" in finding.text
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize(("kind", "count"), [("sim", 0), ("gphoto", 1)])
+def test_several_headings_name_who_turns_the_camera(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str, count: int
+) -> None:
+    """No driver turns a camera: with one that refuses, all brackets would abort."""
+    slot = Slot(NOW + timedelta(hours=7.5), 30.0, 180.0, (Exposure(0.5, 5.6),), ())
+    camera = CameraSetup(profile=_profile(tmp_path), headings=(0.0, 180.0))
+    session = create_session(tmp_path / "s", SiteFile(SEATTLE, camera), [slot], {})
+    findings = every(doctor.check_profile, session, NOW.date())
+    (turning,) = [finding for finding in findings if finding.what == "headings"]
+    assert turning.verdict == "warn"
+    assert "headings 0, 180 deg" in turning.text and "a person turns it" in turning.text
+
+    device = Mock(info=CameraInfo(kind))
+    monkeypatch.setattr(doctor, "open_camera", lambda *_, **__: device)
+    verdicts = [f for f in every(doctor.check_camera, session, "x:", NOW) if f.verdict == "fail"]
+    assert ["each bracket would abort" in f.text for f in verdicts] == [True] * count
 
 
 @pytest.mark.contract

@@ -88,6 +88,7 @@ def test_a_second_capture_is_told_the_process_of_the_first(tmp_path: Path) -> No
 def test_doctor_draws_the_room(tmp_path: Path) -> None:
     words = ["plan", str(PLANS / "seattle-office.toml"), "--set", "9-day"]
     planned = CliRunner().invoke(main, [*words, "--out", str(tmp_path / "s")])
+    assert f"next: fieldlum doctor {tmp_path / 's'}" in planned.output
     assert "solar noon on the first day is at 1" in planned.output  # 12:18 PST or 13:17 PDT
     shown = CliRunner().invoke(main, ["doctor", str(tmp_path / "s")])
     assert "check windows, camera and north" in shown.output

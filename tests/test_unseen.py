@@ -22,7 +22,7 @@ from fieldlum.core.arrays import Mask
 from fieldlum.core.records import CameraSetup, Flag, Panorama
 from fieldlum.learn import models
 from fieldlum.optics.images import write_panorama, write_radiance_hdr
-from fieldlum.optics.profiles import coverage_text, load_camera_profile
+from fieldlum.optics.profiles import coverage_text, load_camera_profile, turning_text
 from fieldlum.optics.projection import (
     LensGeometry,
     judged_text,
@@ -70,7 +70,7 @@ def test_plan_and_doctor_name_directions_before_nine_days_are_spent() -> None:
     text = coverage_text(profile, CameraSetup(profile="sim-fisheye", heading_deg=215.0))
     assert "sees 5" in text and "SW" in text and "headings = [215, 35]" in text, text
     turned = CameraSetup(profile="sim-fisheye", heading_deg=215.0, headings=(215.0, 35.0))
-    assert coverage_text(profile, turned) == ""
+    assert coverage_text(profile, turned) == "" and "a person turns it" in turning_text(turned)
     assert coverage_text(load_camera_profile("sim-dual-fisheye"), CameraSetup()) == ""
     assert judged_text(np.ones((8, 16), bool), 0.0) == ""
 

@@ -31,6 +31,7 @@ from fieldlum.optics.profiles import (
     coverage_text,
     load_camera_profile,
     sun_text,
+    turning_text,
     uncalibrated_text,
 )
 from fieldlum.optics.raw import same_model
@@ -186,8 +187,8 @@ def check_journal(session: Session) -> Iterator[Finding]:
 def check_profile(session: Session, today: date) -> Iterator[Finding]:
     """Yield findings on the camera profile: its age, calibration and coverage of the view.
 
-    See `judge_age` and `judge_calibration`. Directions that no lens covers are a warning. Raises
-    InputError for an unreadable profile.
+    See `judge_age` and `judge_calibration`. Directions that no lens covers and headings are a
+    warning. Raises InputError for an unreadable profile.
     """
     setup = session.site_file()
     profile = load_camera_profile(setup.camera.profile)
@@ -196,6 +197,8 @@ def check_profile(session: Session, today: date) -> Iterator[Finding]:
     yield from judge_calibration(profile, session.slots())
     if blind := coverage_text(profile, setup.camera):
         yield warn("coverage", blind)
+    if turning := turning_text(setup.camera):
+        yield warn("headings", turning)
 
 
 def judge_age(profile: CameraProfile, today: date) -> Finding:
@@ -263,6 +266,8 @@ def check_camera(session: Session, uri: str, now_utc: datetime) -> Iterator[Find
         exposures = dict.fromkeys(e for slot in ahead for e in slot.exposures)
         frames = sum(len(slot.exposures) for slot in ahead) * max(len(setup.headings), 1)
         yield from judge_camera(camera.info, uri, frames)
+        if setup.headings and camera.info.kind not in ("sim", "replay"):
+            yield fail("headings", "capture cannot turn this camera, so each bracket would abort")
         yield from judge_exposures(not_offered(camera, exposures), len(exposures))
         yield from judge_model(camera.info, load_camera_profile(setup.profile))
 

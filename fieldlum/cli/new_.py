@@ -30,7 +30,7 @@ _NOTES = {  # comments in SITE.toml, by key
     "timezone": "IANA name",
     "profile": "a shipped name (fieldlum info NAME), or a path",
     "heading_deg": "the panorama's middle, clockwise from true north",
-    "headings": "one fisheye, turned between brackets",
+    "headings": "azimuths to which a person turns the camera in each bracket",
 }
 
 
@@ -42,8 +42,8 @@ def command(
 ) -> None:
     """Ask about a site and write its SITE.toml, or write a camera profile.
 
-    Place, camera and heading give the full answer; a room is an option, which docs/file-formats.md
-    describes. An existing file is not overwritten. After an interruption the same command offers
+    Place, camera and heading give the full answer; a room is an option: docs/file-formats.md
+    describes it, and capture_plans/template.toml has one to copy. An existing file is not overwritten. After an interruption the same command offers
     the answers so far.
 
     \b
@@ -59,6 +59,7 @@ def command(
         assumed_texts,
         coverage_text,
         load_camera_profile,
+        turning_text,
         uncalibrated_text,
     )
     from fieldlum.session.site_toml import load_site
@@ -74,7 +75,8 @@ def command(
     setup = SiteFile(_site(dialogue), _camera(dialogue))
     profile = load_camera_profile(setup.camera.profile)
     blind = coverage_text(profile, setup.camera)
-    for note in filter(None, (*assumed_texts(setup.camera), uncalibrated_text(profile), blind)):
+    notes = uncalibrated_text(profile), blind, turning_text(setup.camera)
+    for note in filter(None, (*assumed_texts(setup.camera), *notes)):
         click.echo(f"note: {note}")
     site_file.write_text(site_text(setup), encoding="utf-8")
     load_site(site_file)
@@ -217,7 +219,7 @@ def _camera(dialogue: Dialogue) -> CameraSetup:
     question = "Azimuth that the camera faces, clockwise from true north (- unknown)"
     facing = dialogue.ask(question, _azimuths)
     height = dialogue.ask("Height of the lens above the floor in m", _number(0.05, 50.0), "1.2")
-    question = "Headings of a turned head, separated by commas (- for a fixed camera)"
+    question = "Headings to which a person turns the camera, with commas (- for a fixed camera)"
     headings = dialogue.ask(question, _azimuths, "-")
     missing = {"heading_deg": not facing, "profile": not chosen}
     unknown = tuple(name for name, is_missing in missing.items() if is_missing)

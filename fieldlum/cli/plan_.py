@@ -108,7 +108,7 @@ def _planned(
     sentences = plan.sentences(answer)
     plan.write_calendar(session, datetime.now(UTC))
     plan.write_sheets(session, weather, [*sentences[1:], *made.warnings])
-    return answer, sentences
+    return answer, [*sentences, f"next: fieldlum doctor {out}"]
 
 
 def _permit_room(setup: SiteFile) -> None:

@@ -325,7 +325,8 @@ def coverage_text(profile: CameraProfile, setup: CameraSetup) -> str:
     if judged_text(seen_by_lenses(profile.lens, (0.0, 180.0)), heading_deg):
         return f"{text}; use a lens that sees more, or turn the camera to several headings"
     both = f"[{heading_deg % 360.0:g}, {(heading_deg + 180.0) % 360.0:g}]"
-    return f"{text}; for all directions write headings = {both} under [camera] in SITE.toml"
+    text = f"{text}; for all directions write headings = {both} under [camera] in SITE.toml"
+    return f"{text}, and a person turns the camera in each bracket"
 
 
 DEFAULT_CAMERA = "sim-dual-fisheye"
@@ -352,6 +353,18 @@ def assumed_texts(setup: CameraSetup) -> list[str]:
             "[camera] (fieldlum new lists cameras)"
         )
     return texts
+
+
+def turning_text(setup: CameraSetup) -> str:
+    """Return who turns a camera that has headings; "" for a fixed camera."""
+    if not setup.headings:
+        return ""
+    headings = ", ".join(f"{heading:g}" for heading in setup.headings)
+    return (
+        f"each bracket is taken at the headings {headings} deg, and no driver turns a camera: a "
+        "person turns it to each heading, takes all exposures there and imports the card (fieldlum "
+        "import); if the camera stays, remove headings from SITE.toml and plan again"
+    )
 
 
 def uncalibrated_text(profile: CameraProfile) -> str:

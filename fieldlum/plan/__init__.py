@@ -33,6 +33,7 @@ from fieldlum.optics.profiles import (
     load_camera_profile,
     planned_exposures,
     sun_text,
+    turning_text,
     uncalibrated_text,
 )
 from fieldlum.plan import choose
@@ -120,6 +121,7 @@ def make_plan(
         *assumed_texts(setup.camera),
         uncalibrated_text(profile),
         coverage_text(profile, setup.camera),
+        turning_text(setup.camera),
         sun_text(slots),
         *plan_warnings(days, chosen, site, request),
         _NO_WINDOW if room and room.kind == "box" and not room.window else "",
