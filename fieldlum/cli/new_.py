@@ -43,8 +43,8 @@ def command(
     """Ask about a site and write its SITE.toml, or write a camera profile.
 
     Place, camera and heading give the full answer; a room is an option: docs/file-formats.md
-    describes it, and capture_plans/template.toml has one to copy. An existing file is not overwritten. After an interruption the same command offers
-    the answers so far.
+    describes it, and capture_plans/template.toml has one to copy. An existing file is not
+    overwritten. After an interruption the same command offers the answers so far.
 
     \b
     Example:
