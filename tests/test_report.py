@@ -136,6 +136,14 @@ def test_names_are_escaped(session: Session, tmp_path: Path) -> None:
     assert "<script>alert(1)" not in text
 
 
+def test_the_plot_comes_before_the_warnings() -> None:
+    """Above it, three of them filled the first screen of a laptop."""
+    from fieldlum.report.page import Figure, render
+
+    text = render("place", "a", "b", (), (), ["Look."], Figure("<svg></svg>", "spoken", "c"))
+    assert text.index('class="answer"') < text.index("<svg>") < text.index("Look.")
+
+
 @pytest.mark.slow
 def test_command_names_the_page_and_refuses_what_is_no_session(
     session: Session, tmp_path: Path

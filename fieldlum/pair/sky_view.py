@@ -122,7 +122,7 @@ def write_sky_view(
         return None
     view = replace(view, inputs=inputs)
     view.write(session.sky_view)
-    suns = view.pose.in_pictures(light.apparent_sun_direction[shares > 0.0])
+    suns = view.pose.in_pictures(light.apparent_sun_direction[shares != 0.0])
     overcast = captures[int(np.argmax(light.dhi_wm2 - light.dni_wm2))].slot
     picture = session.sky_view.with_suffix(".png")
     draw(picture, view, read_panorama(session.panorama(overcast)), suns)
@@ -209,7 +209,8 @@ def draw(path: Path, view: SkyView, panorama: Panorama, suns: Floats) -> None:
         axes.set_ylabel("altitude (degrees)")
         axes.set_title(
             f"Sky view of {view.captures} captures: blue is sky (by openness), yellow no lens saw"
-            + (", red circles are captured discs of the sun" if len(suns) else ""),
+            + (", red circles are captured discs of the sun" if len(suns) else "")
+            + "\nsky well below the lowest path of the sun is not examined: it stays white",
             fontsize=9,
         )
         open_axes(axes)
