@@ -33,7 +33,7 @@ from fieldlum.core.records import Slot
 from fieldlum.learn.models import fit
 from fieldlum.learn.models.data import Dataset, load_pairs
 from fieldlum.learn.models.scores import evaluate, summary, truth
-from fieldlum.learn.train import findings, seen_skies, usable_captures
+from fieldlum.learn.train import findings, model_notes, usable_captures
 from fieldlum.optics.profiles import shipped
 from fieldlum.room import simulate
 from fieldlum.room.simulate import Troubles, load_troubles
@@ -222,7 +222,6 @@ def _campaign(
         height=asked.height,
         quality="draft",
         troubles=troubles,
-        cache=asked.folder,
         workers=1,
     )
     return load_pairs(session)
@@ -237,7 +236,7 @@ def _row(data: Dataset, tests: _Tests, troubles: Troubles | None, folder: Path) 
     data, setting, changes = usable_captures(data, "absolute")
     fitted = fit("transport", data, patch="absolute", seed=0)
     fitted, found = findings(fitted, data, setting)
-    notes = [*read, *changes, *seen_skies(fitted), *found]
+    notes = [*read, *changes, *model_notes(fitted, data, "absolute"), *found]
     scores = summary(evaluate(fitted, truth(tests.hours)))
     test = tests.hours
     predicted = fitted.predict(test.light, test.patch_cdm2).luminance_cdm2

@@ -14,6 +14,7 @@ from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import CameraSetup, Room, SiteFile, Window, slot_id
 from fieldlum.learn import models
 from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.train import model_notes
 from fieldlum.learn.transport import Transport, fit, seasons
 from fieldlum.learn.transport.arrays import computed_light, training_arrays_of
 from fieldlum.learn.transport.physics import physics_of
@@ -365,6 +366,26 @@ def test_two_days_predict_the_year_of_a_room_as_computed(tmp_path: Path) -> None
 def test_captures_that_contradict_computed_light_switch_it_off() -> None:
     four = TRAIN.take(np.isin(TRAIN.days, np.unique(TRAIN.days)[::2]))
     assert not fit(computed(four, upside_down=True)).pixels.computed_gain.any()
+
+
+@pytest.mark.slow
+@pytest.mark.property
+def test_a_stated_room_that_captures_contradict_is_not_used() -> None:
+    assert TRAIN.patch_cdm2 is not None
+    stated = replace(TRAIN, setup=replace(SETUP, room=ROOM))
+    shaded = replace(  # no sun comes in, and the room has it at other hours
+        stated,
+        luminance_cdm2=TRAIN.luminance_cdm2 - TRAIN.patch_cdm2,
+        patch_cdm2=TRAIN.patch_cdm2[::-1].copy(),
+    )
+    model, right = fit(shaded), fit(stated)
+    assert isinstance(model, Transport) and isinstance(right, Transport)
+    assert right.patch_scale is not None and model.patch_scale is None and model.physics is None
+    assert "[room] is not used" in model_notes(model, shaded, "absolute")[-1]
+    assert not any("[room]" in note for note in model_notes(right, stated, "absolute"))
+    bare = fit(replace(shaded, patch_cdm2=None, setup=SETUP))
+    one, other = (m.predict(TEST.light).luminance_cdm2 for m in (model, bare))
+    assert np.array_equal(one, other)
 
 
 # ----------------------------------------------------------------------------------------------

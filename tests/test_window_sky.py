@@ -8,7 +8,7 @@ import pytest
 
 from fieldlum.core.records import CameraSetup, Site, SiteFile, utc_text
 from fieldlum.learn.models.data import Dataset
-from fieldlum.learn.train import seen_skies
+from fieldlum.learn.train import model_notes
 from fieldlum.learn.train.outliers import find_lamp, process_of
 from fieldlum.learn.transport import fit, from_state
 from fieldlum.learn.transport.arrays import seen_sky, training_arrays_of
@@ -94,7 +94,8 @@ def test_captures_under_clouds_teach_the_room(monkeypatch: pytest.MonkeyPatch) -
     perez = fit(CLOUDED)
     assert seen.sky_sd is not None and perez.sky_sd is None
 
-    assert "learnt under its own" in seen_skies(seen)[0] and seen_skies(perez) == []
+    assert "learnt under its own" in model_notes(seen, CLOUDED, "none")[0]
+    assert model_notes(perez, CLOUDED, "none") == []
 
     def error(model: object) -> float:
         maps = model.predict(UNSEEN.light).luminance_cdm2  # type: ignore[attr-defined]

@@ -324,7 +324,12 @@ def fit_and_score(
     fitted, spent = fit_timed(choice.name, data, budget_s=left_s, checkpoint=checkpoint, **options)
     fitted, uncertain = findings(fitted, data, setting)
     mirror = [f"WARNING: {m.captures} of {captures} captures {m.warning}" for m in mirrors]
-    notes = [*notes_of(data, patch, model, trials), *left_out, *seen_skies(fitted), *mirror]
+    notes = [
+        *notes_of(data, patch, model, trials),
+        *left_out,
+        *model_notes(fitted, data, patch),
+        *mirror,
+    ]
     notes += [*changed, *uncertain]
     year = year_of(fitted, data, patch, seed, progress)
     return Result(fitted, tuple(trials), choice, spent.wall_s, data, tuple(notes), year, mirrors)
@@ -492,17 +497,24 @@ def _model_sha256(folder: Path) -> str:
 # notes and warnings for the reader of the scores
 
 
-def seen_skies(fitted: Fitted) -> list[str]:
-    """Return one note if the model learnt each capture under the sky in its windows."""
-    sd = getattr(fitted, "sky_sd", None)
-    if sd is None:
-        return []
-    return [
-        f"the skies in the windows differ from the Perez model by {math.expm1(sd):.0%} (one "
-        "standard deviation): clouds, or an instrument that sees other light than the room. Each "
-        "capture was learnt under its own sky; predictions use the Perez model, and their "
-        "uncertainty includes the difference"
-    ]
+def model_notes(fitted: Fitted, data: Dataset, patch: Patch) -> list[str]:
+    """Return notes on what a light transport model learnt under, and on an unused stated room."""
+    sd, notes = getattr(fitted, "sky_sd", None), []
+    if sd is not None:
+        notes.append(
+            f"the skies in the windows differ from the Perez model by {math.expm1(sd):.0%} (one "
+            "standard deviation): clouds, or an instrument that sees other light than the room. "
+            "Each capture was learnt under its own sky; predictions use the Perez model, and their "
+            "uncertainty includes the difference"
+        )
+    stated = data.setup.room is not None and data.scene is None and patch != "none"
+    if stated and getattr(fitted, "patch_scale", 1.0) is None:
+        notes.append(
+            "WARNING: the stated [room] is not used: without it, captures are predicted from other "
+            "days and seasons with less than half of the error. It may lack a building opposite or "
+            "furniture, or have a wrong size: correct it, or run fieldlum scene fit"
+        )
+    return notes
 
 
 def notes_of(data: Dataset, patch: Patch, model: str, trials: Sequence[Trial]) -> tuple[str, ...]:
