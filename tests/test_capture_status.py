@@ -83,3 +83,20 @@ def test_live_display(rig: Field, tmp_path: Path) -> None:
     console.print(panel(rig.shown[0], rig.session.site_file().site))
     text = console.export_text()
     assert "1 done" in text and "2 left" in text and "W/m²" in text and "PDT" in text
+
+
+@pytest.mark.contract
+def test_simulated_time_has_an_estimate_of_the_real_time(
+    rig: Field, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from fieldlum.cli import capture_
+
+    rig.run()
+    for fast, ends in ((True, ["left, about 2.0 min", "left, about 1.0 min"]), (False, ["left"])):
+        now = iter([0.0, 60.0, 120.0])
+        monkeypatch.setattr(capture_.time, "monotonic", now.__next__)
+        with capture_.shown(rig.session.site_file().site, fast=fast) as show:
+            for live in rig.shown[:2]:
+                show(live)
+        lines = capsys.readouterr().err.splitlines()
+        assert all(line.endswith(end) for line, end in zip(lines, ends, strict=False)), lines

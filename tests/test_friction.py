@@ -58,14 +58,15 @@ def test_info_of_a_predicted_year(tmp_path: Path) -> None:
 def test_a_long_command_states_its_time_in_a_log(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    now = iter([0.0, 30.0, 90.0, 100.0, 200.0, 300.0])
+    now = iter([0.0, 1.0, 30.0, 90.0, 100.0, 200.0, 300.0])
     monkeypatch.setattr(terminal.time, "monotonic", lambda: next(now))
     with terminal.progress("predict") as show:
-        for done in (1, 3, 4, 6, 2):
+        for done in (0, 1, 3, 4, 6, 2):
             show(done, 12, "next model")
-    # analytic: 3 of 12 in 90 s leave 270 s, 6 of 12 in 200 s leave 200 s
+    # analytic: 1 of 12 in 30 s leaves 330 s, 3 in 90 s leave 270 s, 6 in 200 s leave 200 s
     lines = capsys.readouterr().err.splitlines()
     assert lines == [
+        "predict: 1 of 12, about 5.5 min left",
         "predict: 3 of 12, about 4.5 min left",
         "predict: 6 of 12, about 3.3 min left",
         "predict: 2 of 12 (next model)",  # work of several parts has no known end

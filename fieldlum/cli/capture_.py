@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, suppress
@@ -95,7 +96,7 @@ def command(
     with (
         terminal.unattended(),
         awake,
-        shown(session.site_file().site) as display,
+        shown(session.site_file().site, fast=clock == "fast") as display,
         informed(session, post, address, terminal.say, with_picture=notify_picture) as remote,
     ):
 
@@ -152,12 +153,17 @@ def _real(*uris: str) -> str:
 # the state of a running capture: all lines on a terminal, the counts of slots in a pipe
 
 
-def panel(live: Live, site: Site) -> RenderableType:
-    """Return the state of a capture as a panel that rich can print."""
+def panel(live: Live, site: Site, time_left: str = "") -> RenderableType:
+    """Return the state of a capture as a panel that rich can print.
+
+    time_left: real time that a capture in simulated time still takes, "" if unknown.
+    """
     from rich.panel import Panel
     from rich.text import Text
 
-    lines = [f"{name:8} {value}" for name, value in _rows(live, ZoneInfo(site.timezone)).items()]
+    rows = _rows(live, ZoneInfo(site.timezone))
+    rows |= {"left": time_left} if time_left else {}
+    lines = [f"{name:8} {value}" for name, value in rows.items()]
     text = Text("\n".join(lines), no_wrap=True, overflow="ellipsis")
     return Panel(text, title=Text(f"fieldlum capture: {site.name}"), width=64)
 
@@ -189,20 +195,32 @@ def _counts(live: Live) -> str:
 
 
 @contextmanager
-def shown(site: Site) -> Iterator[Watch]:
+def shown(site: Site, *, fast: bool = False) -> Iterator[Watch]:
     """Yield a function that shows the state of a capture on stderr.
 
-    On a terminal it shows a panel. Otherwise it prints the counts of slots, at most 20 times in a
-    plan.
+    On a terminal it shows a panel. Otherwise it prints the counts of slots after the first slot,
+    and at most 20 times in a plan. fast: time is simulated, and an estimate of the real time left
+    is shown.
     """
+    started, planned = time.monotonic(), 0
+
+    def time_left(live: Live) -> str:
+        nonlocal planned
+        planned = planned or live.left + 1  # in simulated time the first call follows a slot
+        if not fast or not live.left:
+            return ""
+        pace_s = (time.monotonic() - started) / (planned - live.left)
+        return f"about {pace_s * live.left / 60:.1f} min"
+
     if not terminal.seen():
         settled = -1
 
         def show(live: Live) -> None:
             nonlocal settled
-            before, settled = settled, live.planned - live.left
-            if settled != before and settled % max(1, live.planned // 20) == 0:
-                terminal.say(f"{live.t_utc:%Y-%m-%dT%H:%M:%SZ}  {_counts(live)}")
+            last, settled = settled, live.planned - live.left
+            counts = ", ".join(filter(None, (_counts(live), time_left(live))))
+            if settled != last and (last <= 0 or settled % max(1, live.planned // 20) == 0):
+                terminal.say(f"{live.t_utc:%Y-%m-%dT%H:%M:%SZ}  {counts}")
 
         yield show
         return
@@ -212,7 +230,7 @@ def shown(site: Site) -> Iterator[Watch]:
     screen = Screen(console=Console(stderr=True), refresh_per_second=4)
     screen.start()
     try:
-        yield lambda live: screen.update(panel(live, site))
+        yield lambda live: screen.update(panel(live, site, time_left(live)))
     finally:
         with suppress(OSError, ValueError):  # the terminal was closed
             screen.stop()

@@ -16,7 +16,8 @@ import click
 from fieldlum.core.errors import InputError, install_text
 from fieldlum.core.records import Progress
 
-LINE_EVERY_S = 60.0  # seconds between lines of progress in a log; chosen
+# Seconds before the first line of progress in a log, and between lines; chosen.
+FIRST_LINE_S, LINE_EVERY_S = 2.0, 60.0
 
 
 def _finite(value: Any) -> Any:
@@ -118,24 +119,21 @@ def awake() -> Iterator[None]:
 
 
 def _progress_lines(label: str) -> Progress:
-    """Return a progress function for a pipe or a log: at most one line per minute.
-
-    Work of less than a minute prints no line.
-    """
-    started = last = time.monotonic()
+    """Return a progress function for a pipe or a log: a line after 2 s, then one per minute."""
+    started, due_s = time.monotonic(), FIRST_LINE_S
     before = -1.0
     repeats = False  # work of several parts, such as a model after another, whose count is unknown
 
     def show(finished: int, total: int, text: str) -> None:
-        nonlocal last, before, repeats
-        now, share = time.monotonic(), finished / max(total, 1)
+        nonlocal due_s, before, repeats
+        spent_s, share = time.monotonic() - started, finished / max(total, 1)
         repeats, before = repeats or share < before, share
-        if now - last < LINE_EVERY_S or total <= 0:
+        if spent_s < due_s or total <= 0:
             return
-        last = now
+        due_s = spent_s + LINE_EVERY_S
         more = f" ({text})"
         if finished > 0 and not repeats:
-            more = f", about {(now - started) * (total - finished) / finished / 60:.1f} min left"
+            more = f", about {spent_s * (total - finished) / finished / 60:.1f} min left"
         say(f"{label}: {finished} of {total}{more}")
 
     return show
@@ -145,7 +143,7 @@ def _progress_lines(label: str) -> Progress:
 def progress(label: str) -> Iterator[Progress]:
     """Yield a progress function: a bar with the remaining time on a terminal.
 
-    Elsewhere it prints at most one line per minute on stderr.
+    Elsewhere it prints a line after 2 s and then one per minute on stderr.
     """
     if not seen():
         yield _progress_lines(label)
