@@ -187,6 +187,12 @@ def parsers() -> list[Parser]:
             st.integers(100, 9999).map(lambda v: cl200a.frame(b"0002    +%04d4+33300+33400" % v)),
             cl200a.parse_answer,
         ),
+        Parser(
+            "T-10A",
+            "XOR",
+            st.integers(100, 9999).map(lambda v: cl200a.frame(b"03100 30+%04d4            " % v)),
+            lambda d: cl200a.parse_t10_answer(d, 3),
+        ),
     ]
 
 

@@ -1,4 +1,4 @@
-"""devices: ASCII lines, TOA5 tables and the CL-200A: transcripts, damage, and the drivers on
+"""devices: ASCII lines, TOA5 tables, CL-200A and T-10A: transcripts, damage, and the drivers on
 ptys.
 """
 
@@ -32,10 +32,13 @@ from fieldlum.devices.cl200a import (
     MEASURE,
     PC_MODE,
     READ_EVXY,
+    READ_T10,
     Cl200a,
+    NotReady,
     bcc,
     frame,
     parse_answer,
+    parse_t10_answer,
     unframe,
 )
 from fieldlum.devices.clock import FastClock
@@ -498,6 +501,68 @@ def test_the_driver_on_a_pty() -> None:
     instrument.unplug()
     with pytest.raises(DeviceError, match="/dev/"):
         Cl200a(instrument.port, CLOCK.sleep, parity="N")
+
+
+def t10_answer(head: int = 3, status: bytes = b"0 30", value: bytes = b"+45674") -> bytes:
+    return frame(b"%02d10" % head + status + value + 12 * b" ")
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize(
+    ("reply", "said"),
+    [
+        (t10_answer(status=b"0130"), "head was switched off"),
+        (t10_answer(status=b"0550"), "over the meter's range"),
+        (t10_answer(status=b"0930"), "error 9"),
+        (t10_answer(4), "head 03 was asked"),
+        (t10_answer(value=b"+99999"), "expected 0 to 299900 lx"),
+        (t10_answer(value=b"-00124"), "expected 0 to 299900 lx"),
+        (t10_answer(value=b"      "), "head 03 was asked"),
+        (t10_answer()[:-1], "right check digits"),
+    ],
+)
+def test_errors_of_a_chain_of_meters(reply: bytes, said: str) -> None:
+    with pytest.raises(DeviceError, match=said) as caught:
+        parse_t10_answer(reply, 3)
+    assert not isinstance(caught.value, NotReady)
+
+
+@pytest.mark.contract
+def test_one_head_of_a_chain_on_a_pty() -> None:
+    """Heads 3 and 12 of a chain with different light; the second changes its range at first."""
+    values, ranges, asked = (
+        {3: b"+45674", 12: b"+12343"},
+        [b"0 00", b"0 00", b"0733"],
+        list[bytes](),
+    )
+
+    def chain(data: bytes) -> bytes:
+        out = b""
+        for one in data.splitlines(keepends=True):
+            asked.append(body := unframe(one).encode())
+            head = int(body[:2])
+            if body == PC_MODE:
+                out += frame(b"0054    ")
+            elif body[2:] == READ_T10 and head in values:
+                status = ranges.pop(0) if head == 12 else b"0 30"
+                out += t10_answer(head, status, values[head])
+        return out
+
+    instrument = PtyInstrument(chain)
+    for head, lx, low in ((3, 4567.0, False), (12, 123.4, True)):
+        device = open_meter(f"t10a:{instrument.port}?parity=N&head={head}", clock=CLOCK)
+        assert device.info.model == "Konica Minolta T-10A"
+        reading = device.read()
+        assert reading.illuminance_lx == pytest.approx(lx) and reading.low_battery is low
+        device.close()
+    assert asked[:3] == [PC_MODE, b"03100200", b"03100200"] and not ranges
+    with pytest.raises(DeviceError, match="does not answer"):
+        open_meter(f"t10a:{instrument.port}?parity=N&head=7", clock=CLOCK)
+    with pytest.raises(DeviceError, match="option head=30"):
+        open_meter(f"t10a:{instrument.port}?head=30", clock=CLOCK)
+    with pytest.raises(DeviceError, match="unknown option 'head'"):
+        open_meter(f"cl200a:{instrument.port}?head=3", clock=CLOCK)
+    instrument.unplug()
 
 
 @pytest.mark.contract

@@ -113,6 +113,7 @@ def test_an_address_that_the_user_named_works_until_the_program_changes(tmp_path
         "serial:usb=0403:6001?kind=ascii&profile=arduino-json",
         "modbus:/dev/ttyUSB0?kind=smp&unit=1",
         "cl200a:COM3?parity=E",
+        "t10a:COM3?head=3",
     ],
 )
 def test_an_address_of_a_device_needs_no_permission(address: str) -> None:

@@ -9,6 +9,7 @@
     serial:/dev/serial/by-id/...?kind=ascii&profile=arduino-json
     modbus:/dev/serial/by-id/...?kind=smp&unit=1
     cl200a:/dev/serial/by-id/...          an illuminance meter
+    t10a:/dev/serial/by-id/...?head=3     one head of a chain of illuminance meters
 
 An option that a driver does not have raises a DeviceError with its name. No driver changes an
 instrument's calibration or writes its registers.
@@ -257,7 +258,7 @@ CAMERAS = {
     "rpicam": "rpicam",
     "replay": "replay",
 }
-METERS = {"cl200a": "cl200a"}
+METERS = {"cl200a": "cl200a", "t10a": "cl200a"}
 PYRANOMETERS = {"sim": "simulated", "serial": "ascii_lines", "modbus": "modbus"}
 
 

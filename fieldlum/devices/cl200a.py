@@ -1,19 +1,21 @@
-"""Konica Minolta CL-200A: vertical illuminance at the lens, as a check of each bracket.
+"""Konica Minolta CL-200A and T-10A: vertical illuminance at the lens, as a check of each bracket.
 
-Source: Konica Minolta technical note CS-A32T. 9600 7E1; frames STX .. ETX BCC CR LF, where BCC is
-the exclusive or of all bytes after STX up to and including ETX, as two hexadecimal digits. None of
-the commands that are sent changes the calibration.
+Sources: Konica Minolta technical note CS-A32T (CL-200A); the T-10 communication manual (T-10-E) as
+two public drivers follow it. 9600 7E1; frames STX .. ETX BCC CR LF, where BCC is the exclusive or
+of all bytes after STX up to and including ETX, as two hexadecimal digits. None of the commands that
+are sent changes the calibration.
 """
 
 from __future__ import annotations
 
 import re
+from abc import abstractmethod
 from collections.abc import Callable
 from functools import reduce
 from operator import xor
-from typing import Any, Literal
+from typing import Annotated, Literal
 
-from msgspec import Struct
+from msgspec import Meta, Struct, structs
 
 from fieldlum.core.errors import DeviceError
 from fieldlum.devices import (
@@ -26,12 +28,13 @@ from fieldlum.devices import (
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.serial_port import SerialLine, SerialPort, closed_on_error
 
-# Commands and frame marks of CS-A32T.
+# Commands and frame marks of CS-A32T; T-10 has the same first one.
 PC_MODE = b"00541   "
 HOLD = b"99551  0"
 EXT_ON = b"004010  "
 MEASURE = b"994021  "
 READ_EVXY = b"00021200"
+READ_T10 = b"100200"  # of a head: running, without the user's factor (CCF), automatic range
 STX, ETX = b"\x02", b"\x03"
 _ERRORS = {
     "1": "the receptor head was switched off; restart the meter",
@@ -41,7 +44,10 @@ _ERRORS = {
     "7": "the light is out of the meter's range; measure in other light",
 }
 _PAUSE_S = 0.5  # that the meter needs after PC mode, hold and measure (CS-A32T)
+_RANGE_PAUSE_S = 3.0  # that a T-10 needs to find its range
 _ANSWER = re.compile(r"(\d{2})(\d{2})(.)(.)(.)(.)((?:[+\-=][ \d]{4}\d){3})", re.DOTALL)
+# status: hold, error, range, battery; after the illuminance two differences, or spaces
+_T10_ANSWER = re.compile(r"(\d{2})10.(.)(.)(.)([+\-=][ \d]{4}\d).{12}", re.DOTALL)
 
 
 class NotReady(DeviceError):
@@ -63,7 +69,7 @@ def unframe(reply: bytes) -> str:
     match = re.fullmatch(rb"\x02([^\x02\x03]*)\x03([0-9A-F]{2})\r\n", reply)
     if match is None or bcc(match[1]) != match[2] or not match[1].isascii():
         expected = "expected a frame with the right check digits"
-        raise DeviceError(f"CL-200A answered {reply[:40]!r}; {expected}; check the cable")
+        raise DeviceError(f"the meter answered {reply[:40]!r}; {expected}; check the cable")
     return match[1].decode("ascii")
 
 
@@ -74,7 +80,7 @@ def _value(six: str) -> float:
     """
     digits = six[1:5].replace(" ", "")
     if not digits:
-        raise DeviceError(f"CL-200A: a value {six!r} without digits; check the cable")
+        raise DeviceError(f"the meter sent a value {six!r} without digits; check the cable")
     return (-1.0 if six[0] == "-" else 1.0) * float(digits) * 10.0 ** (int(six[5]) - 4)
 
 
@@ -104,29 +110,57 @@ def parse_answer(reply: bytes) -> IlluminanceReading:
     return IlluminanceReading(illuminance_lx, match[6] == "1")
 
 
-class Cl200a(IlluminanceMeter):
-    """A CL-200A on a serial port.
+def parse_t10_answer(reply: bytes, head: int) -> IlluminanceReading:
+    """Return the illuminance reading of a T-10's receptor head (0 to 29).
+
+    Raises DeviceError for a damaged answer, one of another head, an error that the meter reports,
+    or an illuminance outside 0 to 299 900 lx, its range; NotReady, a DeviceError, while the meter
+    has no range.
+    """
+    body = unframe(reply)
+    match = _T10_ANSWER.fullmatch(body)
+    if match is None or int(match[1]) != head:
+        found = f"T-10A: head {head:02d} was asked; the answer is {body[:30]!r}"
+        raise DeviceError(f"{found}; expected its values; check the heads' rotary switches")
+    if match[2] not in " 7":  # both: normal operation
+        raise DeviceError(f"T-10A: {_ERRORS.get(match[2], f'error {match[2]}; restart the meter')}")
+    if match[3] not in "12345":
+        raise NotReady("T-10A changes its range; read it again in steady light")
+    illuminance_lx = _value(match[5])
+    if not 0.0 <= illuminance_lx <= 299_900.0:
+        expected = "expected 0 to 299900 lx"
+        raise DeviceError(f"T-10A: {illuminance_lx:g} lx; {expected}; set its zero again")
+    return IlluminanceReading(illuminance_lx, match[4] in "13")
+
+
+class _FramedMeter(IlluminanceMeter):
+    """A meter on a serial port that answers in frames.
 
     place : the port; sleep : waits for a number of seconds; parity : "N" for a line of 8 bits
-    without parity: for converters that remove it, and for tests on a pty. Raises DeviceError if the
-    port cannot be opened, or if the meter does not answer or its answer is damaged.
+    without parity: for converters that remove it, and for tests on a pty; head : the receptor head.
+    Raises DeviceError if the port cannot be opened, or if the meter does not answer or its answer
+    is damaged.
     """
 
+    model = ""
+
     def __init__(
-        self, place: str, sleep: Callable[[float], None], *, parity: Literal["E", "N"] = "E"
+        self,
+        place: str,
+        sleep: Callable[[float], None],
+        *,
+        parity: Literal["E", "N"] = "E",
+        head: int = 0,
     ) -> None:
-        self._sleep = sleep
+        self._sleep, self._head = sleep, head
         line = SerialLine(bits=7 if parity == "E" else 8, parity=parity)
         self._port = SerialPort(place, line, timeout_s=1.5)
-        about: dict[str, Any] = {"port": self._port.name, "gives": ("illuminance",)}
-        self.info = InstrumentInfo("cl200a", "Konica Minolta CL-200A", **about)
+        kind, model = self.model.replace("-", "").lower(), f"Konica Minolta {self.model}"
+        self.info = InstrumentInfo(kind, model, port=self._port.name, gives=("illuminance",))
         with closed_on_error(self):
             self._answer(PC_MODE)
             sleep(_PAUSE_S)
-            self._port.write(frame(HOLD))
-            sleep(_PAUSE_S)
-            self._answer(EXT_ON)
-            sleep(_PAUSE_S)
+            self._start()
 
     def read(self) -> IlluminanceReading:
         """Measure, up to four times until the meter is ready, and return the illuminance.
@@ -136,18 +170,18 @@ class Cl200a(IlluminanceMeter):
         """
         return retried(self._measure, lambda error: isinstance(error, NotReady))
 
-    def _measure(self) -> IlluminanceReading:
-        self._port.drain()
-        self._port.write(frame(MEASURE))
-        self._sleep(_PAUSE_S)
-        return parse_answer(self._answer(READ_EVXY))
+    @abstractmethod
+    def _start(self) -> None: ...
+
+    @abstractmethod
+    def _measure(self) -> IlluminanceReading: ...
 
     def _answer(self, command: bytes) -> bytes:
         self._port.drain()
         self._port.write(frame(command))
         reply = self._port.read_until(b"\r\n", 128)
         if not reply:
-            why = "CL-200A does not answer; switch it on and check its cable"
+            why = f"{self.model} does not answer; switch it on and check its cable"
             raise DeviceError(f"{self._port.name}: {why}")
         unframe(reply)
         return reply
@@ -157,16 +191,58 @@ class Cl200a(IlluminanceMeter):
         self._port.close()
 
 
+class Cl200a(_FramedMeter):
+    """A CL-200A."""
+
+    model = "CL-200A"
+
+    def _start(self) -> None:
+        self._port.write(frame(HOLD))
+        self._sleep(_PAUSE_S)
+        self._answer(EXT_ON)
+        self._sleep(_PAUSE_S)
+
+    def _measure(self) -> IlluminanceReading:
+        self._port.drain()
+        self._port.write(frame(MEASURE))
+        self._sleep(_PAUSE_S)
+        return parse_answer(self._answer(READ_EVXY))
+
+
+class T10a(_FramedMeter):
+    """One receptor head of a chain of T-10A: 0 to 29, as set on its rotary switch."""
+
+    model = "T-10A"
+
+    def _start(self) -> None:
+        self._ask()  # sets the conditions; its value is older than they are
+        self._sleep(_RANGE_PAUSE_S)
+
+    def _measure(self) -> IlluminanceReading:
+        self._sleep(_PAUSE_S)
+        return parse_t10_answer(self._ask(), self._head)
+
+    def _ask(self) -> bytes:
+        return self._answer(b"%02d" % self._head + READ_T10)
+
+
 class _Options(Struct):
     parity: Literal["E", "N"] = "E"
 
 
-def open_meter(uri: DeviceUri, *, clock: Clock) -> Cl200a:
-    """Open the meter of ``cl200a:/dev/serial/by-id/...``; option parity: E (default) or N.
+class _ChainOptions(_Options):
+    head: Annotated[int, Meta(ge=0, le=29)] = 0
 
-    Raises DeviceError for an unknown option or value, a missing port, or no answer.
+
+def open_meter(uri: DeviceUri, *, clock: Clock) -> Cl200a | T10a:
+    """Open the meter of ``cl200a:/dev/serial/by-id/...`` or ``t10a:/dev/serial/by-id/...?head=3``.
+
+    Options: parity, E (default) or N; of t10a also head, 0 (default) to 29. Raises DeviceError for
+    an unknown option or value, a missing port, or no answer.
     """
-    options = uri.read(_Options)
+    chain = uri.scheme == "t10a"
+    options = structs.asdict(uri.read(_ChainOptions if chain else _Options))
     if not uri.place:
-        raise DeviceError(f"{uri.text}: no port; expected a URI like cl200a:/dev/ttyUSB0")
-    return Cl200a(uri.place, clock.sleep, parity=options.parity)
+        expected = f"expected a URI like {uri.scheme}:/dev/ttyUSB0"
+        raise DeviceError(f"{uri.text}: no port; {expected}")
+    return (T10a if chain else Cl200a)(uri.place, clock.sleep, **options)

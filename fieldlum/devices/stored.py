@@ -19,12 +19,12 @@ from fieldlum.session.permits import Subject, is_permitted, subject
 # Options whose values are numbers or single letters in every driver. All others may name a file.
 _HARMLESS = re.compile(
     "seed|noise|clock_offset|overhead|f_number|delete|unit|dhi_unit|dni_unit|baud|parity|stop|"
-    "timeout|silence"
+    "timeout|silence|head"
 )
 _NAMES = ("kind", "profile")  # of a shipped file, unless the value is a path
 _PLAIN = re.compile(r"(?!.*\.toml$)[\w.-]+", re.ASCII)
 _PORT = re.compile(r"/dev/(?!.*\.\.)[\w./:+-]+|usb=[\w:.-]*|COM\d+", re.ASCII)
-_SERIAL = ("serial", "modbus", "cl200a")
+_SERIAL = ("serial", "modbus", "cl200a", "t10a")
 _NO_PLACE = ("sim", "gphoto", "rpicam")  # their place is a word or a number
 
 
