@@ -25,17 +25,7 @@ from fieldlum.core.records import (
     counted,
     quiet,
 )
-from fieldlum.optics.profiles import (
-    Bracket,
-    assumed_texts,
-    bracket_exposures,
-    coverage_text,
-    load_camera_profile,
-    planned_exposures,
-    sun_text,
-    turning_text,
-    uncalibrated_text,
-)
+from fieldlum.optics import profiles
 from fieldlum.plan import choose
 from fieldlum.plan.days import (
     Coverage,
@@ -112,17 +102,17 @@ def make_plan(
     chosen = _chosen(request, hours, weather, task, progress)
     remedy = "choose its dates with --start or --year, or another weather file"
     _refuse_empty(chosen, f"the weather file has no daylight {from_to}", remedy)
-    profile = load_camera_profile(setup.camera.profile)
-    exposures = planned_exposures(profile, setup.camera)
+    profile = profiles.load_camera_profile(setup.camera.profile)
+    exposures = profiles.planned_exposures(profile, setup.camera)
     slots = make_slots(chosen, setup, exposures)
     left = _variance_left(task, chosen) if task else None
     to_compare = (task, left) if task and left and request.set == "month" else None
     warnings = (
-        *assumed_texts(setup.camera),
-        uncalibrated_text(profile),
-        coverage_text(profile, setup.camera),
-        turning_text(setup.camera),
-        sun_text(slots),
+        *profiles.assumed_texts(setup.camera),
+        profiles.uncalibrated_text(profile),
+        profiles.coverage_text(profile, setup.camera),
+        profiles.turning_text(setup.camera),
+        profiles.sun_text(slots),
         *plan_warnings(days, chosen, site, request),
         _NO_WINDOW if room and room.kind == "box" and not room.window else "",
         *(weather.repairs if weather else ()),
@@ -211,7 +201,7 @@ def make_slots(
 
 
 def _cost_of(
-    bracket: Bracket, exposures: Sequence[Exposure], setup: SiteFile
+    bracket: profiles.Bracket, exposures: Sequence[Exposure], setup: SiteFile
 ) -> tuple[float, float]:
     """Return the seconds and megabytes of one slot, with every exposure at every heading.
 

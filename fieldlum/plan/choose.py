@@ -43,13 +43,10 @@ def medoids(points: Floats, count: int, rng: np.random.Generator) -> Indices:
         centres, label = kmeans2(points, count, iter=30, minit="++", rng=rng)
     away = ((points - centres[label]) ** 2).sum(axis=1)
     order = np.lexsort((away, label))
-    first = np.unique(label[order], return_index=True)[1]
-    chosen = set(order[first].tolist())
-    for i in np.argsort(-away):  # fill empty clusters with the points furthest from a centre
-        if len(chosen) == count:
-            break
-        chosen.add(int(i))
-    return np.sort(np.array(sorted(chosen), np.intp))
+    nearest = order[np.unique(label[order], return_index=True)[1]]
+    furthest = np.argsort(-away)
+    others = furthest[~np.isin(furthest, nearest)]
+    return np.sort(np.concatenate([nearest, others[: count - len(nearest)]]))
 
 
 def even(
@@ -119,9 +116,7 @@ def variance_left(task: Learning, captured: Features) -> float:
 
     Both variances are sums over the hours of `task.year`. Without captures the share is 1.
     """
-    nothing = task.year[:0]
-    left = greedy_hours(task.kernel, task.year, nothing, 0, taken=captured)
-    return float(left.variance[0])
+    return float(greedy_hours(task.kernel, task.year, task.year[:0], 0, taken=captured).variance[0])
 
 
 def best(hours: DaylightHours, task: Learning, count: int, progress: Progress = quiet) -> Indices:

@@ -6,11 +6,11 @@ The ranking also shows whether more captures pay.
 from __future__ import annotations
 
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from zoneinfo import ZoneInfo
 
 import numpy as np
 
-from fieldlum.core.arrays import Floats, Indices
 from fieldlum.core.errors import NotEnoughDataError, input_errors
 from fieldlum.core.records import JsonTable, Progress, Site, parse_utc, quiet, slot_id, utc_text
 from fieldlum.plan import choose
@@ -59,17 +59,14 @@ def captured_features(session: Session, task: choose.Learning) -> Features:
     A capture with a usable row in pairs.csv has its measured irradiance. One without has the
     irradiance of the weather year, and is omitted if that has none then.
     """
-    rows = PairsFile.find(session.pairs).usable
-    times, dni, dhi = ([getattr(r, n) for r in rows] for n in ("t_utc", "dni_wm2", "dhi_wm2"))
+    pairs = PairsFile.find(session.pairs).usable
+    times, dni, dhi = ([getattr(p, n) for p in pairs] for n in ("t_utc", "dni_wm2", "dhi_wm2"))
     unpaired = captured_ids(session) - {slot_id(t) for t in times}
     others = [slot.t_utc for slot in session.slots() if slot.id in unpaired]
-    if others:
-        typical = task.weather.at(others)
-        is_known = np.isfinite(typical.dni_wm2 + typical.dhi_wm2)
-        times += [t for t, ok in zip(others, is_known, strict=True) if ok]
-        dni = [*dni, *typical.dni_wm2[is_known]]
-        dhi = [*dhi, *typical.dhi_wm2[is_known]]
-    return light_features(light_at(times, task.site, np.array(dni, float), np.array(dhi, float)))
+    typical, times = task.weather.at(others), [*times, *others]
+    dni, dhi = np.r_[dni, typical.dni_wm2], np.r_[dhi, typical.dhi_wm2]
+    rows = np.flatnonzero(np.isfinite(dni + dhi))
+    return light_features(light_at([times[i] for i in rows], task.site, dni[rows], dhi[rows]))
 
 
 def _season_sky(weather: Weather, hours: DaylightHours) -> sun.Irradiance:
@@ -109,11 +106,7 @@ def run(
     if not len(rows):
         text = f"{weather.name}: the weather has no daylight {coming}; use a typical year"
         raise NotEnoughDataError(text)
-
-    def greedy(candidates: Features, count: int) -> tuple[Indices, Floats]:
-        given = task.kernel, task.year, candidates, count
-        return greedy_hours(*given, taken=captured, progress=progress)
-
+    greedy = partial(greedy_hours, task.kernel, task.year, taken=captured, progress=progress)
     (best, variance), (_, year) = greedy(pool, 12), greedy(task.year, BATCH)
     planned = {slot.id for slot in session.slots()}
     gained = 100.0 * (1.0 - year[-1] / year[0])

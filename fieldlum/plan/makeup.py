@@ -29,16 +29,6 @@ def captured_ids(session: Session) -> set[str]:
     return {slot for slot, state in states.items() if state.outcome == "done"}
 
 
-def missed_slots(
-    slots: Sequence[Slot], captured: set[str], now_utc: datetime, grace: timedelta
-) -> list[Slot]:
-    """Return the slots that are not in `captured` and can no longer start.
-
-    captured: ids of captured slots; grace: time after a slot in which its bracket may start.
-    """
-    return [slot for slot in slots if slot.id not in captured and slot.t_utc + grace < now_utc]
-
-
 def make_up(
     missed: Sequence[Slot], planned: Sequence[Slot], setup: SiteFile, now_utc: datetime
 ) -> tuple[list[Slot], list[JsonTable], list[str]]:
@@ -105,8 +95,8 @@ def run(session: Session, now_utc: datetime) -> JsonTable:
     about = _resumed(session)
     setup, slots, captured = session.site_file(), session.slots(), captured_ids(session)
     grace, makeups = session.grace, made_up_for(slots)
-    added_before = {makeup.id for several in makeups.values() for makeup in several}
-    past = [s for s in missed_slots(slots, captured, now_utc, grace) if s.id not in added_before]
+    others = captured.union(makeup.id for several in makeups.values() for makeup in several)
+    past = [s for s in slots if s.id not in others and s.t_utc + grace < now_utc]
     missed = [s for s in past if not any(m.id in captured for m in makeups.get(s.id, ()))]
     due = [s for s in missed if all(m.t_utc + grace < now_utc for m in makeups.get(s.id, ()))]
     added, pairs, lost = make_up(due, slots, setup, now_utc)
@@ -172,7 +162,7 @@ def sentences(answer: JsonTable) -> list[str]:
         + again
     ]
     if made_up:
-        days = sorted({parse_utc(pair["slot"]).date().isoformat() for pair in made_up})
+        days = sorted({f"{parse_utc(pair['slot']):%Y-%m-%d}" for pair in made_up})
         shown = ", ".join(days[:6]) + (" ..." if len(days) > 6 else "")
         texts.append(
             f"{len(made_up)} make-up slots added on {len(days)} days: {shown}; in each of them the "

@@ -13,23 +13,8 @@ import numpy as np
 from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.records import Site, SunSource, counted
 from fieldlum.optics.projection import NOT_SEEN, PARTLY_SEEN
-from fieldlum.report.page import (
-    DGP,
-    EV,
-    NOT_TRUSTED,
-    Figure,
-    Section,
-    Table,
-    captured_svg,
-    chip,
-    comparison_png,
-    heat_map,
-    named,
-    picture_grid,
-    png,
-    polar_svg,
-    sentence,
-)
+from fieldlum.report import page
+from fieldlum.report.page import Figure, Section, Table, named, sentence
 from fieldlum.session import Session
 from fieldlum.session.files.model_files import HeldOutMaps, ScoresFile
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
@@ -91,7 +76,7 @@ def polar(annual: Annual) -> Figure:
     what = "DGP exceeded in 5 % of the occupied hours, by view direction"
     band = "" if np.isnan(figures[:, 2]).all() else " The grey band is its 95 % interval."
     return Figure(
-        polar_svg(*figures.T),
+        page.polar_svg(*figures.T),
         f"Polar plot, north up, of the {what}: {spoken}.",
         f"The {what}; the rings are the limits 0.35, 0.40, 0.45.{band} Nearer the middle is "
         "better; values above 0.60 are drawn at the rim.",
@@ -144,7 +129,7 @@ def directions_section(annual: Annual) -> Section:
     for row, over, sdg in zip(summary, _hours_over(annual, GA_DGP), disturbed(annual), strict=True):
         unknown = "cannot tell yet" if row.low is not None else "no uncertainty known"
         settled = "–" if row.glare_class == NOT_SEEN else "yes" if row.certain else unknown
-        of_class = chip(row, ", partly seen" if row.seen == PARTLY_SEEN else "")
+        of_class = page.chip(row, ", partly seen" if row.seen == PARTLY_SEEN else "")
         hours = ("–" if count is None else count for count in row.hours_over.values())
         free = Share(100 - over.value, 100 - over.high, 100 - over.low).text()
         interval = "–" if row.low is None else f"{row.low:.2f} to {row.high:.2f}"
@@ -172,11 +157,15 @@ def when_section(annual: Annual, zone: str) -> Section:
     local = [standard_time(t, zone) for t in annual.t_utc]
     hour = np.array([t.hour for t in local])
     doubt = np.where(annual.judged, (annual.hours["trusted"] <= 0.0)[:, None], np.nan)
-    layers = ((DGP, annual.views["dgp"]), (EV, annual.views["ev_lx"]), (NOT_TRUSTED, doubt))
+    layers = (
+        (page.DGP, annual.views["dgp"]),
+        (page.EV, annual.views["ev_lx"]),
+        (page.NOT_TRUSTED, doubt),
+    )
     ends = best_and_worst(annual.summary.protection)
     worst_deg = annual.azimuths_deg[0] if ends is None else ends[1].azimuth_deg
     used = hour[annual.occupied]
-    picture = heat_map(
+    picture = page.heat_map(
         np.array([t.timetuple().tm_yday for t in local]),
         hour,
         layers,
@@ -220,7 +209,7 @@ def looks_section(annual: Annual, pictures: Pictures, zone: str) -> Section:
     if turned:
         alt = f"False-colour panoramas: {'; '.join(titles)}."
         caption = "Predicted panoramas. The middle of each faces the direction that it is of."
-        figure = Figure(png(picture_grid(turned, titles, 2, 6.0)[0]), alt, caption)
+        figure = Figure(page.png(page.picture_grid(turned, titles, 2, 6.0)[0]), alt, caption)
         rows.insert(0, (figure,))
     return Section("looks", "What it looks like", "", rows)
 
@@ -240,7 +229,7 @@ def _fisheyes(annual: Annual, pictures: Pictures, k: int, when: str) -> Figure:
         views.append(np.where(outside, np.nan, shown))
         titles.append(f"{named(azimuth)}  DGP {annual.views['dgp'][row, i]:.2f}")
     what = f"View directions around the room in the hour of the highest DGP, {when} (predicted)."
-    return Figure(png(picture_grid(views, titles, 5, 2.3)[0]), what, what)
+    return Figure(page.png(page.picture_grid(views, titles, 5, 2.3)[0]), what, what)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -359,7 +348,7 @@ def _held_out_figure(held: HeldOutMaps, names: Mapping[str, str]) -> Figure:
         for maps in (held.measured_log10, held.predicted_log10)
     )
     return Figure(
-        comparison_png(measured, predicted, labels, "predicted"),
+        page.comparison_png(measured, predicted, labels, "predicted"),
         "Measured and predicted luminance panoramas with their ratio.",
         "Measured, predicted and their ratio for held-out hours "
         f"({', '.join(SHOWN[: len(picks)])}), without the sun's disc. Red is predicted too bright, "
@@ -410,7 +399,7 @@ def captures_section(
     axes = {"xlabel": "sun azimuth, ° from north", "ylabel": "sun altitude, °", "ylim": (0, None)}
     positions = (hours.azimuth_deg[up], hours.altitude_deg[up])
     path = Figure(
-        captured_svg(positions, _columns(used, suns), "hours of the year", **axes),
+        page.captured_svg(positions, _columns(used, suns), "hours of the year", **axes),
         f"Sun positions of a year in grey and of the {len(used)} captured hours in red.",
         "Sun positions of the year and of the captures. Hours far from every red point are "
         "extrapolated.",
@@ -418,7 +407,7 @@ def captures_section(
     axes = {"xlabel": "direct normal irradiance, W/m²", "ylabel": "diffuse irradiance, W/m²"}
     weather = [year.get(name, np.empty(0)) for name in skies]
     irradiance = Figure(
-        captured_svg(weather, _columns(used, skies), "weather file", **axes),
+        page.captured_svg(weather, _columns(used, skies), "weather file", **axes),
         "Direct against diffuse irradiance of the weather year in grey and of the captures in red.",
         "Skies of the weather file and of the captures.",
     )
