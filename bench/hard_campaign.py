@@ -33,9 +33,11 @@ from fieldlum.core.records import Slot
 from fieldlum.learn.models import fit
 from fieldlum.learn.models.data import Dataset, load_pairs
 from fieldlum.learn.models.scores import evaluate, summary, truth
-from fieldlum.learn.train import findings, model_notes, usable_captures
+from fieldlum.learn.train import held_out_warnings, model_notes
+from fieldlum.learn.train.outliers import without_changes
 from fieldlum.optics.profiles import shipped
 from fieldlum.room import simulate
+from fieldlum.room.fit.setting import scan, settle, with_right_clock
 from fieldlum.room.simulate import Troubles, load_troubles
 from fieldlum.session import create_session, open_session
 from fieldlum.session.site_toml import load_site
@@ -233,10 +235,13 @@ def _campaign(
 
 def _row(data: Dataset, tests: _Tests, troubles: Troubles | None, folder: Path) -> dict[str, Any]:
     read = data.notes
-    data, setting, changes = usable_captures(data, "absolute")
+    data, changes = without_changes(data, with_patch=True)
+    setting = scan(data, "absolute")
+    data, late = with_right_clock(data, setting)
     fitted = fit("transport", data, patch="absolute", seed=0)
-    fitted, found = findings(fitted, data, setting)
-    notes = [*read, *changes, *model_notes(fitted, data, "absolute"), *found]
+    fitted, moved = settle(fitted, data, setting)
+    notes = [*read, *changes, *late, *model_notes(fitted, data, "absolute")]
+    notes += [*held_out_warnings(fitted, data), *moved]
     scores = summary(evaluate(fitted, truth(tests.hours)))
     test = tests.hours
     predicted = fitted.predict(test.light, test.patch_cdm2).luminance_cdm2

@@ -8,7 +8,7 @@ from click.testing import CliRunner
 from learning_room import dataset
 
 from fieldlum.cli import main
-from fieldlum.learn import model_registry, models
+from fieldlum.learn import models
 from fieldlum.learn.model_registry import MODELS
 from fieldlum.session.files.model_files import ModelConfig
 from fieldlum.year.predict.blocks import wants_patch
@@ -33,7 +33,7 @@ def test_a_model_comes_back_from_its_folder(name: str, tmp_path: Path) -> None:
 
 
 def test_the_baselines_are_tried_first() -> None:
-    assert model_registry.baselines() == ("mean", "nearest")
+    assert [kind.baseline for kind in MODELS.values()] == [True, True, False, False]
 
 
 def test_the_docs_have_a_section_and_a_row_for_every_model() -> None:

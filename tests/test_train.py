@@ -25,7 +25,6 @@ from fieldlum.learn.train import (
     evaluate_folds,
     fit_and_score,
     notes_of,
-    one_day_only,
     run,
     year_of,
 )
@@ -61,7 +60,7 @@ def test_no_day_is_on_both_sides_and_every_hour_is_asked_once() -> None:
 @pytest.mark.contract
 def test_one_day_is_parted_by_hours_and_said_so() -> None:
     day = DATA.take(DATA.days == DATA.days[0])
-    assert one_day_only(day) and len(day_folds(day)) > 1
+    assert "one day" in notes_of(day, "absolute", "mean", [])[-1] and len(day_folds(day)) > 1
     with pytest.raises(NotEnoughDataError):
         fit_and_score(day.take([0]), "mean")
 
@@ -177,7 +176,8 @@ def test_a_short_budget_still_trains_the_network(
     few = DATA.take(range(0, len(DATA), 6))
     monkeypatch.setattr(dense.Trainer, "pixels_per_s", lambda *_: 1e4)  # under any load
     # by a clock that stands still, so that only the network itself takes time
-    answer = run(few, "dense", budget_min=5.0, out=tmp_path, clock=lambda: 0.0)
+    monkeypatch.setattr(train, "monotonic", lambda: 0.0)
+    answer = run(few, "dense", budget_min=5.0, out=tmp_path)
     row = next(row for row in answer["models"] if row["name"] == "dense")
     assert row["log10_mse_weighted"] > 0.0
     assert not list(tmp_path.glob("checkpoint*"))
@@ -272,7 +272,8 @@ def test_the_budget_bounds_the_complete_command(
     real = models.fit
     monkeypatch.setattr(models, "fit", fit)
     monkeypatch.setattr(train, "settle", scan)
-    answer = run(DATA, "auto", budget_min=budget_min, out=tmp_path, clock=clock, spent_s=10.0)
+    monkeypatch.setattr(train, "monotonic", clock)
+    answer = run(DATA, "auto", budget_min=budget_min, out=tmp_path, spent_s=10.0)
     assert clock.now_s + 10.0 <= 60.0 * budget_min
     folds = {row["name"]: row["folds"] for row in answer["models"]}
     assert folds["transport"] >= 2 and (budget_min < 10.0 or folds["transport"] == 5)

@@ -65,11 +65,11 @@ def command(
       --out: Model folder to write. [default: models/MODEL in the folder of the pairs]
     """
     from fieldlum.learn.models.data import load_pairs, with_sky_view
-    from fieldlum.learn.train import default_folder, run
+    from fieldlum.learn.train import run
     from fieldlum.room.fit.stated_box import training_captures
 
     started = time.monotonic()
-    folder = out or default_folder(pairs, model)
+    folder = out or (pairs if pairs.is_dir() else pairs.parent) / "models" / model
     used: Any  # "absolute", "gain" or "none", as the captures allow
     with progress("reading pictures") as show:
         data = load_pairs(pairs, site, progress=show)

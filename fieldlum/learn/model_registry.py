@@ -32,8 +32,3 @@ MODELS: dict[str, ModelKind] = {
     "transport": ModelKind("fieldlum.learn.transport"),
     "dense": ModelKind("fieldlum.learn.models.dense", slow=True),
 }
-
-
-def baselines() -> tuple[str, ...]:
-    """Return the names of the models that `train` always tries next to the requested ones."""
-    return tuple(name for name, kind in MODELS.items() if kind.baseline)

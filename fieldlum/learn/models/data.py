@@ -37,6 +37,7 @@ from fieldlum.optics.images import PANORAMA_LINE, read_panorama
 from fieldlum.optics.projection import equirect_solid_angles, signed_angle_deg
 from fieldlum.pair.interval import is_doubted
 from fieldlum.pair.sky_view import is_outdated
+from fieldlum.room.scene.patches import sun_patches
 from fieldlum.session import Session, marks, open_session
 from fieldlum.session.codec import data_digest
 from fieldlum.session.files.model_files import UsedScene
@@ -131,6 +132,17 @@ class Dataset:
         pick = slice(step // 2, None, step)  # centres of blocks are centres of pixels
         every = {n: getattr(self, n) for n in ("luminance_cdm2", "patch_cdm2", "seen", "counts")}
         return replace(self, **{n: v[..., pick, pick] for n, v in every.items() if v is not None})
+
+    def patches(self, light: Light, progress: Progress = quiet) -> Floats32:
+        """Return the luminance of sun patches in the hours of `light`, [n, H, W] cd/m2.
+
+        They are computed from the room of `setup`. Raises InputError for an impossible room.
+        """
+        room, suns, lx = self.setup.room, light.apparent_sun_direction, light.direct_lx
+        assert room is not None
+        height, heading = self.shape[0], self.heading_deg
+        made = sun_patches(room, suns, lx, height=height, heading_deg=heading, progress=progress)
+        return made.luminance_cdm2
 
     def about(self) -> dict[str, object]:
         """Return what a model's config.json records about its training data.

@@ -25,7 +25,6 @@ from fieldlum.learn.models import Fitted, Prediction, trusted_hours
 from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.held_out_choice import HeldOutErrors, choice_weights
 from fieldlum.optics.projection import SEEN
-from fieldlum.room.scene.patches import sun_patches
 from fieldlum.session.files.model_files import HeldOutMaps, ScoreFigures
 from fieldlum.sky import sun
 from fieldlum.sky.light import Light, light_at
@@ -60,8 +59,7 @@ class Scores:
     the true sun's disc in the prediction; dgp_mse_own_disc the disc by the sky view, as a user
     gets it. bias_log10: weighted mean of log10 predicted over true. in_band: share of
     pixels whose truth is in the model's 90 % interval. seconds, cpu_s: spent predicting, by the
-    clock and by the processor. maps: those whose glare was computed, if `evaluate` has
-    keep_maps, otherwise None.
+    clock and by the processor. maps: those whose glare was computed, None if it was for none.
     """
 
     mse_weighted: Floats
@@ -175,13 +173,8 @@ def _contrast(maps: Floats32, data: Dataset) -> Floats:
     return np.array([contrast_levels(image) for image in whole])
 
 
-def evaluate(
-    fitted: Fitted, test: Truth, *, keep_maps: bool = False, progress: Progress = quiet
-) -> Scores:
-    """Predict the hours of a test set and return the scores against the true maps.
-
-    keep_maps: store in `Scores.maps` the true and predicted maps for which glare was computed.
-    """
+def evaluate(fitted: Fitted, test: Truth, *, progress: Progress = quiet) -> Scores:
+    """Predict the hours of a test set and return the scores against the true maps."""
     parts = []
     for rows in _chunks(np.arange(len(test.data))):
         progress(int(rows[0]), len(test.data), f"{fitted.name}: test")
@@ -191,7 +184,7 @@ def evaluate(
         wall, cpu = time.monotonic() - wall, time.process_time() - cpu
         scores = compare(prediction, part, test.weights)
         scores.weight = test.weight[rows]
-        _glare_errors(scores, prediction, part, test, rows, keep_maps)
+        _glare_errors(scores, prediction, part, test, rows)
         scores.seconds, scores.cpu_s = wall, cpu
         parts.append(scores)
     return join(parts)
@@ -237,8 +230,9 @@ def compare(prediction: Prediction, data: Dataset, weights: Floats) -> Scores:
 
 
 def _glare_errors(
-    scores: Scores, prediction: Prediction, part: Dataset, test: Truth, rows: Array, keep_maps: bool
+    scores: Scores, prediction: Prediction, part: Dataset, test: Truth, rows: Array
 ) -> None:
+    """Add to the scores what needs glare, for the maps of `part` for which it is computed."""
     with_glare = test.glare_maps[rows]
     if not with_glare.any():
         return
@@ -260,8 +254,6 @@ def _glare_errors(
     true_contrast, contrast = test.contrast[rows[with_glare]], _contrast(maps, some)
     scores.rammg_truth[with_glare] = true_contrast.mean(axis=1)
     scores.rammg_error[with_glare] = contrast.mean(axis=1) - true_contrast.mean(axis=1)
-    if not keep_maps:
-        return
     # least number of rows of stored maps: that of the smallest panoramas of a demo
     measured, predicted = (
         np.log10(np.maximum(m.thin(58).luminance_cdm2, FLOOR_CDM2)).astype(np.float16)
@@ -367,31 +359,20 @@ def light_of_year(data: Dataset, rng: np.random.Generator) -> Light:
 
 
 def expect(
-    fitted: Fitted, data: Dataset, light: Light, progress: Progress = quiet
+    fitted: Fitted, data: Dataset, rng: np.random.Generator, progress: Progress = quiet
 ) -> YearExpectation:
-    """Return what a model of the captures `data` expects of the n hours of `light`.
+    """Return what a model of the captures `data` expects of the hours of `light_of_year`.
 
-    If `data` has sun patches, those of `light` are computed from the room of `data`. The expected
+    If `data` has sun patches, those of the hours are computed from the room of `data`. The expected
     log10 MSE is NaN for a model that does not estimate its error.
     """
+    light = light_of_year(data, rng)
     n = len(light)
     expected, trusted = np.full(n, np.nan), np.zeros(n, bool)
     for rows in _chunks(np.arange(n)):
         progress(int(rows[0]), n, "error of a year")
-        prediction = fitted.predict(light[rows], _patches(data, light[rows]))
+        hours = light[rows]
+        patch = None if data.patch_cdm2 is None else data.patches(hours)
+        prediction = fitted.predict(hours, patch)
         expected[rows], trusted[rows] = prediction.expected_mse, trusted_hours(prediction)
     return YearExpectation(float(expected.mean()), float(trusted.mean()), n)
-
-
-def _patches(data: Dataset, light: Light) -> Floats32 | None:
-    """Return the sun patches of the hours of `light`, [n, H, W]; None if `data` has none."""
-    if data.patch_cdm2 is None:
-        return None
-    assert data.setup.room is not None
-    return sun_patches(
-        data.setup.room,
-        light.apparent_sun_direction,
-        light.direct_lx,
-        height=data.shape[0],
-        heading_deg=data.heading_deg,
-    ).luminance_cdm2

@@ -8,10 +8,10 @@ from __future__ import annotations
 import json
 import math
 import os
-import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from time import monotonic, process_time
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,7 +21,7 @@ from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.records import Progress, counted, quiet
 from fieldlum.learn import models
-from fieldlum.learn.model_registry import MODELS, baselines
+from fieldlum.learn.model_registry import MODELS
 from fieldlum.learn.models import POOR_WORDS, TRUSTED_FACTOR, TRUSTED_MSE, Fitted, Patch
 from fieldlum.learn.models.data import Dataset, with_sky_view
 from fieldlum.learn.models.held_out_choice import (
@@ -40,12 +40,11 @@ from fieldlum.learn.models.scores import (
     evaluate,
     expect,
     join,
-    light_of_year,
     summary,
     truth,
 )
 from fieldlum.learn.train.outliers import without_changes
-from fieldlum.room.fit.setting import Setting, scan, settle, with_right_clock
+from fieldlum.room.fit.setting import scan, settle, with_right_clock
 from fieldlum.session import check_writable, sha256
 from fieldlum.session.codec import data_digest, digest, made_from
 from fieldlum.session.files.model_files import ScoreRow, ScoresFile, TrainAnswer
@@ -87,11 +86,6 @@ def day_folds(data: Dataset, count: int = 5) -> tuple[Fold, ...]:
     return tuple(Fold(rows[groups % count != k], rows[groups % count == k]) for k in range(count))
 
 
-def one_day_only(data: Dataset) -> bool:
-    """Return whether all hours are of one day."""
-    return len(np.unique(data.days)) == 1
-
-
 @dataclass(frozen=True, slots=True)
 class Trial:
     """The test of one model on held-out days.
@@ -127,17 +121,16 @@ def fit_timed(
     seed: int,
     budget_s: float | None,
     checkpoint: Path | None = None,
-    clock: Callable[[], float] = time.monotonic,
     progress: Progress = quiet,
 ) -> tuple[Fitted, Spent]:
     """Fit the model `name` of `MODELS` to `data`; return the model and the time of the fit.
 
     budget_s: time limit [s], and checkpoint: file of a slow model, ignored for others.
     """
-    wall, cpu = clock(), time.process_time()
+    wall, cpu = monotonic(), process_time()
     slow = {"budget_s": budget_s, "checkpoint": checkpoint} if MODELS[name].slow else {}
     fitted = models.fit(name, data, patch=patch, seed=seed, progress=progress, **slow)
-    return fitted, Spent(clock() - wall, time.process_time() - cpu)
+    return fitted, Spent(monotonic() - wall, process_time() - cpu)
 
 
 def evaluate_folds(
@@ -148,30 +141,24 @@ def evaluate_folds(
     patch: Patch,
     seed: int,
     budget_s: float | None = None,
-    keep_maps: bool = False,
-    clock: Callable[[], float] = time.monotonic,
     progress: Progress = quiet,
 ) -> Trial:
     """Fit to each fold's training rows, compare with its test rows, and join the scores.
 
     budget_s: for all folds together [s], None for no limit. A slow model divides it among the
     folds. A quick model runs two folds, and skips the others if the next one would exceed it.
-    keep_maps: as in `evaluate`.
     """
     parts: list[Scores] = []
     times: list[Spent] = []
     limit = math.inf if budget_s is None or MODELS[name].slow else budget_s
-    share, started = None if budget_s is None else budget_s / len(folds), clock()
-    options: dict[str, Any] = {"patch": patch, "seed": seed, "clock": clock, "progress": progress}
+    share, started = budget_s and budget_s / len(folds), monotonic()
+    options: dict[str, Any] = {"patch": patch, "seed": seed, "progress": progress}
     for fold in folds:
         # one fold has few days for a standard error
-        if len(parts) >= 2 and (clock() - started) * (1 + 1 / len(parts)) > limit:
+        if len(parts) >= 2 and (monotonic() - started) * (1 + 1 / len(parts)) > limit:
             break
         fitted, spent = fit_timed(name, data.take(fold.train), budget_s=share, **options)
-        scores = evaluate(
-            fitted, truth(data.take(fold.test)), keep_maps=keep_maps, progress=progress
-        )
-        parts.append(scores)
+        parts.append(evaluate(fitted, truth(data.take(fold.test)), progress=progress))
         times.append(spent)
     count = round(np.mean([len(fold.train) for fold in folds[: len(parts)]]))
     wall_s, cpu_s = np.mean(times, axis=0).tolist()
@@ -245,12 +232,11 @@ def _reason(trials: list[Trial], errors: list[HeldOutErrors]) -> str:
     if not others:
         return f"the only model that was tested ({hours})"
     choice = choose(errors)
-    known = [name for name in CRITERIA if np.isfinite(own.figure(name))]
-    by = choice.by if choice.best == 0 and choice.by else known[0]
+    clear = choice.by if choice.best == 0 else None
+    by = clear or next(name for name in CRITERIA if np.isfinite(own.figure(name)))
     figures = zip(trials[1:], others, strict=True)
     listed = ", ".join(f"{t.name} {e.figure(by):.2g}" for t, e in figures)
     text = f"error of {CRITERIA[by]} over {hours}: {own.figure(by):.2g} ({listed})"
-    clear = choice.best == 0 and choice.by
     return text if clear else f"{text}; no model is better by over a standard error"
 
 
@@ -298,7 +284,6 @@ def fit_and_score(
     budget_s: float = 600.0,
     seed: int = 0,
     checkpoint: Path | None = None,
-    clock: Callable[[], float] = time.monotonic,
     progress: Progress = quiet,
 ) -> Result:
     """Run trials on held-out days, choose a model, and fit it to all data.
@@ -307,30 +292,27 @@ def fit_and_score(
     trained [s]; a quick model only omits held-out days for it. Raises NotEnoughDataError for too
     few hours to hold any out, or to fit `model`, and if the network has no time.
     """
-    ends_s = clock() + budget_s
+    ends_s = monotonic() + budget_s
     patch = patch_mode(data, patch)
     captures = len(data)
     data, mirrors = split_images(with_sky_view(data, progress=progress))
-    data, setting, changed = usable_captures(data, patch, progress)
+    data, changed = without_changes(data, with_patch=patch != "none")
+    setting = scan(data, patch, progress)
+    data, late = with_right_clock(data, setting)
     if not day_folds(data):
         raise NotEnoughDataError(
             f"{data.source}: {counted(len(data), 'usable hour')}; at least 2 are needed to train "
             "and to test; capture more hours"
         )
-    options: dict[str, Any] = {"patch": patch, "seed": seed, "clock": clock, "progress": progress}
+    options: dict[str, Any] = {"patch": patch, "seed": seed, "progress": progress}
     trials, left_out = _trials(data, model, ends_s, options)
     choice = choose_model(trials) if model == "auto" else ModelSelection(model, "requested")
-    left_s = ends_s - clock() - 0.1 * budget_s  # the rest is for the error of a year
+    left_s = ends_s - monotonic() - 0.1 * budget_s  # the rest is for the error of a year
     fitted, spent = fit_timed(choice.name, data, budget_s=left_s, checkpoint=checkpoint, **options)
-    fitted, uncertain = findings(fitted, data, setting)
-    mirror = [f"WARNING: {m.captures} of {captures} captures {m.warning}" for m in mirrors]
-    notes = [
-        *notes_of(data, patch, model, trials),
-        *left_out,
-        *model_notes(fitted, data, patch),
-        *mirror,
-    ]
-    notes += [*changed, *uncertain]
+    fitted, moved = settle(fitted, data, setting)
+    notes = [*notes_of(data, patch, model, trials), *left_out, *model_notes(fitted, data, patch)]
+    notes += [f"WARNING: {m.captures} of {captures} captures {m.warning}" for m in mirrors]
+    notes += [*changed, *late, *held_out_warnings(fitted, data), *moved]
     year = year_of(fitted, data, patch, seed, progress)
     return Result(fitted, tuple(trials), choice, spent.wall_s, data, tuple(notes), year, mirrors)
 
@@ -340,17 +322,15 @@ def _trials(
 ) -> tuple[list[Trial], list[str]]:
     """Test the models on held-out days; return the trials, and notes on those that cannot be.
 
-    Each may use half of the time that is left. ends_s: by the clock of `options`, which are those
-    of `evaluate_folds`.
+    Each may use half of the time that is left. ends_s: by the monotonic clock; options: of
+    `evaluate_folds`.
     """
-    names = tuple(MODELS) if model == "auto" else tuple(dict.fromkeys((*baselines(), model)))
+    names = [name for name, kind in MODELS.items() if kind.baseline or model in (name, "auto")]
     trials, left_out, folds = [], [], day_folds(data)
     for name in names:
-        limit = 0.5 * (ends_s - options["clock"]())
+        limit = 0.5 * (ends_s - monotonic())
         try:
-            trials.append(
-                evaluate_folds(name, data, folds, budget_s=limit, keep_maps=True, **options)
-            )
+            trials.append(evaluate_folds(name, data, folds, budget_s=limit, **options))
         except NotEnoughDataError as error:
             if model == name:
                 raise
@@ -370,38 +350,8 @@ def year_of(
         data = replace(data, patch_cdm2=None)
     if data.patch_cdm2 is not None and data.setup.room is None:
         return None
-    light = light_of_year(data, np.random.default_rng(seed))
-    year = expect(fitted, data, light, progress)
+    year = expect(fitted, data, np.random.default_rng(seed), progress)
     return year if math.isfinite(year.expected_log10_mse) else None
-
-
-def usable_captures(
-    data: Dataset, patch: Patch, progress: Progress = quiet
-) -> tuple[Dataset, Setting | None, list[str]]:
-    """Return the captures to train with, the result of `setting.scan`, and warnings.
-
-    Captures of a changed room are omitted, and a camera clock that differs between days is
-    corrected. The warnings are about both.
-    """
-    data, changed = without_changes(data, with_patch=patch != "none")
-    setting = scan(data, patch, progress)
-    data, clock = with_right_clock(data, setting)
-    return data, setting, [*changed, *clock]
-
-
-def findings(fitted: Fitted, data: Dataset, setting: Setting | None) -> tuple[Fitted, list[str]]:
-    """Return the model, and warnings about days, captures and sun patches it cannot explain.
-
-    If the captures contradict the computed sun patches, the returned model has a larger uncertainty
-    near patches; otherwise it is `fitted`. setting: result of `scan`.
-    """
-    fitted, warned = settle(fitted, data, setting)
-    return fitted, [*held_out_warnings(fitted, data), *warned]
-
-
-def default_folder(pairs: Path, model: str) -> Path:
-    """Return the path models/MODEL in the folder `pairs` (a session), or next to a pairs.csv."""
-    return (pairs if pairs.is_dir() else pairs.parent) / "models" / model
 
 
 def run(
@@ -414,7 +364,6 @@ def run(
     seed: int = 0,
     out: Path,
     force: bool = False,
-    clock: Callable[[], float] = time.monotonic,
     progress: Progress = quiet,
 ) -> TrainAnswer:
     """Train, write the model and its scores to `out`, and return what `train --json` prints.
@@ -445,7 +394,6 @@ def run(
         budget_s=60.0 * budget_min - spent_s,
         seed=seed,
         checkpoint=checkpoint,
-        clock=clock,
         progress=progress,
     )
     fitted, choice = result.fitted, result.choice
@@ -517,7 +465,7 @@ def model_notes(fitted: Fitted, data: Dataset, patch: Patch) -> list[str]:
     return notes
 
 
-def notes_of(data: Dataset, patch: Patch, model: str, trials: Sequence[Trial]) -> tuple[str, ...]:
+def notes_of(data: Dataset, patch: Patch, model: str, trials: Sequence[Trial]) -> list[str]:
     """Return the notes of `data`, then notes that a reader of the scores needs.
 
     They are about captures of one day only, missing sun patches, hours of uncertain direct light,
@@ -525,17 +473,25 @@ def notes_of(data: Dataset, patch: Patch, model: str, trials: Sequence[Trial]) -
     note about the baselines).
     """
     notes = list(data.notes)
-    if one_day_only(data):
+    if len(np.unique(data.days)) == 1:
         notes.append(
             "all hours are from one day, so that the scores are too good: capture more days"
         )
     # a scene without patches was chosen on purpose and has its own note
     if patch == "none" and data.patch_cdm2 is None and data.scene is None:
         notes.append("no sun patches in the data: add a [room] to SITE.toml and run fieldlum pair")
-    notes += uncertain_hours(data)
+    uncertain = beam_is_uncertain(data)
+    if uncertain.any():
+        part = f"{uncertain.sum()} of {counted(len(data), 'hour')}"
+        weight = choice_weights(data)[uncertain].max()
+        role = f"count {weight:g}" if weight > 0.0 else "do not count"
+        notes.append(
+            f"{part} {role} in choices and warnings: their direct light was not measured well (sun "
+            f"under {LOW_SUN_DEG:g} degrees with a beam, or a mark of fieldlum pair)"
+        )
     own = next((trial for trial in trials if trial.name == model), None)
     if own is None or MODELS[model].baseline:
-        return tuple(notes)
+        return notes
     others = [trial for trial in trials if is_baseline(trial)]
     choices = [choose(_errors([own, t])) for t in others]
     better = [t.name for t, c in zip(others, choices, strict=True) if c.best == 1 and c.by]
@@ -544,21 +500,7 @@ def notes_of(data: Dataset, patch: Patch, model: str, trials: Sequence[Trial]) -
             f"WARNING: {model} is clearly worse than {' and '.join(better)} on held-out days: do "
             "not use it before the cause is found"
         )
-    return tuple(notes)
-
-
-def uncertain_hours(data: Dataset) -> list[str]:
-    """Return a note on the hours whose direct light was not measured well, if there are any."""
-    uncertain = int(beam_is_uncertain(data).sum())
-    if not uncertain:
-        return []
-    part = f"{uncertain} of {counted(len(data), 'hour')}"
-    weight = choice_weights(data)[beam_is_uncertain(data)].max()
-    role = f"count {weight:g}" if weight > 0.0 else "do not count"
-    return [
-        f"{part} {role} in choices and warnings: their direct light was not measured well (sun "
-        f"under {LOW_SUN_DEG:g} degrees with a beam, or a mark of fieldlum pair)"
-    ]
+    return notes
 
 
 def held_out_warnings(fitted: Fitted, data: Dataset) -> list[str]:

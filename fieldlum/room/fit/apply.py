@@ -14,7 +14,6 @@ from fieldlum.core.records import Progress, Room, quiet
 from fieldlum.learn.models.data import Dataset
 from fieldlum.optics.projection import signed_angle_deg
 from fieldlum.room.fit.scene_file import SCENE_TOML, Scene, read_scene
-from fieldlum.room.scene import sun_patches
 from fieldlum.session.files.model_files import UsedScene
 from fieldlum.session.site_toml import site_table
 from fieldlum.sky import sun
@@ -48,16 +47,7 @@ def with_patches(data: Dataset, *, progress: Progress = quiet) -> Dataset:
     Patches are the luminance of surfaces by direct sun only, cd/m2 [n, H, W]. Raises
     InputError for an impossible room.
     """
-    assert data.setup.room is not None
-    made = sun_patches(
-        data.setup.room,
-        data.light.apparent_sun_direction,
-        data.light.direct_lx,
-        height=data.shape[0],
-        heading_deg=data.heading_deg,
-        progress=progress,
-    )
-    return replace(data, patch_cdm2=made.luminance_cdm2)
+    return replace(data, patch_cdm2=data.patches(data.light, progress))
 
 
 def earlier(light: Light, minutes: float | Floats, data: Dataset) -> Light:

@@ -13,7 +13,7 @@ from fieldlum.core.arrays import Floats, Indices, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Progress, Room, quiet
 from fieldlum.learn.models.data import Dataset
-from fieldlum.learn.models.scores import YearExpectation, expect, light_of_year
+from fieldlum.learn.models.scores import YearExpectation, expect
 from fieldlum.optics.projection import equirect_solid_angles
 from fieldlum.room.fit.apply import with_scene
 from fieldlum.room.fit.checks import check_captures, reversed_compass_note
@@ -186,7 +186,7 @@ def expected_year(data: Dataset, progress: Progress = quiet) -> YearExpectation:
 
     rng = np.random.default_rng(0)
     data = replace(data, seen=_draw(data, rng))
-    return expect(fit(data), data, light_of_year(data, rng), progress)
+    return expect(fit(data), data, rng, progress)
 
 
 def _draw(data: Dataset, rng: np.random.Generator) -> Mask:
