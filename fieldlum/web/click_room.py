@@ -111,13 +111,12 @@ def click_routes(picture: ClickedPicture, camera_height_m: float) -> list[Route]
 
     def about(request: Request) -> Response:
         setup, path = session.site_file(), session.panorama(picture.slot)
-        low, high = scale_of([path])
         answer = {
             "name": setup.site.name,
             "slot": picture.slot,
             "width": picture.grid.width_px,
             "height": picture.grid.height_px,
-            "scale": {"low": low, "high": high, "stamp": f"{path.stat().st_mtime_ns:x}"},
+            "scale": scale_of([path]),
             "camera_height_m": camera_height_m,
             "has_room": setup.room is not None,
         }

@@ -11,7 +11,7 @@ import os
 import shutil
 import threading
 from collections import Counter, deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict
 from datetime import UTC, date, datetime, timedelta
@@ -145,42 +145,24 @@ def _bin_of(t_utc: datetime) -> int:
     return (t_utc.hour * 3600 + t_utc.minute * 60 + t_utc.second) // BIN_S
 
 
-class IrradianceFollower:
-    """Irradiance of UTC days, read when requested; the last six requested days stay in memory."""
-
-    def __init__(self, session: Session) -> None:
-        folder = session.irradiance
-        self._bins = lru_cache(6)(lambda day: DayBins(folder / f"{day.isoformat()}.csv"))
-
-    def day(self, day_utc: date) -> DayBins:
-        """Return the irradiance bins of a UTC day, with the file's newest rows."""
-        return self._bins(day_utc).update()
-
-    def latest(self, now: datetime) -> tuple[datetime, float | None] | None:
-        """Return time and global irradiance of the last row of today or yesterday (UTC).
-
-        None without a row; the irradiance [W/m2] is None if the row has none.
-        """
-        days = (now.date(), now.date() - timedelta(days=1))
-        return next((last for day in days if (last := self.day(day).last) is not None), None)
-
-
 # ----------------------------------------------------------------------------------------------
 # pictures
 
 
-def scale_of(paths: Iterable[Path]) -> tuple[float, float]:
-    """Return the ends of one scale for several panoramas in cd/m2, see `shared_scale`.
+def scale_of(paths: Sequence[Path]) -> JsonTable:
+    """Return low and high of one scale for several panoramas in cd/m2, see `shared_scale`.
 
-    A panorama that cannot be read is left out: a merge may be writing it.
+    A panorama that cannot be read is left out: a merge may be writing it. stamp: a text that
+    changes when one of them is written again.
     """
-    ends = []
+    ends, stamp = [], 0
     for path in paths:
-        try:
-            ends.append(_ends(path, path.stat().st_mtime_ns))
-        except (InputError, OSError):
-            continue
-    return shared_scale(ends)
+        with suppress(InputError, OSError):
+            written = path.stat().st_mtime_ns
+            stamp = max(stamp, written)
+            ends.append(_ends(path, written))
+    low, high = shared_scale(ends)
+    return {"low": low, "high": high, "stamp": f"{stamp:x}"}
 
 
 @lru_cache(maxsize=1024)
@@ -220,19 +202,19 @@ def scale_png() -> bytes:
 # tables
 
 
-def day_curve(day: date, site: Site, followed: IrradianceFollower) -> JsonTable:
+def day_curve(day: date, site: Site, bins_of: Callable[[date], DayBins]) -> JsonTable:
     """Return the irradiance of a local day in bins of 2 min [W/m2], and which bins are flagged.
 
     Flagged are values that are impossible for the sun's altitude, and bins with an error that the
     instrument reported. Bins at night without a reading are omitted; a missing value is None.
-    followed: the session's day files.
+    bins_of: returns those of a UTC day.
     """
     zone = ZoneInfo(site.timezone)
     start = datetime(day.year, day.month, day.day, tzinfo=zone).astimezone(UTC)
     # 25 hours on the day when clocks go back: bins belong to a day by their local date
     times = [start + timedelta(seconds=BIN_S * (k + 0.5)) for k in range(25 * 3600 // BIN_S)]
     times = [t for t in times if t.astimezone(zone).date() == day]
-    index = {d: followed.day(d) for d in sorted({t.date() for t in times})}
+    index = {d: bins_of(d) for d in sorted({t.date() for t in times})}
     means = {d: bins.means for d, bins in index.items()}
     values = np.array([means[t.date()][_bin_of(t)] for t in times])  # [bins, 3]
     flagged = np.array([index[t.date()].flagged[_bin_of(t)] for t in times])
@@ -321,12 +303,10 @@ def is_running(journal: JournalFollower) -> bool:
     False without an open one, or if it began before this boot or on another computer.
     """
     opened = journal.opened
-    if opened is None or opened.get("boot_id") not in ("", None, boot_id()):
-        return False
-    try:
-        return psutil.pid_exists(int(opened.get("pid", 0)) or -1)
-    except (ValueError, OverflowError):
-        return False
+    if opened is not None and opened.get("boot_id") in ("", None, boot_id()):
+        with suppress(ValueError, OverflowError):
+            return psutil.pid_exists(int(opened.get("pid", 0)) or -1)
+    return False
 
 
 def battery() -> JsonTable | None:
@@ -371,10 +351,9 @@ class Snapshots:
     ) -> None:
         self._session, self._wall_clock = session, wall_clock
         self._lock = threading.Lock()
-        self._journal, self._irradiance = (
-            JournalFollower(session.journal),
-            IrradianceFollower(session),
-        )
+        self._journal, folder = JournalFollower(session.journal), session.irradiance
+        # the last six requested days stay in memory
+        self._bins = lru_cache(6)(lambda day: DayBins(folder / f"{day.isoformat()}.csv"))
         self._setup = session.site_file()
         self._zone = ZoneInfo(self._setup.site.timezone)
         self._plan: tuple[int, list[Slot]] = (-1, [])
@@ -387,7 +366,8 @@ class Snapshots:
             journal, slots, now, rehearsal, states, merged = here
             ahead = [slot for slot in slots if states[slot.id] in ("to do", "running")]
             counts = list(states.values())
-            sample = self._irradiance.latest(now)
+            days = (now.date(), now.date() - timedelta(days=1))
+            sample = next((last for day in days if (last := self._bins_of(day).last)), None)
             return {
                 "name": self._setup.site.name,
                 "folder": self._session.root.resolve().name,
@@ -450,8 +430,8 @@ class Snapshots:
             return {
                 "date": day.isoformat(),
                 "slots": rows,
-                "scale": _scale(paths),
-                "irradiance": day_curve(day, self._setup.site, self._irradiance),
+                "scale": scale_of(paths),
+                "irradiance": day_curve(day, self._setup.site, self._bins_of),
             }
 
     # ------------------------------------------------------------------------------------------
@@ -459,25 +439,25 @@ class Snapshots:
 
     def _present(self) -> _Present:
         journal, slots = self._journal.update(), self._slots()
-        now, rehearsal = self._now(journal)
+        now = self._wall_clock()
+        last = journal.states.last_utc or now
+        if rehearsal := last - now > _REHEARSAL:
+            now = last
         states = self._states(slots, journal, now)
         merged = {path.stem for path in self._session.panorama_files()}
         return _Present(journal, slots, now, rehearsal, states, merged)
 
+    def _bins_of(self, day_utc: date) -> DayBins:
+        """Return the irradiance of a UTC day, with the file's newest rows."""
+        return self._bins(day_utc).update()
+
     def _slots(self) -> list[Slot]:
         """Return the plan, read again only when the file changed."""
-        try:
+        with suppress(OSError, InputError):  # spoilt by hand: the plan before still holds
             stamp = self._session.plan.stat().st_mtime_ns
             if stamp != self._plan[0]:
                 self._plan = stamp, sorted(self._session.slots(), key=lambda slot: slot.t_utc)
-        except (OSError, InputError):  # spoilt by hand: the plan before still holds, as in capture
-            pass
         return self._plan[1]
-
-    def _now(self, journal: JournalFollower) -> tuple[datetime, bool]:
-        now, last = self._wall_clock(), journal.states.last_utc
-        rehearsal = last is not None and last - now > _REHEARSAL
-        return (last if rehearsal and last is not None else now), rehearsal
 
     def _states(self, slots: list[Slot], journal: JournalFollower, now: datetime) -> dict[str, str]:
         """Return done, missed, aborted, "made up", running or "to do" for each slot."""
@@ -515,7 +495,7 @@ class Snapshots:
         if not files:
             return None
         slot = files[0].stem
-        row = {"slot": slot, "verdict": self._verdict(slot, "no sidecar"), **_scale(files)}
+        row = {"slot": slot, "verdict": self._verdict(slot, "no sidecar"), **scale_of(files)}
         with suppress(ValueError):
             local = parse_utc(slot).astimezone(self._zone)
             row |= {"local": f"{local:%a %d %b %Y, %H:%M}", "date": local.date().isoformat()}
@@ -550,15 +530,13 @@ class Snapshots:
         """Return the latest events, newest first; equal sentences in a row become one."""
         rows: list[JsonTable] = []
         for event in reversed(journal.events):
-            words = event_words(event)
-            if words is None:
-                continue
-            if rows and rows[-1]["text"] == words[1]:
+            level, text = event_words(event) or ("", "")
+            if rows and rows[-1]["text"] == text:
                 rows[-1]["times"] += 1
-                continue
-            local = parse_utc(event["t_utc"]).astimezone(self._zone)
-            at = f"{local:%a %d %b %H:%M}"
-            rows.append({"level": words[0], "text": words[1], "local": at, "times": 1})
+            elif text:
+                local = parse_utc(event["t_utc"]).astimezone(self._zone)
+                at = f"{local:%a %d %b %H:%M}"
+                rows.append({"level": level, "text": text, "local": at, "times": 1})
         # about a screen
         return rows[:25]
 
@@ -572,10 +550,3 @@ class Snapshots:
 
     def _local_day(self, t_utc: datetime) -> date:
         return t_utc.astimezone(self._zone).date()
-
-
-def _scale(paths: list[Path]) -> JsonTable:
-    """Return one scale of panoramas, and a text that changes when one of them is written again."""
-    low, high = scale_of(paths)
-    stamp = max((path.stat().st_mtime_ns for path in paths), default=0)
-    return {"low": low, "high": high, "stamp": f"{stamp:x}"}

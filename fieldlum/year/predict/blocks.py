@@ -19,7 +19,7 @@ import numpy as np
 from fieldlum.core.arrays import Array, Floats, Floats32, Mask
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Progress, SiteFile, quiet
-from fieldlum.core.scheduler import LOCAL, Scheduler, WorkUnit, run_each
+from fieldlum.core.scheduler import LOCAL, Scheduler, UnitOutcome, WorkUnit, run_each
 from fieldlum.learn.models import Fitted, Prediction, load, read_config, seen_of, trusted_hours
 from fieldlum.learn.models.mirrors import Mirror, MirroredSun, read_mirrors
 from fieldlum.optics.projection import column_azimuths_deg, row_altitudes_deg
@@ -133,7 +133,8 @@ def room_of(config: ModelConfig, folder: Path) -> ModelRoom:
         expected = "the site, size and heading of the model's pictures"
         raise InputError(folder / "config.json", "no such keys", expected, "train the model again")
     setup = site_from_table(config.setup, str(folder / "config.json"))
-    if wants_patch(config) and setup.room is None:
+    needs_patch = wants_patch(config)
+    if needs_patch and setup.room is None:
         found = "the model needs sun patches, but its site has no [room]"
         remedy = "add [room] to the site and train again, or train with --patch none"
         raise InputError(folder, found, "a site with [room], or a model without patches", remedy)
@@ -142,16 +143,11 @@ def room_of(config: ModelConfig, folder: Path) -> ModelRoom:
         seen_mask = None  # `blocks` rejects the maps of such a model
     mirrors = read_mirrors(folder, config)
     view = SkyView.find(folder / SKY_VIEW)
-    return ModelRoom(setup, height, width, heading, wants_patch(config), seen_mask, mirrors, view)
+    return ModelRoom(setup, height, width, heading, needs_patch, seen_mask, mirrors, view)
 
 
 def blocks(
-    fitted: Fitted,
-    room: ModelRoom,
-    light: Light,
-    disc: Floats | None = None,
-    *,
-    progress: Progress = quiet,
+    fitted: Fitted, room: ModelRoom, light: Light, disc: Floats | None = None
 ) -> Iterator[HourBlock]:
     """Predict all hours of `light`, and yield them in blocks of 64; the last may be shorter.
 
@@ -165,13 +161,9 @@ def blocks(
         rows = slice(start, min(start + BLOCK, count))
         part, patch = light[rows], None
         if room.needs_patch and space is not None:
-            patch = sun_patches(
-                space,
-                part.apparent_sun_direction,
-                part.direct_lx,
-                height=room.height,
-                heading_deg=room.heading_deg,
-            ).luminance_cdm2
+            suns, lx, size = part.apparent_sun_direction, part.direct_lx, room.height
+            patches = sun_patches(space, suns, lx, height=size, heading_deg=room.heading_deg)
+            patch = patches.luminance_cdm2
         prediction = fitted.predict(part, patch)
         maps = prediction.luminance_cdm2
         if maps.shape[1:] != (room.height, room.width):
@@ -182,7 +174,6 @@ def blocks(
             raise FloatingPointError(
                 f"hours {rows.start} to {rows.stop - 1}: predicted values that are not finite"
             )
-        progress(rows.stop, count, "hours predicted")
         images = tuple(mirror.images(part, room.heading_deg) for mirror in room.mirrors)
         yield HourBlock(rows, part, prediction, disc[rows], images)
 
@@ -268,33 +259,24 @@ def finish_maps(folder: Path, annual: Annual, room: ModelRoom) -> None:
 class HourFigures(NamedTuple):
     """Figures of n consecutive hours of a year, in d view directions.
 
-    start: index in the year of the first hour, from 0; hours: columns of hourly.csv without a
-    direction, [n] each, with `occupied` 0; views: those for each direction, [n, d] each, NaN in
-    directions of which lenses saw less than half, and the further keys of `glare_directions`;
-    uncertainty: what is uncertain about DGP.
+    hours: columns of hourly.csv without a direction, [n] each, with `occupied` 0; views: those for
+    each direction, [n, d] each, NaN in directions of which lenses saw less than half, and the
+    further keys of `glare_directions`; uncertainty: what is uncertain about DGP.
     """
 
-    start: int
     hours: dict[str, Array]
     views: dict[str, Floats]
     uncertainty: DgpUncertainty
 
 
 def joined(parts: Sequence[HourFigures]) -> HourFigures:
-    """Return the figures of all parts, which may be in any order."""
-    parts = sorted(parts, key=lambda part: part.start)
-    start, hours, views, (words, *arrays) = parts[0]
+    """Return the figures of all parts, in their order."""
+    hours, views, (words, *_) = parts[0]
+    arrays = zip(*(part.uncertainty[1:] for part in parts), strict=True)
     return HourFigures(
-        start,
         {name: np.concatenate([part.hours[name] for part in parts]) for name in hours},
         {name: np.concatenate([part.views[name] for part in parts]) for name in views},
-        DgpUncertainty(
-            words,
-            *(
-                np.concatenate([part.uncertainty[k] for part in parts], axis=-2)
-                for k in range(1, 1 + len(arrays))
-            ),
-        ),
+        DgpUncertainty(words, *(np.concatenate(each, axis=-2) for each in arrays)),
     )
 
 
@@ -305,10 +287,8 @@ class HourJudge:
         """Compute the weights of the views."""
         size = room.height, room.width, room.heading_deg
         self.views = panorama_views(*size, azimuths_deg, room.seen)
-        self._coverage, self._regions = (
-            metrics.view_coverage(self.views),
-            metrics.region_weights(self.views),
-        )
+        self._coverage = metrics.view_coverage(self.views)
+        self._regions = metrics.region_weights(self.views)
 
     def glare(self, block: HourBlock) -> dict[str, Floats]:
         """Return the figures of k hours in d view directions, by column of hourly.csv, [k, d] each.
@@ -324,16 +304,12 @@ class HourJudge:
         return figures | metrics.region_ratios(maps, self._regions)
 
     def figures(
-        self,
-        block: HourBlock,
-        discs_lx: Floats,
-        start: int = 0,
-        melanopic: MelanopicYear | None = None,
+        self, block: HourBlock, discs_lx: Floats, melanopic: MelanopicYear | None = None
     ) -> HourFigures:
         """Return all figures of the k hours of a block.
 
-        discs_lx: illuminance of the sun's disc in random draws of its visibility [m, k]; start:
-        index of the first hour; melanopic: colours by the captures, None without any.
+        discs_lx: illuminance of the sun's disc in random draws of its visibility [m, k]; melanopic:
+        colours by the captures, None without any.
         """
         views, light, coverage, figures = self.views, block.light, self._coverage, self.glare(block)
         u_ev_rel, u_source_rel = relative_uncertainty(block, views, figures)
@@ -367,7 +343,7 @@ class HourJudge:
             "disturbed_share": disturbed_share(figures["dgp"]),
         }
         uncertainty = DgpUncertainty(coverage.words, minimum, maximum, drawn, u_maps)
-        return HourFigures(start, hours, figures, uncertainty)
+        return HourFigures(hours, figures, uncertainty)
 
 
 def relative_uncertainty(
@@ -417,17 +393,12 @@ def _images(block: HourBlock, views: Views, count: int) -> list[metrics.DiscLigh
 
 
 def room_figures(
-    fitted: Fitted, room: ModelRoom, light: Light, azimuths_deg: Floats, seed: int = 0
+    fitted: Fitted, room: ModelRoom, light: Light, azimuths_deg: Floats
 ) -> HourFigures:
     """Predict the n hours of `light` in this process, and return their figures in d directions."""
-    best_lx, discs_lx = discs_of(room, light, seed)
-    judge = HourJudge(room, azimuths_deg)
-    return joined(
-        [
-            judge.figures(block, discs_lx[:, block.rows], block.rows.start)
-            for block in blocks(fitted, room, light, best_lx)
-        ]
-    )
+    best_lx, discs_lx = discs_of(room, light, seed=0)
+    judge, hours = HourJudge(room, azimuths_deg), blocks(fitted, room, light, best_lx)
+    return joined([judge.figures(block, discs_lx[:, block.rows]) for block in hours])
 
 
 def discs_of(room: ModelRoom, light: Light, seed: int) -> tuple[Floats, Floats]:
@@ -490,9 +461,13 @@ def measure(
         job = _HoursJob(name, digest, start, light[rows], azimuths, *of_sun, place, melanopic)
         title, paths = f"hours-{start}-{rows.stop}", tuple(f"{name}/{file}" for file in files)
         units.append(WorkUnit(title, predict_hours, folder, job, files=paths))
-    parts: list[HourFigures] = []
-    run_each(units, scheduler, lambda outcome: parts.append(outcome.result()), progress)
-    return joined(parts)
+    parts: dict[str, HourFigures] = {}
+
+    def take(outcome: UnitOutcome) -> None:
+        parts[outcome.unit.name] = outcome.result()
+
+    run_each(units, scheduler, take, progress)
+    return joined([parts[unit.name] for unit in units])
 
 
 def predict_hours(folder: Path, job: _HoursJob) -> HourFigures:
@@ -504,7 +479,7 @@ def predict_hours(folder: Path, job: _HoursJob) -> HourFigures:
     (block,) = blocks(fitted, room, job.light, job.disc_lx)
     if job.store:
         write_maps(folder / job.store, job.start, block.pictures_cdm2(room.heading_deg))
-    return judge.figures(block, job.discs_lx, job.start, job.melanopic)
+    return judge.figures(block, job.discs_lx, job.melanopic)
 
 
 @lru_cache(maxsize=1)
