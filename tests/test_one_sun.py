@@ -12,10 +12,11 @@ from learning_room import dataset, write_pairs
 
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Panorama, Slot, quiet, slot_id
+from fieldlum.core.scheduler import LOCAL
 from fieldlum.learn.models.data import load_pairs
 from fieldlum.optics.images import read_panorama, write_panorama
 from fieldlum.optics.profiles import shipped
-from fieldlum.pair import write_patches
+from fieldlum.pair import BracketInterval, write_patches
 from fieldlum.room import simulate
 from fieldlum.session import Session, create_session
 from fieldlum.session.site_toml import load_site
@@ -57,8 +58,8 @@ def paired_patch(folder: Path) -> Path:
     picture = folder / "p.exr"
     blank = np.ones((HEIGHT, 2 * HEIGHT), np.float32)
     write_panorama(picture, Panorama(blank, OFFICE.camera.heading_deg, t_utc=LOW))
-    items = [(slot_id(LOW), picture)]
-    write_patches(session, OFFICE, items, low_light(), force=False, progress=quiet)
+    brackets = [BracketInterval(slot_id(LOW), picture, LOW, LOW)]
+    write_patches(session, OFFICE, brackets, low_light(), False, LOCAL, quiet)
     return session.sunpatch(slot_id(LOW))
 
 

@@ -24,7 +24,7 @@ from fieldlum.core.scheduler import (
 from fieldlum.learn import models
 from fieldlum.learn.models.data import load_pairs
 from fieldlum.optics.profiles import save_profile, shipped
-from fieldlum.pair import write_patches
+from fieldlum.pair import BracketInterval, write_patches
 from fieldlum.room import simulate
 from fieldlum.session import Session, create_session, remove_scraps
 from fieldlum.session.site_toml import load_site
@@ -104,9 +104,11 @@ def simulated_year(root: Path, scheduler: Scheduler) -> dict[str, bytes]:
     session = create_session(root, setup, slots, {"set": "test"})
     simulate.run(session, weather, height=8, quality="draft", scheduler=scheduler, workers=1)
     rendered = [s for s in slots if session.truth_panorama(s.id).is_file()]
-    items = [(s.id, session.truth_panorama(s.id)) for s in rendered]
+    brackets = [
+        BracketInterval(s.id, session.truth_panorama(s.id), s.t_utc, s.t_utc) for s in rendered
+    ]
     light = light_at([s.t_utc for s in rendered], setup.site, np.array(500.0), np.array(100.0))
-    write_patches(session, setup, items, light, force=True, scheduler=scheduler, progress=quiet)
+    write_patches(session, setup, brackets, light, True, scheduler, quiet)
     model = root.parent / "nearest"  # one model for both: its config.json has its time
     if not model.is_dir():
         data = load_pairs(session)

@@ -132,19 +132,11 @@ def judge(
     if (u_percent := taken.sun_u_percent) >= 5.0:
         text = "the sun covers few pixels: its illuminance is uncertain by"
         doubts.append(f"{text} {u_percent:.0f} %")
-    return PairRow(
-        taken.t_utc,
-        f"{taken.panorama.parent.name}/{taken.panorama.name}",
-        light.dni_wm2,
-        light.dhi_wm2,
-        light.ghi_wm2,
-        light.source,
-        altitude_deg,
-        azimuth_deg,
-        light.steadiness,
-        ok=not why,
-        why=why or _joined(*doubts, light.caution),
-    )
+    name = f"{taken.panorama.parent.name}/{taken.panorama.name}"
+    of_sky = light.dni_wm2, light.dhi_wm2, light.ghi_wm2, light.source
+    of_sun = altitude_deg, azimuth_deg, light.steadiness
+    doubt = _joined(*doubts, light.caution)
+    return PairRow(taken.t_utc, name, *of_sky, *of_sun, ok=not why, why=why or doubt)
 
 
 def _joined(*texts: str) -> str:
@@ -217,15 +209,7 @@ def _with_suns(
     shown = [_shown(b, float(lx)) for b, lx in zip(brackets, light.direct_lx, strict=True)]
     view = write_sky_view(session, shown, light, setup.site, force=force, progress=progress)
     shares, by_view = shares_of_beam(view, setup.room, light)
-    patches = write_patches(
-        session,
-        setup,
-        [(b.slot, b.panorama) for b in brackets],
-        light,
-        force=force,
-        scheduler=scheduler,
-        progress=progress,
-    )
+    patches = write_patches(session, setup, brackets, light, force, scheduler, progress)
     completed: list[PairRow] = []
     suns: list[SunRow] = []
     for k, (row, picture, patch) in enumerate(zip(rows, shown, patches, strict=True)):
@@ -280,44 +264,38 @@ SLOTS_A_UNIT = 16
 def write_patches(
     session: Session,
     setup: SiteFile,
-    pictures: Sequence[tuple[str, Path]],
+    brackets: Sequence[BracketInterval],
     light: Light,
-    *,
     force: bool,
-    scheduler: Scheduler = LOCAL,
+    scheduler: Scheduler,
     progress: Progress,
 ) -> list[str]:
     """Compute sunpatches/<slot>.exr of n slots; return their paths in the session, "" without room.
 
-    pictures : slot and panorama; light : of the n slots. Existing patches are used again unless
-    `force`.
+    light : of the n slots. Existing patches are used again unless `force`.
     """
-    if setup.room is None or not pictures:
-        return [""] * len(pictures)
-    first = read_panorama(pictures[0][1])
+    if setup.room is None or not brackets:
+        return [""] * len(brackets)
+    first = read_panorama(brackets[0].panorama)
     size = first.luminance_cdm2.shape[0], first.heading_deg
     known = [plain(setup.room), plain(setup.camera), *size, patch_rays(size[0])]
     suns = light.apparent_altitude_deg, light.sun_azimuth_deg, light.direct_lx
-    slots, recipes, missing = [slot for slot, _ in pictures], [], []
-    for k, (slot, altitude, azimuth, lx) in enumerate(zip(slots, *suns, strict=True)):
+    recipes, missing = [], []
+    for k, (bracket, altitude, azimuth, lx) in enumerate(zip(brackets, *suns, strict=True)):
         recipe = digest([*known, round(float(altitude), 4), round(float(azimuth), 4), f"{lx:.5g}"])
-        recipes.append(recipe)
-        stored = made_from(session.sunpatch_sidecar(slot), recipe, [session.sunpatch(slot)])
-        if force or stored is None:
+        recipes.append((bracket.slot, recipe))
+        files = session.sunpatch_sidecar(bracket.slot), session.sunpatch(bracket.slot)
+        if force or made_from(files[0], recipe, files[1:]) is None:
             missing.append(k)
-    jobs = [missing[k : k + SLOTS_A_UNIT] for k in range(0, len(missing), SLOTS_A_UNIT)]
-    units = [
-        WorkUnit(
-            f"sun-patches-{slots[job[0]]}",
-            trace_patches,
-            session.root,
-            ([(slots[k], recipes[k]) for k in job], light[job], size),
-            (session.toml.name,),
-        )
-        for job in jobs
-    ]
+    units = []
+    for first_k in range(0, len(missing), SLOTS_A_UNIT):
+        job = missing[first_k : first_k + SLOTS_A_UNIT]
+        argument = [recipes[k] for k in job], light[job], size
+        name, toml = f"sun-patches-{recipes[job[0]][0]}", (session.toml.name,)
+        units.append(WorkUnit(name, trace_patches, session.root, argument, toml))
     run_each(units, scheduler, UnitOutcome.result, progress)
-    return [session.sunpatch(slot).relative_to(session.root).as_posix() for slot in slots]
+    paths = (session.sunpatch(bracket.slot) for bracket in brackets)
+    return [path.relative_to(session.root).as_posix() for path in paths]
 
 
 def trace_patches(

@@ -44,8 +44,7 @@ def outside(log: CleanIrradiance, opened: datetime, closed: datetime) -> Outside
     usable = np.isfinite(log.dni_wm2) & np.isfinite(log.dhi_wm2)
     first, last = np.searchsorted(log.t_unix_s, (start - 2.0 * every, end + 2.0 * every))
     near = slice(max(int(first) - 1, 0), int(last) + 1)
-    t_near = log.t_unix_s[near][usable[near]]
-    stale = _worst_distance_s(t_near, start, end)
+    stale = _worst_distance_s(log.t_unix_s[near][usable[near]], start, end)
     if every > 900.0:
         return Outside(why=f"irradiance was logged only every {every:.0f} s")
     if stale > 2.0 * every + 1.0:
@@ -80,8 +79,7 @@ def _stale_text(log: CleanIrradiance, near: slice, start: float, end: float, sta
 
 def _statistics(log: CleanIrradiance, rows: Mask) -> Outside:
     ghi, dhi, dni = (value[rows] for value in (log.ghi_wm2, log.dhi_wm2, log.dni_wm2))
-    mean = float(ghi.mean())
-    spread = float(ghi.max() - ghi.min())
+    mean, spread = float(ghi.mean()), float(np.ptp(ghi))
     steadiness = spread / mean if mean > 1.0 else 0.0
     caution, why = [], ""
     if dhi.mean() > 1.05 * mean + 10.0:

@@ -72,11 +72,10 @@ def _by_meter(panorama: Panorama, sun: SunSource, meter_lx: float | None) -> flo
     """
     if meter_lx is None:
         return None
-    ahead = direction(0.0, panorama.heading_deg)
-    cosine = float(np.dot(direction(sun.altitude_deg, sun.azimuth_deg), ahead))
+    heading_deg = panorama.heading_deg
+    towards, ahead = direction(sun.altitude_deg, sun.azimuth_deg), direction(0.0, heading_deg)
+    cosine = float(np.dot(towards, ahead))
     if cosine < _MIN_COSINE:
         return None
-    image_lx = vertical_illuminance_lx(
-        panorama.luminance_cdm2, panorama.heading_deg, panorama.heading_deg
-    )
+    image_lx = vertical_illuminance_lx(panorama.luminance_cdm2, heading_deg, heading_deg)
     return (meter_lx - image_lx) / cosine

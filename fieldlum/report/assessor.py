@@ -41,10 +41,10 @@ METHOD = (
 
 
 def _requirements(annual: Annual, zone: str) -> Table:
-    rows = annual.summary.protection
-    decided = [row for row in rows if row.certain]
+    directions = annual.summary.protection
+    decided = [row for row in directions if row.certain]
     classes = ", ".join(f"{named(row.azimuth_deg)} {class_name(row)}" for row in decided)
-    found = f"decided in {len(decided)} of {len(rows)} directions: {classes or 'none'}"
+    found = f"decided in {len(decided)} of {len(directions)} directions: {classes or 'none'}"
     answers = [text for text in disturbed(annual) if text != "–"]
     sdg = (
         f"{answers.count('yes')} of {len(answers)} directions are disturbed, "
@@ -73,13 +73,12 @@ def _requirements(annual: Annual, zone: str) -> Table:
 
 
 def _instruments(session: Session, setup: SiteFile) -> Table:
-    rows: list[tuple[str, str]] = []
+    meter = setup.pyranometer
     try:
         path = find_camera_profile(setup.camera.profile)
         rows = [*_camera_rows(load_camera_profile(path)), ("profile, sha256", sha256(path))]
     except InputError as error:
-        rows.append(("camera", f"cannot tell: {error}"))
-    meter = setup.pyranometer
+        rows = [("camera", f"cannot tell: {error}")]
     times = sorted(row.t_utc for row in PairsFile.find(session.pairs).usable)
     span = f", {times[0]:%d %B %Y} to {times[-1]:%d %B %Y}" if times else ""
     rows += [
@@ -136,11 +135,7 @@ def page(session: Session, annual: Annual | None) -> str:
         melanopic_section(annual, zone),
         Section("method", "Method", " ".join((METHOD, *map(sentence, summary.notes[:1])))),
         Section("instruments", "What was measured", tables=(_instruments(session, setup),)),
-        Section(
-            "versions",
-            "Versions and files",
-            tables=(Table(("item", "value"), versions, words=True),),
-        ),
+        Section("versions", "Versions and files", tables=(_words(versions),)),
         Section("signatures", "Signatures", tables=(signatures,)),
     )
     return render(

@@ -7,7 +7,6 @@ session's files, DATASHEET.md (Gebru et al., Commun. ACM 64, 2021, in short), da
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import json
 import re
@@ -32,6 +31,7 @@ from fieldlum.room.fit.scene_file import SCENE_TOML, read_scene
 from fieldlum.room.scene.geometry import build
 from fieldlum.room.scene.radiance import rad_text
 from fieldlum.session import Session, replacing, replacing_path
+from fieldlum.session.codec import write_csv
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.panorama_sun import read_panorama_with_sun
 from fieldlum.sky.sky_view import SkyView
@@ -39,7 +39,7 @@ from fieldlum.version import __version__
 from fieldlum.year.glare.pictures import FISHEYE_VIEW, panorama_to_fisheye, picture_centres
 from fieldlum.year.glare.single import valid_pixels
 from fieldlum.year.predict import newest_annual
-from fieldlum.year.predict.annual import time_coordinate
+from fieldlum.year.predict.annual import time_coordinate, unit_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -97,11 +97,9 @@ def _sky(session: Session, out: Path) -> list[Path]:
     altitude, azimuth = (part.ravel() for part in np.mgrid[0:91, 0:360].astype(float))
     through = view.shares(direction(altitude, azimuth))
     table, picture = out / "sky_view.csv", out / "sky_view_mask.png"
-    with replacing(table, "w", newline="", encoding="utf-8") as file:
-        rows = csv.writer(file)
-        rows.writerow(("altitude_deg", "azimuth_deg", "beam_share", "low", "high"))
-        for place in zip(altitude, azimuth, *through, strict=True):
-            rows.writerow("" if np.isnan(value) else f"{value:.4g}" for value in place)
+    names = ("altitude_deg", "azimuth_deg", "beam_share", "low", "high")
+    rows = zip(altitude, azimuth, *through, strict=True)
+    write_csv(table, (dict(zip(names, row, strict=True)) for row in rows), names, digits=4)
     y, x = 2.0 * np.array(np.broadcast_arrays(*picture_centres(_FISHEYE_PX, _FISHEYE_PX)))
     radius = np.hypot(x, y)
     rays = direction(90.0 * (1.0 - radius), np.degrees(np.arctan2(-x, y)))
@@ -137,10 +135,9 @@ def _pairs(session: Session, out: Path) -> list[Path]:
         return []
     import xarray as xr
 
-    units = ("W m-2", "W m-2", "degree", "degree")
     columns = {
-        name: ("time", [getattr(row, name) for row in pairs], {"units": unit})
-        for name, unit in zip(_PAIR_COLUMNS, units, strict=True)
+        name: ("time", [getattr(row, name) for row in pairs], {"units": unit_of(name)})
+        for name in _PAIR_COLUMNS
     }
     columns["panorama"] = ("time", [row.panorama for row in pairs], {})
     coordinates = {"time": time_coordinate([row.t_utc for row in pairs])}

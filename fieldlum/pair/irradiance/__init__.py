@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from enum import IntFlag
 from pathlib import Path
@@ -274,24 +274,16 @@ def derive(series: Series, altitude: Floats, site: Site) -> Series:
     centres, ghi_minute, row_minute = minute_means(series.t_unix_s, ghi)
     times = [datetime.fromtimestamp(t, UTC) for t in centres]
     dni_minute = sun.dirint_dni(ghi_minute, times, site)
-    dni_minute[_without_neighbours(ghi_minute) & (ghi_minute > 0.0)] = np.nan
+    # DIRINT uses the change of the light: no result without a value directly before or after.
+    finite = np.r_[False, np.isfinite(ghi_minute), False]
+    dni_minute[~finite[:-2] & ~finite[2:] & (ghi_minute > 0.0)] = np.nan
     bright, none = np.nan_to_num(ghi_minute) > 1.0, np.zeros_like(ghi_minute)
     beam_share = np.divide(dni_minute, ghi_minute, out=none, where=bright)
     dni = np.where(alone, beam_share[row_minute] * np.maximum(series.ghi_wm2, 0.0), series.dni_wm2)
     dhi = np.where(alone, sun.dhi_by_closure(series.ghi_wm2, dni, altitude), series.dhi_wm2)
-    marks = series.marks.copy()
-    marks[alone] |= Mark.DERIVED
+    marks = series.marks | np.where(alone, Mark.DERIVED, 0)
     marks[alone & (altitude > 0) & (altitude < sun.LOW_SUN_DEG)] |= Mark.LOW_SUN
-    return Series(series.t_unix_s, series.ghi_wm2, dhi, dni, marks)
-
-
-def _without_neighbours(value: Floats) -> Mask:
-    """Return a mask [m] of values without a value directly before or after.
-
-    DIRINT uses the change of the light, so it has no result there.
-    """
-    finite = np.r_[False, np.isfinite(value), False]
-    return finite[1:-1] & ~finite[:-2] & ~finite[2:]
+    return replace(series, dhi_wm2=dhi, dni_wm2=dni, marks=marks)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -355,10 +347,7 @@ def health(
         closure_pass=passed,
         clock_off_s=clock_off,
         marks={(mark.name or "").lower(): count for mark, count in counts.items() if count},
-        warnings=(
-            *_of_log(offset, passed, clock_off, broken),
-            *_by_day(clean, altitude, top),
-        ),
+        warnings=(*_of_log(offset, passed, clock_off, broken), *_by_day(clean, altitude, top)),
     )
 
 
@@ -435,12 +424,11 @@ def mark_text(marks: int) -> str:
 
 def clean_of(series: Series) -> CleanIrradiance:
     """Return the table of clean.csv: values, their source, and the marks of each row as text."""
-    texts = {int(m): mark_text(int(m)) for m in np.unique(series.marks)}
+    kinds, which = np.unique(series.marks, return_inverse=True)
+    flags = np.array([mark_text(int(marks)) for marks in kinds], object)[which]
     source = np.where(series.marks & Mark.DERIVED, DERIVED, MEASURED).astype(object)
-    flags = np.array([texts[int(m)] for m in series.marks], object)
-    return CleanIrradiance(
-        series.t_unix_s, series.ghi_wm2, series.dhi_wm2, series.dni_wm2, source, flags
-    )
+    values = series.t_unix_s, series.ghi_wm2, series.dhi_wm2, series.dni_wm2
+    return CleanIrradiance(*values, source, flags)
 
 
 def run(session: Session, *, force: bool = False, progress: Progress = quiet) -> Health:
