@@ -222,11 +222,11 @@ def test_experience_of_like_suns_raises_the_expectation() -> None:
     hours, of = model.captured, model.uncertainty
     sunny = hours.beam > 0.3
     wrong = np.where(sunny[of.tested], 20.0, 1.0) * of.guess_of
-    of = replace(of, error_of=wrong)
+    of = replace(of, error_of=wrong, careful=False)
     guess = np.full(len(hours), 1e-3)
-    expected = of.experience(hours, hours, guess, careful=False)
+    expected = of.experience(hours, hours, guess)
     assert (expected[sunny] > 0.015).all() and (expected[hours.beam < 0.01] < 2e-3).all()
-    careful = of.experience(hours, hours, guess, careful=True)
+    careful = replace(of, careful=True).experience(hours, hours, guess)
     assert (careful >= expected).all()
 
 

@@ -197,8 +197,7 @@ class Transport:
         )  # [n, P]
         weights = equirect_solid_angles(*self.seen.shape)[self.seen]
         guess = square.astype(float) @ (weights / weights.sum())  # [n]
-        careful = self.patch_scale is None or bool(self.pixels.computed_gain.any())
-        expected = unsure.experience(features, self.captured, guess, careful)
+        expected = unsure.experience(features, self.captured, guess)
         wider = unsure.band * np.sqrt(expected / np.maximum(guess, 1e-12))
         sd = np.minimum(np.sqrt(square) * wider.astype(square.dtype)[:, None], 1.0)
         # a trusted hour is at most 1.5 times as far from the captures as any held-out day
@@ -426,8 +425,9 @@ def _fit(ready: _Prepared, progress: Progress) -> tuple[Transport, Array]:
         arrays, basis, noise, lambda done, of: progress(20 + 70 * done // of, 100, "fitting")
     )
     progress(90, 100, "calibrating uncertainty")
+    careful = ready.scale is None or ready.physics is not None
     uncertainty, errors = calibrate(
-        arrays[drawn], basis, ready.inputs.covariance, noise, pixels.noise[drawn]
+        arrays[drawn], basis, ready.inputs.covariance, noise, pixels.noise[drawn], careful
     )
     fitted = Transport(
         data.seen,
@@ -566,7 +566,9 @@ class Uncertainty:
     [n, n]; novelty: largest predictive variance of a capture with its day held out; patch: relative
     standard deviation of a sun patch; band: standard deviation whose 1.645 times contain 90 % of
     the held-out errors, over their root mean square; slip_deg: displacement of computed from
-    captured sun patches [deg], 0 if none is known. Of k tests, in which a captured hour was
+    captured sun patches [deg], 0 if none is known; careful: whether the variance does not show how
+    errors grow away from captures: without sun patches, or with those of a stated or fitted room,
+    which are wrong in places. Of k tests, in which a captured hour was
     predicted from other days or, if there are several, from other seasons: tested, index of the
     capture; error_of, guess_of: log10 MSE, and its estimate without experience [k].
     """
@@ -580,6 +582,7 @@ class Uncertainty:
     error_of: Array
     guess_of: Array
     slip_deg: float = 0.0
+    careful: bool = True
 
     def variance(self, cross: Array, own: Array) -> Array:
         """Return the variance of m hours that remains after the captures, in kernel units, [m].
@@ -595,19 +598,18 @@ class Uncertainty:
         known = np.einsum("ij,ij->i", cross @ self.second, cross)
         return np.maximum(hours.beam**2 - known, 0.0) + SECOND_NOISE
 
-    def experience(self, hours: Features, captured: Features, guess: Array, careful: bool) -> Array:
+    def experience(self, hours: Features, captured: Features, guess: Array) -> Array:
         """Return the log10 MSE to expect in m hours, [m].
 
         It is `guess` [m] times found over guessed errors, both summed over the tests with about the
-        same share of sun. careful: without sun patches, or with light computed for the room, the
-        guess does not say how errors grow away from captures. They are then at least those of these
-        tests, the geometric mean of held-out days and seasons.
+        same share of sun. If `careful`, it is at least the error of these tests, the geometric mean
+        of held-out days and seasons.
         """
         beam, n = captured.beam[self.tested], len(captured)
         # hours with a tenth more or less sun are alike
         sky = np.exp(-0.5 * ((hours.beam[:, None] - beam) / 0.1) ** 2) + 1e-9
         expected = guess * (sky @ self.error_of) / (sky @ self.guess_of)
-        if not careful:
+        if not self.careful:
             return expected
         groups = [slice(start, start + n) for start in range(0, len(beam), n)]
         means = [sky[:, g] @ self.error_of[g] / sky[:, g].sum(axis=1) for g in groups]
@@ -636,14 +638,19 @@ def log10_variance(
 
 
 def calibrate(
-    arrays: TrainingArrays, basis: Basis, covariance: Array, noise: float, residual: Floats32
+    arrays: TrainingArrays,
+    basis: Basis,
+    covariance: Array,
+    noise: float,
+    residual: Floats32,
+    careful: bool,
 ) -> tuple[Uncertainty, Array]:
     """Test the estimated uncertainty on held-out days and, if there are several, held-out seasons.
 
     Return it with the errors of these tests, log10 of predicted over captured luminance [k, P].
 
     arrays, residual: of some pixels; covariance: kernel between captures [n, n], basis: its
-    features; noise: of the fit.
+    features; noise: of the fit; careful: see `Uncertainty`.
     """
     unsure = noise / arrays.sureness  # hours of unsteady light have less weight
     inverse, second = np.linalg.inv(covariance + np.diag(unsure)), second_inverse(arrays)
@@ -671,10 +678,10 @@ def calibrate(
         np.tile(np.arange(len(covariance)), len(tests)),
         error,
         guess,
+        careful=careful,
     )
     features, rows = arrays.features, out.tested
-    careful = arrays.patch is None or arrays.computed is not None
-    expected = out.experience(features[rows], features, guess, careful)
+    expected = out.experience(features[rows], features, guess)
     square = np.concatenate(squares) * (expected / guess)[:, None]
     sd = np.sqrt(square + LOG10_E**2 * arrays.unsure[rows, None])
     # the harder of days and seasons: a year has other seasons than the captures
