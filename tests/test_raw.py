@@ -178,7 +178,7 @@ def test_a_renamed_jpeg_is_named(tmp_path: Path) -> None:
 @pytest.mark.contract
 def test_a_png_is_refused_with_a_remedy_that_can_be_followed(tmp_path: Path) -> None:
     (tmp_path / "f.png").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(64))
-    with pytest.raises(InputError, match=r"not RAW file; .*leave the file out if it is no frame"):
+    with pytest.raises(InputError, match=r"a PNG picture; .*leave the file out if it is no frame"):
         read_mosaic(tmp_path / "f.png")
 
 

@@ -12,8 +12,10 @@ from click.testing import CliRunner
 from tiny_field import make_session
 
 from fieldlum.cli import main
-from fieldlum.core.records import Panorama
+from fieldlum.core.records import Exposure, Panorama
 from fieldlum.optics.images import write_panorama, write_radiance_hdr
+from fieldlum.optics.profiles import shipped
+from fieldlum.optics.raw import write_jpeg
 
 pytestmark = pytest.mark.contract
 
@@ -61,6 +63,11 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_radiance_hdr(folder / "fish.hdr", np.full((40, 40), 100.0), view=VIEW)
     write_panorama(folder / "good.exr", Panorama(np.full((8, 16), 10.0, np.float32), 0.0))
     make_session(folder / "session")
+    (folder / "body.toml").write_bytes((shipped("calibration") / "sim-fisheye.toml").read_bytes())
+    write_jpeg(folder / "true.JPG", np.full((60, 90, 3), 90, np.uint8), Exposure(0.1, 5.6))
+    (folder / "photos").mkdir()
+    (folder / "photos" / "a.jpg").write_bytes((folder / "true.JPG").read_bytes())
+    (folder / "a.pdf").write_bytes(b"%PDF-1.4")
     return folder
 
 
@@ -133,9 +140,88 @@ CASES = [
     ("watch @/empty", "session", 3),
     ("campaign report @/good.toml", "good.toml", 3),
     ("simulate @/good.toml --out @/s2", "room|plan|session", 3),
+    # files of another kind: the answer names the kind and the file to give
+    ("plan @/body.toml --set 9-day --out @/s1", "a camera profile; expected a SITE.toml", 3),
+    ("plan @/session/session.toml --set 9-day --out @/s1", "session.toml of a session", 3),
+    ("plan @/session --set 9-day --out @/s1", "a folder: a new plan needs a SITE.toml", 2),
+    ("plan @/true.JPG --set 9-day --out @/s1", "a JPEG picture; expected a TOML", 3),
+    ("plan @/good.toml --set 9-day --weather @/true.JPG --out @/s1", "JPEG picture.*EPW", 3),
+    ("plan @/good.toml --set 9-day --out @/session/raw", "inside the session", 3),
+    ("plan @/good.toml --set 9-day --out=", "an empty text; expected a path", 2),
+    ("plan @/good.toml --replan", "this is a file; expected a session folder", 3),
+    ("new @/n.toml --camera @/good.toml", "a SITE.toml; expected a camera profile", 3),
+    ("new @/n.toml --photo @/true.JPG", "--camera", 2),
+    ("doctor @/session/session.toml", "this is a file.*name its folder: @/session", 3),
+    ("doctor @/none", "no such folder", 3),
+    ("doctor @/session --pyranometer serial:/dev/x?kind=no", "kind=no; expected one of spn1", 4),
+    ("doctor @/session --pyranometer modbus:/dev/x?kind=smp&parity=Q", "one of N, E, O", 4),
+    ("doctor @/session --camera @/body.toml", "not a device URI; expected one like sim:", 4),
+    ("capture @/good.toml --camera sim:office", "a file; expected a session folder", 3),
+    ("capture @/session --camera sim:office?profile=@/good.toml --clock fast", "a SITE.toml", 3),
+    ("capture @/session --camera sim:office?sed=3 --clock fast", "did you mean 'seed'", 4),
+    ("capture @/session --camera sim:office --clock fast --every 0", "0.1", 2),
+    ("log @/session", "--pyranometer", 2),
+    ("import @/session", "card's folder, or a logger's file", 2),
+    ("import @/session @/true.JPG", "a file, not a folder", 3),
+    ("import @/session @/empty", "no raw or JPEG frames", 3),
+    ("import @/session --irradiance @/good.exr", "an OpenEXR picture; expected a logger's", 3),
+    ("import @/session @/photos --utc-offset 8", "8 is no UTC offset", 2),
+    ("status @/session --mark 20270320T153000Z lamp", "'lamp' is not a state of a room", 3),
+    ("merge @/true.JPG", "files.*need --frames", 2),
+    ("merge @/session --heading 90", "--heading need --frames", 2),
+    ("merge @/session --size 100x100", "twice as wide as high", 2),
+    ("merge @/session --scheduler foo", "'foo'; expected local", 3),
+    (
+        "merge --frames @/true.JPG --camera @/good.toml --out @/o.exr",
+        "a SITE.toml; expected a camera profile; name a shipped one",
+        3,
+    ),
+    ("merge --frames @/true.JPG --camera @/true.JPG --out @/o.exr", "a JPEG picture", 3),
+    ("merge --frames @/true.JPG --camera sim-fisheye --out @/o.png", "'.png'.*.exr or .hdr", 3),
+    ("merge --frames @/good.exr --camera sim-fisheye --out @/o.exr", "an OpenEXR picture", 3),
+    ("merge --frames @/photos --camera sim-fisheye --out @/o.exr", "JPEG frame; expected raw", 3),
+    ("pair @/good.exr", "this is a file", 3),
+    ("train @/good.exr --site @/good.toml", "an OpenEXR picture; expected a csv", 3),
+    ("train @/sky.csv --site @/good.toml", "no column panorama", 3),
+    ("train @/session --budget nan", "nan is not a finite number", 2),
+    ("predict @/session --weather synthetic", "no config.json", 3),
+    ("glare @/true.JPG", "a JPEG picture.*merge its bracket .fieldlum merge --frames", 3),
+    ("glare @/a.pdf", "a PDF; expected a Radiance .hdr or an .exr", 3),
+    ("glare @/session", "no panorama to judge; run fieldlum merge", 5),
+    ("glare @/good.exr --view-azimuth 4000", "4000.*not in the range", 2),
+    ("glare @/good.exr --csv @/good.exr", "exists already", 3),
+    ("view @/true.JPG", "a JPEG picture.*merge its bracket", 3),
+    ("view @/session", "no panorama to view", 5),
+    ("compare @/session @/good.exr", "an OpenEXR picture; expected an hourly table", 3),
+    ("export @/session", "no merged map and no year", 3),
+    ("bench @/sky.csv --site @/good.toml --out @/b", "no column panorama", 3),
+    ("simulate @/body.toml --out @/s2", "a camera profile; expected a SITE.toml", 3),
+    ("simulate @/wall.toml --out @/s2 --troubles @/good.toml", "'up'|a SITE.toml", 3),
+    ("campaign report @/body.toml", "a camera profile; expected a file with the tables", 3),
+    ("info @/a.pdf", "a PDF; expected a raw file", 3),
+    ("calibrate lens @/true.JPG --camera @/body.toml --out @/c.toml", "or --circle", 2),
+    (
+        "calibrate lens @/true.JPG --circle --camera @/body.toml --out @/c.toml",
+        "a frame of 90 x 60 pixels; expected 484 x 484",
+        3,
+    ),
+    ("calibrate scale @/good.exr --camera @/body.toml --out @/c.toml", "an OpenEXR picture", 3),
+    ("calibrate shutter @/good.toml --camera @/body.toml --out @/c.toml", "this is a file", 3),
+    ("calibrate linearity @/photos --camera @/body.toml --out @/c.toml", "camera's raw files", 3),
+    ("calibrate pixels @/empty --camera @/body.toml --out @/c.toml", "no frames in this", 3),
+    ("pack @/session @/o.zip", "--title", 2),
+    ("scene click @/good.exr", "this is a file", 3),
+    ("watch @/session --port 70000", "65535", 2),
+    ("permit @/none", "does not exist", 2),
     ("mrege @/session", "merge", 2),
     ("merge @/session --hieght 100", "No such option", 2),
 ]
+
+
+def test_a_picture_goes_into_a_new_folder(desk: Path) -> None:
+    picture = desk / "new" / "v.png"
+    shown = CliRunner().invoke(main, ["view", str(desk / "good.exr"), "--out", str(picture)])
+    assert shown.exit_code == 0 and picture.is_file(), shown.output
 
 
 @pytest.mark.parametrize(("words", "named", "code"), CASES, ids=[case[0] for case in CASES])

@@ -301,14 +301,14 @@ def clock_offset(
     if fitting_offsets(groups, slots):
         found = "several UTC offsets of the camera's clock fit the plan equally well"
         remedy = "state the camera's offset, for example --utc-offset -08:00"
-        raise InputError("import", found, "one offset that fits best", remedy)
+        raise InputError("the card", found, "one offset that fits best", remedy)
     first, last = (min(g.t_camera for g in groups), max(g.t_camera for g in groups))
     near = min((slot.t_utc for slot in slots), key=lambda t: abs(t - first), default=None)
     span = f"the brackets from {first:%Y-%m-%d %H:%M} to {last:%Y-%m-%d %H:%M}"
     raise InputError(
-        "import",
+        "the card",
         f"{span} by the camera's clock match no slot of the plan",
-        f"brackets near slots, such as the slot nearest to the first bracket, at {near} UTC",
+        f"brackets near slots, such as the one nearest to the first bracket, {str(near)[:16]} UTC",
         "check that this is the right card; correct a wrong date, for example by one day: "
         'exiftool -AllDates+="0:0:1 0:0:0" FOLDER',
     )

@@ -179,6 +179,8 @@ def lens(
         raise click.UsageError("--circle and --chessboard exclude each other")
     if circle and len(sources) != 1:
         raise click.UsageError(f"--circle works on one FRAME; {len(sources)} files were named")
+    if not circle and chessboard is None and sources[0].suffix.lower() != ".csv":
+        raise click.UsageError(f"{sources[0]}: name TARGETS.csv, or --circle or --chessboard CxR")
     index = _lens_index(profile, lens_number)
     if circle:
         return _by_circle(sources[0], profile, index)
@@ -187,9 +189,12 @@ def lens(
 
 def _by_circle(frame: Path, profile: CameraProfile, index: int) -> FittedPart:
     from fieldlum.calibrate import lens as lenses
+    from fieldlum.optics.linear_light import check_frame
 
     start = profile.lens[index]
-    found = lenses.circle(lenses.grey_picture(frame), start, frame)
+    grey = lenses.grey_picture(frame)
+    check_frame(frame, grey.shape, "", profile)
+    found = lenses.circle(grey, start, frame)
     (x, y), radius_px = found.centre_px, found.radius_px
     new = replace(start, centre_px=(round(x, 2), round(y, 2)), radius_px=round(radius_px, 2))
     changed, chart = _with_lens(profile, index, new), lenses.circle_chart(found, frame)

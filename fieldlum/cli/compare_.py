@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 from fieldlum.cli.declared import EXISTING_PATH
-from fieldlum.cli.options import command_of
+from fieldlum.cli.options import Azimuths, command_of
 from fieldlum.cli.terminal import print_answer, progress, say, table_lines
 
 _SURFACES = {
@@ -35,7 +35,7 @@ def command(
     session_folder: Path,
     result: Annotated[Path, EXISTING_PATH],
     out: Path | None = None,
-    view_azimuths: tuple[float, ...] = (),
+    view_azimuths: Azimuths = (),
     as_json: bool = False,
 ) -> None:
     """Compare a simulation with the measurement: where it errs, and when.

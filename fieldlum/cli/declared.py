@@ -38,6 +38,8 @@ class _LocalPath(click.Path):
     """
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if value == "":  # as of an empty variable of the shell; Path would be the current folder
+            self.fail("an empty text; expected a path", param, ctx)
         if "://" in str(value):
             self.fail(
                 f"{value} is a URL; expected a path, because a bucket has no locks; copy folders "

@@ -6,14 +6,12 @@ from pathlib import Path
 
 import click
 
-from fieldlum.cli.options import command_of
+from fieldlum.cli.options import Azimuths, command_of
 from fieldlum.cli.terminal import progress
 
 
 @command_of("export")
-def command(
-    session_folder: Path, out: Path | None = None, view_azimuths: tuple[float, ...] = ()
-) -> None:
+def command(session_folder: Path, out: Path | None = None, view_azimuths: Azimuths = ()) -> None:
     """Write a session's results for other programs.
 
     maps/SLOT-AZIMUTH.hdr: Radiance fisheyes with VIEW, for evalglare; sky_view.csv: the share of

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import click
 
 from fieldlum.cli.declared import FILE_PATH
-from fieldlum.cli.options import command_of, new_file
+from fieldlum.cli.options import Azimuths, command_of, new_file
 from fieldlum.cli.terminal import print_answer, say, table_lines
 from fieldlum.core.records import JsonTable
 
@@ -35,7 +35,7 @@ _COLUMNS = {
 @command_of("glare")
 def command(
     images: tuple[Path, ...],
-    view_azimuths: tuple[float, ...] = (),
+    view_azimuths: Azimuths = (),
     view_options: str = "",
     part: str = "",
     calibrate_ev_lx: Annotated[float | None, click.FloatRange(min=0, min_open=True)] = None,
@@ -76,7 +76,7 @@ def command(
         )
     for path in (csv_path, budget_path):
         new_file(path, force)
-    from fieldlum.core.errors import InputError
+    from fieldlum.core.errors import InputError, NotEnoughDataError
     from fieldlum.session import open_session
     from fieldlum.session.codec import write_csv
     from fieldlum.year.glare.budget import budget_of_file, write_budgets
@@ -84,6 +84,8 @@ def command(
 
     folders = [open_session(path).panorama_files() if path.is_dir() else [path] for path in images]
     pictures = list(chain.from_iterable(folders))
+    if not pictures:
+        raise NotEnoughDataError(f"{images[0]}: no panorama to judge; run fieldlum merge SESSION")
     judge = partial(picture_glare, view_options=view_options, part=part, lamps=lamps)
     rows: list[dict[str, Any]] = []
     budgets: list[tuple[str, Budget]] = []

@@ -156,7 +156,8 @@ def _flat(table: Facts, prefix: str = "") -> Facts:
 def _csv(path: Path) -> Facts:
     from fieldlum.session import PLAN_COLUMNS, read_plan
 
-    head, *rows = path.read_text(encoding="utf-8", errors="replace").splitlines() or [""]
+    lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    head, *rows = [line for line in lines if not line.startswith("#")] or [""]
     if tuple(head.split(",")) != PLAN_COLUMNS:
         return {"kind": "table", "rows": len(rows), "columns": head}
     slots = read_plan(path)

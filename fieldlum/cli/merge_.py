@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import click
 
@@ -33,7 +33,7 @@ def command(
     out: Path | None = None,
     size: str | None = None,
     projection: Literal["equirect", "fisheye"] = "equirect",
-    heading: float = 180.0,
+    heading: Annotated[float, click.FloatRange(-360, 360)] = 180.0,
     fit: bool | None = None,
     scheduler_text: str = "local",
     force: bool = False,
@@ -78,8 +78,11 @@ def command(
         answer = {"out": str(out), "verdict": result.verdict, **facts, "quality": result.quality}
         print_answer(as_json, answer, _lines(out, result, facts))
         return
-    if more or camera or out or projection != "equirect":
-        raise click.UsageError("several files, --camera, --out and --projection need --frames")
+    if session.is_file() or more or camera or out or projection != "equirect" or heading != 180.0:
+        raise click.UsageError(
+            "files, --camera, --out, --projection and --heading need --frames; a session has its "
+            "own camera and heading"
+        )
     opened = open_session(session)
     options = merge.MergeOptions(picture_height(size or _present_size(opened)), fit=fit)
     scheduler = scheduler_of(scheduler_text)

@@ -71,6 +71,7 @@ def command(
         return
     if photo is not None:
         raise click.UsageError("--photo describes an own camera: name a profile with --camera")
+    site_file.parent.mkdir(parents=True, exist_ok=True)
     dialogue = Dialogue(site_file)
     setup = SiteFile(_site(dialogue), _camera(dialogue))
     profile = load_camera_profile(setup.camera.profile)

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 CaptureSet = Literal["month", "9-day", "12-day", "4-day", "even", "best"]
 Above0 = Annotated[float, click.FloatRange(min=0, min_open=True)]
+Azimuths = Annotated[tuple[float, ...], click.FloatRange(-360, 360)]
 Port = Annotated[int, click.IntRange(0, 65535)]
 Year = Annotated[int | None, click.IntRange(1950, 2100)]
 

@@ -65,6 +65,9 @@ def command(
         "--next and --replan exclude each other": next_ and replan,
         "--next and --replan work on a session, with its dates: omit --set, --out, --start, "
         "--year, --days and --count": of_session and (set_ or any(dates)),
+        f"{target} is a folder: a new plan needs a SITE.toml; a session takes --next or --replan": (
+            target.is_dir() and not of_session
+        ),
         "--label-shift is for a weather file: name one with --weather": label_shift_min
         and not weather_file,
         f"name --set and --out, {example}": not of_session and not (set_ and out),

@@ -73,6 +73,28 @@ def reason_of(error: BaseException) -> str:
     return str(error) or type(error).__name__
 
 
+# First bytes of files that are no text, or a picture (their formats' specifications).
+_KINDS = {
+    b"CDF": "a netCDF file",
+    b"\x89HDF": "a netCDF or HDF5 file",
+    b"PK\x03\x04": "a zip archive or a spreadsheet (xlsx)",
+    b"\xd0\xcf\x11\xe0": "a spreadsheet (xls)",
+    b"\x1f\x8b": "a gzip archive",
+    b"%PDF": "a PDF",
+    b"\xff\xd8\xff": "a JPEG picture",
+    b"\x89PNG": "a PNG picture",
+    b"II*\0": "a raw or TIFF picture",
+    b"MM\0*": "a raw or TIFF picture",
+    b"v/1\x01": "an OpenEXR picture",
+    b"#?RADIANCE": "a Radiance picture",
+}
+
+
+def kind_of(data: bytes) -> str:
+    """Return the kind of a file by its first bytes; "" for a text and an unknown file."""
+    return next((kind for start, kind in _KINDS.items() if data.startswith(start)), "")
+
+
 @contextmanager
 def input_errors(
     source: Path | str, expected: str, remedy: str, *kinds: type[Exception]

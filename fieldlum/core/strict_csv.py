@@ -14,20 +14,11 @@ from dataclasses import dataclass
 from datetime import UTC, date, datetime
 from pathlib import Path
 
-from fieldlum.core.errors import InputError, input_errors
+from fieldlum.core.errors import InputError, input_errors, kind_of
 
 Line = tuple[int, str]
 """The number of a line in its file, from 1, and its text."""
 
-# First bytes of files that are no text (their formats' specifications).
-_NOT_TEXT = {
-    b"CDF": "a netCDF file",
-    b"\x89HDF": "a netCDF or HDF5 file",
-    b"PK\x03\x04": "a zip archive or a spreadsheet (xlsx)",
-    b"\xd0\xcf\x11\xe0": "a spreadsheet (xls)",
-    b"\x1f\x8b": "a gzip archive",
-    b"%PDF": "a PDF",
-}
 # Share of zero bytes. UTF-16 without its mark has about half; a damaged block has few. Chosen.
 _MAX_ZERO_BYTES = 0.25
 # A cell outside is an error. Every hourly mean of a real sky is inside: the solar constant is 1361
@@ -51,9 +42,8 @@ def read_text(path: Path, expected: str, remedy: str = "check the path") -> str:
     """
     with input_errors(path, expected, remedy, OSError):
         data = path.read_bytes()
-    for start, kind in _NOT_TEXT.items():
-        if data.startswith(start):
-            raise InputError(path, kind, expected, "export it as csv")
+    if kind := kind_of(data):
+        raise InputError(path, kind, expected, "name the right file, or export it as csv")
     utf16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     try:
         text = data.decode("utf-16" if utf16 else "utf-8-sig")

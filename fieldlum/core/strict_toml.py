@@ -17,7 +17,7 @@ from typing import Annotated, Any, TypeVar
 import msgspec
 from msgspec import Meta
 
-from fieldlum.core.errors import InputError, input_errors
+from fieldlum.core.errors import InputError, input_errors, kind_of
 
 T = TypeVar("T")
 TomlTable = dict[str, Any]
@@ -36,6 +36,12 @@ _WORDS = {
     "str": "text",
     "object": "a table",
     "array": "a list",
+}
+# A table that only one kind of file has, with the kind and which file to name.
+_KINDS = {
+    "site": ("a SITE.toml", "name the file that fieldlum new wrote"),
+    "setup": ("the session.toml of a session", "name its folder"),
+    "lens": ("a camera profile", "name a shipped one or a file, as [camera] of SITE.toml does"),
 }
 _SIGNS = {"latitude_deg": " (south is negative)", "longitude_deg": " (west is negative)"}
 
@@ -80,6 +86,11 @@ def build(cls: type[T], table: TomlTable, where: str) -> T:
     table gets the field's default. where: name of the file or table, for errors. Raises InputError
     for an unknown key, a missing key without a default, and a value of another type.
     """
+    keys = typing.get_type_hints(cls)
+    for key in (key for key in _KINDS if key in table and key not in keys):
+        own = (f"a file with the tables {', '.join(sorted(keys))}", "name another file")
+        own = next((kind for name, kind in _KINDS.items() if name in keys), own)
+        raise InputError(where, _KINDS[key][0], *own)
     _refuse(cls, table, where)
     with input_errors(where, "", "correct the value", ValueError):
         return convert(table, cls, strict=True)
@@ -125,6 +136,8 @@ def read_toml(path: Path) -> TomlTable:
         # Editors of Windows write a byte order mark before the text.
         return tomllib.loads(data.decode("utf-8-sig").replace("\r\n", "\n"))
     except UnicodeDecodeError as error:
+        if kind := kind_of(data):
+            raise InputError(path, kind, "a TOML file", "check the path of the file") from None
         found = f"byte {error.object[error.start]:#04x}, which is not UTF-8"
         remedy = "save it again with the encoding UTF-8"
         raise InputError(path, found, "TOML in UTF-8", remedy) from None

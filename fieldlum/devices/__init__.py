@@ -27,7 +27,7 @@ from dataclasses import dataclass, field
 from difflib import get_close_matches
 from importlib import import_module
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 from urllib.parse import parse_qsl, unquote
 
 from msgspec import Struct, ValidationError, convert
@@ -230,6 +230,10 @@ class DeviceUri:
         except ValidationError as error:
             why, _, name = str(error).strip("`").partition(" - at `$.")
             what = f"option {name}={self.options[name]}"
+            hint = get_type_hints(kind).get(name)
+            for part in (hint, *get_args(hint)):  # also Literal | None
+                if get_origin(part) is Literal:
+                    why = f"expected one of {', '.join(get_args(part))}"
             raise DeviceError(f"{self.text}: {what}; {why}; correct the URI") from None
 
 

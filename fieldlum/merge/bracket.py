@@ -193,7 +193,7 @@ def _camera_notes(report: MergeReport) -> Iterator[str]:
 
 def _view_notes(report: MergeReport) -> Iterator[str]:
     if clipped := report.clipped_percent:
-        yield f"clipped in every frame: {clipped:.2g} % of the view: add shorter exposures"
+        yield f"clipped in every frame: {clipped:.3g} % of the view: add shorter exposures"
     if (motion := report.motion_percent or 0.0) > 2.0:
         yield (
             f"motion in {motion:.1f} % of the view: people, leaves or clouds moved between frames: "

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Array, Floats, Floats32
-from fieldlum.core.errors import InputError, input_errors
+from fieldlum.core.errors import InputError, input_errors, kind_of
 from fieldlum.core.records import MAX_PIXELS, Flag, Panorama, SunSource, parse_utc, utc_text
 from fieldlum.core.strict_toml import plain
 from fieldlum.optics.profiles import CameraProfile
@@ -201,8 +201,14 @@ def _read_header(file: BinaryIO, path: Path) -> RadianceHeader:
     lines = _header_lines(file)
     formats = [line[7:].strip() for line in lines if line.startswith("FORMAT=")]
     if not lines or not (lines[0].startswith("#?") or formats):
-        remedy = "check which program wrote the file"
-        raise InputError(path, "no Radiance header", "a Radiance .hdr picture", remedy)
+        file.seek(0)
+        kind, remedy = kind_of(file.read(16)), "check which program wrote the file"
+        if kind.endswith("picture"):
+            remedy = "a photo has no luminances: merge its bracket (fieldlum merge --frames FILES "
+            remedy += "--camera PROFILE --out MAP.exr)"
+        raise InputError(
+            path, kind or "no Radiance header", "a Radiance .hdr or an .exr picture", remedy
+        )
     kind = formats[-1] if formats else _RGBE
     if kind not in (_RGBE, _XYZE):
         remedy = "convert it by rcomb -fc -c RGB IN > OUT (spectra), or rmtxop -fc IN > OUT.hdr"

@@ -234,8 +234,13 @@ def open_session(root: Path) -> Session:
     """
     session = Session(root)
     if not session.toml.is_file():
+        found = "no session.toml in this folder" if root.is_dir() else "no such folder"
         remedy = "correct the path, or plan a session with: fieldlum plan SITE.toml"
-        raise InputError(root, "no session.toml in this folder", "a session folder", remedy)
+        if root.is_file():
+            found = "this is a file"
+        if root.name == "session.toml":
+            remedy = f"name its folder: {root.parent}"
+        raise InputError(root, found, "a session folder", remedy)
     remedy = "correct that place, or restore session.toml from a copy"
     refuse_links(root, _checked_names())
     with input_errors(session.toml, "TOML with the types that fieldlum writes", remedy, ValueError):
@@ -256,6 +261,9 @@ def create_session(
     if session.toml.exists():
         remedy = "choose another --out; to plan missed hours again: fieldlum plan SESSION --replan"
         raise InputError(root, "this folder is already a session", "a new folder", remedy)
+    if outer := next((p for p in root.absolute().parents if (p / "session.toml").is_file()), None):
+        found, remedy = f"a folder inside the session {outer}", "choose another --out"
+        raise InputError(root, found, "a folder outside of other sessions", remedy)
     head, plan = ",".join(PLAN_COLUMNS).encode(), session.plan
     if plan.is_file() and not plan.read_bytes().startswith(head):
         found = "a plan.csv of another program"

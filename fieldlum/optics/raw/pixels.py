@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats, Indices
-from fieldlum.core.errors import InputError
+from fieldlum.core.errors import InputError, kind_of
 from fieldlum.core.records import MAX_PIXELS
 from fieldlum.optics.raw.exif import TIFF_VARIANTS, FrameInfo, Tags, info_of, numbers, tags_of
 
@@ -162,9 +162,11 @@ def opened(path: Path) -> Any:
     import rawpy
 
     with path.open("rb") as file:
-        if file.read(3) == b"\xff\xd8\xff":
-            remedy = "give the file the suffix .jpg"
-            raise InputError(path, "the file's content is a JPEG", "a camera raw", remedy)
+        kind = kind_of(file.read(16))
+    if kind == "a JPEG picture":
+        named = path.suffix.lower() in (".jpg", ".jpeg")
+        remedy = "name the camera's raw files" if named else "give the file the suffix .jpg"
+        raise InputError(path, "the file's content is a JPEG", "a camera raw", remedy)
     _check_strips(path)
     try:
         with _damage_messages() as damage:
@@ -175,7 +177,7 @@ def opened(path: Path) -> Any:
         text = reason.decode("ascii", "replace") if isinstance(reason, bytes) else str(reason)
         remedy = "leave the file out if it is no frame; else copy it again or convert it to DNG"
         expected = "a raw file that LibRaw supports"
-        raise InputError(path, f"LibRaw: {text}", expected, remedy) from None
+        raise InputError(path, kind or f"LibRaw: {text}", expected, remedy) from None
     if damage:
         raw.close()
         raise _damaged(path, f"LibRaw: {damage[0]}", "a complete file")
