@@ -195,10 +195,8 @@ def check_profile(session: Session, today: date) -> Iterator[Finding]:
     yield from (warn("camera", text) for text in assumed_texts(setup.camera))
     yield judge_age(profile, today)
     yield from judge_calibration(profile, session.slots())
-    if blind := coverage_text(profile, setup.camera):
-        yield warn("coverage", blind)
-    if turning := turning_text(setup.camera):
-        yield warn("headings", turning)
+    blind, turning = coverage_text(profile, setup.camera), turning_text(setup.camera)
+    yield from (warn(what, t) for what, t in (("coverage", blind), ("headings", turning)) if t)
 
 
 def judge_age(profile: CameraProfile, today: date) -> Finding:

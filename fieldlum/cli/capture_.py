@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, suppress
@@ -82,10 +81,10 @@ def command(
         )
     if pyranometer is None and not pyranometer_uri:
         terminal.say("note: no --pyranometer: irradiance is not logged")
-    if clock == "fast" and (real := _real(camera_uri, pyranometer_uri, meter_uri)):
-        raise click.UsageError(
-            f"--clock fast simulates the time: it works with sim: and replay: devices, not {real}"
-        )
+    used = [uri for uri in (camera_uri, pyranometer_uri, meter_uri) if uri]
+    real = [uri for uri in used if not uri.startswith(("sim:", "replay:"))]
+    if clock == "fast" and real:
+        raise click.UsageError(f"--clock fast is for sim: and replay: devices, not {real[0]}")
     ticking, options = capture.prepare(session, fast=clock == "fast")
     grace = options.grace_s if grace_s is None else grace_s
     options = replace(options, grace_s=grace, log_every_s=every_s)
@@ -96,7 +95,7 @@ def command(
     with (
         terminal.unattended(),
         awake,
-        shown(session.site_file().site, fast=clock == "fast") as display,
+        simulated() if clock == "fast" else shown(session.site_file().site) as display,
         informed(session, post, address, terminal.say, with_picture=notify_picture) as remote,
     ):
 
@@ -144,26 +143,16 @@ def _post(option: str) -> Post | None:
     return apprise_post(targets, option.removeprefix("@")) if targets else None
 
 
-def _real(*uris: str) -> str:
-    """Return the first device that is neither simulated nor a replay; "" if there is none."""
-    return next((uri for uri in uris if uri and not uri.startswith(("sim:", "replay:"))), "")
-
-
 # ----------------------------------------------------------------------------------------------
 # the state of a running capture: all lines on a terminal, the counts of slots in a pipe
 
 
-def panel(live: Live, site: Site, time_left: str = "") -> RenderableType:
-    """Return the state of a capture as a panel that rich can print.
-
-    time_left: real time that a capture in simulated time still takes, "" if unknown.
-    """
+def panel(live: Live, site: Site) -> RenderableType:
+    """Return the state of a capture as a panel that rich can print."""
     from rich.panel import Panel
     from rich.text import Text
 
-    rows = _rows(live, ZoneInfo(site.timezone))
-    rows |= {"left": time_left} if time_left else {}
-    lines = [f"{name:8} {value}" for name, value in rows.items()]
+    lines = [f"{name:8} {value}" for name, value in _rows(live, ZoneInfo(site.timezone)).items()]
     text = Text("\n".join(lines), no_wrap=True, overflow="ellipsis")
     return Panel(text, title=Text(f"fieldlum capture: {site.name}"), width=64)
 
@@ -195,32 +184,33 @@ def _counts(live: Live) -> str:
 
 
 @contextmanager
-def shown(site: Site, *, fast: bool = False) -> Iterator[Watch]:
+def simulated() -> Iterator[Watch]:
+    """Yield a function that shows the progress of simulated time, with the real time left."""
+    with terminal.progress("capture") as show:
+        before: list[int] = []  # slots to do before each call, which follows a slot
+
+        def watch(live: Live) -> None:
+            before.append(live.left + 1)
+            show(before[0] - live.left, before[0], _counts(live))
+
+        yield watch
+
+
+@contextmanager
+def shown(site: Site) -> Iterator[Watch]:
     """Yield a function that shows the state of a capture on stderr.
 
-    On a terminal it shows a panel. Otherwise it prints the counts of slots after the first slot,
-    and at most 20 times in a plan. fast: time is simulated, and an estimate of the real time left
-    is shown.
+    On a terminal it shows a panel. Otherwise it prints the counts of slots, at most 20 times in a
+    plan.
     """
-    started, planned = time.monotonic(), 0
-
-    def time_left(live: Live) -> str:
-        nonlocal planned
-        planned = planned or live.left + 1  # in simulated time the first call follows a slot
-        if not fast or not live.left:
-            return ""
-        pace_s = (time.monotonic() - started) / (planned - live.left)
-        return f"about {pace_s * live.left / 60:.1f} min"
-
     if not terminal.seen():
         settled = -1
 
         def show(live: Live) -> None:
             nonlocal settled
-            last, settled = settled, live.planned - live.left
-            counts = ", ".join(filter(None, (_counts(live), time_left(live))))
-            if settled != last and (last <= 0 or settled % max(1, live.planned // 20) == 0):
-                terminal.say(f"{live.t_utc:%Y-%m-%dT%H:%M:%SZ}  {counts}")
+            before, settled = settled, live.planned - live.left
+            if settled != before and settled % max(1, live.planned // 20) == 0:
+                terminal.say(f"{live.t_utc:%Y-%m-%dT%H:%M:%SZ}  {_counts(live)}")
 
         yield show
         return
@@ -230,7 +220,7 @@ def shown(site: Site, *, fast: bool = False) -> Iterator[Watch]:
     screen = Screen(console=Console(stderr=True), refresh_per_second=4)
     screen.start()
     try:
-        yield lambda live: screen.update(panel(live, site, time_left(live)))
+        yield lambda live: screen.update(panel(live, site))
     finally:
         with suppress(OSError, ValueError):  # the terminal was closed
             screen.stop()

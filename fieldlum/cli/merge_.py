@@ -79,10 +79,7 @@ def command(
         print_answer(as_json, answer, _lines(out, result, facts))
         return
     if session.is_file() or more or camera or out or projection != "equirect" or heading != 180.0:
-        raise click.UsageError(
-            "files, --camera, --out, --projection and --heading need --frames; a session has its "
-            "own camera and heading"
-        )
+        raise click.UsageError("files, --camera, --out, --projection, --heading need --frames")
     opened = open_session(session)
     options = merge.MergeOptions(picture_height(size or _present_size(opened)), fit=fit)
     scheduler = scheduler_of(scheduler_text)

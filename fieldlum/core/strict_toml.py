@@ -88,9 +88,9 @@ def build(cls: type[T], table: TomlTable, where: str) -> T:
     """
     keys = typing.get_type_hints(cls)
     for key in (key for key in _KINDS if key in table and key not in keys):
-        own = (f"a file with the tables {', '.join(sorted(keys))}", "name another file")
-        own = next((kind for name, kind in _KINDS.items() if name in keys), own)
-        raise InputError(where, _KINDS[key][0], *own)
+        own = f"a file with the tables {', '.join(sorted(keys))}", "name another file"
+        expected, remedy = next((kind for name, kind in _KINDS.items() if name in keys), own)
+        raise InputError(where, _KINDS[key][0], expected, remedy)
     _refuse(cls, table, where)
     with input_errors(where, "", "correct the value", ValueError):
         return convert(table, cls, strict=True)

@@ -202,13 +202,9 @@ def _read_header(file: BinaryIO, path: Path) -> RadianceHeader:
     formats = [line[7:].strip() for line in lines if line.startswith("FORMAT=")]
     if not lines or not (lines[0].startswith("#?") or formats):
         file.seek(0)
-        kind, remedy = kind_of(file.read(16)), "check which program wrote the file"
-        if kind.endswith("picture"):
-            remedy = "a photo has no luminances: merge its bracket (fieldlum merge --frames FILES "
-            remedy += "--camera PROFILE --out MAP.exr)"
-        raise InputError(
-            path, kind or "no Radiance header", "a Radiance .hdr or an .exr picture", remedy
-        )
+        found, expected = kind_of(file.read(16)) or "no Radiance header", "a luminance .hdr or .exr"
+        remedy = "merge photos: fieldlum merge --frames FILES --camera PROFILE --out MAP.exr"
+        raise InputError(path, found, expected, remedy)
     kind = formats[-1] if formats else _RGBE
     if kind not in (_RGBE, _XYZE):
         remedy = "convert it by rcomb -fc -c RGB IN > OUT (spectra), or rmtxop -fc IN > OUT.hdr"

@@ -234,10 +234,8 @@ def open_session(root: Path) -> Session:
     """
     session = Session(root)
     if not session.toml.is_file():
-        found = "no session.toml in this folder" if root.is_dir() else "no such folder"
+        found = "this is a file" if root.is_file() else "no session.toml in this folder"
         remedy = "correct the path, or plan a session with: fieldlum plan SITE.toml"
-        if root.is_file():
-            found = "this is a file"
         if root.name == "session.toml":
             remedy = f"name its folder: {root.parent}"
         raise InputError(root, found, "a session folder", remedy)
