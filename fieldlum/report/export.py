@@ -29,6 +29,7 @@ from fieldlum.optics.raw import RAW_SUFFIXES
 from fieldlum.optics.raw.exif import tags_of, text_of
 from fieldlum.room.fit.scene_file import SCENE_TOML, read_scene
 from fieldlum.room.scene.geometry import build
+from fieldlum.room.scene.honeybee import MODEL_NAME, honeybee_model
 from fieldlum.room.scene.radiance import rad_text
 from fieldlum.session import Session, replacing, replacing_path
 from fieldlum.session.codec import write_csv
@@ -47,6 +48,7 @@ if TYPE_CHECKING:
 
 _FISHEYE_PX = 800  # evalglare's documentation recommends at least this; its -vta pictures
 _NORTH = "# y points to azimuth"  # begins a room.rad of `export`
+_MARK_BYTES = 100  # of a file, which name its writer; room.hbjson has its name in the first 50
 _PAIR_COLUMNS = ("dni_wm2", "dhi_wm2", "sun_altitude_deg", "sun_azimuth_deg")
 
 
@@ -58,14 +60,17 @@ def export(
     maps/SLOT-AZ.hdr: Radiance fisheyes with VIEW and the sun, facing `azimuths_deg` (clockwise from
     true north; the camera's heading if empty). sky_view.csv: the share of the sun's beam that
     arrives from each direction, with its 95 % bounds, empty where no lens saw; sky_view_mask.png:
-    the same as a fisheye. room.rad: the fitted room, else the stated one, in room axes. pairs.nc,
-    year.nc: netCDF 3 with units. Raises InputError for a damaged file.
+    the same as a fisheye. room.rad: the fitted room, else the stated one, in room axes;
+    room.hbjson: the same for honeybee, in true north. pairs.nc, year.nc: netCDF 3 with units.
+    Raises InputError for a damaged file.
     """
     panoramas = session.panorama_files()
     if not panoramas and not session.annual_folders():
         raise InputError(session.root, "no merged map and no year", "results", "run fieldlum merge")
     out.mkdir(parents=True, exist_ok=True)
-    files = [*_sky(session, out), *_room(session, out), *_pairs(session, out), *_year(session, out)]
+    seen_deg = azimuths_deg or (session.site_file().camera.heading_deg,)
+    files = [*_sky(session, out), *_room(session, out, seen_deg)]
+    files += [*_pairs(session, out), *_year(session, out)]
     (out / "maps").mkdir(exist_ok=True)
     for number, path in enumerate(panoramas):
         progress(number, len(panoramas), "maps")
@@ -110,7 +115,7 @@ def _sky(session: Session, out: Path) -> list[Path]:
     return [table, picture]
 
 
-def _room(session: Session, out: Path) -> list[Path]:
+def _room(session: Session, out: Path, azimuths_deg: Sequence[float]) -> list[Path]:
     scene = session.root / "scene"
     room: Room | None = session.site_file().room
     if (scene / SCENE_TOML).is_file():
@@ -118,15 +123,17 @@ def _room(session: Session, out: Path) -> list[Path]:
         room = found.room if found.chosen == "fitted" else room
     if room is None or room.kind != "box":
         return []
-    path = out / "room.rad"
-    if path.is_file() and not path.read_bytes().startswith(_NORTH.encode()):
-        raise InputError(
-            path, "a file that export did not write", "another folder", "choose another --out"
-        )
+    path, model = out / "room.rad", out / "room.hbjson"
+    for file, mark in ((path, _NORTH), (model, MODEL_NAME)):
+        if file.is_file() and mark.encode() not in file.read_bytes()[:_MARK_BYTES]:
+            found = "a file that export did not write"
+            raise InputError(file, found, "another folder", "choose another --out")
     north = f"{_NORTH} {(room.wall_azimuth_deg + 180) % 360:g} deg from true north\n"
     with replacing(path, "w", encoding="utf-8") as file:
         file.write(north + rad_text(build(room)))
-    return [path]
+    with replacing(model, "w", encoding="utf-8") as file:
+        json.dump(honeybee_model(room, azimuths_deg), file, indent=1)
+    return [path, model]
 
 
 def _pairs(session: Session, out: Path) -> list[Path]:

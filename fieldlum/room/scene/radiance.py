@@ -32,13 +32,21 @@ _TRACE = ["-ab", "0", "-dj", "0", "-dt", "0", "-dc", "1", "-lr", "4", "-w-"]
 # boxes to .rad
 
 
-def _rectangle(name: str, material: str, axis: int, at_m: float, low: Floats, high: Floats) -> str:
-    """Return a rectangle across an axis as text; low, high: its extent on the other two [3]."""
+def corners_of(axis: int, at_m: float, low: Floats, high: Floats) -> Floats:
+    """Return the corners [4, 3] of a rectangle across an axis, counter-clockwise seen from its end.
+
+    low, high: its extent on the other two axes [3].
+    """
     corners = np.array([low, low, high, high])
     other = (axis + 1) % 3
     corners[1, other], corners[3, other] = high[other], low[other]
     corners[:, axis] = at_m
-    numbers = " ".join(f"{x:.7g}" for x in corners.ravel())
+    return corners
+
+
+def _rectangle(name: str, material: str, axis: int, at_m: float, low: Floats, high: Floats) -> str:
+    """Return a rectangle across an axis as text; low, high: its extent on the other two [3]."""
+    numbers = " ".join(f"{x:.7g}" for x in corners_of(axis, at_m, low, high).ravel())
     return f"{material} polygon {name}\n0\n0\n12 {numbers}\n"
 
 
