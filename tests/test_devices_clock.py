@@ -88,11 +88,11 @@ def test_unknown_option_is_named() -> None:
     with pytest.raises(DeviceError, match=r"unknown option 'sede'; did you mean 'seed'\?"):
         parse_uri("sim:office?sede=1").read(Wanted)
     for text, said in (
-        ("seed=12", "option seed=12; Expected `int` <= 9; correct the URI"),
-        ("seed=one", "option seed=one; Expected `int`"),
-        ("noise=nan", "option noise=nan; Expected `float`"),
-        ("noise=inf", "option noise=inf; Expected `float` <= 1.0"),
-        ("kind=x", "option kind=x"),
+        ("seed=12", "seed = '12', expected a number <= 9; correct the value"),
+        ("seed=one", "seed = 'one', not an integer"),
+        ("noise=nan", "noise = 'nan', expected a number"),
+        ("noise=inf", "noise = 'inf', expected a number <= 1.0"),
+        ("kind=x", "the value 'x'; expected one of spn1"),
     ):
         with pytest.raises(DeviceError, match=said):
             parse_uri(f"sim:office?{text}").read(Wanted)

@@ -63,7 +63,7 @@ def _reason(text: str, value: Any) -> str:
     text, _, place = text.partition(" - at `$")
     place = place.rstrip("`").lstrip(".")
     text = re.sub(r"Object missing required field `(.*)`", r"no entry '\1'", text)
-    text = re.sub(r"Expected `float` ([<>].*)", r"expected a number \1", text)
+    text = re.sub(r"Expected `(?:float|int)` ([<>].*)", r"expected a number \1", text)
     text = re.sub(r"Expected `(.*?)`, got `.*`", lambda m: f"not {_words(m[1])}", text)
     text = re.sub(r"Expected `(.*?)`", lambda m: f"not {_words(m[1])}", text)
     if "..." in place:
@@ -79,8 +79,8 @@ def _words(kinds: str) -> str:
     return " or ".join(_WORDS.get(kind, kind) for kind in kinds.split(" | "))
 
 
-def build(cls: type[T], table: TomlTable, where: str) -> T:
-    """Build the dataclass `cls` from a TOML table, and check every key and value by its type hints.
+def build(cls: type[T], table: TomlTable, where: str, *, strict: bool = True) -> T:
+    """Build the record `cls` from a TOML table, and check every key and value by its type hints.
 
     Nested dataclasses, tuples and Literals are built and checked too. A key that is not in the
     table gets the field's default. where: name of the file or table, for errors. Raises InputError
@@ -93,30 +93,35 @@ def build(cls: type[T], table: TomlTable, where: str) -> T:
         raise InputError(where, _KINDS[key][0], expected, remedy)
     _refuse(cls, table, where)
     with input_errors(where, "", "correct the value", ValueError):
-        return convert(table, cls, strict=True)
+        return convert(table, cls, strict=strict)
 
 
 def _refuse(hint: Any, value: Any, where: str) -> None:
     """Raise InputError for an unknown key, or a number that is not finite, at any depth."""
     if isinstance(value, float) and not math.isfinite(value):
         raise InputError(where, f"the value {value}", "a finite number", "correct the value")
-    if typing.get_origin(hint) is typing.Literal and value not in typing.get_args(hint):
-        expected = f"one of {', '.join(map(str, typing.get_args(hint)))}"
-        raise InputError(where, f"the value {value!r}", expected, "correct the value")
+    for part in (hint, *(typing.get_args(hint) if isinstance(value, str) else ())):
+        if typing.get_origin(part) is typing.Literal and value not in typing.get_args(part):
+            expected = f"one of {', '.join(map(str, typing.get_args(part)))}"
+            raise InputError(where, f"the value {value!r}", expected, "correct the value")
     if isinstance(value, list | tuple):
         for number, inner in enumerate(value, start=1):
             _refuse(hint, inner, f"{where} #{number}")
     if not isinstance(value, dict):
         return
-    kind = next((part for part in (hint, *typing.get_args(hint)) if is_dataclass(part)), None)
+    kind = next((part for part in (hint, *typing.get_args(hint)) if _is_record(part)), None)
     known = typing.get_type_hints(kind) if kind is not None else dict.fromkeys(value)
     for key, inner in value.items():
         if key not in known:
             near = get_close_matches(key, known, n=1)
-            keys = f"known keys: {', '.join(sorted(known))}"
+            keys = f"known keys: {', '.join(sorted(known)) or 'none'}"
             remedy = f"did you mean '{near[0]}'?" if near else keys
             raise InputError(where, f"unknown key '{key}'", remedy=remedy)
         _refuse(known[key], inner, f"{where} [{key}]")
+
+
+def _is_record(kind: Any) -> bool:
+    return is_dataclass(kind) or hasattr(kind, "__struct_fields__")
 
 
 def read_toml(path: Path) -> TomlTable:

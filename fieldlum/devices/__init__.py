@@ -24,16 +24,16 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar
 from urllib.parse import parse_qsl, unquote
 
-from msgspec import Struct, ValidationError, convert
+from msgspec import Struct
 
-from fieldlum.core.errors import DeviceError
+from fieldlum.core.errors import DeviceError, InputError
 from fieldlum.core.records import Exposure, IrradianceSample, shutter_text
+from fieldlum.core.strict_toml import build
 from fieldlum.devices.clock import Clock
 from fieldlum.optics.photometry import SAME_SETTING_EV
 from fieldlum.session import Session
@@ -219,22 +219,10 @@ class DeviceUri:
 
         Raises DeviceError, naming the option, for an unknown option or a bad value.
         """
-        names = kind.__struct_fields__
-        if unknown := [name for name in self.options if name not in names]:
-            near = get_close_matches(unknown[0], names, n=1)
-            known = f"known: {', '.join(sorted(names)) or 'none'}"
-            hint = f"did you mean '{near[0]}'?" if near else known
-            raise DeviceError(f"{self.text}: unknown option '{unknown[0]}'; {hint}")
         try:
-            return convert(self.options, kind, strict=False)
-        except ValidationError as error:
-            why, _, name = str(error).strip("`").partition(" - at `$.")
-            what = f"option {name}={self.options[name]}"
-            hint = get_type_hints(kind).get(name)
-            for part in (hint, *get_args(hint)):  # also Literal | None
-                if get_origin(part) is Literal:
-                    why = f"expected one of {', '.join(get_args(part))}"
-            raise DeviceError(f"{self.text}: {what}; {why}; correct the URI") from None
+            return build(kind, self.options, self.text, strict=False)
+        except InputError as error:
+            raise DeviceError(str(error).replace("unknown key", "unknown option")) from None
 
 
 def parse_uri(text: str) -> DeviceUri:

@@ -129,9 +129,7 @@ def parse_line(profile: AsciiProfile, line: bytes) -> dict[str, float]:
     outside its limits.
     """
     text = body_of(profile, line)
-    words = {"regex": _by_regex, "key-value": _by_keys, "json": _by_json}[profile.form](
-        profile, text
-    )
+    words = _WORDS[profile.form](profile, text)
     keys = [e.key for e in profile.entry]
     if missing := [key for key in keys if key not in words]:
         raise _bad(text, f"has no key {', '.join(missing)}")
@@ -169,12 +167,10 @@ def crc16(data: bytes) -> int:
 
     This equals `_crc16_update` of avr-libc.
     """
-    crc = 0xFFFF
-    for byte in data:
-        crc ^= byte
-        for _ in range(8):
-            crc = (crc >> 1) ^ 0xA001 if crc & 1 else crc >> 1
-    return crc
+    from pymodbus.framer import FramerRTU
+
+    # pymodbus returns the two bytes in the order in which Modbus sends them.
+    return int.from_bytes(FramerRTU.compute_CRC(data).to_bytes(2, "big"), "little")
 
 
 def _by_regex(profile: AsciiProfile, text: str) -> Mapping[str, object]:
@@ -210,6 +206,9 @@ def _by_json(profile: AsciiProfile, text: str) -> Mapping[str, object]:
     return parsed
 
 
+_WORDS = {"regex": _by_regex, "key-value": _by_keys, "json": _by_json}
+
+
 def _value(word: object, entry: AsciiField, text: str) -> float:
     """Return the quantity of an entry. Raises DeviceError for a number of another form or range."""
     number = word if isinstance(word, str) else ""
@@ -238,8 +237,7 @@ def sample_of(t_utc: datetime, values: Mapping[str, float | None], raw: str) -> 
 
     raw : the instrument's own text, stored with the sample.
     """
-    ghi, dhi, dni = values.get("ghi_wm2"), values.get("dhi_wm2"), values.get("dni_wm2")
-    return IrradianceSample(t_utc, ghi, dhi, dni, values.get("temperature_c"), raw=raw)
+    return IrradianceSample(t_utc, **{"ghi_wm2": None, **values}, raw=raw)
 
 
 # ----------------------------------------------------------------------------------------------

@@ -5,7 +5,7 @@ from __future__ import annotations
 import select
 import subprocess
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from typing import Any
 
 # A closed lid needs a lock of its own. If it is refused (for example in a remote login), the other
@@ -21,44 +21,24 @@ def kept_awake() -> Iterator[str]:
     The names are those of systemd, joined by colons (``sleep:idle:handle-lid-switch``), or "" if no
     lock was granted. The lock ends with this process, even after a crash.
     """
-    process, granted = None, ""
-    for what in _WHAT:
-        if (process := _inhibit(what)) is not None:
-            granted = what
-            break
-    try:
-        yield granted
-    finally:
-        if process is not None:
-            _end(process)
+    with ExitStack() as processes:
+        yield next((what for what in _WHAT if _is_granted(what, processes)), "")
 
 
-def _inhibit(what: str) -> subprocess.Popen[Any] | None:
-    """Start `cat` under the lock; return its process, or None if the lock is refused.
+def _is_granted(what: str, processes: ExitStack) -> bool:
+    """Start `cat` under the lock, until `processes` closes; return whether the lock is granted.
 
     The process answers once the lock is granted, and ends when this process ends.
     """
     command = ["systemd-inhibit", f"--what={what}", "--who=fieldlum", "--why=captures are planned"]
-    pipes: dict[str, Any] = {
-        "stdin": subprocess.PIPE,
-        "stdout": subprocess.PIPE,
-        "stderr": subprocess.DEVNULL,
-    }
-    try:
-        process = subprocess.Popen([*command, "cat"], bufsize=0, start_new_session=True, **pipes)
-    except OSError:
-        return None
-    assert process.stdin is not None and process.stdout is not None
+    pipe = subprocess.PIPE
+    pipes: dict[str, Any] = {"stdin": pipe, "stdout": pipe, "stderr": subprocess.DEVNULL}
     with suppress(OSError):
+        process = subprocess.Popen([*command, "cat"], bufsize=0, start_new_session=True, **pipes)
+        processes.enter_context(process)
+        processes.callback(process.kill)
+        assert process.stdin is not None and process.stdout is not None
         process.stdin.write(b"?\n")
         answered = select.select([process.stdout], [], [], _PATIENCE_S)[0]
-        if answered and process.stdout.read(2) == b"?\n":
-            return process
-    _end(process)
-    return None
-
-
-def _end(process: subprocess.Popen[Any]) -> None:
-    """End a process and close its pipes."""
-    with process:
-        process.kill()
+        return bool(answered) and process.stdout.read(2) == b"?\n"
+    return False

@@ -123,8 +123,8 @@ class RegisterProfile:
 class Decoded:
     """The decoded content of some registers.
 
-    values : numbers by name of the entry; texts : texts and dates by name of the entry; status :
-    the status words that report a fault, as NAME=NUMBER, or "".
+    values : numbers by name of the entry; texts : all entries as text; status : the status words
+    that report a fault, as NAME=NUMBER, or "".
     """
 
     values: dict[str, float]
@@ -173,16 +173,12 @@ def load_register_profile(kind: str) -> RegisterProfile:
     return profile
 
 
-def _bytes(words: Sequence[int]) -> bytes:
-    return struct.pack(f">{len(words)}H", *words)
-
-
 def raw_value(kind: str, words: Sequence[int]) -> float:
     """Return the number in `words`, 16-bit registers with the high word first.
 
     kind : u16, s16, u32, s32, f32 or date.
     """
-    return float(struct.unpack(_CODES[kind], _bytes(words))[0])
+    return float(struct.unpack(_CODES[kind], struct.pack(f">{len(words)}H", *words))[0])
 
 
 def date_text(number: float) -> str:
@@ -199,19 +195,21 @@ def decode(profile: RegisterProfile, registers: Mapping[int, int]) -> Decoded:
     A value that is not finite is omitted. Raises DeviceError for an irradiance that is not finite
     or outside -200 to 4000 W/m2, and for a power of ten outside -1 to 2.
     """
-    decoded, faults = Decoded({}, {}, ""), []
+    values: dict[str, float] = {}
+    texts: dict[str, str] = {}
+    faults: list[str] = []
     who = f"{profile.maker} {profile.kind}"
     for entry in profile.entry:
         if not entry.registers <= registers.keys():
             continue
         words = [registers[r] for r in entry.own_registers]
         if entry.type == "text":
-            text = _bytes(words).decode("ascii", "ignore")
-            decoded.texts[entry.name] = "".join(filter(str.isprintable, text)).strip()
+            text = struct.pack(f">{len(words)}H", *words).decode("ascii", "ignore")
+            texts[entry.name] = "".join(filter(str.isprintable, text)).strip()
             continue
         number = raw_value(entry.type, words)
         if entry.type == "date":
-            decoded.texts[entry.name] = date_text(number)
+            texts[entry.name] = date_text(number)
             continue
         if entry.allow and number not in entry.allow:
             faults.append(f"{entry.name}={number:.0f}")
@@ -226,8 +224,8 @@ def decode(profile: RegisterProfile, registers: Mapping[int, int]) -> Decoded:
             found = f"{number:g} W/m2; expected {MIN_WM2:g} to {MAX_WM2:g} W/m2"
             raise DeviceError(f"{who}: {found}; check the kind in the URI")
         if math.isfinite(number):
-            decoded.values[entry.name] = number
-    return Decoded(decoded.values, decoded.texts, " ".join(faults))
+            values[entry.name], texts[entry.name] = number, f"{number:.10g}"
+    return Decoded(values, texts, " ".join(faults))
 
 
 # ----------------------------------------------------------------------------------------------
@@ -272,25 +270,15 @@ class ModbusPyranometer(Pyranometer):
             about = [self._ask(unit, blocks)[0] for unit in units.values()]
 
         def texts(name: str) -> list[str]:
-            numbers = [f"{d.values[name]:.10g}" if name in d.values else "" for d in about]
-            return [t for d, n in zip(about, numbers, strict=True) if (t := d.texts.get(name) or n)]
+            return [text for d in about if (text := d.texts.get(name))]
 
-        model, *others = (
-            " + ".join(texts(n)) for n in ("model", "serial", "firmware", "sensitivity")
-        )
-        serial, firmware, sensitivity = others
-        self.info = InstrumentInfo(
-            profile.kind,
-            model or f"{profile.maker} {profile.models[0]}",
-            serial,
-            firmware,
-            min(texts("calibration_date"), default=""),
-            sensitivity,
-            " ".join(d.status for d in about if d.status),
-            self.name,
-            tuple(units),
-            "CRC-16",
-        )
+        names = "model", "serial", "firmware", "sensitivity"
+        what: dict[str, Any] = {name: " + ".join(texts(name)) for name in names}
+        what["model"] = what["model"] or f"{profile.maker} {profile.models[0]}"
+        what["calibration_date"] = min(texts("calibration_date"), default="")
+        what["status"] = " ".join(d.status for d in about if d.status)
+        how = {"port": self.name, "gives": tuple(units), "guard": "CRC-16"}
+        self.info = InstrumentInfo(profile.kind, **what, **how)
 
     def read(self) -> IrradianceSample:
         """Read all units, one after the other, and return one reading, with the time of the first.
@@ -322,11 +310,10 @@ class ModbusPyranometer(Pyranometer):
         from pymodbus.exceptions import ModbusException
 
         whose = f"{self.name}: {self._profile.kind} unit {unit}"
-        read = self._client.read_holding_registers
-        if self._profile.function == 4:
-            read = self._client.read_input_registers
+        name = {3: "read_holding_registers", 4: "read_input_registers"}[self._profile.function]
         try:
             with device_errors(self.name):
+                read = getattr(self._client, name)
                 answer = read(block.start, count=block.count, device_id=unit)
         except ModbusException:  # no answer, one with a wrong checksum, or a lost connection
             remedy = "check wiring, power, unit number, baud rate and parity"
