@@ -558,7 +558,7 @@ def test_one_head_of_a_chain_on_a_pty() -> None:
     assert asked[:3] == [PC_MODE, b"03100200", b"03100200"] and not ranges
     with pytest.raises(DeviceError, match="does not answer"):
         open_meter(f"t10a:{instrument.port}?parity=N&head=7", clock=CLOCK)
-    with pytest.raises(DeviceError, match="head = .30., expected a number <= 29"):
+    with pytest.raises(DeviceError, match=r"head = .30., expected a number <= 29"):
         open_meter(f"t10a:{instrument.port}?head=30", clock=CLOCK)
     with pytest.raises(DeviceError, match="unknown option 'head'"):
         open_meter(f"cl200a:{instrument.port}?head=3", clock=CLOCK)

@@ -152,7 +152,11 @@ CASES = [
     ("new @/n.toml --camera @/good.toml", "a SITE.toml; expected a camera profile", 3),
     ("new @/n.toml --photo @/true.JPG", "--camera", 2),
     ("doctor @/session/session.toml", "this is a file.*name its folder: @/session", 3),
-    ("doctor @/session --pyranometer serial:/dev/x?kind=no", "[kind]: the value .no.; expected one of spn1", 4),
+    (
+        "doctor @/session --pyranometer serial:/dev/x?kind=no",
+        "the value .no.; expected one of spn1",
+        4,
+    ),
     ("doctor @/session --pyranometer modbus:/dev/x?kind=smp&parity=Q", "one of N, E, O", 4),
     ("doctor @/session --camera @/body.toml", "not a device URI; expected one like sim:", 4),
     ("capture @/good.toml --camera sim:office", "a file; expected a session folder", 3),
