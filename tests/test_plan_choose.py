@@ -123,9 +123,9 @@ def test_coverage_grows_with_the_set(weather: Weather) -> None:
 @pytest.mark.contract
 @pytest.mark.parametrize("latitude", [-90.0, -33.9, 0.0, 69.6, 90.0])
 def test_figures_draw_anywhere(latitude: float, weather: Weather) -> None:
-    site = Site("x", latitude, 0.0)
-    hours = daylight_hours(span(date(2027, 3, 20), 2), site)
-    assert calendar._svg(calendar.sky_chart(2027, hours, site, band=True)).startswith("<svg")
+    setup = SiteFile(Site("x", latitude, 0.0))
+    hours = daylight_hours(span(date(2027, 3, 20), 2), setup.site)
+    assert calendar._svg(calendar.sky_chart(hours, setup)).startswith("<svg")
     assert calendar.irradiance_figure(_set("4-day"), SEATTLE, weather).axes
 
 

@@ -130,17 +130,17 @@ def test_a_model_without_held_out_maps_shows_its_scores(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_names_are_escaped(session: Session, tmp_path: Path) -> None:
-    from fieldlum.report.page import render
+    from fieldlum.report.page import Page, render
 
-    text = render("<script>alert(1)</script>", "a", "b", (), ())
+    text = render(Page("<script>alert(1)</script>", "a", "b", (), ()))
     assert "<script>alert(1)" not in text
 
 
 def test_the_plot_comes_before_the_warnings() -> None:
     """Above it, three of them filled the first screen of a laptop."""
-    from fieldlum.report.page import Figure, render
+    from fieldlum.report.page import Figure, Page, render
 
-    text = render("place", "a", "b", (), (), ["Look."], Figure("<svg></svg>", "spoken", "c"))
+    text = render(Page("place", "a", "b", (), (), ["Look."], Figure("<svg></svg>", "spoken", "c")))
     assert text.index('class="answer"') < text.index("<svg>") < text.index("Look.")
 
 

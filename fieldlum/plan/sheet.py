@@ -11,14 +11,14 @@ from collections.abc import Sequence
 from datetime import UTC, date, datetime, timedelta
 from html import escape
 from io import StringIO
-from itertools import groupby
+from itertools import accumulate, groupby
 from typing import TYPE_CHECKING, Any
 from zoneinfo import ZoneInfo
 
 import numpy as np
 
 from fieldlum.core.plot_style import AMBER, BLUE, GRID, INK, PALE, RED, SAND, open_axes, styled
-from fieldlum.core.records import CameraSetup, Site, SiteFile, Slot, utc_text
+from fieldlum.core.records import Site, SiteFile, Slot, utc_text
 from fieldlum.optics.profiles import assumed_texts
 from fieldlum.optics.projection import altitude_azimuth_deg
 from fieldlum.plan.days import (
@@ -117,10 +117,8 @@ def html(
     days = by_day(slots, setup.site)
     loader, escape_all = PackageLoader("fieldlum.plan", ""), select_autoescape(default=True)
     environment = Environment(loader=loader, autoescape=escape_all)
-    sheets, before = [], 0
-    for number, (day, group) in enumerate(days, start=1):
-        before += len(group)
-        sheets.append(_sheet(number, day, group, setup, cost, before))
+    counts = accumulate(len(group) for _, group in days)
+    sheets = [_sheet(*day, setup, cost, count) for day, count in zip(days, counts, strict=True)]
     return environment.get_template("sheet.html.j2").render(
         site=setup.site,
         sheets=sheets,
@@ -139,8 +137,7 @@ def _figures(slots: Sequence[Slot], setup: SiteFile, weather: Weather | None) ->
         f"{site.name}: {len(hours)} captures reach {sun_band_percent(hours, site):.0f} % of the "
         f"year's sun band (dark: within {NEAR_DEG:g} deg of a captured sun)"
     )
-    year = hours.t_utc[0].year if len(hours) else datetime.now(UTC).year
-    chart = _svg(sky_chart(year, hours, site, band=True))
+    chart = _svg(sky_chart(hours, setup))
     texts = [room_svg(setup), f"<p>{escape(title)}</p>{chart}"]
     if weather is not None:
         texts.append(_svg(irradiance_figure(hours, site, weather)))
@@ -187,12 +184,7 @@ def irradiance_figure(hours: DaylightHours, site: Site, weather: Weather) -> Fig
 
 
 def _sheet(
-    number: int,
-    day: date,
-    slots: list[Slot],
-    setup: SiteFile,
-    cost: tuple[float, float],
-    so_far: int,
+    day: date, slots: list[Slot], setup: SiteFile, cost: tuple[float, float], so_far: int
 ) -> dict[str, object]:
     zone = ZoneInfo(setup.site.timezone)
     tags = sorted({tag for slot in slots for tag in slot.tags if tag in SEASON_TAGS})
@@ -201,7 +193,6 @@ def _sheet(
     times = {"Sunrise": today.rise, "sunset": today.set}
     shown = [f"{name} {t.astimezone(zone):%H:%M}" for name, t in times.items() if t]
     return {
-        "number": number,
         "date": f"{day:%A %d %B %Y}".replace(" 0", " "),
         "season": " ".join(tags).replace("-", " ").capitalize(),
         "rise_and_set": ", ".join(shown) or "The sun neither rises nor sets today",
@@ -216,7 +207,7 @@ def _sheet(
         "size_is_known": "profile" not in setup.camera.assumed,
         "gigabytes": f"{len(slots) * megabytes / 1000:.1f}",
         "gigabytes_so_far": f"{so_far * megabytes / 1000:.1f}",
-        "sun_path": _svg(sky_chart(day.year, hours_of(slots), setup.site, day, setup.camera)),
+        "sun_path": _svg(sky_chart(hours_of(slots), setup, day)),
     }
 
 
@@ -232,36 +223,30 @@ def _row(slot: Slot, local: datetime, day: date) -> dict[str, object]:
     }
 
 
-def sky_chart(
-    year: int,
-    hours: DaylightHours,
-    site: Site,
-    day: date | None = None,
-    camera: CameraSetup | None = None,
-    *,
-    band: bool = False,
-) -> Figure:
+def sky_chart(hours: DaylightHours, setup: SiteFile, day: date | None = None) -> Figure:
     """Draw a sky chart (north up, east right) of planned suns and the paths of the seasons.
 
-    day: a path of its own, with the hour of each planned sun; camera: marks in the directions of
-    its headings; band: the year's sun band, where a planned sun is near in another colour (Figure
-    15 of Liu, Colburn and Inanici 2020). A chart of azimuth against altitude would fail in the
-    tropics, where the sun passes the zenith on either side.
+    day: its own path, with the hour of each planned sun and marks in the directions of the camera's
+    headings; None: the year's sun band, where a planned sun is near in another colour (Figure 15 of
+    Liu, Colburn and Inanici 2020). A chart of azimuth against altitude would fail in the tropics,
+    where the sun passes the zenith on either side.
     """
     from matplotlib.figure import Figure
 
+    site, camera = setup.site, setup.camera
+    year = (day or (hours.t_utc[0] if len(hours) else datetime.now(UTC))).year
     figure = Figure(figsize=(3.6, 3.6), layout="constrained")
     axes: Any = figure.add_subplot(projection="polar")
     axes.set(theta_offset=np.pi / 2, theta_direction=-1, rlim=(0, 90), facecolor="#fdf8ec")
     axes.set_xticks(np.radians([0, 90, 180, 270]), ["N", "E", "S", "W"])
     axes.set_yticks([30, 60], ["60", "30"], size=7, color=PALE)
     axes.grid(color=GRID)
-    if band:
+    if day is None:
         directions = band_directions(site, 16)
         altitude, azimuth = altitude_azimuth_deg(directions)
         colour = np.where(near_planned(directions, hours), AMBER, SAND)
         axes.scatter(np.radians(azimuth), 90 - altitude, s=12, c=colour, linewidths=0)
-    if camera is not None and "heading_deg" not in camera.assumed:
+    elif "heading_deg" not in camera.assumed:
         for heading in camera.headings or (camera.heading_deg,):
             axes.plot(np.radians(heading), 85, marker=(3, 0, -heading), color=BLUE, gid="view")
     paths = [(season_date(year, which, site), AMBER, 1.0) for which in (0, 1, 3)]

@@ -11,7 +11,7 @@ from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.records import Site, slot_id
 from fieldlum.core.strict_csv import read_table
 from fieldlum.report import assessor
-from fieldlum.report.page import Section, Table, named, render, sentence
+from fieldlum.report.page import Page, Section, Table, named, render, sentence
 from fieldlum.session import Session, remove_scraps, replacing
 from fieldlum.session.files.model_files import HeldOutMaps, ScoresFile
 from fieldlum.session.files.pairs_csv import PairsFile
@@ -39,10 +39,10 @@ def _budget_section(year: Annual) -> list[Section]:
         figure = f"{float(cells['contribution']):.4f}"
         parts.setdefault(cells["azimuth_deg"], {})[cells["source"]] = figure
     sources = tuple(dict.fromkeys(name for row in parts.values() for name in row))
-    rows = tuple(
+    rows = [
         (named(float(azimuth)), *(row.get(name, "–") for name in sources))
         for azimuth, row in parts.items()
-    )
+    ]
     text = (
         "What each source adds to the standard uncertainty of the DGP exceeded in 5 % of the "
         "occupied hours. Another year's weather, and a blind that moves, are not in it. budget.csv "
@@ -58,10 +58,10 @@ def _page(session: Session, year: Annual | None) -> str:
     site, pairs = session.site_file().site, PairsFile.read(session.pairs)
     model, zone = _model_of(session, year), site.timezone
     shown: list[Section] = []
-    answer = "No year has been predicted yet."
+    answer, polar = "No year has been predicted yet.", None
     why = "Train a model and run fieldlum predict to get the answer here."
     if year is not None:
-        answer, why = sections.answer(year)
+        (answer, why), polar = sections.answer(year), sections.polar(year)
         shown += [sections.directions_section(year), sections.when_section(year, zone)]
         shown.append(sections.looks_section(year, read_pictures(year.folder), zone))
         shown.append(sections.melanopic_section(year, zone))
@@ -70,18 +70,10 @@ def _page(session: Session, year: Annual | None) -> str:
         names = {slot_id(r.t_utc): Path(r.panorama).stem for r in pairs.usable if r.panorama}
         held, scores = HeldOutMaps.find(model), ScoresFile.find(model)
         shown.append(sections.accuracy_section(held, scores, names))
-    shown.append(
-        sections.captures_section(session, site, pairs, {} if year is None else year.hours)
-    )
-    return render(
-        site.name,
-        answer,
-        why,
-        _facts(site, model, year, pairs),
-        shown,
-        _warnings(session, year),
-        None if year is None else sections.polar(year),
-    )
+    hours = {} if year is None else year.hours
+    shown.append(sections.captures_section(session, site, pairs, hours))
+    facts, warnings = _facts(site, model, year, pairs), _warnings(session, year)
+    return render(Page(site.name, answer, why, facts, shown, warnings, polar))
 
 
 def _facts(

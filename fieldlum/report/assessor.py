@@ -13,7 +13,7 @@ from pathlib import Path
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import SiteFile
 from fieldlum.optics.profiles import CameraProfile, find_camera_profile, load_camera_profile
-from fieldlum.report.page import Section, Table, class_name, named, render, sentence
+from fieldlum.report.page import Page, Section, Table, class_name, named, render, sentence
 from fieldlum.report.sections import (
     WELL_EDI_LX,
     directions_section,
@@ -33,6 +33,11 @@ METHOD = (
     "It was tested on days that it had not seen, and predicted each daylight hour of the weather "
     "year. DGP, vertical illuminance and melanopic EDI were computed from the predicted maps at "
     "the camera's place and height. Intervals are for 95 %."
+)
+_ABOUT = (
+    "What each requirement asks, what was found, and what is missing",
+    "Nothing on this page is certified. Words in the column of findings are those of the "
+    "predicted year; “cannot tell” means that the interval spans the limit.",
 )
 
 
@@ -123,11 +128,8 @@ def page(session: Session, annual: Annual | None) -> str:
     ]
     files = ("predict.json", "hourly.csv")
     versions += [(f"{name}, sha256", sha256(annual.folder / name)) for name in files]
-    signatures = Table(
-        ("role", "name", "date", "signature"),
-        [(role, "", "", "") for role in ("measured by", "calculated by", "checked by")],
-        words=True,
-    )
+    roles = [(role, "", "", "") for role in ("measured by", "calculated by", "checked by")]
+    signatures = Table(("role", "name", "date", "signature"), roles, words=True)
     zone = site.timezone
     sections = (
         Section("requirements", "Requirements", tables=(_requirements(annual, zone),)),
@@ -138,15 +140,10 @@ def page(session: Session, annual: Annual | None) -> str:
         Section("versions", "Versions and files", tables=(_words(versions),)),
         Section("signatures", "Signatures", tables=(signatures,)),
     )
-    return render(
-        f"{site.name}: glare and daylight for an assessor",
-        "What each requirement asks, what was found, and what is missing",
-        "Nothing on this page is certified. Words in the column of findings are those of the "
-        "predicted year; “cannot tell” means that the interval spans the limit.",
-        (
-            ("place", f"{site.latitude_deg:.3f}, {site.longitude_deg:.3f}"),
-            ("written", f"{datetime.now(UTC):%d %B %Y}"),
-            ("occupied hours", f"{occupancy.hours}"),
-        ),
-        sections,
+    facts = (
+        ("place", f"{site.latitude_deg:.3f}, {site.longitude_deg:.3f}"),
+        ("written", f"{datetime.now(UTC):%d %B %Y}"),
+        ("occupied hours", f"{occupancy.hours}"),
     )
+    title = f"{site.name}: glare and daylight for an assessor"
+    return render(Page(title, *_ABOUT, facts, sections))

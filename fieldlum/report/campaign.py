@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from fieldlum.core.errors import FieldlumError, InputError
 from fieldlum.core.records import Progress, counted, quiet
 from fieldlum.core.strict_toml import build, read_toml
-from fieldlum.report.page import Section, Table, chip, named, render
+from fieldlum.report.page import Page, Section, Table, chip, named, render
 from fieldlum.report.sections import exceeded_text
 from fieldlum.session import Session, open_session, replacing
 from fieldlum.session.codec import to_json, write_object
@@ -159,15 +159,11 @@ def _page(name: str, rooms: Sequence[RoomOverview]) -> str:
     )
     sums = {"captured": "captures", "to_do": "slots to do", "usable": "usable pairs"}
     facts = [(title, f"{sum(getattr(room, key) for room in rooms)}") for key, title in sums.items()]
-    return render(
-        name,
-        answer,
-        f"{counted(sum(room.failed for room in rooms), 'slot')} failed; "
-        f"{counted(len(broken), 'session')} could not be read.",
-        [("rooms", f"{len(rooms)}"), *facts, ("predicted years", f"{len(judged)}")],
-        [_table(rooms)],
-        [f"{room.session} was skipped. {room.broken}" for room in broken],
-    )
+    facts = [("rooms", f"{len(rooms)}"), *facts, ("predicted years", f"{len(judged)}")]
+    failed = f"{counted(sum(room.failed for room in rooms), 'slot')} failed"
+    why = f"{failed}; {counted(len(broken), 'session')} could not be read."
+    skipped = [f"{room.session} was skipped. {room.broken}" for room in broken]
+    return render(Page(name, answer, why, facts, [_table(rooms)], skipped))
 
 
 def _table(rooms: Sequence[RoomOverview]) -> Section:

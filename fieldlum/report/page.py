@@ -132,35 +132,31 @@ def heat_map(
     return about | {"json": data.replace("</", "<\\/"), "quantities": names}
 
 
-def render(
-    title: str,
-    answer: str,
-    why: str,
-    facts: Sequence[tuple[str, str]],
-    sections: Sequence[Section],
-    warnings: Sequence[str] = (),
-    polar: Figure | None = None,
-) -> str:
-    """Return the page as HTML; all text but SVG and JSON is escaped.
+class Page(NamedTuple):
+    """What a page shows.
 
     answer, why: the direction to sit in, and the reason; facts: (name, value) pairs.
     """
+
+    title: str
+    answer: str
+    why: str
+    facts: Sequence[tuple[str, str]]
+    sections: Sequence[Section]
+    warnings: Sequence[str] = ()
+    polar: Figure | None = None
+
+
+def render(page: Page) -> str:
+    """Return the page as HTML; all text but SVG and JSON is escaped."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     blocks = {"trim_blocks": True, "lstrip_blocks": True, "undefined": StrictUndefined}
     loader = FileSystemLoader(Path(__file__).parent)
     environment = Environment(loader=loader, autoescape=True, **blocks)
     environment.filters["base64"] = lambda data: base64.b64encode(data).decode()
-    return environment.get_template("page.html.j2").render(
-        title=title,
-        answer=answer,
-        why=why,
-        facts=facts,
-        sections=sections,
-        warnings=warnings,
-        polar=polar,
-        version=__version__,
-    )
+    template = environment.get_template("page.html.j2")
+    return template.render(page._asdict(), version=__version__)
 
 
 # ----------------------------------------------------------------------------------------------

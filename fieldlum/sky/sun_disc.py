@@ -64,14 +64,21 @@ class SunDisc:
 
 @dataclass(frozen=True, slots=True)
 class _Band:
-    """The rows of a map in which the disc is searched; arrays [rows, W]."""
+    """The rows of a map of `shape` in which the disc is searched; arrays [rows, W].
 
-    first: int
+    reach_rad: largest distance of a disc's light from its centre, by the size of pixels and the
+    lens's blur; ring_rad: width of the ring around it that is taken as the disc's surroundings.
+    """
+
+    shape: tuple[int, ...]
+    rows: slice
     light: Floats
     solid_sr: Floats
     rays: Floats  # [rows, W, 3]
     clipped: Mask
     pixel_rad: float
+    reach_rad: float
+    ring_rad: float
 
     def angle_rad(self, centre: Floats) -> Floats:
         """Return the angle of each pixel's centre from a unit vector, [rows, W]."""
@@ -115,8 +122,8 @@ def find_disc(
     towards = direction(*expected)
     search = band.angle_rad(towards) <= search_rad
     if near_deg is not None and (band.clipped & search).any():
-        return _clipped_disc(band, search, towards, light.shape)
-    disc = _measured_disc(band, search, light.shape)
+        return _clipped_disc(band, search, towards)
+    disc = _measured_disc(band, search)
     if disc is None or not _is_sun(disc, band, dni_wm2):
         return None
     too_bright = disc.normal_lx > MAX_DISC_CDM2 * SUN_SOLID_ANGLE_SR
@@ -169,58 +176,40 @@ def add_source(
 # steps
 
 
-def _reach_rad(pixel_rad: float) -> float:
-    """Return the largest distance of a disc's light from its centre.
-
-    It follows from the size of pixels and the lens's blur.
-    """
-    return SUN_RADIUS_RAD + 1.5 * pixel_rad + np.radians(0.5)
-
-
-def _ring_rad(pixel_rad: float) -> float:
-    """Return the outer radius of the ring that is taken as the disc's surroundings."""
-    return _reach_rad(pixel_rad) + 3.0 * pixel_rad + np.radians(1.0)
-
-
 def _band(
     light: Floats, clipped: Mask | None, heading_deg: float, altitude_deg: float, search_rad: float
 ) -> _Band:
     height, width = light.shape
     pixel_rad = np.pi / height
-    margin_deg = np.degrees(search_rad + _ring_rad(pixel_rad) + _CLIPPED_REACH_RAD)
-    altitudes = row_altitudes_deg(height)
-    rows = np.flatnonzero(np.abs(altitudes - altitude_deg) <= margin_deg)
-    first, last = int(rows[0]), int(rows[-1]) + 1
-    azimuths = column_azimuths_deg(width, heading_deg)
-    return _Band(
-        first,
-        light[first:last],
-        np.repeat(row_solid_angles(height, width)[first:last, None], width, axis=1),
-        direction(altitudes[first:last, None], azimuths[None, :]),
-        np.zeros((last - first, width), bool) if clipped is None else clipped[first:last],
-        pixel_rad,
-    )
+    reach_rad = SUN_RADIUS_RAD + 1.5 * pixel_rad + np.radians(0.5)
+    ring_rad = reach_rad + 3.0 * pixel_rad + np.radians(1.0)
+    margin_deg = np.degrees(search_rad + ring_rad + _CLIPPED_REACH_RAD)
+    altitudes, azimuths = row_altitudes_deg(height), column_azimuths_deg(width, heading_deg)
+    near = np.flatnonzero(np.abs(altitudes - altitude_deg) <= margin_deg)
+    rows = slice(int(near[0]), int(near[-1]) + 1)
+    solid_sr = np.repeat(row_solid_angles(height, width)[rows, None], width, axis=1)
+    rays = direction(altitudes[rows, None], azimuths[None, :])
+    clipped = np.zeros(light.shape, bool) if clipped is None else clipped
+    sizes = pixel_rad, reach_rad, ring_rad
+    return _Band(light.shape, rows, light[rows], solid_sr, rays, clipped[rows], *sizes)
 
 
-def _measured_disc(band: _Band, search: Mask, shape: tuple[int, ...]) -> SunDisc | None:
+def _measured_disc(band: _Band, search: Mask) -> SunDisc | None:
     """Return the brightest spot of the search as a disc; None without a compact spot."""
     if not search.any():
         return None
     brightest = int(np.argmax(np.where(search, band.light, -np.inf)))
     peak = float(band.light.flat[brightest])
     start = band.rays.reshape(-1, 3)[brightest]
-    about = band.angle_rad(start) <= 2.0 * _reach_rad(band.pixel_rad)
+    about = band.angle_rad(start) <= 2.0 * band.reach_rad
     bright = about & (band.light >= 0.5 * peak)
     room_sr = 4.0 * SUN_SOLID_ANGLE_SR + 9.0 * float(band.solid_sr.flat[brightest])
     if peak <= 0.0 or band.solid_sr[bright].sum() > room_sr:
         return None
-    centre = band.centroid(bright, band.light)
-    return _disc_at(band, centre, _reach_rad(band.pixel_rad), shape, clipped=False)
+    return _disc_at(band, band.centroid(bright, band.light), band.reach_rad)
 
 
-def _clipped_disc(
-    band: _Band, search: Mask, towards: Floats, shape: tuple[int, ...]
-) -> SunDisc | None:
+def _clipped_disc(band: _Band, search: Mask, towards: Floats) -> SunDisc | None:
     """Return a disc that is clipped in every frame, with a lower bound of its illuminance.
 
     A compact clipped spot is the disc. If a larger area is clipped (a window in a bracket that is
@@ -230,23 +219,16 @@ def _clipped_disc(
     spot = band.clipped & search
     centre = band.centroid(spot, np.ones_like(band.light))
     extent = float(band.angle_rad(centre)[spot].max())
-    compact = max(_CLIPPED_REACH_RAD, _reach_rad(band.pixel_rad))
-    if extent <= compact:
-        reach = max(extent + 0.5 * band.pixel_rad, _reach_rad(band.pixel_rad))
-        return _disc_at(band, centre, reach, shape, clipped=True)
-    if not (spot & (band.angle_rad(towards) <= _reach_rad(band.pixel_rad))).any():
+    if extent <= max(_CLIPPED_REACH_RAD, band.reach_rad):
+        reach = max(extent + 0.5 * band.pixel_rad, band.reach_rad)
+        return _disc_at(band, centre, reach, clipped=True)
+    if not (spot & (band.angle_rad(towards) <= band.reach_rad)).any():
         return None
-    return _disc_at(band, towards, _reach_rad(band.pixel_rad), shape, clipped=True, measured=False)
+    return _disc_at(band, towards, band.reach_rad, clipped=True, measured=False)
 
 
 def _disc_at(
-    band: _Band,
-    centre: Floats,
-    reach_rad: float,
-    shape: tuple[int, ...],
-    *,
-    clipped: bool,
-    measured: bool = True,
+    band: _Band, centre: Floats, reach_rad: float, *, clipped: bool = False, measured: bool = True
 ) -> SunDisc:
     """Return the light within `reach_rad` of a centre, in excess of the surroundings, as a disc.
 
@@ -255,7 +237,7 @@ def _disc_at(
     dimmer pixels are the bright sky around the sun.
     """
     angle = band.angle_rad(centre)
-    ring = (angle > reach_rad) & (angle <= reach_rad + _ring_rad(band.pixel_rad))
+    ring = (angle > reach_rad) & (angle <= reach_rad + band.ring_rad)
     around = band.light[ring]
     surroundings = float(np.median(around)) if around.size else 0.0
     bright = float(np.quantile(around, 0.9)) if around.size else 0.0
@@ -270,18 +252,13 @@ def _disc_at(
         centre = band.centroid(inside, excess)
     if clipped:
         inside = inside | (near & band.clipped)
-    pixels = np.zeros(shape, bool)
-    pixels[band.first : band.first + len(inside)] = inside
+    pixels = np.zeros(band.shape, bool)
+    pixels[band.rows] = inside
     x, y, z = (float(v) for v in centre)
-    return SunDisc(
-        float(np.degrees(np.arctan2(z, np.hypot(x, y)))),
-        float(np.degrees(np.arctan2(x, y)) % 360.0),
-        float(sigma),
-        float(energy.sum()),
-        surroundings,
-        pixels,
-        clipped,
-    )
+    altitude_deg = float(np.degrees(np.arctan2(z, np.hypot(x, y))))
+    azimuth_deg = float(np.degrees(np.arctan2(x, y)) % 360.0)
+    light = float(sigma), float(energy.sum()), surroundings
+    return SunDisc(altitude_deg, azimuth_deg, *light, pixels, clipped)
 
 
 def _is_sun(disc: SunDisc, band: _Band, dni_wm2: float | None) -> bool:
@@ -289,7 +266,7 @@ def _is_sun(disc: SunDisc, band: _Band, dni_wm2: float | None) -> bool:
 
     Less than 2 % of the sun's illuminance by DNI is scattered light, not part of the sun.
     """
-    inside = disc.pixels[band.first : band.first + len(band.light)]
+    inside = disc.pixels[band.rows]
     if not inside.any():
         return False
     peak, minimum_lx = float(band.light[inside].max()), MIN_DISC_CDM2 * SUN_SOLID_ANGLE_SR

@@ -355,11 +355,8 @@ def _read_tmy2(path: Path, lines: list[str], site: Site) -> WeatherTable:
     where = _place(path, [latitude, longitude, altitude, zone], expected, " ".join(name[9:-1]))
     width = len(lines[1].rstrip()) if len(lines) > 1 else 0
     for number, line in enumerate(lines[2:], start=3):
-        if len(line.rstrip()) != width:
-            found, expected = (
-                f"line {number}: {len(line.rstrip())} characters",
-                f"{width} characters",
-            )
+        if (characters := len(line.rstrip())) != width:
+            found, expected = f"line {number}: {characters} characters", f"{width} characters"
             raise InputError(path, found, f"{expected}, as in line 2", "correct that row")
     cells = [[line[a:b].strip() for a, b in _TMY2] for line in lines[1:]]
 

@@ -42,17 +42,14 @@ class Weather:
 
     def __getitem__(self, index: ArrayLike | slice) -> Weather:
         rows = np.arange(len(self))[index]  # type: ignore[index]
-        return replace(
-            self,
-            t_utc=tuple(self.t_utc[i] for i in rows),
-            dni_wm2=self.dni_wm2[rows],
-            dhi_wm2=self.dhi_wm2[rows],
-            ghi_wm2=self.ghi_wm2[rows],
-        )
+        light = {
+            f"{name}_wm2": getattr(self, f"{name}_wm2")[rows] for name in ("dni", "dhi", "ghi")
+        }
+        return replace(self, t_utc=tuple(self.t_utc[i] for i in rows), **light)
 
-    def daylight(self, least_altitude_deg: float = 0.0) -> Weather:
-        """Return the hours with DNI or DHI above 0 and the sun above `least_altitude_deg`."""
-        up = sun.position(self.t_utc, self.site).altitude_deg > least_altitude_deg
+    def daylight(self) -> Weather:
+        """Return the hours with DNI or DHI above 0 and the sun above the horizon."""
+        up = sun.position(self.t_utc, self.site).altitude_deg > 0.0
         return self[up & (self.dni_wm2 + self.dhi_wm2 > 0.0)]
 
     def at(self, times_utc: Sequence[datetime]) -> sun.Irradiance:
@@ -91,8 +88,7 @@ def synthetic_weather(site: Site, seed: int = 1) -> Weather:
     (thin clouds double it, thick ones halve it). All coefficients are chosen so that the hours look
     like weather; not fitted to measurements.
     """
-    offset = sun.standard_offset(site.timezone, TYPICAL_YEAR)
-    start = datetime.combine(date(TYPICAL_YEAR, 1, 1), datetime.min.time(), tzinfo=UTC) - offset
+    start = sun.standard_midnight(date(TYPICAL_YEAR, 1, 1), site.timezone)
     times = tuple(start + _HOUR * k + timedelta(minutes=30) for k in range(8760))
     clear = sun.clearsky(times, site)
     rng = np.random.default_rng(seed)
@@ -107,16 +103,8 @@ def synthetic_weather(site: Site, seed: int = 1) -> Weather:
     dni[dni < 1.0] = 0.0
     dhi = np.minimum(dhi, np.maximum(1.1 * clear.ghi_wm2 - dni * height, 0.0))
     note = "synthetic: pvlib clear sky times random clouds; plausible, but not this place's climate"
-    return Weather(
-        f"synthetic, seed {seed}",
-        site,
-        times,
-        dni,
-        dhi,
-        dhi + dni * height,
-        (note,),
-        synthetic=True,
-    )
+    name, light = f"synthetic, seed {seed}", (dni, dhi, dhi + dni * height)
+    return Weather(name, site, times, *light, (note,), synthetic=True)
 
 
 def _ar1(rng: np.random.Generator, n: int, correlation: float) -> Floats:

@@ -62,10 +62,8 @@ class Captured:
 
     def take(self, rows: Sequence[int]) -> Captured:
         """Return some of the captures, by index."""
-        index = [int(row) for row in rows]
-        return Captured(
-            self.light[index], lambda k: self.read(index[k]), self.disc_share[np.array(index, int)]
-        )
+        index = np.array(rows, int)
+        return Captured(self.light[index], lambda k: self.read(index[k]), self.disc_share[index])
 
 
 def sky_view_of(
@@ -405,7 +403,7 @@ def pane_transmittance(through: Floats, sky: Mask, step_deg: float) -> Floats:
     through: openness times transmittance; sky: where it follows the sky. Connected directions are a
     pane.
     """
-    from scipy.ndimage import distance_transform_edt, gaussian_filter, label
+    from scipy.ndimage import gaussian_filter, label
 
     labels = np.empty(sky.shape, np.int32)
     count = int(label(sky, np.ones((3, 3)), output=labels))  # pyright: ignore[reportArgumentType]
@@ -425,11 +423,8 @@ def pane_transmittance(through: Floats, sky: Mask, step_deg: float) -> Floats:
         smooth = np.where(weight > 1e-6, mean / np.maximum(weight, 1e-9), bright)
         level[inside] = np.maximum(smooth, _OPEN_SHARE * bright)[inside]
     of_large = np.isin(labels, large)
-    nearest = np.empty((2, *sky.shape), np.int32)
-    distance_transform_edt(~of_large, return_distances=False, return_indices=True, indices=nearest)
-    row, column = nearest
-    far = np.hypot(*(nearest - np.indices(sky.shape)))
+    nearest = _nearest(of_large)
+    far = np.hypot(*(np.unravel_index(nearest, sky.shape) - np.indices(sky.shape)))
     near = ~of_large & (far * step_deg <= _SMOOTH_DEG)
-    taken = level[row, column]
     own = np.maximum(np.nan_to_num(through), 1e-6)
-    return np.where(of_large, level, np.where(near, np.maximum(taken, own), own))
+    return np.where(of_large, level, np.where(near, np.maximum(level.flat[nearest], own), own))

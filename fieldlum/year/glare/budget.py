@@ -7,7 +7,7 @@ scale over all its hours.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -89,18 +89,19 @@ class _Scene(NamedTuple):
     azimuths_deg: Floats
 
     def figures(
-        self, more_cdm2: Floats | float = 0.0, sun_factor: float = 1.0, turn_deg: float = 0.0
+        self, more_cdm2: Floats | float = 0.0, more_sun: float = 0.0, turn_deg: float = 0.0
     ) -> dict[str, Floats]:
         """Return Ev, DGP, melanopic EDI, and L of the pixel ahead, [d] each.
 
-        more_cdm2: added to the luminance; sun_factor: of the recorded sun; turn_deg: of views.
+        more_cdm2: added to the luminance; more_sun: share that is added to the recorded sun;
+        turn_deg: of views.
         """
         panorama, sun, azimuths = self.panorama, self.sun, self.azimuths_deg + turn_deg
         light = np.maximum(self.luminance_cdm2 + more_cdm2, 0.0)
         height, width = light.shape
         grid = panorama_views(height, width, panorama.heading_deg, azimuths)
         rays = None if sun is None else direction(sun.altitude_deg, sun.azimuth_deg)[None]
-        lx = None if sun is None else np.array([sun.normal_illuminance_lx * sun_factor])
+        lx = None if sun is None else np.array([sun.normal_illuminance_lx * (1 + more_sun)])
         parts = glare_directions(light[None], grid, rays, lx)
         figures = {"DGP": parts["dgp"][0], "Ev": parts["ev_lx"][0]}
         if melanopic_ratio(panorama) is not None:
@@ -111,9 +112,9 @@ class _Scene(NamedTuple):
         column = np.floor(ahead).astype(int) % width
         return figures | {"luminance ahead": light[height // 2, column]}
 
-    def half_range(self, change: Callable[[float], dict[str, Any]]) -> dict[str, Floats]:
-        """Return half the difference of the figures for a change by +1 and by -1."""
-        up, down = (self.figures(**change(sign)) for sign in (1.0, -1.0))
+    def half_range(self, **change: Any) -> dict[str, Floats]:
+        """Return half the difference of the figures for a change and for its opposite."""
+        up, down = (self.figures(**{k: s * v for k, v in change.items()}) for s in (1.0, -1.0))
         return {name: np.abs(up[name] - down[name]) / 2 for name in up}
 
 
@@ -125,9 +126,8 @@ def budget_of_file(path: Path, azimuths_deg: Sequence[float]) -> list[Budget]:
     """
     picture = read_picture(path)
     if picture.view is not None:
-        raise InputError(
-            path, "a picture of one view", "a panorama for --budget", "merge a bracket to one"
-        )
+        expected, remedy = "a panorama for --budget", "merge a bracket to one"
+        raise InputError(path, "a picture of one view", expected, remedy)
     sky = path.absolute().parent.parent / "sky_view.exr"
     u_heading_deg = SkyView.read(sky).pose.heading_sd_deg if sky.is_file() else STATED_SD[0]
     return picture_budget(picture.panorama, path, azimuths_deg, u_heading_deg)
@@ -146,9 +146,8 @@ def picture_budget(
     azimuths = np.asarray(azimuths_deg, float)
     light, _ = valid_pixels(panorama, path)
     if panorama.u_cdm2 is None:
-        raise InputError(
-            path, "no uncertainty of its pixels", "a panorama by merge", "omit --budget"
-        )
+        found, expected = "no uncertainty of its pixels", "a panorama by merge"
+        raise InputError(path, found, expected, "omit --budget")
     light, sun = take_out_sun(light, panorama.heading_deg, panorama.sun)
     scene = _Scene(panorama, light, sun, azimuths)
     rows = [*_of_pixels(scene), *_of_sun_and_views(scene, u_heading_deg)]
@@ -252,12 +251,7 @@ def _of_pixels(scene: _Scene) -> Iterator[tuple[Source, Mapping[str, Floats]]]:
         u_rel = float(text) / 100
         share = u_rel * (np.full_like(light, mean_seen) if name == VEILING_GLARE else light)
         rest = rest - share**2
-        change = scene.half_range(
-            lambda sign, share=share, u_rel=u_rel: {
-                "more_cdm2": sign * share,
-                "sun_factor": 1 + sign * u_rel * by_camera,
-            }
-        )
+        change = scene.half_range(more_cdm2=share, more_sun=u_rel * by_camera)
         yield Source(name, "B", _NORMAL, 100 * u_rel, "%", "all pixels"), change
     rest = np.sqrt(np.maximum(rest, 0.0))
     mean = 100 * float(rest.sum() / max(light.sum(), 1e-9))
@@ -269,7 +263,7 @@ def _of_pixels(scene: _Scene) -> Iterator[tuple[Source, Mapping[str, Floats]]]:
         change = {name: np.std([d[name] for d in draws], axis=0, ddof=1) for name in draws[0]}
         yield Source(name, "A", _NORMAL, mean, "%", "no other pixel"), change
     elif rest.any():
-        change = scene.half_range(lambda sign: {"more_cdm2": sign * rest})
+        change = scene.half_range(more_cdm2=rest)
         yield Source("pixels, as stated", "B", _NORMAL, mean, "%", "all pixels"), change
 
 
@@ -278,12 +272,9 @@ def _of_sun_and_views(
 ) -> Iterator[tuple[Source, Mapping[str, Floats]]]:
     """Yield what the sun's disc, the heading and the melanopic colour add to u of each figure."""
     if scene.sun is not None:
-        change = scene.half_range(lambda sign: {"sun_factor": 1 + sign * U_DISC})
-        yield (
-            Source("illuminance of the sun's disc", "B", _NORMAL, 100 * U_DISC, "%", "disc"),
-            change,
-        )
-    change = scene.half_range(lambda sign: {"turn_deg": sign * u_heading_deg})
+        change, name = scene.half_range(more_sun=U_DISC), "illuminance of the sun's disc"
+        yield Source(name, "B", _NORMAL, 100 * U_DISC, "%", "disc"), change
+    change = scene.half_range(turn_deg=u_heading_deg)
     yield Source("heading", "B", _NORMAL, u_heading_deg, "deg", "all pixels"), change
     colour = melanopic_ratio(scene.panorama)
     if colour is not None:

@@ -84,9 +84,8 @@ def read_picture(path: Path, view_options: str = "", part: str = "") -> Picture:
     with path.open("rb") as file:
         is_exr = file.read(4) == _EXR_MAGIC or path.suffix.lower() == ".exr"
     if part and not is_exr:
-        raise InputError(
-            path, "a Radiance picture, which has no parts", "an .exr for --part", "omit --part"
-        )
+        found = "a Radiance picture, which has no parts"
+        raise InputError(path, found, "an .exr for --part", "omit --part")
     return _read_exr(path, view_options, part) if is_exr else _read_hdr(path, view_options)
 
 
@@ -96,8 +95,8 @@ def _read_hdr(path: Path, view_options: str) -> Picture:
     text = view_options or header.view
     if not view_options:
         _check_views(header, path)
-    if header.heading_deg is not None and not view_options:
-        return Picture(read_panorama(path), None)
+        if header.heading_deg is not None:
+            return Picture(read_panorama(path), None)
     view = parse_view(text, path)
     check_proportion(view, image.luminance_cdm2.shape, header.pixel_aspect, path)
     notes = (_INHERITED,) if header.view_is_inherited and not view_options else ()
@@ -174,15 +173,9 @@ def picture_views(
         weights[~seen_mask] = 0.0
         ahead &= seen_mask
     flat, azimuths = weights.reshape(-1, 4, 1), np.array([view.azimuth_deg])
-    return Views(
-        azimuths,
-        view.frame[None],
-        flat[:, 0],
-        flat[:, 1:],
-        ahead.reshape(-1, 1),
-        np.array([[np.pi], [2.0 * np.pi], [0.0], [0.0], [HEMISPHERE_SOURCES_SR]]),
-        is_panorama=False,
-    )
+    of_pixels = flat[:, 0], flat[:, 1:], ahead.reshape(-1, 1)
+    hemisphere = np.array([[np.pi], [2.0 * np.pi], [0.0], [0.0], [HEMISPHERE_SOURCES_SR]])
+    return Views(azimuths, view.frame[None], *of_pixels, hemisphere, is_panorama=False)
 
 
 def picture_centres(height: int, width: int, rows: slice = slice(None)) -> tuple[Floats, Floats]:

@@ -276,14 +276,9 @@ def glare_sources(luminance_cdm2: Floats, views: Views) -> Sources:
 
     omega, right, up = np.moveaxis(views.moments[chosen], 1, 0)  # [n, d] each
     power, area = np.maximum(total(bright * omega), 1e-30), total(omega)
-    return Sources(
-        power / np.maximum(area, 1e-30),
-        area,
-        total(bright * right) / power,
-        total(bright * up) / power,
-        total(bright * views.illuminance[chosen]),
-        pixels,
-    )
+    mean, ev_lx = power / np.maximum(area, 1e-30), total(bright * views.illuminance[chosen])
+    right, up = (total(bright * moment) / power for moment in (right, up))
+    return Sources(mean, area, right, up, ev_lx, pixels)
 
 
 def sources_of(luminance_cdm2: Floats, views: Views | None = None) -> list[NDArray[np.int64]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime, time, timedelta
+from datetime import datetime, time, timedelta
 from pathlib import Path
 from zoneinfo import ZoneInfo
 
@@ -14,7 +14,7 @@ from fieldlum.core.arrays import Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError, input_errors
 from fieldlum.core.records import Site
 from fieldlum.core.strict_csv import read_table
-from fieldlum.sky.sun import hour_of_year, position, standard_date, standard_offset
+from fieldlum.sky.sun import hour_of_year, position, standard_date, standard_midnight
 
 DAYS = ("mon", "tue", "wed", "thu", "fri", "sat", "sun")
 _HOUR = timedelta(hours=1)
@@ -125,7 +125,7 @@ def occupied_hours(
     """
     zone = site.timezone
     days = sorted({standard_date(t, zone) for t in times_utc})
-    starts = [datetime.combine(day, time(), UTC) - standard_offset(zone, day.year) for day in days]
+    starts = [standard_midnight(day, zone) for day in days]
     middles = np.array([start + (k + 0.5) * _HOUR for start in starts for k in range(24)])
     known = {(t - starts[0]) // _HOUR for t in times_utc}
     blank = np.array([(t - starts[0]) // _HOUR not in known for t in middles])
