@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -47,10 +46,8 @@ def command(
 ) -> None:
     """Learn the room from pairs; score it on held-out days.
 
-    PAIRS is a session or a pairs.csv. The budget is the wall time in which the network
-    must be trained, from the start of the command; to leave it time, quick models are tested on
-    fewer groups of held-out days, on two of five at least. If captures, options and fieldlum's
-    version have not changed, the model is trained again only with --force.
+    PAIRS is a session or a pairs.csv. If captures, options and fieldlum's version have not changed,
+    the model is trained again only with --force.
 
     \b
     Example:
@@ -60,7 +57,8 @@ def command(
     Options:
       --model: auto tries all models and chooses one.
       --patch: Use sun patches in cd/m2, up to an unknown factor, or not at all.
-      --budget: Time limit of the dense network, in minutes.
+      --budget: Wall time of the dense network's training, in minutes; half of it is for
+          held-out days. Reading and the other models take their own time.
       --seed: Seed of all random numbers in training.
       --out: Model folder to write. [default: models/MODEL in the folder of the pairs]
     """
@@ -68,7 +66,6 @@ def command(
     from fieldlum.learn.train import run
     from fieldlum.room.fit.stated_box import training_captures
 
-    started = time.monotonic()
     folder = out or (pairs if pairs.is_dir() else pairs.parent) / "models" / model
     used: Any  # "absolute", "gain" or "none", as the captures allow
     with progress("reading pictures") as show:
@@ -80,7 +77,6 @@ def command(
             data,
             model,
             budget_min=budget,
-            spent_s=time.monotonic() - started,
             patch=used,
             seed=seed,
             out=folder,

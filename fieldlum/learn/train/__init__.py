@@ -145,22 +145,17 @@ def evaluate_folds(
 ) -> Trial:
     """Fit to each fold's training rows, compare with its test rows, and join the scores.
 
-    budget_s: for all folds together [s], None for no limit. A slow model divides it among the
-    folds. A quick model runs two folds, and skips the others if the next one would exceed it.
+    budget_s: for all folds of a slow model together [s], None for no limit.
     """
     parts: list[Scores] = []
     times: list[Spent] = []
-    limit = math.inf if budget_s is None or MODELS[name].slow else budget_s
-    share, started = budget_s and budget_s / len(folds), monotonic()
+    share = budget_s and budget_s / len(folds)
     options: dict[str, Any] = {"patch": patch, "seed": seed, "progress": progress}
     for fold in folds:
-        # one fold has few days for a standard error
-        if len(parts) >= 2 and (monotonic() - started) * (1 + 1 / len(parts)) > limit:
-            break
         fitted, spent = fit_timed(name, data.take(fold.train), budget_s=share, **options)
         parts.append(evaluate(fitted, truth(data.take(fold.test)), progress=progress))
         times.append(spent)
-    count = round(np.mean([len(fold.train) for fold in folds[: len(parts)]]))
+    count = round(np.mean([len(fold.train) for fold in folds]))
     wall_s, cpu_s = np.mean(times, axis=0).tolist()
     return Trial(name, join(parts), wall_s, cpu_s, count, len(parts))
 
@@ -289,10 +284,9 @@ def fit_and_score(
     """Run trials on held-out days, choose a model, and fit it to all data.
 
     model: a name of `MODELS`, or "auto" for all of them. budget_s: time in which the network is
-    trained [s]; a quick model only omits held-out days for it. Raises NotEnoughDataError for too
-    few hours to hold any out, or to fit `model`, and if the network has no time.
+    trained [s], half of it without held-out days. Raises NotEnoughDataError for too few hours to
+    hold any out, or to fit `model`, and if the network has no time.
     """
-    ends_s = monotonic() + budget_s
     patch = patch_mode(data, patch)
     captures = len(data)
     data, mirrors = split_images(with_sky_view(data, progress=progress))
@@ -305,10 +299,10 @@ def fit_and_score(
             "and to test; capture more hours"
         )
     options: dict[str, Any] = {"patch": patch, "seed": seed, "progress": progress}
-    trials, left_out = _trials(data, model, ends_s, options)
+    options["budget_s"] = 0.5 * budget_s
+    trials, left_out = _trials(data, model, options)
     choice = choose_model(trials) if model == "auto" else ModelSelection(model, "requested")
-    left_s = ends_s - monotonic() - 0.1 * budget_s  # the rest is for the error of a year
-    fitted, spent = fit_timed(choice.name, data, budget_s=left_s, checkpoint=checkpoint, **options)
+    fitted, spent = fit_timed(choice.name, data, checkpoint=checkpoint, **options)
     fitted, moved = settle(fitted, data, setting)
     notes = [*notes_of(data, patch, model, trials), *left_out, *model_notes(fitted, data, patch)]
     notes += [f"WARNING: {m.captures} of {captures} captures {m.warning}" for m in mirrors]
@@ -317,20 +311,16 @@ def fit_and_score(
     return Result(fitted, tuple(trials), choice, spent.wall_s, data, tuple(notes), year, mirrors)
 
 
-def _trials(
-    data: Dataset, model: str, ends_s: float, options: dict[str, Any]
-) -> tuple[list[Trial], list[str]]:
+def _trials(data: Dataset, model: str, options: dict[str, Any]) -> tuple[list[Trial], list[str]]:
     """Test the models on held-out days; return the trials, and notes on those that cannot be.
 
-    Each may use half of the time that is left. ends_s: by the monotonic clock; options: of
-    `evaluate_folds`.
+    options: of `evaluate_folds`.
     """
     names = [name for name, kind in MODELS.items() if kind.baseline or model in (name, "auto")]
     trials, left_out, folds = [], [], day_folds(data)
     for name in names:
-        limit = 0.5 * (ends_s - monotonic())
         try:
-            trials.append(evaluate_folds(name, data, folds, budget_s=limit, **options))
+            trials.append(evaluate_folds(name, data, folds, **options))
         except NotEnoughDataError as error:
             if model == name:
                 raise
@@ -359,7 +349,6 @@ def run(
     model: str = "auto",
     *,
     budget_min: float = 10.0,
-    spent_s: float = 0.0,
     patch: Patch = "absolute",
     seed: int = 0,
     out: Path,
@@ -371,7 +360,7 @@ def run(
     If captures and options have not changed since the same version trained the model, nothing is
     trained (unless `force`) and the answer's `kept` is True. An interrupted dense training
     continues from its checkpoint in `out`. budget_min: minutes for
-    the network, of which `spent_s` seconds are used already.
+    the network.
     """
     mode = patch_mode(data, patch)
     inputs = {
@@ -391,7 +380,7 @@ def run(
         data,
         model,
         patch=patch,
-        budget_s=60.0 * budget_min - spent_s,
+        budget_s=60.0 * budget_min,
         seed=seed,
         checkpoint=checkpoint,
         progress=progress,
