@@ -1,9 +1,11 @@
 """The registry, the baselines and the paper's network."""
 
+import itertools
 import json
 import pickle
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from fieldlum.core.errors import InputError
 from fieldlum.learn import models
 from fieldlum.learn.models import dense
 from fieldlum.learn.models.dense import (
+    EPOCHS,
     Net,
     Run,
     Shape,
@@ -114,6 +117,18 @@ def test_the_network_learns_a_tiny_set_by_heart() -> None:
     assert error.mse[0] < 0.01 * np.log10(np.maximum(one.luminance_cdm2, 1)).var()
 
 
+def interrupted_after(epochs: int, **options: Any) -> None:
+    """Train until the middle of an epoch, as a power cut would end it."""
+    updates = itertools.count()
+
+    def progress(*_: object) -> None:
+        if next(updates) > epochs * FEW.steps // EPOCHS:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        models.fit("dense", DATA, progress=progress, **options)
+
+
 @pytest.mark.slow
 @pytest.mark.property
 @pytest.mark.numeric
@@ -121,7 +136,7 @@ def test_resuming_equals_training_in_one_go(tmp_path: Path) -> None:
     options = {"plan": FEW, "seed": 5, "shape": SMALL}
     straight = models.fit("dense", DATA, **options)
     kept = tmp_path / "checkpoint.pt"
-    models.fit("dense", DATA, checkpoint=kept, stop_after_epochs=2, **options)
+    interrupted_after(2, checkpoint=kept, **options)
     assert kept.is_file()
     resumed = models.fit("dense", DATA, checkpoint=kept, **options)
     for name, value in straight.state().arrays.items():
@@ -135,7 +150,7 @@ def test_a_checkpoint_of_other_pictures_is_refused(tmp_path: Path) -> None:
     the old ones.
     """
     kept = tmp_path / "checkpoint.pt"
-    models.fit("dense", DATA, checkpoint=kept, stop_after_epochs=1, plan=FEW, shape=SMALL)
+    interrupted_after(1, checkpoint=kept, plan=FEW, shape=SMALL)
     brighter = replace(DATA, luminance_cdm2=DATA.luminance_cdm2 * np.float32(1.02))
     with pytest.raises(InputError, match="of other pictures, other irradiance or another seed"):
         models.fit("dense", brighter, checkpoint=kept, plan=FEW, shape=SMALL)

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
+from learning_room import dataset
 from places import SEATTLE
 
 from fieldlum.core.arrays import Floats
 from fieldlum.core.records import Panorama
-from fieldlum.learn.models.data import PairPictures
+from fieldlum.learn.models.data import take_disc_out as take_out_of_map
 from fieldlum.merge.sky import take_out_disc
 from fieldlum.optics.projection import altitude_azimuth_deg, rotation
 from fieldlum.sky import sun
@@ -25,6 +26,7 @@ TIMES = tuple(
     datetime(2027, 3, 20, 17, 30, tzinfo=UTC) + timedelta(hours=1.2 * k) for k in range(6)
 )
 AXIS_DEG = 180.0
+DAY = replace(dataset(("2027-03-20",), height=60).take([0, 1]), patch_cdm2=None)
 
 
 def measured(values: Floats, count: int, noise_deg: float = 0.0, seed: int = 0) -> MeasuredDiscs:
@@ -126,11 +128,10 @@ def test_a_disc_in_a_map_keeps_its_place_for_the_pose() -> None:
     for shown, at in ((150.0, 150.0), (151.0, 147.0)):
         place = np.array([31.0, 31.0]), np.array([shown, shown])
         lit = add_source(maps, place, np.full(2, 3e4), 180.0)
-        places = np.full((2, 2), np.nan)
-        ones = np.ones(lit.shape, np.float16)
-        pictures = PairPictures(lit, None, np.zeros(2), places, lit > 0.0, ones, 180.0, 0)
-        pictures.take_disc_out(0, (31.0, at), (31.0, shown), 600.0)
-        assert pictures.disc_deg[0] == pytest.approx((31.0, at), abs=1.5)
-        assert np.isnan(pictures.disc_deg[1]).all()
-        assert pictures.disc_lx[0] == pytest.approx(3e4, rel=0.02)
+        places, lux = np.full((2, 2), np.nan), np.zeros(2)
+        light = replace(DAY.light, dni_wm2=np.full(2, 600.0))
+        data = replace(DAY, light=light, luminance_cdm2=lit, disc_lx=lux, disc_deg=places)
+        take_out_of_map(data, 0, (31.0, at), (31.0, shown))
+        assert places[0] == pytest.approx((31.0, at), abs=1.5) and np.isnan(places[1]).all()
+        assert lux[0] == pytest.approx(3e4, rel=0.02)
         assert lit[0].max() < 3e3

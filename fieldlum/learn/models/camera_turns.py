@@ -118,7 +118,7 @@ def turned_rays(rays: Array, heading_deg: float, angles_deg: Array | Sequence[fl
 
 
 def _places(
-    shape: tuple[int, int], heading_deg: float, angles_deg: Array | Sequence[float]
+    shape: tuple[int, ...], heading_deg: float, angles_deg: Array | Sequence[float]
 ) -> Array:
     """Return the row and column at which a turned camera's map shows each pixel, [2, H, W] px."""
     height, width = shape
@@ -141,8 +141,7 @@ def turned_back(maps: Array, heading_deg: float, angles_deg: Array | Sequence[fl
     and roll [3], as in `CameraTurns`. Interpolation is linear between pixels. Pass ln L, so that a
     bright window does not spread over its frame.
     """
-    height, width = maps.shape
-    return _at(maps, _places((height, width), heading_deg, angles_deg))
+    return _at(maps, _places(maps.shape, heading_deg, angles_deg))
 
 
 def interpolation_u(maps: Array, heading_deg: float, angles_deg: Array | Sequence[float]) -> Array:
@@ -152,8 +151,7 @@ def interpolation_u(maps: Array, heading_deg: float, angles_deg: Array | Sequenc
     f of a pixel mixes neighbours in the picture, and turning it back mixes them again. What remains
     is f (1 - f) times the range of values among the 3 x 3 neighbours.
     """
-    height, width = maps.shape
-    places = _places((height, width), heading_deg, angles_deg)
+    places = _places(maps.shape, heading_deg, angles_deg)
     part = places - np.floor(places)
     mixed = (part * (1.0 - part)).max(axis=0)
     wide = wrapped(maps)
@@ -289,8 +287,7 @@ def camera_turns(
     aligned = (correlation >= MIN_CORRELATION) & near
     if light is not None:
         angles = angles - pixel_deg * turns_by_light(angles / pixel_deg, light)
-    poses = _poses(angles, aligned, pixel_deg)
-    return CameraTurns(poses, u_deg, aligned)
+    return CameraTurns(_poses(angles, aligned, pixel_deg), u_deg, aligned)
 
 
 # ----------------------------------------------------------------------------------------------

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -305,32 +304,29 @@ def _assemble(
 ) -> Dataset:
     check_plausible(path, rows, setup.site)
     altitude, azimuth = _sun_columns(rows, setup)
-    refraction = _refraction(path, rows)
-    apparent_altitude = sun.apparent_altitude_deg(altitude) if refraction else altitude
-    pictures = read_pictures(path, rows, setup, progress)
-    if pictures.bounds:
-        notes.append(
-            f"the sun is clipped in {counted(pictures.bounds, 'map')}: its illuminance there is "
-            "only a lower bound; run fieldlum pair, and read its cautions"
-        )
-    heading = pictures.heading_deg
-    dni = np.array([row.dni_wm2 for row in rows])
-    dhi = np.array([row.dhi_wm2 for row in rows])
-    days = [sun.standard_date(row.t_utc, setup.site.timezone) for row in rows]
-    days = np.array(days, "datetime64[D]")
-    beam = dni * np.sin(np.radians(np.maximum(altitude, 0.0)))
-    direct = DirectLight(beam / np.maximum(beam + dhi, 1.0), azimuth, days)
-    # a pixel is compared if this share of captures has a value
-    compared, maps = pictures.has_value.mean(axis=0) > 0.8, np.nan_to_num(pictures.maps)
-    turns = camera_turns(maps, compared, heading, light=direct, progress=progress)
+    light = Light(
+        t_utc=tuple(row.t_utc for row in rows),
+        dni_wm2=np.array([row.dni_wm2 for row in rows]),
+        dhi_wm2=np.array([row.dhi_wm2 for row in rows]),
+        sun_altitude_deg=altitude,
+        sun_azimuth_deg=azimuth,
+        states=_states(path, rows),
+        refraction=_refraction(path, rows),
+    )
+    data, has_value = read_pictures(path, rows, setup, light, progress)
+    heading, days = data.heading_deg, data.days
+    beam = light.dni_wm2 * np.sin(np.radians(np.maximum(altitude, 0.0)))
+    direct = DirectLight(beam / np.maximum(beam + light.dhi_wm2, 1.0), azimuth, days)
+    maps = np.nan_to_num(data.luminance_cdm2)
+    turns = camera_turns(maps, data.seen, heading, light=direct, progress=progress)
     for k in (k for k, row in enumerate(rows) if row.sun_in_map):
-        at = float(apparent_altitude[k]), float(azimuth[k])
-        shown = shown_place(*at, heading, turns.angles_deg[k])
-        pictures.take_disc_out(k, at, shown, float(dni[k]))
-    align(pictures.maps, pictures.has_value, pictures.counts, heading, turns)
-    counts = joined_counts(pictures.counts, pictures.has_value)
-    notes += turn_notes(turns, days)
-    seen_mask, filled = fill_gaps(pictures.maps, pictures.has_value)
+        at = float(light.apparent_altitude_deg[k]), float(azimuth[k])
+        take_disc_out(data, k, at, shown_place(*at, heading, turns.angles_deg[k]))
+    assert data.counts is not None
+    align(data.luminance_cdm2, has_value, data.counts, heading, turns)
+    counts = joined_counts(data.counts, has_value)
+    notes += [*data.notes, *turn_notes(turns, days)]
+    seen_mask, filled = fill_gaps(data.luminance_cdm2, has_value)
     if filled:
         notes.append(f"{counted(filled, 'missing value')}: each the median of its pixel")
     if not seen_mask.all():
@@ -340,43 +336,16 @@ def _assemble(
         notes.append(f"WARNING: {SKY_VIEW} is of earlier pictures: run fieldlum pair again")
     if view is None and Session(path.parent).toml.is_file():
         notes.append(f"no {SKY_VIEW}: coarse maps decide the sun's disc; run fieldlum pair again")
-    times = [row.t_utc for row in rows]
-    uncertain = np.array([is_doubted(row.why) for row in rows])
-    data = Dataset(
-        light=Light(
-            t_utc=tuple(times),
-            dni_wm2=dni,
-            dhi_wm2=dhi,
-            sun_altitude_deg=altitude,
-            sun_azimuth_deg=azimuth,
-            states=_states(path, rows),
-            refraction=refraction,
-        ),
-        luminance_cdm2=pictures.maps,
-        patch_cdm2=pictures.patches,
-        disc_lx=pictures.disc_lx,
-        disc_deg=pictures.disc_deg,
-        heading_deg=heading,
-        days=days,
-        slots=_slots(rows, times),
-        setup=setup,
-        seen=seen_mask,
-        steadiness=np.array([row.steadiness for row in rows]),
-        source=str(path),
-        notes=tuple(notes),
-        counts=counts,
-        sky_view=view,
-        uncertain=uncertain if uncertain.any() else None,
-    )
+    data = replace(data, seen=seen_mask, notes=tuple(notes), counts=counts, sky_view=view)
     return data if turns.aligned.all() else data.take(turns.aligned)
 
 
-def _slots(rows: Sequence[PairRow], times: Sequence[datetime]) -> tuple[str, ...]:
+def _slots(rows: Sequence[PairRow]) -> tuple[str, ...]:
     """Return the ids of captures, as plan and marks state them; else the UTC of each row."""
     names = tuple(Path(row.panorama).stem for row in rows)
     if all(_SLOT_ID.fullmatch(name) for name in names) and len(set(names)) == len(names):
         return names
-    return tuple(slot_id(t) for t in times)
+    return tuple(slot_id(row.t_utc) for row in rows)
 
 
 def _states(path: Path, rows: list[PairRow]) -> tuple[str, ...] | None:
@@ -431,56 +400,37 @@ def _sun_columns(rows: list[PairRow], setup: SiteFile) -> tuple[Floats, Floats]:
 NO_TRAINING = Flag.CLIPPED_HIGH | Flag.MOTION | Flag.FILLED
 
 
-@dataclass(frozen=True, slots=True)
-class PairPictures:
-    """The pictures of the n rows of a pairs.csv; later steps change the arrays in place.
+def take_disc_out(
+    data: Dataset, k: int, at: tuple[float, float], shown: tuple[float, float]
+) -> None:
+    """Remove the sun's disc from map k and patch k; store its illuminance and its place.
 
-    maps: captured luminance [n, H, W] cd/m2; patches: luminance of the direct sun alone [n, H, W]
-    cd/m2, None without pictures of sun patches; disc_lx: illuminance by the sun's disc on a plane
-    normal to it [n]; disc_deg: its altitude and azimuth in map or patch [n, 2], NaN where not
-    measured; has_value: mask [n, H, W], True at measured pixels; counts: weights of the pixels in
-    training [n, H, W]; heading_deg: azimuth of the middle of all maps; bounds: number of maps whose
-    sun is clipped, so that its illuminance is only a lower bound.
+    at: altitude and azimuth of the sun [deg], where the patch shows it; shown: altitude and azimuth
+    at which the picture of a turned camera shows it [deg]. With sun patches, the illuminance is
+    that in the patch, which has no sky around the disc.
     """
-
-    maps: Floats32
-    patches: Floats32 | None
-    disc_lx: Floats
-    disc_deg: Floats
-    has_value: Mask
-    counts: NDArray[np.float16]
-    heading_deg: float
-    bounds: int
-
-    def take_disc_out(
-        self, k: int, at: tuple[float, float], shown: tuple[float, float], dni_wm2: float
-    ) -> None:
-        """Remove the sun's disc from map k and patch k; store its illuminance and its place.
-
-        at: altitude and azimuth of the sun [deg], where the patch shows it; shown: altitude and
-        azimuth at which the picture of a turned camera shows it [deg]; dni_wm2: direct normal
-        irradiance. With sun patches, the illuminance is that in the patch, which has no sky around
-        the disc.
-        """
-        for pictures, place in ((self.maps, shown), (self.patches, at)):
-            if pictures is None:
-                continue
-            disc = find_disc(pictures[k], self.heading_deg, near_deg=place, dni_wm2=dni_wm2)
-            self.disc_lx[k] = 0.0 if disc is None else disc.normal_lx
-            if disc is not None:
-                pictures[k] = without_disc(pictures[k], disc)
-                turn = float(signed_angle_deg(disc.azimuth_deg - place[1]))
-                self.disc_deg[k] = at[0] + disc.altitude_deg - place[0], at[1] + turn
+    assert data.disc_deg is not None
+    dni_wm2 = float(data.light.dni_wm2[k])
+    for pictures, place in ((data.luminance_cdm2, shown), (data.patch_cdm2, at)):
+        if pictures is None:
+            continue
+        disc = find_disc(pictures[k], data.heading_deg, near_deg=place, dni_wm2=dni_wm2)
+        data.disc_lx[k] = 0.0 if disc is None else disc.normal_lx
+        if disc is not None:
+            pictures[k] = without_disc(pictures[k], disc)
+            turn = float(signed_angle_deg(disc.azimuth_deg - place[1]))
+            data.disc_deg[k] = at[0] + disc.altitude_deg - place[0], at[1] + turn
 
 
 def read_pictures(
-    path: Path, rows: list[PairRow], setup: SiteFile, progress: Progress
-) -> PairPictures:
-    """Read the maps and sun patches of the rows of a pairs.csv; the sun's disc remains in the maps.
+    path: Path, rows: list[PairRow], setup: SiteFile, light: Light, progress: Progress
+) -> tuple[Dataset, Mask]:
+    """Read the maps and sun patches of the rows of a pairs.csv; return them with a mask [n, H, W].
 
-    path: of the pairs.csv, to whose folder the names of pictures are relative. disc_lx is from the
-    pictures' headers, 0 where they have none. Raises InputError if sizes or headings differ from
-    those of the first picture, or if only some rows have a sun patch.
+    The sun's disc remains in the maps, and missing values, where the mask is False; later steps
+    change the arrays in place. path: of the pairs.csv, to whose folder the names of pictures are
+    relative. disc_lx is from the pictures' headers, 0 where they have none. Raises InputError if
+    sizes or headings differ from those of the first picture, or if only some rows have a sun patch.
     """
     pictures = [path.parent / row.panorama for row in rows]
     suns = {folder: suns_of(picture) for folder, picture in {p.parent: p for p in pictures}.items()}
@@ -517,8 +467,30 @@ def read_pictures(
             if patch.sun and not panorama.sun and not row.sun_in_map:
                 disc[k] = patch.sun.normal_illuminance_lx
     progress(len(rows), len(rows), "")
-    places = np.full((len(rows), 2), np.nan)
-    return PairPictures(maps, patches, disc, places, masks, counts, heading, bounds)
+    clipped = (
+        f"the sun is clipped in {counted(bounds, 'map')}: its illuminance there is only a lower "
+        "bound; run fieldlum pair, and read its cautions"
+    )
+    days = [sun.standard_date(t, setup.site.timezone) for t in light.t_utc]
+    uncertain = np.array([is_doubted(row.why) for row in rows])
+    data = Dataset(
+        light=light,
+        luminance_cdm2=maps,
+        patch_cdm2=patches,
+        disc_lx=disc,
+        heading_deg=heading,
+        days=np.array(days, "datetime64[D]"),
+        slots=_slots(rows),
+        setup=setup,
+        seen=masks.mean(axis=0) > 0.8,  # of the captures, before the camera's turns
+        steadiness=np.array([row.steadiness for row in rows]),
+        source=str(path),
+        notes=(clipped,) if bounds else (),
+        counts=counts,
+        disc_deg=np.full((len(rows), 2), np.nan),
+        uncertain=uncertain if uncertain.any() else None,
+    )
+    return data, masks
 
 
 def _heading(panorama: Panorama, path: Path, setup: SiteFile) -> float:

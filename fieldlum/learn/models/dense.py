@@ -496,7 +496,6 @@ def fit(
     budget_s: float | None = None,
     plan: Run | None = None,
     checkpoint: Path | None = None,
-    stop_after_epochs: int | None = None,
     shape: Shape = Shape(),
     progress: Progress = quiet,
 ) -> DenseFitted:
@@ -504,9 +503,8 @@ def fit(
 
     patch: with "none" sun patches are not an input; seed: of all random numbers; budget_s: time
     limit [s]; plan: length, None for `affordable_run`. checkpoint: path, written after each epoch;
-    an existing one is continued, with its length; None for none. stop_after_epochs: number of
-    epochs after which this call ends early, as an interruption would. Raises InputError for a
-    checkpoint that cannot be used, and as `affordable_run`.
+    an existing one is continued, with its length; None for none. Raises InputError for a checkpoint
+    that cannot be used, and as `affordable_run`.
     """
     started = time.monotonic(), time.process_time()
     device = pick_device()
@@ -526,10 +524,9 @@ def fit(
     mark = data_digest(data.digest(), patch, seed, shape)
     if checkpoint is not None and checkpoint.is_file():
         run, best = restore(checkpoint, trainer, mark)
-    last = math.inf if stop_after_epochs is None else run.epoch + stop_after_epochs
     started = started[0] - run.elapsed_s, started[1] - run.cpu_s
     numbers = torch.randperm(len(held_out), generator=torch.Generator().manual_seed(seed))[:60_000]
-    while run.share(budget_s) < 1.0 and run.epoch < last:
+    while run.share(budget_s) < 1.0:
         _epoch(trainer, run, best, budget_s, seed, started[0], progress)
         score = trainer.validate(held_out, numbers.to(device))
         if math.isfinite(score) and score < run.best:

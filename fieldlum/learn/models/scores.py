@@ -40,8 +40,9 @@ from fieldlum.year.glare.metrics import (
 )
 
 FLOOR_CDM2 = 1.0  # paper
-# fields of `Scores` that need glare
+# fields of `Scores` that `evaluate` adds: those that need glare, and the times
 _GLARE = ("dgp_mse", "dgp_mse_own_disc", "dgp_mae", "rammg_error", "rammg_truth", "ev_error")
+_ADDED = (*_GLARE, "seconds", "cpu_s")
 
 
 @dataclass(slots=True)
@@ -58,8 +59,8 @@ class Scores:
     DGP and Ev are those of fully seen view directions, of all ten if no lens sees one. dgp_mse has
     the true sun's disc in the prediction; dgp_mse_own_disc the disc by the sky view, as a user
     gets it. bias_log10: weighted mean of log10 predicted over true. in_band: share of
-    pixels whose truth is in the model's 90 % interval. seconds, cpu_s: spent predicting, by the
-    clock and by the processor. maps: those whose glare was computed, None if it was for none.
+    pixels whose truth is in the model's 90 % interval. seconds, cpu_s: spent predicting it, by
+    the clock and by the processor. maps: those whose glare was computed, None if it was for none.
     """
 
     mse_weighted: Floats
@@ -78,8 +79,8 @@ class Scores:
     ev_error: Floats
     day: NDArray[np.datetime64]
     weight: Floats
-    seconds: float = 0.0
-    cpu_s: float = 0.0
+    seconds: Floats
+    cpu_s: Floats
     slots: tuple[str, ...] = field(default=())
     maps: HeldOutMaps | None = None
 
@@ -93,18 +94,12 @@ class Scores:
 
 
 def join(parts: Sequence[Scores]) -> Scores:
-    """Return the scores of several tests as those of one test: maps in sequence, times added."""
-    others = ("seconds", "cpu_s", "slots", "maps")
-    arrays = [f.name for f in fields(Scores) if f.name not in others]
+    """Return the scores of several tests as those of one test, with their maps in sequence."""
+    arrays = [f.name for f in fields(Scores) if f.name not in ("slots", "maps")]
     joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in arrays}
     slots = tuple(slot for part in parts for slot in part.slots)
-    return Scores(
-        **joined,
-        seconds=sum(part.seconds for part in parts),
-        cpu_s=sum(part.cpu_s for part in parts),
-        slots=slots,
-        maps=HeldOutMaps.join([part.maps for part in parts if part.maps is not None]),
-    )
+    maps = HeldOutMaps.join([part.maps for part in parts if part.maps is not None])
+    return Scores(**joined, slots=slots, maps=maps)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -120,7 +115,7 @@ class Truth:
     views [n, 10]; contrast: true contrast [n, levels], whose mean is RAMMG (both NaN where not
     computed); ev_lx: true vertical illuminance [n, 10]; full: mask [10] of the views that a lens
     saw completely, or all; weight: of the hours in choices [n]; own_disc_lx: the sun disc's
-    illuminance by the sky view [n], None without glare.
+    illuminance by the sky view [n], NaN without glare.
     """
 
     data: Dataset
@@ -132,7 +127,7 @@ class Truth:
     ev_lx: Floats
     full: Mask
     weight: Floats
-    own_disc_lx: Floats | None = None
+    own_disc_lx: Floats
 
 
 def truth(data: Dataset, *, glare: bool = True) -> Truth:
@@ -155,7 +150,7 @@ def truth(data: Dataset, *, glare: bool = True) -> Truth:
         glare_of = glare_directions(maps, views, suns, part.disc_lx)
         dgp[rows], ev[rows] = glare_of["dgp"], glare_of["ev_lx"]
         contrast[rows] = _contrast(maps, part)
-    own_disc = disc_lx(data.sky_view, data.setup, data.light) if glare else None
+    own_disc = disc_lx(data.sky_view, data.setup, data.light) if glare else np.full(n, np.nan)
     full = np.array(view_coverage(views).words) == SEEN
     full = full if full.any() else np.ones(d, bool)
     weight = choice_weights(data)
@@ -184,8 +179,8 @@ def evaluate(fitted: Fitted, test: Truth, *, progress: Progress = quiet) -> Scor
         wall, cpu = time.monotonic() - wall, time.process_time() - cpu
         scores = compare(prediction, part, test.weights)
         scores.weight = test.weight[rows]
+        scores.seconds[:], scores.cpu_s[:] = wall / len(rows), cpu / len(rows)
         _glare_errors(scores, prediction, part, test, rows)
-        scores.seconds, scores.cpu_s = wall, cpu
         parts.append(scores)
     return join(parts)
 
@@ -196,10 +191,10 @@ def _log10(maps: Floats32, data: Dataset) -> Floats32:
 
 
 def compare(prediction: Prediction, data: Dataset, weights: Floats) -> Scores:
-    """Return the scores of predicted maps against the captures `data`, without glare (NaN).
+    """Return the scores of predicted maps against captures; glare and times are NaN.
 
-    The true sun disc is added to both; luminances below 1 cd/m2 count as 1. weights: of the pixels
-    [H, W]. Raises FloatingPointError for a predicted value that is not finite.
+    The true sun disc is added to both; luminances below 1 cd/m2 count as 1. weights: of pixels [H,
+    W]. Raises FloatingPointError for a predicted value that is not finite.
     """
     if not np.isfinite(prediction.luminance_cdm2).all():
         raise FloatingPointError("a predicted map has values that are not finite")
@@ -212,7 +207,7 @@ def compare(prediction: Prediction, data: Dataset, weights: Floats) -> Scores:
     if prediction.log10_sd is not None:
         # standard deviations of a 90 % interval of a normal distribution
         in_band = (np.abs(error) <= 1.6449 * prediction.log10_sd[:, seen_mask]).mean(axis=1)
-    glare = {name: blank.copy() for name in _GLARE}
+    added = {name: blank.copy() for name in _ADDED}
     return Scores(
         mse_weighted=e2 @ w / w.sum(),
         mse=e2.mean(axis=1),
@@ -225,7 +220,7 @@ def compare(prediction: Prediction, data: Dataset, weights: Floats) -> Scores:
         day=data.days,
         weight=np.ones(len(data)),
         slots=data.slots,
-        **glare,  # pyright: ignore[reportArgumentType]
+        **added,  # pyright: ignore[reportArgumentType]
     )
 
 
@@ -240,7 +235,6 @@ def _glare_errors(
     suns = some.light.apparent_sun_direction
     glare = glare_directions(maps, test.views, suns, some.disc_lx)
     true_dgp, true_ev = test.dgp[rows[with_glare]], test.ev_lx[rows[with_glare]]
-    assert test.own_disc_lx is not None
     own_lx = test.own_disc_lx[rows[with_glare]]
     in_use = dgp_with_disc(glare, sun_per_lx(suns, test.views), own_lx)
 
@@ -308,8 +302,8 @@ def summary(scores: Scores) -> ScoreFigures:
         "rammg_mse": _mean(scores.rammg_error**2),
         "rammg_mse_cut": _mean(np.where(kept, scores.rammg_error**2, np.nan)),
         "n_test": len(scores),
-        "predict_s_per_map": scores.seconds / max(len(scores), 1),
-        "predict_cpu_s_per_map": scores.cpu_s / max(len(scores), 1),
+        "predict_s_per_map": float(scores.seconds.mean()),
+        "predict_cpu_s_per_map": float(scores.cpu_s.mean()),
         "in_90_band": _mean(scores.in_band),
         "judged_dgp_error": _mean(errors.figure("dgp")),
         "judged_ev_error": _mean(errors.figure("ev")),

@@ -84,9 +84,8 @@ def process_of(data: Dataset, *, with_patch: bool, seen_skies: bool = False) -> 
     count = min(_PIXELS, len(pixels))
     pixels = np.sort(np.random.default_rng(0).choice(pixels, count, replace=False, p=share))
     y, valid = (luminance / (total[:, None] * pixel_scale(arrays)))[:, pixels], valid[:, pixels]
-    level = np.array(
-        [np.median(v[ok]) if ok.any() else 1.0 for v, ok in zip(y, valid, strict=True)]
-    )
+    rows = zip(y, valid, strict=True)
+    level = np.array([np.median(v[ok]) if ok.any() else 1.0 for v, ok in rows])
     lamp = LAMP_LX / total
     # a lamp that is on in all captures is part of the room
     covariance = Kernel(arrays.facades)(arrays.features, arrays.features)
@@ -152,14 +151,14 @@ class Evidence:
 
 
 def _best_set(
-    steps: Sequence[Indices], gain: Callable[[Indices], float], start: Indices = _NO_ROWS
+    steps: Sequence[Indices] | Indices, gain: Callable[[Indices], float], start: Indices = _NO_ROWS
 ) -> Indices:
     """Return the set of captures at which no step raises the gain any more.
 
     A step adds its captures to the set, or removes those that the set has.
     """
     best, best_gain = start, gain(start)
-    while steps:
+    while len(steps):
         tries = [np.setxor1d(best, step).astype(np.intp) for step in steps]
         gains = [gain(chosen) for chosen in tries]
         if max(gains) <= best_gain:
@@ -196,7 +195,7 @@ def find_lamp(process: Process, rows: Indices) -> Indices:
     best = max((_best_set(_days_and_pairs(process, b), gain) for b in blocks), key=gain)
     if gain(best) <= _MIN_GAIN:
         return _NO_ROWS
-    return _best_set([np.array([row]) for row in rows], gain, best)
+    return _best_set(rows[:, None], gain, best)
 
 
 def _other_level(found: Evidence) -> Indices:
@@ -240,13 +239,9 @@ def find_unexplained(process: Process) -> Indices:
         found = Evidence(process, rows)
         unit = _other_level(found)
         if not len(unit):
-            singles = [np.array([row]) for row in rows]
-            gains = [found.level_change(single)[0] for single in singles]
-            unit = (
-                singles[int(np.argmax(gains))]
-                if max(gains) > _MIN_GAIN + _price(process, rows[:1])
-                else unit
-            )
+            gains = [found.level_change(single)[0] for single in rows[:, None]]
+            if max(gains) > _MIN_GAIN + _price(process, rows[:1]):
+                unit = rows[[int(np.argmax(gains))]]
         rest = np.setdiff1d(rows, unit)
         if not len(unit) or len(rest) < (1.0 - _MAX_SHARE) * len(judged):
             break
@@ -295,13 +290,11 @@ def find_changes(data: Dataset, *, with_patch: bool) -> RoomChanges | None:
     # the others are as the nearest of these, in the order of time
     nearest = np.abs(np.arange(count)[:, None] - some).argmin(axis=1)
     rest = np.setdiff1d(judged, unexplained)
-    factors = [
-        Evidence(shaded, np.append(rest, k)).level_change(np.array([k]))[1] for k in unexplained
-    ]
-    every = np.ones(len(some))
-    every[unexplained] = factors
+    factors = np.ones(len(some))
+    for k in unexplained:
+        factors[k] = Evidence(shaded, np.append(rest, k)).level_change(np.array([k]))[1]
     lamp, unexplained = (np.flatnonzero(np.isin(nearest, r)) for r in (lamp, unexplained))
-    return RoomChanges(lamp, unexplained, every[nearest[unexplained]])
+    return RoomChanges(lamp, unexplained, factors[nearest[unexplained]])
 
 
 def without_changes(data: Dataset, *, with_patch: bool) -> tuple[Dataset, list[str]]:
