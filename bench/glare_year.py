@@ -63,7 +63,7 @@ def main() -> None:
             light.direct_lx,
             height=height,
             heading_deg=data.heading_deg,
-        ).luminance_cdm2
+        )
     data = replace(data, luminance_cdm2=maps, patch_cdm2=patch, seen=seen)
     start = time.process_time()
     fitted = models.fit("transport", data, patch="absolute" if patch is not None else "none")

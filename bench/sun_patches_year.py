@@ -53,10 +53,13 @@ def main() -> None:
     prepare = _cpu() - prepare
     wall, cpu = time.perf_counter(), _cpu()
     total = 0.0
-    for part in scene.iter_sun_patches(
-        setup.room, toward, normal, heading_deg=setup.camera.heading_deg, height=asked.height
-    ):
-        total += float(part.luminance_cdm2.sum(dtype=np.float64))
+    heading, height = setup.camera.heading_deg, asked.height
+    for start in range(0, len(normal), 64):
+        some = slice(start, start + 64)
+        part = scene.sun_patches(
+            setup.room, toward[some], normal[some], heading_deg=heading, height=height
+        )
+        total += float(part.sum(dtype=np.float64))
     wall, cpu = time.perf_counter() - wall, _cpu() - cpu
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
     print(

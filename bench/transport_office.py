@@ -103,7 +103,7 @@ def told(data: Dataset, mode: str) -> Dataset:
             height=data.shape[0],
             heading_deg=HEADING_DEG,
         )
-        return replace(data, patch_cdm2=made.luminance_cdm2, setup=replace(SETUP, room=TAPE))
+        return replace(data, patch_cdm2=made, setup=replace(SETUP, room=TAPE))
     assert data.patch_cdm2 is not None
     factor = np.float32(UNKNOWN_GAIN if mode == "gain" else 1.0)
     return replace(data, patch_cdm2=data.patch_cdm2 / factor)

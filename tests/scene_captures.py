@@ -59,7 +59,7 @@ def room_captures(
     setup = SiteFile(site, CameraSetup(heading_deg=180.0), room)
     patch = sun_patches(
         room, light.apparent_sun_direction, light.direct_lx, height=height, heading_deg=180.0
-    ).luminance_cdm2
+    )
     return Dataset(
         light,
         (rest_cdm2(light) + patch).astype(np.float32),

@@ -157,7 +157,7 @@ def traced(path: Path) -> np.ndarray:
     from fieldlum.room import scene
 
     sun = np.array([[0.0, -0.7, 0.7]])
-    return scene.sun_patches(room_of(path), sun, 1.0, height=8, heading_deg=180.0).luminance_cdm2
+    return scene.sun_patches(room_of(path), sun, 1.0, height=8, heading_deg=180.0)
 
 
 @pytest.mark.parametrize(

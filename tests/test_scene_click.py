@@ -217,7 +217,7 @@ def test_the_sun_patch_of_a_clicked_room_is_the_true_one() -> None:
         found = room_from_clicks(_clicks(room, grid, 0.5, rng), grid, room.camera_z_m).room
         toward = direction(35.0, room.wall_azimuth_deg + 15.0)[None]
         maps = [
-            sun_patches(r, toward, 1e5, height=115, heading_deg=180.0).luminance_cdm2[0] > 100.0
+            sun_patches(r, toward, 1e5, height=115, heading_deg=180.0)[0] > 100.0
             for r in (room, replace(found, window=found.window))
         ]
         shares.append((maps[0] & maps[1]).sum() / (maps[0] | maps[1]).sum())

@@ -44,7 +44,7 @@ HEIGHT = 12
 
 def _patch_of(light: Light) -> NDArray[np.float32]:
     suns, lx = light.apparent_sun_direction, light.direct_lx
-    return scene.sun_patches(ROOM, suns, lx, height=HEIGHT, heading_deg=180.0).luminance_cdm2
+    return scene.sun_patches(ROOM, suns, lx, height=HEIGHT, heading_deg=180.0)
 
 
 def _light_in_room(light: Light) -> NDArray[np.float32]:

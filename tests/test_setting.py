@@ -44,7 +44,7 @@ def with_patches(data: Dataset) -> Dataset:
         heading_deg=SETUP.camera.heading_deg,
         height=HEIGHT,
     )
-    return replace(data, patch_cdm2=made.luminance_cdm2)
+    return replace(data, patch_cdm2=made)
 
 
 @cache
@@ -151,9 +151,7 @@ def test_a_clock_that_differs_between_days_is_corrected(sub: int) -> None:
 
 def patches_of_rays(light: Light, sub: int) -> Floats32:
     suns, lx = light.apparent_sun_direction, light.direct_lx
-    return sun_patches(
-        ROOM, suns, lx, heading_deg=SETUP.camera.heading_deg, height=HEIGHT, sub=sub
-    ).luminance_cdm2
+    return sun_patches(ROOM, suns, lx, heading_deg=SETUP.camera.heading_deg, height=HEIGHT, sub=sub)
 
 
 @pytest.mark.slow
@@ -260,6 +258,6 @@ def test_a_room_wrong_by_a_tape_measure_makes_no_alarm_of_north(measure: str) ->
         heading_deg=SETUP.camera.heading_deg,
         height=HEIGHT,
     )
-    told = replace(data, patch_cdm2=made.luminance_cdm2, setup=replace(SETUP, room=wrong))
+    told = replace(data, patch_cdm2=made, setup=replace(SETUP, room=wrong))
     found = found_in(told)
     assert not {"north_deg", "clock_min", "wall_azimuth_deg"} & set(found.off)

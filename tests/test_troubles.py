@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from dataclasses import replace
+from dataclasses import fields, replace
 from datetime import date, datetime
 from pathlib import Path
 
@@ -23,7 +23,6 @@ from fieldlum.optics.profiles import shipped
 from fieldlum.room import simulate
 from fieldlum.room.fit.setting import scan, settle
 from fieldlum.room.simulate.troubles import (
-    LIMITS,
     Trouble,
     Troubles,
     load_troubles,
@@ -62,7 +61,7 @@ def test_an_unknown_trouble_is_refused_and_the_known_ones_are_listed(tmp_path: P
         path.write_text(text, encoding="utf-8")
         with pytest.raises(InputError, match=words):
             load_troubles(path)
-    assert set(HARD.names) == set(LIMITS)
+    assert set(HARD.names) == {field.name for field in fields(Troubles)}
     assert HARD.key != replace(HARD, lamps=Trouble(10.0, 9)).key
 
 

@@ -30,7 +30,7 @@ from fieldlum.optics.images import read_panorama, write_panorama
 from fieldlum.pair.interval import Outside, outside
 from fieldlum.pair.sky_view import Shown, shares_of_beam, write_sky_view
 from fieldlum.pair.sun_strength import DNI, SKY_VIEW, completed_sun, is_measured, measured_sun
-from fieldlum.room.scene import iter_sun_patches
+from fieldlum.room.scene import sun_patches
 from fieldlum.room.scene.view import patch_rays
 from fieldlum.session import Session, marks, remove_scraps, replacing_path
 from fieldlum.session.codec import digest, made_from, write_object
@@ -310,9 +310,8 @@ def trace_patches(
     session = Session(root)
     setup = session.site_file()
     assert setup.room is not None
-    suns, shape = light.apparent_sun_direction, {"height": height, "heading_deg": heading_deg}
-    parts = iter_sun_patches(setup.room, suns, light.direct_lx, **shape)
-    pictures = (picture for part in parts for picture in part.luminance_cdm2)
+    suns, lx = light.apparent_sun_direction, light.direct_lx
+    pictures = sun_patches(setup.room, suns, lx, height=height, heading_deg=heading_deg)
     for (slot, recipe), t_utc, picture in zip(job, light.t_utc, pictures, strict=True):
         with replacing_path(session.sunpatch(slot)) as path:
             write_panorama(path, Panorama(picture, heading_deg, t_utc=t_utc))

@@ -175,8 +175,8 @@ def _patches(room: Room, picture: ClickedPicture) -> list[list[float]]:
         return []
     toward = direction(altitude, azimuth)[None]
     heading = picture.grid.heading_deg
-    patches = sun_patches(room, toward, 1.0, height=_PATCH_HEIGHT_PX, heading_deg=heading, sub=1)
-    light = patches.luminance_cdm2[0]  # [H, W]
+    size = _PATCH_HEIGHT_PX
+    light = sun_patches(room, toward, 1.0, height=size, heading_deg=heading, sub=1)[0]  # [H, W]
     # the dim rim of a patch is no outline
     lit = light > 0.05 * max(float(light.max()), 1e-12)
     mask = np.ascontiguousarray(lit.astype(np.uint8))

@@ -140,8 +140,7 @@ class Dataset:
         room, suns, lx = self.setup.room, light.apparent_sun_direction, light.direct_lx
         assert room is not None
         height, heading = self.shape[0], self.heading_deg
-        made = sun_patches(room, suns, lx, height=height, heading_deg=heading, progress=progress)
-        return made.luminance_cdm2
+        return sun_patches(room, suns, lx, height=height, heading_deg=heading, progress=progress)
 
     def about(self) -> dict[str, object]:
         """Return what a model's config.json records about its training data.

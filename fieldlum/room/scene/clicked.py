@@ -21,7 +21,7 @@ from fieldlum.core.records import Room, Window
 from fieldlum.core.strict_csv import read_table
 from fieldlum.core.strict_toml import convert
 from fieldlum.optics.projection import altitude_azimuth_deg, direction, equirect_pixel
-from fieldlum.room.scene.geometry import WALLS, room_axes
+from fieldlum.room.scene.geometry import FROM_HIGH_END, WALLS, room_axes
 
 # standard uncertainty of a careful click on a zoomed picture; chosen, not measured with people
 CLICK_PX = 0.5
@@ -64,6 +64,10 @@ class ClickGrid:
         azimuth = self.heading_deg + (x_px / self.width_px - 0.5) * 360.0
         return 90.0 - y_px / self.height_px * 180.0, azimuth % 360.0
 
+    def ray(self, click: Click) -> Floats:
+        """Return the direction of a click, a unit vector in world axes [3]."""
+        return direction(*self.angles(click.x_px, click.y_px))
+
     def pixels(self, points: Floats) -> Floats:
         """Return pixel positions (x, y) of directions [n, 3] in world axes, [n, 2]."""
         angles = altitude_azimuth_deg(points / np.linalg.norm(points, axis=1, keepdims=True))
@@ -80,12 +84,10 @@ def read_clicks(path: Path) -> list[Click]:
     expected, remedy = "a csv of clicks", "check the path of the csv"
     table = read_table(path, expected, remedy)
     if table.names != COLUMNS:
-        raise InputError(
-            path,
-            f"columns {','.join(table.names)[:80]}",
-            f"exactly the columns {','.join(COLUMNS)} in this order",
-            "correct the first line and the order of the columns",
-        )
+        found = f"columns {','.join(table.names)[:80]}"
+        expected = f"exactly the columns {','.join(COLUMNS)} in this order"
+        remedy = "correct the first line and the order of the columns"
+        raise InputError(path, found, expected, remedy)
     return [_click(f"{path}:{line}", line, row) for line, row in table.dicts()]
 
 
@@ -95,12 +97,8 @@ def clicks_from_rows(rows: Any) -> list[Click]:
     Raises InputError for anything else.
     """
     if not isinstance(rows, list) or len(rows) > 500:
-        raise InputError(
-            "clicks",
-            "no list, or over 500 clicks",
-            "a list of at most 500 clicks",
-            "load the page again, and click fewer corners",
-        )
+        found, expected = "no list, or over 500 clicks", "a list of at most 500 clicks"
+        raise InputError("clicks", found, expected, "load the page again, and click fewer corners")
     return [_click(f"click {k}", k, row) for k, row in enumerate(rows, start=1)]
 
 
@@ -142,12 +140,8 @@ def room_from_clicks(
     """
     _check(clicks, grid, where)
     if not 0.05 <= camera_height_m <= 50.0:
-        raise InputError(
-            where,
-            f"camera height {camera_height_m:g} m",
-            "0.05 to 50 m",
-            "measure the lens above the floor",
-        )
+        found = f"camera height {camera_height_m:g} m"
+        raise InputError(where, found, "0.05 to 50 m", "measure the lens above the floor")
     start, corners = _start(clicks, grid, camera_height_m, where)
     return _fit(start, corners, clicks, grid, camera_height_m)
 
@@ -156,29 +150,22 @@ def _check(clicks: Sequence[Click], grid: ClickGrid, where: str) -> None:
     for click in clicks:
         place = f"{where}:{click.line}"
         if not (0 <= click.x_px <= grid.width_px and 0 <= click.y_px <= grid.height_px):
-            raise InputError(
-                place,
-                f"a click at x {click.x_px:g}, y {click.y_px:g} px",
-                f"a click within {grid.width_px} x {grid.height_px} px",
-                "click on the panorama, or correct x_px and y_px",
-            )
+            found = f"a click at x {click.x_px:g}, y {click.y_px:g} px"
+            expected = f"a click within {grid.width_px} x {grid.height_px} px"
+            remedy = "click on the panorama, or correct x_px and y_px"
+            raise InputError(place, found, expected, remedy)
         altitude, _ = grid.angles(click.x_px, click.y_px)
         side = {"floor": -1.0, "ceiling": 1.0}.get(click.kind, 0.0)
         if side and altitude * side < _HORIZON_DEG:
-            raise InputError(
-                place,
-                f"a {click.kind} corner at an altitude of {altitude:+.1f} deg",
-                f"an altitude {'below' if side < 0 else 'above'} {side * _HORIZON_DEG:+g} deg",
-                "correct the kind of this click, or its place",
-            )
+            found = f"a {click.kind} corner at an altitude of {altitude:+.1f} deg"
+            limit = f"{'below' if side < 0 else 'above'} {side * _HORIZON_DEG:+g} deg"
+            remedy = "correct the kind of this click, or its place"
+            raise InputError(place, found, f"an altitude {limit}", remedy)
     count = {kind: sum(click.kind == kind for click in clicks) for kind in KINDS}
     if count["floor"] < 3 or count["ceiling"] < 1:
-        raise InputError(
-            where,
-            f"{count['floor']} floor and {count['ceiling']} ceiling corners",
-            "three corners of the floor and one of the ceiling",
-            "click more corners",
-        )
+        found = f"{count['floor']} floor and {count['ceiling']} ceiling corners"
+        expected = "three corners of the floor and one of the ceiling"
+        raise InputError(where, found, expected, "click more corners")
     for number in _numbers(clicks):
         corners = sum(click.kind == "window" and click.window == number for click in clicks)
         if corners < 2:
@@ -215,21 +202,16 @@ class _Corner(NamedTuple):
         along = left + self.ends[0] * width
         point = np.zeros(3)
         point[axis] = side * size[axis]
-        point[1 - axis] = size[1 - axis] - along if _from_high_end(self.wall) else along
+        point[1 - axis] = size[1 - axis] - along if self.wall in FROM_HIGH_END else along
         point[2] = sill + self.ends[1] * height
         return point - camera
-
-
-def _from_high_end(wall: str) -> bool:
-    """Return whether the left end of a wall, seen from inside, has the larger coordinate."""
-    return wall in ("south", "east")
 
 
 def _start(
     clicks: Sequence[Click], grid: ClickGrid, h: float, where: str
 ) -> tuple[Floats, list[_Corner | None]]:
     """Return a first guess of the values of `_Corner.point`, and the meaning of each click."""
-    rays = np.array([direction(*grid.angles(c.x_px, c.y_px)) for c in clicks]).reshape(-1, 3)
+    rays = np.array([grid.ray(click) for click in clicks]).reshape(-1, 3)
     floor = np.array([click.kind == "floor" for click in clicks])
     ground = rays[floor, :2] * (h / -rays[floor, 2])[:, None]  # [n, 2] east, north
     theta = min(np.arange(0.0, 90.0, 0.5), key=lambda t: _spread(ground, float(t)))
@@ -257,12 +239,9 @@ def _start(
         at = np.array([_on_wall(turned[k], wall, size, (west, south, h)) for k in own])
         low, span = at.min(axis=0), np.ptp(at, axis=0)
         if span.min() < _MIN_WINDOW_M:
-            raise InputError(
-                where,
-                f"the corners of window {number} have no width or no height",
-                "two opposite corners at least",
-                "click its opposite corners again",
-            )
+            found = f"the corners of window {number} have no width or no height"
+            remedy = "click its opposite corners again"
+            raise InputError(where, found, "two opposite corners at least", remedy)
         values += [low[0], span[0], low[1], span[1]]
         for k, ends in zip(own, (at > low + span / 2).astype(float), strict=True):
             corners[k] = _Corner(wall, place, tuple(ends))
@@ -295,12 +274,9 @@ def _distances(xy: Floats, where: str) -> list[float]:
     """Return distances [m] from the camera to south, west, north and east."""
     parts = [-xy[xy[:, 1] < 0, 1], -xy[xy[:, 0] < 0, 0], xy[xy[:, 1] >= 0, 1], xy[xy[:, 0] >= 0, 0]]
     if any(len(part) == 0 for part in parts):
-        raise InputError(
-            where,
-            "all floor corners are on one side of the camera",
-            "three corners of the floor around the camera",
-            "click a floor corner on the other side",
-        )
+        found = "all floor corners are on one side of the camera"
+        expected = "three corners of the floor around the camera"
+        raise InputError(where, found, expected, "click a floor corner on the other side")
     return [float(part.mean()) for part in parts]
 
 
@@ -332,7 +308,7 @@ def _on_wall(
     axis, side = WALLS[wall]
     factor = (side * size[axis] - camera[axis]) / ray[axis]
     along = camera[1 - axis] + ray[1 - axis] * factor
-    along = size[1 - axis] - along if _from_high_end(wall) else along
+    along = size[1 - axis] - along if wall in FROM_HIGH_END else along
     return float(along), float(camera[2] + ray[2] * factor)
 
 
@@ -386,20 +362,10 @@ def _room(
         own = [click for click in clicks if click.window == number]
         lengths = dict(zip(_WINDOW_LENGTHS, rounded[6 + 4 * place :][:4], strict=True))
         lengths |= {name: max(lengths[name], 0.0) for name in ("left_m", "sill_m")}
-        transoms = [
-            _on_wall(
-                axes @ direction(*grid.angles(c.x_px, c.y_px)), walls[place], values[1:3], camera
-            )[1]
-            for c in own
-            if c.kind == "transom"
-        ]
-        windows.append(
-            Window(
-                walls[place],
-                **lengths,
-                panes=1 + sum(click.kind == "bar" for click in own),
-                transom_m=round(float(np.mean(transoms)), 4) if transoms else 0.0,
-            )
-        )
+        rays = [grid.ray(click) @ axes.T for click in own if click.kind == "transom"]
+        heights = [_on_wall(ray, walls[place], values[1:3], camera)[1] for ray in rays]
+        transom_m = round(float(np.mean(heights)), 4) if heights else 0.0
+        panes = 1 + sum(click.kind == "bar" for click in own)
+        windows.append(Window(walls[place], **lengths, panes=panes, transom_m=transom_m))
     lengths = dict(zip(_LENGTHS, [rounded[0] % 360.0, *rounded[1:6]], strict=True))
     return Room(**lengths, camera_z_m=h, window=tuple(windows))

@@ -6,18 +6,17 @@ A drawing reveals a wrong `left_m` or azimuth, which a table does not.
 from __future__ import annotations
 
 from io import StringIO
-from itertools import pairwise
+from itertools import combinations, product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fieldlum.core.arrays import Floats
 from fieldlum.core.plot_style import BLUE, INK, RED, styled
 from fieldlum.core.records import Room, SiteFile
 from fieldlum.optics.projection import compass_name
 from fieldlum.room.scene.clicked import ClickGrid
-from fieldlum.room.scene.geometry import WALL_TURN_DEG, WALLS, build
+from fieldlum.room.scene.geometry import WALL_TURN_DEG, WALLS, build, upright
 from fieldlum.session import replacing
 
 if TYPE_CHECKING:
@@ -109,35 +108,20 @@ def outline_pixels(room: Room, grid: ClickGrid) -> dict[str, list[list[float]]]:
     Each line is a list of pixel positions x, y, x, y ... It is split where it leaves the picture at
     one side and continues at the other.
     """
-    camera = np.array([room.camera_x_m, room.camera_y_m, room.camera_z_m])
-    low, high = np.zeros(3), np.array([room.width_m, room.depth_m, room.height_m])
-    ends = [(low[k], high[k]) for k in range(3)]
-    lines: dict[str, list[list[float]]] = {"box": [], "window": []}
-
-    def add(name: str, a: Floats, b: Floats) -> None:
-        share = np.linspace(0.0, 1.0, _EDGE_POINTS)[:, None]
-        points = (a * (1 - share) + b * share - camera) @ build(room).turn
-        xy = grid.pixels(points)
-        cuts = np.flatnonzero(np.abs(np.diff(xy[:, 0])) > grid.width_px / 2) + 1
-        lines[name] += [np.round(part, 2).ravel().tolist() for part in np.split(xy, cuts)]
-
-    for axis in range(3):
-        others = [k for k in range(3) if k != axis]
-        for i in (0, 1):
-            for j in (0, 1):
-                a, b = np.zeros(3), np.zeros(3)
-                a[others[0]] = b[others[0]] = ends[others[0]][i]
-                a[others[1]] = b[others[1]] = ends[others[1]][j]
-                a[axis], b[axis] = ends[axis]
-                add("box", a, b)
-    for opening in build(room).openings:
-        (u0, u1), (z0, z1) = opening.u_m, opening.z_m
-        corners = [(u0, z0), (u1, z0), (u1, z1), (u0, z1), (u0, z0)]
-        points = []
-        for along, z in corners:
-            point = np.zeros(3)
-            point[opening.axis], point[1 - opening.axis], point[2] = opening.inner_m, along, z
-            points.append(point)
-        for a, b in pairwise(points):
-            add("window", a, b)
+    scene, lines = build(room), {"box": [], "window": []}
+    size = (room.width_m, room.depth_m, room.height_m)
+    parts = [("box", tuple((0.0, end) for end in size))]
+    for o in scene.openings:
+        pane = upright(o.axis, (o.inner_m, o.inner_m), o.u_m, o.z_m, 0.0, "pane")
+        parts.append(("window", tuple(zip(pane.low, pane.high, strict=True))))
+    share = np.linspace(0.0, 1.0, _EDGE_POINTS)[:, None]
+    for name, spans in parts:
+        corners = np.unique(list(product(*spans)), axis=0)
+        for a, b in combinations(corners, 2):
+            if np.count_nonzero(a != b) > 1:
+                continue  # a diagonal
+            points = (a * (1 - share) + b * share - scene.camera_m) @ scene.turn
+            xy = grid.pixels(points)
+            cuts = np.flatnonzero(np.abs(np.diff(xy[:, 0])) > grid.width_px / 2) + 1
+            lines[name] += [np.round(part, 2).ravel().tolist() for part in np.split(xy, cuts)]
     return lines

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from itertools import pairwise
+from itertools import combinations, pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,6 +27,8 @@ INDEX = 1.52  # refractive index of glass, as in Radiance's m_glass.c
 
 # name: (axis of the wall's normal, side: 0 at the low end or 1 at the high end)
 WALLS = {"south": (1, 0), "north": (1, 1), "west": (0, 0), "east": (0, 1)}
+# Walls whose left end, seen from inside, is the high end of x or y.
+FROM_HIGH_END = ("south", "east")
 # Turn of each wall's outward normal from the "south" wall, clockwise [deg].
 WALL_TURN_DEG = {"south": 0.0, "west": 90.0, "north": 180.0, "east": 270.0}
 
@@ -195,25 +197,16 @@ def build(room: Room, where: str = "[room]") -> BoxScene:
         Box(low, (high[0], high[1], 0.0), room.reflectance_floor, "floor"),
         Box((low[0], low[1], room.height_m), high, room.reflectance_ceiling, "ceiling"),
         *(box for wall in WALLS for box in _wall_boxes(room, wall, openings)),
-        *(
-            box
-            for window, o in zip(room.window, openings, strict=True)
-            for box in _frame(room, window, o)
-        ),
+        *(box for pair in zip(room.window, openings, strict=True) for box in _frame(room, *pair)),
     ]
     for o in room.obstruction:
         far = (o.x_m + o.width_m, o.y_m + o.depth_m, o.z_m + o.height_m)
         boxes.append(Box((o.x_m, o.y_m, o.z_m), far, o.reflectance, "obstruction"))
     r = GROUND_REACH_M
-    ground = Box(
-        (-r, -r, -1.0),
-        (room.width_m + r, room.depth_m + r, -SLAB_M),
-        room.reflectance_ground,
-        "ground",
-    )
-    return BoxScene(
-        (*boxes, ground), openings, (eye[0], eye[1], eye[2]), (low, high), room.wall_azimuth_deg
-    )
+    far = (room.width_m + r, room.depth_m + r, -SLAB_M)
+    boxes.append(Box((-r, -r, -1.0), far, room.reflectance_ground, "ground"))
+    camera_m = (room.camera_x_m, room.camera_y_m, room.camera_z_m)
+    return BoxScene(tuple(boxes), openings, camera_m, (low, high), room.wall_azimuth_deg)
 
 
 def _faults(room: Room, size: Floats, eye: Floats) -> Iterator[tuple[bool, str, str, str]]:
@@ -261,22 +254,16 @@ def _opening(room: Room, window: Window, where: str) -> Opening:
         and 0 <= window.sill_m <= top <= room.height_m + _ROUNDING_M
     )
     if not fits or window.width_m <= 0 or window.height_m <= 0:
+        along = f"from {window.left_m:g} to {window.left_m + window.width_m:g} m along the wall"
+        wall = wall_named(window.wall, room.wall_azimuth_deg)
         raise InputError(
             where,
-            f"a window from {window.left_m:g} to {window.left_m + window.width_m:g} m along the "
-            "wall, "
-            f"{window.sill_m:g} to {top:g} m above the floor",
-            f"a window inside the {wall_named(window.wall, room.wall_azimuth_deg)} of {length:g} x "
-            f"{room.height_m:g} m",
+            f"a window {along}, {window.sill_m:g} to {top:g} m above the floor",
+            f"a window inside the {wall} of {length:g} x {room.height_m:g} m",
             "correct the window",
         )
-    # left_m is measured from the left end as seen from inside: for the south and east walls that is
-    # the high end of x or y.
-    start = (
-        length - window.left_m - window.width_m
-        if window.wall in ("south", "east")
-        else window.left_m
-    )
+    high_end = length - window.left_m - window.width_m
+    start = high_end if window.wall in FROM_HIGH_END else window.left_m
     inner = 0.0 if side == 0 else (room.width_m if axis == 0 else room.depth_m)
     outward = 1 if side else -1
     outer = inner + outward * room.wall_thickness_m
@@ -286,19 +273,14 @@ def _opening(room: Room, window: Window, where: str) -> Opening:
 
 
 def _check_overlap(openings: tuple[Opening, ...], where: str) -> None:
-    for k, a in enumerate(openings, start=1):
-        for j, b in enumerate(openings[: k - 1], start=1):
-            same = (a.axis, a.outward) == (b.axis, b.outward)
-            if same and all(
-                p[0] < q[1] - _ROUNDING_M and q[0] < p[1] - _ROUNDING_M
-                for p, q in ((a.u_m, b.u_m), (a.z_m, b.z_m))
-            ):
-                raise InputError(
-                    where,
-                    f"windows {j} and {k} of one wall overlap",
-                    "windows that do not overlap",
-                    "correct left_m, width_m, sill_m or height_m",
-                )
+    for (j, a), (k, b) in combinations(enumerate(openings, start=1), 2):
+        same = (a.axis, a.outward) == (b.axis, b.outward)
+        if same and all(
+            p[0] < q[1] - _ROUNDING_M and q[0] < p[1] - _ROUNDING_M
+            for p, q in ((a.u_m, b.u_m), (a.z_m, b.z_m))
+        ):
+            found, expected = f"windows {j} and {k} of one wall overlap", "separate windows"
+            raise InputError(where, found, expected, "correct left_m, width_m, sill_m or height_m")
 
 
 def _wall_boxes(room: Room, wall: str, openings: tuple[Opening, ...]) -> Iterator[Box]:

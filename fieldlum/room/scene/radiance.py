@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats, Floats32
 from fieldlum.core.errors import InputError
-from fieldlum.core.records import Progress, Room, quiet
+from fieldlum.core.records import Progress, Room
 from fieldlum.optics.images import RADIANCE_LM_PER_W, RADIANCE_Y
 from fieldlum.room.scene.geometry import BoxScene, transmissivity, upright
 from fieldlum.room.scene.room_commands import require_permitted
-from fieldlum.room.scene.trace import SUN_RADIUS_DEG, disc_rays
-from fieldlum.room.scene.view import SunPatches, patch_rays, pixel_rays
+from fieldlum.room.scene.trace import SUN_RADIUS_DEG
+from fieldlum.room.scene.view import patch_rays, pixel_rays
 
 SUN_SR = 2 * np.pi * (1 - np.cos(np.radians(SUN_RADIUS_DEG)))
 # As oconv writes it after its command lines; the octree's own data follow.
@@ -176,44 +176,31 @@ def _viewpoint(room: Room) -> Floats:
     return np.array(room.viewpoint_m)
 
 
-def iter_traced(
+def traced(
     room: Room,
     suns: Floats,
     normal_lx: Floats,
-    *,
     height: int,
     heading_deg: float,
-    chunk: int,
-    progress: Progress = quiet,
-) -> Iterator[SunPatches]:
-    """Yield sun patches of a room of kind "radiance", traced by rtrace -ab 0 hour by hour.
+    progress: Progress,
+) -> Floats32:
+    """Return sun patches of a room of kind "radiance", traced by rtrace -ab 0, [n, H, W] cd/m2.
 
     suns : [n, 3] unit vectors in world axes (x east, y north); normal_lx : [n], lx on a plane
-    normal to the sun; chunk : hours in each result. Pixels have the rays of `patch_rays`. Raises
-    InputError for a missing or invalid room file, and for a viewpoint_m without three numbers.
+    normal to the sun. Pixels have the rays of `patch_rays`. Raises InputError for a missing or
+    invalid room file, and for a viewpoint_m without three numbers.
     """
     eye = _viewpoint(room)
     pixel, rays = pixel_rays(height, heading_deg, patch_rays(height))
+    maps = np.zeros((len(suns), height, 2 * height), np.float32)
     with _room_octree(room) as base:
-        for start in range(0, len(suns), chunk):
-            rows = range(start, min(start + chunk, len(suns)))
-            maps = np.zeros((len(rows), height, 2 * height), np.float32)
-            visible, through = np.zeros(len(rows)), np.zeros(len(rows))
-            for k, hour in enumerate(rows):
-                progress(hour, len(suns), "sun patches")
-                if normal_lx[hour] <= 0 or suns[hour, 2] <= 0:
-                    continue
-                with octree(sun_text(suns[hour]), base=base) as lit:
-                    values = trace(lit, eye, rays, ["-dv-"])
-                    maps[k] = _pixel_mean(pixel, values, height) * normal_lx[hour]
-                    disc = trace(lit, eye, disc_rays(suns[hour])) * SUN_SR
-                passed = disc > 1e-3
-                visible[k] = passed.mean()
-                through[k] = disc[passed].mean() if passed.any() else 0.0
-            yield SunPatches(
-                maps, visible, through, normal_lx[rows.start : rows.stop] * visible * through
-            )
+        for hour in np.flatnonzero((normal_lx > 0.0) & (suns[:, 2] > 0.0)):
+            progress(int(hour), len(suns), "sun patches")
+            with octree(sun_text(suns[hour]), base=base) as lit:
+                values = trace(lit, eye, rays, ["-dv-"])
+            maps[hour] = _pixel_mean(pixel, values, height) * normal_lx[hour]
     progress(len(suns), len(suns), "")
+    return maps
 
 
 def traced_sky_share(room: Room, rays: Floats) -> Floats:

@@ -309,17 +309,12 @@ class LitRoom:
     to_pixels: Any
     from_pieces: Any
 
-    @property
-    def height(self) -> int:
-        """Rows of the panorama."""
-        return self.view.height
-
     @cached_property
     def _sun_points(self) -> tuple[SunPoints, SunPoints, SunPoints]:
         """Points of the pictures' direct sun, those of a model's patches, and the pieces'."""
-        room, p, rays = box_room(self.setup), self.pieces, patch_rays(self.height)
+        room, p, rays = box_room(self.setup), self.pieces, patch_rays(self.view.height)
         shown, given = (
-            look(room, self.height, self.view.heading_deg, count).sun_points()
+            look(room, self.view.height, self.view.heading_deg, count).sun_points()
             for count in (rays + 1, rays)
         )
         faces = p.axis[p.piece], p.sign[p.piece]
@@ -327,11 +322,13 @@ class LitRoom:
 
     @cached_property
     def _sky_rays(self) -> Floats:
-        return equirect_rays(self.height, 2 * self.height, self.view.heading_deg).reshape(-1, 3)
+        return equirect_rays(self.view.height, 2 * self.view.height, self.view.heading_deg).reshape(
+            -1, 3
+        )
 
     def render(self, light: Light) -> Rendering:
         """Render all moments of `light` at once; memory grows with their number."""
-        n, pixels = len(light), 2 * self.height**2
+        n, pixels = len(light), 2 * self.view.height**2
         toward, direct_lx = self.view.scene.to_room(light.apparent_sun_direction), light.direct_lx
         shown, given, sunlit = (
             np.zeros((n, points.targets), np.float32) for points in self._sun_points
@@ -348,7 +345,7 @@ class LitRoom:
         out[:, seen] += light.sky_at(self._sky_rays[seen]) * sky[seen]
         out += light.sky.ground_cdm2[:, None].astype(np.float32) * self.view.plain.ravel()
         visible, through = disc_visibility(self.view.scene, toward)
-        shape = (n, self.height, pixels // self.height)
+        shape = (n, self.view.height, pixels // self.view.height)
         disc_lx = direct_lx * visible * through
         maps = out.reshape(shape), given.reshape(shape)
         return Rendering(*maps, disc_lx, visible, light, points_lx)

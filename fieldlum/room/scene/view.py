@@ -22,25 +22,6 @@ MIN_RAYS, MAX_RAYS = 3, 8
 _GROUND_SHARE = 0.1  # of a pixel, times the glass; chosen
 
 
-@dataclass(frozen=True, slots=True)
-class SunPatches:
-    """Results of direct sun at n times.
-
-    luminance_cdm2 : [n, H, W] of sunlit surfaces, without the disc; visible_fraction : [n] of the
-    disc, from the camera; disc_transmittance : [n] of the glass in front of it (0 if the disc is
-    not visible); disc_lx : [n] illuminance from the disc at the camera, on a plane normal to the
-    sun.
-    """
-
-    luminance_cdm2: Floats32
-    visible_fraction: Floats
-    disc_transmittance: Floats
-    disc_lx: Floats
-
-    def __len__(self) -> int:
-        return len(self.luminance_cdm2)
-
-
 class SurfaceSamples(NamedTuple):
     """Points of surfaces that pixels show, [m].
 

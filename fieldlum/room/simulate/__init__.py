@@ -307,27 +307,16 @@ def write_pairs(
     light: of all slots; lit: True for slots that were rendered [len(slots)]; the others get ok = 0.
     """
     ghi = np.nan_to_num(weather.at([slot.t_utc for slot in slots]).ghi_wm2)
-    rows = [
-        _pair(session, slot, light, k, bool(lit[k]), float(ghi[k])) for k, slot in enumerate(slots)
-    ]
+    columns = light.dni_wm2, light.dhi_wm2, ghi, light.sun_altitude_deg, light.sun_azimuth_deg
+    rows = []
+    for slot, ok, values in zip(slots, lit.tolist(), np.stack(columns, axis=1), strict=True):
+        dni, dhi, total, *sun_deg = values.tolist()
+        panorama, patch = (
+            path.relative_to(session.root).as_posix() if ok else ""
+            for path in (session.truth_panorama(slot.id), session.truth_sunpatch(slot.id))
+        )
+        why = "" if ok else "no light in the weather"
+        more = {"sunpatch": patch, "ok": ok, "why": why}
+        row = PairRow(slot.t_utc, panorama, dni, dhi, total, "measured", *sun_deg, **more)
+        rows.append(row)
     write_simulated_pairs(session, tuple(rows))
-
-
-def _pair(session: Session, slot: Slot, light: Light, k: int, ok: bool, ghi: float) -> PairRow:
-    panorama, patch = (
-        path.relative_to(session.root).as_posix() if ok else ""
-        for path in (session.truth_panorama(slot.id), session.truth_sunpatch(slot.id))
-    )
-    return PairRow(
-        slot.t_utc,
-        panorama,
-        float(light.dni_wm2[k]),
-        float(light.dhi_wm2[k]),
-        ghi,
-        "measured",
-        float(light.sun_altitude_deg[k]),
-        float(light.sun_azimuth_deg[k]),
-        sunpatch=patch,
-        ok=ok,
-        why="" if ok else "no light in the weather",
-    )

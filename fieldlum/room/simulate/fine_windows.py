@@ -91,7 +91,7 @@ def fine_windows(lit: LitRoom, pitch_deg: float) -> FineWindows | None:
     near = _near_windows(view)
     if not near.any():
         return None
-    parts = max(1, int(np.ceil(180.0 / lit.height / pitch_deg - 1e-9)))
+    parts = max(1, int(np.ceil(180.0 / view.height / pitch_deg - 1e-9)))
     grid, covered = _grid_of(near, parts, view.heading_deg)
     pixel = np.flatnonzero(covered)
     rays = np.empty((len(pixel), 3))
@@ -108,7 +108,7 @@ def fine_windows(lit: LitRoom, pitch_deg: float) -> FineWindows | None:
         blocks.append(samples._replace(pixel=samples.pixel + np.int32(some.start)))
         codes.append(code)
     s = SurfaceSamples._make(np.concatenate(values) for values in zip(*blocks, strict=True))
-    reach_m = np.linalg.norm(s.position - scene.camera_m, axis=1) * np.pi / lit.height
+    reach_m = np.linalg.norm(s.position - scene.camera_m, axis=1) * np.pi / view.height
     places, points = (s.position, np.concatenate(codes)), (lit.samples.position, lit.faces)
     light = near_light(places, points, _NEIGHBOURS, reach_m)
     luminance = (s.weight * scene.reflectance[s.box] / np.pi).astype(np.float32)

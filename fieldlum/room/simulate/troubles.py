@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from datetime import datetime, timedelta
 from pathlib import Path
+from typing import Annotated, get_type_hints
 
 import numpy as np
 
@@ -51,7 +52,7 @@ class Trouble:
 
 @dataclass(frozen=True, slots=True)
 class Troubles:
-    """The troubles of a campaign; None: not present.
+    """The troubles of a campaign, with the limits of their sizes; None: not present.
 
     clouds : sd of ln luminance of a smooth field over the sky, another in each hour; DHI is kept.
     distant_instrument : distance of the instrument, m; its DNI is that of other clouds.
@@ -68,19 +69,19 @@ class Troubles:
     clipped : count of pictures without their shortest exposures.
     """
 
-    clouds: Trouble | None = None
-    distant_instrument: Trouble | None = None
-    instrument_drift: Trouble | None = None
-    horizon: Trouble | None = None
-    north: Trouble | None = None
-    clock_drift: Trouble | None = None
-    knock: Trouble | None = None
-    lamps: Trouble | None = None
-    blind: Trouble | None = None
-    people: Trouble | None = None
-    chair: Trouble | None = None
-    exposures: Trouble | None = None
-    clipped: Trouble | None = None
+    clouds: Annotated[Trouble | None, (0.0, 1.0)] = None
+    distant_instrument: Annotated[Trouble | None, (0.0, 5000.0)] = None
+    instrument_drift: Annotated[Trouble | None, (-0.5, 0.5)] = None
+    horizon: Annotated[Trouble | None, (0.0, 30.0)] = None
+    north: Annotated[Trouble | None, (-10.0, 10.0)] = None
+    clock_drift: Annotated[Trouble | None, (-60.0, 60.0)] = None
+    knock: Annotated[Trouble | None, (-10.0, 10.0)] = None
+    lamps: Annotated[Trouble | None, (0.0, 1000.0)] = None
+    blind: Annotated[Trouble | None, (0.0, 1.0)] = None
+    people: Annotated[Trouble | None, (0.0, 1.0)] = None
+    chair: Annotated[Trouble | None, (0.0, 1.0)] = None
+    exposures: Annotated[Trouble | None, (0.0, 1.0)] = None
+    clipped: Annotated[Trouble | None, (0.0, 1000.0)] = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -97,42 +98,18 @@ class Troubles:
         return hashlib.sha256(text.encode()).hexdigest()[:16] if self.names else ""
 
 
-# largest size of each trouble; the smallest is 0, or its negative in _SIGNED
-LIMITS = {
-    "clouds": 1.0,
-    "distant_instrument": 5000.0,
-    "instrument_drift": 0.5,
-    "horizon": 30.0,
-    "north": 10.0,
-    "clock_drift": 60.0,
-    "knock": 10.0,
-    "lamps": 1000.0,
-    "blind": 1.0,
-    "people": 1.0,
-    "chair": 1.0,
-    "exposures": 1.0,
-    "clipped": 1000.0,
-}
-_SIGNED = ("instrument_drift", "north", "clock_drift", "knock")
-
-
 def load_troubles(path: Path) -> Troubles:
     """Read troubles from TOML: a table for each, with `size` and, if not 1, `seed`.
 
     Raises InputError for a file that cannot be read, an unknown trouble or key, a value of another
-    type, and a size outside `LIMITS`.
+    type, and a size outside its limits.
     """
     troubles = build(Troubles, read_toml(path), str(path))
-    for name in troubles.names:
-        size, largest = getattr(troubles, name).size, LIMITS[name]
-        smallest = -largest if name in _SIGNED else 0.0
-        if not smallest <= size <= largest:
-            raise InputError(
-                path,
-                f"the trouble [{name}] with size = {size:g}",
-                f"{smallest:g} to {largest:g}",
-                "correct the size",
-            )
+    for name, kind in get_type_hints(Troubles, include_extras=True).items():
+        trouble, (smallest, largest) = getattr(troubles, name), kind.__metadata__[0]
+        if trouble is not None and not smallest <= trouble.size <= largest:
+            found = f"the trouble [{name}] with size = {trouble.size:g}"
+            raise InputError(path, found, f"{smallest:g} to {largest:g}", "correct the size")
     return troubles
 
 
@@ -142,19 +119,13 @@ def load_troubles(path: Path) -> Troubles:
 
 @dataclass(frozen=True)
 class CloudyLight(Light):
-    """Light whose sky is Perez's times a smooth log-normal field, another one at each moment."""
+    """Light whose sky is Perez's times a smooth log-normal field, another one at each moment.
+
+    cloud_sd, cloud_seed: sd of ln luminance and seed of the field.
+    """
 
     cloud_sd: float = 0.0
     cloud_seed: int = 0
-
-    def __getitem__(self, rows: slice | Array | Sequence[int]) -> CloudyLight:
-        return CloudyLight.of(super().__getitem__(rows), self.cloud_sd, self.cloud_seed)
-
-    @classmethod
-    def of(cls, light: Light, cloud_sd: float, cloud_seed: int) -> CloudyLight:
-        """Return `light` with clouds: sd of ln luminance and seed of the field over the sky."""
-        values = {f.name: getattr(light, f.name) for f in fields(Light)}
-        return cls(**values, cloud_sd=cloud_sd, cloud_seed=cloud_seed)
 
     def sky_at(self, directions: Floats) -> Floats32:
         """Return the luminance of the clouded sky, [n, m], cd/m2.
@@ -203,7 +174,8 @@ def true_light(light: Light, troubles: Troubles, site: Site) -> Light:
     moved = replace(light, sun_altitude_deg=altitude, sun_azimuth_deg=azimuth)
     if troubles.clouds is None:
         return moved
-    return CloudyLight.of(moved, troubles.clouds.size, troubles.clouds.seed)
+    values = {f.name: getattr(moved, f.name) for f in fields(Light)}
+    return CloudyLight(**values, cloud_sd=troubles.clouds.size, cloud_seed=troubles.clouds.seed)
 
 
 def measured_irradiance(
@@ -259,28 +231,29 @@ def troubled_pictures(
     luminance_cdm2: without troubles, [n, H, W]; window: pixels that see the sky, [H, W]; all_slots:
     times of the complete plan, by which days are counted.
     """
-    days = sorted({sun.standard_date(t, timezone) for t in all_slots})
     maps = luminance_cdm2.copy()
     for k, t in enumerate(slots):
-        day = days.index(sun.standard_date(t, timezone))
+        day, days = _day_of(t, all_slots, timezone)
         local = sun.standard_time(t, timezone)
         hour = local.hour + local.minute / 60.0
-        maps[k] = _changed_room(maps[k], window, day, len(days), hour, troubles)
-        maps[k] = _changed_picture(maps[k], t, all_slots, day, troubles)
+        maps[k] = _changed_room(maps[k], window, day, days, hour, troubles)
+        knocked = knocked_camera(t, all_slots, timezone, troubles)
+        maps[k] = _changed_picture(maps[k], t, all_slots, knocked, troubles)
     return maps
+
+
+def _day_of(t_utc: datetime, all_slots: Sequence[datetime], timezone: str) -> tuple[int, int]:
+    """Return the number of a slot's day in the plan, from 0, and the number of days."""
+    days = sorted({sun.standard_date(t, timezone) for t in all_slots})
+    return days.index(sun.standard_date(t_utc, timezone)), len(days)
 
 
 def knocked_camera(
     t_utc: datetime, all_slots: Sequence[datetime], timezone: str, troubles: Troubles
 ) -> bool:
     """Return whether the camera is turned by a knock at a slot of the plan `all_slots`."""
-    days = sorted({sun.standard_date(t, timezone) for t in all_slots})
-    day = days.index(sun.standard_date(t_utc, timezone))
-    return troubles.knock is not None and _on_knocked_day(day)
-
-
-def _on_knocked_day(day: int) -> bool:
-    return _KNOCKED_DAYS[0] <= day < _KNOCKED_DAYS[1]
+    day, _ = _day_of(t_utc, all_slots, timezone)
+    return troubles.knock is not None and _KNOCKED_DAYS[0] <= day < _KNOCKED_DAYS[1]
 
 
 def _changed_room(
@@ -295,10 +268,11 @@ def _changed_room(
             lit = np.full_like(out, troubles.lamps.size)
             lit[height // 8 : height // 6, width // 8 :: width // 4] *= _LAMP_SPOTS
             out += np.where(window, 0.0, lit).astype(np.float32)
-    if troubles.blind is not None and day == _blind_day(troubles.blind, days):
+    blind = troubles.blind
+    if blind is not None and day == int(np.random.default_rng(blind.seed).integers(days)):
         rows = np.flatnonzero(window.any(axis=1))
         upper = window & (np.arange(height)[:, None] <= np.median(rows))
-        passed = 1.0 - troubles.blind.size
+        passed = 1.0 - blind.size
         out = np.where(upper, out * passed, out * (0.5 + 0.5 * passed)).astype(np.float32)
     if troubles.chair is not None and day >= days // 2:
         azimuth = float(np.random.default_rng(troubles.chair.seed).uniform(0.0, 360.0))
@@ -307,12 +281,8 @@ def _changed_room(
     return out
 
 
-def _blind_day(blind: Trouble, days: int) -> int:
-    return int(np.random.default_rng(blind.seed).integers(days))
-
-
 def _changed_picture(
-    image: Array, t_utc: datetime, all_slots: Sequence[datetime], day: int, troubles: Troubles
+    image: Array, t_utc: datetime, all_slots: Sequence[datetime], knocked: bool, troubles: Troubles
 ) -> Array:
     """Return the picture with a person, a turn, wrong exposure times and clipping, [H, W]."""
     out = image
@@ -322,7 +292,7 @@ def _changed_picture(
         if rng.random() < troubles.people.size:
             body = _block(height, width, rng.uniform(0.0, 360.0), -20.0, *_PERSON_DEG)
             out = np.where(body, np.float32(0.3 * np.median(out)), out)
-    if troubles.knock is not None and _on_knocked_day(day):
+    if troubles.knock is not None and knocked:
         shift = troubles.knock.size / 360.0 * width
         columns = int(np.floor(shift))
         near, far = np.roll(out, -columns, axis=1), np.roll(out, -columns - 1, axis=1)

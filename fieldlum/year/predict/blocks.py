@@ -161,9 +161,8 @@ def blocks(
         rows = slice(start, min(start + BLOCK, count))
         part, patch = light[rows], None
         if room.needs_patch and space is not None:
-            suns, lx, size = part.apparent_sun_direction, part.direct_lx, room.height
-            patches = sun_patches(space, suns, lx, height=size, heading_deg=room.heading_deg)
-            patch = patches.luminance_cdm2
+            suns, lx = part.apparent_sun_direction, part.direct_lx
+            patch = sun_patches(space, suns, lx, height=room.height, heading_deg=room.heading_deg)
         prediction = fitted.predict(part, patch)
         maps = prediction.luminance_cdm2
         if maps.shape[1:] != (room.height, room.width):
