@@ -219,8 +219,7 @@ class _Runner:
         self._plan_stamp = 0
         self._plan_stamp = self._stamp()  # before the plan is read, so that no change is missed
         self.slots = session.slots()
-        before = read_slot_states(session)
-        self.states = before.slots
+        self.states = before = read_slot_states(session)
         if before.last_utc is not None:
             if before.opened is not None:
                 clock.carry_on(parse_utc(before.opened["t_utc"]), before.opened)
@@ -232,10 +231,9 @@ class _Runner:
         self.logger: Logger | None = None
         self.meter: Keeper[IlluminanceMeter] | None = None
         self.frame_bytes, self.bytes_per_slot, self.last_frame = 0, 0.0, ""
-        begun = [slot for slot in self.slots if self.states.get(slot.id, SlotState()).frames]
-        if begun:
-            self._learn_sizes(begun[-1], self.states[begun[-1].id])
-        self._state, self._next = "waiting", ""
+        for slot in [slot for slot in self.slots if before.state(slot.id).frames][-1:]:
+            self._learn_sizes(slot, before.state(slot.id))
+        self._state, self._next = "waiting", self._next_to_do()
 
     def _keeper(self, name: str, open_device: Callable[[], Any]) -> Keeper[Any]:
         return Keeper(name, open_device, self.clock, self.recorder.tell, self.options.watchdog_s)
@@ -252,7 +250,7 @@ class _Runner:
         while: the brackets do not wait for it.
         """
         camera = self.camera.open_or_raise()
-        refuse_what_is_not_offered(camera, self.slots, self.states)
+        refuse_what_is_not_offered(camera, self.slots, self.states.slots)
         about: DevicesTable = {"uris": uris, "camera": plain_info(camera.info)}
         if open_pyr is not None:
             keeper = self._keeper("pyranometer", open_pyr)
@@ -289,11 +287,11 @@ class _Runner:
 
     def work(self) -> None:
         """Wait for each slot and take its bracket, until every slot has an outcome."""
-        while (slot := self._next_to_do()) is not None:
-            self._state, self._next = "waiting", slot.id
+        while (slot := self._next) is not None:
             if not self._wait_until(slot.t_utc):
+                self._next = self._next_to_do()
                 continue
-            state = self.states.get(slot.id, SlotState())
+            state = self.states.state(slot.id)
             late_s = (self.clock.now() - slot.t_utc).total_seconds()
             bracket = self._bracket(slot, state)
             can_resume = state.outcome == "started" and bracket.resumable()
@@ -301,11 +299,10 @@ class _Runner:
                 state = self._too_late(bracket, late_s)
             else:
                 state = self._take(bracket, late_s)
-            self.states[slot.id] = state
-            following = self._next_to_do()
-            self._state, self._next = "waiting", following.id if following else ""
+            self.states.slots[slot.id] = state
+            self._state, self._next = "waiting", self._next_to_do()
             self._show()
-        self._state, self._next = "finished", ""
+        self._state = "finished"
         self._show()
 
     def _bracket(self, slot: Slot, state: SlotState) -> BracketCapture:
@@ -334,7 +331,7 @@ class _Runner:
                 # remains.
                 if {slot.id for slot in self.slots} <= {slot.id for slot in slots}:
                     self.slots = slots
-        return next(iter(slots_to_do(self.slots, SlotStates(dict(self.states)))), None)
+        return next(iter(slots_to_do(self.slots, self.states)), None)
 
     def _plan_changed(self) -> bool:
         return self._stamp() != self._plan_stamp
@@ -369,19 +366,15 @@ class _Runner:
     def _too_late(self, bracket: BracketCapture, late_s: float) -> SlotState:
         slot = bracket.slot.id
         if bracket.state.outcome == "started":
-            why = (
-                f"interrupted, and not finished within the slot's window (now {late_s:.0f} s late)"
-            )
-            return bracket.abort(why)
+            why = "interrupted, and not finished within the slot's window"
+            return bracket.abort(f"{why} (now {late_s:.0f} s late)")
         self.recorder.tell("missed", slot=slot, why=f"late by {late_s:.0f} s")
         return SlotState("missed", why="late")
 
     def _learn_sizes(self, slot: Slot, state: SlotState) -> None:
-        sizes: list[int] = []
+        folder, sizes = self.session.capture_file(slot.id).parent, list[int]()
         with suppress(OSError):
-            folder = self.session.capture_file(slot.id).parent
-            paths = [folder / frame.file for frame in state.frames]
-            sizes = [path.stat().st_size for path in paths if path.is_file()]
+            sizes = [(folder / frame.file).stat().st_size for frame in state.frames]
         if sizes:
             self.frame_bytes = max(sizes)
             count = len(shots(slot.exposures, self.setup.camera))
@@ -395,15 +388,14 @@ class _Runner:
         return self._sleep_until(t_utc)
 
     def _sleep_until(self, t_utc: datetime, *, log: bool = True) -> bool:
-        inline = self.logger if log and not self.options.threaded else None
         while not self._plan_changed():
             self.recorder.tell_all(self.clock.check())
             wait_s = (t_utc - self.clock.now()).total_seconds()
             if wait_s <= 0:
                 return True
-            if inline is not None:
-                inline.poll_if_due()
-                wait_s = min(wait_s, max(inline.due_in_s, 0.01))
+            if self.logger is not None and log and not self.options.threaded:
+                self.logger.poll_if_due()
+                wait_s = min(wait_s, max(self.logger.due_in_s, 0.01))
             if self.options.threaded:
                 wait_s = min(wait_s, 1.0)
                 self._show()
@@ -430,9 +422,9 @@ class _Runner:
 
     def live(self) -> Live:
         """Return the state of the capture."""
-        outcomes, now = Counter(state.outcome for state in self.states.values()), self.clock.now()
+        states, now, upcoming = self.states.slots.values(), self.clock.now(), self._next
+        outcomes = Counter(state.outcome for state in states)
         done, missed, aborted = (outcomes[name] for name in ("done", "missed", "aborted"))
-        upcoming = next((s for s in self.slots if s.id == self._next), None)
         sample = self.logger.last if self.logger else None
         free = disk_usage(self.session.root).free
         days = max(1, len({slot.t_utc.date() for slot in self.slots}))
@@ -445,7 +437,7 @@ class _Runner:
             missed,
             aborted,
             len(self.slots) - done - missed - aborted,
-            self._next,
+            upcoming.id if upcoming else "",
             (upcoming.t_utc - now).total_seconds() if upcoming else None,
             self.last_frame,
             sample.ghi_wm2 if sample else None,

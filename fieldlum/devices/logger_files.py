@@ -16,22 +16,8 @@ from pathlib import Path
 
 from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.records import IrradianceSample
-from fieldlum.core.strict_csv import (
-    COMMAS,
-    Line,
-    check_names,
-    decimal_commas,
-    is_wm2,
-    lines_of,
-    microvolts,
-    numbered,
-    read_text,
-    read_time,
-    split_header,
-    split_heading,
-    split_row,
-    stated_unit,
-)
+from fieldlum.core import strict_csv
+from fieldlum.core.strict_csv import COMMAS, Line, is_wm2, microvolts, read_time, split_row
 from fieldlum.devices.ascii_lines import sample_of
 from fieldlum.devices.modbus import MAX_WM2, MIN_WM2
 from fieldlum.session import DAY_COLUMNS, read_day
@@ -74,18 +60,22 @@ class LoggerFile:
 class _Table:
     """The text of a table: names and units of its columns, lines below them.
 
-    usual : the letters of each name if it counts as a usual name; states_units : whether the format
-    states the unit of each column; padded : whether spaces around cells are ignored; cut : a text
-    on an incomplete last line.
+    is_logger : whether a logger's program wrote it, which states the unit of each column and puts
+    no spaces around cells; cut : a text on an incomplete last line.
     """
 
     names: list[str]
     units: list[str]
-    usual: list[str]
     lines: Sequence[Line]
-    states_units: bool
-    padded: bool = True
+    is_logger: bool = False
     cut: tuple[str, ...] = ()
+
+    def usual(self) -> list[str]:
+        """Return the letters of each name, "" for a column of a csv that is not in W/m2."""
+        if self.is_logger:
+            return [_letters(name) for name in self.names]
+        headings = (strict_csv.split_heading(name) for name in self.names)
+        return [_letters(name) if is_wm2(unit) else "" for name, unit in headings]
 
 
 def read_logger_file(
@@ -116,7 +106,7 @@ def read_logger_file(
         unused = "quality flags of the file are not used, because fieldlum checks the values itself"
         logger_file = replace(logger_file, notes=(*logger_file.notes, unused))
     else:
-        text = read_text(path, "a logger's file in csv or TOA5")
+        text = strict_csv.read_text(path, "a logger's file in csv or TOA5")
         if text.startswith(",".join(DAY_COLUMNS)):
             samples, broken = read_day(path)
             lost = (f"{broken} broken rows",) if broken else ()
@@ -183,24 +173,21 @@ def _toa5(path: Path, text: str) -> _Table:
     if lines.pop():
         cut = (f"line {len(lines) + 1}: the line does not end with a line feed",)
     body = [(n, line) for n, line in enumerate(lines[4:], start=5) if line.strip()]
-    return _Table(names, units, [_letters(name) for name in names], body, True, False, cut)
+    return _Table(names, units, body, True, cut)
 
 
 def _csv(path: Path, text: str) -> _Table:
     """Return a csv table; a column without a name is called by its number, the first one time."""
-    lines = numbered(lines_of(text))
+    lines = strict_csv.numbered(strict_csv.lines_of(text))
     if not lines:
         expected = "a header with t_utc and one or more of ghi_wm2, dhi_wm2, dni_wm2"
         raise InputError(path, "an empty file", expected, "copy the file from the logger again")
-    names = split_header(path, lines[0])
+    names = strict_csv.split_header(path, lines[0])
     with suppress(ValueError):
         read_time(names[0])
         numbers = ["time", *(str(k) for k in range(2, len(names) + 1))]
-        return _Table(numbers, [""] * len(names), [""] * len(names), lines, False)
-    usual = [
-        _letters(split_heading(name)[0]) if is_wm2(split_heading(name)[1]) else "" for name in names
-    ]
-    return _Table(names, [stated_unit(name) for name in names], usual, lines[1:], False)
+        return _Table(numbers, [""] * len(names), lines)
+    return _Table(names, [strict_csv.stated_unit(name) for name in names], lines[1:])
 
 
 def _netcdf(path: Path) -> _Table:
@@ -217,7 +204,7 @@ def _netcdf(path: Path) -> _Table:
     units = ["", *(str(values.attrs.get("units", "")) for values in along.values())]
     rows = zip(times, *(values.to_numpy().tolist() for values in along.values()), strict=True)
     lines = [(number, ",".join(map(str, row))) for number, row in enumerate(rows, start=1)]
-    return _Table(names, units, [_letters(name) for name in names], lines, True)
+    return _Table(names, units, lines, True)
 
 
 def _letters(name: str) -> str:
@@ -237,7 +224,7 @@ def _read(
 ) -> LoggerFile:
     """Return the samples of a table, and a text on each line that was not read."""
     names = table.names
-    check_names(path, [name.lower() for name in names])
+    strict_csv.check_names(path, [name.lower() for name in names])
     at = _columns(path, table, asked)
     factor, notes = _factors(path, table, at, sensitivities)
     clock = _Clock(path, table, utc_offset)
@@ -246,10 +233,10 @@ def _read(
     broken: list[str] = []
     for number, line in table.lines:
         try:
-            row = split_row(line, padded=table.padded)
+            row = split_row(line, padded=not table.is_logger)
             if len(row) != len(names):
-                commas = decimal_commas(row, len(names), right[-50:])
-                why = COMMAS if commas else ""
+                has_commas = strict_csv.decimal_commas(row, len(names), right[-50:])
+                why = COMMAS if has_commas else ""
                 raise ValueError(f"{len(row)} values, expected {len(names)}{why}")
             values = {q: _number(row[i], q, factor.get(q, 1.0)) for q, i in at.items()}
             raw = ",".join(row[i] for i in sorted(at.values()))
@@ -268,19 +255,16 @@ def _columns(path: Path, table: _Table, asked: Mapping[str, str]) -> dict[str, i
     Raises InputError for a column that is missing or ambiguous.
     """
     names, at = [name.lower() for name in table.names], dict[str, int]()
+    all_names = ", ".join(table.names)[:120]
     if lost := [name for name in asked.values() if name.lower() not in names]:
-        expected = f"one of {', '.join(table.names)[:120]}"
-        raise InputError(
-            path, f"no column {', '.join(lost)}", expected, "correct the name after --column"
-        )
+        found, remedy = f"no column {', '.join(lost)}", "correct the name after --column"
+        raise InputError(path, found, f"one of {all_names}", remedy)
     taken = {name.lower() for name in asked.values()}
+    free = [(i, text) for i, text in enumerate(table.usual()) if names[i] not in taken]
     for quantity in QUANTITIES:
         name = asked.get(quantity, quantity).lower()
-        matches = [i for i, other in enumerate(names) if other == name] or [
-            i
-            for i, letters in enumerate(table.usual)
-            if letters in _USUAL[quantity] and names[i] not in taken
-        ]
+        matches = [names.index(name)] if name in names else []
+        matches = matches or [i for i, letters in free if letters in _USUAL[quantity]]
         if len(matches) > 1:
             found = ", ".join(table.names[i] for i in matches)
             found = f"several columns for {quantity}: {found}"
@@ -288,7 +272,7 @@ def _columns(path: Path, table: _Table, asked: Mapping[str, str]) -> dict[str, i
         if matches:
             at[quantity] = matches[0]
     if not any(quantity.endswith("_wm2") for quantity in at):
-        found = f"no known column of irradiance among the columns {', '.join(table.names)[:120]}"
+        found = f"no known column of irradiance among the columns {all_names}"
         expected = "a column of irradiance, such as ghi_wm2, dhi_wm2 or dni_wm2"
         raise InputError(path, found, expected, "choose it: --column ghi_wm2=NAME")
     return at
@@ -316,7 +300,7 @@ def _factors(
             shown = unit or "mV (its unit is not stated)"
             notes.append(f"column {names[i]} read in {shown}, {sensitivity:g} uV per W/m2")
         elif quantity.endswith("_wm2") and (
-            sensitivity or not (is_wm2(unit) or (not unit and not table.states_units))
+            sensitivity or not (is_wm2(unit) or (not unit and not table.is_logger))
         ):
             expected = "mV, uV or V where a sensitivity is stated" if sensitivity else "W/m^2"
             remedy = f"choose another column: --column {quantity}=NAME"
@@ -374,12 +358,11 @@ class _Clock:
         t = read_time(text, utc=self.is_utc)
         if t.tzinfo is None:
             if self._utc_offset is None:
-                raise InputError(
-                    self._path,
-                    "times without a time zone",
+                expected, remedy = (
                     "the logger's offset from UTC",
                     "state it with --utc-offset +HH:MM",
                 )
+                raise InputError(self._path, "times without a time zone", expected, remedy)
             t = t.replace(tzinfo=UTC) - self._utc_offset
         return t.astimezone(UTC)
 
@@ -395,10 +378,7 @@ class _Clock:
         if dates and day_first == any(int(part[2]) > 12 for part in dates):
             why = "whose day and month cannot be distinguished, because no number is above 12"
             why = "some with the day first and some with the month first" if day_first else why
-            raise InputError(
-                self._path,
-                f"dates such as {dates[0][0].split()[0]}, {why}",
-                "dates such as 2015-12-01",
-                "write the year first, or import the file together with a later day",
-            )
+            found = f"dates such as {dates[0][0].split()[0]}, {why}"
+            remedy = "write the year first, or import the file together with a later day"
+            raise InputError(self._path, found, "dates such as 2015-12-01", remedy)
         return (3, 2, 1) if day_first else (3, 1, 2)
