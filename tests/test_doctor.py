@@ -301,7 +301,7 @@ def test_several_headings_name_who_turns_the_camera(
     assert "headings 0, 180 deg" in turning.text and "a person turns it" in turning.text
 
     device = Mock(info=CameraInfo(kind))
-    monkeypatch.setattr(doctor, "open_camera", lambda *_, **__: device)
+    monkeypatch.setattr("fieldlum.devices.open_camera", lambda *_, **__: device)
     verdicts = [f for f in every(doctor.check_camera, session, "x:", NOW) if f.verdict == "fail"]
     assert ["each bracket would abort" in f.text for f in verdicts] == [True] * count
 
@@ -331,7 +331,7 @@ def test_a_meter_is_asked_where_there_is_one(monkeypatch: pytest.MonkeyPatch) ->
 
         def close(self) -> None: ...
 
-    monkeypatch.setattr(doctor, "open_meter", lambda uri, clock: Meter())
+    monkeypatch.setattr("fieldlum.devices.open_meter", lambda uri, clock: Meter())
     found = every(doctor.check_meter, "cl200a:/dev/ttyUSB1")
     assert [(f.verdict, f.text) for f in found] == [
         ("ok", "CL-200A 10001 answers: 1234 lx"),

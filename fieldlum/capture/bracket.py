@@ -112,16 +112,13 @@ class BracketCapture:
             self._again(frame)
 
     def resumable(self) -> bool:
-        """Return whether all frames exist, or the last one ended at most a minute ago.
+        """Return whether all frames exist, or one ended at most a minute ago.
 
         Without a frame it is False.
         """
-        if len(self.state.frames) == len(self.wanted):
-            return True
-        if not self.state.frames:
-            return False
-        last = max(self.state.frames, key=lambda frame: frame.t_utc)
-        return (self.clock.now() - last.t_utc).total_seconds() - last.seconds <= STALE_S
+        earliest = self.clock.now() - timedelta(seconds=STALE_S)
+        ends = [frame.t_utc + timedelta(seconds=frame.seconds) for frame in self.state.frames]
+        return len(ends) == len(self.wanted) or any(end >= earliest for end in ends)
 
     def abort(self, why: str) -> SlotState:
         """Journal the slot as aborted for the reason `why`, and return its state.
@@ -250,12 +247,8 @@ class BracketCapture:
         Wait at least `pause_s`, because free space does not show that a disk quota is exhausted.
         """
         earliest = self.clock.now() + timedelta(seconds=pause_s)
-
-        def has_room() -> bool:
-            late_enough = self.clock.now() >= earliest
-            return late_enough and not self.recorder.missing_bytes(self.frame_bytes)
-
-        return self._wait_for(has_room)
+        missing, size = self.recorder.missing_bytes, self.frame_bytes
+        return self._wait_for(lambda: self.clock.now() >= earliest and not missing(size))
 
     def _wait_for(self, is_ready: Callable[[], bool]) -> bool:
         while self.clock.now() < self.deadline:
@@ -332,9 +325,8 @@ class FrameRequest:
     def stem(self) -> str:
         """File name without suffix: index, shutter time, heading and filter (``03_0.5s_h90``)."""
         turned = "" if self.heading_deg is None else f"_h{self.heading_deg:g}"
-        return f"{self.index:02d}_{self.exposure.shutter_s:.6g}s{turned}" + (
-            f"_{self.exposure.nd}" if self.exposure.nd else ""
-        )
+        nd = f"_{self.exposure.nd}" if self.exposure.nd else ""
+        return f"{self.index:02d}_{self.exposure.shutter_s:.6g}s{turned}{nd}"
 
 
 def shots(exposures: Sequence[Exposure], setup: CameraSetup) -> tuple[FrameRequest, ...]:

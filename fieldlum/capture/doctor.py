@@ -12,28 +12,14 @@ from pathlib import Path
 from typing import Literal
 from zoneinfo import ZoneInfo
 
+from fieldlum import devices
 from fieldlum.core.errors import FieldlumError, InputError
 from fieldlum.core.records import IrradianceSample, JsonTable, Progress, Site, Slot, quiet
-from fieldlum.devices import (
-    FORM_ALONE,
-    CameraInfo,
-    InstrumentInfo,
-    not_offered,
-    open_camera,
-    open_meter,
-    open_pyranometer,
-)
+from fieldlum.devices import CameraInfo, InstrumentInfo
 from fieldlum.devices.awake import kept_awake
 from fieldlum.devices.clock import Clock, synchronised
-from fieldlum.optics.profiles import (
-    CameraProfile,
-    assumed_texts,
-    coverage_text,
-    load_camera_profile,
-    sun_text,
-    turning_text,
-    uncalibrated_text,
-)
+from fieldlum.optics import profiles
+from fieldlum.optics.profiles import CameraProfile, load_camera_profile
 from fieldlum.optics.raw import same_model
 from fieldlum.session import DEFAULT_GRACE_S, Session, check_writable, sha256
 from fieldlum.session.journal import damage_text, damaged_lines
@@ -192,10 +178,11 @@ def check_profile(session: Session, today: date) -> Iterator[Finding]:
     """
     setup = session.site_file()
     profile = load_camera_profile(setup.camera.profile)
-    yield from (warn("camera", text) for text in assumed_texts(setup.camera))
+    yield from (warn("camera", text) for text in profiles.assumed_texts(setup.camera))
     yield judge_age(profile, today)
     yield from judge_calibration(profile, session.slots())
-    blind, turning = coverage_text(profile, setup.camera), turning_text(setup.camera)
+    blind = profiles.coverage_text(profile, setup.camera)
+    turning = profiles.turning_text(setup.camera)
     yield from (warn(what, t) for what, t in (("coverage", blind), ("headings", turning)) if t)
 
 
@@ -208,7 +195,7 @@ def judge_age(profile: CameraProfile, today: date) -> Finding:
         return fail("profile", text, 3)
     if text := age_text(calibrated, today):
         return warn("profile", f"{name}: {text}")
-    if uncalibrated := uncalibrated_text(profile):
+    if uncalibrated := profiles.uncalibrated_text(profile):
         return warn("profile", uncalibrated)
     return ok("profile", f"{name}, calibrated {calibrated}")
 
@@ -234,7 +221,7 @@ def check_sun(session: Session, now_utc: datetime) -> Iterator[Finding]:
 
     It asks who moves a planned filter, or names the way without one.
     """
-    if text := sun_text(slots_ahead(session, now_utc)):
+    if text := profiles.sun_text(slots_ahead(session, now_utc)):
         yield warn("sun", text)
 
 
@@ -259,14 +246,14 @@ def check_camera(session: Session, uri: str, now_utc: datetime) -> Iterator[Find
     if not uri:
         yield warn("camera", "no camera stated: add --camera URI, or import its card afterwards")
         return
-    with closing(open_camera(uri, clock=Clock(), session=session)) as camera:
+    with closing(devices.open_camera(uri, clock=Clock(), session=session)) as camera:
         ahead, setup = slots_ahead(session, now_utc), session.site_file().camera
         exposures = dict.fromkeys(e for slot in ahead for e in slot.exposures)
         frames = sum(len(slot.exposures) for slot in ahead) * max(len(setup.headings), 1)
         yield from judge_camera(camera.info, uri, frames)
         if setup.headings and camera.info.kind not in ("sim", "replay"):
             yield fail("headings", "capture cannot turn this camera, so each bracket would abort")
-        yield from judge_exposures(not_offered(camera, exposures), len(exposures))
+        yield from judge_exposures(devices.not_offered(camera, exposures), len(exposures))
         yield from judge_model(camera.info, load_camera_profile(setup.profile))
 
 
@@ -340,7 +327,7 @@ def check_pyranometer(session: Session, uri: str) -> Iterator[Finding]:
         text = "no pyranometer stated: add --pyranometer URI, or import a logger's file"
         yield warn("pyranometer", text)
         return
-    with closing(open_pyranometer(uri, clock=Clock(), session=session)) as instrument:
+    with closing(devices.open_pyranometer(uri, clock=Clock(), session=session)) as instrument:
         sample, site = instrument.read(), session.site_file().site
         yield from judge_pyranometer(instrument.info, sample, site)
 
@@ -352,7 +339,7 @@ def check_meter(uri: str) -> Iterator[Finding]:
     """
     if not uri:
         return
-    with closing(open_meter(uri, clock=Clock())) as meter:
+    with closing(devices.open_meter(uri, clock=Clock())) as meter:
         info, reading = meter.info, meter.read()
     who = _joined(info.model, info.serial) or info.kind
     yield ok("meter", f"{who} answers: {reading.illuminance_lx:.4g} lx")
@@ -388,7 +375,7 @@ def judge_pyranometer(
     if info.gives == ("ghi",):
         text = "the instrument measures only global irradiance: direct and diffuse will be derived "
         yield warn(what, f"{text}from it, with an error of about 30 % in direct irradiance")
-    if info.guard == FORM_ALONE:
+    if info.guard == devices.FORM_ALONE:
         text = "the instrument's lines have no checksum: some damaged lines give wrong values; let "
         text += "the instrument's program print a CRC-16 (profile arduino-crc), or a line a second"
         yield warn(what, text)

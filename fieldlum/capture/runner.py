@@ -12,6 +12,7 @@ from functools import partial
 from shutil import disk_usage
 from typing import Any
 
+from fieldlum import devices
 from fieldlum.capture.bracket import NO_CHECKS, BracketCapture, FrameChecks, shots
 from fieldlum.capture.disk_writer import RESERVE_BYTES, Listen, Recorder
 from fieldlum.capture.logger import Logger
@@ -19,15 +20,7 @@ from fieldlum.capture.reconnect import Keeper, error_text, plain_info
 from fieldlum.capture.utc_clock import SteadyClock, boot_id
 from fieldlum.core.errors import DeviceError, InputError, NotEnoughDataError
 from fieldlum.core.records import Slot, parse_utc
-from fieldlum.devices import (
-    Camera,
-    IlluminanceMeter,
-    Pyranometer,
-    not_offered,
-    open_camera,
-    open_meter,
-    open_pyranometer,
-)
+from fieldlum.devices import Camera, IlluminanceMeter, Pyranometer
 from fieldlum.devices.clock import Clock, FastClock, synchronised
 from fieldlum.session import (
     DEFAULT_GRACE_S,
@@ -145,10 +138,10 @@ def run(
     NotEnoughDataError if every slot is past and none was begun, or if no slot has an exposure.
     """
     if pyranometer_uri and open_pyr is None:
-        open_pyr = partial(open_pyranometer, pyranometer_uri, clock=clock, session=session)
+        open_pyr = partial(devices.open_pyranometer, pyranometer_uri, clock=clock, session=session)
     if meter_uri and open_met is None:
-        open_met = partial(open_meter, meter_uri, clock=clock)
-    open_cam = open_cam or partial(open_camera, camera_uri, clock=clock, session=session)
+        open_met = partial(devices.open_meter, meter_uri, clock=clock)
+    open_cam = open_cam or partial(devices.open_camera, camera_uri, clock=clock, session=session)
     uris = {"camera": camera_uri, "pyranometer": pyranometer_uri, "meter": meter_uri}
     with sole_user(session, "capture"), sole_user(session, "log") if open_pyr else nullcontext():
         steady = SteadyClock(clock, trusted, options.boot)
@@ -198,7 +191,8 @@ def refuse_what_is_not_offered(
     if len(empty) == len(slots) and empty:  # hours of `simulate --count` are not a plan
         found = f"no slot of the plan has an exposure (first slot: {empty[0]})"
         raise NotEnoughDataError(f"{found}; plan a new session with fieldlum plan")
-    if refused := not_offered(camera, dict.fromkeys(e for slot in slots for e in slot.exposures)):
+    exposures = dict.fromkeys(e for slot in slots for e in slot.exposures)
+    if refused := devices.not_offered(camera, exposures):
         found = f"{len(refused)} exposures of the plan that the camera cannot be set to"
         raise DeviceError(f"{found}: {refused[0]}; run fieldlum doctor")
 
@@ -265,8 +259,8 @@ class _Runner:
         )
         self.recorder.tell_all(self.clock.check())
         try:
-            devices = self.session.table().get("devices", {})
-            update_session(self.session, {"devices": {**devices, **about}})
+            before = self.session.table().get("devices", {})
+            update_session(self.session, {"devices": {**before, **about}})
             store_grace(self.session, self.options.grace_s)
         except OSError as error:
             if not disk_is_full(error):
@@ -276,12 +270,12 @@ class _Runner:
 
     def _open_instrument(self, keeper: Keeper[Any], about: DevicesTable) -> None:
         """Add an instrument's information to `about`, unless it is away but answered before."""
-        devices, name = self.session.table().get("devices", {}), keeper.name
+        before, name = self.session.table().get("devices", {}), keeper.name
         try:
             about[name] = plain_info(keeper.open_or_raise().info)
         except Exception as error:
-            same_uri = devices.get("uris", {}).get(name) == about.get("uris", {}).get(name)
-            if not (name in devices and same_uri):
+            same_uri = before.get("uris", {}).get(name) == about.get("uris", {}).get(name)
+            if not (name in before and same_uri):
                 raise
             keeper.lost(error)
 

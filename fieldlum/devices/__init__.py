@@ -116,15 +116,11 @@ class Camera(Device, ABC):
         """Return the exposure of the newest frame, the file `written`; None if not reported."""
         return None
 
-
-def refuse_turning(kind: str, heading_deg: float | None) -> None:
-    """Raise DeviceError unless `heading_deg` is None, for a camera without a turning head.
-
-    kind : the driver's name, for the error.
-    """
-    if heading_deg is not None:
-        remedy = "remove headings from the site file and plan a new session with it"
-        raise DeviceError(f"{kind}: this camera has no turning head; {remedy}")
+    def refuse_turning(self, heading_deg: float | None) -> None:
+        """Raise DeviceError unless `heading_deg` is None, for a camera without a turning head."""
+        if heading_deg is not None:
+            remedy = "remove headings from the site file and plan a new session with it"
+            raise DeviceError(f"{self.info.kind}: this camera has no turning head; {remedy}")
 
 
 def not_offered(camera: Camera, exposures: Iterable[Exposure]) -> list[str]:

@@ -374,9 +374,7 @@ class _LineOptions(Struct):
     silence: Annotated[float, Meta(ge=0.1, le=600.0)] | None = None
 
 
-def open_pyranometer(
-    uri: DeviceUri, *, clock: Clock, session: Session | None = None
-) -> Pyranometer:
+def open_pyranometer(uri: DeviceUri, clock: Clock, session: Session | None = None) -> Pyranometer:
     """Open the serial pyranometer that a URI names: an SPN1, or one that prints lines.
 
     Raises DeviceError for unknown options, a missing port, kind or profile, and for an SPN1 that

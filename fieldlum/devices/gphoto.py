@@ -20,15 +20,7 @@ from msgspec import Struct
 
 from fieldlum.core.errors import DeviceError, install_text
 from fieldlum.core.records import Exposure
-from fieldlum.devices import (
-    Camera,
-    CameraInfo,
-    DeviceUri,
-    nearest,
-    refuse_turning,
-    retried,
-    store_frame,
-)
+from fieldlum.devices import Camera, CameraInfo, DeviceUri, nearest, retried, store_frame
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.serial_port import closed_on_error
 from fieldlum.optics.raw import RAW_SUFFIXES
@@ -111,7 +103,7 @@ class GphotoCamera(Camera):
         DeviceError for a heading, or if the camera fails, does not offer the exposure or shows
         another setting, and OSError if the disk is full.
         """
-        refuse_turning("gphoto", heading_deg)
+        self.refuse_turning(heading_deg)
         for widget, text in self._chosen(exposure).items():
             shown = self._child.ask("set", widget, text, timeout_s=PATIENCE_S)
             if shown != text:

@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+from fieldlum.core import strict_csv
 from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.records import IrradianceSample
-from fieldlum.core import strict_csv
 from fieldlum.core.strict_csv import COMMAS, Line, is_wm2, microvolts, read_time, split_row
 from fieldlum.devices.ascii_lines import sample_of
 from fieldlum.devices.modbus import MAX_WM2, MIN_WM2

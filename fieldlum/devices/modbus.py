@@ -349,7 +349,7 @@ def _connected(place: str, line: SerialLine, timeout_s: float) -> tuple[Any, str
 
 
 def open_pyranometer(
-    uri: DeviceUri, *, clock: Clock, session: Session | None = None
+    uri: DeviceUri, clock: Clock, session: Session | None = None
 ) -> ModbusPyranometer:
     """Open the Modbus pyranometer, or the several of one kind, that a URI names.
 

@@ -24,7 +24,7 @@ from msgspec import Meta, Struct, field, json
 
 from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import Exposure, shutter_text
-from fieldlum.devices import Camera, CameraInfo, DeviceUri, refuse_turning
+from fieldlum.devices import Camera, CameraInfo, DeviceUri
 from fieldlum.devices.clock import Clock
 from fieldlum.optics.photometry import SAME_SETTING_EV
 from fieldlum.session import Session
@@ -110,7 +110,7 @@ class RpicamCamera(Camera):
         for a heading, or if the module or the program fails or cannot take this exposure, and
         OSError if the disk is full.
         """
-        refuse_turning("rpicam", heading_deg)
+        self.refuse_turning(heading_deg)
         self.check_offered(exposure)
         picture, about = (target.with_name(f"{target.name}{end}") for end in (".jpg", ".json"))
         written = target.with_name(f"{target.name}.dng")

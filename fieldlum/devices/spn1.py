@@ -128,12 +128,9 @@ class Spn1(Pyranometer):
             self._port.write(b"I")
             reply = self._port.read(400)  # its lines have no end mark: until the timeout
             firmware, serial = parse_status(reply.removeprefix(b"I"))
-        about: dict[str, Any] = {
-            "port": self._port.name,
-            "gives": ("ghi", "dhi"),
-            "guard": "asked twice",
-        }
-        self.info = InstrumentInfo("spn1", "Delta-T SPN1", serial, firmware, **about)
+        how: dict[str, Any] = {"port": self._port.name, "gives": ("ghi", "dhi")}
+        what = "spn1", "Delta-T SPN1", serial, firmware
+        self.info = InstrumentInfo(*what, **how, guard="asked twice")
 
     def read(self) -> IrradianceSample:
         """Return a reading; see `agreed_sample`. Raises DeviceError also for silence."""

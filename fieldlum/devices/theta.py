@@ -20,7 +20,7 @@ from msgspec import Struct, json
 
 from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import Exposure
-from fieldlum.devices import Camera, CameraInfo, DeviceUri, nearest, refuse_turning, store_frame
+from fieldlum.devices import Camera, CameraInfo, DeviceUri, nearest, store_frame
 from fieldlum.devices.clock import Clock
 from fieldlum.session import Session
 
@@ -83,7 +83,7 @@ class ThetaCamera(Camera):
         fails, does not offer the exposure or shows another setting, and OSError if the disk is
         full.
         """
-        refuse_turning("theta", heading_deg)
+        self.refuse_turning(heading_deg)
         wanted = self._chosen(exposure)
         self._set({**_MANUAL, **wanted})
         shown = self._options(*wanted)

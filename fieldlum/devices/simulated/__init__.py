@@ -94,9 +94,7 @@ def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None)
     )
 
 
-def open_pyranometer(
-    uri: DeviceUri, *, clock: Clock, session: Session | None = None
-) -> Pyranometer:
+def open_pyranometer(uri: DeviceUri, clock: Clock, session: Session | None = None) -> Pyranometer:
     """Open a simulated SPN1; see `open_world`.
 
     Raises DeviceError for another place than office and for unknown options, InputError for a bad

@@ -18,15 +18,8 @@ from fieldlum.devices import Camera, CameraInfo, nearest
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.simulated import optics
 from fieldlum.devices.simulated.world import World, detail_of
+from fieldlum.optics import linear_light
 from fieldlum.optics.images import RADIANCE_Y
-from fieldlum.optics.linear_light import (
-    gain_e_per_dn,
-    lens_geometry,
-    nd_factors,
-    response_tables,
-    true_shutter_s,
-    vignetting_of,
-)
 from fieldlum.optics.photometry import vignetting_at, z_per_cdm2
 from fieldlum.optics.profiles import CameraProfile
 from fieldlum.optics.projection import relative_radius
@@ -102,9 +95,9 @@ def raw_counts(
     """
     sensor, shape = profile.sensor, mosaic_cdm2.shape
     black = _cells(sensor.cfa, sensor.black_dn, shape)
-    gain = gain_e_per_dn(exposure.iso, profile)
+    gain = linear_light.gain_e_per_dn(exposure.iso, profile)
     per = z_per_cdm2(true_s, exposure.f_number, exposure.iso, profile.scale.k)
-    red, green, blue = nd_factors(exposure.nd, profile)
+    red, green, blue = linear_light.nd_factors(exposure.nd, profile)
     attenuation = _cells(sensor.cfa, (red, green, green, blue), shape)
     electrons = mosaic_cdm2 * ((sensor.white_dn - black) * np.float32(per * gain)) / attenuation
     electrons = np.minimum(electrons, np.float32(4.0 * gain * sensor.white_dn))
@@ -132,11 +125,12 @@ def jpeg_codes(
     sensor = profile.sensor
     per = z_per_cdm2(true_s, exposure.f_number, exposure.iso, profile.scale.k)
     full_e = sensor.gain_e_per_dn * sensor.white_dn * sensor.iso / exposure.iso
-    z = image_cdm2 * np.float32(per) / np.asarray(nd_factors(exposure.nd, profile), np.float32)
+    attenuation = np.asarray(linear_light.nd_factors(exposure.nd, profile), np.float32)
+    z = image_cdm2 * np.float32(per) / attenuation
     spread = np.sqrt(np.maximum(z, 0) / full_e + (sensor.read_noise_e / full_e) ** 2)
     z = z + rng.standard_normal(z.shape, np.float32) * spread
     out = np.empty(z.shape, np.uint8)
-    for c, table in enumerate(response_tables(profile).T):  # [256]
+    for c, table in enumerate(linear_light.response_tables(profile).T):  # [256]
         codes = np.interp(z[..., c], table + np.arange(256) * 1e-12, np.arange(256.0))
         out[..., c] = np.rint(codes)
     return out
@@ -189,7 +183,7 @@ class SimulatedCamera(Camera):
         opened = self._clock.now()
         heading = self._heading_deg if heading_deg is None else heading_deg
         image = self._image(self._world.scene(opened), heading) * self._shading(exposure.f_number)
-        true_s, _ = true_shutter_s(dial_s, self._profile)
+        true_s, _ = linear_light.true_shutter_s(dial_s, self._profile)
         # Each frame has its own seed, independent of earlier frames, so that a resumed capture
         # gives the same frames as an undisturbed one.
         name = f"{opened.timestamp():.0f} {set_to} {heading}".encode()
@@ -248,7 +242,7 @@ class SimulatedCamera(Camera):
     def _views_of(
         self, turn_deg: float, panorama: tuple[int, int], grid: SkyGrid | None
     ) -> list[optics.LensSampling]:
-        lenses = (lens_geometry(lens, turn_deg) for lens in self._profile.lens)
+        lenses = (linear_light.lens_geometry(lens, turn_deg) for lens in self._profile.lens)
         return [optics.look(lens, self._shape, panorama, grid) for lens in lenses]
 
     def _shading_of(self, f_number: float) -> Floats32:
@@ -259,7 +253,7 @@ class SimulatedCamera(Camera):
             distance = relative_radius(lens, columns, rows)
             angle = optics.angle_of_radius(lens, np.minimum(distance, 1.0))
             relative = angle / lens.half_angle_rad
-            curve, _ = vignetting_of(lens, f_number)
+            curve, _ = linear_light.vignetting_of(lens, f_number)
             inside = distance <= 1.0
             out[inside] = vignetting_at(curve, relative)[inside]
         return out[..., None] if self._is_jpeg else out
