@@ -319,6 +319,9 @@ def _trials(data: Dataset, model: str, options: dict[str, Any]) -> tuple[list[Tr
     names = [name for name, kind in MODELS.items() if kind.baseline or model in (name, "auto")]
     trials, left_out, folds = [], [], day_folds(data)
     for name in names:
+        if MODELS[name].slow and not options["budget_s"]:  # loading PyTorch takes seconds
+            left_out.append(f"{name} was not tried: --budget is 0")
+            continue
         try:
             trials.append(evaluate_folds(name, data, folds, **options))
         except NotEnoughDataError as error:

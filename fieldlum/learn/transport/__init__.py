@@ -325,12 +325,12 @@ def fit(
     def second(done: int, of: int, text: str) -> None:
         progress(of + done, 2 * of, text)
 
-    one, errors = _fit(_prepared(data, patch, seed, first), first)
+    one, errors = _fit(_chosen(_described(data, patch, seed, first)), first)
     other, plain_errors = _fit(_chosen_inputs(data, "none", seed, second), second)
     return _mean(one, errors, other, plain_errors, len(data))
 
 
-def _chosen_inputs(data: Dataset, patch: Patch, seed: int, progress: Progress) -> _Prepared:
+def _chosen_inputs(data: Dataset, patch: Patch, seed: int, progress: Progress) -> _Chosen:
     """Return the inputs of the stated room, or those without it that hold out clearly better.
 
     What a box does not have, such as a neighbour in front of its windows, can make its light worse
@@ -338,12 +338,16 @@ def _chosen_inputs(data: Dataset, patch: Patch, seed: int, progress: Progress) -
     rooms of other renderers the geometric mean of both errors over those with the room is .34 where
     the year's error is .35, else .8 to 1.8 where it is .7 to 1.8.
     """
-    stated = _prepared(data, patch, seed, progress)
+    stated = _chosen(_described(data, patch, seed, progress))
     if data.setup.room is None or seasons(data.days).max() == 0:
         return stated
     roomless = replace(data, setup=replace(data.setup, room=None), patch_cdm2=None)
-    free = _prepared(roomless, "none", seed, progress)
-    return free if free.expected_mse < MIN_GAIN * stated.expected_mse else stated
+    free = _described(roomless, "none", seed, quiet)
+    of_days = [free.errors(inputs).figure("log10") for inputs in free.every]
+    if min(of_days) >= stated.errors.figure("log10"):
+        return stated
+    chosen = _chosen(free)
+    return chosen if chosen.expected_mse < MIN_GAIN * stated.expected_mse else stated
 
 
 def _mean(
@@ -363,34 +367,50 @@ def _mean(
     return MeanTransport(one, other, share, agreement, (mixed[:count] ** 2).mean(axis=1))
 
 
-class _Prepared(NamedTuple):
-    """Captures with the inputs that held-out days chose, ready for the fit of all pixels.
+class _Described(NamedTuple):
+    """Captures with the inputs among which held-out days choose.
 
-    noise: relative variance of a captured value; drawn: some pixels, by solid angle; scale: factor
-    on all sun patches, None without; patch_light: how patches become features, None without.
+    drawn: some pixels, by solid angle; scale: factor on all sun patches, None without; patch_light:
+    how patches become features, None without.
     """
 
     data: Dataset
-    inputs: _Inputs
+    every: list[_Inputs]
     kernel: Kernel
-    noise: float
     drawn: Indices
     scale: float | None
     physics: Physics | None
     patch_light: PatchLight | None
 
+    def errors(
+        self, inputs: _Inputs, noise: float = NOISES[1], days: NDArray | None = None
+    ) -> HeldOutErrors:
+        """Return the errors of held-out days [n], or of other groups of hours, at some pixels."""
+        arrays = inputs.arrays[self.drawn[:CHOOSING]]
+        arrays = arrays if days is None else replace(arrays, days=days)
+        return hold_out(arrays, inputs.basis, noise).errors
+
+
+class _Chosen(NamedTuple):
+    """Captures with their inputs and the noise (relative variance of a captured value) of a fit.
+
+    errors: of held-out days.
+    """
+
+    of: _Described
+    inputs: _Inputs
+    noise: float
+    errors: HeldOutErrors
+
     @property
     def expected_mse(self) -> float:
         """Geometric mean of the log10 MSE of held-out days and of held-out seasons."""
-        arrays = self.inputs.arrays[self.drawn[:CHOOSING]]
-        groups = (replace(arrays, days=days) for days in (arrays.days, seasons(arrays.days)))
-        tests = [hold_out(group, self.inputs.basis, self.noise).errors for group in groups]
-        return float(np.sqrt(np.prod([errors.figure("log10") for errors in tests])))
+        other = self.of.errors(self.inputs, self.noise, seasons(self.of.data.days))
+        return float(np.sqrt(self.errors.figure("log10") * other.figure("log10")))
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # its matrices are small; chunks run at once
-def _prepared(data: Dataset, patch: Patch, seed: int, progress: Progress) -> _Prepared:
-    """Describe the light of captures, and choose inputs and noise by held-out days."""
+def _described(data: Dataset, patch: Patch, seed: int, progress: Progress) -> _Described:
     if len(data) < 3:
         found = f"{counted(len(data), 'capture')}; light transport needs at least 3"
         raise NotEnoughDataError(f"{found}; capture more hours")
@@ -410,69 +430,67 @@ def _prepared(data: Dataset, patch: Patch, seed: int, progress: Progress) -> _Pr
     count = min(CALIBRATING, len(arrays.weights))
     share = arrays.weights / arrays.weights.sum()
     drawn = rng.choice(len(arrays.weights), count, p=share)
-    robust = data.scene is not None or arrays.patch is None
-    chosen, noise = _chosen(every, kernel, drawn[:CHOOSING], data.days, robust)
-    return _Prepared(data, chosen, kernel, noise, drawn, scale, physics, patch_light)
+    return _Described(data, every, kernel, drawn, scale, physics, patch_light)
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
-def _fit(ready: _Prepared, progress: Progress) -> tuple[Transport, Array]:
+def _chosen(of: _Described) -> _Chosen:
+    """Choose the inputs and the noise with the smallest error on held-out days at some pixels.
+
+    A lamp that is on in all hours must explain 30 % of the error and a standard error (rooms
+    without one: at most 1 % and 0.3): as an input, it doubles the error of two or four days without
+    a lamp. The smallest noise, with which errors of patches are learnt, is excluded with a scene or
+    without patches: held-out days, which have nearly the same suns as others, do not show it. So do
+    days of one season.
+    """
+    tried = [of.errors(inputs) for inputs in of.every]
+    k = choose(tried).best
+    best, errors = of.every[k], tried[k]
+    states = replace(best.arrays.states, always=True)
+    lamps = states.features(best.arrays.light).lamps
+    some = replace(best.arrays.features, lamps=lamps), replace(best.perez, lamps=lamps)
+    lit = _compared(replace(best.arrays, states=states, features=some[0]), of.kernel, some[1])
+    with_lamp = of.errors(lit)
+    gain, error = difference(errors, with_lamp, "log10")
+    if gain > max(0.3 * errors.figure("log10"), error):
+        best, errors = lit._replace(sky_sd=best.sky_sd), with_lamp
+    robust = of.data.scene is not None or best.arrays.patch is None
+    noises = NOISES[robust or one_season(of.data.days) :]
+    tried = [errors if noise == NOISES[1] else of.errors(best, noise) for noise in noises]
+    k = choose(tried).best
+    return _Chosen(of, best, noises[k], tried[k])
+
+
+@threadpool_limits.wrap(limits=1, user_api="blas")
+def _fit(chosen: _Chosen, progress: Progress) -> tuple[Transport, Array]:
     """Return one model, and its errors in the tests of `calibrate` [k, P]."""
-    data, drawn, noise = ready.data, ready.drawn, ready.noise
-    arrays, basis = ready.inputs.arrays, ready.inputs.basis
+    of, inputs, noise = chosen.of, chosen.inputs, chosen.noise
+    arrays, basis = inputs.arrays, inputs.basis
     progress(20, 100, "fitting")
     pixels = fit_pixels(
         arrays, basis, noise, lambda done, of: progress(20 + 70 * done // of, 100, "fitting")
     )
     progress(90, 100, "calibrating uncertainty")
-    careful = ready.scale is None or ready.physics is not None
-    uncertainty, errors = calibrate(
-        arrays[drawn], basis, ready.inputs.covariance, noise, pixels.noise[drawn], careful
-    )
+    careful = of.scale is None or of.physics is not None
+    some, residual = arrays[of.drawn], pixels.noise[of.drawn]
+    uncertainty, errors = calibrate(some, basis, inputs.covariance, noise, residual, careful)
     fitted = Transport(
-        data.seen,
-        data.heading_deg,
+        of.data.seen,
+        of.data.heading_deg,
         noise,
-        ready.kernel,
+        of.kernel,
         arrays.features,
         basis.projector,
         arrays.states,
         arrays.open_sky,
         pixels,
         uncertainty,
-        ready.scale,
-        ready.physics,
-        ready.inputs.sky_sd,
-        ready.patch_light,
+        of.scale,
+        of.physics,
+        inputs.sky_sd,
+        of.patch_light,
     )
     return fitted, errors
-
-
-def _chosen(
-    every: list[_Inputs], kernel: Kernel, pixels: Indices, days: NDArray, robust: bool
-) -> tuple[_Inputs, float]:
-    """Return the inputs and the noise with the smallest error on held-out days at some pixels.
-
-    A lamp that is on in all hours must explain 30 % of the error and a standard error (rooms
-    without one: at most 1 % and 0.3): as an input, it doubles the error of two or four days without
-    a lamp. robust: exclude the smallest noise, with which errors of patches are learnt: held-out
-    days, which have nearly the same suns as others, do not show it. So do days of one season.
-    """
-    best = every[choose([_errors(i, pixels) for i in every]).best]
-    states = replace(best.arrays.states, always=True)
-    lamps = states.features(best.arrays.light).lamps
-    some = replace(best.arrays.features, lamps=lamps), replace(best.perez, lamps=lamps)
-    lit = _compared(replace(best.arrays, states=states, features=some[0]), kernel, some[1])
-    without, with_lamp = (_errors(i, pixels) for i in (best, lit))
-    gain, error = difference(without, with_lamp, "log10")
-    if gain > max(0.3 * without.figure("log10"), error):
-        best = lit._replace(sky_sd=best.sky_sd)
-    noises = NOISES[robust or one_season(days) :]
-    return best, noises[choose([_errors(best, pixels, noise) for noise in noises]).best]
-
-
-def _errors(inputs: _Inputs, pixels: Indices, noise: float = NOISES[1]) -> HeldOutErrors:
-    return hold_out(inputs.arrays[pixels], inputs.basis, noise).errors
 
 
 def _scaled(data: Dataset, patch: Patch) -> tuple[TrainingArrays, float | None]:
