@@ -151,7 +151,7 @@ def _year(hours: int = 200) -> Annual:
     dgp: Floats = np.linspace(0.2, 0.5, 2 * hours).reshape(hours, 2)
     views: dict[str, Floats] = {"dgp": dgp, "ev_lx": dgp * 5000}
     summary = PredictFile(inputs={"weather": "seattle.epw"})
-    return Annual(Path(), summary, times, np.array([0.0, 180.0]), {}, views)
+    return Annual(times, np.array([0.0, 180.0]), {}, views, Path(), summary)
 
 
 @pytest.mark.contract

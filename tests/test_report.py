@@ -294,7 +294,7 @@ def test_shares_of_the_year_with_enough_melanopic_light() -> None:
         "melanopic_edi_lx": np.full((48, 1), 300.0),
         "u_melanopic_edi_lx": np.where(day == 0, 30.0, 1.0),
     }
-    year = predict.Annual(Path("x"), PredictFile(days=2), times, np.zeros(1), {}, views)
+    year = predict.Annual(times, np.zeros(1), {}, views, Path("x"), PredictFile(days=2))
     ((hours, days),) = melanopic_shares(year, "UTC")
     assert (hours.value, hours.low, hours.high) == (100.0, 50.0, 100.0)
     assert hours.above(60.0) == "cannot tell" and hours.above(40.0) == "yes"

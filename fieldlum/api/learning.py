@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from contextlib import nullcontext
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from fieldlum.api.files import path_of, place
 from fieldlum.core.errors import InputError, input_errors
-from fieldlum.core.records import Progress, Site, SiteFile, quiet
+from fieldlum.core.records import Progress, Site, SiteFile, parse_utc, quiet
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -302,7 +302,9 @@ def light_at(
 
     if isinstance(times_utc, str | datetime) or not isinstance(times_utc, Iterable):
         times_utc = [times_utc]
-    times = [_moment(t) for t in times_utc]
+    expected = "a datetime with a time zone, or a text such as 2027-06-21T20:30Z"
+    with input_errors("times_utc", expected, "add the zone, for example tzinfo=UTC", ValueError):
+        times = [parse_utc(str(t)) for t in times_utc]
     values = []
     for name, given in (("dni_wm2", dni_wm2), ("dhi_wm2", dhi_wm2)):
         with input_errors(name, "numbers in W/m2", "pass one value for each time", *_NO_ARRAY):
@@ -319,22 +321,6 @@ def light_at(
 
 
 _NO_ARRAY = (TypeError, ValueError)
-
-
-def _moment(t: object) -> datetime:
-    """Return a moment in UTC from a datetime with a zone or an ISO text with one."""
-    try:
-        moment = datetime.fromisoformat(t) if isinstance(t, str) else t
-        if isinstance(moment, datetime) and moment.tzinfo is not None:
-            return moment.astimezone(UTC)
-    except ValueError:
-        pass
-    raise InputError(
-        "times_utc",
-        f"{t!r:.60}",
-        "a datetime with a time zone, or a text such as 2027-06-21T20:30Z",
-        "add the zone, for example tzinfo=UTC",
-    )
 
 
 def predict_year(

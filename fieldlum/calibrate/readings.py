@@ -15,11 +15,11 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from fieldlum.core import strict_csv
 from fieldlum.core.arrays import Floats, Floats32, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Exposure, Flag, Panorama
 from fieldlum.core.statistics import is_no_worse, robust_sigma, standard_error
-from fieldlum.core.strict_csv import CsvTable, lines_of, numbered, read_text, table_of
 from fieldlum.optics import linear_light
 from fieldlum.optics.images import calibration_mark
 from fieldlum.optics.photometry import saturation_plateau, vignetting_at
@@ -167,7 +167,7 @@ def read_table(
     may have a comma. Empty lines and lines that begin with # are skipped. Raises InputError for a
     missing or unknown column, an invalid or empty cell, or a csv without readings.
     """
-    table, mark = _table(path)
+    table = _table(path)
     known = *required, *optional
     wrong = [f"no column {name}" for name in required if name not in table.names]
     wrong += [f"unknown column {name}" for name in table.names if name not in known]
@@ -175,7 +175,9 @@ def read_table(
         raise InputError(path, wrong[0], f"columns {', '.join(known)}", "correct the first line")
     readings = []
     for line, cells in table.dicts():
-        row = {name: _cell(path, line, name, text, mark) for name, text in cells.items() if text}
+        row = {
+            name: _cell(path, line, name, text, table.mark) for name, text in cells.items() if text
+        }
         if empty := [name for name in required if name not in row]:
             finding = f"line {line}: an empty cell in the column {empty[0]}"
             raise InputError(path, finding, "a value in every line", "fill it in")
@@ -201,14 +203,13 @@ def beyond_lens(share: float) -> bool:
 
 def columns_of(path: Path) -> tuple[str, ...]:
     """Return the column names of a csv. Raises InputError if the file cannot be read."""
-    return _table(path)[0].names
+    return _table(path).names
 
 
-def _table(path: Path) -> tuple[CsvTable, str]:
-    """Return a csv and its separator, that of the header; many spreadsheets write semicolons."""
-    lines = numbered(lines_of(read_text(path, "a csv of readings")))
-    mark = next((mark for mark in ",;\t" if lines and mark in lines[0][1]), ",")
-    return table_of(path, lines, mark) if lines else CsvTable(path, (), ()), mark
+def _table(path: Path) -> strict_csv.CsvTable:
+    """Return a csv; many spreadsheets write semicolons."""
+    remedy = "name the columns in its first line"
+    return strict_csv.read_table(path, "a csv of readings", remedy, marks=",;\t")
 
 
 def _cell(path: Path, line: int, name: str, text: str, mark: str) -> Any:

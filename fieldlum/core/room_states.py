@@ -6,8 +6,6 @@ up, no snow). Lamps add light; the other words change the room's response to day
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 import numpy as np
 
 from fieldlum.core.arrays import Floats
@@ -27,20 +25,19 @@ def parse_state(text: str) -> tuple[str, ...]:
     blind=up, snow=no) are omitted, so the result is empty for a usual room. Raises ValueError for a
     word or a value that is not in KNOWN, or for a repeated word.
     """
-    parts: dict[str, str] = {}
+    values = sorted(_values(text).items())
+    return tuple(f"{word}={value}" for word, value in values if value != KNOWN[word][0])
+
+
+def _values(text: str) -> dict[str, str]:
+    """Return the value of each word in a state."""
+    values: dict[str, str] = {}
     for part in filter(None, (piece.strip() for piece in text.split(";"))):
         word, _, value = (piece.strip() for piece in part.partition("="))
-        if word not in KNOWN or value not in KNOWN[word] or word in parts:
+        if word not in KNOWN or value not in KNOWN[word] or word in values:
             raise ValueError(f"'{part}' is not a state of a room; known: {USAGE}")
-        parts[word] = value
-    return tuple(
-        f"{word}={value}" for word, value in sorted(parts.items()) if value != KNOWN[word][0]
-    )
-
-
-def state_text(parts: Iterable[str]) -> str:
-    """Join the parts of a state, sorted, with semicolons; the inverse of `parse_state`."""
-    return ";".join(sorted(parts))
+        values[word] = value
+    return values
 
 
 def merged_state(text: str, change: str) -> str:
@@ -49,10 +46,8 @@ def merged_state(text: str, change: str) -> str:
     A word in `change` replaces the same word in `text`; other words stay. Words with their usual
     value are not in the result. Raises ValueError for an unknown word or value in either text.
     """
-    parse_state(change)
-    words = {part.partition("=")[0].strip() for part in change.split(";") if part.strip()}
-    unchanged = [part for part in parse_state(text) if part.partition("=")[0] not in words]
-    return state_text((*unchanged, *parse_state(change)))
+    merged = _values(text) | _values(change)
+    return ";".join(parse_state(";".join(f"{word}={value}" for word, value in merged.items())))
 
 
 def indicators(states: tuple[str, ...], columns: tuple[str, ...]) -> Floats:

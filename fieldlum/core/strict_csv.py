@@ -10,8 +10,9 @@ import csv
 import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from datetime import UTC, date, datetime
+from datetime import UTC, datetime
 from pathlib import Path
 
 from fieldlum.core.errors import InputError, input_errors, kind_of
@@ -45,24 +46,16 @@ def read_text(path: Path, expected: str, remedy: str = "check the path") -> str:
     if kind := kind_of(data):
         raise InputError(path, kind, expected, "name the right file, or export it as csv")
     utf16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
-    try:
-        text = data.decode("utf-16" if utf16 else "utf-8-sig")
-    except UnicodeDecodeError:
-        if utf16:
-            remedy = "save it again as UTF-8"
-            raise InputError(path, "damaged UTF-16 text", expected, remedy) from None
-        text = _western(data)
+    for encoding in ("utf-16",) if utf16 else ("utf-8-sig", "cp1252", "latin-1"):
+        with suppress(UnicodeDecodeError):
+            text = data.decode(encoding)
+            break
+    else:
+        raise InputError(path, "damaged UTF-16 text", expected, "save it again as UTF-8")
     if text.count("\0") > _MAX_ZERO_BYTES * len(text):
         found = "a binary file, or UTF-16 without its byte order mark"
         raise InputError(path, found, expected, "save it as UTF-8")
     return text
-
-
-def _western(data: bytes) -> str:
-    try:
-        return data.decode("cp1252")
-    except UnicodeDecodeError:
-        return data.decode("latin-1")
 
 
 def lines_of(text: str) -> list[str]:
@@ -86,11 +79,15 @@ def numbered(lines: Iterable[str], first: int = 1) -> list[Line]:
 
 @dataclass(frozen=True, slots=True)
 class CsvTable:
-    """Column names, and the number and cells of each line below them; as many cells as names."""
+    """Column names, and the number and cells of each line below them; as many cells as names.
+
+    mark: the separator.
+    """
 
     path: Path
     names: tuple[str, ...]
     rows: tuple[tuple[int, tuple[str, ...]], ...]
+    mark: str = ","
 
     def dicts(self) -> list[tuple[int, dict[str, str]]]:
         """Return the number and the cells by column of each line."""
@@ -187,29 +184,22 @@ def decimal_commas(cells: Sequence[str], count: int, right: Sequence[Sequence[st
 
 
 def read_table(
-    path: Path, expected: str, remedy: str, *, needed: Sequence[str] = (), mark: str = ","
+    path: Path, expected: str, remedy: str, *, needed: Sequence[str] = (), marks: str = ","
 ) -> CsvTable:
     """Return the header and the rows of a csv without comments (#) and empty lines.
 
-    expected, remedy: for errors. Raises InputError for a file that cannot be read, a missing or
-    repeated column, and what `split_rows` refuses.
+    expected, remedy: for errors. marks: separators that are allowed; the first one in the header
+    counts. Empty columns at the right, which spreadsheets write, are left out. Raises InputError
+    for a file that cannot be read, a missing or repeated column, a cell below an empty name, and
+    what `split_rows` refuses.
     """
     lines = numbered(lines_of(read_text(path, expected, remedy)))
     if not lines:
         raise InputError(path, "an empty file", expected, remedy)
-    table = table_of(path, lines, mark)
-    if missing := [name for name in needed if name not in table.names]:
-        raise InputError(path, f"no column {', '.join(missing)}", expected, remedy)
-    return table
-
-
-def table_of(path: Path, lines: Sequence[Line], mark: str = ",") -> CsvTable:
-    """Return the table below the header in the first line.
-
-    Empty columns at the right, which spreadsheets write, are left out. Raises InputError for a
-    repeated name, a cell below an empty name there, and what `split_rows` refuses.
-    """
+    mark = next((mark for mark in marks if mark in lines[0][1]), ",")
     names = split_header(path, lines[0], mark)
+    if missing := [name for name in needed if name not in names]:
+        raise InputError(path, f"no column {', '.join(missing)}", expected, remedy)
     check_names(path, names)
     rows = split_rows(path, lines[1:], len(names), mark)
     width = max((k + 1 for k, name in enumerate(names) if name), default=0)
@@ -217,7 +207,8 @@ def table_of(path: Path, lines: Sequence[Line], mark: str = ",") -> CsvTable:
         if any(cells[width:]):
             found = f"line {line}: a cell without a column name"
             raise InputError(path, found, "a name", "name its column")
-    return CsvTable(path, tuple(names[:width]), tuple((n, cells[:width]) for n, cells in rows))
+    shown = tuple((n, cells[:width]) for n, cells in rows)
+    return CsvTable(path, tuple(names[:width]), shown, mark)
 
 
 def check_names(path: Path, names: Sequence[str]) -> None:
@@ -241,17 +232,9 @@ def read_time(text: str, *, utc: bool = False) -> datetime:
         t = datetime.fromisoformat(text)
     except ValueError:
         raise ValueError(f"time {text[:30]!r}, expected one like 2027-03-20T16:00:00Z") from None
-    if _is_date(text):
+    if len(text) <= len("2027-03-20"):
         raise ValueError(f"{text!r} is a date without a time of day")
     return t.replace(tzinfo=UTC) if utc and t.tzinfo is None else t
-
-
-def _is_date(text: str) -> bool:
-    try:
-        date.fromisoformat(text)
-    except ValueError:
-        return False
-    return True
 
 
 def split_heading(heading: str) -> tuple[str, str]:

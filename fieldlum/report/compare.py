@@ -20,7 +20,7 @@ from fieldlum.core.arrays import Array, Floats, Mask
 from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.plot_style import styled
 from fieldlum.core.records import JsonTable, Panorama, Progress, Room, quiet
-from fieldlum.core.strict_csv import CsvTable, lines_of, numbered, read_text, table_of
+from fieldlum.core.strict_csv import CsvTable, read_table
 from fieldlum.optics.projection import (
     altitude_azimuth_deg,
     direction,
@@ -294,10 +294,7 @@ def read_model_hours(path: Path, azimuths_deg: Sequence[float]) -> pd.DataFrame:
 
     if path.is_dir():
         return _read_honeybee(path, azimuths_deg)
-    lines = numbered(lines_of(read_text(path, "an hourly table", "export one row an hour")))
-    if not lines:
-        raise InputError(path, "an empty file", "an hourly table", "export one row an hour")
-    table = table_of(path, lines, "\t" if "\t" in lines[0][1] else ",")
+    table = read_table(path, "an hourly table", "export one row an hour", marks="\t,")
     columns = {name.lower(): k for k, name in enumerate(table.names)}
     figures: dict[tuple[str, float], Floats] = {}
     for name, k in columns.items():

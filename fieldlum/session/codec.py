@@ -289,10 +289,10 @@ def write_csv(
     def cell(value: Any) -> str:
         if value is None or value != value:
             return ""
-        if isinstance(value, datetime):
-            return utc_text(value)
         if isinstance(value, float):
             return f"{value:.{digits}g}"
+        if isinstance(value, datetime):
+            return utc_text(value)
         return str(int(value) if isinstance(value, bool) else value)
 
     with replacing(path, "w", newline="", encoding="utf-8") as file:
@@ -306,19 +306,11 @@ def write_columns(path: Path, columns: Mapping[str, Any], digits: int = 7) -> No
 
     t_utc: Unix times [s], written as ISO texts; digits: significant ones of the numbers.
     """
-    times = [utc_text(datetime.fromtimestamp(t, UTC)) for t in columns["t_utc"]]
-
-    def cells(values: Any) -> Iterable[str]:
-        array = np.asarray(values)
-        if array.dtype.kind == "f":
-            form = f"%.{digits}g"
-            return ["" if v != v else form % v for v in array.tolist()]
-        return map(str, (array.astype(int) if array.dtype.kind == "b" else array).tolist())
-
-    with sealed(path), replacing(path, "w", newline="", encoding="utf-8") as file:
-        file.write(",".join(columns) + "\n")
-        rows = zip(*map(cells, {**columns, "t_utc": times}.values()), strict=True)
-        file.writelines(",".join(row) + "\n" for row in rows)
+    times = [datetime.fromtimestamp(t, UTC) for t in columns["t_utc"]]
+    lists = [np.asarray(values).tolist() for values in {**columns, "t_utc": times}.values()]
+    rows = (dict(zip(columns, cells, strict=True)) for cells in zip(*lists, strict=True))
+    with sealed(path):
+        write_csv(path, rows, columns, digits)
 
 
 # ----------------------------------------------------------------------------------------------

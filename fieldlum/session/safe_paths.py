@@ -9,7 +9,7 @@ from __future__ import annotations
 import errno
 import os
 import shlex
-from collections.abc import Container, Iterator
+from collections.abc import Container
 from pathlib import Path, PurePosixPath
 
 from fieldlum.core.errors import InputError
@@ -74,17 +74,10 @@ def link_subject(link: Path) -> Subject:
 def refuse_link(root: Path, path: Path) -> None:
     """Raise InputError for a link below `root` on the way to `path` that is not permitted."""
     if (link := link_on_the_way(root, path)) is not None:
-        raise _link_error(link)
-
-
-def _link_error(link: Path) -> InputError:
-    remedy = "replace it by its content, or, if the link is yours: fieldlum permit "
-    return InputError(
-        link,
-        f"a symbolic link to {link.readlink()}",
-        "files and folders of the session itself",
-        remedy + shlex.quote(str(link)),
-    )
+        found = f"a symbolic link to {link.readlink()}"
+        expected = "files and folders of the session itself"
+        remedy = "replace it by its content, or, if the link is yours: fieldlum permit "
+        raise InputError(link, found, expected, remedy + shlex.quote(str(link)))
 
 
 def refuse_links(root: Path, names: Container[str]) -> None:
@@ -94,7 +87,7 @@ def refuse_links(root: Path, names: Container[str]) -> None:
     be no link; what is below it is of the disk or of another program. Links that the user of this
     computer permitted are followed and checked too.
     """
-    for entry in _entries(root):
+    for entry in list(os.scandir(root)):
         if entry.name in names:
             _refuse_in(entry)
         elif entry.name.startswith("."):
@@ -104,20 +97,12 @@ def refuse_links(root: Path, names: Container[str]) -> None:
 def _refuse_in(entry: os.DirEntry[str]) -> None:
     path = Path(entry.path)
     if entry.is_symlink():
-        if not is_permitted(link_subject(path)):
-            raise _link_error(path)
-    elif entry.is_file():
-        return
-    elif not entry.is_dir():
+        refuse_link(path.parent, path)
+    elif not (entry.is_file() or entry.is_dir()):
         raise InputError(path, "a pipe, socket or device", "a file or a folder", "remove it")
     if entry.is_dir():
-        for inner in _entries(path):
+        for inner in list(os.scandir(path)):
             _refuse_in(inner)
-
-
-def _entries(folder: Path) -> Iterator[os.DirEntry[str]]:
-    with os.scandir(folder) as entries:
-        yield from entries
 
 
 def open_inside(root: Path, path: Path, flags: int) -> int:

@@ -52,9 +52,9 @@ _LATER = ("dgp_low", "dgp_high", *COLOUR_COLUMNS, "disturbed_share")
 class HourlyFile:
     """The content of one hourly.csv: figures of n hours, and of each hour in d view directions.
 
-    azimuths_deg: [d], clockwise from north. hours: each of `HOUR_COLUMNS`, [n]. views: each of
-    `VIEW_COLUMNS` and further metrics, [n, d]; columns ``metric@azimuth`` in the file. NaN, an
-    empty cell, means undefined.
+    t_utc: middles of the hours. azimuths_deg: [d], clockwise from true north. hours: each of
+    `HOUR_COLUMNS`, [n]. views: each of `VIEW_COLUMNS` and further metrics, [n, d]; columns
+    ``metric@azimuth`` in the file. NaN, an empty cell, means undefined.
     """
 
     t_utc: tuple[datetime, ...]

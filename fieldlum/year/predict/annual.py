@@ -73,20 +73,14 @@ def dataset_of(
 
 
 @dataclass(frozen=True, slots=True)
-class Annual:
-    """A predicted year: figures of n daylight hours in d view directions, as read from `folder`.
+class Annual(HourlyFile):
+    """A predicted year: the daylight hours of hourly.csv, as read from `folder`.
 
-    summary: content of predict.json; t_utc: middles of the hours [n]; azimuths_deg: view
-    directions, clockwise from true north [d]; hours: columns of hourly.csv without a direction, by
-    name, [n] each; views: those for each direction, [n, d] each, NaN where undefined.
+    summary: content of predict.json.
     """
 
     folder: Path
     summary: PredictFile
-    t_utc: tuple[datetime, ...]
-    azimuths_deg: Floats
-    hours: dict[str, Floats]
-    views: dict[str, Floats]
 
     def __len__(self) -> int:
         return len(self.t_utc)
@@ -152,8 +146,8 @@ def read_annual(folder: Path) -> Annual:
     Raises InputError if one of them is missing, damaged, or of a newer format.
     """
     summary = PredictFile.read(folder)
-    rows = HourlyFile.read(folder, np.array(summary.azimuths_deg), summary.hours)
-    return Annual(folder, summary, rows.t_utc, rows.azimuths_deg, rows.hours, rows.views)
+    year = HourlyFile.read(folder, np.array(summary.azimuths_deg), summary.hours)
+    return Annual(year.t_utc, year.azimuths_deg, year.hours, year.views, folder, summary)
 
 
 def newest_annual(session: Session) -> Annual | None:

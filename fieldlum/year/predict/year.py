@@ -28,7 +28,7 @@ from fieldlum.optics.projection import (
 )
 from fieldlum.session import Session, check_writable, open_session, sha256
 from fieldlum.session.codec import made_from
-from fieldlum.session.files.hourly_csv import COLOUR_COLUMNS, VIEW_COLUMNS, HourlyFile
+from fieldlum.session.files.hourly_csv import COLOUR_COLUMNS, VIEW_COLUMNS
 from fieldlum.session.files.model_files import ModelConfig, UsedScene
 from fieldlum.session.files.predict_json import (
     DirectionYear,
@@ -134,7 +134,7 @@ def run(
     about = _about(room, config, weather, light, azimuths)
     found.hours["trusted"] *= not any(POOR_WORDS in text for text in about.model_warnings)
     summary = structs.replace(about, inputs=inputs, days=days)
-    annual = Annual(folder, summary, light.t_utc, azimuths, found.hours, _columns(found))
+    annual = Annual(light.t_utc, azimuths, found.hours, _columns(found), folder, summary)
     annual, budgets = _judged(annual, found.uncertainty, hours_used, room, session, seed)
     if store:
         finish_maps(folder, annual, room)
@@ -206,7 +206,7 @@ def _judged(
 
 def _write(annual: Annual, budgets: list[Budget], pictures: Pictures, zone: str) -> None:
     folder = annual.folder
-    HourlyFile(annual.t_utc, annual.azimuths_deg, annual.hours, annual.views).write(folder, zone)
+    annual.write(folder, zone)
     write_pictures(folder / "pictures.npz", pictures)
     write_budgets(folder / BUDGET_FILE, ((folder.name, budget) for budget in budgets))
     annual.summary.write(folder)  # the last file, so that a folder with it is complete
