@@ -339,7 +339,7 @@ def _photograph(
     mosaic = np.empty(exposed.shape[:2], np.float32)
     for i, letter in enumerate(s.cfa):
         mosaic[i // 2 :: 2, i % 2 :: 2] = exposed[i // 2 :: 2, i % 2 :: 2, "RGB".index(letter)]
-    counts = raw_counts(mosaic, true, e, true_s, rng)
+    counts = raw_counts(mosaic, true, replace(e, shutter_s=true_s), rng)
     write_dng(
         path.with_suffix(".dng"), counts, e, black_dn=s.black_dn, white_dn=s.white_dn, cfa=s.cfa
     )

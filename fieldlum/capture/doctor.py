@@ -265,10 +265,8 @@ def judge_exposures(refused: Sequence[str], planned: int) -> Iterator[Finding]:
     if refused:
         shown = "; ".join([*refused[:3], *([f"{len(refused) - 3} more"] * (len(refused) > 3))])
         text = f"the camera cannot set some of the {planned} planned exposures: {shown}; edit "
-        text += (
-            "[bracket] in the profile and plan a new session (fieldlum plan SITE.toml --out NEW)"
-        )
-        yield fail("camera", text)
+        text += "[bracket] in the profile and plan a new session "
+        yield fail("camera", f"{text}(fieldlum plan SITE.toml --out NEW)")
 
 
 def judge_model(info: CameraInfo, profile: CameraProfile) -> Iterator[Finding]:
@@ -293,9 +291,8 @@ def judge_camera(info: CameraInfo, uri: str, frames: int) -> Iterator[Finding]:
     """
     make = "" if info.model.startswith(info.make) else info.make  # "Canon", "Canon EOS 5D"
     who = _joined(make, info.model, info.serial) or info.kind
-    yield ok(
-        "camera", f"{who} answers at {uri}{f', battery {info.battery}' if info.battery else ''}"
-    )
+    battery = f", battery {info.battery}" if info.battery else ""
+    yield ok("camera", f"{who} answers at {uri}{battery}")
     yield _clock_of(info.clock_offset_s)
     if info.frames_left is not None:
         text = f"space for {info.frames_left} frames; {frames} are planned"

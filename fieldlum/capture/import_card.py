@@ -6,8 +6,9 @@ import re
 import shutil
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from fieldlum.capture import match_card
@@ -166,9 +167,8 @@ def _lacking_text(match: Match, setup: CameraSetup) -> str:
     if not missing:
         return ""
     shown = ", ".join(exposure_text(e) for e in missing[:3]) + (" ..." if len(missing) > 3 else "")
-    return (
-        f"{_range(match.group)}: missing frames of slot {match.slot.id}: {len(missing)} ({shown})"
-    )
+    where = f"missing frames of slot {match.slot.id}"
+    return f"{_range(match.group)}: {where}: {len(missing)} ({shown})"
 
 
 def _adopt_all(
@@ -178,16 +178,13 @@ def _adopt_all(
 
     Return the imported brackets, and the slots that an earlier import had filled wrongly.
     """
-    journal = Journal(session)
-    try:
+    with closing(Journal(session)) as journal:
         moved = withdraw(session, journal, read_slot_states(session), matches)
         states = read_slot_states(session)
         new = [m for m in matches if states.state(m.slot.id).outcome != "done"]
         for number, match in enumerate(new, start=1):
             progress(number, len(new), match.slot.id)
             _adopt(session, setup, journal, match)
-    finally:
-        journal.close()
     return new, moved
 
 
@@ -239,9 +236,8 @@ def meant(
     """
     exposure = group.frames[index].exposure
     before = sum(same_exposure(f.exposure, exposure) for f in group.frames[:index])
-    alike = [
-        shot for shot in shots(slot.exposures, setup) if same_exposure(shot.exposure, exposure)
-    ]
+    planned = shots(slot.exposures, setup)
+    alike = [shot for shot in planned if same_exposure(shot.exposure, exposure)]
     if not alike:
         return exposure, setup.headings[0] if setup.headings else None
     shot = alike[min(before, len(alike) - 1)]
@@ -318,10 +314,9 @@ def card_files(folder: Path) -> tuple[list[Path], list[str]]:
         if p.is_file() and not any(name[0] in ".@" for name in p.relative_to(folder).parts)
     )
     frames = [p for p in files if p.suffix.lower() in RAW_SUFFIXES or is_jpeg(p)]
-    suffixes = Counter(
-        p.suffix.lower() for p in files if _OTHER_PICTURES.fullmatch(p.suffix.lower())
-    )
-    other = [f"{count} {suffix}" for suffix, count in sorted(suffixes.items())]
+    suffixes = Counter(p.suffix.lower() for p in files)
+    others = sorted(suffix for suffix in suffixes if _OTHER_PICTURES.fullmatch(suffix))
+    other = [f"{suffixes[suffix]} {suffix}" for suffix in others]
     if not frames:
         found = "no raw or JPEG frames in this folder"
         found += f", but {' and '.join(other)} files" if other else ""
@@ -351,8 +346,7 @@ def read_card(
             continue
         offset = info.t_camera.utcoffset()  # None for a camera that writes no offset
         offset_s = None if offset is None else offset.total_seconds()
-        aware = offset is not None
-        when = info.t_camera.astimezone(UTC) if aware else info.t_camera.replace(tzinfo=UTC)
+        when = info.t_camera.replace(tzinfo=UTC) - (offset or timedelta())
         who = info.model or info.make or "a camera that EXIF does not name"
         # BodySerialNumber (EXIF 2.3) distinguishes two bodies of one model.
         serial = text_of(tags_of(path), 42033)
@@ -432,7 +426,5 @@ def of_the_session(
         if who != ours
     ]
     mine = [frame for frame, who in zip(frames, bodies, strict=True) if who == ours]
-    is_kind = [is_jpeg(frame.path) == (body.kind == "jpeg") for frame in mine]
-    if not any(is_kind):
-        return mine, notes
-    return [frame for frame, is_it in zip(mine, is_kind, strict=True) if is_it], notes
+    of_kind = [frame for frame in mine if is_jpeg(frame.path) == (body.kind == "jpeg")]
+    return of_kind or mine, notes

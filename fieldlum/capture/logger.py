@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import replace
+from functools import partial
 
 from fieldlum.capture.disk_writer import Recorder
 from fieldlum.capture.reconnect import Keeper, error_text, plain_info
@@ -137,15 +138,13 @@ def log(
     start, InputError if another process logs into this session.
     """
     steady = SteadyClock(clock)
-    with sole_user(session, "log"):
-        recorder = Recorder(session, steady.now, reserve=".reserve-log")
-
-        def open_device() -> Pyranometer:
-            return open_pyranometer(uri, clock=clock, session=session)
-
-        keeper = Keeper("pyranometer", open_device, steady, recorder.tell, 60.0)
-        logger = Logger(keeper, recorder, steady, every_s)
-        try:
+    opener = partial(open_pyranometer, uri, clock=clock, session=session)
+    with (
+        sole_user(session, "log"),
+        closing(Recorder(session, steady.now, reserve=".reserve-log")) as recorder,
+    ):
+        keeper = Keeper("pyranometer", opener, steady, recorder.tell, 60.0)
+        with closing(Logger(keeper, recorder, steady, every_s)) as logger:
             info = keeper.open_or_raise().info
             devices = session.table().get("devices", {})
             with suppress(OSError):  # the next row reports a full disk
@@ -156,7 +155,4 @@ def log(
                 recorder.tell_all(steady.check())
                 logger.poll_if_due()
                 clock.sleep(min(logger.due_in_s, 1.0))
-        finally:
-            logger.close()
-            recorder.close()
     return recorder.rows

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
+from contextlib import closing, suppress
 from datetime import datetime, timedelta
 from pathlib import Path
+from typing import cast
 
 from fieldlum.capture.match_card import Report
 from fieldlum.core.errors import InputError
@@ -45,13 +46,9 @@ def adopt_rows(
     column is a voltage, uV per W/m2. Raises InputError for a file that cannot be read, or if
     another process logs into the session.
     """
-    table: LoggerFileTable = {"file": path.name}
-    if utc_offset_s is not None:
-        table["utc_offset_s"] = utc_offset_s
-    if columns:
-        table["columns"] = dict(columns)
-    if sensitivities:
-        table["sensitivities"] = dict(sensitivities)
+    stated = {"utc_offset_s": utc_offset_s, "columns": columns, "sensitivities": sensitivities}
+    how = {name: value for name, value in stated.items() if value is not None}
+    table = cast("LoggerFileTable", {"file": path.name, **how})
     logger_file = _read_as(path, table)
     before = session.table().get("logger_files", [])
     withdrawn = 0
@@ -87,17 +84,14 @@ def add_samples(session: Session, samples: Iterable[IrradianceSample]) -> int:
     for path in day_files(session):
         if path.stem in days:
             stored_utc |= {s.t_utc for s in read_day(path)[0]}
-    added, log = 0, DayFiles(session, flush=False)
-    last: IrradianceSample | None = None
-    try:
+    added, last = 0, None
+    with closing(DayFiles(session, flush=False)) as log:
         for sample in wanted:
             # a table that contains a copy of itself
             if sample.t_utc not in stored_utc and sample != last:
                 log.append(sample)
                 added += 1
             last = sample
-    finally:
-        log.close()
     return added
 
 

@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 from zoneinfo import ZoneInfo
 
@@ -143,13 +143,9 @@ def split_at_gaps(groups: Sequence[Group], gap_s: float = 5 * 86400.0) -> list[l
 
     By default they are split into campaigns, between which the camera's clock may have been set.
     """
-    parts: list[list[Group]] = []
-    for group in groups:
-        if parts and (group.t_camera - parts[-1][-1].t_camera).total_seconds() < gap_s:
-            parts[-1].append(group)
-        else:
-            parts.append([group])
-    return parts
+    times_s = [group.t_camera.timestamp() for group in groups]
+    starts = np.flatnonzero(np.diff(times_s, prepend=-np.inf) >= gap_s).tolist()
+    return [list(groups[a:b]) for a, b in pairwise([*starts, len(groups)])]
 
 
 def fits(group: Group, slot: Slot) -> int:
@@ -329,9 +325,8 @@ def as_shown(frames: Sequence[CardFrame]) -> list[CardFrame]:
 
     A stated --utc-offset applies to the clock itself.
     """
-    return [
-        replace(f, t_camera=f.t_camera + timedelta(seconds=f.exif_offset_s or 0.0)) for f in frames
-    ]
+    ahead = [(frame, timedelta(seconds=frame.exif_offset_s or 0.0)) for frame in frames]
+    return [replace(frame, t_camera=frame.t_camera + offset) for frame, offset in ahead]
 
 
 def opposed(groups: Sequence[Group], stated_s: float | None) -> str:
@@ -345,10 +340,8 @@ def opposed(groups: Sequence[Group], stated_s: float | None) -> str:
 
 def hms(seconds: float) -> str:
     """Return an offset [s] as +HH:MM or -HH:MM, with :SS if the seconds are not zero."""
-    minutes, rest = divmod(round(abs(seconds)), 60)
-    return f"{'-' if seconds < 0 else '+'}{minutes // 60:02d}:{minutes % 60:02d}" + (
-        f":{rest:02d}" if rest else ""
-    )
+    clock = f"{datetime.fromtimestamp(round(abs(seconds)), UTC):%H:%M:%S}"
+    return ("-" if seconds < 0 else "+") + clock.removesuffix(":00")
 
 
 def hms_list(offsets_s: Sequence[float]) -> str:
@@ -389,12 +382,8 @@ def clock_parts(groups: Sequence[Group], slots: Sequence[Slot]) -> list[list[Gro
     base = next(iter(fitting_offsets(groups, slots)), 0.0) % 3600.0
     hits = [[_near(day, slots, base + 3600.0 * hour) for hour in _HOURS] for day in days]
     path = _steadiest(np.array(hits))
-    parts: list[list[Group]] = []
-    for k, day in enumerate(days):
-        if k == 0 or path[k] != path[k - 1]:
-            parts.append([])
-        parts[-1] += day
-    return parts
+    starts = [k for k in range(len(days)) if k == 0 or path[k] != path[k - 1]]
+    return [list(chain(*days[a:b])) for a, b in pairwise([*starts, len(days)])]
 
 
 def _steadiest(hits: np.ndarray) -> list[int]:

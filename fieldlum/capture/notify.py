@@ -146,10 +146,8 @@ def apprise_post(targets: Sequence[str], source: Path | str = "targets") -> Post
             sender = apprise.Apprise()
             understood = [sender.add(target) for target in targets]
     except ImportError:
-        expected = "the package apprise"
-        raise InputError(
-            source, "messages cannot be sent", expected, install_text("notify")
-        ) from None
+        found, remedy = "messages cannot be sent", install_text("notify")
+        raise InputError(source, found, "the package apprise", remedy) from None
     if not all(understood):
         number = f"{understood.index(False) + 1} of {len(understood)}"
         expected = "an address such as mailto://, ntfy:// or tgram://"

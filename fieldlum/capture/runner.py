@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import nullcontext, suppress
+from contextlib import closing, nullcontext, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from functools import partial
@@ -146,11 +146,9 @@ def run(
     with sole_user(session, "capture"), sole_user(session, "log") if open_pyr else nullcontext():
         steady = SteadyClock(clock, trusted, options.boot)
         runner = _Runner(session, steady, options, watch, checks, listen, open_cam)
-        try:
+        with closing(runner):
             runner.open(open_pyr, open_met, uris)
             runner.work()
-        finally:
-            runner.close()
     return read_slot_states(session)
 
 

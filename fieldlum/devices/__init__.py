@@ -239,13 +239,7 @@ def parse_uri(text: str) -> DeviceUri:
 
 # Schemes of URIs, and the modules whose `open_camera`, `open_pyranometer` or `open_meter` opens
 # them. A module is imported only when its scheme is used.
-CAMERAS = {
-    "sim": "simulated",
-    "gphoto": "gphoto",
-    "theta": "theta",
-    "rpicam": "rpicam",
-    "replay": "replay",
-}
+CAMERAS = {"sim": "simulated"} | {name: name for name in ("gphoto", "theta", "rpicam", "replay")}
 METERS = {"cl200a": "cl200a", "t10a": "cl200a"}
 PYRANOMETERS = {"sim": "simulated", "serial": "ascii_lines", "modbus": "modbus"}
 

@@ -110,9 +110,8 @@ class GphotoCamera(Camera):
                 found = f"{widget} was set to {text}, but the camera shows {shown}"
                 raise DeviceError(f"gphoto: {found}; set its dial to M")
         wait_s = exposure.shutter_s + self._readout_s
-        return Path(
-            self._child.ask("expose", str(target), self._delete, self._late_ms, timeout_s=wait_s)
-        )
+        what = str(target), self._delete, self._late_ms
+        return Path(self._child.ask("expose", *what, timeout_s=wait_s))
 
     def check_offered(self, exposure: Exposure) -> None:
         """Raise DeviceError for a setting over 1/6 EV from each of the camera's choices.

@@ -159,14 +159,12 @@ class RpicamCamera(Camera):
 
         A program that hangs is killed with all processes that it started. Raises DeviceError.
         """
-        pipes: dict[str, Any] = {
-            "stdin": subprocess.DEVNULL,
-            "stdout": subprocess.PIPE,
-            "stderr": subprocess.STDOUT,
-        }
-        command = [self._program, *arguments]
+        command, pipe = [self._program, *arguments], subprocess.PIPE
+        how: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": pipe, "errors": "replace"}
         try:
-            process = subprocess.Popen(command, errors="replace", start_new_session=True, **pipes)
+            process = subprocess.Popen(
+                command, stderr=subprocess.STDOUT, start_new_session=True, **how
+            )
         except OSError as error:
             why, remedy = error.strerror, "install it with: sudo apt install rpicam-apps"
             raise DeviceError(f"rpicam: {self._program} does not start ({why}); {remedy}") from None

@@ -32,12 +32,7 @@ POLL_S = 0.3
 Reply = dict[str, Any]
 """A JSON object that the camera answered; each value is checked where it is used."""
 _MANUAL = {"captureMode": "image", "exposureProgram": 1, "whiteBalance": "daylight"}
-# The camera's names of what it offers, by option.
-_OFFERS = {
-    "shutterSpeed": "shutterSpeedSupport",
-    "iso": "isoSupport",
-    "aperture": "apertureSupport",
-}
+_OFFERS = ("shutterSpeed", "iso", "aperture")  # with Support: the names of what it offers
 
 
 class ThetaCamera(Camera):
@@ -54,8 +49,9 @@ class ThetaCamera(Camera):
         self._delete, self._timeout_s = delete, timeout_s
         about, state = self._ask("/osc/info"), self._ask("/osc/state", {}).get("state", {})
         self._set(_MANUAL)
-        options = self._options(*_OFFERS.values(), "remainingPictures", "dateTimeZone")
-        self._offers = {name: _numbers(options.get(key)) for name, key in _OFFERS.items()}
+        offers = [f"{name}Support" for name in _OFFERS]
+        options = self._options(*offers, "remainingPictures", "dateTimeZone")
+        self._offers = [_numbers(options.get(name)) for name in offers]
         level, rest = state.get("batteryLevel"), options.get("remainingPictures")
         names = "manufacturer", "model", "serialNumber", "firmwareVersion"
         self.info = CameraInfo(
@@ -111,7 +107,7 @@ class ThetaCamera(Camera):
 
         Raises DeviceError if a value is more than 1/6 EV from every step.
         """
-        shutters, isos, apertures = self._offers.values()
+        shutters, isos, apertures = self._offers
         chosen = {
             "shutterSpeed": nearest(exposure.shutter_s, shutters, "theta shutter", "s"),
             "iso": nearest(exposure.iso, isos, "theta ISO"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zlib
+from dataclasses import replace
 from datetime import timedelta
 from functools import lru_cache
 from pathlib import Path
@@ -35,10 +36,7 @@ _FRACTIONS = (
     "1.3 1.6 2 2.5 3 4 5 6 8 10 13 15 20 25 30 40 50 60 80 100 125 160 200 250 320 400 500 640 800 "
     "1000 1250 1600 2000 2500 3200 4000 5000 6400 8000 10000 12800 16000"
 )
-DIAL_S = (
-    *(float(text) for text in _SECONDS.split()),
-    *(1.0 / float(text) for text in _FRACTIONS.split()),
-)
+DIAL_S = (*map(float, _SECONDS.split()), *(1.0 / float(text) for text in _FRACTIONS.split()))
 # A Poisson distribution of more electrons is approximated by a normal one, for speed. Chosen.
 _GAUSSIAN_ABOVE_E = 60.0
 
@@ -82,21 +80,17 @@ def _cells(cfa: str, by_colour: tuple[float, ...], shape: tuple[int, int]) -> Fl
 
 
 def raw_counts(
-    mosaic_cdm2: Floats32,
-    profile: CameraProfile,
-    exposure: Exposure,
-    true_s: float,
-    rng: np.random.Generator,
+    mosaic_cdm2: Floats32, profile: CameraProfile, exposure: Exposure, rng: np.random.Generator
 ) -> NDArray[np.uint16]:
     """Return the raw counts [h, w] of one frame, with shot noise and read noise, clipped.
 
-    mosaic_cdm2 [h, w] : value of each pixel's channel after vignetting [cd/m2]; true_s : the true
-    shutter time [s].
+    mosaic_cdm2 [h, w] : value of each pixel's channel after vignetting [cd/m2]; exposure : with the
+    true shutter time.
     """
     sensor, shape = profile.sensor, mosaic_cdm2.shape
     black = _cells(sensor.cfa, sensor.black_dn, shape)
     gain = linear_light.gain_e_per_dn(exposure.iso, profile)
-    per = z_per_cdm2(true_s, exposure.f_number, exposure.iso, profile.scale.k)
+    per = z_per_cdm2(exposure.shutter_s, exposure.f_number, exposure.iso, profile.scale.k)
     red, green, blue = linear_light.nd_factors(exposure.nd, profile)
     attenuation = _cells(sensor.cfa, (red, green, green, blue), shape)
     electrons = mosaic_cdm2 * ((sensor.white_dn - black) * np.float32(per * gain)) / attenuation
@@ -111,19 +105,15 @@ def raw_counts(
 
 
 def jpeg_codes(
-    image_cdm2: Floats32,
-    profile: CameraProfile,
-    exposure: Exposure,
-    true_s: float,
-    rng: np.random.Generator,
+    image_cdm2: Floats32, profile: CameraProfile, exposure: Exposure, rng: np.random.Generator
 ) -> NDArray[np.uint8]:
     """Return the 8-bit codes [h, w, 3] (R, G, B) of one frame, with noise.
 
-    image_cdm2 [h, w, 3] : camera channels after vignetting [cd/m2]; true_s : the true shutter
-    time [s].
+    image_cdm2 [h, w, 3] : camera channels after vignetting [cd/m2]; exposure : with the true
+    shutter time.
     """
     sensor = profile.sensor
-    per = z_per_cdm2(true_s, exposure.f_number, exposure.iso, profile.scale.k)
+    per = z_per_cdm2(exposure.shutter_s, exposure.f_number, exposure.iso, profile.scale.k)
     full_e = sensor.gain_e_per_dn * sensor.white_dn * sensor.iso / exposure.iso
     attenuation = np.asarray(linear_light.nd_factors(exposure.nd, profile), np.float32)
     z = image_cdm2 * np.float32(per) / attenuation
@@ -179,11 +169,12 @@ class SimulatedCamera(Camera):
         for a time without a picture in the session's truth/.
         """
         dial_s = self._allowed(exposure)
-        set_to = Exposure(dial_s, exposure.f_number, exposure.iso, exposure.nd)
+        set_to = replace(exposure, shutter_s=dial_s)
         opened = self._clock.now()
         heading = self._heading_deg if heading_deg is None else heading_deg
         image = self._image(self._world.scene(opened), heading) * self._shading(exposure.f_number)
         true_s, _ = linear_light.true_shutter_s(dial_s, self._profile)
+        taken = replace(set_to, shutter_s=true_s)
         # Each frame has its own seed, independent of earlier frames, so that a resumed capture
         # gives the same frames as an undisturbed one.
         name = f"{opened.timestamp():.0f} {set_to} {heading}".encode()
@@ -194,11 +185,11 @@ class SimulatedCamera(Camera):
         about["t_camera"] = t_camera.replace(tzinfo=None)  # cameras write no time zone
         path = target.with_name(f"{target.name}.{'jpg' if self._is_jpeg else 'dng'}")
         if self._is_jpeg:
-            codes = jpeg_codes(image, self._profile, set_to, true_s, rng)
+            codes = jpeg_codes(image, self._profile, taken, rng)
             write_jpeg(path, codes, set_to, **about)
         else:
             about |= {"black_dn": sensor.black_dn, "white_dn": sensor.white_dn, "cfa": sensor.cfa}
-            counts = raw_counts(image, self._profile, set_to, true_s, rng)
+            counts = raw_counts(image, self._profile, taken, rng)
             write_dng(path, counts, set_to, **about)
         self._clock.sleep(self._overhead_s + true_s)
         return path
