@@ -195,7 +195,9 @@ def find_lamp(process: Process, rows: Indices) -> Indices:
     best = max((_best_set(_days_and_pairs(process, b), gain) for b in blocks), key=gain)
     if gain(best) <= _MIN_GAIN:
         return _NO_ROWS
-    return _best_set(rows[:, None], gain, best)
+    best = _best_set(rows[:, None], gain, best)
+    # computed patches that are a little off look like a lamp in one or two captures
+    return best if len(best) > 2 else _NO_ROWS
 
 
 def _other_level(found: Evidence) -> Indices:
