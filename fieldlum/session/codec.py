@@ -24,6 +24,7 @@ from typing import Annotated, Any, ClassVar, Self, TypeVar, cast
 
 import msgspec
 import numpy as np
+from numpy.lib.npyio import NpzFile
 
 from fieldlum.core.arrays import Array
 from fieldlum.core.errors import ChangedFileWarning, InputError, input_errors
@@ -211,7 +212,8 @@ def write_object(path: Path, table: Mapping[str, object], *, digest: bool = Fals
     if digest:
         with sealed(path):
             return write_object(path, table)
-    with replacing(path, "w", encoding="utf-8") as file:
+    # A file name that is not UTF-8 has surrogates; \udcff is also how JSON writes one.
+    with replacing(path, "w", encoding="utf-8", errors="backslashreplace") as file:
         json.dump(table, file, indent=1, ensure_ascii=False, default=_plain)
 
 
@@ -321,6 +323,21 @@ def write_columns(path: Path, columns: Mapping[str, Any], digits: int = 7) -> No
 MAX_COMPRESSED_BYTES = 16 * 2**20
 # What reading a damaged or missing file can raise; MemoryError for an impossible shape.
 NPZ_ERRORS = (OSError, ValueError, KeyError, EOFError, MemoryError, zipfile.BadZipFile)
+
+
+@contextmanager
+def open_arrays(path: Path, expected: str, remedy: str, newest: int = 1) -> Iterator[NpzFile]:
+    """Yield the arrays of a file that fieldlum wrote, which are read when used, never unpickled.
+
+    newest: format version. Raises InputError for a missing file, a newer one, and other content.
+    """
+    with (
+        input_errors(path, expected, remedy, *NPZ_ERRORS),
+        path.open("rb") as file,
+        np.load(file, allow_pickle=False) as stored,
+    ):
+        check_format(path, int(stored["format"]) if "format" in stored else 1, newest)
+        yield stored
 
 
 def read_arrays(path: Path) -> dict[str, Array]:

@@ -7,7 +7,6 @@ a link only if the user of this computer named it once on the command line.
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 import platform
 import sys
@@ -15,11 +14,18 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
 
-from fieldlum.session.writing import replacing
+from msgspec import field
 
-FORMAT = 1  # of the file; docs/file-formats.md
+from fieldlum.core.errors import InputError
+from fieldlum.session.codec import JsonFile
+
+
+class _PermitsFile(JsonFile, frozen=True):
+    """The content of permitted.json: names of permitted subjects by digest, by computer."""
+
+    NAME = "permitted.json"
+    permitted: dict[str, dict[str, str]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,21 +86,13 @@ def permit(*wanted: Subject) -> None:
     if not new:
         return
     mine |= new
-    path = _record()
-    path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-    with replacing(path, "w", encoding="utf-8", errors="backslashreplace") as file:
-        json.dump({"format": FORMAT, "permitted": permitted}, file, indent=1)
-
-
-def _record() -> Path:
-    return config_folder() / "permitted.json"
+    folder = config_folder()
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    _PermitsFile(permitted).write(folder)
 
 
 def _read() -> dict[str, dict[str, str]]:
-    """Return the names of permitted subjects by digest, by computer; empty if unreadable."""
-    try:
-        table: Any = json.loads(_record().read_text(encoding="utf-8"))
-        permitted = table["permitted"] if table["format"] == FORMAT else {}
-        return {str(key): dict(value) for key, value in permitted.items()}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        return {}
+    """Return the content of permitted.json; empty if it is unreadable."""
+    with suppress(InputError, OSError):
+        return _PermitsFile.read(config_folder()).permitted
+    return {}

@@ -12,9 +12,8 @@ from msgspec import Struct, field
 from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats
-from fieldlum.core.errors import input_errors
 from fieldlum.core.records import JsonTable
-from fieldlum.session.codec import NPZ_ERRORS, JsonFile, check_format
+from fieldlum.session.codec import JsonFile, open_arrays
 from fieldlum.session.writing import replacing
 
 # Ten times the rows that glare by EN 17037 needs; a model with more pixels is not from this tool.
@@ -189,11 +188,7 @@ class HeldOutMaps:
         if not path.is_file():
             return None
         remedy = "train the model again (fieldlum train)"
-        with (
-            input_errors(path, "held-out maps", remedy, *NPZ_ERRORS),
-            np.load(path, allow_pickle=False) as stored,
-        ):
-            check_format(path, int(stored["format"]), HELD_OUT_FORMAT)
+        with open_arrays(path, "held-out maps", remedy, HELD_OUT_FORMAT) as stored:
             return cls(*(stored[name] for name in _ARRAYS))
 
 

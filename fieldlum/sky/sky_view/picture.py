@@ -13,10 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fieldlum.core.arrays import Floats, Floats32, Mask
-from fieldlum.core.errors import input_errors
 from fieldlum.core.records import Flag, Panorama
 from fieldlum.optics.projection import altitude_azimuth_deg, direction
-from fieldlum.session.codec import NPZ_ERRORS
+from fieldlum.session.codec import open_arrays
 from fieldlum.session.writing import replacing
 
 FORMAT = 1  # of the file; docs/file-formats.md
@@ -109,14 +108,8 @@ def write_sky_picture(path: Path, picture: SkyPicture) -> None:
 
 def read_sky_picture(path: Path) -> SkyPicture:
     """Read a picture that `write_sky_picture` wrote. Raises InputError for other content."""
-    expected = f"a sky picture of format 1 to {FORMAT}"
-    with (
-        input_errors(path, expected, "merge the bracket again (fieldlum merge)", *NPZ_ERRORS),
-        path.open("rb") as file,
-        np.load(file, allow_pickle=False) as stored,
-    ):
-        if int(stored["format"]) > FORMAT:
-            raise ValueError(f"format {int(stored['format'])}")
+    remedy = "merge the bracket again (fieldlum merge)"
+    with open_arrays(path, "a sky picture", remedy, FORMAT) as stored:
         code = stored["code"]
         height, width = code.shape
         minimum, maximum = _LOG10_RANGE

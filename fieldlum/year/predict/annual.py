@@ -20,10 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats, Floats32, Mask
-from fieldlum.core.errors import input_errors
 from fieldlum.core.records import JsonTable
 from fieldlum.session import Session, replacing
-from fieldlum.session.codec import NPZ_ERRORS
+from fieldlum.session.codec import open_arrays
 from fieldlum.session.files.hourly_csv import HourlyFile
 from fieldlum.session.files.predict_json import PredictFile
 
@@ -161,11 +160,7 @@ def read_pictures(folder: Path) -> Pictures:
     """Read pictures.npz in `folder`. Raises InputError if the file is missing or damaged."""
     path = folder / "pictures.npz"
     expected, remedy = "pictures of a predicted year", "run fieldlum predict again"
-    with (
-        input_errors(path, expected, remedy, *NPZ_ERRORS),
-        path.open("rb") as file,
-        np.load(file, allow_pickle=False) as stored,
-    ):
-        table = {name: stored[name] for name in Pictures._fields}
+    with open_arrays(path, expected, remedy) as stored:
+        table: dict[str, Any] = {name: stored[name] for name in Pictures._fields}
     kinds, heading_deg = tuple(table["kinds"].tolist()), float(table["heading_deg"])
     return Pictures(**table)._replace(kinds=kinds, heading_deg=heading_deg)
