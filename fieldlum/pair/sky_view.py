@@ -111,8 +111,10 @@ def write_sky_view(
         "pictures": pictures.digest,
         "others": data_digest(__version__, light, shares, discs),
     }
-    if not force and (stored := _stored(session.sky_view, inputs)) is not None:
-        return stored
+    with suppress(InputError):  # a damaged view is estimated again
+        stored = None if force else SkyView.find(session.sky_view)
+        if stored is not None and stored.inputs == inputs:
+            return stored
     captured = Captured(light, pictures.read, shares)
     in_lens = _in_lens(captures) if pictures.is_cut else None
     try:
@@ -168,14 +170,6 @@ def shares_of_beam(view: SkyView | None, room: Room | None, light: Light) -> tup
         decided = (disc.low_lx > 0.0) & (light.direct_lx > 0.0) & ~(wide & (shares > 0.0))
         shares[decided] = disc.best_lx[decided] / light.direct_lx[decided]
     return shares, decided
-
-
-def _stored(path: Path, inputs: JsonTable) -> SkyView | None:
-    """Return the view in a file, if it was estimated from the same inputs; else None."""
-    with suppress(InputError):
-        view = SkyView.find(path)
-        return view if view is not None and view.inputs == inputs else None
-    return None
 
 
 def draw(path: Path, view: SkyView, panorama: Panorama, suns: Floats) -> None:

@@ -42,12 +42,9 @@ def trained_kernel(session: Session) -> tuple[Kernel, str] | None:
         off = (abs(float(there.get(name, value)) - value) for name, value in here.items())
         if config.model != "transport" or max(off) >= 0.1:
             continue
-        kinds = (OSError, ValueError, KeyError, TypeError)
-        remedy = "train the model again (fieldlum train)"
-        with (
-            input_errors(folder, "a transport model", remedy, *kinds),
-            np.load(folder / "weights.npz", allow_pickle=False) as arrays,
-        ):
+        path, kinds = folder / "weights.npz", (OSError, ValueError, KeyError, TypeError)
+        expected, remedy = "a transport model", "train the model again (fieldlum train)"
+        with input_errors(folder, expected, remedy, *kinds), np.load(path) as arrays:
             facades = Facades(*(np.array(arrays[f"facade_{n}"]) for n in ("azimuths", "weights")))
             return Kernel(facades, **config.state["transport"]["kernel"]), folder.name
     return None

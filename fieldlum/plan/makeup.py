@@ -101,7 +101,11 @@ def run(session: Session, now_utc: datetime) -> JsonTable:
     due = [s for s in missed if all(m.t_utc + grace < now_utc for m in makeups.get(s.id, ()))]
     added, pairs, lost = make_up(due, slots, setup, now_utc)
     if added:
-        about = _store_and_write(session, [*slots, *added], about, setup)
+        with replacing(_older_plan(session, about)) as file:
+            file.write(session.plan.read_bytes())
+        ordered = sorted([*slots, *added], key=lambda slot: slot.t_utc)
+        write_plan(session.plan, ordered, setup.site.timezone)
+        about = _record(session, about)
     remaining = [slot for slot in slots if slot.id in captured or slot.t_utc + grace >= now_utc]
     versions = {"planned": slots, "without": remaining, "with": [*remaining, *added]}
     bands = {name: sun_band_percent(hours_of(some), setup.site) for name, some in versions.items()}
@@ -114,15 +118,6 @@ def run(session: Session, now_utc: datetime) -> JsonTable:
         "sun_band_percent": {name: round(band, 1) for name, band in bands.items()},
         "revision": about.get("revision", 0),
     }
-
-
-def _store_and_write(
-    session: Session, slots: list[Slot], about: PlanTable, setup: SiteFile
-) -> PlanTable:
-    with replacing(_older_plan(session, about)) as file:
-        file.write(session.plan.read_bytes())
-    write_plan(session.plan, sorted(slots, key=lambda slot: slot.t_utc), setup.site.timezone)
-    return _record(session, about)
 
 
 def _older_plan(session: Session, about: PlanTable) -> Path:

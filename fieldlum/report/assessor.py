@@ -13,15 +13,8 @@ from pathlib import Path
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import SiteFile
 from fieldlum.optics.profiles import CameraProfile, find_camera_profile, load_camera_profile
+from fieldlum.report import sections
 from fieldlum.report.page import Page, Section, Table, class_name, named, render, sentence
-from fieldlum.report.sections import (
-    WELL_EDI_LX,
-    directions_section,
-    disturbed,
-    has_melanopic,
-    melanopic_section,
-    melanopic_shares,
-)
 from fieldlum.session import Session, sha256
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.version import __version__
@@ -50,17 +43,17 @@ def _requirements(annual: Annual, zone: str) -> Table:
     decided = [row for row in directions if row.certain]
     classes = ", ".join(f"{named(row.azimuth_deg)} {class_name(row)}" for row in decided)
     found = f"decided in {len(decided)} of {len(directions)} directions: {classes or 'none'}"
-    answers = [text for text in disturbed(annual) if text != "–"]
+    answers = [text for text in sections.disturbed(annual) if text != "–"]
     sdg = (
         f"{answers.count('yes')} of {len(answers)} directions are disturbed, "
         f"{answers.count('cannot tell')} cannot be decided"
     )
     edi = well = "cannot tell: no melanopic colour was measured"
-    if has_melanopic(annual):
-        each = zip(melanopic_shares(annual, zone), annual.judged, strict=True)
+    if sections.has_melanopic(annual):
+        each = zip(sections.melanopic_shares(annual, zone), annual.judged, strict=True)
         best = max((s for s, good in each if good), key=lambda share: share[0].value)
         edi = f"best direction: {best[0].text()} of the hours"
-        limits = zip(WELL_EDI_LX, best[1], strict=True)
+        limits = zip(sections.WELL_EDI_LX, best[1], strict=True)
         days = (f"{limit:.0f} lx on {share.text()} of the days" for limit, share in limits)
         well = f"best direction, daylight alone: {', '.join(days)}"
     words = {"found": found, "sdg": sdg, "edi": edi, "well": well, "hours": len(annual)}
@@ -131,10 +124,10 @@ def page(session: Session, annual: Annual | None) -> str:
     roles = [(role, "", "", "") for role in ("measured by", "calculated by", "checked by")]
     signatures = Table(("role", "name", "date", "signature"), roles, words=True)
     zone = site.timezone
-    sections = (
+    shown = (
         Section("requirements", "Requirements", tables=(_requirements(annual, zone),)),
-        directions_section(annual)._replace(title="Glare by view direction"),
-        melanopic_section(annual, zone),
+        sections.directions_section(annual)._replace(title="Glare by view direction"),
+        sections.melanopic_section(annual, zone),
         Section("method", "Method", " ".join((METHOD, *map(sentence, summary.notes[:1])))),
         Section("instruments", "What was measured", tables=(_instruments(session, setup),)),
         Section("versions", "Versions and files", tables=(_words(versions),)),
@@ -146,4 +139,4 @@ def page(session: Session, annual: Annual | None) -> str:
         ("occupied hours", f"{occupancy.hours}"),
     )
     title = f"{site.name}: glare and daylight for an assessor"
-    return render(Page(title, *_ABOUT, facts, sections))
+    return render(Page(title, *_ABOUT, facts, shown))

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import calendar
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -141,10 +142,10 @@ def _compare_pictures(session: Session, model: Path, out: Path, progress: Progre
         found = f"{len(pictures)} pictures, none named as a capture of {session.root}"
         expected = "pictures named by slots, such as 20270320T193000Z.hdr"
         raise InputError(model, found, expected, "name each by the slot whose sun and sky it has")
-    if twice := [path for k, path in enumerate(shared[1:]) if path.stem == shared[k].stem]:
-        raise InputError(
-            twice[0], f"a second picture of {twice[0].stem}", "one for each slot", "remove one"
-        )
+    for first, second in pairwise(shared):
+        if first.stem == second.stem:
+            found = f"a second picture of {second.stem}"
+            raise InputError(second, found, "one for each slot", "remove one")
     room, rows, worst = session.site_file().room, [], []
     for number, path in enumerate(shared):
         progress(number, len(shared), "pictures")
@@ -485,11 +486,9 @@ class _Shared(NamedTuple):
 
     def rows(self) -> list[JsonTable]:
         names = ("azimuth_deg", "figure", "hour_of_year", "measured", "model")
-        values = zip(
-            self.hour_of_year.tolist(), self.measured.round(4), self.model.round(4), strict=True
-        )
-        head = self.azimuth_deg, self.figure
-        return [dict(zip(names, (*head, *row), strict=True)) for row in values]
+        head, hours = (self.azimuth_deg, self.figure), self.hour_of_year.tolist()
+        rows = zip(hours, self.measured.round(4), self.model.round(4), strict=True)
+        return [dict(zip(names, (*head, *row), strict=True)) for row in rows]
 
     def text(self) -> str:
         """Return a sentence on the month and the hour of the day in which the model errs most."""

@@ -117,9 +117,8 @@ class Light:
     def diffuse_lx(self) -> Floats:
         """The sky's illuminance on the horizontal, summed over the patches, [n], in lx."""
         patches = reinhart_patches()
-        return np.asarray(
-            self.sky_cdm2 @ (patches.solid_angles_sr * patches.directions[:, 2]), float
-        )
+        weights = patches.solid_angles_sr * patches.directions[:, 2]
+        return np.asarray(self.sky_cdm2 @ weights, float)
 
     @cached_property
     def total_lx(self) -> Floats:
@@ -137,9 +136,7 @@ def light_at(times_utc: Sequence[datetime], site: Site, dni_wm2: Floats, dhi_wm2
     times [W/m2]. Raises ValueError for times without a zone.
     """
     at = sun.position(times_utc, site)
-    dni, dhi = (
-        np.broadcast_to(np.asarray(a, float), len(times_utc)).copy() for a in (dni_wm2, dhi_wm2)
-    )
+    dni, dhi = (np.full(len(times_utc), value, float) for value in (dni_wm2, dhi_wm2))
     return Light(tuple(times_utc), dni, dhi, at.altitude_deg, at.azimuth_deg)
 
 

@@ -262,11 +262,8 @@ def perez_luminance(
     up = rays[:, 2].astype(np.float64)
     gamma = np.arccos(np.clip(cosines(sun, rays), -1.0, 1.0))  # [n, m]
     shape = sky.shape.astype(dtype)[:, None, :]
-    bright = (
-        _relative(shape, np.maximum(up, 0.01).astype(dtype), gamma)
-        * sky.norm_cdm2.astype(dtype)[:, None]
-    )
-    bright = np.maximum(bright, 0.0)
+    relative = _relative(shape, np.maximum(up, 0.01).astype(dtype), gamma)
+    bright = np.maximum(relative * sky.norm_cdm2.astype(dtype)[:, None], 0.0)
     # perezlum.cal: skybright = wmean((Dz + 1.01)^10, sky, (Dz + 1.01)^-10, ground)
     share = (1.0 / (1.0 + (up + 1.01) ** -20.0)).astype(dtype)
     return bright * share + sky.ground_cdm2.astype(dtype)[:, None] * (1 - share)

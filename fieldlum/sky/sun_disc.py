@@ -166,9 +166,8 @@ def add_source(
     i = np.clip(row.astype(int), 0, height - 1)
     j = column.astype(int) % width
     with_disc = luminance_cdm2.copy()
-    with_disc[np.arange(len(with_disc)), i, j] += (
-        normal_lx / equirect_solid_angles(height, width)[i, j]
-    ).astype(np.float32)
+    added_cdm2 = normal_lx / equirect_solid_angles(height, width)[i, j]
+    with_disc[np.arange(len(with_disc)), i, j] += added_cdm2.astype(np.float32)
     return with_disc
 
 

@@ -15,12 +15,7 @@ from scipy.ndimage import rank_filter, uniform_filter1d
 from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.records import IrradianceSample, Progress, Site, counted, quiet
-from fieldlum.pair.irradiance.consistency import (
-    clear_sky,
-    closure_fails,
-    k_index_fails,
-    shaded_horizon,
-)
+from fieldlum.pair.irradiance import consistency
 from fieldlum.session import Session, day_files, read_day, remove_scraps
 from fieldlum.session.codec import convert, made_from, write_object
 from fieldlum.session.files.irradiance_csv import DERIVED, MEASURED, CleanIrradiance
@@ -148,7 +143,7 @@ def check(series: Series, altitude: Floats, top: Floats) -> Series:
                 marks[(value < low) | (value > high)] |= mark
     with np.errstate(invalid="ignore"):
         marks[dhi > 1.05 * ghi + 10.0] |= Mark.DIFFUSE
-    marks[closure_fails(series.t_unix_s, ghi, dhi, dni, altitude)] |= Mark.CLOSURE
+    marks[consistency.closure_fails(series.t_unix_s, ghi, dhi, dni, altitude)] |= Mark.CLOSURE
     marks[_stuck(series.t_unix_s, ghi, altitude)] |= Mark.STUCK
     for value in (ghi, dhi, dni):
         marks[spikes(series.t_unix_s, np.where(marks & UNUSABLE, np.nan, value))] |= Mark.SPIKE
@@ -208,10 +203,11 @@ def suspicions(series: Series, altitude: Floats, top: Floats, site: Site) -> NDA
     complete = (series.marks & Mark.DERIVED) == 0
     ghi, dni = (np.where(complete, v, np.nan) for v in (series.ghi_wm2, series.dni_wm2))
     marks, t = np.zeros(len(ghi), np.int64), series.t_unix_s
-    marks[k_index_fails(t, ghi, series.dhi_wm2, series.dni_wm2, altitude, top)] |= Mark.K_INDEX
+    fails = consistency.k_index_fails(t, ghi, series.dhi_wm2, series.dni_wm2, altitude, top)
+    marks[fails] |= Mark.K_INDEX
     if np.isfinite(dni).any():
-        azimuth, clear_dni = clear_sky(t, site)
-        marks[shaded_horizon(t, dni, altitude, azimuth, clear_dni)] |= Mark.HORIZON
+        azimuth, clear_dni = consistency.clear_sky(t, site)
+        marks[consistency.shaded_horizon(t, dni, altitude, azimuth, clear_dni)] |= Mark.HORIZON
     return marks
 
 

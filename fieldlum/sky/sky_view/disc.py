@@ -133,11 +133,9 @@ def drawn_discs_lx(
     `setup`, with the sun moved at random by 1.5 degrees; without a room, from 0 to clear glass. The
     beam's luminous efficacy is drawn too.
     """
-    shares = (
-        np.full((count, len(light)), np.nan)
-        if view is None
-        else drawn_shares(view, light, rng, count)
-    )
+    shares = np.full((count, len(light)), np.nan)
+    if view is not None:
+        shares = drawn_shares(view, light, rng, count)
     turns = rng.normal(0.0, EDGE_SD_DEG, (count, 2))
     guesses = rng.permutation((np.arange(count) + 0.5) / count) * _CLEAR_GLASS
     open_hours = np.flatnonzero(np.isnan(shares).any(axis=0) & (light.direct_lx > 0.0))

@@ -43,11 +43,8 @@ def read_discs(session: Session) -> MeasuredDiscs:
     Sidecars without a measured disc or without a time are skipped. sigma_deg is at least 0.02.
     Raises InputError for a damaged sidecar.
     """
-    rows: list[tuple[float, float, float, datetime]] = []
-    for path in session.sidecar_files():
-        row = _measured(path)
-        if row is not None:
-            rows.append(row)
+    read = map(_measured, session.sidecar_files())
+    rows = [row for row in read if row is not None]
     numbers = np.array([row[:3] for row in rows], float).reshape(-1, 3)
     altitude, azimuth, sigma = numbers.T
     return MeasuredDiscs(altitude, azimuth, sigma, tuple(row[3] for row in rows))

@@ -113,9 +113,8 @@ def read_sky_picture(path: Path) -> SkyPicture:
         code = stored["code"]
         height, width = code.shape
         minimum, maximum = _LOG10_RANGE
-        table = 10.0 ** (
-            minimum + (np.arange(_MAX_CODE + 1) - 1.0) / (_MAX_CODE - 1) * (maximum - minimum)
-        )
+        steps = (np.arange(_MAX_CODE + 1) - 1.0) / (_MAX_CODE - 1)
+        table = 10.0 ** (minimum + steps * (maximum - minimum))
         table[0] = np.nan
         clipped = np.unpackbits(stored["clipped"], count=height * width).reshape(height, width)
         names = ("first_altitude_deg", "first_azimuth_deg", "step_deg", "heading_deg")

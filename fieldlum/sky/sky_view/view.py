@@ -114,14 +114,8 @@ class SkyView:
             _check(grid, arrays, about.get("frame", FRAME))
             stated = about.get("pose")
             pose = CameraPose.from_table(stated) if stated else CameraPose()
-            return cls(
-                grid,
-                **arrays,
-                captures=about.get("captures", 0),
-                pose=pose,
-                notes=tuple(about.get("notes", ())),
-                inputs=about.get("inputs", {}),
-            )
+            others = {name: about[name] for name in ("captures", "inputs") if name in about}
+            return cls(grid, **arrays, **others, pose=pose, notes=tuple(about.get("notes", ())))
         except Exception as error:  # OpenEXR raises RuntimeError, UnicodeDecodeError and others
             raise InputError(path, reason_of(error), _EXPECTED, _REMEDY) from None
 

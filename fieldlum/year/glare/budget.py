@@ -176,19 +176,14 @@ def year_budget(
     rng = np.random.default_rng(0)
     errors = (np.nan_to_num(uncertainty.u_maps) * year_errors(dgp.shape, rng) for _ in range(DRAWS))
     of_scale = u_scale * dgp_per_scale(dgp, ev_lx)
+    by_model = np.std([exceeded(dgp + error) for error in errors], axis=0, ddof=1)
+    scales = np.abs(exceeded(dgp + of_scale) - exceeded(dgp - of_scale))
+    unseen = np.abs(exceeded(uncertainty.maximum) - exceeded(uncertainty.minimum))
+    rectangular = Source("part of the view that no lens saw", "B", _RECTANGULAR, 1.0, "u", "hour")
     sources = [
-        (
-            Source("light transport model", "A", _NORMAL, 1.0, "u", "half: all hours"),
-            np.std([exceeded(dgp + error) for error in errors], axis=0, ddof=1),
-        ),
-        (
-            Source("camera scale", "B", _NORMAL, 100 * u_scale, "%", "all hours"),
-            np.abs(exceeded(dgp + of_scale) - exceeded(dgp - of_scale)) / 2,
-        ),
-        (
-            Source("part of the view that no lens saw", "B", _RECTANGULAR, 1.0, "u", "hour"),
-            np.abs(exceeded(uncertainty.maximum) - exceeded(uncertainty.minimum)) / np.sqrt(12.0),
-        ),
+        (Source("light transport model", "A", _NORMAL, 1.0, "u", "half: all hours"), by_model),
+        (Source("camera scale", "B", _NORMAL, 100 * u_scale, "%", "all hours"), scales / 2),
+        (rectangular, unseen / np.sqrt(12.0)),
     ]
     if len(uncertainty.drawn) > 1:
         source = Source("whether the sun's disc is seen", "B", _NORMAL, 1.0, "u", "all hours")

@@ -28,14 +28,7 @@ from numpy.typing import ArrayLike
 from fieldlum.core.arrays import Floats, Floats32, Mask
 from fieldlum.core.errors import FieldlumError, InputError, input_errors
 from fieldlum.core.records import Panorama, SunSource
-from fieldlum.optics.images import (
-    RadianceHeader,
-    radiance_program,
-    read_exr,
-    read_panorama,
-    read_radiance_hdr,
-    write_radiance_hdr,
-)
+from fieldlum.optics import images
 from fieldlum.optics.projection import (
     altitude_azimuth_deg,
     direction,
@@ -90,13 +83,13 @@ def read_picture(path: Path, view_options: str = "", part: str = "") -> Picture:
 
 
 def _read_hdr(path: Path, view_options: str) -> Picture:
-    image = read_radiance_hdr(path)
+    image = images.read_radiance_hdr(path)
     header = image.header
     text = view_options or header.view
     if not view_options:
         _check_views(header, path)
         if header.heading_deg is not None:
-            return Picture(read_panorama(path), None)
+            return Picture(images.read_panorama(path), None)
     view = parse_view(text, path)
     check_proportion(view, image.luminance_cdm2.shape, header.pixel_aspect, path)
     notes = (_INHERITED,) if header.view_is_inherited and not view_options else ()
@@ -104,7 +97,7 @@ def _read_hdr(path: Path, view_options: str) -> Picture:
     return Picture(pixels, view, "-vd" in text.split(), notes)
 
 
-def _check_views(header: RadianceHeader, path: Path) -> None:
+def _check_views(header: images.RadianceHeader, path: Path) -> None:
     """Raise InputError for views of different types, or for a panorama with a view."""
     remedy = "state the true view with --view"
     if header.heading_deg is not None and header.views:
@@ -120,7 +113,7 @@ def _check_views(header: RadianceHeader, path: Path) -> None:
 
 
 def _read_exr(path: Path, view_options: str, part: str) -> Picture:
-    picture, stated = read_exr(path, part)
+    picture, stated = images.read_exr(path, part)
     is_panorama = stated == "equirect" and not view_options
     if is_panorama:
         picture = read_panorama_with_sun(path, part=part)
@@ -393,14 +386,11 @@ def panorama_to_fisheye(
     y, x = picture_centres(size * samples, size * samples)
     rays = picture_rays(view, x, y)[0]
     inside = rays[..., 2] > 0.0
-    places = equirect_pixel(
-        *altitude_azimuth_deg(rays[inside] @ view.frame), height, width, heading_deg
-    )
-    row, column = (
-        np.minimum(p.astype(int), n - 1) for p, n in zip(places, (height, width), strict=True)
-    )
+    place = altitude_azimuth_deg(rays[inside] @ view.frame)
+    row, column = equirect_pixel(*place, height, width, heading_deg)
+    row, column = np.minimum(row, height - 1), np.minimum(column, width - 1)
     values = np.zeros(inside.shape, np.float32)
-    values[inside] = luminance_cdm2[row, column]
+    values[inside] = luminance_cdm2[row.astype(int), column.astype(int)]
     cells = (size, samples, size, samples)
     shares = inside.reshape(cells).sum(axis=(1, 3))
     picture = values.reshape(cells).sum(axis=(1, 3)) / np.maximum(shares, 1)
@@ -468,7 +458,7 @@ _NAMES = ("dgp", "E_v", "dgi", "ugr", "lum_backg", "ugp", "cgi", "Lveil_cie")  #
 @lru_cache(maxsize=1)
 def reference_version() -> str:
     """Return the version text that evalglare prints."""
-    command = [radiance_program("evalglare"), "-v"]
+    command = [images.radiance_program("evalglare"), "-v"]
     shown = subprocess.run(command, capture_output=True, text=True, check=False)
     return (shown.stdout or shown.stderr).strip()
 
@@ -481,7 +471,7 @@ def reference_glare(picture_cdm2: Floats, *, view: str = FISHEYE_VIEW) -> Refere
     """
     with TemporaryDirectory() as folder:
         path = Path(folder) / "view.hdr"
-        write_radiance_hdr(path, picture_cdm2, view=view)
+        images.write_radiance_hdr(path, picture_cdm2, view=view)
         return reference_glare_of_file(path)
 
 
@@ -490,7 +480,7 @@ def reference_glare_of_file(path: Path) -> ReferenceGlare:
 
     Raises FieldlumError if evalglare prints no figures.
     """
-    command = [radiance_program("evalglare"), *FLAGS, str(path)]
+    command = [images.radiance_program("evalglare"), *FLAGS, str(path)]
     process = subprocess.run(command, capture_output=True, text=True, check=False)
     return _parse(process.stdout, f"{process.stderr.strip()} (exit {process.returncode})")
 

@@ -136,11 +136,10 @@ def judged(
     if sun is not None:
         sun = replace(sun, normal_illuminance_lx=sun.normal_illuminance_lx * factor)
     if view is None:
-        azimuths = (
-            np.asarray(azimuths_deg or view_azimuths_deg(panorama.heading_deg), float) % 360.0
-        )
-        pixels, sun = take_out_sun(pixels, panorama.heading_deg, sun)
-        views = panorama_views(height, width, panorama.heading_deg, azimuths, seen_mask)
+        heading_deg = panorama.heading_deg
+        azimuths = np.asarray(azimuths_deg or view_azimuths_deg(heading_deg), float) % 360.0
+        pixels, sun = take_out_sun(pixels, heading_deg, sun)
+        views = panorama_views(height, width, heading_deg, azimuths, seen_mask)
     else:
         _check_azimuths(view.azimuth_deg, azimuths_deg, path)
         views = pictures.picture_views(view, height, width, seen_mask)
@@ -149,9 +148,8 @@ def judged(
     rows = _view_rows(pixels, picture, views, sources, sun, lamps)
     if reference:
         _add_reference(rows, pixels, picture, views, sun)
-    graded = [
-        np.nan if row["dgp"] is None or row["seen"] == NOT_SEEN else row["dgp"] for row in rows
-    ]
+    graded = [np.nan if row["seen"] == NOT_SEEN else row["dgp"] for row in rows]
+    texts = *_picture_texts(picture, seen_mask), *warnings, *_figure_texts(rows, share, factor)
     answer: JsonTable = {
         "file": str(path),
         "t_utc": utc_text(panorama.t_utc) if panorama.t_utc else None,
@@ -159,12 +157,8 @@ def judged(
         "sun": None if sun is None else asdict(sun),
         "melanopic_der": "D65, assumed" if melanopic_ratio(panorama) is None else "colour",
         "views": rows,
-        "disturbed_share": plain(float(disturbed_share(np.array([graded]))[0])),
-        "warnings": [
-            *_picture_texts(picture, seen_mask),
-            *warnings,
-            *_figure_texts(rows, share, factor),
-        ],
+        "disturbed_share": plain(float(disturbed_share(np.array([graded], float))[0])),
+        "warnings": list(texts),
         "covered_share": share,
     }
     if view is None:
@@ -185,9 +179,8 @@ def _view_rows(
     disc = None if sun is None else np.array([sun.normal_illuminance_lx])
     coverage = metrics.view_coverage(views)
     parts = metrics.glare_directions(pixels[None], views, rays, disc, sources=[sources])
-    bounds = metrics.unseen_dgp_bounds(
-        coverage, parts["ev_lx"], parts["contrast"], metrics.brightest_cdm2(pixels[None], views)
-    )
+    brightest = metrics.brightest_cdm2(pixels[None], views)
+    bounds = metrics.unseen_dgp_bounds(coverage, parts["ev_lx"], parts["contrast"], brightest)
     edi, u_edi = melanopic_edi(
         picture.panorama, pixels.ravel(), views.illuminance, sun, parts["sun_ev_lx"][0], lamps=lamps
     )

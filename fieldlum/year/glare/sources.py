@@ -301,12 +301,9 @@ def sources_of(luminance_cdm2: Floats, views: Views | None = None) -> list[NDArr
         shape = (720, 2 * 720)
         right, up, forward = np.moveaxis(views.rays(pixels)[0][:, :, 0], 1, 0)
         altitude_deg, azimuth_deg = altitude_azimuth_deg(np.stack([right, forward, up], axis=-1))
-        row, column = (
-            np.clip(place.astype(int), 0, size - 1)
-            for place, size in zip(
-                equirect_pixel(altitude_deg, azimuth_deg, *shape, 0.0), shape, strict=True
-            )
-        )
+        row, column = equirect_pixel(altitude_deg, azimuth_deg, *shape, 0.0)
+        row = np.clip(row.astype(int), 0, shape[0] - 1)
+        column = np.clip(column.astype(int), 0, shape[1] - 1)
 
     def groups(chosen: Mask) -> NDArray[np.int32]:
         mask = np.zeros(shape, bool)

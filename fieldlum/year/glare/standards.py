@@ -138,22 +138,15 @@ def protection(
         low, high = _interval(dgp, shared, occupied_hours, rng, uncertainty)
         ends = np.stack([np.minimum(low, exceeded), np.maximum(high, exceeded)], axis=1)
     rows = []
-    for i, (azimuth, word) in enumerate(
-        zip(np.asarray(azimuths_deg), uncertainty.words, strict=True)
-    ):
+    for i, (azimuth, word) in enumerate(zip(azimuths_deg, uncertainty.words, strict=True)):
         over = {f"{limit:.2f}": int((dgp[:, i] > limit).sum()) for _, limit in CLASSES}
         row = DirectionYear(float(azimuth), NOT_SEEN, seen=word, hours_over=dict.fromkeys(over))
         if judged[i]:
             low, high = (None, None) if ends is None else map(float, ends[i])
-            row = structs.replace(
-                row,
-                glare_class=class_of(exceeded[i]),
-                certain=low is not None and high is not None and class_of(low) == class_of(high),
-                dgp_exceeded=float(exceeded[i]),
-                low=low,
-                high=high,
-                hours_over=over,
-            )
+            certain = low is not None and high is not None and class_of(low) == class_of(high)
+            most_likely, value = class_of(exceeded[i]), float(exceeded[i])
+            judgement = most_likely, certain, word, value, low, high
+            row = DirectionYear(row.azimuth_deg, *judgement, hours_over=over)
         rows.append(structs.replace(row, sentence=_sentence(row)))
     return tuple(rows)
 

@@ -58,17 +58,13 @@ def dataset_of(
     import xarray as xr
 
     about = {"units": "degree", "long_name": "view direction, clockwise from true north"}
-    return xr.Dataset(
-        {name: ("time", values, {"units": unit_of(name)}) for name, values in hours.items()}
-        | {
-            name: (("time", "azimuth"), values, {"units": unit_of(name)})
-            for name, values in views.items()
-        },
-        coords={
-            "time": time_coordinate(t_utc),
-            "azimuth": ("azimuth", np.asarray(azimuths_deg, float), about),
-        },
-    )
+    azimuth = "azimuth", np.asarray(azimuths_deg, float), about
+    figures = {
+        name: (dimensions, values, {"units": unit_of(name)})
+        for dimensions, table in (("time", hours), (("time", "azimuth"), views))
+        for name, values in table.items()
+    }
+    return xr.Dataset(figures, {"time": time_coordinate(t_utc), "azimuth": azimuth})
 
 
 @dataclass(frozen=True, slots=True)

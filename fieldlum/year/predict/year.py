@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -47,18 +48,9 @@ from fieldlum.year.glare.budget import BUDGET_FILE, Budget, write_budgets, year_
 from fieldlum.year.glare.metrics import METRICS
 from fieldlum.year.glare.sources import view_azimuths_deg
 from fieldlum.year.glare.standards import DgpUncertainty, dgp_per_scale, protection
+from fieldlum.year.predict import blocks
 from fieldlum.year.predict.annual import Annual, Pictures, read_annual, write_pictures
-from fieldlum.year.predict.blocks import (
-    DRAFT,
-    NAME,
-    HourFigures,
-    ModelRoom,
-    begin_maps,
-    blocks,
-    finish_maps,
-    measure,
-    room_of,
-)
+from fieldlum.year.predict.blocks import HourFigures, ModelRoom
 from fieldlum.year.predict.melanopic import has_colour, year_of_captures
 from fieldlum.year.predict.occupancy import (
     Occupancy,
@@ -106,7 +98,7 @@ def run(
     occupied hours; FloatingPointError if a map is not finite.
     """
     config, session = read_config(model_folder), session_of(model_folder)
-    room = room_of(config, model_folder)
+    room = blocks.room_of(config, model_folder)
     check_session(model_folder, room, config.scene)
     folder = out or default_folder(model_folder)
     occupancy = default_occupancy() if occupancy_path is None else read_occupancy(occupancy_path)
@@ -127,9 +119,9 @@ def run(
     colours = year_of_captures(pairs, room, azimuths) if pairs else None
     _delete_earlier_year(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    store = begin_maps(folder, len(light), room) if maps else None
+    store = blocks.begin_maps(folder, len(light), room) if maps else None
     how = {"store": store, "melanopic": colours, "seed": seed, "scheduler": scheduler}
-    found = measure(model_folder, room, light, azimuths, progress=progress, **how)
+    found = blocks.measure(model_folder, room, light, azimuths, progress=progress, **how)
     found.hours["occupied"][:] = occupancy.at(light.t_utc, weather.site.timezone)
     about = _about(room, config, weather, light, azimuths)
     found.hours["trusted"] *= not any(POOR_WORDS in text for text in about.model_warnings)
@@ -137,7 +129,7 @@ def run(
     annual = Annual(light.t_utc, azimuths, found.hours, _columns(found), folder, summary)
     annual, budgets = _judged(annual, found.uncertainty, hours_used, room, session, seed)
     if store:
-        finish_maps(folder, annual, room)
+        blocks.finish_maps(folder, annual, room)
     pictures = telling_pictures(load(model_folder), room, light, annual)
     _write(annual, budgets, pictures, weather.site.timezone)
     return PredictedYear(annual, new=True)
@@ -274,10 +266,10 @@ def telling_pictures(fitted: Fitted, room: ModelRoom, light: Light, annual: Annu
     kinds, hours = [list(part) for part in zip(*telling_hours(annual), strict=True)] or ([], [])
     rows, at = np.unique(np.array(hours, np.int64), return_inverse=True)
     maps = np.zeros((0, room.height, room.width), np.float32)  # if no direction was seen
-    for block in blocks(fitted, room, light[rows], annual.hours["disc_lx"][rows]):  # one or none
+    disc_lx = annual.hours["disc_lx"][rows]
+    for block in blocks.blocks(fitted, room, light[rows], disc_lx):  # one or none
         maps = block.pictures_cdm2(room.heading_deg)
-    disc_lx = annual.hours["disc_lx"][rows[at]]
-    return Pictures(tuple(kinds), rows[at], maps[at], disc_lx, room.heading_deg)
+    return Pictures(tuple(kinds), rows[at], maps[at], disc_lx[at], room.heading_deg)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -325,9 +317,8 @@ def _differences(
     setup, mine = session.site_file(), room.setup.site
     places = [(s.latitude_deg, s.longitude_deg) for s in (mine, setup.site)]
     if np.abs(np.subtract(places[0], places[1])).max() > 0.01:
-        own, other = (
-            f"{s.name} ({s.latitude_deg:g}, {s.longitude_deg:g} deg)" for s in (mine, setup.site)
-        )
+        sites = zip((mine, setup.site), places, strict=True)
+        own, other = (f"{s.name} ({at[0]:g}, {at[1]:g} deg)" for s, at in sites)
         yield f"of the site {own}", other
     stated, actual = scene["stated"] if scene else site_table(room.setup), site_table(setup)
     for table in ("camera", "room"):  # both affect every map
@@ -373,19 +364,14 @@ def _already(folder: Path, inputs: Mapping[str, object]) -> Annual | None:
 
     A damaged year counts as missing. A stored year with maps also answers a request without maps.
     """
-    tables = (
-        made_from(folder / "predict.json", wanted, [folder / "hourly.csv"])
-        for wanted in ((inputs,) if inputs["maps"] else (inputs, {**inputs, "maps": True}))
-    )
-    table = next((candidate for candidate in tables if candidate is not None), None)
-    if table is None or table.get("software", {}).get("fieldlum") != __version__:
-        return None
-    if inputs["maps"] and not (folder / NAME).is_dir():
-        return None
-    try:
-        return read_annual(folder)
-    except InputError:
-        return None
+    note, files, needs_maps = folder / "predict.json", [folder / "hourly.csv"], inputs["maps"]
+    table = made_from(note, {**inputs, "maps": True}, files)
+    table = table or (None if needs_maps else made_from(note, inputs, files))
+    same = table is not None and table.get("software", {}).get("fieldlum") == __version__
+    with suppress(InputError):
+        if same and ((folder / blocks.NAME).is_dir() or not needs_maps):
+            return read_annual(folder)
+    return None
 
 
 def _delete_earlier_year(folder: Path) -> None:
@@ -394,7 +380,7 @@ def _delete_earlier_year(folder: Path) -> None:
     Otherwise an interruption could leave the hours of one weather file with the classes of another.
     """
     (folder / "predict.json").unlink(missing_ok=True)
-    for name in (NAME, DRAFT):
+    for name in (blocks.NAME, blocks.DRAFT):
         shutil.rmtree(folder / name, ignore_errors=True)
 
 
