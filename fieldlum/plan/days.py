@@ -83,14 +83,10 @@ def _event_dates(
 
     Without `year`, `margin` days before the date must not be earlier than `earliest`.
     """
-    dates = []
-    for which in seasons:
-        if year is not None:
-            dates.append(season_date(year, which, site))
-            continue
-        candidates = (season_date(earliest.year + k, which, site) for k in range(3))
-        dates.append(next(d for d in candidates if d - timedelta(days=margin) >= earliest))
-    return sorted(dates)
+    years = range(earliest.year, earliest.year + 3) if year is None else (year,)
+    first = earliest + timedelta(days=margin) if year is None else date.min
+    dates = ((season_date(k, which, site) for k in years) for which in seasons)
+    return sorted(next(day for day in each if day >= first) for each in dates)
 
 
 def set_days(

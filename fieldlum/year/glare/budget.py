@@ -196,18 +196,14 @@ def _budgets(
     at: Mapping[str, Floats], azimuths: Floats, rows: Sequence[tuple[Source, Mapping[str, Floats]]]
 ) -> list[Budget]:
     """Return a budget for each direction and figure; `rows` has what each source adds, [d]."""
-    return [
-        Budget(
-            name,
-            UNITS.get(name, "1"),
-            float(azimuth),
-            float(at[name][i]),
-            tuple(s._replace(contribution=float(c[name][i])) for s, c in rows if name in c),
-        )
-        for i, azimuth in enumerate(azimuths)
-        for name in at
-        if np.isfinite(at[name][i])
-    ]
+
+    def budget(name: str, i: int) -> Budget:
+        sources = (s._replace(contribution=float(c[name][i])) for s, c in rows if name in c)
+        unit, estimate = UNITS.get(name, "1"), float(at[name][i])
+        return Budget(name, unit, float(azimuths[i]), estimate, tuple(sources))
+
+    places = range(len(azimuths))
+    return [budget(name, i) for i in places for name in at if np.isfinite(at[name][i])]
 
 
 COLUMNS = (
