@@ -32,7 +32,8 @@ from fieldlum.learn.train import choose_model, day_folds, evaluate_folds, notes_
 from fieldlum.room import simulate
 from fieldlum.session import open_session
 from fieldlum.sky import sun
-from fieldlum.year.glare import glare_directions, panorama_views, view_azimuths_deg
+from fieldlum.year.glare.metrics import glare_directions
+from fieldlum.year.glare.sources import panorama_views, view_azimuths_deg
 
 Array = NDArray[Any]
 YEAR = 2027

@@ -26,17 +26,15 @@ from fieldlum.optics.projection import (
     row_solid_angles,
 )
 from fieldlum.sky.sun import SUN_SOLID_ANGLE_SR
-from fieldlum.year.glare import (
-    dgp,
-    glare_directions,
-    panorama_to_fisheye,
+from fieldlum.year.glare.metrics import dgp, glare_directions
+from fieldlum.year.glare.pictures import panorama_to_fisheye, reference_glare, reference_version
+from fieldlum.year.glare.sources import (
+    angles_from_view,
     panorama_views,
     position_index,
-    reference_glare,
-    reference_version,
     view_azimuths_deg,
+    view_frame,
 )
-from fieldlum.year.glare.sources import angles_from_view, view_frame
 
 HEADING_DEG = 180.0
 DISC_CDM2 = 1e5

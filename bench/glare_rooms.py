@@ -22,12 +22,9 @@ from fieldlum.core.records import CameraSetup, Room, Site, SiteFile, Window
 from fieldlum.room.scene.radiosity import lit_room
 from fieldlum.sky.light import light_at
 from fieldlum.weather import synthetic_weather
-from fieldlum.year.glare import (
-    glare_directions,
-    panorama_views,
-    reference_version,
-    view_azimuths_deg,
-)
+from fieldlum.year.glare.metrics import glare_directions
+from fieldlum.year.glare.pictures import reference_version
+from fieldlum.year.glare.sources import panorama_views, view_azimuths_deg
 
 ROOMS = {
     "corner, Madrid": SiteFile(

@@ -27,12 +27,8 @@ from fieldlum.learn.models.data import load_pairs
 from fieldlum.room.scene import sun_patches
 from fieldlum.sky.light import Light
 from fieldlum.weather import read_weather, shipped_seattle
-from fieldlum.year.glare import (
-    panorama_to_fisheye,
-    reference_glare,
-    reference_version,
-    view_azimuths_deg,
-)
+from fieldlum.year.glare.pictures import panorama_to_fisheye, reference_glare, reference_version
+from fieldlum.year.glare.sources import view_azimuths_deg
 from fieldlum.year.predict.blocks import HourJudge, ModelRoom, blocks
 from fieldlum.year.predict.year import light_of
 

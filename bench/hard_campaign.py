@@ -43,7 +43,8 @@ from fieldlum.session import create_session, open_session
 from fieldlum.session.site_toml import load_site
 from fieldlum.sky import sun
 from fieldlum.sky.sky_view.disc import disc_lx
-from fieldlum.year.glare import glare_directions, panorama_views, view_azimuths_deg
+from fieldlum.year.glare.metrics import glare_directions
+from fieldlum.year.glare.sources import panorama_views, view_azimuths_deg
 
 HARD = shipped("capture_plans") / "troubles" / "hard.toml"
 YEAR_STEP = 5  # every fifth day of the year is rendered

@@ -12,7 +12,7 @@ from fieldlum.core.arrays import Floats
 from fieldlum.learn import models
 from fieldlum.learn.models import Fitted
 from fieldlum.learn.models.data import Dataset
-from fieldlum.year.glare import view_azimuths_deg
+from fieldlum.year.glare.sources import view_azimuths_deg
 from fieldlum.year.glare.standards import class_of, exceeded_in_share, protection
 from fieldlum.year.predict.blocks import measure, room_of
 from fieldlum.year.predict.occupancy import default_occupancy

@@ -27,7 +27,7 @@ from fieldlum.devices.simulated.world import DetailedPanorama, SimulatedLight
 from fieldlum.merge import MergeOptions, Shot, merge_shots
 from fieldlum.optics.linear_light import sensor_pitch_deg
 from fieldlum.optics.profiles import CameraProfile, load_camera_profile
-from fieldlum.sky.sky_view import SkyGrid, SkyPicture, write_sky_picture
+from fieldlum.sky.sky_view.picture import SkyGrid, SkyPicture, write_sky_picture
 
 SHUTTER_S = (0.25, 0.015625, 0.001)  # a short bracket; each further frame costs the merge alone
 LATITUDE_DEG = 47.6

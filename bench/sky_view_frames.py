@@ -40,7 +40,8 @@ from fieldlum.sky.sky_view.disc import disc_of_hours, drawn_shares
 from fieldlum.sky.sky_view.estimate import Captured, estimate
 from fieldlum.sky.sky_view.measured_discs import MeasuredDiscs
 from fieldlum.sky.sky_view.pose import pose_of_discs
-from fieldlum.year.glare import glare_directions, panorama_views
+from fieldlum.year.glare.metrics import glare_directions
+from fieldlum.year.glare.sources import panorama_views
 
 HEIGHT = 60  # rows of the truth and of panoramas
 YEAR_HOURS = 1500  # of a year, at random, of which the disc is compared

@@ -21,9 +21,10 @@ from typing import Any
 import numpy as np
 
 from fieldlum.learn.models.data import Dataset, load_pairs, with_sky_view
-from fieldlum.sky.sky_view import SkyView, disc_of_hours
-from fieldlum.sky.sky_view.disc import drawn_discs_lx
-from fieldlum.year.glare import glare_directions, panorama_views, view_azimuths_deg
+from fieldlum.sky.sky_view.disc import disc_of_hours, drawn_discs_lx
+from fieldlum.sky.sky_view.view import SkyView
+from fieldlum.year.glare.metrics import glare_directions
+from fieldlum.year.glare.sources import panorama_views, view_azimuths_deg
 
 sys.path.insert(0, str(Path(__file__).parent / "outside_rooms"))
 from make_case import write_case  # pyright: ignore[reportMissingImports]

@@ -19,8 +19,8 @@ from fieldlum.session.site_toml import load_site
 from fieldlum.sky.light import Light, light_at
 from fieldlum.sky.sky_view.disc import disc_lx, disc_source, drawn_discs_lx
 from fieldlum.weather import shipped_seattle
-from fieldlum.year.glare import glare_directions, panorama_views
-from fieldlum.year.glare.metrics import dgp_with_disc, sun_per_lx
+from fieldlum.year.glare.metrics import dgp_with_disc, glare_directions, sun_per_lx
+from fieldlum.year.glare.sources import panorama_views
 
 SETUP = load_site(shipped("capture_plans") / "seattle-office.toml")
 HEADING_DEG, HEIGHT = SETUP.camera.heading_deg, 16

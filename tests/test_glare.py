@@ -12,29 +12,36 @@ from hypothesis import strategies as st
 from fieldlum.core.records import SunSource
 from fieldlum.optics.projection import direction, equirect_rays, equirect_solid_angles
 from fieldlum.sky.sun import SUN_SOLID_ANGLE_SR
-from fieldlum.year.glare import (
-    FISHEYE_VIEW,
-    dgp,
-    glare_directions,
-    panorama_to_fisheye,
-    panorama_views,
-    position_index,
-    reference_glare,
-    reference_version,
-    view_azimuths_deg,
-)
 from fieldlum.year.glare.metrics import (
     cgi,
     dgi,
+    dgp,
     dgps,
+    glare_directions,
     source_terms,
     sun_per_lx,
     ugp,
     ugr,
     veiling_cdm2,
 )
-from fieldlum.year.glare.pictures import HEMISPHERE_SOURCES_SR, parse_view, picture_views
-from fieldlum.year.glare.sources import glare_sources, group_pixels, sources_of, widen
+from fieldlum.year.glare.pictures import (
+    FISHEYE_VIEW,
+    HEMISPHERE_SOURCES_SR,
+    panorama_to_fisheye,
+    parse_view,
+    picture_views,
+    reference_glare,
+    reference_version,
+)
+from fieldlum.year.glare.sources import (
+    glare_sources,
+    group_pixels,
+    panorama_views,
+    position_index,
+    sources_of,
+    view_azimuths_deg,
+    widen,
+)
 from fieldlum.year.glare.standards import disturbed_share
 
 H, W = 90, 180

@@ -14,7 +14,6 @@ from fieldlum.core.errors import InputError
 from fieldlum.core.records import Flag, Panorama, SunSource
 from fieldlum.optics.images import write_panorama, write_radiance_hdr
 from fieldlum.optics.projection import equirect_solid_angles
-from fieldlum.year.glare import FISHEYE_VIEW, panorama_to_fisheye, panorama_views
 from fieldlum.year.glare.metrics import (
     contrast_levels,
     local_contrast,
@@ -22,8 +21,9 @@ from fieldlum.year.glare.metrics import (
     region_ratios,
     region_weights,
 )
-from fieldlum.year.glare.pictures import parse_view, read_picture
+from fieldlum.year.glare.pictures import FISHEYE_VIEW, panorama_to_fisheye, parse_view, read_picture
 from fieldlum.year.glare.single import panorama_glare, picture_glare
+from fieldlum.year.glare.sources import panorama_views
 
 SOUTH = "-vta -vd 0 -1 0 -vu 0 0 1 -vh 180 -vv 180"
 

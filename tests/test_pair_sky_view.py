@@ -14,7 +14,8 @@ from fieldlum.core.records import Panorama, Room, SunSource, Window, quiet, slot
 from fieldlum.optics.images import write_panorama
 from fieldlum.pair.sky_view import Shown, is_outdated, shares_of_beam, write_sky_view
 from fieldlum.session import Session
-from fieldlum.sky.sky_view import SkyPicture, SkyView, write_sky_picture
+from fieldlum.sky.sky_view.picture import SkyPicture, write_sky_picture
+from fieldlum.sky.sky_view.view import SkyView
 
 ROWS = range(0, len(LIGHT), 3)
 SUN = SunSource(30.0, 180.0, 40_000.0, 1.0, "nd-frames")

@@ -22,7 +22,8 @@ from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Room as Room3d
 from fieldlum.core.records import Site
 from fieldlum.learn import models
-from fieldlum.sky.sky_view import SkyGrid, SkyView
+from fieldlum.sky.sky_view.picture import SkyGrid
+from fieldlum.sky.sky_view.view import SkyView
 from fieldlum.weather import read_weather
 from fieldlum.year.glare import standards
 from fieldlum.year.predict import Annual, read_annual, read_pictures, run
@@ -308,7 +309,7 @@ def test_intervals_cover_the_truth() -> None:
 @pytest.mark.analytic
 def test_uncertainty_of_dgp_is_its_slope() -> None:
     """Against finite differences, Ev and sources moved apart."""
-    from fieldlum.year.glare import dgp
+    from fieldlum.year.glare.metrics import dgp
 
     ev, contrast = np.array([[1500.0]]), np.array([[4e6]])
     found = standards.dgp_uncertainty(ev, contrast, np.full((1, 1), 0.01), np.zeros((1, 1)))
@@ -328,7 +329,7 @@ def test_uncertainty_of_dgp_is_its_slope() -> None:
 def test_the_disc_has_its_own_uncertainty(year: Annual) -> None:
     """A map known exactly leaves only the disc's share."""
     from fieldlum.learn.models import Prediction
-    from fieldlum.year.glare import panorama_views
+    from fieldlum.year.glare.sources import panorama_views
     from fieldlum.year.predict.blocks import U_DISC, HourBlock, relative_uncertainty
 
     light = DATA.light[[3]]

@@ -19,7 +19,7 @@ from fieldlum.optics.linear_light import sensor_pitch_deg
 from fieldlum.optics.profiles import bracket_exposures, load_camera_profile
 from fieldlum.optics.projection import Equirect, LensGeometry, smallest_arc
 from fieldlum.sky import sun
-from fieldlum.sky.sky_view import SkyGrid, SkyPicture
+from fieldlum.sky.sky_view.picture import SkyGrid, SkyPicture
 
 
 @pytest.mark.property

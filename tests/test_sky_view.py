@@ -16,17 +16,11 @@ from fieldlum.core.errors import InputError
 from fieldlum.core.records import Room, Site, SiteFile, Window
 from fieldlum.optics.projection import rotation
 from fieldlum.sky.light import Light, light_at
-from fieldlum.sky.sky_view import (
-    Captured,
-    SkyGrid,
-    SkyPicture,
-    SkyView,
-    disc_of_hours,
-    estimate,
-)
-from fieldlum.sky.sky_view.disc import disc_lx, disc_source, drawn_shares
+from fieldlum.sky.sky_view.disc import disc_lx, disc_of_hours, disc_source, drawn_shares
+from fieldlum.sky.sky_view.estimate import Captured, estimate
+from fieldlum.sky.sky_view.picture import SkyGrid, SkyPicture
 from fieldlum.sky.sky_view.pose import CameraPose
-from fieldlum.sky.sky_view.view import CHANNELS
+from fieldlum.sky.sky_view.view import CHANNELS, SkyView
 
 SITE = Site("place", 45.0, 8.0)
 GRID = SkyGrid(32.0, -16.0, 1.0, 180.0, 32, 32)  # 32 x 32 degrees around the south

@@ -10,7 +10,7 @@ import pytest
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Flag, Panorama
 from fieldlum.optics.projection import equirect_rays
-from fieldlum.sky.sky_view import (
+from fieldlum.sky.sky_view.picture import (
     SkyGrid,
     SkyPicture,
     cut_panorama,

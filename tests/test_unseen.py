@@ -32,14 +32,15 @@ from fieldlum.optics.projection import (
 )
 from fieldlum.report import sections as annual_page
 from fieldlum.year import predict
-from fieldlum.year.glare import glare_directions, panorama_views
 from fieldlum.year.glare.metrics import (
     brightest_cdm2,
+    glare_directions,
     unseen_dgp_bounds,
     view_coverage,
 )
 from fieldlum.year.glare.pictures import parse_view, picture_views
 from fieldlum.year.glare.single import picture_glare
+from fieldlum.year.glare.sources import panorama_views
 from fieldlum.year.predict.year import telling_hours
 
 HEIGHT, HEADING_DEG = 16, 180.0

@@ -23,7 +23,7 @@ from fieldlum.bench.rows import load
 from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.scores import Truth, truth
 from fieldlum.learn.train import fit_timed, patch_mode
-from fieldlum.year.glare import glare_directions
+from fieldlum.year.glare.metrics import glare_directions
 
 Array = NDArray[Any]
 

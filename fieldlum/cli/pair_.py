@@ -24,7 +24,7 @@ def command(session_folder: Path, scheduler_text: str = "local", force: bool = F
     from fieldlum.pair import irradiance
     from fieldlum.pair.irradiance.days_picture import draw_days
     from fieldlum.session import open_session
-    from fieldlum.sky.sky_view import SkyView
+    from fieldlum.sky.sky_view.view import SkyView
 
     scheduler = scheduler_of(scheduler_text)
     session = open_session(session_folder)

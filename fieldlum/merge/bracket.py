@@ -27,7 +27,7 @@ from fieldlum.optics.projection import Equirect, Fisheye, Target, signed_angle_d
 from fieldlum.optics.raw import roll_deg_of, white_balance_is_fixed
 from fieldlum.session import replacing_path
 from fieldlum.session.files.sidecar import FrameQuality, MeasuredSun, MergeReport
-from fieldlum.sky.sky_view import SkyPicture
+from fieldlum.sky.sky_view.picture import SkyPicture
 from fieldlum.sky.sun_disc import SunDisc
 
 

@@ -24,7 +24,7 @@ from fieldlum.optics import projection
 from fieldlum.optics.linear_light import sensor_pitch_deg
 from fieldlum.optics.profiles import CameraProfile, Lens
 from fieldlum.optics.projection import Equirect, LensGeometry
-from fieldlum.sky.sky_view import LOWEST_ALTITUDE_DEG, SkyGrid, SkyPicture
+from fieldlum.sky.sky_view.picture import LOWEST_ALTITUDE_DEG, SkyGrid, SkyPicture
 from fieldlum.sky.sun import OBLIQUITY_DEG, celestial_pole, position
 from fieldlum.sky.sun_disc import SUN_RADIUS_RAD, SunDisc, find_disc, without_disc
 

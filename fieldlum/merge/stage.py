@@ -35,7 +35,7 @@ from fieldlum.session import (
 from fieldlum.session.codec import digest, made_from, write_csv
 from fieldlum.session.files.capture_json import CaptureFile
 from fieldlum.session.files.sidecar import MergeReport, Sidecar, SidecarSun, readable_sidecars
-from fieldlum.sky.sky_view import write_sky_picture
+from fieldlum.sky.sky_view.picture import write_sky_picture
 from fieldlum.version import __version__
 
 # Increase it when the arithmetic changes: earlier panoramas are then merged again.

@@ -35,7 +35,7 @@ from fieldlum.session import Session, replacing, replacing_path
 from fieldlum.session.codec import write_csv
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.panorama_sun import read_panorama_with_sun
-from fieldlum.sky.sky_view import SkyView
+from fieldlum.sky.sky_view.view import SkyView
 from fieldlum.version import __version__
 from fieldlum.year.glare.pictures import FISHEYE_VIEW, panorama_to_fisheye, picture_centres
 from fieldlum.year.glare.single import valid_pixels

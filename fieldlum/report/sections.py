@@ -22,7 +22,7 @@ from fieldlum.session.files.predict_json import DirectionYear
 from fieldlum.session.panorama_sun import SUN_FROM, read_suns
 from fieldlum.sky import sun
 from fieldlum.sky.sun import apparent_altitude_deg, standard_time
-from fieldlum.year.glare import panorama_to_fisheye
+from fieldlum.year.glare.pictures import panorama_to_fisheye
 from fieldlum.year.glare.standards import EXCEEDED_SHARE
 from fieldlum.year.predict import Annual
 from fieldlum.year.predict.annual import Pictures

@@ -25,7 +25,7 @@ from fieldlum.optics.photometry import vignetting_at, z_per_cdm2
 from fieldlum.optics.profiles import CameraProfile
 from fieldlum.optics.projection import relative_radius
 from fieldlum.optics.raw import channel_positions, write_dng, write_jpeg
-from fieldlum.sky.sky_view import SkyGrid
+from fieldlum.sky.sky_view.picture import SkyGrid
 
 # ----------------------------------------------------------------------------------------------
 # the sensor: from luminance to counts or codes, with noise and clipping

@@ -14,7 +14,7 @@ from fieldlum.devices.simulated.world import detail_of
 from fieldlum.optics import projection
 from fieldlum.optics.projection import LensGeometry, angle_of_radius, lens_pixels, lens_rays
 from fieldlum.room.scene.trace import DISC_RAYS, SUN_RADIUS_DEG, disc_rays
-from fieldlum.sky.sky_view import SkyGrid, SkyPicture
+from fieldlum.sky.sky_view.picture import SkyGrid, SkyPicture
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

@@ -26,7 +26,7 @@ from fieldlum.room.scene import look
 from fieldlum.session import Session
 from fieldlum.session.files.irradiance_csv import CleanIrradiance
 from fieldlum.sky import sun
-from fieldlum.sky.sky_view import SUFFIX, SkyPicture, read_sky_picture
+from fieldlum.sky.sky_view.picture import SUFFIX, SkyPicture, read_sky_picture
 
 
 class SimulatedLight(NamedTuple):

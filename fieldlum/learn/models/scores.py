@@ -30,14 +30,15 @@ from fieldlum.sky import sun
 from fieldlum.sky.light import Light, light_at
 from fieldlum.sky.sky_view.disc import disc_lx
 from fieldlum.sky.sun_disc import add_disc
-from fieldlum.year.glare import Views, glare_directions, panorama_views, view_azimuths_deg
 from fieldlum.year.glare.metrics import (
     RAMMG_LEVELS,
     contrast_levels,
     dgp_with_disc,
+    glare_directions,
     sun_per_lx,
     view_coverage,
 )
+from fieldlum.year.glare.sources import Views, panorama_views, view_azimuths_deg
 
 FLOOR_CDM2 = 1.0  # paper
 # fields of `Scores` that `evaluate` adds: those that need glare, and the times

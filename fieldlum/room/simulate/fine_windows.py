@@ -24,7 +24,7 @@ from fieldlum.room.scene.view import (
     surface_points,
     trace_pixels,
 )
-from fieldlum.sky.sky_view import SkyGrid, SkyPicture
+from fieldlum.sky.sky_view.picture import SkyGrid, SkyPicture
 
 _SUB = 2  # rays in each direction of a fine pixel: a camera's own pixel averages several
 _BLOCK_RAYS = 1_000_000  # rays traced at a time; limits memory only

@@ -21,8 +21,8 @@ from fieldlum.optics.melanopic import melanopic_edi, melanopic_ratio, ratio_u_re
 from fieldlum.optics.projection import direction
 from fieldlum.session.codec import write_csv
 from fieldlum.session.panorama_sun import MEASURED_ORIGINS
-from fieldlum.sky.sky_view import SkyView
 from fieldlum.sky.sky_view.pose import STATED_SD
+from fieldlum.sky.sky_view.view import SkyView
 from fieldlum.year.glare.metrics import glare_directions
 from fieldlum.year.glare.pictures import read_picture
 from fieldlum.year.glare.single import seen_pixels, take_out_sun, valid_pixels

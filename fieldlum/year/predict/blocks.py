@@ -29,9 +29,9 @@ from fieldlum.session.files.hourly_csv import HOUR_COLUMNS
 from fieldlum.session.files.model_files import ModelConfig
 from fieldlum.session.site_toml import site_from_table
 from fieldlum.sky.light import Light
-from fieldlum.sky.sky_view import SkyView
 from fieldlum.sky.sky_view.disc import disc_lx, disc_source, drawn_discs_lx
 from fieldlum.sky.sky_view.view import NAME as SKY_VIEW
+from fieldlum.sky.sky_view.view import SkyView
 from fieldlum.sky.sun_disc import add_source
 from fieldlum.year.glare import metrics
 from fieldlum.year.glare.budget import U_DISC
