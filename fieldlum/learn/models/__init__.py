@@ -203,12 +203,9 @@ def read_config(folder: Path) -> ModelConfig:
         raise InputError(folder, "a session", "one of its model folders", remedy)
     config = ModelConfig.read(folder)
     if config.model not in MODELS:
-        raise InputError(
-            folder / "config.json",
-            f"the unknown model '{config.model}'",
-            f"one of {', '.join(MODELS)}",
-            "train the model again (fieldlum train)",
-        )
+        finding = f"the unknown model '{config.model}'"
+        remedy = "train the model again (fieldlum train)"
+        raise InputError(folder / "config.json", finding, f"one of {', '.join(MODELS)}", remedy)
     return config
 
 
@@ -237,9 +234,5 @@ def load(folder: Path) -> Fitted:
         return importlib.import_module(MODELS[config.model].module).from_state(state)
     except (*NPZ_ERRORS, *_BROKEN) as error:
         finding = f"weights that cannot be used ({error})".replace("\n", " ")
-        raise InputError(
-            path,
-            finding,
-            "the arrays that config.json describes",
-            "train the model again (fieldlum train)",
-        ) from None
+        remedy = "train the model again (fieldlum train)"
+        raise InputError(path, finding, "the arrays that config.json describes", remedy) from None

@@ -168,12 +168,13 @@ class Dataset:
 # pairs.csv
 
 
-def check_plausible(path: Path, rows: Sequence[PairRow], site: Site) -> None:
-    """Raise InputError, naming the line, for rows that contradict each other or the sun.
+def sun_of_rows(path: Path, rows: Sequence[PairRow], site: Site) -> tuple[Floats, Floats]:
+    """Return the sun's altitude and azimuth [deg] by the csv; by SPA where the csv has none.
 
-    It detects a repeated time or picture, a sun position in the csv more than 2.5 degrees from that
-    computed for `site`, and irradiance that is too large or too small for any sky, such as values
-    in kW/m2. path: the csv that the error names.
+    Raises InputError, naming the line, for rows that contradict each other or the sun: a repeated
+    time or picture, a sun position in the csv more than 2.5 degrees from that computed for `site`,
+    and irradiance that is too large or too small for any sky, such as values in kW/m2. path: the
+    csv that the error names.
     """
     times = [row.t_utc for row in rows]
     pictures = [(path.parent / row.panorama).resolve() for row in rows]
@@ -201,6 +202,8 @@ def check_plausible(path: Path, rows: Sequence[PairRow], site: Site) -> None:
             "both sun columns",
         )
     _check_irradiance(path, rows, altitude)
+    missing = np.isnan(stated).any(axis=0)
+    return tuple(np.where(missing, (altitude, azimuth), stated))
 
 
 def _check_irradiance(path: Path, rows: Sequence[PairRow], altitude_deg: Floats) -> None:
@@ -216,13 +219,12 @@ def _check_irradiance(path: Path, rows: Sequence[PairRow], altitude_deg: Floats)
     ):
         if (wrong := wrong & (altitude_deg > sun.CLEAR_SUN_DEG)).any():
             k = int(np.argmax(wrong))
-            raise InputError(
-                path,
+            finding = (
                 f"line {rows[k].line} has {finding}: DNI {dni[k]:g}, "
-                f"DHI {dhi[k]:g} W/m2 with the sun at {altitude_deg[k]:.0f} deg",
-                "possible irradiance in W/m2",
-                f"check whether the column contains {remedy}; otherwise set ok = 0",
+                f"DHI {dhi[k]:g} W/m2 with the sun at {altitude_deg[k]:.0f} deg"
             )
+            remedy = f"check whether the column contains {remedy}; otherwise set ok = 0"
+            raise InputError(path, finding, "possible irradiance in W/m2", remedy)
 
 
 def _usable_rows(pairs: PairsFile) -> list[PairRow]:
@@ -234,12 +236,9 @@ def _usable_rows(pairs: PairsFile) -> list[PairRow]:
         for name in (row.panorama, row.sunpatch):
             picture = pairs.path.parent / name
             if name and not picture.is_file():
-                raise InputError(
-                    pairs.path,
-                    f"line {row.line}: no file {picture}",
-                    "an existing picture",
-                    "copy the picture there, or set ok = 0",
-                )
+                finding = f"line {row.line}: no file {picture}"
+                remedy = "copy the picture there, or set ok = 0"
+                raise InputError(pairs.path, finding, "an existing picture", remedy)
     return sorted(pairs.usable, key=lambda row: row.t_utc)
 
 
@@ -253,12 +252,8 @@ def _find_setup(path: Path, site: Path | None) -> SiteFile:
             return open_session(folder).site_file()
     if (path.parent / "site.toml").is_file():
         return load_site(path.parent / "site.toml")
-    raise InputError(
-        path,
-        "no site file belongs to this csv",
-        "site.toml next to the csv, or --site SITE.toml",
-        "write SITE.toml with: fieldlum new",
-    )
+    finding, remedy = "no site file belongs to this csv", "write SITE.toml with: fieldlum new"
+    raise InputError(path, finding, "site.toml next to the csv, or --site SITE.toml", remedy)
 
 
 def load_pairs(
@@ -303,8 +298,7 @@ def load_pairs(
 def _assemble(
     path: Path, rows: list[PairRow], setup: SiteFile, notes: list[str], progress: Progress
 ) -> Dataset:
-    check_plausible(path, rows, setup.site)
-    altitude, azimuth = _sun_columns(rows, setup)
+    altitude, azimuth = sun_of_rows(path, rows, setup.site)
     light = Light(
         t_utc=tuple(row.t_utc for row in rows),
         dni_wm2=np.array([row.dni_wm2 for row in rows]),
@@ -375,21 +369,11 @@ def _refraction(path: Path, rows: list[PairRow]) -> bool:
     """
     other = [row.line for row in rows if row.refraction != rows[0].refraction]
     if other:
-        raise InputError(
-            path,
-            f"line {other[0]}: another value of the column refraction than in the first row",
-            "1 in all rows (camera pictures) or 0 in all rows (renderings with the true sun)",
-            "write camera pictures and renderings into separate csv files",
-        )
+        finding = f"line {other[0]}: another value of the column refraction than in the first row"
+        expected = "1 in all rows (camera pictures) or 0 in all rows (renderings with the true sun)"
+        remedy = "write camera pictures and renderings into separate csv files"
+        raise InputError(path, finding, expected, remedy)
     return rows[0].refraction
-
-
-def _sun_columns(rows: list[PairRow], setup: SiteFile) -> tuple[Floats, Floats]:
-    """Return the sun's altitude and azimuth [deg] by the csv; by SPA where the csv has none."""
-    stated = np.array([(row.sun_altitude_deg, row.sun_azimuth_deg) for row in rows]).T
-    position = sun.position([row.t_utc for row in rows], setup.site)
-    computed = np.stack((position.altitude_deg, position.azimuth_deg))
-    return tuple(np.where(np.isnan(stated).any(axis=0), computed, stated))
 
 
 # ----------------------------------------------------------------------------------------------
@@ -441,12 +425,9 @@ def read_pictures(
     with_patch = sum(bool(row.sunpatch) for row in rows)
     if 0 < with_patch < len(rows):
         bare = next(row.line for row in rows if not row.sunpatch)
-        raise InputError(
-            path,
-            f"line {bare}: the cell of column sunpatch is empty, but not in other rows",
-            "a sunpatch in all rows or in none",
-            "fill or empty this column in all rows",
-        )
+        finding = f"line {bare}: the cell of column sunpatch is empty, but not in other rows"
+        remedy = "fill or empty this column in all rows"
+        raise InputError(path, finding, "a sunpatch in all rows or in none", remedy)
     maps = np.empty((len(rows), *shape), np.float32)
     patches = np.empty_like(maps) if with_patch else None
     disc, bounds = np.zeros(len(rows)), 0

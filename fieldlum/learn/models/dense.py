@@ -600,9 +600,6 @@ def restore(path: Path, trainer: Trainer, mark: str) -> tuple[Run, dict[str, Ten
         trainer.optimiser.load_state_dict(state["optimiser"])
         return Run(**state["run"]), state["best"]
     except (*faults, pickle.UnpicklingError) as error:
-        raise InputError(
-            path,
-            f"a checkpoint that cannot be used ({str(error).splitlines()[0][:120]})",
-            "a checkpoint of this training",
-            "delete the file to start the training again",
-        ) from None
+        finding = f"a checkpoint that cannot be used ({str(error).splitlines()[0][:120]})"
+        remedy = "delete the file to start the training again"
+        raise InputError(path, finding, "a checkpoint of this training", remedy) from None

@@ -103,20 +103,16 @@ def _check_stated(data: Dataset, scene: Scene, source: Path | str) -> None:
     fit_again, train = "fit the scene again (fieldlum scene fit)", "or train with --scene none"
     turned_deg = abs(float(signed_angle_deg(data.heading_deg - scene.stated_heading_deg)))
     if turned_deg > _SAME_HEADING_DEG:
-        raise InputError(
-            source,
+        finding = (
             f"fitted at heading {scene.stated_heading_deg:g} degrees, but the captures have "
-            f"heading {data.heading_deg:g} degrees",
-            "the same heading",
-            f"{fit_again}, restore the earlier heading, {train}",
+            f"heading {data.heading_deg:g} degrees"
         )
+        remedy = f"{fit_again}, restore the earlier heading, {train}"
+        raise InputError(source, finding, "the same heading", remedy)
     if data.setup.room != scene.stated_room:
-        raise InputError(
-            source,
-            "fitted from another [room] than that of the captures",
-            "the same [room]",
-            f"{fit_again}, restore the earlier [room], {train}",
-        )
+        finding = "fitted from another [room] than that of the captures"
+        remedy = f"{fit_again}, restore the earlier [room], {train}"
+        raise InputError(source, finding, "the same [room]", remedy)
 
 
 def in_scene(

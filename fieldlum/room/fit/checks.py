@@ -43,13 +43,12 @@ def check_captures(data: Dataset, room: Room) -> None:
     require_box(room)
     turned_windows = turned_windows_note(data, room)
     if turned_windows:
-        raise InputError(
-            data.source or "the captures",
-            turned_windows,
-            "windows at the places stated in [room]",
+        expected = "windows at the places stated in [room]"
+        remedy = (
             "check heading_deg, wall_azimuth_deg and the windows' walls; nothing was written, and "
-            "train uses the stated [room], or no sun patches with --patch none",
+            "train uses the stated [room], or no sun patches with --patch none"
         )
+        raise InputError(data.source or "the captures", turned_windows, expected, remedy)
 
 
 def turned_windows_note(data: Dataset, room: Room) -> str:

@@ -217,12 +217,9 @@ def _saturated(log_error: Array) -> Array:
 def require_box(room: Room) -> None:
     """Raise InputError for a room that is not a box or has no window."""
     if room.kind != "box" or not room.window:
-        raise InputError(
-            "[room]",
-            f"kind '{room.kind}', {len(room.window)} windows",
-            "a box with a window",
-            "state the window in SITE.toml, or train with --scene none",
-        )
+        finding = f"kind '{room.kind}', {len(room.window)} windows"
+        remedy = "state the window in SITE.toml, or train with --scene none"
+        raise InputError("[room]", finding, "a box with a window", remedy)
 
 
 def gather(

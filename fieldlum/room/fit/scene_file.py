@@ -80,11 +80,7 @@ def read_scene(folder: Path) -> Scene:
             path, finding, "a fitted scene", "write one with: fieldlum scene fit SESSION --out DIR"
         ) from None
     if table.get("format") != FORMAT:
-        raise InputError(
-            path,
-            f"a scene of format {table.get('format')}",
-            f"format {FORMAT}",
-            "fit the scene again (fieldlum scene fit)",
-        )
+        expected, remedy = f"format {FORMAT}", "fit the scene again (fieldlum scene fit)"
+        raise InputError(path, f"a scene of format {table.get('format')}", expected, remedy)
     table.pop("room_draws", None)  # of an earlier version, without any use
     return build(Scene, table, str(path))

@@ -55,12 +55,9 @@ def run(
     """
     room = data.setup.room
     if room is None:
-        raise InputError(
-            data.source or "the site",
-            "no [room]",
-            "a box with a window, measured by tape",
-            "add [room] to SITE.toml, or train with --scene none",
-        )
+        expected = "a box with a window, measured by tape"
+        remedy = "add [room] to SITE.toml, or train with --scene none"
+        raise InputError(data.source or "the site", "no [room]", expected, remedy)
     check_captures(data, room)
     check_writable(out)
     discs = read_discs(Session(Path(data.source).parent))

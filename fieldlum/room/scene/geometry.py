@@ -256,12 +256,9 @@ def _opening(room: Room, window: Window, where: str) -> Opening:
     if not fits or window.width_m <= 0 or window.height_m <= 0:
         along = f"from {window.left_m:g} to {window.left_m + window.width_m:g} m along the wall"
         wall = wall_named(window.wall, room.wall_azimuth_deg)
-        raise InputError(
-            where,
-            f"a window {along}, {window.sill_m:g} to {top:g} m above the floor",
-            f"a window inside the {wall} of {length:g} x {room.height_m:g} m",
-            "correct the window",
-        )
+        finding = f"a window {along}, {window.sill_m:g} to {top:g} m above the floor"
+        expected = f"a window inside the {wall} of {length:g} x {room.height_m:g} m"
+        raise InputError(where, finding, expected, "correct the window")
     high_end = length - window.left_m - window.width_m
     start = high_end if window.wall in FROM_HIGH_END else window.left_m
     inner = 0.0 if side == 0 else (room.width_m if axis == 0 else room.depth_m)

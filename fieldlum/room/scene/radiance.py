@@ -123,12 +123,8 @@ def _require_octree(path: Path) -> None:
     with path.open("rb") as file:
         header = file.read(_HEADER_BYTES)
     if _OCTREE_FORMAT not in header:
-        raise InputError(
-            path,
-            "no header of a Radiance octree",
-            "an octree, as oconv writes it",
-            f"write it again: oconv ROOM.rad > {path}",
-        )
+        finding, expected = "no header of a Radiance octree", "an octree, as oconv writes it"
+        raise InputError(path, finding, expected, f"write it again: oconv ROOM.rad > {path}")
 
 
 @contextmanager
@@ -141,12 +137,8 @@ def _room_octree(room: Room) -> Iterator[Path]:
 
     path = Path(room.file)
     if not path.is_file():
-        raise InputError(
-            path,
-            "no such file",
-            "a Radiance .rad or .oct file of the room",
-            "correct the key file in [room]",
-        )
+        remedy = "correct the key file in [room]"
+        raise InputError(path, "no such file", "a Radiance .rad or .oct file of the room", remedy)
     if path.suffix.lower() == ".oct":
         _require_octree(path)
     require_permitted(path)
@@ -167,12 +159,8 @@ def _room_octree(room: Room) -> Iterator[Path]:
 
 def _viewpoint(room: Room) -> Floats:
     if len(room.viewpoint_m) != 3:
-        raise InputError(
-            "[room]",
-            f"viewpoint_m {room.viewpoint_m}",
-            "three numbers: x east, y north, z up",
-            "correct viewpoint_m",
-        )
+        expected, remedy = "three numbers: x east, y north, z up", "correct viewpoint_m"
+        raise InputError("[room]", f"viewpoint_m {room.viewpoint_m}", expected, remedy)
     return np.array(room.viewpoint_m)
 
 

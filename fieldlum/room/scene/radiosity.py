@@ -70,12 +70,8 @@ QUALITIES = {
 def box_room(setup: SiteFile) -> Room:
     """Return the room of a site. Raises InputError for a site without a box room."""
     if setup.room is None or setup.room.kind != "box":
-        raise InputError(
-            setup.site.name,
-            "the site has no box room",
-            '[room] with kind = "box"',
-            "state the geometry of the room in SITE.toml",
-        )
+        expected, remedy = '[room] with kind = "box"', "state the geometry of the room in SITE.toml"
+        raise InputError(setup.site.name, "the site has no box room", expected, remedy)
     return setup.room
 
 

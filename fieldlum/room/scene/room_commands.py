@@ -82,12 +82,9 @@ def require_permitted(path: Path) -> None:
     wanted = what_runs(path)
     if wanted is None or is_permitted(wanted):
         return
-    raise InputError(
-        path,
-        described(path),
-        "a room that runs nothing, or one that the user of this computer permitted",
-        f"read it, then permit it with: fieldlum permit {shlex.quote(str(path))}",
-    )
+    expected = "a room that runs nothing, or one that the user of this computer permitted"
+    remedy = f"read it, then permit it with: fieldlum permit {shlex.quote(str(path))}"
+    raise InputError(path, described(path), expected, remedy)
 
 
 def described(path: Path) -> str:
