@@ -1,7 +1,7 @@
 """Choosing and keeping a model: folds, the one-standard-error rule, the command."""
 
 import json
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +17,8 @@ from fieldlum.learn import models, train
 from fieldlum.learn.models import dense
 from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.dense import validation_split
-from fieldlum.learn.models.scores import Scores, light_of_year
+from fieldlum.learn.models.scores import light_of_year
 from fieldlum.learn.train import (
-    Trial,
-    choose_model,
     day_folds,
     evaluate_folds,
     fit_and_score,
@@ -72,39 +70,6 @@ def test_auto_goes_on_without_a_model_that_needs_more_hours() -> None:
     result = fit_and_score(DATA.take(range(3)), "auto")
     assert result.choice.name in {"mean", "nearest", "dense"}
     assert any(note.startswith("transport was not tried") for note in result.notes)
-
-
-def trial(name: str, errors: list[float]) -> Trial:
-    n = len(errors)
-    blank = {f.name: np.full(n, np.nan) for f in fields(Scores)}
-    more = {"mse_weighted": np.array(errors), "weight": np.ones(n), "day": DATA.days[:n]}
-    scores = Scores(**blank | more | {"slots": DATA.slots[:n], "maps": None})
-    return Trial(name, scores, 1.0, 1.0, n, 1)
-
-
-@pytest.mark.property
-def test_candidates_are_compared_on_the_hours_they_share() -> None:
-    """A network that was only asked about easy days must not win by that."""
-    all_days = trial("transport", [0.1] * 3 + [9.0] * (len(DATA) - 3))
-    easy = trial("dense", [0.2] * 3)
-    assert choose_model([all_days, easy]).name == "transport"
-
-
-@pytest.mark.property
-def test_a_slow_model_that_saw_few_days_does_not_decide_between_quick_ones() -> None:
-    """On the first day nearest looks best; over all days transport is. The network knows the
-    first day only.
-    """
-    first = int((DATA.days == DATA.days[0]).sum())
-    rest = len(DATA) - first
-    quick = [
-        trial("nearest", [0.1] * first + [9.0] * rest),
-        trial("transport", [0.2] * first + [0.1] * rest),
-    ]
-    assert choose_model([*quick, trial("dense", [0.3] * first)]).name == "transport"
-    assert choose_model([*quick, trial("dense", [0.01] * first)]).name == "transport", (
-        "one day is no proof"
-    )
 
 
 @pytest.mark.slow

@@ -109,8 +109,7 @@ def _run(
 
     profile = load_camera_profile(camera)
     new = fit(profile, **own)
-    for note in new.notes:
-        terminal.say(f"note: {note}")
+    terminal.notes(new.notes)
     if picture:
         draw(new.chart, picture)
     today = datetime.now(UTC).date()

@@ -10,7 +10,7 @@ import click
 
 from fieldlum.cli.declared import FILE_PATH
 from fieldlum.cli.options import command_of
-from fieldlum.cli.terminal import progress, say
+from fieldlum.cli.terminal import notes, progress
 
 
 @command_of("pack")
@@ -49,7 +49,6 @@ def command(
         raise click.BadParameter("write an SPDX identifier, like CC-BY-4.0", param_hint="--licence")
     statement = Statement(title, authors, licence, publisher, people)
     with progress("packing") as shown:
-        notes = pack(open_session(session_folder), archive, statement, shown)
-    for note in notes:
-        say(f"note: {note}")
+        cautions = pack(open_session(session_folder), archive, statement, shown)
+    notes(cautions)
     click.echo(str(archive))

@@ -30,8 +30,7 @@ def command(session_folder: Path, scheduler_text: str = "local", force: bool = F
     session = open_session(session_folder)
     with terminal.progress("irradiance") as progress:
         health = irradiance.run(session, force=force, progress=progress)
-    for warning in health.warnings:
-        terminal.say(f"note: {warning}")
+    terminal.notes(health.warnings)
     if (picture := draw_days(session, force=force)) is not None:
         terminal.say(f"irradiance of each day: {picture}")
     with terminal.progress("pair") as progress:
@@ -46,8 +45,7 @@ def command(session_folder: Path, scheduler_text: str = "local", force: bool = F
             f"sky view of {counted(view.captures, 'capture')}, which decides when the sun's disc "
             f"is seen: look at {session.sky_view.with_suffix('.png')}"
         )
-        for note in view.notes:
-            terminal.say(f"note: {note}")
+        terminal.notes(view.notes)
     cautions = (c for p in pairs if p.ok for c in p.why.split("; ") if c)
     for kind, texts in (("refused", (p.why for p in pairs if not p.ok)), ("caution", cautions)):
         for text, count in Counter(texts).most_common(5):

@@ -61,6 +61,8 @@ def command(
     of_session, day = next_ or replan, start.date() if start else None
     dates, sets = (out, day, year, days, count), ("month", "even", "best")
     example = "for example: fieldlum plan SITE.toml --set 9-day --out my-session"
+    no_weather = not weather_file
+    climate = "the best hours depend on the climate: name a weather year with --weather FILE"
     wrong = {
         "--next and --replan exclude each other": next_ and replan,
         "--next and --replan work on a session, with its dates: omit --set, --out, --start, "
@@ -68,12 +70,10 @@ def command(
         f"{target} is a folder: a new plan needs a SITE.toml; a session takes --next or --replan": (
             target.is_dir() and not of_session
         ),
-        "--label-shift is for a weather file: name one with --weather": label_shift_min
-        and not weather_file,
+        "--label-shift needs a weather file: name one with --weather": label_shift_min
+        and no_weather,
         f"name --set and --out, {example}": not of_session and not (set_ and out),
-        "the best hours depend on the climate: name a weather year with --weather FILE": set_
-        == "best"
-        and not weather_file,
+        climate: set_ == "best" and no_weather,
         "--start: expected a year from 1950 to 2100": day and not 1950 <= day.year <= 2100,
         "--start and --year exclude each other: use one of them": day and year,
         "--count needs --set even or best": count and set_ not in sets[1:],
@@ -82,9 +82,8 @@ def command(
     if text := next((text for text, is_wrong in wrong.items() if is_wrong), ""):
         raise click.UsageError(text)
     setup = open_session(target).site_file() if of_session else load_site(target)
-    weather = weather_file and read_weather(
-        weather_file, setup.site, label_shift_min=label_shift_min
-    )
+    site, shift = setup.site, label_shift_min
+    weather = weather_file and read_weather(weather_file, site, label_shift_min=shift)
     if next_:
         answer, sentences = _coming(target, weather)
     elif replan:
@@ -106,8 +105,7 @@ def _planned(
     with terminal.progress("choosing hours") as progress:
         session, made = plan.run(setup, request, out, weather, progress)
     answer = plan.summary(session, made)
-    for note in made.warnings:
-        terminal.say(f"note: {note}")
+    terminal.notes(made.warnings)
     sentences = plan.sentences(answer)
     plan.write_calendar(session, datetime.now(UTC))
     plan.write_sheets(session, weather, [*sentences[1:], *made.warnings])

@@ -10,7 +10,7 @@ import click
 
 from fieldlum.cli import terminal
 from fieldlum.cli.options import Port, command_of
-from fieldlum.cli.terminal import print_answer, progress, say, table_lines
+from fieldlum.cli.terminal import notes, print_answer, progress, say, table_lines
 from fieldlum.core.records import JsonTable
 
 if TYPE_CHECKING:
@@ -64,8 +64,7 @@ def fit(
     with progress("fitting the scene") as show:
         result = run(data, folder, clock_sd_min=clock_sd, find_changes=find_changes, progress=show)
     print_answer(as_json, answer_of(result.scene), _lines(result.scene))
-    for note in () if as_json else result.scene.notes:
-        say(f"note: {note}")
+    notes(() if as_json else result.scene.notes)
     say("written: " + ", ".join(str(file) for file in result.files))
 
 
@@ -149,7 +148,6 @@ def click_corners(
     print_answer(as_json, {**table, "file": str(path), "taken": taken}, lines)
     if as_json:
         return
-    for note in clicked.notes:
-        say(f"note: {note}")
+    notes(clicked.notes)
     earlier = "the session still has its earlier room: use --force to replace it"
     say(f"written: {path}; {'the session has this room now' if taken else earlier}")

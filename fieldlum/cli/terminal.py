@@ -73,6 +73,12 @@ def say(text: str) -> None:
     click.echo(shown, err=True)
 
 
+def notes(texts: Iterable[str]) -> None:
+    """Print sentences for the user on stderr, each after the word note."""
+    for text in texts:
+        say(f"note: {text}")
+
+
 def seen() -> bool:
     """Return whether stderr is a terminal, where a user may see its output."""
     return sys.stderr.isatty()

@@ -7,13 +7,13 @@ Within its standard error the error of vertical illuminance decides, then that o
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.core.arrays import Array, Floats, Indices, Mask
+from fieldlum.core.arrays import Array, Floats, Mask
 from fieldlum.core.statistics import standard_error
 from fieldlum.sky.sun import ZERO_OFFSET_WM2
 
@@ -43,11 +43,6 @@ class HeldOutErrors:
     day: NDArray
     weight: Floats
     trim: float = TRIM
-
-    def take(self, rows: Indices) -> HeldOutErrors:
-        """Return the errors of some hours, by their indices."""
-        arrays = {name: getattr(self, name)[rows] for name in (*CRITERIA, "day", "weight")}
-        return replace(self, **arrays)
 
     def figure(self, name: str) -> float:
         """Return the trimmed weighted mean of one of `CRITERIA`; NaN if no hour has it."""

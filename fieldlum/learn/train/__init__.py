@@ -27,7 +27,6 @@ from fieldlum.learn.models.data import Dataset, with_sky_view
 from fieldlum.learn.models.held_out_choice import (
     CRITERIA,
     LOW_SUN_DEG,
-    HeldOutErrors,
     beam_is_uncertain,
     choice_weights,
     choose,
@@ -171,39 +170,21 @@ class ModelSelection(NamedTuple):
     reason: str
 
 
-def choose_model(trials: list[Trial]) -> ModelSelection:
+def choose_model(trials: Sequence[Trial]) -> ModelSelection:
     """Choose the model with the smallest held-out error, as `held_out_choice.choose` compares it.
 
-    Models that were tested on most hours are compared first. One that was tested on fewer (the
-    dense network) replaces their best only if it is clearly better in the hours of both, of two
-    days at least.
+    All were tested in the same hours. A baseline repeats captured suns, and held-out days have
+    nearly the same suns as the other days: it loses to another model unless it is clearly better.
     """
-    most = max(len(trial.scores) for trial in trials)
-    compared = [trial for trial in trials if len(trial.scores) == most]
-    best = _best(compared)
-    for other in trials:
-        pair = _errors([best, other])
-        if len(other.scores) < most and len(np.unique(pair[0].day)) > 1:
-            choice = choose(pair)
-            best = other if choice.best == 1 and choice.by else best
-    named = [best, *(trial for trial in compared if trial is not best)]
-    return ModelSelection(best.name, _reason(named, _errors(named)))
-
-
-def _best(trials: list[Trial]) -> Trial:
-    """Return the best of models that were tested on the same hours.
-
-    A baseline repeats captured suns, and held-out days have nearly the same suns as the other days:
-    it loses to another model unless it is clearly better.
-    """
-    errors = _errors(trials)
+    errors = [trial.scores.errors for trial in trials]
     best = choose(errors).best
     learnt = [k for k, trial in enumerate(trials) if not is_baseline(trial)]
     if best not in learnt and learnt:
         rival = learnt[choose([errors[k] for k in learnt]).best]
         if choose([errors[best], errors[rival]]).by is None:
             best = rival
-    return trials[best]
+    others = [trial for k, trial in enumerate(trials) if k != best]
+    return ModelSelection(trials[best].name, _reason(trials[best], others))
 
 
 def is_baseline(trial: Trial) -> bool:
@@ -211,26 +192,16 @@ def is_baseline(trial: Trial) -> bool:
     return MODELS[trial.name.replace(":", " ").split()[0]].baseline
 
 
-def _errors(trials: Sequence[Trial]) -> list[HeldOutErrors]:
-    """Return the errors of trials in the hours that all have, in the order of their names."""
-    shared = sorted(set.intersection(*(set(trial.scores.slots) for trial in trials)))
-    return [
-        t.scores.errors.take(np.array([t.scores.slots.index(s) for s in shared], np.intp))
-        for t in trials
-    ]
-
-
-def _reason(trials: list[Trial], errors: list[HeldOutErrors]) -> str:
-    """Return the figures of the first trial next to those of the others, and what decided."""
-    own, *others = errors
+def _reason(trial: Trial, others: Sequence[Trial]) -> str:
+    """Return the figures of a trial next to those of the others, and what decided."""
+    own = trial.scores.errors
     hours = f"{counted(own.judged, 'held-out hour')} of {counted(len(np.unique(own.day)), 'day')}"
     if not others:
         return f"the only model that was tested ({hours})"
-    choice = choose(errors)
+    choice = choose([own, *(other.scores.errors for other in others)])
     clear = choice.by if choice.best == 0 else None
     by = clear or next(name for name in CRITERIA if np.isfinite(own.figure(name)))
-    figures = zip(trials[1:], others, strict=True)
-    listed = ", ".join(f"{t.name} {e.figure(by):.2g}" for t, e in figures)
+    listed = ", ".join(f"{t.name} {t.scores.errors.figure(by):.2g}" for t in others)
     text = f"error of {CRITERIA[by]} over {hours}: {own.figure(by):.2g} ({listed})"
     return text if clear else f"{text}; no model is better by over a standard error"
 
@@ -485,7 +456,7 @@ def notes_of(data: Dataset, patch: Patch, model: str, trials: Sequence[Trial]) -
     if own is None or MODELS[model].baseline:
         return notes
     others = [trial for trial in trials if is_baseline(trial)]
-    choices = [choose(_errors([own, t])) for t in others]
+    choices = [choose([own.scores.errors, t.scores.errors]) for t in others]
     better = [t.name for t, c in zip(others, choices, strict=True) if c.best == 1 and c.by]
     if better:
         notes.append(
