@@ -17,9 +17,9 @@ from learning_room import dataset
 from fieldlum.core.errors import InputError
 from fieldlum.learn import models
 from fieldlum.learn.models.data import Dataset
-from fieldlum.learn.models.mirrors import Mirror, place_deg, read_mirrors, split_images
+from fieldlum.learn.models.mirrors import Mirror, read_mirrors, split_images
 from fieldlum.learn.train import fit_and_score, run
-from fieldlum.optics.projection import direction, equirect_rays
+from fieldlum.optics.projection import altitude_azimuth_deg, direction, equirect_rays
 from fieldlum.session.files.predict_json import PredictFile
 from fieldlum.sky.light import Light
 from fieldlum.sky.sun_disc import SunDisc, add_source
@@ -47,7 +47,8 @@ FACTOR = 2.0  # of a coated pane, relative to one surface of glass
 
 def with_image(data: Dataset, towards: np.ndarray, image_lx: np.ndarray) -> Dataset:
     """Add a bright pixel of each illuminance [n] lx in the directions [n, 3]."""
-    maps = add_source(data.luminance_cdm2, place_deg(towards), image_lx, data.heading_deg)
+    place = altitude_azimuth_deg(towards)
+    maps = add_source(data.luminance_cdm2, place, image_lx, data.heading_deg)
     return replace(data, luminance_cdm2=maps)
 
 

@@ -66,11 +66,6 @@ class MirroredSun:
         # an hour is not trusted if the chance of a wrong decision is larger
         return np.where(self.shown, 1.0 - self.chance, self.chance) > 0.05
 
-    @property
-    def place_deg(self) -> tuple[Floats, Floats]:
-        """Altitudes and azimuths (clockwise from north) of the sun's images, [n] deg each."""
-        return place_deg(self.towards)
-
 
 @dataclass(frozen=True, slots=True)
 class Mirror:
@@ -126,7 +121,8 @@ class Mirror:
     @property
     def warning(self) -> str:
         """Warning text of `train`, to follow "WARNING: 3 of 40 captures"."""
-        altitude, azimuth = (round(float(v[0])) for v in place_deg(np.array([self.normal])))
+        altitude, turn = (round(float(v)) for v in altitude_azimuth_deg(np.array(self.normal)))
+        azimuth = turn % 360
         right = f"the other days are right for {self.judged - self.wrong} of {self.judged} captures"
         if self.predicted:
             result = f"Predicted hours include the mirrored sun where captures showed it ({right})"
@@ -140,21 +136,12 @@ class Mirror:
         )
 
 
-def place_deg(towards: Floats) -> tuple[Floats, Floats]:
-    """Return altitudes and azimuths (clockwise from north) of unit vectors, [n] deg each.
-
-    towards: [n, 3], x east, y north, z up.
-    """
-    altitude, azimuth = altitude_azimuth_deg(towards)
-    return altitude, azimuth % 360.0
-
-
 def pixels(towards: Floats, shape: tuple[int, ...], heading_deg: float) -> Indices:
     """Return the index in the flattened map of the pixel in each direction, [n].
 
     towards: unit vectors [n, 3]; shape: (H, W); heading_deg: azimuth of the middle of the map.
     """
-    row, column = equirect_pixel(*place_deg(towards), shape[0], shape[1], heading_deg)
+    row, column = equirect_pixel(*altitude_azimuth_deg(towards), shape[0], shape[1], heading_deg)
     i = np.clip(row.astype(int), 0, shape[0] - 1)
     return i * shape[1] + column.astype(int) % shape[1]
 

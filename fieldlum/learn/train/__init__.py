@@ -346,8 +346,9 @@ def run(
         "seed": seed,
         "fieldlum": __version__,
     }
-    if not force and (table := trained_before(out, inputs)) is not None:
-        return {**table, "kept": True}
+    made = made_from(out / ScoresFile.NAME, inputs, [out / name for name in MODEL_FILES])
+    if not force and made is not None and made.get("model_sha256") == _model_sha256(out):
+        return {**ScoresFile.read(out).table(), "kept": True}
     check_writable(out)
     checkpoint = out / f"checkpoint-{digest([seed, mode, inputs['data']])[:12]}.pt"
     result = fit_and_score(
@@ -387,17 +388,6 @@ def run(
         ScoresFile.from_table({**answer}, out / ScoresFile.NAME).write(out)
         checkpoint.unlink(missing_ok=True)
     return {**answer, "kept": False}
-
-
-def trained_before(folder: Path, inputs: Mapping[str, object]) -> TrainAnswer | None:
-    """Return the stored scores of the model in `folder`, if it need not be trained again.
-
-    None if there is no complete model, if its files changed, or if it had other `inputs`.
-    """
-    table = made_from(folder / ScoresFile.NAME, inputs, [folder / name for name in MODEL_FILES])
-    if table is None or table.get("model_sha256") != _model_sha256(folder):
-        return None
-    return ScoresFile.read(folder).table()
 
 
 def _model_sha256(folder: Path) -> str:

@@ -22,7 +22,7 @@ from fieldlum.core.records import Progress, SiteFile, quiet
 from fieldlum.core.scheduler import LOCAL, Scheduler, UnitOutcome, WorkUnit, run_each
 from fieldlum.learn.models import Fitted, Prediction, load, read_config, seen_of, trusted_hours
 from fieldlum.learn.models.mirrors import Mirror, MirroredSun, read_mirrors
-from fieldlum.optics.projection import column_azimuths_deg, row_altitudes_deg
+from fieldlum.optics.projection import altitude_azimuth_deg, column_azimuths_deg, row_altitudes_deg
 from fieldlum.room.scene import sun_patches
 from fieldlum.session import sha256
 from fieldlum.session.files.hourly_csv import HOUR_COLUMNS
@@ -66,7 +66,8 @@ class HourBlock:
         """
         maps = self.prediction.luminance_cdm2
         for image in self.images:
-            maps = add_source(maps, image.place_deg, image.shown_lx, heading_deg)
+            at = altitude_azimuth_deg(image.towards)
+            maps = add_source(maps, at, image.shown_lx, heading_deg)
         return maps
 
     @property
