@@ -113,7 +113,7 @@ def _stress(loaded: BenchData, progress: Progress) -> list[JsonTable]:
         if not folds:
             count = counted(len(data), "usable hour")
             raise NotEnoughDataError(f"{data.source}: {count}; expected 2; capture more hours")
-        data, test = data.take(folds[0].train), data.take(folds[0].test)
+        data, test = data.take(~folds[0]), data.take(folds[0])
     return stress.run(spec, data, test, progress=progress)
 
 

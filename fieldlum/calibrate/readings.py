@@ -19,7 +19,12 @@ from fieldlum.core import strict_csv
 from fieldlum.core.arrays import Floats, Floats32, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Exposure, Flag, Panorama
-from fieldlum.core.statistics import is_no_worse, robust_sigma, standard_error
+from fieldlum.core.statistics import (
+    held_out_masks,
+    is_no_worse,
+    robust_sigma,
+    standard_error,
+)
 from fieldlum.optics import linear_light
 from fieldlum.optics.images import calibration_mark
 from fieldlum.optics.photometry import saturation_plateau, vignetting_at
@@ -108,16 +113,14 @@ def fit_and_choose(
     return chosen, solve(chosen, np.ones(len(groups), bool)), choice
 
 
-def folds(groups: NDArray[np.integer], count: int = 8) -> Iterator[Mask]:
-    """Yield masks [n], one for each fit of a cross-validation, True for the data to hold out.
+def folds(groups: NDArray[np.integer]) -> Iterator[Mask]:
+    """Return masks [n], one for each fit of a cross-validation, True for the data to hold out.
 
-    groups [n] : number of each datum's group; a group is never divided. With up to 24 groups each
-    is held out alone; with more, they are divided into `count` sets. Each datum is held out once.
+    groups [n] : number of each datum's group, see `held_out_masks`. With up to 24 groups each is
+    held out alone; with more, they are divided into eight sets.
     """
-    names = np.unique(groups)
-    parts = len(names) if len(names) <= 24 else count  # limits the time
-    for part in range(parts):
-        yield np.isin(groups, names[part::parts])
+    count = len(np.unique(groups))
+    return held_out_masks(groups, count if count <= 24 else 8)  # limits the time
 
 
 def gross_errors(off: Floats, minimum: float) -> Mask:

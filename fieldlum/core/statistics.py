@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fieldlum.core.arrays import Array, Floats
+from fieldlum.core.arrays import Array, Floats, Mask
 
 # Standard deviation of a normal distribution over its median absolute deviation: 1 / 0.6745.
 MAD_TO_SIGMA = 1.4826
@@ -76,6 +78,17 @@ def standard_error(values: Floats, groups: Array | None = None) -> float:
     if count < 2:
         return float("nan")
     return float(np.sqrt((sums**2).sum() * count / (count - 1)) / len(values))
+
+
+def held_out_masks(groups: Array, parts: int) -> Iterator[Mask]:
+    """Yield a mask [n] for each of `parts` tests, True for the values that the test holds out.
+
+    groups [n]: a group is never divided. Neighbouring groups are held out in different tests, each
+    once.
+    """
+    names = np.unique(groups)
+    for part in range(parts):
+        yield np.isin(groups, names[part::parts])
 
 
 def is_no_worse(errors: Floats, best_errors: Floats, groups: Array | None = None) -> bool:

@@ -142,16 +142,12 @@ class Inputs:
         Altitude is divided by 90 degrees, DNI by 1100 and DHI by 700 W/m2; azimuth is 0 at north,
         0.5 at south and 0.75 at west.
         """
-        from_south = signed_angle_deg(light.sun_azimuth_deg - 180.0)  # west positive
-        columns = (
-            light.sun_altitude_deg / 90.0,
-            (from_south + 180.0) / 360.0,
-            light.dni_wm2 / 1100.0,
-            light.dhi_wm2 / 700.0,
-        )
+        azimuth_deg = signed_angle_deg(light.sun_azimuth_deg - 180.0) + 180.0
+        columns = light.sun_altitude_deg, azimuth_deg, light.dni_wm2, light.dhi_wm2
+        scaled = np.stack(columns, axis=1) / (90.0, 360.0, 1100.0, 700.0)
         device = self.pixel.device
         sky = np.pad(encode(light.sky_cdm2), ((0, 0), (0, 1)))
-        sun = torch.from_numpy(np.stack(columns, axis=1).astype(np.float32)).to(device)
+        sun = torch.from_numpy(scaled.astype(np.float32)).to(device)
         return replace(self, sun=sun, sky=torch.from_numpy(sky).to(device))
 
 

@@ -15,11 +15,11 @@ from time import monotonic, process_time
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fieldlum.core.arrays import Floats
+from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.records import Progress, counted, quiet
+from fieldlum.core.statistics import held_out_masks
 from fieldlum.learn import models
 from fieldlum.learn.model_registry import MODELS
 from fieldlum.learn.models import POOR_WORDS, TRUSTED_FACTOR, TRUSTED_MSE, Fitted, Patch
@@ -57,32 +57,17 @@ MODEL_FILES = ("config.json", "weights.npz")
 # held-out days
 
 
-@dataclass(frozen=True, slots=True)
-class Fold:
-    """Row indices of the captures with which one fold trains and tests.
+def day_folds(data: Dataset) -> list[Mask]:
+    """Distribute the days over at most five tests; return a mask [n] of the captures of each.
 
-    train: [k]; test: [n - k]. No day is in both (with one day only: no hour).
+    Each test holds its days out and trains with all others. If there is only one day, its hours are
+    distributed instead; a single hour gives no test. Neighbouring days are held out in different
+    tests, so that these are about days between captured ones, not seasons without captures. Five:
+    Hastie et al., The Elements of Statistical Learning, 7.10.
     """
-
-    train: NDArray[np.int64]
-    test: NDArray[np.int64]
-
-
-def day_folds(data: Dataset, count: int = 5) -> tuple[Fold, ...]:
-    """Distribute the days of the captures over at most `count` folds in turn.
-
-    Each fold tests its days and trains with all others. If there is only one day, its hours are
-    distributed instead; a single hour gives no fold (an empty tuple). Neighbouring days are tested
-    in different folds, so a fold tests days between captured ones, not seasons without captures.
-    Five folds: Hastie et al., The Elements of Statistical Learning, 7.10.
-    """
-    unique, which = np.unique(data.days, return_inverse=True)
-    groups, members = (which, len(unique)) if len(unique) > 1 else (np.arange(len(data)), len(data))
-    count = min(count, members)
-    if count < 2:
-        return ()
-    rows = np.arange(len(data))
-    return tuple(Fold(rows[groups % count != k], rows[groups % count == k]) for k in range(count))
+    days = len(np.unique(data.days))
+    groups, count = (data.days, days) if days > 1 else (np.arange(len(data)), len(data))
+    return list(held_out_masks(groups, min(count, 5))) if count > 1 else []
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,14 +120,14 @@ def fit_timed(
 def evaluate_folds(
     name: str,
     data: Dataset,
-    folds: Sequence[Fold],
+    folds: Sequence[Mask],
     *,
     patch: Patch,
     seed: int,
     budget_s: float | None = None,
     progress: Progress = quiet,
 ) -> Trial:
-    """Fit to each fold's training rows, compare with its test rows, and join the scores.
+    """Fit without the captures of each of `day_folds`, compare with these, and join the scores.
 
     budget_s: for all folds of a slow model together [s], None for no limit.
     """
@@ -150,11 +135,11 @@ def evaluate_folds(
     times: list[Spent] = []
     share = budget_s and budget_s / len(folds)
     options: dict[str, Any] = {"patch": patch, "seed": seed, "progress": progress}
-    for fold in folds:
-        fitted, spent = fit_timed(name, data.take(fold.train), budget_s=share, **options)
-        parts.append(evaluate(fitted, truth(data.take(fold.test)), progress=progress))
+    for held in folds:
+        fitted, spent = fit_timed(name, data.take(~held), budget_s=share, **options)
+        parts.append(evaluate(fitted, truth(data.take(held)), progress=progress))
         times.append(spent)
-    count = round(np.mean([len(fold.train) for fold in folds]))
+    count = round(len(data) - np.mean([held.sum() for held in folds]))
     wall_s, cpu_s = np.mean(times, axis=0).tolist()
     return Trial(name, join(parts), wall_s, cpu_s, count, len(parts))
 

@@ -18,7 +18,7 @@ from fieldlum.core.arrays import Array, Floats, Floats32, Indices, Mask
 from fieldlum.core.room_states import ADDED, OFF, indicators, parse_state
 from fieldlum.core.statistics import cauchy_weights, nan_percentiles
 from fieldlum.learn.models.held_out_choice import light_variance, weight_of_variance
-from fieldlum.optics.projection import equirect_pixel, equirect_rays, equirect_solid_angles
+from fieldlum.optics.projection import equirect_rays, equirect_solid_angles
 from fieldlum.sky.light import LAMP_LX, Facades, Features, Light, facades_of, light_features
 
 if TYPE_CHECKING:
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 
 from fieldlum.sky.perez import reinhart_patches
+from fieldlum.sky.sun_disc import add_source
 
 MIN_CDM2 = 0.1  # in darker pixels relative errors have no meaning; not measured
 # Weights of the cells and of their sum beside the sun's light in a coarse model of the room, whose
@@ -302,15 +303,12 @@ def around_disc(data: Dataset) -> Mask:
 
     It includes a margin of two pixels; hours without a visible disc have no such pixel.
     """
-    height, width = data.shape
-    out = np.zeros((len(data), height, width), bool)
-    hours, light = np.flatnonzero(data.disc_lx > 0.0), data.light
-    altitude_deg, azimuth_deg = light.apparent_altitude_deg[hours], light.sun_azimuth_deg[hours]
-    row, column = equirect_pixel(altitude_deg, azimuth_deg, height, width, data.heading_deg)
-    reach = np.arange(-2, 3)
-    for t, i, j in zip(hours, row.astype(int), column.astype(int), strict=True):
-        out[t, np.clip(reach + i, 0, height - 1)[:, None], (reach + j) % width] = True
-    return out
+    from scipy.ndimage import maximum_filter
+
+    place = data.light.apparent_altitude_deg, data.light.sun_azimuth_deg
+    discs = np.zeros(data.luminance_cdm2.shape, np.float32)
+    discs = add_source(discs, place, data.disc_lx, data.heading_deg) > 0.0
+    return maximum_filter(discs, (1, 5, 5), mode=("nearest", "nearest", "wrap"))  # pyright: ignore
 
 
 def slip_variance(patch: Floats, seen: Mask, dark: Floats, slip_deg: float) -> Floats:
