@@ -21,18 +21,7 @@ from fieldlum.core.plot_style import AMBER, BLUE, GRID, INK, PALE, RED, SAND, op
 from fieldlum.core.records import Site, SiteFile, Slot, utc_text
 from fieldlum.optics.profiles import assumed_texts
 from fieldlum.optics.projection import altitude_azimuth_deg
-from fieldlum.plan.days import (
-    CELL_WM2,
-    NEAR_DEG,
-    SEASON_TAGS,
-    DaylightHours,
-    band_directions,
-    coverage,
-    hours_of,
-    near_planned,
-    season_date,
-    sun_band_percent,
-)
+from fieldlum.plan import days
 from fieldlum.room.scene.drawing import room_svg
 from fieldlum.session import exposure_text
 from fieldlum.sky import sun
@@ -114,15 +103,15 @@ def html(
     """
     from jinja2 import Environment, PackageLoader, select_autoescape
 
-    days = by_day(slots, setup.site)
+    dated = by_day(slots, setup.site)
     loader, escape_all = PackageLoader("fieldlum.plan", ""), select_autoescape(default=True)
     environment = Environment(loader=loader, autoescape=escape_all)
-    counts = accumulate(len(group) for _, group in days)
-    sheets = [_sheet(*day, setup, cost, count) for day, count in zip(days, counts, strict=True)]
+    counts = accumulate(len(group) for _, group in dated)
+    sheets = [_sheet(*day, setup, cost, count) for day, count in zip(dated, counts, strict=True)]
     return environment.get_template("sheet.html.j2").render(
         site=setup.site,
         sheets=sheets,
-        days=len(days),
+        days=len(dated),
         late=5,  # minutes; the default of `fieldlum capture --grace` (docs/capture.md)
         notes=notes,
         assumed=assumed_texts(setup.camera),
@@ -132,11 +121,10 @@ def html(
 
 def _figures(slots: Sequence[Slot], setup: SiteFile, weather: Weather | None) -> list[str]:
     """Return the drawing of the room and the coverage plots as inline SVG."""
-    hours, site = hours_of(slots), setup.site
-    title = (
-        f"{site.name}: {len(hours)} captures reach {sun_band_percent(hours, site):.0f} % of the "
-        f"year's sun band (dark: within {NEAR_DEG:g} deg of a captured sun)"
-    )
+    hours, site = days.hours_of(slots), setup.site
+    share, near = days.sun_band_percent(hours, site), f"{days.NEAR_DEG:g} deg of a captured sun"
+    title = f"{site.name}: {len(hours)} captures reach {share:.0f} % of the year's sun band "
+    title += f"(dark: within {near})"
     chart = _svg(sky_chart(hours, setup))
     texts = [room_svg(setup), f"<p>{escape(title)}</p>{chart}"]
     if weather is not None:
@@ -154,7 +142,7 @@ def _svg(figure: Figure) -> str:
     return buffer.getvalue()[buffer.getvalue().index("<svg") :]
 
 
-def irradiance_figure(hours: DaylightHours, site: Site, weather: Weather) -> Figure:
+def irradiance_figure(hours: days.DaylightHours, site: Site, weather: Weather) -> Figure:
     """Draw how often the weather year has each direct and diffuse irradiance, with planned hours.
 
     As Figures 16 and 17 of Liu, Colburn and Inanici (2020). The planned hours have the irradiance
@@ -168,14 +156,15 @@ def irradiance_figure(hours: DaylightHours, site: Site, weather: Weather) -> Fig
     lit = (sun.position(weather.t_utc, site).altitude_deg > 0) & (weather.dhi_wm2 > 0)
     dni, dhi = weather.dni_wm2[lit], weather.dhi_wm2[lit]
     top = max(float(dhi.max()), 500) + 25
-    bins = [np.arange(0, end, size / 2) for end, size in zip((1150, top), CELL_WM2, strict=True)]
+    ends = zip((1150, top), days.CELL_WM2, strict=True)
+    bins = [np.arange(0, end, size / 2) for end, size in ends]
     *_, picture = axes.hist2d(dni, dhi, bins=bins, norm=LogNorm(), cmap="YlOrBr", rasterized=True)
     figure.colorbar(picture, ax=axes, label="hours per year in a cell")
     planned = weather.at(hours.t_utc)
     label = "planned, with the weather year's light"
     axes.scatter(planned.dni_wm2, planned.dhi_wm2, s=9, color=INK, linewidths=0, label=label)
     axes.set(xlabel="direct normal [W/m2]", ylabel="diffuse horizontal [W/m2]")
-    share = coverage(hours, site, weather).irradiance_percent
+    share = days.coverage(hours, site, weather).irradiance_percent
     title = f"{site.name}: {share:.0f} % of the year's daylight hours have skies like the plan's"
     axes.set_title(title, fontsize=10, loc="left")
     axes.legend(frameon=False, fontsize=8, loc="upper right")
@@ -187,7 +176,7 @@ def _sheet(
     day: date, slots: list[Slot], setup: SiteFile, cost: tuple[float, float], so_far: int
 ) -> dict[str, object]:
     zone = ZoneInfo(setup.site.timezone)
-    tags = sorted({tag for slot in slots for tag in slot.tags if tag in SEASON_TAGS})
+    tags = sorted({tag for slot in slots for tag in slot.tags if tag in days.SEASON_TAGS})
     exposures, (each_s, megabytes) = slots[0].exposures, cost
     today = sun.rise_transit_set([day], setup.site)[0]
     times = {"Sunrise": today.rise, "sunset": today.set}
@@ -207,7 +196,7 @@ def _sheet(
         "size_is_known": "profile" not in setup.camera.assumed,
         "gigabytes": f"{len(slots) * megabytes / 1000:.1f}",
         "gigabytes_so_far": f"{so_far * megabytes / 1000:.1f}",
-        "sun_path": _svg(sky_chart(hours_of(slots), setup, day)),
+        "sun_path": _svg(sky_chart(days.hours_of(slots), setup, day)),
     }
 
 
@@ -219,11 +208,11 @@ def _row(slot: Slot, local: datetime, day: date) -> dict[str, object]:
         "utc": f"{slot.t_utc:%H:%M}",
         "altitude": f"{slot.sun_altitude_deg:.0f}",
         "azimuth": f"{slot.sun_azimuth_deg:.0f}",
-        "tags": [tag.replace("-", " ") for tag in slot.tags if tag not in SEASON_TAGS],
+        "tags": [tag.replace("-", " ") for tag in slot.tags if tag not in days.SEASON_TAGS],
     }
 
 
-def sky_chart(hours: DaylightHours, setup: SiteFile, day: date | None = None) -> Figure:
+def sky_chart(hours: days.DaylightHours, setup: SiteFile, day: date | None = None) -> Figure:
     """Draw a sky chart (north up, east right) of planned suns and the paths of the seasons.
 
     day: its own path, with the hour of each planned sun and marks in the directions of the camera's
@@ -242,14 +231,14 @@ def sky_chart(hours: DaylightHours, setup: SiteFile, day: date | None = None) ->
     axes.set_yticks([30, 60], ["60", "30"], size=7, color=PALE)
     axes.grid(color=GRID)
     if day is None:
-        directions = band_directions(site, 16)
+        directions = days.band_directions(site, 16)
         altitude, azimuth = altitude_azimuth_deg(directions)
-        colour = np.where(near_planned(directions, hours), AMBER, SAND)
+        colour = np.where(days.near_planned(directions, hours), AMBER, SAND)
         axes.scatter(np.radians(azimuth), 90 - altitude, s=12, c=colour, linewidths=0)
     elif "heading_deg" not in camera.assumed:
         for heading in camera.headings or (camera.heading_deg,):
             axes.plot(np.radians(heading), 85, marker=(3, 0, -heading), color=BLUE, gid="view")
-    paths = [(season_date(year, which, site), AMBER, 1.0) for which in (0, 1, 3)]
+    paths = [(days.season_date(year, which, site), AMBER, 1.0) for which in (0, 1, 3)]
     for date_, colour, width in [*paths, *([(day, RED, 2.0)] if day else [])]:
         start = sun.standard_midnight(date_, site.timezone)
         at = sun.position([start + timedelta(minutes=10 * k) for k in range(145)], site)

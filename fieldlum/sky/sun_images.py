@@ -62,9 +62,8 @@ def mirrored(suns: ArrayLike, normal: ArrayLike) -> Floats:
 
 def ring_around(towards: Floats, angle_rad: float) -> Floats:
     """Return the eight directions at an angle around each of some directions [n, 3], [8, n, 3]."""
-    right = np.cross(
-        towards, np.where(np.abs(towards[:, 2:]) < 0.9, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
-    )
+    other = np.where(np.abs(towards[:, 2:]) < 0.9, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
+    right = np.cross(towards, other)
     right /= np.linalg.norm(right, axis=1, keepdims=True)
     up = np.cross(right, towards)
     turns = np.arange(8)[:, None, None] * np.pi / 4.0
