@@ -405,11 +405,18 @@ def sentences(summary: JsonTable) -> list[str]:
     unknown = " per slot; the size of the files is unknown, because no camera is stated"
     each, total = summary["megabytes"] / slots, summary["megabytes"] / 1000
     known = f" and {each:.0f} MB per slot, {total:.1f} GB in total"
+    share = summary["coverage"]
+    covered = f"the plan covers {share['sun_band_percent']:.0f} % of the year's sun band"
+    if share["irradiance_percent"] is not None:
+        covered += (
+            f" and the skies of {share['irradiance_percent']:.0f} % of the weather year's daylight "
+            f"hours; {share['both_percent']:.0f} % of these hours are covered in both"
+        )
     texts = [
         f"{counted(slots, 'slot')} on {counted(days, 'day')}, {summary['first']} to "
         f"{summary['last']}, in {summary['session']}",
         cost + (known if summary["size_is_known"] else unknown),
-        _covered_text(**summary["coverage"]),
+        covered,
     ]
     if summary["solar_noon"]:
         texts.append(f"solar noon on the first day is at {summary['solar_noon']}")
@@ -430,15 +437,3 @@ def sentences(summary: JsonTable) -> list[str]:
             f"times that of the best month, {month['best']}"
         )
     return texts
-
-
-def _covered_text(
-    sun_band_percent: float, irradiance_percent: float | None, both_percent: float | None
-) -> str:
-    text = f"the plan covers {sun_band_percent:.0f} % of the year's sun band"
-    if irradiance_percent is None:
-        return text
-    return (
-        f"{text} and the skies of {irradiance_percent:.0f} % of the weather year's daylight hours; "
-        f"{both_percent:.0f} % of these hours are covered in both"
-    )
