@@ -142,7 +142,7 @@ def test_a_full_disk_is_no_fault_of_the_camera(
 @pytest.mark.slow
 @pytest.mark.contract
 def test_a_full_card_is_told(picture: Callable[[Exposure], None], tmp_path: Path) -> None:
-    camera = GphotoCamera(serve, late_file_s=0.01)
+    camera = GphotoCamera(serve)
     with pytest.raises(DeviceError, match="card is full"):
         for i in range(40):  # the virtual card takes 26 pictures
             camera.expose(Exposure(0.01, 5.6), tmp_path / f"f{i}")

@@ -182,7 +182,7 @@ def test_a_day_without_network_loses_nothing() -> None:
 @pytest.mark.contract
 def test_a_service_that_hangs_delays_nobody() -> None:
     release = threading.Event()
-    outbox = Outbox(lambda message: not release.wait(10.0))
+    outbox = Outbox(lambda message: not release.wait(10.0), lambda text: None)
     for number in range(600):
         outbox.put(Message(str(number), ""))  # returns while the service hangs
     assert outbox.close(patience_s=0.05) == 500

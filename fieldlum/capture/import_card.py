@@ -416,15 +416,11 @@ def of_the_session(
     only = {camera: (*known, "")[0] if len(known) < 2 else "" for camera, known in serials.items()}
     bodies = [(f.camera, f.serial or only[f.camera]) for f in frames]
     count = Counter(bodies)
-    ours = min(
-        count, key=lambda who: (not same_model(who[0], body.model), -count[who]), default=("", "")
-    )
+    order = {who: (not same_model(who[0], body.model), -count[who]) for who in count}
+    ours = min(order, key=order.__getitem__, default=("", ""))
     ending = f"the session's camera is {' '.join(ours).strip()}"
-    notes = [
-        f"{number} frames of {' '.join(who).strip()}: {ending}"
-        for who, number in count.items()
-        if who != ours
-    ]
+    others = [(" ".join(who).strip(), number) for who, number in count.items() if who != ours]
+    notes = [f"{number} frames of {who}: {ending}" for who, number in others]
     mine = [frame for frame, who in zip(frames, bodies, strict=True) if who == ours]
     of_kind = [frame for frame in mine if is_jpeg(frame.path) == (body.kind == "jpeg")]
     return of_kind or mine, notes

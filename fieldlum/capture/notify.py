@@ -42,11 +42,7 @@ class Outbox:
     """
 
     def __init__(
-        self,
-        post: Post,
-        say: Callable[[str], None] = lambda text: None,
-        *,
-        first_pause_s: float = FIRST_PAUSE_S,
+        self, post: Post, say: Callable[[str], None], *, first_pause_s: float = FIRST_PAUSE_S
     ) -> None:
         self._post, self._say = post, say
         self._backoff = Backoff(first_pause_s, MAX_PAUSE_S)

@@ -45,6 +45,7 @@ def next_step(answer: JsonTable) -> str:
     root = answer["session"]
     capture, merge, pair = answer["capture"], answer["merge"], answer["pair"]
     models = [row["name"] for row in answer["train"]["models"]]
+    model = f"{root}/models/{(*models, '')[0]}"
     during = "doctor" if capture["frames"] == 0 else "capture"
     after = "" if during == "capture" else f", then fieldlum capture {root}"
     nothing_left = capture["done"] == 0 and not pair["usable"]
@@ -55,10 +56,7 @@ def next_step(answer: JsonTable) -> str:
         (capture["owed"], f"fieldlum {during} {root}{after}"),
         (nothing_left, f"fieldlum plan {root} --replan, {why}"),
         (not models, f"fieldlum train {root}"),
-        (
-            not answer["predict"]["years"],
-            f"fieldlum predict {root}/models/{(*models, '')[0]} --weather FILE",
-        ),
+        (not answer["predict"]["years"], f"fieldlum predict {model} --weather FILE"),
         (not answer["report"]["done"], f"fieldlum report {root}"),
     )
     return next((step for is_due, step in steps if is_due), f"open {root}/report/index.html")

@@ -83,9 +83,8 @@ class SteadyClock(Clock):
         step = (self._clock.now() - self.now()).total_seconds()
         if abs(step - self._refused_s) > STEP_S:
             followed = abs(step) > STEP_S and bool(self._trusted())
-            events.append(
-                ("clock-step", {"seconds": round(step - self._refused_s, 1), "followed": followed})
-            )
+            fields = {"seconds": round(step - self._refused_s, 1), "followed": followed}
+            events.append(("clock-step", fields))
             is_undone = abs(step) <= STEP_S  # drift is followed again
             self._refused_s = 0.0 if followed or is_undone else step
             if followed:

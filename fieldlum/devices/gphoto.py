@@ -29,6 +29,7 @@ from fieldlum.session import Session, disk_is_full
 # Timeout of a command [s], in addition to the shutter time. Chosen so that slow cards pass; not
 # measured.
 PATIENCE_S = 30.0
+_LATE_MS = 150  # that the second file of a raw and JPEG pair may be late; chosen
 _NUMBER = re.compile(r"(?:f/|iso ?)?(\d+(?:\.\d+)?)(?:/(\d+(?:\.\d+)?))? ?s?", re.IGNORECASE)
 # Names of the three settings by brand; the first name that a camera has is used.
 _WIDGETS = {
@@ -73,22 +74,15 @@ class GphotoCamera(Camera):
     """A tethered camera, by libgphoto2 in a child process that a hang or a crash ends.
 
     delete : whether copied pictures are deleted from the card; readout_s : time that is added to
-    the shutter time before a call counts as hung; late_file_s : time to wait for the second file of
-    a raw and JPEG pair. Raises DeviceError if the camera cannot be opened or offers no shutter
-    times.
+    the shutter time before a call counts as hung. Raises DeviceError if the camera cannot be opened
+    or offers no shutter times.
     """
 
     def __init__(
-        self,
-        serve: Serve,
-        model: str = "",
-        *,
-        delete: bool = False,
-        readout_s: float = PATIENCE_S,
-        late_file_s: float = 0.15,
+        self, serve: Serve, model: str = "", *, delete: bool = False, readout_s: float = PATIENCE_S
     ) -> None:
         self._child = Child("gphoto", serve)
-        self._delete, self._readout_s, self._late_ms = delete, readout_s, round(1000 * late_file_s)
+        self._delete, self._readout_s = delete, readout_s
         with closed_on_error(self):
             about: dict[str, Any] = self._child.ask("open", model, timeout_s=PATIENCE_S)
             self._settings: dict[str, tuple[str, list[str]]] = about.pop("settings")
@@ -110,8 +104,7 @@ class GphotoCamera(Camera):
                 found = f"{widget} was set to {text}, but the camera shows {shown}"
                 raise DeviceError(f"gphoto: {found}; set its dial to M")
         wait_s = exposure.shutter_s + self._readout_s
-        what = str(target), self._delete, self._late_ms
-        return Path(self._child.ask("expose", *what, timeout_s=wait_s))
+        return Path(self._child.ask("expose", str(target), self._delete, timeout_s=wait_s))
 
     def check_offered(self, exposure: Exposure) -> None:
         """Raise DeviceError for a setting over 1/6 EV from each of the camera's choices.
@@ -307,11 +300,10 @@ class _Driver:
             self._patiently(lambda: self._camera.set_single_config(name, widget))
         return self._camera.get_single_config(name).get_value()
 
-    def expose(self, target: str, delete: bool, late_ms: int) -> str:
+    def expose(self, target: str, delete: bool) -> str:
         """Take a picture, copy it to `target` plus its suffix, and return the path.
 
-        From a pair of raw and JPEG only the raw file is copied. late_ms : time to wait for the
-        second file.
+        From a pair of raw and JPEG only the raw file is copied.
         """
         gp, camera = self.gp, self._camera
         for _ in range(50):  # discard events of earlier pictures
@@ -319,11 +311,11 @@ class _Driver:
                 break
         first = self._patiently(lambda: camera.capture(gp.GP_CAPTURE_IMAGE))
         files = [(first.folder, first.name)]
-        kind, data = camera.wait_for_event(late_ms)
+        kind, data = camera.wait_for_event(_LATE_MS)
         while kind not in (gp.GP_EVENT_TIMEOUT, gp.GP_EVENT_CAPTURE_COMPLETE) and len(files) < 4:
             if kind == gp.GP_EVENT_FILE_ADDED and (data.folder, data.name) not in files:
                 files.append((data.folder, data.name))
-            kind, data = camera.wait_for_event(late_ms)
+            kind, data = camera.wait_for_event(_LATE_MS)
         folder, name = min(files, key=lambda f: Path(f[1]).suffix.lower() not in RAW_SUFFIXES)
         shot = camera.file_get(folder, name, gp.GP_FILE_TYPE_NORMAL)
         # `shot` must exist until this copy is complete

@@ -248,23 +248,17 @@ class _Options(Struct):
 class ModbusPyranometer(Pyranometer):
     """One instrument, or several of one kind, on one bus.
 
-    units : addresses by what is measured: ghi, dhi, dni. Models, serial numbers, firmware and
-    sensitivities of several instruments are joined by " + "; the calibration date is the oldest.
-    Raises DeviceError if the port cannot be opened, or if an instrument does not answer or its
+    bus : pymodbus's client and its name; units : addresses by what is measured: ghi, dhi, dni.
+    Models, serial numbers, firmware and sensitivities of several instruments are joined by " + ";
+    the calibration date is the oldest. Raises DeviceError if an instrument does not answer or its
     answer is damaged or impossible.
     """
 
     def __init__(
-        self,
-        place: str,
-        profile: RegisterProfile,
-        line: SerialLine,
-        units: Mapping[str, int],
-        clock: Clock,
-        timeout_s: float,
+        self, bus: tuple[Any, str], profile: RegisterProfile, units: Mapping[str, int], clock: Clock
     ) -> None:
         self._profile, self._units, self._clock = profile, units, clock
-        self._client, self.name = _connected(place, line, timeout_s)
+        self._client, self.name = bus
         blocks = profile.at_open + profile.poll
         with closed_on_error(self):
             about = [self._ask(unit, blocks)[0] for unit in units.values()]
@@ -371,4 +365,5 @@ def open_pyranometer(
         raise DeviceError(f"{uri.text}: a unit number occurs twice; each unit needs its own")
     stated = {"baud": options.baud, "parity": options.parity, "stop": options.stop}
     line = replace(profile.line, **{name: value for name, value in stated.items() if value})
-    return ModbusPyranometer(uri.place, profile, line, units, clock, options.timeout)
+    bus = _connected(uri.place, line, options.timeout)
+    return ModbusPyranometer(bus, profile, units, clock)

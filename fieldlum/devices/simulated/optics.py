@@ -96,10 +96,9 @@ def _panorama_pixels(rays: Floats, panorama: tuple[int, int]) -> NDArray[np.int3
     height, width = panorama
     angles_deg = projection.altitude_azimuth_deg(rays)
     row, column = projection.equirect_pixel(*angles_deg, height, width, 0.0)
-    return (
-        np.minimum(row.astype(np.int32), height - 1) * width
-        + np.minimum(column.astype(np.int32), width - 1)
-    ).astype(np.int32)
+    row = np.minimum(row.astype(np.int32), height - 1)
+    column = np.minimum(column.astype(np.int32), width - 1)
+    return (row * width + column).astype(np.int32)
 
 
 def channels(panorama: Panorama) -> Floats32:
@@ -172,11 +171,8 @@ def _add_sun(image: Floats32, panorama: Panorama, sun: SunSource, lens: LensGeom
         disc = np.flatnonzero(covered)
         nearest = (rays.reshape(-1, 3)[disc] @ disc_rays(at).T).argmax(axis=1)
         covered.ravel()[disc] = marks[nearest]
-    share = (
-        gaussian_filter(covered, _PSF_PX * fine)
-        .reshape(2 * reach, fine, 2 * reach, fine)
-        .sum(axis=(1, 3))
-    )
+    blurred = gaussian_filter(covered, _PSF_PX * fine)
+    share = blurred.reshape(2 * reach, fine, 2 * reach, fine).sum(axis=(1, 3))
     omega = pixel_solid_angle_sr(lens, columns[None, :] + 0.5, rows[:, None] + 0.5)
     value = share / share.sum() * sun.normal_illuminance_lx / np.maximum(omega, 1e-12)
     fits = (rows >= 0) & (rows < image.shape[0]), (columns >= 0) & (columns < image.shape[1])
