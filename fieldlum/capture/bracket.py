@@ -352,13 +352,7 @@ def write_capture(
     """
     frames = tuple(sorted(state.frames, key=lambda frame: frame.index))
     readings = state.illuminance_lx
-    CaptureFile(
-        slot.id,
-        frames,
-        *interval_of(frames),
-        complete,
-        setup.profile,
-        setup.heading_deg,
-        camera,
-        sum(readings) / len(readings) if readings else None,
-    ).write(folder / "capture.json")
+    mean_lx = sum(readings) / len(readings) if readings else None
+    about = complete, setup.profile, setup.heading_deg, camera, mean_lx
+    capture = CaptureFile(slot.id, frames, *interval_of(frames), *about)
+    capture.write(folder / "capture.json")

@@ -101,17 +101,11 @@ def _adopt_card(
     about = [{"camera_clock_minus_utc_s": round(o.seconds, 1), "how": o.how} for o in offsets]
     imported = session.table().get("imported", {})
     update_session(session, {"imported": {**imported, _text(folder): about}})
-    return Report(
-        len(new),
-        sum(len(m.group.frames) for m in new),
-        len(matches) - len(new),
-        offsets,
-        tuple(m.late_s for m in matches),
-        tuple(left_out),
-        tuple(filter(None, notes)),
-        slots=tuple(m.slot.id for m in new),
-        moved=moved,
-    )
+    counts = len(new), sum(len(m.group.frames) for m in new), len(matches) - len(new)
+    late_s = tuple(m.late_s for m in matches)
+    texts = tuple(left_out), tuple(filter(None, notes))
+    slot_ids = tuple(m.slot.id for m in new)
+    return Report(*counts, offsets, late_s, *texts, slots=slot_ids, moved=moved)
 
 
 def _brackets(
@@ -211,14 +205,9 @@ def _adopt(session: Session, setup: CameraSetup, journal: Journal, match: Match)
             name = f"{card.path.parent.name}_{name}"
         with replacing_path(folder / name) as copy:
             shutil.copyfile(card.path, copy)
-        frame = Frame(
-            index,
-            name,
-            *meant(match.group, index, slot, setup),
-            match_card.true_time(card.t_camera, match.offset),
-            card.exposure.shutter_s,
-            sha256(folder / name),
-        )
+        planned = meant(match.group, index, slot, setup)
+        taken = match_card.true_time(card.t_camera, match.offset), card.exposure.shutter_s
+        frame = Frame(index, name, *planned, *taken, sha256(folder / name))
         journal.append("frame", now, slot=slot.id, frame=frame_fields(frame))
         frames.append(frame)
     state = SlotState("done", 1, tuple(frames))

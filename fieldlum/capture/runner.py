@@ -251,10 +251,8 @@ class _Runner:
         if open_met is not None:
             self.meter = self._keeper("meter", open_met)
             self._open_instrument(self.meter, about)
-        cut_bytes = self.recorder.journal.cut_bytes
-        self.recorder.tell(
-            "open", **self.clock.mark(), pid=os.getpid(), fieldlum=__version__, cut_bytes=cut_bytes
-        )
+        mark, cut = self.clock.mark(), self.recorder.journal.cut_bytes
+        self.recorder.tell("open", **mark, pid=os.getpid(), fieldlum=__version__, cut_bytes=cut)
         self.recorder.tell_all(self.clock.check())
         try:
             before = self.session.table().get("devices", {})
@@ -298,20 +296,10 @@ class _Runner:
         self._show()
 
     def _bracket(self, slot: Slot, state: SlotState) -> BracketCapture:
-        return BracketCapture(
-            self.session,
-            self.setup.camera,
-            self.camera,
-            self.recorder,
-            self.clock,
-            self.checks,
-            self._between,
-            self.meter,
-            self.frame_bytes,
-            slot,
-            state,
-            slot.t_utc + timedelta(seconds=self.options.grace_s),
-        )
+        devices = self.session, self.setup.camera, self.camera, self.recorder, self.clock
+        calls = self.checks, self._between, self.meter
+        deadline = slot.t_utc + timedelta(seconds=self.options.grace_s)
+        return BracketCapture(*devices, *calls, self.frame_bytes, slot, state, deadline)
 
     def _next_to_do(self) -> Slot | None:
         """Return the next slot without an outcome; the plan may have changed during the capture."""

@@ -166,9 +166,8 @@ def _toa5(path: Path, text: str) -> _Table:
     _, names, units, _ = heads
     if "TIMESTAMP" not in names or len(units) != len(names):
         expected = "a column TIMESTAMP, and a unit for each column"
-        raise InputError(
-            path, f"columns {', '.join(names)[:80]}", expected, "export the table again"
-        )
+        found = f"columns {', '.join(names)[:80]}"
+        raise InputError(path, found, expected, "export the table again")
     cut: tuple[str, ...] = ()
     if lines.pop():
         cut = (f"line {len(lines) + 1}: the line does not end with a line feed",)
@@ -358,10 +357,8 @@ class _Clock:
         t = read_time(text, utc=self.is_utc)
         if t.tzinfo is None:
             if self._utc_offset is None:
-                expected, remedy = (
-                    "the logger's offset from UTC",
-                    "state it with --utc-offset +HH:MM",
-                )
+                expected = "the logger's offset from UTC"
+                remedy = "state it with --utc-offset +HH:MM"
                 raise InputError(self._path, "times without a time zone", expected, remedy)
             t = t.replace(tzinfo=UTC) - self._utc_offset
         return t.astimezone(UTC)
