@@ -263,10 +263,9 @@ class BracketCapture:
         frames = self.state.frames
         notes = [f"{f.file} taken again" for f in frames if f.instead_of and not f.doubt]
         notes += [f"{f.file}: {f.doubt}" for f in frames if f.doubt]
-        darkest = min(
-            frames,
-            key=lambda f: (f.exposure.nd == "", f.exposure.shutter_s / f.exposure.f_number**2),
-        )
+        exposures = [frame.exposure for frame in frames]
+        light = [(e.nd == "", e.shutter_s / e.f_number**2) for e in exposures]
+        darkest = frames[light.index(min(light))]
         if text := self.checks.darkest(self.folder / darkest.file):
             notes.append(f"{darkest.file}: {text}")
         try:

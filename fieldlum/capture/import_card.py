@@ -21,16 +21,9 @@ from fieldlum.optics.photometry import same_exposure
 from fieldlum.optics.profiles import CameraBody, load_camera_profile
 from fieldlum.optics.raw import RAW_SUFFIXES, is_jpeg, jpeg_size, read_exif, same_model
 from fieldlum.optics.raw.exif import tags_of, text_of
-from fieldlum.session import (
-    Journal,
-    Session,
-    exposure_text,
-    replacing_path,
-    sha256,
-    sole_user,
-    update_session,
-)
+from fieldlum.session import Journal, Session, exposure_text, replacing_path, sha256, sole_user
 from fieldlum.session.files.capture_json import Frame, frame_fields
+from fieldlum.session.folder import update_session
 from fieldlum.session.slot_states import SlotState, SlotStates, read_slot_states
 
 
@@ -370,10 +363,8 @@ def without_edited(
         usual.sort(key=lambda f: ("DCIM" not in f.path.parts, len(f.path.parts), f.path))
         first = {frame.path.stem: frame for frame in reversed(usual)}
         edited |= {f.path for f in same if first.get(f.path.stem) is not f}
-    notes = [
-        *_note(sorted(other_size), f"not the size of the camera's frames, {size[0]} x {size[1]}"),
-        *_note(sorted(edited), "a copy of another frame"),
-    ]
+    what = f"not the size of the camera's frames, {size[0]} x {size[1]}"
+    notes = _note(sorted(other_size), what) + _note(sorted(edited), "a copy of another frame")
     return [frame for frame in full if frame.path not in edited], notes
 
 

@@ -16,18 +16,8 @@ from fieldlum.capture.match_card import Report
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import IrradianceSample, utc_text
 from fieldlum.devices.logger_files import LoggerFile, read_logger_file
-from fieldlum.session import (
-    DAY_COLUMNS,
-    DayFiles,
-    Session,
-    day_files,
-    encode_sample,
-    read_day,
-    replacing,
-    replacing_path,
-    sole_user,
-    update_session,
-)
+from fieldlum.session import Session, replacing, replacing_path, sole_user, update_session
+from fieldlum.session.day_files import DAY_COLUMNS, DayFiles, day_files, encode_sample, read_day
 from fieldlum.session.folder import LoggerFileTable
 
 

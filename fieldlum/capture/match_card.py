@@ -188,9 +188,8 @@ def fitting_offsets(groups: Sequence[Group], slots: Sequence[Slot]) -> list[floa
     if not groups or not slots:
         return []
     candidates = _QUARTER_S * np.arange(-12 * 4, 14 * 4 + 1)
-    hits = np.array(
-        [np.sum(np.abs(late_s(groups, slots, c)) <= _QUARTER_S / 2) for c in candidates]
-    )
+    late = np.abs([late_s(groups, slots, c) for c in candidates])  # [candidates, n]
+    hits = np.sum(late <= _QUARTER_S / 2, axis=1)
     return [float(c) for c in candidates[hits == hits.max()]] if hits.max() > 0 else []
 
 

@@ -115,11 +115,8 @@ class Keeper(Generic[D]):
 
 def plain_info(info: CameraInfo | InstrumentInfo) -> DeviceTable:
     """Return a device's information as JSON and TOML can store it, without empty fields."""
-    return {
-        k: v if isinstance(v, int | float | bool) else str(v)
-        for k, v in asdict(info).items()
-        if v not in (None, "", ())
-    }
+    stated = {name: value for name, value in asdict(info).items() if value not in (None, "", ())}
+    return {k: v if isinstance(v, int | float) else str(v) for k, v in stated.items()}
 
 
 def guarded(work: Callable[[], R], seconds: float, what: str) -> R:

@@ -22,16 +22,9 @@ from fieldlum.core.errors import DeviceError, InputError, NotEnoughDataError
 from fieldlum.core.records import Slot, parse_utc
 from fieldlum.devices import Camera, IlluminanceMeter, Pyranometer
 from fieldlum.devices.clock import Clock, FastClock, synchronised
-from fieldlum.session import (
-    DEFAULT_GRACE_S,
-    Session,
-    disk_is_full,
-    sole_user,
-    store_grace,
-    update_session,
-)
+from fieldlum.session import DEFAULT_GRACE_S, Session, disk_is_full, sole_user
 from fieldlum.session.files.capture_json import Frame
-from fieldlum.session.folder import DevicesTable
+from fieldlum.session.folder import DevicesTable, store_grace, update_session
 from fieldlum.session.slot_states import SlotState, SlotStates, read_slot_states, slots_to_do
 from fieldlum.version import __version__
 

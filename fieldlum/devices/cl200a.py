@@ -43,6 +43,7 @@ _ERRORS = {
     "5": "the light is over the meter's range; measure in less light",
     "7": "the light is out of the meter's range; measure in other light",
 }
+_Parity = Literal["E", "N"]
 _PAUSE_S = 0.5  # that the meter needs after PC mode, hold and measure (CS-A32T)
 _RANGE_PAUSE_S = 3.0  # that a T-10 needs to find its range
 _ANSWER = re.compile(r"(\d{2})(\d{2})(.)(.)(.)(.)((?:[+\-=][ \d]{4}\d){3})", re.DOTALL)
@@ -145,12 +146,7 @@ class _FramedMeter(IlluminanceMeter):
     model = ""
 
     def __init__(
-        self,
-        place: str,
-        sleep: Callable[[float], None],
-        *,
-        parity: Literal["E", "N"] = "E",
-        head: int = 0,
+        self, place: str, sleep: Callable[[float], None], *, parity: _Parity = "E", head: int = 0
     ) -> None:
         self._sleep, self._head = sleep, head
         line = SerialLine(bits=7 if parity == "E" else 8, parity=parity)
@@ -227,7 +223,7 @@ class T10a(_FramedMeter):
 
 
 class _Options(Struct):
-    parity: Literal["E", "N"] = "E"
+    parity: _Parity = "E"
 
 
 class _ChainOptions(_Options):

@@ -160,11 +160,10 @@ class RpicamCamera(Camera):
         A program that hangs is killed with all processes that it started. Raises DeviceError.
         """
         command, pipe = [self._program, *arguments], subprocess.PIPE
-        how: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": pipe, "errors": "replace"}
+        how: dict[str, Any] = {"stdout": pipe, "stderr": subprocess.STDOUT, "errors": "replace"}
+        how |= {"stdin": subprocess.DEVNULL, "start_new_session": True}
         try:
-            process = subprocess.Popen(
-                command, stderr=subprocess.STDOUT, start_new_session=True, **how
-            )
+            process = subprocess.Popen(command, **how)
         except OSError as error:
             why, remedy = error.strerror, "install it with: sudo apt install rpicam-apps"
             raise DeviceError(f"rpicam: {self._program} does not start ({why}); {remedy}") from None

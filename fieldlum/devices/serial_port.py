@@ -70,15 +70,12 @@ def resolve(place: str) -> str:
     from serial.tools.list_ports import comports
 
     wanted = place.removeprefix("usb=").lower()
-    there = [
-        (f"{port.vid:04x}:{port.pid:04x}:{(port.serial_number or '').lower()}", port.device)
-        for port in comports()
-        if port.vid is not None
-    ]
-    for name, device in there:
+    there = [port for port in comports() if port.vid is not None]
+    names = [f"{p.vid:04x}:{p.pid:04x}:{(p.serial_number or '').lower()}" for p in there]
+    for name, port in zip(names, there, strict=True):
         if f"{name}:".startswith(f"{wanted}:"):
-            return device
-    ports = ", ".join(name.strip(":") for name, _ in there) or "none"
+            return port.device
+    ports = ", ".join(name.strip(":") for name in names) or "none"
     raise DeviceError(f"{place}: not plugged in; plug it in, or name one of these ports: {ports}")
 
 
