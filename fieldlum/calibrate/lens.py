@@ -398,13 +398,13 @@ def circle(picture: NDArray[np.uint8], lens: Lens, source: Path | str = "circle"
     if on_circle < 0.9 or change > _MAX_CHANGE:
         x, y, radius = start
         profile = f"the profile's circle at {x:.0f}, {y:.0f} px, radius {radius:.0f} px"
-        raise InputError(
-            source,
-            f"{100 * on_circle:.0f} % of the edge of a circle, near {profile}",
-            f"an evenly lit circle on black, within {100 * _MAX_CHANGE:.0f} % of the profile's",
+        finding = f"{100 * on_circle:.0f} % of the edge of a circle, near {profile}"
+        near = f"within {100 * _MAX_CHANGE:.0f} % of the profile's"
+        remedy = (
             "hold white paper in front of the lens for one frame without clipping that shows the "
-            "circle; if the profile's numbers are a guess, first write nearer ones into it",
+            "circle; if the profile's numbers are a guess, first write nearer ones into it"
         )
+        raise InputError(source, finding, f"an evenly lit circle on black, {near}", remedy)
     x, y, radius = place.tolist()
     return Circle((x, y), radius, float(np.hypot(robust_sigma(off, 0.0), 1.0)), edge)
 

@@ -71,12 +71,8 @@ def choose(
     names, sizes, errors = zip(*candidates, strict=True)
     rms = np.sqrt([e.mean() for e in errors])
     best = int(np.argmin(rms))
-    allowed = [
-        i
-        for i, e in enumerate(errors)
-        if rms[i] - rms[best] <= negligible or is_no_worse(e, errors[best])
-    ]
-    chosen = min(allowed, key=lambda i: (sizes[i], rms[i]))
+    alike = [is_no_worse(e, errors[best]) for e in errors] | (rms - rms[best] <= negligible)
+    chosen = int(min(np.flatnonzero(alike), key=lambda i: (sizes[i], rms[i])))
     tried = ", ".join(f"{n} {scale * r:.3g} {unit}" for n, r in zip(names, rms, strict=True))
     smaller = f"smaller than the best, {names[best]}, and not significantly worse"
     why = "the best" if chosen == best else smaller

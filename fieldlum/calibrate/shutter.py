@@ -166,10 +166,8 @@ def _reading(
     corrected = math.log(short.correction) - math.log(long.correction)
     log_ratio = neighbour.residual_percent / 100 + corrected
     seconds = (short.t_utc - long.t_utc).total_seconds() if short.t_utc and long.t_utc else 0.0
-    reading = ShutterReading(
-        (a.shutter_s, b.shutter_s), log_ratio, neighbour.u_percent / 100, seconds
-    )
-    return reading if math.isfinite(log_ratio) else None
+    pair, u_log = (a.shutter_s, b.shutter_s), neighbour.u_percent / 100
+    return ShutterReading(pair, log_ratio, u_log, seconds) if math.isfinite(log_ratio) else None
 
 
 # ----------------------------------------------------------------------------------------------
@@ -297,12 +295,11 @@ def _levelled(
 def with_times(profile: CameraProfile, shutter_fit: ShutterFit) -> tuple[ShutterTime, ...]:
     """Return the profile's shutter times with the fitted ones added or replaced, longest first."""
     new = shutter_fit.times
-    kept = [
-        old
-        for old in profile.shutter
-        if all(abs(old.nominal_s / t.nominal_s - 1) >= SAME_LABEL for t in new)
-    ]
-    return tuple(sorted((*kept, *new), key=lambda t: -t.nominal_s))
+
+    def is_kept(old: ShutterTime) -> bool:
+        return all(abs(old.nominal_s / t.nominal_s - 1) >= SAME_LABEL for t in new)
+
+    return tuple(sorted((*filter(is_kept, profile.shutter), *new), key=lambda t: -t.nominal_s))
 
 
 def chart(fit: ShutterFit) -> Chart:

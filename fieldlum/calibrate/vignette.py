@@ -76,9 +76,8 @@ def from_table(path: Path, profile: CameraProfile, lens: int = 0) -> Samples:
         return _from_patches(path, profile)
     optional = {"reference": 1.0, "u_rel": 0.005, "f_number": profile.bracket.f_number}
     rows = shared.read_table(path, ("angle_deg", "value"), optional)
-    angle, value, reference, u_rel = shared.columns(
-        rows, "angle_deg", "value", "reference", "u_rel"
-    )
+    names = ("angle_deg", "value", "reference", "u_rel")
+    angle, value, reference, u_rel = shared.columns(rows, *names)
     half = profile.lens[lens].full_angle_deg / 2
     r = np.abs(angle) / half
     if shared.beyond_lens(r.max()):
@@ -266,9 +265,8 @@ def _refuse_rising(r: Array, value: Array, u_rel: Array, source: Path) -> None:
 def with_curve(lens: Lens, f_number: float, vignetting: VignettingFit) -> Lens:
     """Return the lens with the fitted curve added; an older curve of this aperture is replaced."""
     others = tuple(v for v in lens.vignetting if abs(v.f_number - f_number) > 1e-6)
-    curve = Vignetting(
-        f_number, tuple(round(c, 6) for c in vignetting.coefficients), round(vignetting.u_rel, 5)
-    )
+    rounded = tuple(round(c, 6) for c in vignetting.coefficients)
+    curve = Vignetting(f_number, rounded, round(vignetting.u_rel, 5))
     return replace(lens, vignetting=tuple(sorted((*others, curve), key=lambda v: v.f_number)))
 
 
