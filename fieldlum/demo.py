@@ -30,6 +30,7 @@ from fieldlum.session.site_toml import load_site
 from fieldlum.year.predict import Annual
 
 MODEL = "auto"
+CAMERA = "sim-dual-fisheye-colour"
 WEATHER = "seattle_dni_dhi.csv"
 YEAR = 2027  # of the simulated captures; chosen
 
@@ -59,8 +60,8 @@ def prepare(folder: Path) -> Session:
     if (folder / "session.toml").is_file():
         return open_session(folder)
     setup = load_site(shipped("capture_plans") / "seattle-office.toml")
-    # The demo's camera is the simulated default: nothing is assumed about a real one.
-    setup = replace(setup, camera=replace(setup.camera, assumed=()))
+    # Nothing is assumed about a real camera: the simulated one is calibrated, for colour too.
+    setup = replace(setup, camera=replace(setup.camera, profile=CAMERA, assumed=()))
     session, _ = plan.run(setup, plan.Request("9-day", today=date(YEAR, 1, 1)), folder)
     return session
 
@@ -191,7 +192,8 @@ def run(
         session = prepare(folder)
     year, model = simulate.weather_for(session.site_file(), weather), session.models / MODEL
     with stage("render the room") as bar:
-        simulate.run(session, year, height=height, quality=quality, workers=workers, progress=bar)
+        how = {"height": height, "quality": quality, "workers": workers}
+        simulate.run(session, year, **how, coloured=True, progress=bar)
     with stage("capture") as bar:
         capture(session, 1, bar)
     with stage("merge") as bar:

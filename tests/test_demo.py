@@ -6,18 +6,23 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from datetime import date
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from fieldlum import demo, plan
 from fieldlum.cli import main
 from fieldlum.core.records import Progress, quiet
+from fieldlum.optics.images import read_panorama
 from fieldlum.optics.profiles import shipped
 from fieldlum.session import create_session, open_session
+from fieldlum.session.panorama_sun import read_panorama_with_sun
 from fieldlum.session.site_toml import load_site
+from fieldlum.year.glare.single import panorama_glare
 
 
 @contextmanager
@@ -33,6 +38,7 @@ def outcome(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, demo.Outcom
     root = tmp_path_factory.mktemp("d")
     setup = load_site(shipped("capture_plans") / "seattle-office.toml")
     request = plan.Request("9-day", today=date(demo.YEAR, 1, 1), year=demo.YEAR)
+    setup = replace(setup, camera=replace(setup.camera, profile=demo.CAMERA))
     slots = plan.make_plan(setup, request).slots[:36:6]
     create_session(root / "s", setup, slots, {"set": "test"})
     year = (shipped("capture_plans") / demo.WEATHER).read_text("utf-8").splitlines()
@@ -78,6 +84,25 @@ def test_what_was_merged_and_paired_is_the_truth(outcome: tuple[Path, demo.Outco
     assert maps == 6 and median < 0.01
     dni, dhi = demo.irradiance_against_truth(session)
     assert dni < 8.0 and dhi < 2.0
+
+
+@pytest.mark.slow
+@pytest.mark.analytic
+def test_melanopic_light_of_captures_and_year_is_measured(
+    outcome: tuple[Path, demo.Outcome],
+) -> None:
+    session, off = open_session(outcome[0]), []
+    for path in session.panorama_files():
+        truth = panorama_glare(read_panorama(session.truth_panorama(path.stem)), [0.0, 180.0])
+        merged = panorama_glare(read_panorama_with_sun(path), [0.0, 180.0])
+        for found, true in zip(merged["views"], truth["views"], strict=True):
+            ratio = found["melanopic_edi_lx"] / found["ev_lx"]
+            off.append(ratio / (true["melanopic_edi_lx"] / true["ev_lx"]) - 1.0)
+            assert found["u_melanopic_edi_lx"] > 0.0
+    assert len(off) == 12 and np.abs(off).max() < 0.02
+    (hourly,) = session.root.glob("annual/*/hourly.csv")
+    assert "melanopic_edi_lx@" in hourly.read_text(encoding="utf-8")
+    assert "An estimate, because no melanopic" not in outcome[1].report.read_text(encoding="utf-8")
 
 
 @pytest.mark.slow

@@ -2,12 +2,14 @@
 
 import json
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 import pytest
 from calibration_frames import PROFILE, SIZE, raw_frame
 from click.testing import CliRunner
+from places import SEATTLE
 
 from fieldlum.calibrate import colour
 from fieldlum.calibrate.pictures import Place
@@ -24,10 +26,15 @@ from fieldlum.optics.melanopic import (
     melanopic_edi,
     melanopic_ratio,
     ratio_u_rel,
+    sky_xyz,
     sun_ratio,
+    sun_xyz,
 )
 from fieldlum.optics.profiles import Colour, check_camera
+from fieldlum.optics.projection import direction
 from fieldlum.optics.raw import write_jpeg
+from fieldlum.room.scene.radiance import octree
+from fieldlum.sky.light import light_at
 
 # X, Y, Z of D65 and of illuminant A (CIE 015:2018, table 7), and their ratios by CIE S 026.
 D65, A = np.array([0.9504, 1.0, 1.0888]), np.array([1.0985, 1.0, 0.3558])
@@ -61,6 +68,41 @@ def test_direct_sunlight_is_that_of_spectrl2() -> None:
     # pvlib's spectrl2 at an aerosol depth of 0.1: zenith 0, 60, 75 and 80 degrees
     for altitude, ratio in ((90.0, 0.893), (30.0, 0.840), (15.0, 0.752), (10.0, 0.676)):
         assert sun_ratio(altitude) == pytest.approx(ratio, rel=0.02)
+
+
+@pytest.mark.authority
+def test_the_suns_colour_has_the_melanopic_light_of_spectrl2() -> None:
+    altitude = np.array([90.0, 30.0, 10.0, 5.0])
+    # pvlib's spectrl2 at an aerosol depth of 0.1, by the observer of CIE 1931: X / Y, Z / Y
+    expected = np.array([[0.966, 0.919], [0.967, 0.819], [0.992, 0.541], [1.058, 0.312]])
+    assert sun_xyz(altitude)[:, [0, 2]] == pytest.approx(expected, rel=0.02)
+    assert sun_xyz(altitude) @ MELANOPIC_FROM_XYZ == pytest.approx(sun_ratio(altitude), rel=0.06)
+
+
+@pytest.mark.authority
+@pytest.mark.parametrize(("dni", "dhi"), [(800.0, 80.0), (0.0, 150.0)])
+def test_the_skys_colour_is_that_of_radiances_perezlum_c(dni: float, dhi: float) -> None:
+    pyradiance = pytest.importorskip("pyradiance")
+    light = light_at([datetime(2027, 3, 20, 20, tzinfo=UTC)], SEATTLE, np.array([dni]), dhi)
+    sky, sun = light.sky, light.sun_direction[0]
+    locus = "-4.6070e9 2.9678e6 99.11 0.244063 -2.0064e9 1.9018e6 247.48 0.237040 -3 2.87 -0.275"
+    numbers = [sky.norm_cdm2[0], sky.ground_cdm2[0], *sky.shape[0], *sun, sky.clearness[0]]
+    text = (
+        "void colorfunc skyfunc\n4 skybright_r skybright_g skybright_b perezlum_c.cal\n0\n22 "
+        f"{' '.join(str(float(x)) for x in numbers)} {locus}\n"
+        "skyfunc glow skyglow\n0\n0\n4 1 1 1 0\nskyglow source dome\n0\n0\n4 0 0 1 180\n"
+    )
+    altitude, azimuth = np.meshgrid([15.0, 40.0, 70.0], [20.0, 110.0, 250.0, 330.0])
+    toward = direction(altitude.ravel(), azimuth.ravel())
+    rays = np.concatenate((np.zeros_like(toward), toward), axis=1).astype("<f4").tobytes()
+    with octree(text) as scene:
+        answer = pyradiance.rtrace(rays, scene, header=False, inform="f", outform="f")
+    theirs = np.frombuffer(answer, "<f4").reshape(-1, 3)
+    luminance = light.sky_at(toward)[0]
+    to_rgb = np.array([[2.5693, -1.1668, -0.3984], [-1.0221, 1.9783, 0.0438]])  # of the file
+    to_rgb = np.vstack((to_rgb, [-0.0747, -0.2519, 1.1772]))
+    xyz = sky_xyz(luminance, sky.clearness) * luminance[:, None]
+    assert xyz @ to_rgb.T == pytest.approx(theirs, rel=0.01)
 
 
 @pytest.mark.analytic

@@ -19,10 +19,11 @@ from fieldlum.cli import main
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import CameraSetup, Room, Site, SiteFile, Window
 from fieldlum.learn.models.data import load_pairs
-from fieldlum.optics.images import read_panorama
+from fieldlum.optics.images import RADIANCE_Y, read_panorama
+from fieldlum.optics.melanopic import sky_xyz
 from fieldlum.optics.profiles import shipped
 from fieldlum.room import simulate
-from fieldlum.room.scene import geometry, radiance, view
+from fieldlum.room.scene import geometry, radiance, radiosity, view
 from fieldlum.session import open_session
 from fieldlum.session.site_toml import load_site, site_table
 from fieldlum.sky.light import Light, light_at
@@ -144,6 +145,30 @@ def test_an_hour_does_not_depend_on_its_company(truth: simulate.LitRoom) -> None
         assert np.array_equal(part.luminance_cdm2, together.luminance_cdm2[rows])
         assert np.array_equal(part.patch_cdm2, together.patch_cdm2[rows])
         assert np.array_equal(part.disc_lx, together.disc_lx[rows])
+
+
+@pytest.mark.analytic
+def test_colours_are_those_of_the_light_and_leave_the_luminance(
+    truth: simulate.LitRoom, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    light = light_at([NOON, NOON], SMALL.site, np.array([0.0, 700.0]), np.array([150.0, 100.0]))
+    grey, made = truth.render(light), truth.render(light, coloured=True)
+    assert grey.colour is None and made.colour is not None
+    np.testing.assert_array_equal(made.luminance_cdm2, grey.luminance_cdm2)
+    assert made.colour @ np.array(RADIANCE_Y) == pytest.approx(1.0, abs=1e-5)
+    floor, ceiling = made.colour[0, -1, 20], made.colour[0, 0, 20]
+    assert floor[0] / floor[2] > 1.5 * ceiling[0] / ceiling[2], "the floor is of wood"
+    panorama = truth.as_panorama(made, 1)
+    assert panorama.rgb is not None and "melanopic" in panorama.attributes
+    shown = 179.0 * panorama.rgb @ np.array(RADIANCE_Y)
+    assert shown == pytest.approx(panorama.luminance_cdm2, rel=1e-4)
+    monkeypatch.setattr(radiosity, "_COLOURS", {})
+    monkeypatch.delitem(truth.__dict__, "_tints")
+    white = truth.render(light, coloured=True).colour
+    assert white is not None
+    sky = sky_xyz(np.array([5000.0]), np.ones(1)) @ np.linalg.inv(radiosity._TO_XYZ).T
+    assert white[0] == pytest.approx(np.broadcast_to(sky, white[0].shape), rel=1e-3)
+    monkeypatch.delitem(truth.__dict__, "_tints")
 
 
 @pytest.mark.slow

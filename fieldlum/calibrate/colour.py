@@ -21,7 +21,7 @@ from fieldlum.core.arrays import Array, Floats, Mask
 from fieldlum.core.errors import InputError
 from fieldlum.core.strict_csv import read_text
 from fieldlum.optics.images import RADIANCE_CHROMATICITIES, rgb_to_xyz
-from fieldlum.optics.melanopic import MELANOPIC_FROM_XYZ, U_CHART, U_MATRIX
+from fieldlum.optics.melanopic import MELANOPIC_FROM_XYZ, U_CHART, U_MATRIX, daylight_xy
 from fieldlum.optics.profiles import CameraProfile, Colour
 
 # Weight of the prior relative to one reading, from strong to weak; candidates of the selection.
@@ -289,11 +289,7 @@ def daylight_parts(cct_k: float) -> Floats:
     """
     if not 4000.0 <= cct_k <= 25_000.0:
         raise ValueError(f"{cct_k:g} K: CIE daylight is defined from 4000 to 25 000 K")
-    # The polynomial of CIE 015:2018, 3.1: x of daylight, in descending powers of 1 / T.
-    low = (-4.6070e9, 2.9678e6, 0.09911e3, 0.244063)
-    high = (-2.0064e9, 1.9018e6, 0.24748e3, 0.237040)
-    x = np.polyval(low if cct_k <= 7000.0 else high, 1.0 / cct_k)
-    y = -3.000 * x * x + 2.870 * x - 0.275
+    x, y = daylight_xy(cct_k)
     m = 0.0241 + 0.2562 * x - 0.7341 * y
     m1 = (-1.3515 - 1.7703 * x + 5.9114 * y) / m
     m2 = (0.0300 - 31.4424 * x + 30.0717 * y) / m

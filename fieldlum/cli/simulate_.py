@@ -38,6 +38,7 @@ def command(
     size: str = DEFAULT_SIZE,
     quality: Literal["draft", "quick", "paper"] | None = None,
     troubles_file: Path | None = None,
+    colour: bool = False,
     seed: int = 1,
     scheduler_text: str = "local",
     force: bool = False,
@@ -65,6 +66,7 @@ def command(
       --quality: Quality of the rendering. [default: quick up to 230x115, paper above]
       --troubles: TOML file of troubles: clouds, lamps, a knocked camera ...
           (docs/simulation.md).
+      --colour: Give sky, sun and surfaces their colours, for melanopic light.
       --seed: Seed of random hours and synthetic weather.
     """
     height = picture_height(size)
@@ -90,7 +92,8 @@ def command(
     assert session is not None
     render = partial(simulate.run, session, weather, height=height, quality=chosen, force=force)
     with terminal.progress("simulating") as progress:
-        made = render(troubles=troubles, scheduler=scheduler_of(scheduler_text), progress=progress)
+        render = partial(render, troubles=troubles, coloured=colour)
+        made = render(scheduler=scheduler_of(scheduler_text), progress=progress)
     answer = {"session": str(session.root), "rendered": made.rendered, "kept": made.kept}
     answer |= {"dark": made.dark, "weather": made.weather, "size": size, "quality": chosen}
     dark = f", {made.dark} slots without light" if made.dark else ""

@@ -8,6 +8,7 @@ of warm light is larger. bench/melanopic.py computes the constants and compares 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fieldlum.core.arrays import Floats, Floats32
 from fieldlum.core.records import Panorama, SunSource
@@ -93,9 +94,12 @@ def sun_ratio(altitude_deg: Floats | float) -> Floats:
     altitude_deg : apparent, of any shape, which is that of the result. The relative air mass is
     that of Kasten and Young 1989.
     """
+    return np.asarray(_SUN_RATIO * np.exp(-_SUN_RATIO_DECAY * _air_mass(altitude_deg)))
+
+
+def _air_mass(altitude_deg: Floats | float) -> Floats:
     altitude = np.maximum(altitude_deg, 0.0)
-    mass = 1.0 / (np.sin(np.radians(altitude)) + 0.50572 * (altitude + 6.07995) ** -1.6364)
-    return np.asarray(_SUN_RATIO * np.exp(-_SUN_RATIO_DECAY * mass))
+    return 1.0 / (np.sin(np.radians(altitude)) + 0.50572 * (altitude + 6.07995) ** -1.6364)
 
 
 def ratio_u_rel(ratio: Floats, u_rel: float, *, lamps: bool = False) -> Floats:
@@ -106,3 +110,48 @@ def ratio_u_rel(ratio: Floats, u_rel: float, *, lamps: bool = False) -> Floats:
     """
     share = np.clip((_DAYLIGHT_RATIO - ratio) / (_DAYLIGHT_RATIO - _LAMP_RATIO), 0.0, 1.0)
     return np.hypot(u_rel, U_LAMP * (np.ones_like(share) if lamps else share))
+
+
+# ----------------------------------------------------------------------------------------------
+# colours of daylight
+
+# The polynomial of CIE 015:2018, 3.1: x of daylight by 1 / T, descending; to 7000 K, and above.
+_X_LOW = (-4.6070e9, 2.9678e6, 0.09911e3, 0.244063)
+_X_HIGH = (-2.0064e9, 1.9018e6, 0.24748e3, 0.237040)
+# The sky's colour temperature: Diakite's model in Radiance's perezlum_c.cal (gendaylit -C), by
+# luminance for a clear sky, fixed for an overcast one. Between their values of Perez's clearness,
+# where gendaylit has no colour, 1 / T is interpolated (chosen).
+_CLEAR_MIRED, _CLEAR_MIRED_PER_DECADE, _OVERCAST_K = -180.956, 78.648, 6191.0
+_OVERCAST_CLEARNESS, _CLEAR_CLEARNESS = 1.065, 4.5
+# ln of X / Y and Z / Y of direct sunlight by air mass, descending: fits to SPECTRL2 with an aerosol
+# depth of 0.1, within 1.5 % to air mass 26 (1 degree).
+_SUN_X, _SUN_Z, _SUN_MAX_MASS = (0.000287, 0.007412, -0.049279), (-0.1163, 0.0329), 26.0
+
+
+def daylight_xy(cct_k: ArrayLike) -> tuple[Floats, Floats]:
+    """Return x and y of CIE daylight of correlated colour temperatures of 4000 to 25 000 K."""
+    inverse = 1.0 / np.asarray(cct_k, float)
+    low = np.asarray(cct_k) <= 7000.0
+    x = np.where(low, np.polyval(_X_LOW, inverse), np.polyval(_X_HIGH, inverse))
+    return x, -3.000 * x * x + 2.870 * x - 0.275
+
+
+def sky_xyz(luminance_cdm2: Floats, clearness: Floats) -> Floats:
+    """Return X, Y = 1 and Z of places of the sky [..., 3], all on the locus of CIE daylight.
+
+    clearness : Perez's epsilon, in a shape that broadcasts to that of luminance_cdm2 [...].
+    """
+    decades = np.log10(np.maximum(luminance_cdm2, 1.0))
+    clear = _CLEAR_MIRED + _CLEAR_MIRED_PER_DECADE * decades
+    share = (clearness - _OVERCAST_CLEARNESS) / (_CLEAR_CLEARNESS - _OVERCAST_CLEARNESS)
+    share = np.clip(share, 0.0, 1.0)
+    mired = share * clear + (1.0 - share) * 1e6 / _OVERCAST_K
+    x, y = daylight_xy(1e6 / np.clip(mired, 40.0, 250.0))  # 25 000 to 4000 K
+    return np.stack([x / y, np.ones_like(x), (1.0 - x - y) / y], axis=-1)
+
+
+def sun_xyz(altitude_deg: Floats) -> Floats:
+    """Return X, Y = 1 and Z of direct sunlight [..., 3]; altitude_deg : apparent."""
+    mass = np.minimum(_air_mass(altitude_deg), _SUN_MAX_MASS)
+    x, z = (np.exp(np.polyval(p, mass)) for p in (_SUN_X, _SUN_Z))
+    return np.stack([x, np.ones_like(x), z], axis=-1)

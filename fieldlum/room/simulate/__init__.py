@@ -132,6 +132,7 @@ class _Job:
     workers: int | None
     planned_utc: tuple[datetime, ...]
     troubles: Troubles
+    coloured: bool = False
     slots: tuple[Slot, ...] = ()
     light: Light | None = None
     shining: Light | None = None
@@ -144,6 +145,7 @@ def run(
     height: int = 230,
     quality: str = "paper",
     troubles: Troubles | None = None,
+    coloured: bool = False,
     force: bool = False,
     workers: int | None = None,
     scheduler: Scheduler = LOCAL,
@@ -152,8 +154,8 @@ def run(
     """Render the truth of every slot of a session's plan and write its pairs.
 
     Slots that were rendered before in the same way are kept, unless `force`. troubles :
-    differences from the stated session; workers : threads of each process. Raises InputError for a
-    room that cannot be rendered.
+    differences from the stated session; coloured : sky, sun and surfaces have colours; workers :
+    threads of each process. Raises InputError for a room that cannot be rendered.
     """
     setup, slots = session.site_file(), session.slots()
     for folder in (session.root, session.truth, session.truth / "sunpatches"):
@@ -164,7 +166,8 @@ def run(
     shining = true_light(light, wrong, setup.site) if wrong.names else light
     pitch_deg = sensor_pitch_deg(load_camera_profile(setup.camera.profile))
     planned = tuple(slot.t_utc for slot in slots)
-    how = _Job(sha256(session.toml), height, quality, pitch_deg, workers, planned, wrong)
+    key = sha256(session.toml)
+    how = _Job(key, height, quality, pitch_deg, workers, planned, wrong, coloured)
     _forget_other(session, slots, weather, how)
     missing = [int(k) for k in np.flatnonzero(lit) if force or not _done(session, slots[k])]
     units = []
@@ -199,7 +202,7 @@ def render_slots(folder: Path, job: _Job) -> None:
     session, wrong = Session(folder), job.troubles
     assert job.light is not None and job.shining is not None
     room, fine = _traced(folder, job.key, job.height, job.quality, job.pitch_deg, job.workers)
-    made = room.render(job.shining)
+    made = room.render(job.shining, coloured=job.coloured)
     maps, zone = made.luminance_cdm2, room.setup.site.timezone
     if wrong.names:
         # Patches are computed from what is stated, as `pair` does.
@@ -211,8 +214,9 @@ def render_slots(folder: Path, job: _Job) -> None:
         if fine is not None and not turned:
             factor = maps[k] / np.maximum(made.luminance_cdm2[k], 1e-9) if wrong.names else None
             write_sky_picture(session.truth_sky_picture(slot.id), fine.picture(made, k, factor))
-        seen = replace(room.as_panorama(made, k), luminance_cdm2=maps[k])
-        direct = replace(seen, luminance_cdm2=made.patch_cdm2[k], attributes={"direct": "only"})
+        seen = room.as_panorama(replace(made, luminance_cdm2=maps), k)
+        patch = {"luminance_cdm2": made.patch_cdm2[k], "attributes": {"direct": "only"}}
+        direct = replace(seen, rgb=None, **patch)
         places = session.truth_panorama(slot.id), session.truth_sunpatch(slot.id)
         for place, panorama in zip(places, (seen, direct), strict=True):
             with replacing_path(place) as path:
@@ -260,6 +264,7 @@ def _forget_other(session: Session, slots: Sequence[Slot], weather: Weather, how
     room = [plain(setup.room), setup.camera.heading_deg, how.height, how.quality, _VERSION]
     now = {"room": digest(room), "weather": weather.name, "light_sha256": light}
     now |= {"window_pitch_deg": f"{how.pitch_deg:.4f}", "troubles": how.troubles.key}
+    now |= {"coloured": True} if how.coloured else {}
     if made_from(path, now) is not None:
         return
     for slot in slots:
