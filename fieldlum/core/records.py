@@ -38,12 +38,8 @@ def utc_text(t_utc: datetime) -> str:
     """
     if t_utc.tzinfo is None:
         raise ValueError(f"naive time {t_utc}: add a time zone")
-    t = t_utc.astimezone(UTC)
-    return (
-        t.strftime("%Y-%m-%dT%H:%M:%S")
-        + (f".{t.microsecond // 1000:03d}" if t.microsecond else "")
-        + "Z"
-    )
+    t = t_utc.astimezone(UTC).replace(tzinfo=None)
+    return t.isoformat(timespec="milliseconds" if t.microsecond else "seconds") + "Z"
 
 
 def parse_utc(text: str) -> datetime:

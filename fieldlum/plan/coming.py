@@ -17,6 +17,7 @@ from fieldlum.plan import choose
 from fieldlum.plan.days import DaylightHours, daylight_hours, span
 from fieldlum.plan.makeup import captured_ids
 from fieldlum.session import Session
+from fieldlum.session.codec import NPZ_ERRORS, read_arrays
 from fieldlum.session.files.model_files import ModelConfig
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.sky import sun
@@ -42,10 +43,10 @@ def trained_kernel(session: Session) -> tuple[Kernel, str] | None:
         off = (abs(float(there.get(name, value)) - value) for name, value in here.items())
         if config.model != "transport" or max(off) >= 0.1:
             continue
-        path, kinds = folder / "weights.npz", (OSError, ValueError, KeyError, TypeError)
-        expected, remedy = "a transport model", "train the model again (fieldlum train)"
-        with input_errors(folder, expected, remedy, *kinds), np.load(path) as arrays:
-            facades = Facades(*(np.array(arrays[f"facade_{n}"]) for n in ("azimuths", "weights")))
+        remedy = "train the model again (fieldlum train)"
+        with input_errors(folder, "a transport model", remedy, *NPZ_ERRORS, TypeError):
+            arrays = read_arrays(folder / "weights.npz")
+            facades = Facades(*(arrays[f"facade_{n}"] for n in ("azimuths", "weights")))
             return Kernel(facades, **config.state["transport"]["kernel"]), folder.name
     return None
 

@@ -7,8 +7,6 @@ times of the slots and the sun patches computed from them.
 
 from __future__ import annotations
 
-import hashlib
-import json
 import zlib
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
@@ -23,6 +21,7 @@ from fieldlum.core.errors import InputError
 from fieldlum.core.records import Site
 from fieldlum.core.strict_toml import build, read_toml
 from fieldlum.optics.projection import altitude_azimuth_deg, equirect_rays
+from fieldlum.session.codec import digest
 from fieldlum.sky import sun
 from fieldlum.sky.light import Light
 from fieldlum.sky.perez import reinhart_patches
@@ -94,8 +93,7 @@ class Troubles:
 
         "" without troubles.
         """
-        text = json.dumps(asdict(self), sort_keys=True)
-        return hashlib.sha256(text.encode()).hexdigest()[:16] if self.names else ""
+        return digest(asdict(self))[:16] if self.names else ""
 
 
 def load_troubles(path: Path) -> Troubles:
