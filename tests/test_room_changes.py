@@ -235,3 +235,6 @@ def test_a_capture_in_faint_light_contradicts_nothing() -> None:
         maps[row] *= 8.0
         data, notes = without_changes(replace(CLEAN, luminance_cdm2=maps), with_patch=True)
         assert len(notes) == names and len(data) == len(CLEAN) - names
+    maps = CLEAN.luminance_cdm2.copy()
+    maps[int(np.argmax(level))] *= 1.35  # as a cloud, or a class of Perez's skies
+    assert not without_changes(replace(CLEAN, luminance_cdm2=maps), with_patch=True)[1]

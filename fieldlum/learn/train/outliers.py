@@ -143,11 +143,13 @@ class Evidence:
     def level_change(self, some: Indices) -> tuple[float, float]:
         """Return the gain of a factor on the light of captures, and the factor.
 
-        A factor under 1.2 either way is weather, and gains nothing.
+        A factor under 1.2 either way, or 1.5 of a single capture, is weather, and gains nothing:
+        where Perez's classes of sky meet, 2 W/m2 of DNI change the light in a room by 1.3.
         """
         gain, size = self.change(some, self.level)
         factor = 1.0 / max(1.0 - size, 1e-3)
-        return gain if abs(np.log(factor)) > np.log(1.2) else -np.inf, factor
+        weather = 1.2 if len(some) > 1 else 1.5
+        return gain if abs(np.log(factor)) > np.log(weather) else -np.inf, factor
 
 
 def _best_set(
@@ -287,6 +289,8 @@ def find_changes(data: Dataset, *, with_patch: bool) -> RoomChanges | None:
     unexplained = find_unexplained(shaded)
     if len(unexplained):  # changed captures can hide a lamp, and make other captures look lit
         lamp = find_lamp(clouded, np.setdiff1d(judged, unexplained))
+    if len(lamp) <= 2 and is_badly_measured(few)[lamp].all():  # a low sun that was not measured
+        lamp = _NO_ROWS
     if not len(lamp) and not len(unexplained):
         return None
     # the others are as the nearest of these, in the order of time
