@@ -57,6 +57,22 @@ def test_six_discs_give_the_pose() -> None:
     assert CameraPose.from_table(json.loads(json.dumps(asdict(pose)))) == pose
 
 
+@pytest.mark.analytic
+def test_a_heading_that_a_scene_corrects_is_not_corrected_twice() -> None:
+    at = sun.position(list(TIMES), SEATTLE)
+    suns = sun.direction(at.apparent_altitude_deg, at.azimuth_deg)
+
+    def column_deg(pose: CameraPose) -> Floats:
+        """Azimuths in the picture, from its axis."""
+        return (altitude_azimuth_deg(pose.in_pictures(suns))[1] - pose.axis_deg) % 360.0
+
+    by_discs = pose_of_discs(measured(np.array([5.0, 1.0, -0.6, 0.0]), 6), SEATTLE, AXIS_DEG)
+    assert column_deg(by_discs.turned(4.6, 1.0)) == pytest.approx(column_deg(by_discs), abs=0.05)
+    stated, corrected = CameraPose(axis_deg=AXIS_DEG), CameraPose(axis_deg=AXIS_DEG + 4.6)
+    assert column_deg(stated.turned(4.6, 0.5)) == pytest.approx(column_deg(corrected), abs=0.2)
+    assert stated.turned(4.6, 0.5).heading_sd_deg < 0.5
+
+
 @pytest.mark.slow
 @pytest.mark.property
 def test_uncertainties_of_drawn_poses_hold() -> None:

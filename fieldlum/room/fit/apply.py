@@ -18,6 +18,7 @@ from fieldlum.session.files.model_files import UsedScene
 from fieldlum.session.site_toml import site_table
 from fieldlum.sky import sun
 from fieldlum.sky.light import Light
+from fieldlum.sky.sky_view.pose import STATED_SD
 
 # Chosen: larger than the rounding of a panorama's header, smaller than the 0.1 degrees to which
 # north is determined.
@@ -28,7 +29,7 @@ def corrected(data: Dataset, north_deg: float, clock_min: float, room: Room) -> 
     """Return the captures relative to true north, with the sun at the true times, and a room.
 
     north_deg: correction of the stated heading; clock_min: by how much the stated times are late;
-    room: its azimuth is relative to true north. Sun patches do not change: see `with_patches`.
+    room: its azimuth is relative to true north. Sun patches and sky view do not change.
     """
     heading_deg = (data.setup.camera.heading_deg + north_deg) % 360.0
     camera = replace(data.setup.camera, heading_deg=heading_deg)
@@ -37,7 +38,6 @@ def corrected(data: Dataset, north_deg: float, clock_min: float, room: Room) -> 
         light=earlier(data.light, clock_min, data),
         heading_deg=(data.heading_deg + north_deg) % 360.0,
         setup=replace(data.setup, camera=camera, room=room),
-        sky_view=None if data.sky_view is None else data.sky_view.turned(north_deg),
     )
 
 
@@ -95,7 +95,10 @@ def with_scene(
     if scene.chosen == "stated":
         return with_patches(replace(data, scene=about), progress=progress)
     turned = corrected(data, scene.north_deg, scene.clock_min, scene.room)
-    return with_patches(replace(turned, scene=about), progress=progress)
+    view = data.sky_view and data.sky_view.turned(
+        scene.north_deg, scene.u.get("north_deg", STATED_SD[0])
+    )
+    return with_patches(replace(turned, scene=about, sky_view=view), progress=progress)
 
 
 def _check_stated(data: Dataset, scene: Scene, source: Path | str) -> None:

@@ -82,17 +82,29 @@ class CameraPose:
 
         A correction beyond what both uncertainties explain is named, and not used.
         """
-        covariance = np.asarray(self.covariance, float)
-        variance = float(covariance[0, 0]) + u_deg**2
         text = f"heading {by_deg:+.1f} +- {u_deg:.1f} degrees by the sky's brightness about the sun"
-        if abs(by_deg) > _CONTRADICTION * np.sqrt(variance):
+        if abs(by_deg) > _CONTRADICTION * np.hypot(self.heading_sd_deg, u_deg):
             note = f"{text}: not used; check heading_deg in SITE.toml"
             return replace(self, notes=(*self.notes, note))
-        gain = covariance[:, 0] / variance  # [4]: Kalman
+        after = self._updated(by_deg, u_deg)
+        used = f"{text}; used: {after.heading_deg:+.1f} +- {after.heading_sd_deg:.1f}"
+        return replace(after, notes=(*self.notes, used))
+
+    def turned(self, north_deg: float, u_deg: float) -> CameraPose:
+        """Return the pose relative to a stated heading that is corrected by `north_deg` +- `u_deg`.
+
+        A pose by discs stays as it was; without discs, the corrected heading replaces it.
+        """
+        rest_deg, axis_deg = self.heading_deg - north_deg, (self.axis_deg + north_deg) % 360.0
+        rest = replace(self, heading_deg=rest_deg, axis_deg=axis_deg)
+        return rest._updated(-rest_deg, u_deg)
+
+    def _updated(self, by_deg: float, u_deg: float) -> CameraPose:
+        """Return the pose after a measured correction to its heading (Kalman)."""
+        covariance = np.asarray(self.covariance, float)
+        gain = covariance[:, 0] / (covariance[0, 0] + u_deg**2)  # [4]
         after = np.asarray(covariance - np.outer(gain, covariance[0]), float)
-        values = self.values + gain * by_deg
-        note = f"{text}; used: {values[0]:+.1f} +- {np.sqrt(after[0, 0]):.1f}"
-        return self.moved(values, after, self.discs, note)
+        return self.moved(self.values + gain * by_deg, after, self.discs)
 
     def in_pictures(self, suns: Floats, values: Floats | None = None) -> Floats:
         """Return where the pictures show true directions [n, 3], in the stated pose, [n, 3].

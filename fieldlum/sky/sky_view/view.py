@@ -70,10 +70,14 @@ class SkyView:
         """Openness times transmittance, [h, w]: the share of the beam that arrives."""
         return self.openness * self.transmittance
 
-    def turned(self, north_deg: float) -> SkyView:
-        """Return the view with a corrected heading; north_deg: to add to the stated one."""
+    def turned(self, north_deg: float, u_deg: float) -> SkyView:
+        """Return the view with a corrected heading.
+
+        north_deg: to add to the stated heading; u_deg: its standard uncertainty.
+        """
         heading_deg = (self.grid.heading_deg + north_deg) % 360.0
-        return replace(self, grid=replace(self.grid, heading_deg=heading_deg))
+        grid = replace(self.grid, heading_deg=heading_deg)
+        return replace(self, grid=grid, pose=self.pose.turned(north_deg, u_deg))
 
     def write(self, path: Path) -> None:
         """Write the view as an EXR of six float32 channels."""
