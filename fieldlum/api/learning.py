@@ -167,7 +167,7 @@ def load_pairs(
 
     source = pairs.root if isinstance(pairs, Session) else path_of(pairs, "pairs")
     stated = None if site is None else path_of(site, "site")
-    captures = data.load_pairs(source, stated, progress=progress)
+    captures = data.with_sky_view(data.load_pairs(source, stated, progress=progress))
     return training_captures(captures, source, scene, "absolute", progress=progress)[0]
 
 

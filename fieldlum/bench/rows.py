@@ -109,10 +109,8 @@ def load(
     no test hour is left.
     """
     specs = parse_specs(models)
-    captures = load_pairs(pairs, site, progress=progress)
-    data, _ = training_captures(captures, pairs, scene, "absolute", progress=progress)
-    data = with_sky_view(data, sky_view, progress=progress)
-
+    data = with_sky_view(load_pairs(pairs, site, progress=progress), sky_view, progress=progress)
+    data, _ = training_captures(data, pairs, scene, "absolute", progress=progress)
     if test is None:
         return BenchData(data, None, specs)
     others = load_pairs(test, site, progress=progress)

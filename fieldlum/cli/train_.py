@@ -69,9 +69,8 @@ def command(
     folder = out or (pairs if pairs.is_dir() else pairs.parent) / "models" / model
     used: Any  # "absolute", "gain" or "none", as the captures allow
     with progress("reading pictures") as show:
-        data = load_pairs(pairs, site, progress=show)
+        data = with_sky_view(load_pairs(pairs, site, progress=show), sky_view, progress=show)
         data, used = training_captures(data, pairs, scene, patch, progress=show)
-        data = with_sky_view(data, sky_view, progress=show)
     with progress("training") as show:
         answer = run(
             data,
