@@ -69,6 +69,17 @@ def test_a_zero_offset_is_no_sun(offset: float, known: bool) -> None:
 
 
 @pytest.mark.analytic
+def test_a_faint_sun_is_judged_by_its_own_minutes_alone() -> None:
+    """A log around captures has few rows an hour: other hours do not decide about this one."""
+    dull = [at(-3600.0 + 5 * k, 100.0, 100.0) for k in range(12)]
+    sunny = [at(5.0 * k, 105.0, 100.0) for k in range(12)]
+    bright = [at(3600.0 + 5 * k, 800.0, 100.0) for k in range(12)]
+    offset = [at(7200.0 + 5 * k, 101.5, 100.0) for k in range(12)]
+    dni = checked(dull + sunny + bright + offset).dni_wm2.reshape(4, 12)
+    assert (dni[1] > 5.0).all() and not dni[0].any() and not dni[3].any()
+
+
+@pytest.mark.analytic
 def test_diffuse_and_global_follow_where_they_are_missing() -> None:
     altitude = sun.position([NOON], SEATTLE).altitude_deg[0]
     beam = 700.0 * np.sin(np.radians(altitude))
