@@ -142,7 +142,7 @@ def test_a_short_budget_still_trains_the_network(
     monkeypatch.setattr(dense.Trainer, "pixels_per_s", lambda *_: 1e4)  # under any load
     # by a clock that stands still, so that only the network itself takes time
     monkeypatch.setattr(train, "monotonic", lambda: 0.0)
-    answer = run(few, "dense", budget_min=0.5, out=tmp_path)
+    answer = run(few, "dense", budget_min=0.2, out=tmp_path)
     row = next(row for row in answer["models"] if row["name"] == "dense")
     assert row["log10_mse_weighted"] > 0.0
     assert not list(tmp_path.glob("checkpoint*"))
@@ -223,6 +223,6 @@ def test_the_budget_is_the_networks_alone(tmp_path: Path, monkeypatch: pytest.Mo
 
     real = models.fit
     monkeypatch.setattr(models, "fit", fit)
-    answer = run(DATA, "dense", budget_min=0.5, out=tmp_path)
+    answer = run(DATA, "dense", budget_min=0.2, out=tmp_path)
     assert spent_s == pytest.approx([30.0] * 5 + [150.0])
     assert {row["folds"] for row in answer["models"]} == {5}
