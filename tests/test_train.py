@@ -223,6 +223,6 @@ def test_the_budget_is_the_networks_alone(tmp_path: Path, monkeypatch: pytest.Mo
 
     real = models.fit
     monkeypatch.setattr(models, "fit", fit)
-    answer = run(DATA, "dense", budget_min=0.2, out=tmp_path)
+    answer = run(DATA, "dense", budget_min=5.0, out=tmp_path)
     assert spent_s == pytest.approx([30.0] * 5 + [150.0])
     assert {row["folds"] for row in answer["models"]} == {5}
