@@ -61,9 +61,9 @@ NOISES = (3e-3, 1e-2, 3e-2)
 # other suns. Of two models with errors of 0.6 times each other, three quarters lose 5 % (measured
 # in three rooms of other renderers); a scene that is worse than no patch loses half of its excess.
 MAX_SHARE = 0.75
-# Expected error without the stated room over that with it, below which the room is not used.
-# See `_chosen_inputs`.
-MIN_GAIN = 0.5
+# Largest expected error without the stated room, over that with it, at which the room is not used:
+# between the ratios of `_chosen_inputs`. A larger limit drops rooms that help.
+MAX_ROOMLESS_RATIO = 0.5
 
 
 class SurfaceMaps(NamedTuple):
@@ -331,12 +331,12 @@ def fit(
 
 
 def _chosen_inputs(data: Dataset, patch: Patch, seed: int, progress: Progress) -> _Chosen:
-    """Return the inputs of the stated room, or those without it that hold out clearly better.
+    """Return the inputs of the stated room, or those without it if they predict clearly better.
 
-    What a box does not have, such as a neighbour in front of its windows, can make its light worse
-    than none: there, held-out days and seasons have a third of its error without the room. In seven
-    rooms of other renderers the geometric mean of both errors over those with the room is .34 where
-    the year's error is .35, else .8 to 1.8 where it is .7 to 1.8.
+    A box can be worse than no room if it lacks, for example, a building in front of its windows.
+    Compared are geometric means of the errors of held-out days and seasons. Without the room this
+    figure is 0.34 times that with it in a room of another renderer where the year's error is 0.35
+    times; in seven others it is 0.8 to 1.8 times, where the year's error is 0.7 to 1.8 times.
     """
     stated = _chosen(_described(data, patch, seed, progress))
     if data.setup.room is None or seasons(data.days).max() == 0:
@@ -347,7 +347,7 @@ def _chosen_inputs(data: Dataset, patch: Patch, seed: int, progress: Progress) -
     if min(of_days) >= stated.errors.figure("log10"):
         return stated
     chosen = _chosen(free)
-    return chosen if chosen.expected_mse < MIN_GAIN * stated.expected_mse else stated
+    return chosen if chosen.expected_mse < MAX_ROOMLESS_RATIO * stated.expected_mse else stated
 
 
 def _mean(
@@ -411,6 +411,7 @@ class _Chosen(NamedTuple):
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # its matrices are small; chunks run at once
 def _described(data: Dataset, patch: Patch, seed: int, progress: Progress) -> _Described:
+    """Describe the light of captures in all ways among which held-out days choose."""
     if len(data) < 3:
         found = f"{counted(len(data), 'capture')}; light transport needs at least 3"
         raise NotEnoughDataError(f"{found}; capture more hours")
@@ -584,8 +585,8 @@ class Uncertainty:
     [n, n]; novelty: largest predictive variance of a capture with its day held out; patch: relative
     standard deviation of a sun patch; band: standard deviation whose 1.645 times contain 90 % of
     the held-out errors, over their root mean square; slip_deg: displacement of computed from
-    captured sun patches [deg], 0 if none is known; careful: whether the variance does not show how
-    errors grow away from captures: without sun patches, or with those of a stated or fitted room,
+    captured sun patches [deg], 0 if none is known; careful: True if errors grow away from captures
+    by more than the variance shows: without sun patches, or with those of a stated or fitted room,
     which are wrong in places. Of k tests, in which a captured hour was
     predicted from other days or, if there are several, from other seasons: tested, index of the
     capture; error_of, guess_of: log10 MSE, and its estimate without experience [k].
