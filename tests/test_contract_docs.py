@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import importlib
+import json
 import re
 import shlex
 from collections.abc import Iterator
@@ -12,9 +13,11 @@ from types import ModuleType
 
 import click
 import pytest
+from json_answers import KEPT
 
 from fieldlum import devices
 from fieldlum.cli import main
+from fieldlum.year.glare.metrics import METRICS
 
 pytestmark = pytest.mark.contract
 
@@ -128,3 +131,11 @@ def test_the_table_of_devices_has_every_driver() -> None:
     text = (ROOT / "docs" / "devices.md").read_text(encoding="utf-8")
     schemes = {*devices.CAMERAS, *devices.PYRANOMETERS, *devices.METERS}
     assert {scheme for scheme in schemes if f"\n| `{scheme}:" not in text} == set()
+
+
+def test_every_metric_has_its_key_and_every_metric_of_the_year_its_column() -> None:
+    keys = json.loads(KEPT.read_text(encoding="utf-8"))["glare"]
+    assert {name for name in METRICS if f"views[].{name}" not in keys} == set()
+    text = (ROOT / "docs" / "file-formats.md").read_text(encoding="utf-8")
+    in_year = (name for name, metric in METRICS.items() if metric.in_year)
+    assert {name for name in in_year if f"`{name}@AZ`" not in text} == set()

@@ -384,7 +384,9 @@ def patch_centres(corners: Floats) -> tuple[Array, float]:
 
 
 def find_chart(frame: shared.LinearFrame) -> Floats:
-    """Return the corners of the chart that OpenCV detects, x and y [4, 2], as `patch_centres` does.
+    """Return the corners of the chart that OpenCV detects, x and y [4, 2] px.
+
+    Their order is that of the argument of `patch_centres`.
 
     Raises InputError if no chart is detected, or none whose colours are in a chart's order.
     """

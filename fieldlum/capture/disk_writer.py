@@ -110,7 +110,7 @@ class Recorder:
     def make_room(self) -> None:
         """Delete the reserve file on a full disk, so that journal and rows can be written.
 
-        It is journalled; until `refill` restores the reserve, nothing happens again.
+        The event is journalled. Further calls do nothing until `refill` restores the reserve.
         """
         with self._lock:
             if not self.full:

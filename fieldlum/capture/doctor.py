@@ -219,7 +219,7 @@ def judge_calibration(profile: CameraProfile, slots: Sequence[Slot]) -> Iterator
 def check_sun(session: Session, now_utc: datetime) -> Iterator[Finding]:
     """Yield a warning if coming slots have the sun in view of the lens.
 
-    It asks who moves a planned filter, or names the way without one.
+    The warning states who puts on the planned filter, or how the disc is measured without one.
     """
     if text := profiles.sun_text(slots_ahead(session, now_utc)):
         yield warn("sun", text)

@@ -227,7 +227,10 @@ def use_one_thread() -> None:
 
 
 def _in_processes(units: list[WorkUnit], count: int) -> Iterator[UnitOutcome]:
-    """Run units in a pool of processes; one tried again runs alone: a kill is then its own."""
+    """Run units in a pool of processes.
+
+    A unit that is tried again runs alone, so that a killed process is due to this unit.
+    """
     waiting, tries, running = units[::-1], Counter[str](), dict[Future[Any], WorkUnit]()
     pool = _pool(count)
     try:

@@ -170,8 +170,8 @@ def plain_rows(path: Path, expected: str, remedy: str) -> str:
 def decimal_commas(cells: Sequence[str], count: int, right: Sequence[Sequence[str]] = ()) -> bool:
     """Return whether a row has more than `count` cells because commas separate its decimals.
 
-    Then pairs of integers are as many as the surplus cells, and the row has fewer decimal points
-    than rows with `count` cells (`right`), or no row has any.
+    It is True if the row has at least one pair of integers for each surplus cell, and fewer decimal
+    points than the rows with `count` cells (`right`), or if no row has a decimal point.
     """
     surplus, pairs, k = len(cells) - count, 0, 0
     while k + 1 < len(cells):

@@ -145,9 +145,9 @@ def store_frame(path: Path, body: bytes) -> None:
 def retried(
     work: Callable[[], T], is_passing: Callable[[Exception], bool], pause_s: float = 0.0
 ) -> T:
-    """Return the result of `work`; call it up to four times while its error will pass.
+    """Return the result of `work`; call it up to four times if its error is temporary.
 
-    is_passing: whether an error is that of a busy device; pause_s: between two tries.
+    is_passing: whether an error is temporary (a busy device); pause_s: between two tries [s].
     """
     for _ in range(_TRIES - 1):
         try:

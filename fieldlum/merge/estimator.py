@@ -32,7 +32,7 @@ class Rows(NamedTuple):
     full: Mask | None
 
     def usable(self) -> Mask:
-        """Return a mask, True for counts that may predict a luminance."""
+        """Return a mask, True for counts that are used to predict the luminance."""
         usable = self.signal.usable(self.counts)
         return usable if self.full is None else usable & ~self.full
 

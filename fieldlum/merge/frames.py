@@ -130,7 +130,7 @@ class RawSignal:
 
     @cached_property
     def limit(self) -> Floats32:
-        """Counts above black up to which a pixel may predict a luminance, corrected for linearity.
+        """Counts above black below which a pixel is used, corrected for linearity.
 
         The smaller of 97 % of saturation, and saturation less 4 standard deviations of noise.
         """
@@ -178,9 +178,10 @@ class RawSignal:
         return np.stack(wide).reshape(parts.shape).view(np.bool_)
 
     def weight(self, predicted_cdm2: Floats32) -> Floats32:
-        """Return per_cdm2 over the photon and read variance of a luminance, in its shape.
+        """Return the weight in the merge: per_cdm2 over photon and read variance, in its shape.
 
-        The weight is 0 where the predicted luminance exceeds that of `limit`.
+        predicted_cdm2: luminance by all frames, from which the variance follows. The weight is 0
+        where it exceeds `max_cdm2`.
         """
         w = predicted_cdm2 * np.asarray(self.per_cdm2 / self.gain_e_per_dn, np.float32)
         w += np.float32(self.noise_dn2)
@@ -312,7 +313,7 @@ class JpegSignal:
 
     @cached_property
     def _limits(self) -> tuple[Floats32, Floats32, Floats32]:
-        """Lowest and highest z that may predict, and highest readable z, [w, 3] each."""
+        """Lowest and highest z that are used, and highest readable z, [w, 3] each."""
         low = np.full(3, -1.0, np.float32) if self.dark_end else self.z_of_code[self.low_code]
         return (
             self._rows(low),
@@ -373,9 +374,10 @@ class JpegSignal:
         return np.repeat(wide[:, :, None], 3, axis=2)
 
     def weight(self, predicted_cdm2: Floats32) -> Floats32:
-        """Return per_cdm2 over the variance of z that a luminance has, [rows, W, 3].
+        """Return the weight in the merge: per_cdm2 over the variance of the light z, in its shape.
 
-        The weight is 0 where the code of predicted_cdm2 would be outside the frame's range.
+        predicted_cdm2: luminance [rows, W, 3] by all frames, from which the variance follows. The
+        weight is 0 where the code of predicted_cdm2 would be outside the frame's range.
         """
         return self._looked_up(self._tables[1], predicted_cdm2 * self.per_cdm2)
 

@@ -429,8 +429,8 @@ def footprint_px(lens: LensGeometry, target: Target) -> float:
 def u_of_edges(light: Floats, seen_mask: Mask, target: Target, profile: CameraProfile) -> Floats:
     """Return the uncertainty of a pixel due to light leaking from its neighbours, [H, W] cd/m2.
 
-    light: luminance [H, W]; seen [H, W]: True where a lens sees the pixel. Sensor pixels are not
-    small. An edge on the border of two target pixels leaks at most a share of the luminance
+    light: luminance [H, W]; seen_mask [H, W]: True where a lens sees the pixel. Sensor pixels are
+    not small. An edge on the border of two target pixels leaks at most a share of the luminance
     difference: 0.35 (raw) or 0.2 (JPEG) sensor pixels over the target pixel's width.
     An edge elsewhere leaks less. This is a rectangular distribution (GUM 4.3.7). On a uniform slope
     gains and losses cancel, so the second difference is used. Next to pixels that no lens sees the

@@ -305,7 +305,7 @@ class Exposures:
 
 
 def any_beyond_prior(log_deviation: Floats, u_prior: Floats) -> bool:
-    """Return whether any exposure deviates by more than 2 % and by more than three u_prior."""
+    """Return whether a log exposure [frames] deviates by over 2 % and by over three u_prior."""
     return bool((np.abs(log_deviation) > np.maximum(0.02, 3.0 * u_prior)).any())
 
 

@@ -646,7 +646,7 @@ def _is_deep(header: Mapping[str, Any]) -> bool:
 
 
 def _pictures(headers: Sequence[Mapping[str, Any]]) -> Iterator[_Picture]:
-    """Yield the flat pictures of all parts, in each that of its plain channels first."""
+    """Yield the flat pictures of all parts; of each part, the plain channels come first."""
     several = len(headers) > 1
     for part, header in enumerate(headers):
         names = [] if _is_deep(header) else header["channels"]

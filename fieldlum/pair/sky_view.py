@@ -152,8 +152,8 @@ def _in_lens(captures: Sequence[Shown]) -> Callable[[Floats], Mask]:
 def shares_of_beam(view: SkyView | None, room: Room | None, light: Light) -> tuple[Floats, Mask]:
     """Return the share of the beam that arrives in n hours, and whether the sky view decides it.
 
-    Elsewhere it is by a stated room, and NaN without one: where the view shows no sky, and where a
-    room shows the sun and the view knows its share only within a wide interval. [n] each.
+    Both are [n]. The view does not decide where it shows no sky, nor where its interval is wide and
+    the stated room shows the sun. The share is then that of the room, NaN without a room.
     """
     shares, decided = np.full(len(light), np.nan), np.zeros(len(light), bool)
     if room is not None:

@@ -397,9 +397,10 @@ def _read_honeybee(folder: Path, azimuths_deg: Sequence[float]) -> pd.DataFrame:
 def hours_begun(path: Path, times: Floats, daylight: Mask) -> tuple[Array, list[str]]:
     """Return the hour of the year, from 0, in which each stated time is, and a note on it.
 
-    Integers name an hour by its begin or its end: that is chosen whose hours, in the days of
-    the table, are the `daylight` hours [8760] of the predicted year, if the other differs from them
-    in three times as many. Raises InputError if neither is, and for a repeated hour.
+    Integers name an hour by its beginning or its end. Both readings are compared with the hours of
+    `daylight` [8760] of the predicted year, on the days of the table. The better reading is used if
+    the other has three times as many wrong hours. Raises InputError otherwise, and for a repeated
+    hour.
     """
     outside = ~((times >= 0) & (times < len(daylight)))
     if outside.any():
@@ -413,7 +414,7 @@ def hours_begun(path: Path, times: Floats, daylight: Mask) -> tuple[Array, list[
         days = np.unique(hours // 24)
         off_begin, off_end = (stated ^ daylight).reshape(2, -1, 24)[:, days].sum(axis=(1, 2))
         if max(off_begin, off_end) < 3 * min(off_begin, off_end) + 1:
-            found = "integer hours that may be the begin or the end of each hour"
+            found = "integer hours that may be the beginning or the end of each hour"
             remedy = "add 0.5 to hours at which each begins, subtract 0.5 where it ends"
             raise InputError(path, found, "hours with a fraction, such as 9.5", remedy)
         word = "begins" if off_begin < off_end else "ends"

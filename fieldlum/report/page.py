@@ -35,7 +35,7 @@ def named(azimuth_deg: float) -> str:
 
 
 def sentence(text: str) -> str:
-    """Return a note as a sentence: a capital at its begin, a full stop at its end."""
+    """Return a note as a sentence: a capital at its beginning, a full stop at its end."""
     return f"{text[0].upper()}{text[1:].rstrip('.')}.".replace("+-", "±")
 
 

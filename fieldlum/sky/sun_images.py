@@ -126,7 +126,7 @@ def bright_spots(
 def without_lamps(
     spots: Sequence[SunImage], suns: Floats, direct_lx: Floats, height: int
 ) -> list[SunImage]:
-    """Return the spots that are dimmer than the sun and do not stay as it moves by 3 tolerances.
+    """Return the spots that are dimmer than the sun and move when it moves by 3 tolerances.
 
     suns [n, 3], direct_lx [n]: of all captures, whose rows the spots name.
     """

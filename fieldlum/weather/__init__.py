@@ -123,9 +123,9 @@ def _in_utc(
 ) -> list[WeatherRow]:
     """Return the rows at the middle of their hours in UTC; a typical year in TYPICAL_YEAR.
 
-    Leaves out 29 February of a typical year on the file's own clock, and lists it in `repairs`: a
-    February of a leap year that ends with the 28th in UTC has no such day. Rows that pass the end
-    of the site's year continue at its beginning.
+    29 February of a typical year is left out and listed in `repairs`. The date on the file's own
+    clock decides, because the last hours of 28 February can be the 29th in another time zone. Rows
+    that pass the end of the site's year continue at its beginning.
     """
     if not table.typical:
         return [row._replace(when=row.when - table.clock + shift) for row in table.rows]

@@ -434,7 +434,7 @@ def _read_pvgis_json(path: Path, lines: list[str], site: Site) -> WeatherTable:
 
 
 def _normal(rows: Sequence[WeatherRow], place: Site) -> list[WeatherRow]:
-    """Return rows whose DNI is on a horizontal plane with it on a plane normal to the sun.
+    """Return rows with DNI converted from a horizontal plane to a plane normal to the sun.
 
     Zero with the sun below 2 deg, and at most 1.1 times that of a clear sky with the sun below 10
     deg, as in pvlib.irradiance.dni: near the horizon a small error of time has a large effect.

@@ -56,7 +56,7 @@ class LineTail:
         """Change the state by one line; skip a damaged one."""
 
     def update(self) -> Self:
-        """Add the complete unread lines, all of a file that was replaced or shortened.
+        """Add the complete unread lines; read a replaced or shortened file from its beginning.
 
         A missing or unreadable file changes nothing: it may be on a share that is away.
         """

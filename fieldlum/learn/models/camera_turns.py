@@ -258,7 +258,7 @@ def camera_turns(
     light; what it explains is not a turn (`turns_by_light`); None if it is unknown. Consecutive
     captures of one pose get their median turn; a turn too small to be certain is zero. With fewer
     than 5 captures or 40 rows of pixels, or if nothing was seen, all turns are zero and all
-    captures count as aligned. The time grows with the captures alone.
+    captures count as aligned. Computing time is proportional to the number of captures.
     """
     count, height = luminance_cdm2.shape[:2]
     angles, u_deg, correlation = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count)
@@ -297,9 +297,10 @@ def camera_turns(
 def turns_by_light(angles_px: Array, light: DirectLight) -> Floats:
     """Return the part of apparent turns [n, 3] that the sun explains, in pixels.
 
-    angles_px: heading, tilt and roll of each capture [n, 3], in pixels. It is what other days show
-    in light that is alike: of their medians, the middle one by size. The median of each day is
-    zero: it may be a turn. All is zero with under three days.
+    angles_px: heading, tilt and roll of each capture [n, 3], in pixels. For each other day the
+    median turn in similar light is taken; the result is the middle one of these by size. Its median
+    over each day is zero, because the camera may have been turned that day. With fewer than three
+    days the result is zero.
     """
     days, day = np.unique(light.day, return_inverse=True)
 

@@ -109,7 +109,7 @@ def fit_timed(
 ) -> tuple[Fitted, Spent]:
     """Fit the model `name` of `MODELS` to `data`; return the model and the time of the fit.
 
-    budget_s: time limit [s], and checkpoint: file of a slow model, ignored for others.
+    budget_s: time limit [s]; checkpoint: file to continue from. Only slow models use these two.
     """
     wall, cpu = monotonic(), process_time()
     slow = {"budget_s": budget_s, "checkpoint": checkpoint} if MODELS[name].slow else {}
@@ -384,7 +384,7 @@ def _model_sha256(folder: Path) -> str:
 
 
 def model_notes(fitted: Fitted, data: Dataset, patch: Patch) -> list[str]:
-    """Return notes on what a light transport model learnt under, and on an unused stated room."""
+    """Return notes on the skies of a light transport model's fit, and on an unused stated room."""
     sd, notes = getattr(fitted, "sky_sd", None), []
     if sd is not None:
         notes.append(

@@ -174,7 +174,7 @@ def _price(process: Process, rows: Indices) -> float:
 
 
 def _days_and_pairs(process: Process, rows: Indices) -> list[Indices]:
-    """Return each day's captures, and those of two days: alone, one of them explains little."""
+    """Return the captures of each day, and of each pair of days, because one may explain little."""
     days = [rows[process.days[rows] == day] for day in np.unique(process.days[rows])]
     pairs = combinations(days, 2) if len(days) <= 12 else ()
     return [*days, *(np.union1d(a, b) for a, b in pairs)]

@@ -440,9 +440,9 @@ def _chosen(of: _Described) -> _Chosen:
 
     A lamp that is on in all hours must explain 30 % of the error and a standard error (rooms
     without one: at most 1 % and 0.3): as an input, it doubles the error of two or four days without
-    a lamp. The smallest noise, with which errors of patches are learnt, is excluded with a scene or
-    without patches: held-out days, which have nearly the same suns as others, do not show it. So do
-    days of one season.
+    a lamp. The smallest noise, with which errors of patches are learnt, is excluded with a scene,
+    without patches, and for days of one season: held-out days, which have nearly the same suns as
+    others, do not show these errors.
     """
     tried = [of.errors(inputs) for inputs in of.every]
     k = choose(tried).best

@@ -82,7 +82,7 @@ class Physics:
     ) -> Floats32:
         """Return the computed light of surfaces, without direct sun on them, [n, P] cd/m2.
 
-        sunlight: result of `sunlight` for `light` [n, k]; seen [H, W]: mask of the P pixels;
+        sunlight: result of `sunlight` for `light` [n, k]; seen_mask [H, W]: mask of the P pixels;
         sky_cdm2: of the Reinhart patches [n, 2305], None for the Perez skies of `light`.
         """
         sky = _outdoors(light, light.sky_cdm2 if sky_cdm2 is None else sky_cdm2)

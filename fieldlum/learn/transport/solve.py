@@ -81,7 +81,7 @@ class Columns:
 
     @classmethod
     def of(cls, arrays: TrainingArrays, unit: Array, computed: Floats32 | None) -> Columns:
-        """Return the covariates; unit: total light times pixel scale [n, P] cd/m2."""
+        """Return the covariates; unit (total light times pixel scale), computed: [n, P] cd/m2."""
         parts = [(arrays.sky, SKY_VARIANCE)]
         if arrays.patch is not None:
             parts.insert(0, (arrays.patch, PATCH_VARIANCE))
@@ -268,7 +268,8 @@ def fit_pixels(
 ) -> PixelFit:
     """Fit all pixels of `arrays`, in chunks that limit the memory.
 
-    tick: called after each chunk with the number of finished pixels and the number of all pixels.
+    noise: variance of a target of weight 1. tick: called after each chunk with the number of
+    finished pixels and the number of all pixels.
     """
     count, products = arrays.luminance.shape[1], pair_products(basis.values)
     scale = pixel_scale(arrays)

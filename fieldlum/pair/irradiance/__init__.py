@@ -464,7 +464,10 @@ def run(session: Session, *, force: bool = False, progress: Progress = quiet) ->
 
 
 def _read(files: Sequence[Path], progress: Progress) -> tuple[Series, int]:
-    """Read all day files; only the samples of one day at a time are Python objects."""
+    """Return the rows of all day files, and the number of damaged lines.
+
+    Only the samples of one day at a time are Python objects, which limits the memory.
+    """
     days, broken = [], 0
     for number, path in enumerate(files, start=1):
         samples, harmed = read_day(path)

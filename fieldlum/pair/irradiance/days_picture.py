@@ -68,7 +68,7 @@ def _draw(axes: Any, cell: np.ndarray, value: Floats, days: int) -> Any:
 
 
 def _mark_sunrise(axes: Any, midnights_unix_s: Floats, site: Site) -> None:
-    """Draw sunrise and sunset of each column; one day has the line of its width."""
+    """Draw sunrise and sunset of each column; the line of a single day fills its column."""
     edges = np.r_[midnights_unix_s, midnights_unix_s[-1]]
     hours = np.arange(0.0, 24.1, 0.25)
     times = [datetime.fromtimestamp(t + 3600.0 * h, UTC) for h in hours for t in edges]

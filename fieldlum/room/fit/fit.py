@@ -188,7 +188,7 @@ class SceneSearch:
         return self.guess
 
     def _settle(self, levels: Sequence[float] = LEVELS[1:]) -> None:
-        """Search all numbers again, under the light that the last ones left."""
+        """Search all parameters again; the light without direct sun is that of the last guess."""
         self._accept(search(self.cost(), self.guess, self._all(self.guess), levels)[0])
 
     def _starts(self) -> list[Guess]:

@@ -262,7 +262,7 @@ def _fitting(guess: Guess) -> list[WindowRect]:
 
 
 def _common(first: tuple[float, float], other: tuple[float, float]) -> tuple[float, float]:
-    """Return the part of two intervals that is in both; its end is not after its start if none."""
+    """Return the overlap of two intervals; without one its end is not after its start."""
     return max(first[0], other[0]), min(first[1], other[1])
 
 

@@ -124,8 +124,8 @@ def bar_parameters(number: int) -> list[Parameter]:
 def solid_parameters(guess: Guess, number: int) -> list[Parameter]:
     """Return the faces of a solid as parameters, m, and the albedo of one inside; number: from 0.
 
-    The lower face counts only if it is above the floor. No patch depends on an albedo outside. What
-    is outside stays there.
+    The lower face counts only if it is above the floor. No patch depends on an albedo outside. A
+    solid outside cannot move inside.
     """
     solid = guess.solids[number]
     outside = is_outside(guess, solid)

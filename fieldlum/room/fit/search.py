@@ -30,7 +30,10 @@ _FIRST_DAMPING, _TRIES = 0.1, 5
 
 
 def prior_unit(evidence: SceneEvidence, start: Guess, albedo: Floats) -> float:
-    """Return the cost of one standard deviation of one number, from the misfit of the start."""
+    """Return the cost of one standard deviation of one parameter, from the misfit of the start.
+
+    albedo: of the surfaces, as for `SceneEvidence.patches` [6 + solids].
+    """
     few = max(1.0, PRIOR_HOURS / len(evidence))  # because the misfit is a mean over hours
     return few * PRIOR_SHARE * float(evidence.misfit(evidence.patches(start, albedo)).mean())
 

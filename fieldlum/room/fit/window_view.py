@@ -73,8 +73,8 @@ def _pane_share(guess: Guess, rays: Floats32, spread: float) -> Floats:
 def window_view(data: Dataset, guess: Guess) -> WindowView:
     """Return the captures' median picture within 6 degrees of the windows of a guess.
 
-    A row's panes are those a pixel within the window: pixels at its edges are partly wall, and
-    would move sill and head outwards.
+    The pane luminance of a row is the median of its pixels inside the window. Pixels on the
+    window's edge do not count: they are partly wall, and would move sill and head outwards.
     """
     height, width = data.shape
     rays, spread = pixel_rays(height, data.heading_deg, 1)[1].astype(np.float32), np.pi / height

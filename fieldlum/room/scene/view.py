@@ -117,9 +117,10 @@ def look(room: Room, height: int, heading_deg: float, sub: int = 3) -> SceneView
 
 
 def camera_rays(scene: BoxScene, room: Room, world: Floats, heading_deg: float) -> Floats:
-    """Return directions [n, 3] in the panorama of the stated pose in room axes, by the true pose.
+    """Return the directions of a panorama's pixels in room axes, [n, 3], by the camera's true pose.
 
-    heading_deg: azimuth of the panorama's centre column.
+    world [n, 3]: the directions if the camera were level; heading_deg: azimuth of the panorama's
+    centre column. The tilt and the roll are those of `room`.
     """
     level = rotation(0.0, room.camera_tilt_deg, room.camera_roll_deg, heading_deg)
     return scene.to_room(world @ level.T)

@@ -398,9 +398,10 @@ _OPEN_SHARE = 0.75  # of the pane's bright tenth: less is a partly open pixel; c
 
 
 def pane_transmittance(through: Floats, sky: Mask, step_deg: float) -> Floats:
-    """Return the transmittance of the pane in each direction, [h, w]; through where there is none.
+    """Return the transmittance of the pane in each direction, [h, w].
 
-    through: openness times transmittance; sky: where it follows the sky. Connected directions are a
+    through: openness times transmittance, which is the result if no pane is large enough; sky: mask
+    of the directions that follow the sky; step_deg: size of a pixel. Connected directions are one
     pane.
     """
     from scipy.ndimage import gaussian_filter, label

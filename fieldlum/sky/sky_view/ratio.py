@@ -141,7 +141,7 @@ def sky_share(luminance: Floats32, sky: Floats32, front: Floats32) -> tuple[Floa
 
 
 def usable_log(luminance: Floats32, light: Light, rays: Floats) -> Floats32:
-    """Return the logarithm of luminance [n, p], NaN near the sun and where luminance is."""
+    """Return the logarithm of luminance [n, p]; NaN near the sun, and where luminance is NaN."""
     near = light.apparent_sun_direction @ rays.T > np.cos(np.radians(_NEAR_SUN_DEG))
     near &= (light.direct_lx > BEAM_LX)[:, None]
     return np.where(near, np.nan, np.log(np.maximum(luminance, 0.01))).astype(np.float32)
@@ -156,7 +156,7 @@ def _rest_spread(measured: Floats32, light: Light) -> Floats:
 
 
 def _forward(measured: Floats32, light: Light, rays: Floats) -> Floats:
-    """Return how much luminance over diffuse light is increased by the sun behind, [p]: log."""
+    """Return ln of the rise of luminance over diffuse light with the sun in front, [p]."""
     over = measured - np.log(light.diffuse_lx)[:, None]
     level = rays[:, :2] / np.maximum(np.hypot(rays[:, 0], rays[:, 1]), 1e-9)[:, None]
     behind = light.sun_direction[:, :2] @ level.T > 0.3

@@ -131,7 +131,8 @@ class SkyView:
     def shares(self, towards: Floats) -> Floats32:
         """Return best, low and high shares of the beam in directions [..., 3], NaN if not seen.
 
-        The result is [3, ...]. Slats and leaves that are finer than a pixel have their mean.
+        towards: unit vectors, x east, y north, z up. The result is [3, ...]. Slats and leaves that
+        are finer than a pixel have their mean.
         """
         grid, maps = self._sharp
         place = grid.pixels(towards)
