@@ -25,7 +25,7 @@ from fieldlum.core.records import Exposure, Panorama
 from fieldlum.devices.clock import FastClock
 from fieldlum.devices.simulated.camera import SimulatedCamera
 from fieldlum.devices.simulated.world import SimulatedLight
-from fieldlum.merge import MergeOptions, merge_frames
+from fieldlum.merge import MergeOptions, merge_shots, shots_of_files
 from fieldlum.optics.images import write_panorama
 from fieldlum.optics.photometry import illuminance_lx, response_table, vignetting_at
 from fieldlum.optics.profiles import (
@@ -239,7 +239,9 @@ def raw_camera(out: Path) -> list[tuple[str, str, str]]:
         for i, e in enumerate(bracket_exposures(truth.bracket))
         if not e.nd
     ]
-    merged = merge_frames(bracket, load_camera_profile(mine), MergeOptions(height=230))
+    merged = merge_shots(
+        shots_of_files(bracket), load_camera_profile(mine), MergeOptions(height=230)
+    )
     write_panorama(out / "merged.exr", merged.panorama)
     lines = ["panorama,azimuth_deg,altitude_deg,luminance_cdm2,illuminance_lx"]
     for (azimuth, altitude), paint in zip(spots, paints, strict=True):
@@ -271,8 +273,12 @@ def raw_camera(out: Path) -> list[tuple[str, str, str]]:
             f"{got:.4f} ({100 * (got / wanted - 1):+.2f} %, u {100 * final.scale.u_rel:.1f} %)",
         )
     )
-    again = merge_frames(bracket, final, MergeOptions(height=230)).panorama.luminance_cdm2
-    true = merge_frames(bracket, truth, MergeOptions(height=230)).panorama.luminance_cdm2
+    again = merge_shots(
+        shots_of_files(bracket), final, MergeOptions(height=230)
+    ).panorama.luminance_cdm2
+    true = merge_shots(
+        shots_of_files(bracket), truth, MergeOptions(height=230)
+    ).panorama.luminance_cdm2
     lit = (equirect_rays(230, 460, 180.0) @ direction(0, 180)) > np.cos(np.radians(85))
     off_map = np.abs(again[lit] / true[lit] - 1)
     rows.append(

@@ -26,7 +26,7 @@ import numpy as np
 
 from fieldlum.core.errors import FieldlumError
 from fieldlum.core.records import Exposure, Panorama
-from fieldlum.merge import MergeOptions, merge_frames
+from fieldlum.merge import MergeOptions, merge_shots, shots_of_files
 from fieldlum.optics.images import (
     read_panorama,
     read_radiance_hdr,
@@ -160,16 +160,22 @@ def read(kind: str, path: Path, originals: list[Path]) -> None:
         fuzz_sessions.read(kind, path, *originals[1:])
         return
     if kind == "merge":
-        result = merge_frames(
-            [path, *originals[1:]], camera(), MergeOptions(height=8), heading_deg=0.0
+        result = merge_shots(
+            shots_of_files([path, *originals[1:]]),
+            camera(),
+            MergeOptions(height=8),
+            heading_deg=0.0,
         )
         light, u = result.panorama.luminance_cdm2, result.panorama.u_cdm2
         if not (np.isfinite(light).all() and u is not None and np.isfinite(u).all()):
             raise AssertionError("a luminance that is no number, without a word")
         return
     if kind == "profile":  # a profile that loads must also merge, or say why not
-        merge_frames(
-            originals[1:], load_camera_profile(path), MergeOptions(height=8), heading_deg=0.0
+        merge_shots(
+            shots_of_files(originals[1:]),
+            load_camera_profile(path),
+            MergeOptions(height=8),
+            heading_deg=0.0,
         )
         return
     readers: dict[str, Callable[[Path], object]] = {

@@ -266,9 +266,7 @@ def realise(
     for heading, group in groupby(sorted_shots(shots, profile), key=lambda s: s.heading_deg):
         turn_deg = 0.0 if heading is None else heading - 180.0
         images.append(merge_sensor(list(group), profile, turn_deg=turn_deg)[0])
-    merged = [
-        view_through(image, lens, profile, target) for image in images for lens in profile.lens
-    ]
+    merged = [view_through(image, lens, target) for image in images for lens in profile.lens]
     result = finish(blend(merged), profile, target)
     # The truth through the merge's own blend: how lenses of other sharpness part a pixel is
     # geometry, judged elsewhere.
@@ -313,8 +311,8 @@ def _truth(light, shading, true: CameraProfile, crop: Crop, turn: float, target:
     blank = np.zeros(part.shape, np.uint8)
     none = RatioCurve(np.ones(1), np.zeros(1))
     exact = Merged(part.astype(np.float32), np.zeros(part.shape, np.float32), blank)
-    sensor = SensorImage(exact, crop, turn, 5.6, none)
-    return [view_through(sensor, lens, true, target) for lens in true.lens]
+    sensor = SensorImage(exact, true, crop, turn, 5.6, none)
+    return [view_through(sensor, lens, target) for lens in true.lens]
 
 
 def _seam(views: Sequence) -> np.ndarray:

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from fieldlum.core.records import Exposure
-from fieldlum.merge import MergeOptions, merge_frames, merge_sensor
+from fieldlum.merge import MergeOptions, merge_sensor, merge_shots
 from fieldlum.merge.shots import shots_of_files, sorted_shots
 from fieldlum.optics.photometry import srgb_table
 from fieldlum.optics.profiles import (
@@ -104,7 +104,7 @@ def accumulate(files: list[Path], p: CameraProfile) -> float:
 
 def panorama(files: list[Path], p: CameraProfile) -> float:
     started = time.process_time()
-    merge_frames(files, p, MergeOptions(height=512), heading_deg=0.0)
+    merge_shots(shots_of_files(files), p, MergeOptions(height=512), heading_deg=0.0)
     return time.process_time() - started
 
 

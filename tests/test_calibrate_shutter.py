@@ -17,7 +17,7 @@ from fieldlum.calibrate import shutter
 from fieldlum.cli import main
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import CameraSetup, Exposure, Site, SiteFile, Slot, slot_id, utc_text
-from fieldlum.merge import MergeOptions, merge_frames
+from fieldlum.merge import MergeOptions, merge_shots, shots_of_files
 from fieldlum.optics.photometry import z_per_cdm2
 from fieldlum.optics.profiles import (
     Bracket,
@@ -135,7 +135,7 @@ def test_a_merged_session_gives_the_times_to_the_profile(session: Session, tmp_p
                 0.8 / z_per_cdm2(nominal, 4.0, 100.0),
                 np.random.default_rng(number),
             )
-            panorama = merge_frames([path], p, MergeOptions(height=12)).panorama
+            panorama = merge_shots(shots_of_files([path]), p, MergeOptions(height=12)).panorama
             seen = np.asarray(panorama.flags) == 0
             values.append(
                 np.median(panorama.luminance_cdm2[seen]) * z_per_cdm2(nominal, 4.0, 100.0) / 0.8

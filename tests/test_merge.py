@@ -7,6 +7,7 @@ from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from fieldlum.devices.simulated.world import SimulatedLight
 from fieldlum.merge import MergeOptions, MergeResult, Shot, merge_shots
 from fieldlum.merge.estimator import Merged, merge_signals
 from fieldlum.merge.frames import JpegSignal, RawSignal, lens_crop, load_raw
-from fieldlum.merge.project import ProjectedImage, blend
+from fieldlum.merge.project import LensView, blend
 from fieldlum.merge.shots import sorted_shots
 from fieldlum.merge.sky import disc_px, mosaic_u_rel, take_out_disc
 from fieldlum.optics.linear_light import vignetting_of
@@ -458,9 +459,11 @@ def test_a_sun_behind_the_only_lens_takes_nothing_out_and_says_nothing() -> None
 
 @pytest.mark.analytic
 def test_a_spoilt_lens_gives_way() -> None:
-    def view(value: float, flags: int) -> ProjectedImage:
+    unused: Any = None  # the sensor
+
+    def view(value: float, flags: int) -> LensView:
         one = np.ones(3)
-        return ProjectedImage(
+        return LensView(
             value * one,
             one,
             one,
@@ -470,6 +473,8 @@ def test_a_spoilt_lens_gives_way() -> None:
             np.full(3, flags, np.uint8),
             np.full((3, 3), value),
             np.zeros(3),
+            Lens((1.0, 1.0), 1.0, 180.0),
+            unused,
         )
 
     both = blend([view(10.0, 0), view(20.0, 0)])

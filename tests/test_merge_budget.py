@@ -6,6 +6,7 @@ import sys
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ import pytest
 from fieldlum.core.records import Exposure
 from fieldlum.merge.estimator import Rows
 from fieldlum.merge.frames import RawSignal
-from fieldlum.merge.project import ProjectedImage, blend
+from fieldlum.merge.project import LensView, blend
 from fieldlum.merge.ratios import fit_ratios, ratio_curve, unexplained
 from fieldlum.merge.shots import U_REPEAT, exposure_covariance
 from fieldlum.optics.photometry import PairRatio
@@ -112,11 +113,12 @@ def test_disagreement_counts_once() -> (
 def test_a_turned_lens_keeps_its_one_curve() -> (
     None
 ):  # two headings of one lens do not average its error
+    unused: Any = None  # the sensor
     front, back = Lens((1.0, 1.0), 1.0, 180.0, name="a"), Lens((1.0, 1.0), 1.0, 180.0, name="b")
 
-    def view(lens: Lens) -> ProjectedImage:
+    def view(lens: Lens) -> LensView:
         one = np.ones(1)
-        return ProjectedImage(
+        return LensView(
             10 * one,
             one,
             one,
@@ -127,6 +129,7 @@ def test_a_turned_lens_keeps_its_one_curve() -> (
             np.ones((1, 3)),
             0 * one,
             lens,
+            unused,
         )
 
     assert blend([view(front), view(front)]).u_vignetting == pytest.approx(0.02)

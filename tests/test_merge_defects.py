@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fieldlum.core.records import Exposure, Flag
-from fieldlum.merge import MergeOptions, merge_frames
+from fieldlum.merge import MergeOptions, merge_shots, shots_of_files
 from fieldlum.merge.frames import Crop
 from fieldlum.merge.sensor import good_pixels, odd_pixels
 from fieldlum.optics.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor
@@ -45,7 +45,7 @@ def test_a_stuck_pixel_leaves_no_light_in_the_map(tmp_path: Path) -> None:
         whole = np.clip(np.round(counts), 0, 15000).astype(np.uint16)
         write_dng(path, whole, Exposure(0.1 * exposed, 4.0), black_dn=(256,) * 4, white_dn=16383)
         frames.append(path)
-    panorama = merge_frames(frames, PROFILE, MergeOptions(height=60)).panorama
+    panorama = merge_shots(shots_of_files(frames), PROFILE, MergeOptions(height=60)).panorama
     seen = np.asarray(panorama.flags) == 0
     middle = float(np.median(panorama.luminance_cdm2[seen]))
     assert panorama.luminance_cdm2[seen] == pytest.approx(middle, rel=0.05)

@@ -12,7 +12,7 @@ from msgspec import structs
 
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure, Flag
-from fieldlum.merge import MergeOptions, Shot, merge_frames, merge_sensor, shots_of_files
+from fieldlum.merge import MergeOptions, Shot, merge_sensor, merge_shots, shots_of_files
 from fieldlum.merge.bracket import orientation_conflict, verdict
 from fieldlum.merge.project import footprint_px, u_of_edges
 from fieldlum.merge.ratios import any_beyond_prior, fit_ratios, unexplained_u
@@ -121,14 +121,14 @@ def test_light_that_changes_is_told_and_counted(tmp_path: Path) -> None:
     """
     light = np.linspace(1.0, 1.1, len(TIMES)).tolist()
     files = [shot.path for shot in take(tmp_path, light=light)]
-    result = merge_frames(files, PROFILE, SMALL)
+    result = merge_shots(shots_of_files(files), PROFILE, SMALL)
     assert result.quality["residual_percent"] < 0.5
     assert result.quality["exposure_span_percent"] == pytest.approx(100 * np.log(1.1), abs=0.7)
     assert (
         result.verdict.startswith("fitted exposures differ from the profile by -")
         and "the light changed during the bracket" in result.verdict
     )
-    steady = merge_frames([s.path for s in take(tmp_path)], PROFILE, SMALL)
+    steady = merge_shots(shots_of_files([s.path for s in take(tmp_path)]), PROFILE, SMALL)
     assert steady.verdict.startswith("good") and steady.quality["exposure_span_percent"] < 0.5
     assert result.quality["u_ratio_percent"] > 3 * steady.quality["u_ratio_percent"]
 
@@ -196,7 +196,9 @@ def test_noise_beyond_the_profile_is_no_motion(tmp_path: Path) -> None:
 
 @pytest.mark.analytic
 def test_a_black_level_unlike_the_profiles_is_told(tmp_path: Path) -> None:
-    result = merge_frames([s.path for s in take(tmp_path, black=BLACK + 3)], PROFILE, SMALL)
+    result = merge_shots(
+        shots_of_files([s.path for s in take(tmp_path, black=BLACK + 3)]), PROFILE, SMALL
+    )
     assert result.quality["black_off_dn"] == pytest.approx(3.0)
     assert "black level differs from the profile's by +3.0 DN" in result.verdict
     assert verdict(structs.replace(result.report, black_off_dn=0.5)).startswith("good")
@@ -254,7 +256,10 @@ def test_a_camera_on_its_side_is_told(tmp_path: Path) -> None:
     assert orientation_conflict(shots, profile).endswith(
         "roll angles 0 and 90 deg; capture it again"
     )
-    assert "held 90 deg off" in merge_frames([s.path for s in shots[:2]], profile, SMALL).verdict
+    assert (
+        "held 90 deg off"
+        in merge_shots(shots_of_files([s.path for s in shots[:2]]), profile, SMALL).verdict
+    )
 
 
 @pytest.mark.analytic
@@ -300,7 +305,7 @@ def test_beside_a_window_u_covers_the_truth(tmp_path: Path) -> None:
             model="doubt",
         )
         shots.append(tmp_path / f"{i}.dng")
-    panorama = merge_frames(shots, PROFILE, MergeOptions(height=32)).panorama
+    panorama = merge_shots(shots_of_files(shots), PROFILE, MergeOptions(height=32)).panorama
     wall = np.s_[8:24, 24:32]  # right up to the border
     assert panorama.u_cdm2 is not None
     off = np.abs(panorama.luminance_cdm2 - 100.0)[wall]

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure
-from fieldlum.merge import MergeOptions, merge_frames
+from fieldlum.merge import MergeOptions, merge_shots, shots_of_files
 from fieldlum.optics.photometry import (
     LAWS,
     PairRatio,
@@ -104,7 +104,7 @@ def _bracket(folder: Path, law: str) -> list[Path]:
 @pytest.mark.analytic
 @pytest.mark.parametrize("law", ["exact", "third-stops"])
 def test_a_merge_finds_the_law_and_reports_it(tmp_path: Path, law: str) -> None:
-    result = merge_frames(_bracket(tmp_path, law), SMALL, MergeOptions(height=16))
+    result = merge_shots(shots_of_files(_bracket(tmp_path, law)), SMALL, MergeOptions(height=16))
     assert result.quality["shutter_law"]["law"] == law
     assert result.quality["shutter_law"]["decided_by"] == "frames"
     corrections = [frame["correction"] for frame in result.quality["frames"]]
@@ -118,7 +118,9 @@ def test_the_profile_has_the_last_word(tmp_path: Path) -> None:
     stated = replace(SMALL, shutter_law="third-stops")
     save_profile(tmp_path / "p.toml", stated)
     assert load_camera_profile(tmp_path / "p.toml").shutter_law == "third-stops"
-    quality = merge_frames(_bracket(tmp_path, "exact"), stated, MergeOptions(height=16)).quality
+    quality = merge_shots(
+        shots_of_files(_bracket(tmp_path, "exact")), stated, MergeOptions(height=16)
+    ).quality
     assert quality["shutter_law"]["decided_by"] == "profile"
     text = (tmp_path / "p.toml").read_text().replace("third-stops", "thirds")
     (tmp_path / "p.toml").write_text(text)

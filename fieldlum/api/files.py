@@ -351,13 +351,9 @@ def merge_frames(
 
     if not isinstance(camera, CameraProfile):
         camera = load_camera_profile(camera)
-    return merge.merge_frames(
-        [path_of(file) for file in files],
-        camera,
-        merge.MergeOptions(height=height, fit=fit),
-        heading_deg=heading_deg,
-        progress=progress,
-    )
+    shots = merge.shots_of_files([path_of(f) for f in files], camera.camera.fixed_f_number)
+    options = merge.MergeOptions(height=height, fit=fit)
+    return merge.merge_shots(shots, camera, options, heading_deg=heading_deg, progress=progress)
 
 
 def evaluate_glare(

@@ -4,7 +4,6 @@ from fieldlum.merge.bracket import (
     MergeOptions,
     MergeResult,
     files_to_picture,
-    merge_frames,
     merge_shots,
 )
 from fieldlum.merge.sensor import merge_sensor

@@ -20,7 +20,6 @@ from fieldlum.merge.sensor import Findings, SensorImage, merge_sensor
 from fieldlum.merge.shots import Shot, middle_of, shots_of_files, sorted_shots
 from fieldlum.merge.sky import MEASURED, sky_cut, sun_on_sensor, take_out_disc
 from fieldlum.optics.images import write_panorama, write_radiance_hdr
-from fieldlum.optics.linear_light import lens_geometry
 from fieldlum.optics.photometry import vertical_illuminance_lx
 from fieldlum.optics.profiles import CameraProfile
 from fieldlum.optics.projection import Equirect, Fisheye, Target, signed_angle_deg
@@ -276,19 +275,17 @@ def merge_shots(
         image, part = merge_sensor(list(group), profile, **how)
         images.append(image)
         findings.append(part)
-    views = [
-        view_through(image, lens, profile, target) for image in images for lens in profile.lens
-    ]
+    views = [view_through(image, lens, target) for image in images for lens in profile.lens]
     seen = blend(views)
     panorama = finish(seen, profile, target, heading_deg=heading_deg, t_utc=middle_of(shots))
     assert panorama.flags is not None  # `finish` always sets the flags
     report = report_of(findings, panorama.flags, target, profile)
     sun = sky = None
     if latitude_deg is not None and isinstance(target, Equirect):
-        sky = sky_cut(images, views, seen, profile, target, heading_deg, latitude_deg)
+        sky = sky_cut(views, seen, target, heading_deg, latitude_deg)
     if sun_deg is not None and isinstance(target, Equirect):
         panorama, disc = take_out_disc(panorama, *sun_deg)
-        sun = None if disc is None else _measured_sun(images, findings, profile, panorama, disc)
+        sun = None if disc is None else _measured_sun(images, findings, panorama, disc)
     view = "" if isinstance(target, Equirect) else target.view(heading_deg)
     text = verdict(report)
     if floating:
@@ -300,29 +297,14 @@ def merge_shots(
 
 
 def _measured_sun(
-    images: Sequence[SensorImage],
-    findings: Sequence[Findings],
-    profile: CameraProfile,
-    panorama: Panorama,
-    disc: SunDisc,
+    images: Sequence[SensorImage], findings: Sequence[Findings], panorama: Panorama, disc: SunDisc
 ) -> MeasuredSun | None:
     """Return the disc's centre, measured on the sensor pixels, and the time of those frames.
 
     The centre comes from the frames taken through a filter. Without a filter it comes from the
     least exposed frame of each heading.
     """
-    views = []
-    for image in images:
-        light, flags, crop = image.merged.value_cdm2, image.merged.flags, image.crop
-        if profile.camera.kind == "jpeg":
-            light = light @ np.asarray(profile.colour.y_from_rgb, np.float32)  # [h, w]
-            flags = np.bitwise_or.reduce(flags, axis=-1)
-        clipped = (flags.reshape(crop.height, -1) & Flag.CLIPPED_HIGH) > 0
-        for lens in profile.lens:
-            geometry = lens_geometry(lens, image.turn_deg, (crop.left, crop.top))
-            views.append((light.reshape(crop.height, -1), clipped, geometry))
-    pixel_rad = np.pi / len(panorama.luminance_cdm2)
-    place = sun_on_sensor(views, disc, panorama.heading_deg, pixel_rad)
+    place = sun_on_sensor(images, disc, panorama)
     if place is None:
         return None
     filtered = [s for part in findings for s in part.shots if s.exposure.nd]
@@ -334,23 +316,6 @@ def _measured_sun(
     return MeasuredSun(
         round(altitude_deg, 4), round(azimuth_deg, 4), float(f"{sigma_deg:.3g}"), t_utc
     )
-
-
-def merge_frames(
-    files: Sequence[Path],
-    profile: CameraProfile,
-    options: MergeOptions | None = None,
-    *,
-    heading_deg: float = 180.0,
-    progress: Progress = quiet,
-) -> MergeResult:
-    """Merge raw or JPEG files of one bracket and one heading; exposures come from their EXIF.
-
-    heading_deg: azimuth of the picture's centre, clockwise from true north. The sun's disc is not
-    searched for. Raises InputError if the files cannot be merged.
-    """
-    shots = shots_of_files(files, profile.camera.fixed_f_number)
-    return merge_shots(shots, profile, options, heading_deg=heading_deg, progress=progress)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -380,16 +345,18 @@ def files_to_picture(
     heading_deg: float = 180.0,
     progress: Progress = quiet,
 ) -> tuple[MergeResult, dict[str, float]]:
-    """Merge files and write the picture; return the result and {"vertical_illuminance_lx": lx}.
+    """Merge files of one heading and write the picture; return the result, and figures by name.
 
-    The illuminance is at the camera, on a plane that faces the picture's centre. heading_deg:
-    azimuth of the picture's centre, clockwise from true north. Raises InputError for a frame that
-    cannot be merged, or if `out` ends neither in .exr nor in .hdr.
+    The figure vertical_illuminance_lx is at the camera, on a plane that faces the picture's centre.
+    Exposures come from the EXIF; the sun's disc is not searched for. heading_deg: azimuth of the
+    picture's centre, clockwise from true north. Raises InputError for a frame that cannot be
+    merged, or if `out` ends neither in .exr nor in .hdr.
     """
     if out.suffix.lower() not in (".exr", ".hdr"):
         raise InputError(out, f"the suffix '{out.suffix}'", ".exr or .hdr", "correct --out")
     options = options or MergeOptions()
-    result = merge_frames(files, profile, options, heading_deg=heading_deg, progress=progress)
+    shots = shots_of_files(files, profile.camera.fixed_f_number)
+    result = merge_shots(shots, profile, options, heading_deg=heading_deg, progress=progress)
     panorama = result.panorama
     with replacing_path(out) as path:
         if out.suffix.lower() == ".exr":

@@ -15,7 +15,7 @@ from fieldlum.core.arrays import Floats, Floats32, Indices, Mask
 from fieldlum.core.records import U_PERCENT, VEILING_GLARE, Flag, Panorama
 from fieldlum.merge.sensor import SensorImage
 from fieldlum.optics.images import RADIANCE_LM_PER_W, RADIANCE_Y, calibration_mark
-from fieldlum.optics.linear_light import curve_u_rel, lens_geometry, vignetting_of
+from fieldlum.optics.linear_light import curve_u_rel, vignetting_of
 from fieldlum.optics.melanopic import ATTRIBUTE as MELANOPIC
 from fieldlum.optics.melanopic import attribute_text as melanopic_text
 from fieldlum.optics.photometry import vignetting_at
@@ -198,15 +198,14 @@ _LEAK_PX = {"raw": 0.35, "jpeg": 0.20}
 
 @dataclass(frozen=True, slots=True)
 class ProjectedImage:
-    """What one lens, or several blended lenses, see of the target; arrays [n] over its pixels.
+    """What the lenses see of the target; arrays [n] over its pixels.
 
     luminance [cd/m2]; rgb [n, 3]: luminance by each colour of the camera. variance: of the
     luminance's random error [(cd/m2)^2]. coverage: share (0 to 1) of the pixel that a lens
     sees. edge: 0.01 at the lens's edge, rising to 1 at 0.06 rad inside it. u_vignetting,
     u_ratio: relative standard uncertainties of the luminance due to vignetting and to the
     exposures. flags: `Flag` bits. u_stray: standard uncertainty of the stray light that was
-    subtracted [cd/m2]. lens: None for several blended lenses. stray: light of a lens that was
-    subtracted [cd/m2]; None without a kernel.
+    subtracted [cd/m2].
     """
 
     luminance: Floats
@@ -218,7 +217,17 @@ class ProjectedImage:
     flags: NDArray[np.uint8]
     rgb: Floats
     u_stray: Floats
-    lens: Lens | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class LensView(ProjectedImage):
+    """What one lens sees: a lens of the profile of a merged sensor.
+
+    stray: light that was subtracted [cd/m2]; None without a kernel.
+    """
+
+    lens: Lens
+    sensor: SensorImage
     stray: Floats | None = None
 
 
@@ -260,19 +269,15 @@ def _row_sums(matrix: Any, data: Floats) -> Floats:
 
 
 def view_through(
-    sensor: SensorImage,
-    lens: Lens,
-    profile: CameraProfile,
-    target: Target,
-    stray: Floats | None = None,
-) -> ProjectedImage:
+    sensor: SensorImage, lens: Lens, target: Target, stray: Floats | None = None
+) -> LensView:
     """Return what one lens sees of the target grid, corrected for vignetting and stray light.
 
-    sensor: merged frames of one heading; lens: one of the profile's. stray: stray light of each
+    sensor: merged frames of one heading; lens: one of its profile's. stray: stray light of each
     target pixel [n]; None to compute it from what the target shows, which must be the lens's
     complete field. Pixels that the lens does not see have coverage 0.
     """
-    geometry = lens_geometry(lens, sensor.turn_deg, (sensor.crop.left, sensor.crop.top))
+    profile, geometry = sensor.profile, sensor.geometry(lens)
     cfa = profile.sensor.cfa if profile.camera.kind == "raw" else ""
     r = resampler(target, geometry, (sensor.crop.height, sensor.crop.width), cfa)
     rgb, var, flags = _project(sensor, r)
@@ -296,9 +301,8 @@ def view_through(
         remaining, u_stray = np.maximum(light - stray, 0.0), profile.stray.u_rel * stray
         rgb = rgb * (remaining / np.maximum(light, 1e-12))[:, None]
     variance = var @ weights**2
-    return ProjectedImage(
-        remaining, variance, coverage, edge, u_vignetting, u_ratio, flags, rgb, u_stray, lens, stray
-    )
+    light = remaining, variance, coverage, edge, u_vignetting, u_ratio, flags, rgb, u_stray
+    return LensView(*light, lens, sensor, stray)
 
 
 def _stray_of_lens(
@@ -311,7 +315,7 @@ def _stray_of_lens(
     return stray_cdm2(seen, target.solid_angles().ravel(), rays, *kernel)
 
 
-def blend(views: Sequence[ProjectedImage]) -> ProjectedImage:
+def blend(views: Sequence[LensView]) -> ProjectedImage:
     """Return for each pixel the inverse-variance mean over the views that see it.
 
     views: of one lens at one heading each, on the same target. The vignetting's share of a variance
@@ -335,10 +339,9 @@ def blend(views: Sequence[ProjectedImage]) -> ProjectedImage:
     share = np.divide(weight, total, out=np.zeros_like(weight), where=total > 0)
     blended = np.bitwise_or.reduce(np.where(share > 0.05, flags, 0).astype(np.uint8), axis=0)
     blended[seen < 1e-3] = Flag.OUTSIDE_LENS
-    by_lens: dict[Lens | int, Floats] = {}  # one curve for all headings of a lens
-    for i, view in enumerate(views):
-        key = i if view.lens is None else view.lens
-        by_lens[key] = by_lens.get(key, 0.0) + share[i] * u_vignetting[i]
+    by_lens: dict[Lens, Floats] = {}  # one curve for all headings of a lens
+    for view, of_lens in zip(views, share * u_vignetting, strict=True):
+        by_lens[view.lens] = by_lens.get(view.lens, 0.0) + of_lens
     return ProjectedImage(
         (share * luminance).sum(0),
         (share**2 * variance).sum(0),

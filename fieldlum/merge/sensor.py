@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from fieldlum.core.arrays import Floats, Indices, Mask
+from fieldlum.core.arrays import Floats, Floats32, Indices, Mask
 from fieldlum.core.records import Flag, Progress, quiet
 from fieldlum.core.statistics import robust_sigma
 from fieldlum.merge.estimator import Merged, Rows, merge_signals
@@ -21,7 +21,8 @@ from fieldlum.merge.ratios import Exposures, RatioCurve, compare, exposures_of, 
 from fieldlum.merge.shift import shifts
 from fieldlum.merge.shots import Shot, sorted_shots
 from fieldlum.optics.linear_light import lens_geometry, nd_factors, stated_law
-from fieldlum.optics.profiles import CameraProfile
+from fieldlum.optics.profiles import CameraProfile, Lens
+from fieldlum.optics.projection import LensGeometry
 from fieldlum.session.files.sidecar import ShiftQuality
 
 # ----------------------------------------------------------------------------------------------
@@ -152,18 +153,35 @@ def odd_pixels(flags: NDArray[np.uint8]) -> Indices:
 class SensorImage:
     """Merged pixels of the sensor in the camera's own colours, and the direction of the camera.
 
-    merged: pixels of the crop; crop: the part of the sensor that was read. turn_deg: heading of the
-    camera minus that of the target, clockwise. f_number: of the frames. u_curve: relative
-    uncertainty due to the exposures, over luminance. good: mask [height, width] of the crop, False
-    at bad pixels; None if every pixel is good.
+    merged: pixels of the crop; profile: of the camera; crop: the part of the sensor that was read.
+    turn_deg: heading of the camera minus that of the target, clockwise. f_number: of the frames.
+    u_curve: relative uncertainty due to the exposures, over luminance. good: mask [height, width]
+    of the crop, False at bad pixels; None if every pixel is good.
     """
 
     merged: Merged
+    profile: CameraProfile
     crop: Crop
     turn_deg: float
     f_number: float
     u_curve: RatioCurve
     good: Mask | None = None
+
+    def geometry(self, lens: Lens) -> LensGeometry:
+        """Return the geometry of one of the profile's lenses, in pixels of the crop."""
+        return lens_geometry(lens, self.turn_deg, (self.crop.left, self.crop.top))
+
+    def light(self) -> tuple[Floats32, Mask]:
+        """Return the luminance of each pixel of the crop, and a mask of the clipped ones.
+
+        Both are [height, width]. The luminance is not corrected for vignetting; in a mosaic it is
+        that by the pixel's own colour.
+        """
+        value, flags, shape = self.merged.value_cdm2, self.merged.flags, (self.crop.height, -1)
+        if self.profile.camera.kind == "jpeg":
+            value = value @ np.asarray(self.profile.colour.y_from_rgb, np.float32)
+            flags = np.bitwise_or.reduce(flags, axis=-1)
+        return value.reshape(shape), (flags.reshape(shape) & Flag.CLIPPED_HIGH) > 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,7 +230,7 @@ def merge_sensor(
     shape = (crop.height // 2, 2, crop.width) if is_raw else (crop.height, crop.width, 3)
     merged = merge_signals(frames, shape, u_ratio=exposures.tolerance)
     good, f_number = good_pixels(profile, crop, merged.flags), shots[0].exposure.f_number
-    image = SensorImage(merged, crop, turn_deg, f_number, exposures.u_curve, good)
+    image = SensorImage(merged, profile, crop, turn_deg, f_number, exposures.u_curve, good)
     return image, Findings(tuple(shots), exposures, saturation, noise, tuple(turns), absent)
 
 

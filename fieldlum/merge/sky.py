@@ -15,15 +15,16 @@ from dataclasses import replace
 from datetime import datetime
 
 import numpy as np
+from scipy.ndimage import center_of_mass
 
 from fieldlum.core.arrays import Floats, Floats32, Indices, Mask
 from fieldlum.core.records import CLIPPED_SUN, Flag, Panorama, Site, SunSource
-from fieldlum.merge.project import ProjectedImage, blend, view_through
+from fieldlum.merge.project import LensView, ProjectedImage, blend, view_through
 from fieldlum.merge.sensor import SensorImage
 from fieldlum.optics import projection
 from fieldlum.optics.linear_light import sensor_pitch_deg
-from fieldlum.optics.profiles import CameraProfile, Lens
-from fieldlum.optics.projection import Equirect, LensGeometry
+from fieldlum.optics.profiles import Lens
+from fieldlum.optics.projection import Equirect
 from fieldlum.sky.sky_view.picture import LOWEST_ALTITUDE_DEG, SkyGrid, SkyPicture
 from fieldlum.sky.sun import OBLIQUITY_DEG, celestial_pole, position
 from fieldlum.sky.sun_disc import SUN_RADIUS_RAD, SunDisc, find_disc, without_disc
@@ -126,26 +127,23 @@ def mosaic_u_rel(diameter_px: float) -> float:
 
 
 def sun_on_sensor(
-    views: Sequence[tuple[Floats32, Mask, LensGeometry]],
-    disc: SunDisc,
-    heading_deg: float,
-    pixel_rad: float,
+    images: Sequence[SensorImage], disc: SunDisc, panorama: Panorama
 ) -> tuple[float, float, float] | None:
     """Return altitude, azimuth and standard uncertainty [deg] of the disc's centre on the sensor.
 
-    views: for each lens of each heading its merged luminance [h, w], its mask [h, w] (True at
-    clipped pixels), and its geometry relative to the panorama's heading. The lens whose axis is
-    nearest to the disc is used. disc: as found in the panorama; heading_deg: of the panorama's
-    centre; pixel_rad: size of its pixels. Azimuths are clockwise from true north. Return None if no
-    lens sees the disc, or if the panorama does not determine its centre (disc.sigma_deg is NaN).
+    images: merged sensor of each heading; the lens whose axis is nearest to the disc is used. disc:
+    as found in the panorama. Azimuths are clockwise from true north. Return None if no lens sees
+    the disc, or if the panorama does not determine its centre (disc.sigma_deg is NaN).
     """
+    heading_deg, pixel_rad = panorama.heading_deg, np.pi / len(panorama.luminance_cdm2)
     towards = projection.direction(disc.altitude_deg, disc.azimuth_deg - heading_deg)
-    places = [projection.lens_pixels(lens, towards) for _, _, lens in views]
-    number = int(np.argmin([float(angle) for _, _, angle in places]))
-    light, clipped, lens = views[number]
-    x, y, angle = (float(v) for v in places[number])
+    lenses = [(image, image.geometry(lens)) for image in images for lens in image.profile.lens]
+    places = [tuple(map(float, projection.lens_pixels(lens, towards))) for _, lens in lenses]
+    number = int(np.argmin([angle for _, _, angle in places]))
+    (image, lens), (x, y, angle) = lenses[number], places[number]
     if angle >= lens.half_angle_rad or np.isnan(disc.sigma_deg):
         return None
+    light, clipped = image.light()
     px_per_rad = lens.radius_px / lens.half_angle_rad
     reach_px = 2.0 + px_per_rad * (SUN_RADIUS_RAD + _BLUR_RAD + 2.0 * pixel_rad)
     top, left = max(int(y - reach_px), 0), max(int(x - reach_px), 0)
@@ -155,17 +153,14 @@ def sun_on_sensor(
     weight = _disc_weight(light[window], clipped[window] if bound_only else None)
     if not weight.any():
         return None
-    rows, columns = np.indices(weight.shape)
-    down = float((weight * (rows + 0.5)).sum() / weight.sum()) + top
-    across = float((weight * (columns + 0.5)).sum() / weight.sum()) + left
+    row, column = center_of_mass(weight)  # of pixel centres
     wide_px = 2.0 * np.sqrt(np.count_nonzero(weight) / np.pi)
     # the halo of a clipped spot is not exactly round
     sigma_px = 0.05 * wide_px if bound_only else _CENTRE_PX / max(wide_px, 1.0)
     sigma_px = max(float(sigma_px), _MIN_CENTRE_PX)
-    east, north, up = (float(v) for v in projection.lens_rays(lens, across, down))
-    altitude = float(np.degrees(np.arcsin(np.clip(up, -1.0, 1.0))))
-    azimuth = (float(np.degrees(np.arctan2(east, north))) + heading_deg) % 360.0
-    return altitude, azimuth, float(np.degrees(sigma_px / px_per_rad))
+    ray = projection.lens_rays(lens, left + column + 0.5, top + row + 0.5)
+    altitude, azimuth = map(float, projection.altitude_azimuth_deg(ray))
+    return altitude, (azimuth + heading_deg) % 360.0, float(np.degrees(sigma_px / px_per_rad))
 
 
 def _disc_weight(light: Floats32, clipped: Mask | None) -> Floats:
@@ -188,26 +183,23 @@ _SAMPLES = 3  # places of a tile in each direction at which the panorama is read
 
 
 def sky_cut(
-    images: Sequence[SensorImage],
-    views: Sequence[ProjectedImage],
+    views: Sequence[LensView],
     seen: ProjectedImage,
-    profile: CameraProfile,
     target: Equirect,
     heading_deg: float,
     latitude_deg: float,
 ) -> SkyPicture | None:
     """Return the luminance around what can be sky with the sun's disc; None if no lens sees it.
 
-    images: merged sensor of each heading; views: of each lens of each, on the panorama `target`, in
-    the order of images, then lenses; seen: their blend. heading_deg: azimuth of the panorama's
-    centre, clockwise from true north; latitude_deg: of the camera. Pixels are at least as large as
-    the sensor's, within 2 %, and at least 0.1 degrees.
+    views: of each lens at each heading, on the panorama `target`; seen: their blend. heading_deg:
+    azimuth of the panorama's centre, clockwise from true north; latitude_deg: of the camera. Pixels
+    are at least as large as the sensor's, within 2 %, and at least 0.1 degrees.
     """
     can_be_sun = sun_tiles(heading_deg, latitude_deg) & _any(seen.coverage > 0.0, target)
     if not can_be_sun.any():
         return None
     # The sun's disc has 22 pixels of 0.1 degrees; finer ones would need four times the space.
-    side = max(1, int(_TILE_DEG / max(0.1, sensor_pitch_deg(profile)) + 0.1))
+    side = max(1, int(_TILE_DEG / max(0.1, sensor_pitch_deg(views[0].sensor.profile)) + 0.1))
     rows = np.flatnonzero(can_be_sun.any(axis=1))
     first, (left, width) = int(rows[0]), projection.smallest_arc(np.asarray(can_be_sun.any(axis=0)))
     place = np.s_[first : int(rows[-1]) + 1], (left + np.arange(width)) % can_be_sun.shape[1]
@@ -218,7 +210,7 @@ def sky_cut(
     out = np.full((bright.shape[0] * side, bright.shape[1] * side), np.nan, np.float32)
     clipped = np.zeros(out.shape, bool)
     for tiles, part in _parts(bright, first, left, side):
-        light, marked = _block(images, views, profile, part, target)
+        light, marked = _block(views, part, target)
         into = tuple(slice(part.start * side, part.stop * side) for part in tiles)
         used = np.kron(bright[tiles], np.ones((side, side), bool))
         out[into], clipped[into] = np.where(used, light, np.nan), used & marked
@@ -247,21 +239,14 @@ def _parts(
                 yield tiles, Equirect(180 // _TILE_DEG * side, (*corner, high * side, wide * side))
 
 
-def _block(
-    images: Sequence[SensorImage],
-    views: Sequence[ProjectedImage],
-    profile: CameraProfile,
-    part: Equirect,
-    target: Equirect,
-) -> tuple[Floats, Mask]:
+def _block(views: Sequence[LensView], part: Equirect, target: Equirect) -> tuple[Floats, Mask]:
     """Return luminance and clipped pixels of a part of the sphere, [h, w] each."""
     coarse = _coarse_pixels(part, target)
     fine = []
-    pairs = [(image, lens) for image in images for lens in profile.lens]
-    for (image, lens), view in zip(pairs, views, strict=True):
+    for view in views:
         if (view.coverage[coarse] > 0).any():
             stray = None if view.stray is None else view.stray[coarse]
-            fine.append(view_through(image, lens, profile, part, stray))
+            fine.append(view_through(view.sensor, view.lens, part, stray))
     if not fine:
         return np.full(part.shape, np.nan), np.zeros(part.shape, bool)
     joined = blend(fine)
