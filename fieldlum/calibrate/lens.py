@@ -16,7 +16,7 @@ from fieldlum.core.arrays import Array, Mask
 from fieldlum.core.errors import InputError
 from fieldlum.core.statistics import robust_sigma
 from fieldlum.optics.profiles import Lens
-from fieldlum.optics.projection import direction, lens_pixels, lens_rays
+from fieldlum.optics.projection import altitude_azimuth_deg, direction, lens_pixels, lens_rays
 
 # The mappings that are tried, with the powers of the angle in a polynomial; held-out targets
 # select one.
@@ -236,8 +236,7 @@ def _posed(targets: Targets, lens: Lens) -> Lens:
         remedy = "check the targets for a wrong sign, or for x and y exchanged"
         raise InputError(targets.source, finding, _WANTED, remedy)
     right, forward = turn[:, 0], turn[:, 1]
-    azimuth = np.degrees(np.arctan2(forward[0], forward[1]))
-    tilt = np.degrees(np.arcsin(np.clip(forward[2], -1, 1)))
+    tilt, azimuth = altitude_azimuth_deg(forward)
     level = direction(0.0, azimuth + 90.0)
     roll = np.degrees(np.arctan2(-right @ np.cross(level, forward), right @ level))
     return replace(lens, azimuth_deg=float(azimuth), tilt_deg=float(tilt), roll_deg=float(roll))

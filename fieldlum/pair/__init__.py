@@ -15,7 +15,6 @@ import numpy as np
 
 from fieldlum.core.errors import FieldlumError, InputError, NotEnoughDataError, input_errors
 from fieldlum.core.records import (
-    Flag,
     Panorama,
     Progress,
     Site,
@@ -246,9 +245,7 @@ def _shown(taken: BracketInterval, full_normal_lx: float) -> Shown:
     except FieldlumError as error:
         return Shown(taken.slot, caution=str(error))
     sun, caution = measured_sun(panorama, full_normal_lx, taken.meter_lx)
-    seen = np.isfinite(panorama.luminance_cdm2)
-    if panorama.flags is not None:
-        seen &= (panorama.flags & Flag.OUTSIDE_LENS) == 0
+    seen = np.isfinite(panorama.seen_cdm2)
     recorded_lx = panorama.sun.normal_illuminance_lx if panorama.sun else 0.0
     return Shown(taken.slot, sun, recorded_lx, caution, seen, panorama.heading_deg)
 

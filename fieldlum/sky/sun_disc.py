@@ -13,6 +13,7 @@ import numpy as np
 
 from fieldlum.core.arrays import Floats, Floats32, Mask
 from fieldlum.optics.projection import (
+    altitude_azimuth_deg,
     column_azimuths_deg,
     direction,
     equirect_pixel,
@@ -253,11 +254,9 @@ def _disc_at(
         inside = inside | (near & band.clipped)
     pixels = np.zeros(band.shape, bool)
     pixels[band.rows] = inside
-    x, y, z = (float(v) for v in centre)
-    altitude_deg = float(np.degrees(np.arctan2(z, np.hypot(x, y))))
-    azimuth_deg = float(np.degrees(np.arctan2(x, y)) % 360.0)
+    altitude_deg, azimuth_deg = (float(angle) for angle in altitude_azimuth_deg(centre))
     light = float(sigma), float(energy.sum()), surroundings
-    return SunDisc(altitude_deg, azimuth_deg, *light, pixels, clipped)
+    return SunDisc(altitude_deg, azimuth_deg % 360.0, *light, pixels, clipped)
 
 
 def _is_sun(disc: SunDisc, band: _Band, dni_wm2: float | None) -> bool:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fieldlum.core.arrays import Floats, Indices
-from fieldlum.optics.projection import direction, equirect_rays
+from fieldlum.optics.projection import altitude_azimuth_deg, direction, equirect_rays
 from fieldlum.sky.sun_disc import PIXEL_SIGMA, SunDisc, brightest_surface_cdm2, find_disc
 
 GLASS_INDEX = 1.52  # refractive index of soda-lime glass (EN 572-1: 1.50 rounded; Radiance: 1.52)
@@ -113,9 +113,8 @@ def bright_spots(
         peak = np.unravel_index(int(np.argmax(light)), light.shape)
         if light[peak] <= limit:
             break
-        east, north, up = rays[peak]
-        place = float(np.degrees(np.arcsin(up))), float(np.degrees(np.arctan2(east, north)) % 360.0)
-        spot = find_disc(light, heading_deg, near_deg=place, dni_wm2=dni_wm2)
+        altitude, azimuth = (float(angle) for angle in altitude_azimuth_deg(rays[peak]))
+        spot = find_disc(light, heading_deg, near_deg=(altitude, azimuth), dni_wm2=dni_wm2)
         if spot is not None:
             spots.append(SunImage(row, direction(spot.altitude_deg, spot.azimuth_deg), spot))
         around = rays @ rays[peak] > np.cos(near_sun_rad(height))

@@ -407,9 +407,9 @@ def shown_place(
     """
     if not angles_deg.any():
         return altitude_deg, azimuth_deg
-    x, y, z = turned_rays(direction(altitude_deg, azimuth_deg), heading_deg, angles_deg)
-    altitude = float(np.degrees(np.arctan2(z, np.hypot(x, y))))
-    return altitude, float(np.degrees(np.arctan2(x, y)) % 360.0)
+    shown = turned_rays(direction(altitude_deg, azimuth_deg), heading_deg, angles_deg)
+    altitude, azimuth = (float(angle) for angle in altitude_azimuth_deg(shown))
+    return altitude, azimuth % 360.0
 
 
 def turn_notes(turns: CameraTurns, days: NDArray[np.datetime64]) -> list[str]:

@@ -437,9 +437,7 @@ def read_pictures(
         panorama = read_panorama_with_sun(pictures[k], suns[pictures[k].parent])
         panorama = _checked(panorama, pictures[k], alike, setup)
         bounds += panorama.sun is not None and panorama.sun.origin == CLIPPED_SUN
-        maps[k], masks[k] = panorama.luminance_cdm2, np.isfinite(panorama.luminance_cdm2)
-        if panorama.flags is not None:
-            masks[k] &= (panorama.flags & Flag.OUTSIDE_LENS) == 0
+        maps[k], masks[k] = panorama.luminance_cdm2, np.isfinite(panorama.seen_cdm2)
         counts[k] = pixel_counts(panorama)
         disc[k] = panorama.sun.normal_illuminance_lx if panorama.sun else 0.0
         if patches is not None:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Array, Floats, Mask
 from fieldlum.core.statistics import standard_error
-from fieldlum.sky.sun import ZERO_OFFSET_WM2
+from fieldlum.sky.sun import LOW_SUN_DEG, ZERO_OFFSET_WM2
 
 if TYPE_CHECKING:
     from fieldlum.learn.models.data import Dataset
@@ -33,7 +33,7 @@ class HeldOutErrors:
 
     dgp: mean absolute error of DGP over fully seen view directions, with the true disc; ev: mean
     absolute error of ln Ev over the same directions; log10: mean squared error of log10 luminance;
-    day: date; weight: 0 to 1, by `hour_weights`; trim: share of the weight of the hours with the
+    day: date; weight: 0 to 1, by `choice_weights`; trim: share of the weight of the hours with the
     largest errors, which does not count.
     """
 
@@ -132,8 +132,6 @@ def choose(candidates: Sequence[HeldOutErrors]) -> HeldOutChoice:
 
 
 UNSURE = 1e-2  # relative variance of an hour or a pixel that has half weight; not measured
-# As `pair` marks it: under 5 degrees 2 W/m2 in the horizontal are 23 W/m2 and more in the normal.
-LOW_SUN_DEG = 5.0
 UNCERTAIN_WEIGHT = 0.25  # of an hour that is needed; half of the usual deviation; chosen
 
 

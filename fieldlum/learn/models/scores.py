@@ -56,7 +56,7 @@ class Scores:
     error of DGP; rammg_error: RAMMG
     predicted less true; rammg_truth: true RAMMG; expected_mse: error that the model itself
     expected; trusted: whether the model trusts the hour; ev_error: mean absolute error of ln Ev;
-    day: local date; weight: of the hour in choices (`hour_weights`); slots: names of the hours.
+    day: local date; weight: of the hour in choices (`choice_weights`); slots: names of the hours.
     DGP and Ev are those of fully seen view directions, of all ten if no lens sees one. dgp_mse has
     the true sun's disc in the prediction; dgp_mse_own_disc the disc by the sky view, as a user
     gets it. bias_log10: weighted mean of log10 predicted over true. in_band: share of

@@ -26,7 +26,6 @@ from fieldlum.learn.models import POOR_WORDS, TRUSTED_FACTOR, TRUSTED_MSE, Fitte
 from fieldlum.learn.models.data import Dataset, with_sky_view
 from fieldlum.learn.models.held_out_choice import (
     CRITERIA,
-    LOW_SUN_DEG,
     beam_is_uncertain,
     choice_weights,
     choose,
@@ -47,6 +46,7 @@ from fieldlum.room.fit.setting import scan, settle, with_right_clock
 from fieldlum.session import check_writable, sha256
 from fieldlum.session.codec import data_digest, digest, made_from
 from fieldlum.session.files.model_files import ScoreRow, ScoresFile, TrainAnswer
+from fieldlum.sky.sun import LOW_SUN_DEG
 from fieldlum.version import __version__
 
 POOR_MSE = 0.02  # log10, a factor of 1.4: a steady room with correct irradiance stays below

@@ -129,9 +129,8 @@ def cut_panorama(panorama: Panorama) -> SkyPicture:
     height, width = panorama.luminance_cdm2.shape
     step_deg = 180.0 / height
     rows = min(height, int(np.ceil((90.0 - LOWEST_ALTITUDE_DEG) / step_deg)))
-    light = np.array(panorama.luminance_cdm2[:rows], np.float32)
+    light = panorama.seen_cdm2[:rows]
     flags = np.zeros(light.shape, np.uint16) if panorama.flags is None else panorama.flags[:rows]
-    light[(flags & Flag.OUTSIDE_LENS) > 0] = np.nan
     clipped = (flags & (Flag.CLIPPED_HIGH | Flag.BLOOM)) > 0
     grid = SkyGrid(90.0, -180.0, step_deg, panorama.heading_deg, rows, width)
     return SkyPicture(light, clipped, grid)

@@ -209,12 +209,12 @@ class PictureView:
     @property
     def azimuth_deg(self) -> float:
         """Azimuth of the view direction, clockwise from north, in [0, 360)."""
-        return float(np.degrees(np.arctan2(self.forward[0], self.forward[1])) % 360.0)
+        return float(altitude_azimuth_deg(self.forward)[1]) % 360.0
 
     @property
     def altitude_deg(self) -> float:
         """Altitude of the view direction above the horizon, negative for a view downwards."""
-        return float(np.degrees(np.arcsin(np.clip(self.forward[2], -1.0, 1.0))))
+        return float(altitude_azimuth_deg(self.forward)[0])
 
     @property
     def frame(self) -> Floats:
