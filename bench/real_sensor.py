@@ -91,7 +91,11 @@ def bias_rows(
         for frame in (f for f in light if f.photons == photons):
             signal = signal_of(paths[frame.path], frame, profile)
             counts, full = signal.strip(0, len(signal.counts))
-            good = counts < signal.limit if full is None else ~full & (counts < signal.limit)
+            good = (
+                counts < signal.usable_limit
+                if full is None
+                else ~full & (counts < signal.usable_limit)
+            )
             if good.mean() < 0.999:
                 continue
             level = float(counts[good].mean())

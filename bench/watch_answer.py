@@ -21,7 +21,7 @@ from fieldlum.optics.profiles import bracket_exposures, load_camera_profile, shi
 from fieldlum.room import simulate
 from fieldlum.session import create_session, open_session, write_plan
 from fieldlum.session.site_toml import load_site
-from fieldlum.web import answer
+from fieldlum.web import prediction_so_far
 from fieldlum.web.snapshot import Snapshots
 
 
@@ -39,7 +39,9 @@ def main() -> None:
     ladder = tuple(bracket_exposures(load_camera_profile(setup.camera.profile).bracket))
     hours = simulate.sample_slots(setup, weather, asked.captures * asked.days, 3)
     slots = [replace(hour, exposures=ladder) for hour in hours]
-    answer.ANSWER_EVERY = answer.ANSWER_EVERY * 0  # the rounds of this script follow at once
+    prediction_so_far.ANSWER_EVERY = (
+        prediction_so_far.ANSWER_EVERY * 0
+    )  # the rounds of this script follow at once
     for day in range(1, asked.days + 1):
         now = slots[: day * asked.captures]
         if day == 1:
@@ -51,12 +53,12 @@ def main() -> None:
         demo.capture(session, 1, quiet)
         if day == 1:
             merge.run(session, merge.MergeOptions(asked.height))
-        worker = answer.Worker(session, Snapshots(session).moment)
+        worker = prediction_so_far.Worker(session, Snapshots(session).moment)
         started, cpu = time.monotonic(), sum(os.times()[2:4])
         worker.work()
         cost = f"{sum(os.times()[2:4]) - cpu:.0f} CPU s, {time.monotonic() - started:.0f} s"
         print(f"\n{len(now)} captures: {cost} {worker.problem}")
-        last = answer.answer_table(session, worker)["last"]
+        last = prediction_so_far.answer_table(session, worker)["last"]
         for row in last["protection"]:
             sure = "" if row["certain"] else " (cannot tell yet)"
             print(

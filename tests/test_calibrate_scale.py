@@ -93,7 +93,7 @@ def _readings(meter: list[float], image: list[float]) -> list[scale.LuminanceRea
 def test_scale_names_slips_of_units_and_refuses_what_contradicts_itself(tmp_path: Path) -> None:
     picture = [80.0, 120.0, 300.0, 40.0, 900.0, 60.0]
     slip = _readings([80.0, 1200.0, 300.0, 40.0 / 3.426, 900.0, 60.0], picture)
-    said = scale.slips(slip, scale.fit(slip))
+    said = scale.outlier_texts(slip, scale.fit(slip))
     assert len(said) == 2 and said[0].startswith("spot 1: the reading of 1200 is 10")
     assert "0.292 times the picture's value: check its unit (1 fL" in said[1]
     with pytest.raises(

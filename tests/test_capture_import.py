@@ -22,9 +22,9 @@ from fieldlum.capture.match_card import (
     Group,
     Offset,
     find_offset,
-    fits,
     group_frames,
     match_groups,
+    matching_exposures,
     refine_offset,
     split_at_gaps,
 )
@@ -142,7 +142,7 @@ def test_a_filter_and_turned_headings_repeat_exposures() -> None:
     groups = group_frames(frames_at(DAWN, shot), plan, headings=2)
     assert [len(g.frames) for g in groups] == [12]
     slot = Slot(DAWN, 10.0, 120.0, plan)
-    assert [import_card.meant(groups[0], i, slot, setup) for i in (0, 5, 6, 11)] == [
+    assert [import_card.planned_frame(groups[0], i, slot, setup) for i in (0, 5, 6, 11)] == [
         (plan[0], 0.0),
         (plan[5], 0.0),
         (plan[0], 180.0),
@@ -155,7 +155,7 @@ def test_one_frame_is_not_two_exposures_with_and_without_a_filter() -> None:
     plan = [Slot(DAWN, 10.0, 120.0, (*LADDER, Exposure(1 / 125, 5.6, nd="nd3")))]
     for number, matched in ((1, 0), (2, 1)):
         group = Group(tuple(frames_at(DAWN, (LADDER[-1],) * number)))
-        assert fits(group, plan[0]) == number
+        assert matching_exposures(group, plan[0]) == number
         assert len(match_groups([([group], Offset(0.0, "stated"))], plan)[0]) == matched
 
 

@@ -16,11 +16,11 @@ import pytest
 from places import SEATTLE
 from tiny_field import T0, Field, make_session
 
-from fieldlum.capture.alerts import _latest_contact_sheet, informed
+from fieldlum.capture.alerts import _latest_contact_sheet, open_alerts
 from fieldlum.capture.notify import Message
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import CameraSetup, Exposure, Room, SiteFile, slot_id
-from fieldlum.devices.stored import names_more, require_permitted
+from fieldlum.devices.address_permission import permission_subject, require_permitted
 from fieldlum.merge.shots import shots_of_slot
 from fieldlum.session import (
     Journal,
@@ -117,7 +117,7 @@ def test_an_address_that_the_user_named_works_until_the_program_changes(tmp_path
     ],
 )
 def test_an_address_of_a_device_needs_no_permission(address: str) -> None:
-    assert names_more(address) is None
+    assert permission_subject(address) is None
 
 
 @pytest.mark.parametrize(
@@ -139,7 +139,7 @@ def test_an_address_of_a_device_needs_no_permission(address: str) -> None:
 def test_an_address_of_more_than_a_device_needs_a_permission(tmp_path: Path, address: str) -> None:
     with pytest.raises(InputError, match=r"permit it with: fieldlum doctor .* --camera"):
         require_permitted(address, tmp_path / "session.toml", "--camera")
-    wanted = names_more(address)
+    wanted = permission_subject(address)
     assert wanted is not None
     permit(wanted)
     require_permitted(address, tmp_path / "session.toml", "--camera")
@@ -573,7 +573,7 @@ def test_an_outbox_of_another_computer_is_not_sent(tmp_path: Path) -> None:
     session, sent = make_session(tmp_path / "s"), list[Message]()
     stored = session.root / "outbox.jsonl"
     stored.write_text('{"title": "id_rsa", "body": "x", "picture": "/etc/passwd", "seal": ""}\n')
-    with informed(session, lambda message: not sent.append(message), "", print) as remote:
+    with open_alerts(session, lambda message: not sent.append(message), "", print) as remote:
         remote.send(Message("own", ""))
     assert [message.title for message in sent] == ["own"] and stored.is_file()
 

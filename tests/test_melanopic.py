@@ -27,7 +27,7 @@ from fieldlum.optics.melanopic import (
     melanopic_ratio,
     ratio_u_rel,
     sky_xyz,
-    sun_ratio,
+    sun_melanopic_ratio,
     sun_xyz,
 )
 from fieldlum.optics.profiles import Colour, check_camera
@@ -67,7 +67,7 @@ def test_ratios_are_those_of_cie_s_026() -> None:
 def test_direct_sunlight_is_that_of_spectrl2() -> None:
     # pvlib's spectrl2 at an aerosol depth of 0.1: zenith 0, 60, 75 and 80 degrees
     for altitude, ratio in ((90.0, 0.893), (30.0, 0.840), (15.0, 0.752), (10.0, 0.676)):
-        assert sun_ratio(altitude) == pytest.approx(ratio, rel=0.02)
+        assert sun_melanopic_ratio(altitude) == pytest.approx(ratio, rel=0.02)
 
 
 @pytest.mark.authority
@@ -76,7 +76,9 @@ def test_the_suns_colour_has_the_melanopic_light_of_spectrl2() -> None:
     # pvlib's spectrl2 at an aerosol depth of 0.1, by the observer of CIE 1931: X / Y, Z / Y
     expected = np.array([[0.966, 0.919], [0.967, 0.819], [0.992, 0.541], [1.058, 0.312]])
     assert sun_xyz(altitude)[:, [0, 2]] == pytest.approx(expected, rel=0.02)
-    assert sun_xyz(altitude) @ MELANOPIC_FROM_XYZ == pytest.approx(sun_ratio(altitude), rel=0.06)
+    assert sun_xyz(altitude) @ MELANOPIC_FROM_XYZ == pytest.approx(
+        sun_melanopic_ratio(altitude), rel=0.06
+    )
 
 
 @pytest.mark.authority
@@ -110,10 +112,12 @@ def test_edi_of_a_uniform_room_with_a_sun() -> None:
     picture, weights = coloured(D65), np.full((128, 1), np.pi / 128)
     sun = SunSource(30.0, 180.0, 5000.0)
     edi, u = melanopic_edi(picture, np.full(128, 100.0), weights, sun, np.array([1000.0]))
-    expected = 100.0 * np.pi + 1000.0 * sun_ratio(30.0)
+    expected = 100.0 * np.pi + 1000.0 * sun_melanopic_ratio(30.0)
     assert edi == pytest.approx(expected, rel=0.005) and u is not None
     of_map = 100.0 * np.pi * np.hypot(0.03, 0.03)
-    assert u[0] == pytest.approx(np.hypot(of_map, 0.07 * 1000 * sun_ratio(30.0)), rel=0.02)
+    assert u[0] == pytest.approx(
+        np.hypot(of_map, 0.07 * 1000 * sun_melanopic_ratio(30.0)), rel=0.02
+    )
     plain = replace(picture, attributes={})
     edi, u = melanopic_edi(plain, np.full(128, 100.0), weights, None, np.zeros(1))
     assert edi == pytest.approx(100.0 * np.pi) and u is None

@@ -271,7 +271,7 @@ def test_the_summary_carries_the_sheet_that_was_written_last(session: Session) -
     """A month of capture: the sheets are written after the capture began, contact-10 after -9."""
     import os
 
-    from fieldlum.capture.alerts import informed
+    from fieldlum.capture.alerts import open_alerts
 
     arrived: list[Message] = []
 
@@ -279,7 +279,7 @@ def test_the_summary_carries_the_sheet_that_was_written_last(session: Session) -
         arrived.append(message)
         return True
 
-    with informed(session, post, "", lambda text: None, with_picture=True) as remote:
+    with open_alerts(session, post, "", lambda text: None, with_picture=True) as remote:
         session.panoramas.mkdir(exist_ok=True)
         for second, number in enumerate((9, 10)):
             sheet = session.panoramas / f"contact-{number}.png"
@@ -316,14 +316,14 @@ class SteadyPyranometer(Pyranometer):
 @pytest.mark.slow
 @pytest.mark.contract
 def test_a_capture_reports_and_no_secret_is_written(session: Session, tmp_path: Path) -> None:
-    from fieldlum.capture.alerts import informed
+    from fieldlum.capture.alerts import open_alerts
 
     clock = FastClock(T0 - timedelta(minutes=1))
     options = Options(log_around_s=60.0, threaded=False, flush=False, reserve_bytes=4096)
     with http_server() as (port, requests):
         post = apprise_post([f"json://127.0.0.1:{port}/{SECRET}"])
         beat = f"http://127.0.0.1:{port}/beat-{SECRET}"
-        with informed(session, post, beat, lambda text: None) as remote:
+        with open_alerts(session, post, beat, lambda text: None) as remote:
             run(
                 session,
                 "dead:",

@@ -41,7 +41,7 @@ from fieldlum.year.glare.metrics import (
 from fieldlum.year.glare.pictures import parse_view, picture_views
 from fieldlum.year.glare.single import picture_glare
 from fieldlum.year.glare.sources import panorama_views
-from fieldlum.year.predict.year import telling_hours
+from fieldlum.year.predict.year import report_hours
 
 HEIGHT, HEADING_DEG = 16, 180.0
 LENS = LensGeometry((0.0, 0.0), 100.0, 180.0, "equidistant")
@@ -192,7 +192,7 @@ def test_the_page_recommends_no_direction_that_was_not_seen(year: predict.Annual
     assert any(row[1]["text"] == "not seen" and row[3] == "–" for row in table.rows)
     page = annual_page.when_section(year, "America/Los_Angeles").heatmap
     assert page is not None and any("not seen" in name for name in page["directions"])
-    azimuths = {kind.split()[-1] for kind, _ in telling_hours(year)}
+    azimuths = {kind.split()[-1] for kind, _ in report_hours(year)}
     assert "0" not in azimuths
 
 

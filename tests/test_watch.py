@@ -35,7 +35,7 @@ from fieldlum.optics.images import write_panorama
 from fieldlum.session import DayFiles, Journal, Session, create_session, read_journal
 from fieldlum.session.files.sidecar import Sidecar
 from fieldlum.session.writing import encode_line
-from fieldlum.web.answer import Moment, Worker, answer_table
+from fieldlum.web.prediction_so_far import Moment, Worker, answer_table
 from fieldlum.web.server import Guard, qr_lines
 from fieldlum.web.snapshot import DayBins, JournalFollower, Snapshots
 

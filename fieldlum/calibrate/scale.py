@@ -190,7 +190,7 @@ def _centre(log: Floats, u: Floats) -> tuple[float, Floats]:
     return float(solved.x[0]), np.minimum(1.0, 2.0 / np.maximum(pull, 1e-12)) / u**2
 
 
-def slips(readings: list[LuminanceReading], scale_fit: ScaleFit) -> list[str]:
+def outlier_texts(readings: list[LuminanceReading], scale_fit: ScaleFit) -> list[str]:
     """Return a text on each outlier with its ratio to the corrected picture; empty without any."""
     return [
         f"{r.label}: the reading of {r.meter:g} is {r.meter / (r.image * scale_fit.factor):.3g} "

@@ -153,7 +153,7 @@ def _minutes(duration: timedelta) -> str:
 
 
 @contextmanager
-def informed(
+def open_alerts(
     session: Session,
     post: Post | None,
     heartbeat_address: str,

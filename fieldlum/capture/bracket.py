@@ -145,7 +145,7 @@ class BracketCapture:
         if disk_is_full(error):
             self.recorder.make_room()
         elif not isinstance(error, _Away):
-            self.camera.lost(error)
+            self.camera.mark_lost(error)
 
     def _again(self, doubtful: Frame) -> None:
         """Take a doubtful frame again while the slot's window is open.
@@ -286,7 +286,7 @@ class BracketCapture:
         try:
             lux = self.meter.call(lambda meter: meter.read()).illuminance_lx
         except Exception as error:  # as with the other devices
-            self.meter.lost(error)
+            self.meter.mark_lost(error)
             return
         self.recorder.tell("illuminance", slot=self.slot.id, illuminance_lx=lux)
         self.state = replace(self.state, illuminance_lx=(*self.state.illuminance_lx, lux))

@@ -79,7 +79,7 @@ def _adopt_card(
             left_out.append(f"{whose}: {error.found}; {error.remedy}")
             continue
         clocks.append((part, offset))
-        notes += [match_card.opposed(part, utc_offset_s), match_card.doubt(part, slots, offset)]
+        notes += [match_card.exif_note(part, utc_offset_s), match_card.doubt(part, slots, offset)]
     matches, others = match_card.match_groups(clocks, slots)
     left_out += [f"{_range(group)}: {why}" for group, why in others]
     if not matches:
@@ -135,7 +135,7 @@ def _parts(
         return parts
     pieces: list[list[Group]] = []
     for part in parts:
-        pieces += [part] if match_card.tells_utc(part) else match_card.clock_parts(part, slots)
+        pieces += [part] if match_card.states_utc(part) else match_card.clock_parts(part, slots)
     return pieces
 
 
@@ -198,7 +198,7 @@ def _adopt(session: Session, setup: CameraSetup, journal: Journal, match: Match)
             name = f"{card.path.parent.name}_{name}"
         with replacing_path(folder / name) as copy:
             shutil.copyfile(card.path, copy)
-        planned = meant(match.group, index, slot, setup)
+        planned = planned_frame(match.group, index, slot, setup)
         taken = match_card.true_time(card.t_camera, match.offset), card.exposure.shutter_s
         frame = Frame(index, name, *planned, *taken, sha256(folder / name))
         journal.append("frame", now, slot=slot.id, frame=frame_fields(frame))
@@ -208,7 +208,7 @@ def _adopt(session: Session, setup: CameraSetup, journal: Journal, match: Match)
     journal.append("done", now, slot=slot.id, frames=len(frames), why="imported")
 
 
-def meant(
+def planned_frame(
     group: Group, index: int, slot: Slot, setup: CameraSetup
 ) -> tuple[Exposure, float | None]:
     """Return the planned exposure and heading of frame `index` of a card's bracket.

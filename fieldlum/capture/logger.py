@@ -18,7 +18,7 @@ from fieldlum.session import Session, sole_user, update_session
 
 # Rejected lines that are journalled in an hour: an instrument that prints remarks must not fill the
 # disk (under 100 kB a day).
-_TOLD_AN_HOUR = 20
+_REPORTED_AN_HOUR = 20
 
 
 class Logger:
@@ -57,10 +57,10 @@ class Logger:
                 self._tell_bad(error_text(error))
             if self._failed >= 3:  # the port is opened again
                 self._failed = 0
-                self.keeper.lost(error)
+                self.keeper.mark_lost(error)
             return None
         finally:
-            self._tell_refused(device)
+            self._journal_refused(device)
         self._failed = 0
         # Steady time: neither the instrument's nor that of a clock that was stepped.
         sample = replace(sample, t_utc=asked)
@@ -68,14 +68,14 @@ class Logger:
         self.last = sample
         return sample
 
-    def _tell_refused(self, device: Pyranometer) -> None:
-        """Journal rejected lines as received; above `_TOLD_AN_HOUR`, only their number."""
+    def _journal_refused(self, device: Pyranometer) -> None:
+        """Journal rejected lines as received; above `_REPORTED_AN_HOUR`, only their number."""
         lines, hour = device.refused(), int(self._clock.boottime() // 3600)
         if hour != self._hour:
-            if self._refused > _TOLD_AN_HOUR:
-                self._tell_bad(f"and {self._refused - _TOLD_AN_HOUR} more lines in that hour")
+            if self._refused > _REPORTED_AN_HOUR:
+                self._tell_bad(f"and {self._refused - _REPORTED_AN_HOUR} more lines in that hour")
             self._hour, self._refused = hour, 0
-        for line in lines[: max(0, _TOLD_AN_HOUR - self._refused)]:
+        for line in lines[: max(0, _REPORTED_AN_HOUR - self._refused)]:
             self._tell_bad(line[:600])
         self._refused += len(lines)
 

@@ -148,7 +148,7 @@ def split_at_gaps(groups: Sequence[Group], gap_s: float = 5 * 86400.0) -> list[l
     return [list(groups[a:b]) for a, b in pairwise([*starts, len(groups)])]
 
 
-def fits(group: Group, slot: Slot) -> int:
+def matching_exposures(group: Group, slot: Slot) -> int:
     """Return for how many of the slot's exposures the group has a frame.
 
     Filters are not compared, and each frame counts for one exposure.
@@ -239,7 +239,7 @@ def match_groups(
     """
 
     def misfit(match: Match) -> tuple[int, float]:
-        return -fits(match.group, match.slot), abs(match.late_s)
+        return -matching_exposures(match.group, match.slot), abs(match.late_s)
 
     matches: dict[str, Match] = {}
     others: list[tuple[Group, str]] = []
@@ -250,7 +250,7 @@ def match_groups(
         if slot is None or abs((t_utc - slot.t_utc).total_seconds()) > WITHIN_S:
             others.append((group, f"no slot within {WITHIN_S / 60:.0f} min {when}"))
             continue
-        if fits(group, slot) < min(2, len(slot.exposures)):
+        if matching_exposures(group, slot) < min(2, len(slot.exposures)):
             others.append((group, f"at most one of its exposures is in the plan {when}"))
             continue
         match = Match(slot, group, (t_utc - slot.t_utc).total_seconds(), offset)
@@ -287,7 +287,7 @@ def clock_offset(
     """
     if stated_s is not None:
         start = Offset(stated_s, "--utc-offset")
-    elif tells_utc(groups):
+    elif states_utc(groups):
         start = Offset(0.0, "stated in EXIF", _exif_offsets_s(groups))
     else:
         start = find_offset(groups, slots, _expected_s(groups, slots, setup))
@@ -309,7 +309,7 @@ def clock_offset(
     )
 
 
-def tells_utc(groups: Sequence[Group]) -> bool:
+def states_utc(groups: Sequence[Group]) -> bool:
     """Return whether EXIF states a UTC offset for every frame."""
     return all(f.exif_offset_s is not None for group in groups for f in group.frames)
 
@@ -328,7 +328,7 @@ def as_shown(frames: Sequence[CardFrame]) -> list[CardFrame]:
     return [replace(frame, t_camera=frame.t_camera + offset) for frame, offset in ahead]
 
 
-def opposed(groups: Sequence[Group], stated_s: float | None) -> str:
+def exif_note(groups: Sequence[Group], stated_s: float | None) -> str:
     """Return a note if EXIF's offset differs from the stated one [s] by over a minute, else ""."""
     offsets_s = () if stated_s is None else _exif_offsets_s(groups)
     if stated_s is None or all(abs(offset_s - stated_s) <= 60.0 for offset_s in offsets_s):

@@ -62,7 +62,7 @@ class Keeper(Generic[D]):
                 self.open_or_raise()
             # termios.error, SerialException or a driver's defect must not end the capture
             except Exception as error:
-                self.lost(error)
+                self.mark_lost(error)
         return self._device
 
     def open_or_raise(self) -> D:
@@ -93,7 +93,7 @@ class Keeper(Generic[D]):
             self._backoff.reset()
         return result
 
-    def lost(self, error: BaseException) -> None:
+    def mark_lost(self, error: BaseException) -> None:
         """Close a failed device, journal its loss once, and plan the next try to open it.
 
         The pause doubles with each call, from 1 s to 30 s, until a call of the device succeeds.

@@ -266,7 +266,7 @@ class _Runner:
             same_uri = before.get("uris", {}).get(name) == about.get("uris", {}).get(name)
             if not (name in before and same_uri):
                 raise
-            keeper.lost(error)
+            keeper.mark_lost(error)
 
     def work(self) -> None:
         """Wait for each slot and take its bracket, until every slot has an outcome."""

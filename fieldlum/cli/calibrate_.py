@@ -358,7 +358,7 @@ def scale(
     line = f"{fit.line}; k = {k:g}, uncertainty {100 * u:.1f} % from {len(readings)} readings"
     line += "".join(f"; illuminance: {gate}" for gate in gates)
     line += f"; CAUTION: {warning}" if warning else ""
-    notes = [*notes, *scales.slips(readings, fit), *filter(None, [warning])]
+    notes = [*notes, *scales.outlier_texts(readings, fit), *filter(None, [warning])]
     changed, chart = {"scale": replace(profile.scale, k=k, u_rel=u)}, scales.chart(readings, fit)
     return FittedPart(changed, [line], [sources, *frames], chart, notes, figures)
 

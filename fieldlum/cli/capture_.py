@@ -61,7 +61,7 @@ def command(
           an external monitor.
     """
     from fieldlum import capture
-    from fieldlum.capture.alerts import informed
+    from fieldlum.capture.alerts import open_alerts
     from fieldlum.capture.bracket import FrameChecks
     from fieldlum.capture.notify import read_address
     from fieldlum.capture.utc_clock import wait_for_clock
@@ -96,7 +96,7 @@ def command(
         terminal.unattended(),
         awake,
         simulated() if clock == "fast" else shown(session.site_file().site) as display,
-        informed(session, post, address, terminal.say, with_picture=notify_picture) as remote,
+        open_alerts(session, post, address, terminal.say, with_picture=notify_picture) as remote,
     ):
 
         def watch(live: Live) -> None:
@@ -203,7 +203,7 @@ def shown(site: Site) -> Iterator[Watch]:
     On a terminal it shows a panel. Otherwise it prints the counts of slots, at most 20 times in a
     plan.
     """
-    if not terminal.seen():
+    if not terminal.is_terminal():
         settled = -1
 
         def show(live: Live) -> None:

@@ -91,7 +91,7 @@ def device_uris(session: Session, *given: str | None) -> tuple[str, ...]:
     given URI that names a program, a file or another computer is permitted from now on. Raises
     InputError for one of the session that was never permitted on this computer.
     """
-    from fieldlum.devices.stored import require_permitted
+    from fieldlum.devices.address_permission import require_permitted
 
     stored = session.table().get("devices", {}).get("uris", {})
     for name, uri in zip(DEVICES, given, strict=True):
@@ -107,11 +107,11 @@ def _permit_device(uri: str) -> None:
     """Permit a URI that the user named, for later commands that take it from the session."""
     from fieldlum.cli.terminal import say
     from fieldlum.core.errors import DeviceError
-    from fieldlum.devices.stored import names_more
+    from fieldlum.devices.address_permission import permission_subject
     from fieldlum.session.permits import permit
 
     try:
-        if uri and (wanted := names_more(uri)):
+        if uri and (wanted := permission_subject(uri)):
             permit(wanted)
     except DeviceError:  # opening the device reports it
         return

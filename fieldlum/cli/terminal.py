@@ -79,7 +79,7 @@ def notes(texts: Iterable[str]) -> None:
         say(f"note: {text}")
 
 
-def seen() -> bool:
+def is_terminal() -> bool:
     """Return whether stderr is a terminal, where a user may see its output."""
     return sys.stderr.isatty()
 
@@ -151,7 +151,7 @@ def progress(label: str) -> Iterator[Progress]:
 
     Elsewhere it prints a line after 2 s and then one per minute on stderr.
     """
-    if not seen():
+    if not is_terminal():
         yield _progress_lines(label)
         return
     from rich import progress as rich_progress

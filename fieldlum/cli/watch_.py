@@ -45,7 +45,7 @@ def command(
     session = open_session(session_folder)
     with terminal.web_library():
         from fieldlum.web.server import prepare, watch_routes
-    from fieldlum.web.answer import Worker
+    from fieldlum.web.prediction_so_far import Worker
     from fieldlum.web.snapshot import Snapshots
 
     if weather != "synthetic" and not Path(weather).is_file():

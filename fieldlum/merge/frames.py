@@ -129,7 +129,7 @@ class RawSignal:
         return above
 
     @cached_property
-    def limit(self) -> Floats32:
+    def usable_limit(self) -> Floats32:
         """Counts above black below which a pixel is used, corrected for linearity.
 
         The smaller of 97 % of saturation, and saturation less 4 standard deviations of noise.
@@ -140,8 +140,8 @@ class RawSignal:
 
     @cached_property
     def max_cdm2(self) -> Floats32:
-        """Luminance of `limit` [cd/m2], in a shape that broadcasts to the frame's."""
-        return np.asarray(self.limit / self.per_cdm2, np.float32)
+        """Luminance of `usable_limit` [cd/m2], in a shape that broadcasts to the frame's."""
+        return np.asarray(self.usable_limit / self.per_cdm2, np.float32)
 
     @cached_property
     def _any_full(self) -> float:
@@ -190,15 +190,15 @@ class RawSignal:
         return w
 
     def usable(self, counts: Floats32) -> Mask:
-        """Return a mask, True for counts above black [rows, ...] below `limit`."""
-        return counts < self.limit
+        """Return a mask, True for counts above black [rows, ...] below `usable_limit`."""
+        return counts < self.usable_limit
 
     def readable(self, counts: Floats32) -> tuple[Mask, Floats32]:
-        """Return a mask, True for counts [rows, ...] below `limit`, and all variances [DN^2]."""
+        """Return the mask of `usable` for counts [rows, ...], and the variances of all [DN^2]."""
         variance = np.maximum(counts, 0.0) / np.float32(self.gain_e_per_dn) + np.float32(
             self.noise_dn2
         )
-        return counts < self.limit, variance.astype(np.float32)
+        return counts < self.usable_limit, variance.astype(np.float32)
 
     def small(self) -> ReducedFrame:
         """Return a reduced picture, the mean of all colours, to detect turns by its edges."""

@@ -32,7 +32,7 @@ from fieldlum.session import (
     replacing_path,
     sha256,
 )
-from fieldlum.session.codec import digest, made_from, write_csv
+from fieldlum.session.codec import current_note, digest, write_csv
 from fieldlum.session.files.capture_json import CaptureFile
 from fieldlum.session.files.sidecar import MergeReport, Sidecar, SidecarSun, readable_sidecars
 from fieldlum.sky.sky_view.picture import write_sky_picture
@@ -110,7 +110,7 @@ def _merged_before(session: Session, slot: str, recipe: JsonTable) -> Sidecar | 
     None if there is none yet.
     """
     path, picture = session.sidecar(slot), session.panorama(slot)
-    table = made_from(path, recipe, [picture])
+    table = current_note(path, recipe, [picture])
     with suppress(InputError):
         if table is not None and (sidecar := Sidecar.from_table(table, path)).fits(picture):
             return sidecar

@@ -84,11 +84,11 @@ def melanopic_edi(
         u_map = np.nan_to_num(panorama.u_cdm2.ravel()) @ weights_sr
         u_map /= np.maximum(panorama.luminance_cdm2.ravel() @ weights_sr, 1e-9)
     u_map = np.hypot(u_map, ratio_u_rel(edi / np.maximum(map_lx, 1e-9), colour[1], lamps=lamps))
-    sun_edi = sun_ev_lx * (np.zeros(1) if sun is None else sun_ratio(sun.altitude_deg))
+    sun_edi = sun_ev_lx * (np.zeros(1) if sun is None else sun_melanopic_ratio(sun.altitude_deg))
     return edi + sun_edi, np.hypot(edi * u_map, sun_edi * U_SUN)
 
 
-def sun_ratio(altitude_deg: Floats | float) -> Floats:
+def sun_melanopic_ratio(altitude_deg: Floats | float) -> Floats:
     """Return the melanopic over the photopic illuminance of direct sunlight, without glazing.
 
     altitude_deg : apparent, of any shape, which is that of the result. The relative air mass is

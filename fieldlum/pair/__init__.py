@@ -32,7 +32,7 @@ from fieldlum.pair.sun_strength import DNI, SKY_VIEW, completed_sun, is_measured
 from fieldlum.room.scene import sun_patches
 from fieldlum.room.scene.view import patch_rays
 from fieldlum.session import Session, marks, remove_scraps, replacing_path
-from fieldlum.session.codec import digest, made_from, write_object
+from fieldlum.session.codec import current_note, digest, write_object
 from fieldlum.session.files.capture_json import CaptureFile
 from fieldlum.session.files.irradiance_csv import CleanIrradiance
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
@@ -282,7 +282,7 @@ def write_patches(
         recipe = digest([*known, round(float(altitude), 4), round(float(azimuth), 4), f"{lx:.5g}"])
         recipes.append((bracket.slot, recipe))
         files = session.sunpatch_sidecar(bracket.slot), session.sunpatch(bracket.slot)
-        if force or made_from(files[0], recipe, files[1:]) is None:
+        if force or current_note(files[0], recipe, files[1:]) is None:
             missing.append(k)
     units = []
     for first_k in range(0, len(missing), SLOTS_A_UNIT):

@@ -94,8 +94,9 @@ def set_days(
 ) -> list[date]:
     """Return the local standard dates of a capture set, in time order.
 
-    4-day: equinoxes and solstices; 12-day: also the days before and after; 9-day: so, without
-    September. Each is of `year`, or else the next whose days are not before `start` (or `today`).
+    4-day: equinoxes and solstices; 12-day: also the days before and after; 9-day: the 12-day set
+    without September. Each is of `year`, or else the next whose days are not before `start` (or
+    `today`).
 
     month: `days` (default 31) from `start`; or centred on the March equinox of `year`, or on the
     next March or September equinox for which no day is before `today`. Other sets: `days` (default

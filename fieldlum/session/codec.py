@@ -87,7 +87,7 @@ def _checksum_file(path: Path) -> Path:
 # what a result was computed from: its note, a JSON object that is written after its files
 
 
-def made_from(note: Path, inputs: object, outputs: Iterable[Path] = ()) -> JsonTable | None:
+def current_note(note: Path, inputs: object, outputs: Iterable[Path] = ()) -> JsonTable | None:
     """Return a result's note if it states the same inputs and all files exist, else None.
 
     note: JSON file that is written after the result, with its inputs under the key `inputs`;

@@ -263,7 +263,7 @@ CLEAR_SUN_DEG = 10.0
 
 
 @contextmanager
-def _old_names() -> Iterator[None]:
+def _ignore_dayofyear_warning() -> Iterator[None]:
     """Ignore a warning: pvlib 0.16 uses `dayofyear` of pandas 3.1, which has a new name."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="DatetimeIndex.dayofyear is deprecated")
@@ -277,7 +277,7 @@ def extraterrestrial_wm2(times_utc: Sequence[datetime]) -> Floats:
     """
     from pvlib.irradiance import get_extra_radiation
 
-    with _old_names():
+    with _ignore_dayofyear_warning():
         return np.asarray(get_extra_radiation(pandas_index(times_utc)), float)
 
 
@@ -298,7 +298,7 @@ def clearsky(times_utc: Sequence[datetime], site: Site) -> Irradiance:
     from pvlib.location import Location
 
     place = Location(site.latitude_deg, site.longitude_deg, "UTC", site.altitude_m)
-    with _old_names():
+    with _ignore_dayofyear_warning():
         table = place.get_clearsky(pandas_index(times_utc), model="ineichen")
     return Irradiance(*(np.asarray(table[name], float) for name in ("ghi", "dni", "dhi")))
 
@@ -316,7 +316,7 @@ def dirint_dni(ghi_wm2: ArrayLike, times_utc: Sequence[datetime], site: Site) ->
 
     ghi = np.asarray(ghi_wm2, float)
     zenith = 90.0 - position(times_utc, site).altitude_deg
-    with np.errstate(divide="ignore", invalid="ignore"), _old_names():
+    with np.errstate(divide="ignore", invalid="ignore"), _ignore_dayofyear_warning():
         series = np.maximum(ghi, 0.0), zenith, pandas_index(times_utc)
         computed = dirint(*series, pressure=alt2pres(site.altitude_m))
     dni = np.nan_to_num(np.asarray(computed, float), nan=0.0)

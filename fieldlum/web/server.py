@@ -31,7 +31,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from fieldlum.core.errors import DeviceError, InputError
 from fieldlum.core.records import parse_utc, slot_id
 from fieldlum.session import Session
-from fieldlum.web.answer import Worker, answer_table
+from fieldlum.web.prediction_so_far import Worker, answer_table
 from fieldlum.web.snapshot import Snapshots, picture_png, scale_png
 
 

@@ -36,7 +36,7 @@ from fieldlum.session.files.sidecar import Sidecar
 from fieldlum.session.journal import JournalEvent, decode_event
 from fieldlum.session.slot_states import SETTLED, SlotStates, fold, made_up_for
 from fieldlum.sky import sun
-from fieldlum.web.answer import QUIET_BEFORE_S, Moment
+from fieldlum.web.prediction_so_far import QUIET_BEFORE_S, Moment
 
 BIN_S = 120  # 720 points a day: more cannot be seen in a curve as wide as a page; chosen
 _BINS = 86400 // BIN_S

@@ -44,7 +44,7 @@ from fieldlum.learn.models.scores import (
 from fieldlum.learn.train.outliers import without_changes
 from fieldlum.room.fit.setting import scan, settle, with_right_clock
 from fieldlum.session import check_writable, sha256
-from fieldlum.session.codec import data_digest, digest, made_from
+from fieldlum.session.codec import current_note, data_digest, digest
 from fieldlum.session.files.model_files import ScoreRow, ScoresFile, TrainAnswer
 from fieldlum.sky.sun import LOW_SUN_DEG
 from fieldlum.version import __version__
@@ -331,7 +331,7 @@ def run(
         "seed": seed,
         "fieldlum": __version__,
     }
-    made = made_from(out / ScoresFile.NAME, inputs, [out / name for name in MODEL_FILES])
+    made = current_note(out / ScoresFile.NAME, inputs, [out / name for name in MODEL_FILES])
     if not force and made is not None and made.get("model_sha256") == _model_sha256(out):
         return {**ScoresFile.read(out).table(), "kept": True}
     check_writable(out)

@@ -17,7 +17,7 @@ from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.records import IrradianceSample, Progress, Site, counted, quiet
 from fieldlum.pair.irradiance import consistency
 from fieldlum.session import Session, day_files, read_day, remove_scraps
-from fieldlum.session.codec import convert, made_from, write_object
+from fieldlum.session.codec import convert, current_note, write_object
 from fieldlum.session.files.irradiance_csv import DERIVED, MEASURED, CleanIrradiance
 from fieldlum.sky import sun
 from fieldlum.sky.light_clock import CLOCK_WARN_S, clock_off_s
@@ -443,7 +443,7 @@ def run(session: Session, *, force: bool = False, progress: Progress = quiet) ->
     site = session.site_file().site
     sizes = {path.name: path.stat().st_size for path in files}
     inputs = {"recipe": _RECIPE, "files": sizes, "site": asdict(site)}
-    table = None if force else made_from(note, inputs, [clean])
+    table = None if force else current_note(note, inputs, [clean])
     if table is not None:
         return convert(table, Health)
     raw, broken = _read(files, progress)

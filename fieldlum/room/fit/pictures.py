@@ -54,7 +54,7 @@ def _overlay(data: Dataset, fit: SceneFit, evidence: SceneEvidence) -> Any:
     """Draw captures in grey, with the edges of fitted and of stated patches."""
     from matplotlib import pyplot
 
-    rows = _telling_rows(evidence)
+    rows = _rows_to_draw(evidence)
     hours = data.take(rows)
     fitted = with_scene(hours, scene_of(fit, "fitted", "")).patch_cdm2
     stated = with_patches(hours).patch_cdm2
@@ -70,7 +70,7 @@ def _overlay(data: Dataset, fit: SceneFit, evidence: SceneEvidence) -> Any:
     return figure
 
 
-def _telling_rows(evidence: SceneEvidence) -> Indices:
+def _rows_to_draw(evidence: SceneEvidence) -> Indices:
     """Return the hours with most light in patches, one for each of several sun directions."""
     excess = np.clip(np.exp(evidence.log_seen) - evidence.below, 0.0, None) @ evidence.weights
     parts = np.array_split(np.arange(len(evidence)), SHOWN_HOURS)

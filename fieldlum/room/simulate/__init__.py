@@ -42,7 +42,7 @@ from fieldlum.session import (
     sha256,
     update_session,
 )
-from fieldlum.session.codec import digest, made_from, write_object
+from fieldlum.session.codec import current_note, digest, write_object
 from fieldlum.session.files.irradiance_csv import CleanIrradiance
 from fieldlum.session.files.pairs_csv import PairRow, write_simulated_pairs
 from fieldlum.session.folder import PlanTable
@@ -265,7 +265,7 @@ def _forget_other(session: Session, slots: Sequence[Slot], weather: Weather, how
     now = {"room": digest(room), "weather": weather.name, "light_sha256": light}
     now |= {"window_pitch_deg": f"{how.pitch_deg:.4f}", "troubles": how.troubles.key}
     now |= {"coloured": True} if how.coloured else {}
-    if made_from(path, now) is not None:
+    if current_note(path, now) is not None:
         return
     for slot in slots:
         for place in (session.truth_panorama, session.truth_sunpatch, session.truth_sky_picture):

@@ -1,7 +1,7 @@
 """Estimate the sky view from captures: what follows the sky, by pane, and the captured discs.
 
-`ratio` tells which directions follow the sky. This module decides what they mean: open sky, partly
-open, shut, or undecided, and checks the result with the discs in the captures.
+`sky_directions` finds which directions follow the sky. This module decides what they mean: open
+sky, partly open, shut, or undecided, and checks the result with the discs in the captures.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from fieldlum.sky.sky_view.disc import disc_of_hours
 from fieldlum.sky.sky_view.measured_discs import MeasuredDiscs
 from fieldlum.sky.sky_view.picture import SkyGrid, SkyPicture
 from fieldlum.sky.sky_view.pose import CameraPose, pose_of_discs
-from fieldlum.sky.sky_view.ratio import BEAM_LX, SOME, follow, sky_reference, sky_share
+from fieldlum.sky.sky_view.sky_directions import BEAM_LX, SOME, follow, sky_reference, sky_share
 from fieldlum.sky.sky_view.sky_heading import MIN_U_DEG, heading_by_sky
 from fieldlum.sky.sky_view.view import SkyView
 from fieldlum.sky.sun import OBLIQUITY_DEG, SUN_SOLID_ANGLE_SR, celestial_pole
@@ -207,7 +207,7 @@ def _decided(stack: _Stack, pose: CameraPose, latitude_deg: float | None) -> _De
         openness[mixed], u[mixed] = sky_share(luminance[:, at], open_sky, luminance[:, front])
     openness[openness < _SHUT] = 0.0
     low, high = _bounds(openness, u, mixed, pane, step_deg)
-    apart = ~sky & ~mixed & (stack.placed(_sun_can_stand(rays, latitude_deg, pose)) > 0.0)
+    apart = ~sky & ~mixed & (stack.placed(_sun_passes(rays, latitude_deg, pose)) > 0.0)
     scatters = apart & (stack.placed(seen.forward) > _FORWARD_SCATTER) & (relative > _SCATTER_SHARE)
     bright = apart & (relative > _BRIGHT_SHARE) & (spread < _FOLLOWS_NOT)
     bright |= np.isnan(relative) & (ratio > _BRIGHT_SHARE)
@@ -223,7 +223,7 @@ def _decided(stack: _Stack, pose: CameraPose, latitude_deg: float | None) -> _De
     return _Decided(view, sky, bright, scatters)
 
 
-def _sun_can_stand(rays: Floats, latitude_deg: float | None, pose: CameraPose) -> Mask:
+def _sun_passes(rays: Floats, latitude_deg: float | None, pose: CameraPose) -> Mask:
     """Return where the sun passes on some day of the year, of directions [p, 3]; True if unknown.
 
     It stays within the tropics' declination; the camera's heading and level have uncertainties.

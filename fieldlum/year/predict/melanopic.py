@@ -19,7 +19,7 @@ import numpy as np
 from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.optics.images import read_panorama
-from fieldlum.optics.melanopic import U_SUN, melanopic_ratio, sun_ratio
+from fieldlum.optics.melanopic import U_SUN, melanopic_ratio, sun_melanopic_ratio
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.sky.light import (
     MIN_LX,
@@ -38,8 +38,8 @@ if TYPE_CHECKING:
     from fieldlum.year.predict.blocks import ModelRoom
 
 # Where captures do not decide: the ratio of an overcast sky, what a clear sky adds, and the sun's
-# over `sun_ratio` (fits to two simulated rooms with a coloured sky), with the weight of _PRIOR
-# captures.
+# over `sun_melanopic_ratio` (fits to two simulated rooms with a coloured sky), with the weight of
+# _PRIOR captures.
 _TYPICAL, _PRIOR = np.array([1.0, 0.25, 0.95]), 2.0
 
 
@@ -88,7 +88,7 @@ class MelanopicYear:
         standard uncertainty of `ev_lx`.
         """
         of_map = (views["ev_lx"] - views["sun_ev_lx"]) * self.ratio(light)
-        of_sun = views["sun_ev_lx"] * sun_ratio(light.apparent_altitude_deg)[:, None]
+        of_sun = views["sun_ev_lx"] * sun_melanopic_ratio(light.apparent_altitude_deg)[:, None]
         edi = of_map + of_sun
         u = np.hypot(np.hypot(of_map * self.u_rel, of_sun * U_SUN), edi * u_ev_rel)
         return {"melanopic_edi_lx": edi, "u_melanopic_edi_lx": u}
@@ -100,7 +100,7 @@ def _parts(light: Light, sun_share: Floats) -> Floats:
     beam = light.dni_wm2 * sine
     clear = (beam / np.maximum(beam + light.dhi_wm2, 1.0))[:, None]
     sky = 1.0 - sun_share
-    sun = sun_share * sun_ratio(light.apparent_altitude_deg)[:, None]
+    sun = sun_share * sun_melanopic_ratio(light.apparent_altitude_deg)[:, None]
     return np.stack([sky, sky * clear, sun], axis=-1)
 
 

@@ -28,7 +28,7 @@ from fieldlum.optics.projection import (
     signed_angle_deg,
 )
 from fieldlum.session import Session, check_writable, open_session, sha256
-from fieldlum.session.codec import made_from
+from fieldlum.session.codec import current_note
 from fieldlum.session.files.hourly_csv import COLOUR_COLUMNS, VIEW_COLUMNS
 from fieldlum.session.files.model_files import ModelConfig, UsedScene
 from fieldlum.session.files.predict_json import (
@@ -130,7 +130,7 @@ def run(
     annual, budgets = _judged(annual, found.uncertainty, hours_used, room, session, seed)
     if store:
         blocks.finish_maps(folder, annual, room)
-    pictures = telling_pictures(load(model_folder), room, light, annual)
+    pictures = report_pictures(load(model_folder), room, light, annual)
     _write(annual, budgets, pictures, weather.site.timezone)
     return PredictedYear(annual, new=True)
 
@@ -240,7 +240,7 @@ def _daylight(weather: Weather, path: Path, lamps: Occupancy | None) -> Light:
 # pictures
 
 
-def telling_hours(annual: Annual) -> Iterator[tuple[str, int]]:
+def report_hours(annual: Annual) -> Iterator[tuple[str, int]]:
     """Yield the name of each hour to show in the report, and its index in the year, from 0.
 
     These are the hours with the median, the 95th percentile and the highest DGP of the occupied
@@ -258,12 +258,12 @@ def telling_hours(annual: Annual) -> Iterator[tuple[str, int]]:
             yield f"{kind} of {name} view {annual.azimuths_deg[direction]:g}", int(hour)
 
 
-def telling_pictures(fitted: Fitted, room: ModelRoom, light: Light, annual: Annual) -> Pictures:
-    """Return the maps of `telling_hours`, in that order, predicted again.
+def report_pictures(fitted: Fitted, room: ModelRoom, light: Light, annual: Annual) -> Pictures:
+    """Return the maps of `report_hours`, in that order, predicted again.
 
     The maps are not stored before, because all maps of a year would need a gigabyte of memory.
     """
-    kinds, hours = [list(part) for part in zip(*telling_hours(annual), strict=True)] or ([], [])
+    kinds, hours = [list(part) for part in zip(*report_hours(annual), strict=True)] or ([], [])
     rows, at = np.unique(np.array(hours, np.int64), return_inverse=True)
     maps = np.zeros((0, room.height, room.width), np.float32)  # if no direction was seen
     disc_lx = annual.hours["disc_lx"][rows]
@@ -365,8 +365,8 @@ def _already(folder: Path, inputs: Mapping[str, object]) -> Annual | None:
     A damaged year counts as missing. A stored year with maps also answers a request without maps.
     """
     note, files, needs_maps = folder / "predict.json", [folder / "hourly.csv"], inputs["maps"]
-    table = made_from(note, {**inputs, "maps": True}, files)
-    table = table or (None if needs_maps else made_from(note, inputs, files))
+    table = current_note(note, {**inputs, "maps": True}, files)
+    table = table or (None if needs_maps else current_note(note, inputs, files))
     same = table is not None and table.get("software", {}).get("fieldlum") == __version__
     with suppress(InputError):
         if same and ((folder / blocks.NAME).is_dir() or not needs_maps):

@@ -1,4 +1,4 @@
-"""Tell apart device addresses that only name a device from those that name more.
+"""Require a permission for device addresses of a session that name more than a device.
 
 An address in session.toml may come from another person. One that names a program, a file, a folder
 or another computer is used only after the user of this computer named it on the command line.
@@ -28,7 +28,7 @@ _SERIAL = ("serial", "modbus", "cl200a", "t10a")
 _NO_PLACE = ("sim", "gphoto", "rpicam")  # their place is a word or a number
 
 
-def names_more(text: str) -> Subject | None:
+def permission_subject(text: str) -> Subject | None:
     """Return what needs a permission in an address; None if it names only a device.
 
     The subject changes with the content of a named file and with the place of a named folder.
@@ -66,7 +66,7 @@ def require_permitted(text: str, source: Path, option: str) -> None:
     named the address before.
     """
     try:
-        wanted = names_more(text)
+        wanted = permission_subject(text)
     except DeviceError:
         return  # opening the device reports it
     if wanted is not None and not is_permitted(wanted):
