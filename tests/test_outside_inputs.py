@@ -191,6 +191,10 @@ def test_a_series_of_pvgis_has_the_diffuse_of_pvlib_and_the_beam_of_the_normal_p
     assert moments[0].minute == 10 and not read.typical and np.isfinite(dhi).all()
     with pytest.raises(InputError, match="plane with slope 35 deg; expected a horizontal plane"):
         table(pvgis_series(tmp_path / "b.csv", 35)[0])
+    for stated in ("", "Slope:\n", "Slope: optimum\n"):
+        (tmp_path / "c.csv").write_text(path.read_text().replace("Slope: 0 deg.\n", stated))
+        with pytest.raises(InputError, match="expected a horizontal plane"):
+            table(tmp_path / "c.csv")
 
 
 @pytest.mark.contract
@@ -205,10 +209,23 @@ def test_pvgis_in_json_is_the_csv(tmp_path: Path) -> None:
         time, *numbers = line.split(",")
         hours.append(dict(zip(names, [time, *map(float, numbers)], strict=True)))
     location = {"latitude": 52.3, "longitude": 4.8, "elevation": 10.0}
+    fixed = {"fixed": {"slope": {"value": 0, "optimal": False}}}
     answer = {"inputs": {"location": location}, "outputs": {"hourly": hours}}
+    answer["inputs"]["mounting_system"] = fixed
     (tmp_path / "a.json").write_text(json.dumps(answer))
     csv_rows, json_rows = table(path).rows, table(tmp_path / "a.json").rows
     assert [(r.when, r.dni, r.dhi) for r in csv_rows] == [(r.when, r.dni, r.dhi) for r in json_rows]
+    trackers: tuple[dict[str, Any], ...] = (
+        {},
+        {"two_axis": {"slope": {"value": "-"}}},
+        {"vertical_axis": {"slope": {"value": 35}}},
+        {"inclined_axis": {"slope": {"value": 0}}},
+    )
+    for mounting in trackers:  # as PVGIS 5.2 names them
+        answer["inputs"]["mounting_system"] = mounting
+        (tmp_path / "c.json").write_text(json.dumps(answer))
+        with pytest.raises(InputError, match="expected a horizontal plane"):
+            table(tmp_path / "c.json")
     (tmp_path / "b.json").write_text('{"inputs": {}, "outputs": {"monthly": []}}')
     with pytest.raises(InputError, match="no entry 'hourly'"):
         table(tmp_path / "b.json")
@@ -312,6 +329,62 @@ def test_a_wrong_time_zone_is_blamed_with_its_hours(tmp_path: Path) -> None:
     light = np.roll(light_of(WEST, hours_of(WEST)), 7, axis=0)
     with pytest.raises(InputError, match=r"moved by -[67] h.*check the file's time zone"):
         read_weather(write_epw(tmp_path / "a.epw", WEST, light), WEST)
+
+
+def is_summer_time(t: datetime) -> bool:
+    return datetime(2023, 3, 26, 2, tzinfo=UTC) <= t < datetime(2023, 10, 29, 3, tzinfo=UTC)
+
+
+@pytest.mark.slow
+@pytest.mark.contract
+@pytest.mark.parametrize(("site", "shift"), [(NORTH, 0), (NORTH, -30), (WEST, -30), (WEST, -60)])
+def test_a_clock_of_summer_time_is_named_and_no_shift_is_offered(
+    tmp_path: Path, site: Site, shift: int
+) -> None:
+    """A shift of -30 minutes fits both seasons by half an hour, and would hide the cause."""
+    starts = [t - timedelta(hours=is_summer_time(t)) for t in hours_of(site)]
+    path = write_epw(tmp_path / "a.epw", site, light_of(site, starts))
+    with pytest.raises(InputError, match="the file's clock follows summer time") as caught:
+        read_weather(path, site, label_shift_min=shift)
+    assert "label-shift" not in str(caught.value)
+    summer, winter = f"{-60 - shift:+d} min", f"{-shift:+d} min"
+    assert summer in str(caught.value) and winter in str(caught.value)
+
+
+@pytest.mark.slow
+@pytest.mark.contract
+def test_a_file_in_utc_is_read_and_no_header_blamed(tmp_path: Path) -> None:
+    """NSRDB offers its rows in UTC: then its Time Zone is 0, at any longitude."""
+    local = sam(tmp_path / "a.csv", "30").read_text()
+    rows = local.splitlines()
+    for k, line in enumerate(rows[3:], start=3):
+        t = datetime(*map(int, line.split(",")[:4]), tzinfo=UTC) + timedelta(hours=8)  # type: ignore[misc]
+        rows[k] = ",".join([f"{t.year},{t.month},{t.day},{t.hour}", *line.split(",")[4:]])
+    (tmp_path / "b.csv").write_text("\n".join(rows).replace("33.8,-118.1,-8,", "33.8,-118.1,0,"))
+    a, b = (read_weather(tmp_path / name, WEST) for name in ("a.csv", "b.csv"))
+    assert a.t_utc == b.t_utc and (a.dni_wm2 == b.dni_wm2).all()
+    assert not b.typical  # one series, although its last hours are in the next year
+
+
+@pytest.mark.slow
+@pytest.mark.contract
+@pytest.mark.parametrize("lines", [6, 9])
+def test_a_header_of_any_length_costs_no_hour(tmp_path: Path, lines: int) -> None:
+    light = light_of(NORTH, hours_of(NORTH))
+    whole = write_epw(tmp_path / "a.epw", NORTH, light).read_text().splitlines()
+    header = [*whole[:1], *["COMMENTS 1"] * (lines - 2), "DATA PERIODS,1,1,Data,Sunday, 1/ 1,12/31"]
+    (tmp_path / "b.epw").write_text("\n".join([*header, *whole[8:]]))
+    a, b = (read_weather(tmp_path / name, NORTH) for name in ("a.epw", "b.epw"))
+    assert a.t_utc == b.t_utc and b.repairs == ()
+
+
+@pytest.mark.contract
+def test_two_spellings_of_one_weather_column_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(
+        "t_utc,dni_wm2,DNI (W/m2),dhi_wm2\n2027-03-20T16:30:00Z,500,7,90\n"
+    )
+    with pytest.raises(InputError, match="2 columns named dni"):
+        table(tmp_path / "a.csv")
 
 
 @pytest.mark.slow
@@ -526,6 +599,11 @@ def test_every_column_in_wm2_is_listed(
         ("t_utc,ghi_wm2\n2027-03-20,5\n2027-03-21,6\n", "is a date without a time of day"),
         ("t_utc,ghi_wm2\n2027-03-20T16:00Z,3,6\n2027-03-20T16:01Z,3,7\n", "2 of 2 rows have dec"),
         ('t_utc,ghi_wm2\n2027-03-20T16:00Z,"3,6"\n2027-03-20T16:01Z,"3,7"\n', "decimal commas"),
+        (
+            't_utc,ghi_wm2\n2027-03-20T16:00Z,950.5\n2027-03-20T16:01Z,"1,003.6"\n'
+            '2027-03-20T16:02Z,"1,004.7"\n',
+            "2 of 3 rows have decimal commas",
+        ),
         ("t_utc,ghi_wm2\n2027-03-20T16:00Z,5\nx\ny\nz\n", "3 rows cannot be read, 1 can"),
         ("t_utc,ghi (kW/m2)\n2027-03-20T16:00Z,0.5\n", "columns t_utc, ghi"),
         ("t_utc,ghi_wm2\n", "no row could be read: it has no rows"),
@@ -536,6 +614,104 @@ def test_each_refusal_states_its_cause(tmp_path: Path, text: str, found: str) ->
     (tmp_path / "a.csv").write_text(text)
     with pytest.raises(InputError, match=re.escape(found)):
         read_logger_file(tmp_path / "a.csv", timedelta(0), None)
+
+
+NO_VALUES = (
+    "NAN",
+    "",
+    "---",
+    "NULL",
+    "#N/A",
+    "n/a",
+    "None",
+    "-INF",
+    "-9999",
+    "-99.9",
+    "-999",
+    "7999",
+)
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize("text", NO_VALUES)
+def test_spellings_of_a_missing_value_cost_no_other_value(tmp_path: Path, text: str) -> None:
+    """In a logger the other columns remain; in a weather file the hour is missing, not zero."""
+    lines = logger_csv(tmp_path / "a.csv")
+    (tmp_path / "b.csv").write_text(
+        "\n".join([lines[0], *(f"{line.rpartition(',')[0]},{text}" for line in lines[1:])])
+    )
+    before, after = (read_logger_file(tmp_path / name) for name in ("a.csv", "b.csv"))
+    assert [s.ghi_wm2 for s in after.samples] == [s.ghi_wm2 for s in before.samples]
+    assert {s.dhi_wm2 for s in after.samples} == {None} and not after.left_out
+    path = tmp_path / "c.csv"
+    path.write_text(
+        f"t_utc,dni_wm2,dhi_wm2\n2027-03-20T16:30:00Z,5,90\n2027-03-20 17:30,{text},9\n"
+    )
+    assert np.isnan(table(path).rows[1].dni) and table(path).rows[1].dhi == 9
+
+
+@pytest.mark.contract
+def test_a_voltage_has_no_codes_and_digits_have_no_underscore(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("time,sun_uV\n2021-04-21 11:40:00,7999\n")
+    read = read_logger_file(path, timedelta(0), {"ghi_wm2": "sun_uV"}, {"ghi_wm2": 8.0})
+    assert read.samples[0].ghi_wm2 == pytest.approx(999.875)
+    path.write_text("t_utc,dni_wm2,dhi_wm2\n2027-03-20T16:30:00Z,1_0,90\n")
+    with pytest.raises(InputError, match="line 2: dni_wm2 is '1_0'"):
+        table(path)
+
+
+@pytest.mark.contract
+def test_a_second_line_of_units_counts(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = "\n2027-03-20T16:00:00Z,510,88\n2027-03-20T16:01:00Z,511,88\n"
+    for names, units in (("GHI,Diffuse", "UTC,W/m2,W/m²"), ("ghi_wm2,dhi_wm2", ",W/m2,W m-2")):
+        path.write_text(f"sep=,\nt_utc,{names}\n{units}{rows}")
+        read = read_logger_file(path)
+        assert [(s.ghi_wm2, s.dhi_wm2) for s in read.samples] == [(510.0, 88.0), (511.0, 88.0)]
+        assert not read.left_out
+    path.write_text(f"t_utc,ghi_wm2,dhi_wm2\nUTC,kW/m2,W/m2{rows}")
+    with pytest.raises(InputError, match="the column ghi_wm2 is in 'kW/m2'"):
+        read_logger_file(path)
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize(
+    ("head", "text", "utc"),
+    [
+        ("time", "2027/03/20 06:00:00", False),
+        ("time", "2027.03.20 06:00", False),
+        ("time", "2027-03-20 06:00:00 UTC", True),
+        ("Time (UTC)", "2027-03-20 06:00:00", True),
+        ("Timestamp_UTC", "2027/03/20 06:00", True),
+    ],
+)
+def test_times_of_loggers(tmp_path: Path, head: str, text: str, utc: bool) -> None:
+    (tmp_path / "a.csv").write_text(f"{head},ghi_wm2\n{text},160\n")
+    read = read_logger_file(tmp_path / "a.csv", timedelta(hours=-8))
+    assert read.samples[0].t_utc == datetime(2027, 3, 20, 6 if utc else 14, tzinfo=UTC)
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize("head", ["TIMESTAMP (UTC+1)", "Date Time (GMT-08:00)", "date"])
+def test_the_remedy_for_a_local_clock_does_not_make_it_utc(tmp_path: Path, head: str) -> None:
+    (tmp_path / "a.csv").write_text(f"{head},ghi_wm2\n2027-03-20 06:00:00,160\n")
+    with pytest.raises(InputError, match="t_utc if its times are in UTC, else time, and state"):
+        read_logger_file(tmp_path / "a.csv", timedelta(0))
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize(
+    "cell", ["1.234", "1.234,5", "nan", "inf", "-9999", "1_0", "5 cd", "1 234"]
+)
+def test_a_reading_is_one_number_or_refused(tmp_path: Path, cell: str) -> None:
+    """In a file with decimal commas 1.234 is 1234, and a calibration has no missing values."""
+    path = tmp_path / "a.csv"
+    path.write_text(f"x_px;y_px;azimuth_deg;note_px\n1,5;2;3;4\n1;{cell};3;4\n")
+    with pytest.raises(InputError, match=f"a.csv:3: y_px is '{re.escape(cell)}'"):
+        _readings(path)
+    path.write_text("x_px;y_px;azimuth_deg;note_px\n1,5;2;3;4\n")
+    assert _readings(path)[0]["x_px"] == 1.5
 
 
 @pytest.mark.contract

@@ -452,12 +452,35 @@ def test_an_exposure_of_zero_is_none(tmp_path: Path, line: str, other: str) -> N
 
 
 @pytest.mark.contract
-@pytest.mark.parametrize("line", ["EXPOSURE=-1", "EXPOSURE=nan", "EXPOSURE=", "COLORCORR=1 0 1"])
+@pytest.mark.parametrize(
+    "line", ["EXPOSURE=-1", "EXPOSURE=nan", "EXPOSURE=", "COLORCORR=1 0 1", "GAMMA=-2"]
+)
 def test_other_exposures_are_refused(tmp_path: Path, line: str) -> None:
     path = tmp_path / "a.hdr"
     path.write_bytes(f"#?RADIANCE\n{line}\n\n-Y 2 +X 3\n".encode() + bytes(24))
     with pytest.raises(InputError, match="above 0"):
         read_radiance_hdr(path)
+
+
+@pytest.mark.contract
+def test_a_stated_gamma_is_no_linear_picture(tmp_path: Path) -> None:
+    """GAMMA of Bruce Walter's rgbe.c: the stored values are already corrected with it."""
+    path = tmp_path / "a.hdr"
+    path.write_bytes(b"#?RGBE\nGAMMA=2.2\n\n-Y 2 +X 3\n" + bytes((128, 128, 128, 128)) * 6)
+    with pytest.raises(InputError, match=r"a gamma of 2\.2; expected linear values"):
+        read_radiance_hdr(path)
+    path.write_bytes(path.read_bytes().replace(b"GAMMA=2.2", b"GAMMA=1.0"))
+    assert read_radiance_hdr(path).luminance_cdm2 == pytest.approx(179.0 * 128.5 / 256.0, rel=1e-4)
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize("white", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_white_luminance_that_cannot_be_true_is_no_unit(tmp_path: Path, white: float) -> None:
+    path = tmp_path / "a.exr"
+    OpenEXR.File([_part("", _planes(7), whiteLuminance=white)]).write(str(path))
+    picture = read_exr(path)[0]
+    assert picture.luminance_cdm2 == pytest.approx(7)
+    assert "states no unit" in picture.attributes["note"]
 
 
 @pytest.mark.contract

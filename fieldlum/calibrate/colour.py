@@ -18,7 +18,7 @@ import numpy as np
 from fieldlum.calibrate import readings as shared
 from fieldlum.calibrate.pictures import Chart, Place
 from fieldlum.core.arrays import Array, Floats, Mask
-from fieldlum.core.errors import InputError
+from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.strict_csv import read_text
 from fieldlum.optics.images import RADIANCE_CHROMATICITIES, rgb_to_xyz
 from fieldlum.optics.melanopic import MELANOPIC_FROM_XYZ, U_CHART, U_MATRIX, daylight_xy
@@ -108,19 +108,22 @@ def read_spectrum(path: Path) -> tuple[float, float]:
 
     Each line has `Spectral Values (380 nm - 1000 nm)`, then the values between semicolons, of
     radiance [W/(m2 sr nm)]; the result [cd/m2] is the mean of the lines. Irradiance gives lx.
-    Raises InputError for a file without a spectrum.
+    Raises InputError for a file without a spectrum, or with an incomplete one.
     """
     nm, v, s_mel = np.loadtxt(_WEIGHTS, delimiter=",").T
     weights = np.stack([683.002 * v, s_mel / 1.3262e-3]) * (nm[1] - nm[0])  # CIE S 026:2018
     figures = []
-    with suppress(ValueError):
+    expected = "lines with 'Spectral Values (380 nm - 1000 nm);' and a number for each 1 or 5 nm"
+    remedy = "export it again from JETI LiVal"
+    with input_errors(path, expected, remedy, ValueError):
         for low, high, text in _SPECTRUM.findall(read_text(path, "a file of a spectrometer")):
             values = [float(cell.replace(",", ".")) for cell in text.split(";") if cell.strip()]
             own_nm = np.linspace(float(low), float(high), len(values))
+            if len(values) < 2 or own_nm[1] - own_nm[0] not in (1.0, 5.0):  # a cut line
+                raise ValueError(f"{len(values)} numbers from {low} to {high} nm")
             figures.append(weights @ np.interp(nm, own_nm, values))
     if not figures:
-        expected = "lines with 'Spectral Values (380 nm - 1000 nm);' and numbers"
-        raise InputError(path, "no spectrum", expected, "export it again from JETI LiVal")
+        raise InputError(path, "no spectrum", expected, remedy)
     y, melanopic = np.mean(figures, axis=0).tolist()
     return y, melanopic
 

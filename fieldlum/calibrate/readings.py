@@ -5,7 +5,9 @@ The chosen model is the smallest within one standard error of the best; gross er
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import date
 from pathlib import Path
@@ -173,10 +175,10 @@ def read_table(
     if wrong:
         raise InputError(path, wrong[0], f"columns {', '.join(known)}", "correct the first line")
     readings = []
+    # In a file with decimal commas a point separates thousands, which is refused.
+    commas = table.mark != "," and any("," in cell for _, cells in table.rows for cell in cells)
     for line, cells in table.dicts():
-        row = {
-            name: _cell(path, line, name, text, table.mark) for name, text in cells.items() if text
-        }
+        row = {name: _cell(path, line, name, text, commas) for name, text in cells.items() if text}
         if empty := [name for name in required if name not in row]:
             finding = f"line {line}: an empty cell in the column {empty[0]}"
             raise InputError(path, finding, "a value in every line", "fill it in")
@@ -211,14 +213,15 @@ def _table(path: Path) -> strict_csv.CsvTable:
     return strict_csv.read_table(path, "a csv of readings", remedy, marks=",;\t")
 
 
-def _cell(path: Path, line: int, name: str, text: str, mark: str) -> Any:
+def _cell(path: Path, line: int, name: str, text: str, has_commas: bool) -> Any:
     if name in ("file", "panorama", "spectrum"):
         return path.parent / text
-    try:
-        return float(text if mark == "," else text.replace(",", "."))
-    except ValueError:
-        remedy = "write a number with a decimal point"
-        raise InputError(f"{path}:{line}", f"{name} is '{text}'", "a number", remedy) from None
+    number = text.replace(".", "?").replace(",", ".") if has_commas else text
+    with suppress(ValueError):
+        if math.isfinite(value := strict_csv.read_number(number)):
+            return value
+    remedy = "write a number with a decimal point"
+    raise InputError(f"{path}:{line}", f"{name} is '{text}'", "a number", remedy)
 
 
 # ----------------------------------------------------------------------------------------------

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import codecs
 import csv
+import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -27,6 +28,15 @@ _MAX_ZERO_BYTES = 0.25
 IRRADIANCE_LIMITS_WM2 = (-10.0, 1600.0)
 COMMAS = ", because numbers have decimal commas"
 _INTEGER = re.compile(r"[+-]?\d+")
+_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?")
+# Texts of a missing value in loggers, spreadsheets and databases, without minus signs and case.
+_NO_VALUE = {"", "nan", "na", "n/a", "#n/a", "null", "none", "inf"}
+# Codes of a missing value, none of them an irradiance: EPW 9999, TMY3 -9900, SolarAnywhere -999,
+# SURFRAD -9999.9, climate stations -99 and -99.9, Campbell 6999 and 7999 (their documentation).
+_MISSING = {s * m for s in (-1.0, 1.0) for m in (9999.0, 99999.0, 999999.0, 6999.0, 7999.0)} | {
+    *(-9900.0, -9999.9, -999.9, -999.0, -99.99, -99.9, -99.0)
+}
+_YEAR_FIRST = re.compile(r"(\d{4})[/.](\d\d)[/.](\d\d)")
 _UNIT_AT_END = re.compile(r"(.*?)[\s_]*[(\[{]([^()\[\]{}]*)[)\]}\s]*")
 _WM2 = {"w/m2", "wm-2", "wm2", "w/m-2", "w/m\ufffd", "w/m?"}
 _MICROVOLTS = {"v": 1e6, "mv": 1e3, "uv": 1.0, "µv": 1.0, "μv": 1.0}
@@ -65,11 +75,14 @@ def lines_of(text: str) -> list[str]:
 
 
 def numbered(lines: Iterable[str], first: int = 1) -> list[Line]:
-    """Return the lines that are neither empty nor comments (#), with their numbers."""
+    """Return the lines that are neither empty nor comments (#), with their numbers.
+
+    A line such as ``sep=,`` is one of Excel's own.
+    """
     return [
         (number, line)
         for number, line in enumerate(lines, start=first)
-        if line.strip()[:1] not in ("", "#")
+        if line.strip()[:1] not in ("", "#") and not line.startswith("sep=")
     ]
 
 
@@ -223,13 +236,28 @@ def check_names(path: Path, names: Sequence[str]) -> None:
 # cells
 
 
+def read_number(text: str, *, has_codes: bool = True) -> float:
+    """Return the number in a cell; NaN for an empty cell and other texts of a missing value.
+
+    has_codes: numbers such as -9999 are codes of a missing value too, which voltages have not.
+    Raises ValueError for another text.
+    """
+    if text.lstrip("-").lower() in _NO_VALUE:
+        return math.nan
+    if not _NUMBER.fullmatch(text):
+        raise ValueError(f"is '{text[:30]}'")
+    value = float(text)
+    return math.nan if has_codes and value in _MISSING else value
+
+
 def read_time(text: str, *, utc: bool = False) -> datetime:
     """Return the time in an ISO text; without a zone in the text, it has one only with `utc`.
 
-    Raises ValueError for another text and for a date without a time of day.
+    A date may have slashes or points (2027/03/20), and the zone may be the word UTC. Raises
+    ValueError for another text and for a date without a time of day.
     """
     try:
-        t = datetime.fromisoformat(text)
+        t = datetime.fromisoformat(_YEAR_FIRST.sub(r"\1-\2-\3", re.sub(" ?UTC$", "Z", text)))
     except ValueError:
         raise ValueError(f"time {text[:30]!r}, expected one like 2027-03-20T16:00:00Z") from None
     if len(text) <= len("2027-03-20"):

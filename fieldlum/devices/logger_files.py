@@ -7,6 +7,7 @@ must state the logger's UTC offset. Source: help.campbellsci.com, TOA5.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
@@ -24,11 +25,12 @@ from fieldlum.session import DAY_COLUMNS, read_day
 
 _NETCDF = b"CDF"  # first bytes of a classic netCDF file (its format's specification)
 QUANTITIES = ("ghi_wm2", "dhi_wm2", "dni_wm2", "temperature_c")
-_UTC_TIMES = ("t_utc", "time_utc", "timestamp_utc", "datetime_utc", "utc", "time(utc)")
-_TIMES = (*_UTC_TIMES, "timestamp", "datetime", "time", "date time", "date/time")
+# Names of columns of times, without spaces: in UTC, and others.
+_TIMES = tuple(
+    map(re.compile, (r"((t|time|timestamp|date/?time)[_(]?)?utc\)?", r"timestamp|date/?time|time"))
+)
 _SLASHED = re.compile(r"(\d{1,2})/(\d{1,2})/(\d{4})[ T]+(\d{1,2})(:.+)")
-_COMMA = re.compile(r" is '[+-]?\d+,\d+'")
-_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?")
+_COMMA = re.compile(r" is '[+-]?[\d.]+,[\d,.]+'")
 _SAVE_AGAIN = "save it as CSV with commas between and points in the numbers"
 # Usual column names in loggers' programs and in ARM's netCDF files, without "avg"; digits,
 # underscores and case are ignored in the comparison.
@@ -74,8 +76,9 @@ class _Table:
         """Return the letters of each name, "" for a column of a csv that is not in W/m2."""
         if self.is_logger:
             return [_letters(name) for name in self.names]
-        headings = (strict_csv.split_heading(name) for name in self.names)
-        return [_letters(name) if is_wm2(unit) else "" for name, unit in headings]
+        names = (strict_csv.split_heading(name)[0] for name in self.names)
+        columns = zip(names, self.units, strict=True)
+        return [_letters(name) if is_wm2(unit) else "" for name, unit in columns]
 
 
 def read_logger_file(
@@ -134,7 +137,7 @@ def _check_readable(path: Path, logger_file: LoggerFile) -> None:
         first = lost[0] if lost else "it has no rows"
         found = f"{len(lost)} rows cannot be read, {count} can: {first}"
         found = found if count else f"no row could be read: {first}"
-        raise InputError(path, found, "rows of irradiance", "compare a row with docs/capture.md")
+        raise InputError(path, found, "rows of irradiance", "compare a row with docs/devices.md")
 
 
 def parse_table(
@@ -176,7 +179,10 @@ def _toa5(path: Path, text: str) -> _Table:
 
 
 def _csv(path: Path, text: str) -> _Table:
-    """Return a csv table; a column without a name is called by its number, the first one time."""
+    """Return a csv table; a column without a name is called by its number, the first one time.
+
+    A second line of units counts before units in the names.
+    """
     lines = strict_csv.numbered(strict_csv.lines_of(text))
     if not lines:
         expected = "a header with t_utc and one or more of ghi_wm2, dhi_wm2, dni_wm2"
@@ -186,7 +192,13 @@ def _csv(path: Path, text: str) -> _Table:
         read_time(names[0])
         numbers = ["time", *(str(k) for k in range(2, len(names) + 1))]
         return _Table(numbers, [""] * len(names), lines)
-    return _Table(names, [strict_csv.stated_unit(name) for name in names], lines[1:])
+    units = [strict_csv.stated_unit(name) for name in names]
+    below = [cell.strip(' "') for _, line in lines[1:2] for cell in line.split(",")]
+    are_units = any("/" in cell or strict_csv.is_unit(cell) for cell in below)
+    if are_units and len(below) == len(names) and not re.search(r"\d\d", lines[1][1]):
+        units = [cell or unit for cell, unit in zip(below, units, strict=True)]
+        del lines[1]
+    return _Table(names, units, lines[1:])
 
 
 def _netcdf(path: Path) -> _Table:
@@ -273,7 +285,9 @@ def _columns(path: Path, table: _Table, asked: Mapping[str, str]) -> dict[str, i
     if not any(quantity.endswith("_wm2") for quantity in at):
         found = f"no known column of irradiance among the columns {all_names}"
         expected = "a column of irradiance, such as ghi_wm2, dhi_wm2 or dni_wm2"
-        raise InputError(path, found, expected, "choose it: --column ghi_wm2=NAME")
+        above = "remove the lines above the column names"
+        remedy = "choose it: --column ghi_wm2=NAME" if len(names) > 1 else above
+        raise InputError(path, found, expected, remedy)
     return at
 
 
@@ -313,16 +327,17 @@ def _factors(
 
 
 def _number(text: str, quantity: str, factor: float) -> float | None:
-    """Return a logger's number times a factor; None for an empty cell, NAN and INF.
+    """Return a logger's number times a factor; None for a missing value.
 
     Raises ValueError for a text that is not a number, and for an irradiance (a `quantity` that ends
     in _wm2) outside -200 to 4000 W/m2.
     """
-    if text.upper().lstrip("-") in ("", "NAN", "INF"):
+    try:
+        value = factor * strict_csv.read_number(text, has_codes=factor == 1.0)
+    except ValueError as error:
+        raise ValueError(f"{quantity} {error}, expected a number with a decimal point") from None
+    if math.isnan(value):
         return None
-    if not _NUMBER.fullmatch(text):
-        raise ValueError(f"{quantity} is {text[:30]!r}, expected a number with a decimal point")
-    value = float(text) * factor
     if quantity.endswith("_wm2") and not MIN_WM2 <= value <= MAX_WM2:
         raise ValueError(f"{quantity} is {value:.6g}, expected {MIN_WM2:g} to {MAX_WM2:g}")
     return value
@@ -336,14 +351,15 @@ class _Clock:
     """
 
     def __init__(self, path: Path, table: _Table, utc_offset: timedelta | None) -> None:
-        names = [name.lower() for name in table.names]
+        names = [name.lower().replace(" ", "") for name in table.names]
         self._path, self._utc_offset = path, utc_offset
-        self._at = [names.index(name) for name in _TIMES if name in names][:1]
+        kinds = [[k for k, n in enumerate(names) if kind.fullmatch(n)] for kind in _TIMES]
+        self._at = [*kinds[0], *kinds[1]][:1]
         if not self._at:
             found = f"columns {', '.join(table.names)[:120]}"
-            raise InputError(path, found, "a column t_utc", "write this name into the first line")
-        self.name = table.names[self._at[0]]
-        self.is_utc = self.name.lower() in _UTC_TIMES
+            remedy = "name it t_utc if its times are in UTC, else time, and state --utc-offset"
+            raise InputError(path, found, "a column t_utc or time", remedy)
+        self.name, self.is_utc = table.names[self._at[0]], bool(kinds[0])
         if self.name.lower() == "time" and "date" in names:
             self._at.insert(0, names.index("date"))
         self._order = self._date_order(line for _, line in table.lines if "/" in line)

@@ -209,6 +209,9 @@ def _read_header(file: BinaryIO, path: Path) -> RadianceHeader:
     if kind not in (_RGBE, _XYZE):
         remedy = "convert it by rcomb -fc -c RGB IN > OUT (spectra), or rmtxop -fc IN > OUT.hdr"
         raise InputError(path, f"pixel format {kind[:40]}", "Radiance RGBE or XYZE", remedy)
+    if (gamma := float(_product(lines, "GAMMA=", 1, path)[0])) != 1.0:
+        remedy = "write the picture again with linear values"
+        raise InputError(path, f"values with a gamma of {gamma:g}", "linear values", remedy)
     axes, counts = _resolution(file.readline(200), path)
     marks = [line for line in lines if line.startswith(PANORAMA_LINE)]
     return RadianceHeader(
@@ -544,7 +547,8 @@ def _luminance(
 ) -> tuple[Floats32, str]:
     """Return the luminance [H, W] in cd/m2, and a note if the file does not state its unit."""
     white = header.get("whiteLuminance")
-    scale = float(white) if isinstance(white, int | float) and white > 0 else 1.0
+    white = white if isinstance(white, int | float) and 0 < white < np.inf else None
+    scale = float(white or 1.0)
     ours = any(str(key).startswith("fieldlum:") or key == "heading_deg" for key in header)
     note = "" if ours or white else NO_UNIT
     if "Y" in channels:

@@ -22,7 +22,7 @@ from fieldlum.optics.profiles import shipped
 from fieldlum.optics.projection import direction
 from fieldlum.sky import sun
 from fieldlum.weather.formats import WeatherRow, WeatherTable, read_table
-from fieldlum.weather.plausibility import check_hourly, check_sense
+from fieldlum.weather.plausibility import STANDARD_TIME, check_hourly, check_sense
 from fieldlum.weather.year import TYPICAL_YEAR, Weather, synthetic_weather
 
 SYNTHETIC = "synthetic"  # used in place of a path: a synthetic year of the site
@@ -150,7 +150,8 @@ def _in_order(path: Path, rows: list[WeatherRow]) -> list[WeatherRow]:
         lines = f"lines {a.line} and {b.line}"
         if a.when == b.when:
             found, expected = f"{lines} are of the same hour", "every hour once"
-            raise InputError(path, found, expected, "remove one of the lines")
+            remedy = f"remove one of them; {STANDARD_TIME} if the clock follows summer time"
+            raise InputError(path, found, expected, remedy)
         if b.when - a.when > timedelta(days=800):  # a mistyped year
             found = f"{lines}: {a.when:%Y-%m-%d} is followed by {b.when:%Y-%m-%d}"
             raise InputError(path, found, "at most 800 days between rows", "correct the dates")

@@ -24,6 +24,7 @@ from fieldlum.core.strict_csv import (
     check_names,
     is_wm2,
     numbered,
+    read_number,
     read_time,
     split_header,
     split_heading,
@@ -33,8 +34,6 @@ from fieldlum.sky import sun
 from fieldlum.weather.plausibility import contradictions
 from fieldlum.weather.year import TYPICAL_YEAR
 
-# Codes of a missing value: EPW 9999, TMY3 -9900, SolarAnywhere -999 (their documentation).
-_MISSING = (9999.0, 99999.0, 999999.0, -9900.0, -9999.0, -999.0)
 _HALF = timedelta(minutes=30)  # of an hour, by definition
 # A span of +-10 min separates labels that are half an hour apart, which a span of an hour does not.
 # Chosen.
@@ -92,7 +91,7 @@ def read_table(path: Path, lines: list[str], site: Site) -> WeatherTable:
     header or row that the format does not allow, and for irradiance outside -10 to 1600 W/m2.
     """
     first, second = [*(text for _, text in numbered(lines[:50])), "", ""][:2]
-    start = f"{path.suffix.lower()}\n{first.lstrip()}\n{second}"
+    start = f"{path.suffix.lower()}\n{first.lstrip()}\n{second}".replace('"', "")
     read = next(read for pattern, read in FORMATS if re.match(pattern, start))
     if read is not _read_csv and lines[0].startswith("#"):
         found = f"a comment above the header '{first[:40]}'"
@@ -109,21 +108,18 @@ class _CellError(ValueError):
 
 
 def _number(name: str, text: str) -> float:
-    """Return an irradiance; NaN for an empty cell, nan, and the codes of missing values.
+    """Return an irradiance; NaN for a missing value.
 
     Raises _CellError for a cell that is no number or outside -10 to 1600 W/m2.
     """
-    if text.lower() in ("", "nan", "na"):
-        return math.nan
     low, high = IRRADIANCE_LIMITS_WM2
     try:
-        value = float(text)
-    except ValueError:
-        expected = "a number with a decimal point, in W/m2"
-        raise _CellError(f"{name} is '{text}'", expected) from None
-    if value not in _MISSING and not low <= value <= high:
+        value = read_number(text)
+    except ValueError as error:
+        raise _CellError(f"{name} {error}", "a number with a decimal point, in W/m2") from None
+    if value < low or value > high:
         raise _CellError(f"{name} is {text} W/m2", f"{low:g} to {high:g} W/m2 or empty")
-    return math.nan if value in _MISSING else value
+    return value
 
 
 def _columns(
@@ -182,7 +178,7 @@ def _below(path: Path, lines: list[str], header: int) -> tuple[list[str], Rows]:
 
 
 def _place(path: Path, cells: Sequence[Any], expected: str, name: str) -> tuple[Site, timedelta]:
-    """Return a place and its clock from latitude, longitude, altitude and zone, None for UTC.
+    """Return a place and its clock from latitude, longitude, altitude and zone, 0 or None for UTC.
 
     Raises InputError if they are no numbers, or if the zone of a local clock is further from the
     longitude than western China's, 3.3 h, the extreme of the zones in use.
@@ -194,7 +190,7 @@ def _place(path: Path, cells: Sequence[Any], expected: str, name: str) -> tuple[
         found = f"latitude, longitude, altitude and zone {', '.join(map(str, cells)) or 'missing'}"
         remedy = "correct the header, or download the file again"
         raise InputError(path, found, expected, remedy) from None
-    if cells[3] is not None and abs(zone - longitude / 15) > 3.5:
+    if zone and abs(zone - longitude / 15) > 3.5:
         found = f"time zone UTC{zone:+g} at longitude {longitude:g} deg"
         remedy = "correct the header (east is positive)"
         raise InputError(path, found, f"about UTC{longitude / 15:+.0f}", remedy)
@@ -252,8 +248,12 @@ def _best_label(table: WeatherTable) -> WeatherTable:
 
 
 def _is_typical(rows: Sequence[WeatherRow]) -> bool:
-    """Return whether the months of one year (at most 8784 hours) come from several years."""
-    return len({row.when.year for row in rows}) > 1 and len(rows) <= 8784
+    """Return whether the months of one year (at most 8784 hours) come from several years.
+
+    Then two months that follow each other are about a year or more apart, unlike in a series.
+    """
+    days = [row.when.toordinal() for row in rows]
+    return len(rows) <= 8784 and bool((np.abs(np.diff(days)) > 300).any())
 
 
 # ----------------------------------------------------------------------------------------------
@@ -261,20 +261,21 @@ def _is_typical(rows: Sequence[WeatherRow]) -> bool:
 
 
 def _read_epw(path: Path, lines: list[str], site: Site) -> WeatherTable:
-    """Return the rows of an EPW file: eight header lines, then one row for each hour.
+    """Return the rows of an EPW file: a header that ends with DATA PERIODS, then hourly rows.
 
     Hour 1 is 00:00 to 01:00 local standard time; the sun of a row is that of the middle, 00:30.
     """
     expected = "LOCATION,city,,,,,latitude,longitude,zone,altitude"
     place, clock = _header_place(path, lines, (6, 7, 9, 8), expected)
-    found = split_rows(path, numbered(lines[8:], 9))
+    header = next((k for k, line in enumerate(lines) if line.startswith("DATA PERIODS")), 7) + 1
+    found = split_rows(path, numbered(lines[header:], header + 1))
     if found and len(found[0][1]) < 16:
         cells = f"line {found[0][0]}: {len(found[0][1])} cells"
         raise InputError(path, cells, "at least 16 cells", "the file is cut: download it again")
     columns = {"ghi": 13, "dni": 14, "dhi": 15}
     rows = _rows(path, found, columns, lambda c: _moment(c[:3], c[3]) - timedelta(hours=1))
     table = WeatherTable(rows, True, place, clock, _HALF)
-    comments = [line for line in lines[:8] if line.upper().startswith("COMMENTS")]
+    comments = [line for line in lines[:header] if line.upper().startswith("COMMENTS")]
     if not (stated := _OFFSET.search("\n".join(comments))):
         return table
     # PVGIS: values are of one moment, the label (hours 1 to 24) plus the stated offset. Some
@@ -387,9 +388,9 @@ def _read_pvgis(path: Path, lines: list[str], site: Site) -> WeatherTable:
     keys = ("Latitude (decimal degrees)", "Longitude (decimal degrees)", "Elevation (m)")
     cells = [*(about.get(key, "?") for key in keys), None]
     place, _ = _place(path, cells, "a place in the header", "PVGIS")
-    in_plane, slope = "Gb(i)" in names, about.get("Slope", "0").split()[0]
-    if in_plane and slope.replace(".", "").strip("0"):
-        found_slope = f"irradiance of a plane with slope {slope} deg"
+    in_plane, slope = "Gb(i)" in names, about.get("Slope", "?").removesuffix(".")
+    if in_plane and not re.match(r"-?0+(\.0+)? deg", slope):
+        found_slope = f"irradiance of a plane with slope {slope}"
         remedy = "download the series with slope 0 and its radiation components"
         raise InputError(path, found_slope, "a horizontal plane (slope 0 deg)", remedy)
 
@@ -420,7 +421,7 @@ def _read_pvgis_json(path: Path, lines: list[str], site: Site) -> WeatherTable:
         names = sorted(hours[0], key=lambda name: not name.startswith("time"))
         place = about["location"]
         offset = next((v for k, v in place.items() if "offset" in k.lower()), 0)
-        slope = about.get("mounting_system", {}).get("fixed", {}).get("slope", {}).get("value", 0)
+        slope = about.get("mounting_system", {}).get("fixed", {}).get("slope", {}).get("value", "?")
         head = [
             f"Latitude (decimal degrees): {place['latitude']}",
             f"Longitude (decimal degrees): {place['longitude']}",
@@ -463,6 +464,7 @@ def _read_csv(path: Path, lines: list[str], site: Site) -> WeatherTable:
     check_names(path, names)
     dated = "t_utc" in names
     headings = [split_heading(name) for name in names]
+    check_names(path, [name.lower() for name, unit in headings if is_wm2(unit)])
     quantities = {name.lower(): k for k, (name, unit) in enumerate(headings) if is_wm2(unit)}
     stamp = ("t_utc",) if dated else ("month", "day", "hour")
     missing = [name for name in stamp if name not in names]
@@ -513,8 +515,8 @@ FORMATS: tuple[tuple[str, Callable[[Path, list[str], Site], WeatherTable]], ...]
     (r"\.tm2\n", _read_tmy2),
     (r"\.epw\n|.*\n(?i:LOCATION),", _read_epw),
     (r".*\nLatitude \(decimal degrees\)", _read_pvgis),
-    (r".*\n\{", _read_pvgis_json),
+    (r".*\n[\[{]", _read_pvgis_json),
     (r".*\nSource,", _read_sam),
-    (r'.*\n.*\n(.*ObservationTime\(LST\)|"?Date \(MM/DD/YYYY\))', _read_tmy3),
+    (r".*\n.*\n(.*ObservationTime\(LST\)|Date \(MM/DD/YYYY\))", _read_tmy3),
     ("", _read_csv),  # the last one: its errors explain the columns
 )

@@ -103,6 +103,8 @@ _MAX_CONTRADICTIONS = (0.04, 0.25)
 MIN_CONTRADICTIONS = 12  # in files of a few days fewer decide nothing; not measured
 _LABELS = "check the time zone, and whether a row's time is its hour's start, middle or end"
 _CORRECT_COLUMNS = "write the right columns, in W/m2"
+STANDARD_TIME = "write standard time"
+_SEASONS = (6, 7, 8), (12, 1, 2)  # no country sets its clocks within these months
 
 
 def check_sense(path: Path, weather: Weather, place: Site, ghi_wm2: Floats) -> list[str]:
@@ -193,6 +195,7 @@ def _check_labels(path: Path, weather: Weather, station: _Sun, place: Site) -> s
     without any.
     """
     light = weather.dni_wm2 + weather.dhi_wm2
+    _check_summer_time(path, weather, light, station)
     edges = 2 * len({sun.standard_date(t, weather.site.timezone) for t in weather.t_utc})
     maximum = max(int(_MAX_CONTRADICTIONS[0] * edges), MIN_CONTRADICTIONS)
     against = {m: _against(light, station, m) for m in range(-720, 721, 15)}
@@ -224,6 +227,28 @@ def _check_labels(path: Path, weather: Weather, station: _Sun, place: Site) -> s
     return found
 
 
+def _check_summer_time(path: Path, weather: Weather, light: Floats, station: _Sun) -> None:
+    """Raise InputError if only shifts an hour apart explain sunrise and sunset of the seasons."""
+    months = np.array([t.month for t in weather.t_utc])
+    against, best = [], []
+    for season in _SEASONS:
+        rows = np.isin(months, season)
+        counts = {m: _against(light, station, m, rows) for m in range(-180, 181, 15)}
+        fewest = min(counts.values())
+        middle = float(np.median([m for m, count in counts.items() if count == fewest]))
+        against.append(counts)
+        best.append(15 * round(middle / 15))
+    exchanged = min(against[0][best[1]], against[1][best[0]])
+    own = max(against[0][best[0]], against[1][best[1]])
+    if abs(abs(best[0] - best[1]) - 60) <= 15 and exchanged > max(4 * own, MIN_CONTRADICTIONS):
+        found = (
+            f"sunrise and sunset agree from June to August if rows are moved by {best[0]:+d} min"
+        )
+        found += f", and from December to February by {best[1]:+d} min"
+        remedy = f"{STANDARD_TIME} in all rows: the file's clock follows summer time"
+        raise InputError(path, found, "one clock in all months", remedy)
+
+
 def _shifted(path: Path, found: str, shift_min: int, expected: str) -> InputError:
     is_zone = abs(shift_min) >= 180
     moved = f"{shift_min / 60:+.0f} h" if is_zone else f"{shift_min:+d} min"
@@ -251,10 +276,12 @@ def check_hourly(path: Path, times: Sequence[datetime]) -> None:
             raise InputError(path, found, "one row for each hour", "average the file to hours")
 
 
-def _against(light: Floats, station: _Sun, shift_min: float) -> int:
-    """Count the hours that contradict sunrise or sunset after a shift of all labels."""
-    ends = (station.altitude_deg(shift_min + half) for half in (-30.0, 30.0))
-    return contradictions(light, *ends)
+def _against(
+    light: Floats, station: _Sun, shift_min: float, rows: Mask | slice = slice(None)
+) -> int:
+    """Count the hours among `rows` that contradict sunrise or sunset after a shift of labels."""
+    ends = (station.altitude_deg(shift_min + half)[rows] for half in (-30.0, 30.0))
+    return contradictions(light[rows], *ends)
 
 
 def contradictions(light: Floats, before_deg: Floats, after_deg: Floats) -> int:
