@@ -71,8 +71,9 @@ def mosaic_of(image: Floats32, cfa: str) -> Floats32:
     return out
 
 
+@lru_cache(maxsize=4)  # the black level, filter and saturation of a bracket
 def _cells(cfa: str, by_colour: tuple[float, ...], shape: tuple[int, int]) -> Floats32:
-    """Return the values of R, G1, G2, B at their pixels of a mosaic, [h, w]."""
+    """Return the values of R, G1, G2, B at their pixels of a mosaic, [h, w], not to be written."""
     out = np.empty(shape, np.float32)
     for (row, column), value in zip(channel_positions(cfa), by_colour, strict=True):
         out[row::2, column::2] = value
@@ -92,16 +93,23 @@ def raw_counts(
     gain = linear_light.gain_e_per_dn(exposure.iso, profile)
     per = z_per_cdm2(exposure.shutter_s, exposure.f_number, exposure.iso, profile.scale.k)
     red, green, blue = linear_light.nd_factors(exposure.nd, profile)
-    attenuation = _cells(sensor.cfa, (red, green, green, blue), shape)
-    electrons = mosaic_cdm2 * ((sensor.white_dn - black) * np.float32(per * gain)) / attenuation
-    electrons = np.minimum(electrons, np.float32(4.0 * gain * sensor.white_dn))
-    counted = electrons + rng.standard_normal(shape, np.float32) * np.sqrt(
-        np.where(electrons > _GAUSSIAN_ABOVE_E, electrons, 0.0) + np.float32(sensor.read_noise_e**2)
-    )
-    few = (electrons <= _GAUSSIAN_ABOVE_E) & (electrons > 0)
-    counted[few] += rng.poisson(electrons[few]) - electrons[few]
+    electrons = (sensor.white_dn - black) * np.float32(per * gain)
+    electrons *= mosaic_cdm2
+    electrons /= _cells(sensor.cfa, (red, green, green, blue), shape)
+    np.minimum(electrons, np.float32(4.0 * gain * sensor.white_dn), out=electrons)
+    normal = electrons > _GAUSSIAN_ABOVE_E
+    spread = np.sqrt(electrons * normal + np.float32(sensor.read_noise_e**2))
+    counted = rng.standard_normal(shape, np.float32)
+    counted *= spread
+    counted += electrons
+    few = np.flatnonzero(~normal & (electrons > 0))
+    expected = electrons.ravel()[few]
+    counted.ravel()[few] += rng.poisson(expected) - expected
+    counted /= np.float32(gain)
+    counted += black
+    np.rint(counted, out=counted)
     full = _cells(sensor.cfa, sensor.saturation_dn, shape)
-    return np.clip(np.rint(counted / np.float32(gain) + black), 0, full).astype(np.uint16)
+    return np.clip(counted, 0, full, out=counted).astype(np.uint16)
 
 
 def jpeg_codes(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from datetime import datetime
 from fractions import Fraction
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from fieldlum.core.records import Exposure
 from fieldlum.optics.raw.pixels import channel_positions
-from fieldlum.session import replacing
 
 # Types of TIFF values (TIFF 6.0, section 2), for the tags that Pillow does not know.
 _BYTE, _ASCII, _SHORT, _LONG, _RATIONAL, _SRATIONAL = 1, 2, 3, 4, 5, 10
@@ -24,13 +24,18 @@ _XYZ_TO_SRGB = (
 )
 
 
-def _fractions(values: ArrayLike) -> tuple[Any, ...]:
-    """Return numbers as the fractions that a camera writes, in Pillow's type: 0.004 as 1/250."""
+@lru_cache(maxsize=256)  # a camera writes the same values into each frame
+def _fraction(value: float) -> Any:
+    """Return a number as the fraction that a camera writes, in Pillow's type: 0.004 as 1/250."""
     from PIL.TiffImagePlugin import IFDRational
 
-    # numerator and denominator have 32 bits
-    limits = ((value, int(1e9 / max(abs(value), 1.0))) for value in np.ravel(values).tolist())
-    return tuple(IFDRational(Fraction(v).limit_denominator(limit)) for v, limit in limits)
+    limit = int(1e9 / max(abs(value), 1.0))  # numerator and denominator have 32 bits
+    return IFDRational(Fraction(value).limit_denominator(limit))
+
+
+def _fractions(values: ArrayLike) -> tuple[Any, ...]:
+    """Return numbers as `_fraction` does, in one flat tuple."""
+    return tuple(map(_fraction, np.ravel(values).tolist()))
 
 
 def _exif_fields(exposure: Exposure, t_camera: datetime | None) -> dict[int, Any]:
@@ -63,11 +68,11 @@ def write_dng(
 ) -> None:
     """Write an uncompressed DNG with an EXIF directory; LibRaw returns the same counts exactly.
 
-    A file at `path` is replaced. counts : [h, w] 16-bit, black level included. exposure : shutter
-    time, f-number, ISO and the name of an ND filter for the EXIF. black_dn : black level for R, G1,
-    G2, B, and white_dn : white level, both only recorded in the file. cfa : colours of the top left
-    2 x 2 pixels row by row. t_camera : time for the EXIF, None for no time. colour_matrix : [3, 3],
-    converts XYZ to camera RGB.
+    A file at `path` is replaced; capture flushes it to disk and renames it. counts : [h, w] 16-bit,
+    black level included. exposure : shutter time, f-number, ISO and the name of an ND filter for
+    the EXIF. black_dn : black level for R, G1, G2, B, and white_dn : white level, both only
+    recorded in the file. cfa : colours of the top left 2 x 2 pixels row by row. t_camera : time for
+    the EXIF, None for no time. colour_matrix : [3, 3], converts XYZ to camera RGB.
     """
     from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
@@ -97,7 +102,7 @@ def write_dng(
     directory.update({256: width, 257: height, 258: 16, 259: 1, 262: 32803, 273: 0, 274: 1})
     directory.update({277: 1, 278: height, 279: 2 * height * width, 284: 1})
     directory[34665] = _exif_fields(exposure, t_camera)
-    with replacing(path) as file:
+    with path.open("wb") as file:
         directory.save(file)
         file.write(np.ascontiguousarray(counts, "<u2").tobytes())
 
@@ -125,5 +130,5 @@ def write_jpeg(
         exif[0x010E] = f"ND={exposure.nd}"
     # WhiteBalance: manual
     exif.get_ifd(0x8769).update({**_exif_fields(exposure, t_camera), 41987: 1})
-    with replacing(path) as file:
+    with path.open("wb") as file:
         Image.fromarray(codes, "RGB").save(file, "JPEG", quality=quality, subsampling=0, exif=exif)
