@@ -1,4 +1,4 @@
-"""Short names of array types. Shapes and units are in docstrings, not in types."""
+"""Short names of array types (docstrings have shapes and units), and evenly spread indices."""
 
 from __future__ import annotations
 
@@ -12,3 +12,8 @@ Floats32 = NDArray[np.float32]
 Floats = NDArray[np.floating]
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
+
+
+def evenly_spread(count: int, most: int) -> Indices:
+    """Return at most `most` of the indices 0 to `count` - 1, evenly from first to last, [k]."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.intp))

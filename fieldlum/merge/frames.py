@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.core.arrays import Array, Floats, Floats32, Indices, Mask
+from fieldlum.core.arrays import Array, Floats, Floats32, Indices, Mask, evenly_spread
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Progress, quiet
 from fieldlum.merge.shift import ReducedFrame, reduced
@@ -223,11 +223,6 @@ class RawSignal:
             for name in ("black", "saturation", "per_cdm2")
         }
         return replace(self, counts=self.counts[at][:, :, ::step], **patterns), full
-
-
-def evenly_spread(length: int, wanted: int) -> Indices:
-    """Return at most `wanted` indices [n], spread evenly over 0 to `length` - 1."""
-    return np.unique(np.linspace(0, length - 1, min(wanted, length)).astype(np.intp))
 
 
 def _cell_pattern(cfa: str, by_colour: Sequence[float], width: int) -> Floats32:

@@ -86,10 +86,11 @@ def take_out_disc(
 def _disc_near(
     panorama: Panorama, clipped: Mask, altitude_deg: float, azimuth_deg: float
 ) -> SunDisc | None:
-    """Return the disc within 3 degrees of the stated place, else of a place by a wrong heading.
+    """Return the disc within 3 degrees of the stated place; None if there is none.
 
-    A compass near steel is wrong by up to 5 degrees. There only a strong light counts, because a
-    facade of glass mirrors up to a fifth of the sun's 100 klx.
+    A compass near steel is wrong by up to 5 degrees, so places with headings 5 degrees off are
+    searched too. There a disc must exceed 20 klx, because a facade of glass mirrors up to a fifth
+    of the sun's 100 klx.
     """
     light, heading_deg = panorama.luminance_cdm2, panorama.heading_deg
     for turn_deg in (0.0, 5.0, -5.0):

@@ -395,8 +395,9 @@ def _read_honeybee(folder: Path, azimuths_deg: Sequence[float]) -> pd.DataFrame:
 
 
 def hours_begun(path: Path, times: Floats, daylight: Mask) -> tuple[Array, list[str]]:
-    """Return the hour of the year, from 0, in which each stated time is, and a note on it.
+    """Return the hour of the year, from 0, in which each stated time is, and notes on it.
 
+    path: the table, for errors; times [n]: hours since the year began, such as 9.5 or 10.
     Integers name an hour by its beginning or its end. Both readings are compared with the hours of
     `daylight` [8760] of the predicted year, on the days of the table. The better reading is used if
     the other has three times as many wrong hours. Raises InputError otherwise, and for a repeated

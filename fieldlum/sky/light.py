@@ -128,6 +128,15 @@ class Light:
         """
         return np.maximum(self.diffuse_lx + self.direct_lx, MIN_LX)
 
+    def sky_features(self, sky_cdm2: Floats32) -> Floats32:
+        """Return `Features.sky` of these hours for the luminance of their sky patches, [n, 2305].
+
+        Luminances are multiplied by the root of the patch's solid angle, so that products of two
+        hours are integrals over the sky.
+        """
+        root_solid_angle = np.sqrt(reinhart_patches().solid_angles_sr).astype(np.float32)
+        return sky_cdm2 * root_solid_angle / self.total_lx.astype(np.float32)[:, None]
+
 
 def light_at(times_utc: Sequence[datetime], site: Site, dni_wm2: Floats, dhi_wm2: Floats) -> Light:
     """Return the light at n times, with the sun's position computed by SPA (NREL).
@@ -217,13 +226,8 @@ class Features:
 
 
 def light_features(light: Light) -> Features:
-    """Return the features `sky` [n, 2305], `beam` [n] and `direction` [n, 3], without a room's.
-
-    Luminances of patches are multiplied by the root of their solid angle, so that products of two
-    hours are integrals over the sky.
-    """
-    root_solid_angle = np.sqrt(reinhart_patches().solid_angles_sr).astype(np.float32)
-    sky = light.sky_cdm2 * root_solid_angle / light.total_lx.astype(np.float32)[:, None]
+    """Return the features `sky` [n, 2305], `beam` [n] and `direction` [n, 3], without a room's."""
+    sky = light.sky_features(light.sky_cdm2)
     return Features(sky, light.direct_lx / light.total_lx, light.sun_direction)
 
 

@@ -85,8 +85,7 @@ class JournalFollower(LineTail):
     def clear(self) -> None:
         """Begin with the state of an empty file."""
         self.states = SlotStates()
-        # more than a page shows
-        self.events: deque[JournalEvent] = deque(maxlen=60)
+        self.events: deque[JournalEvent] = deque(maxlen=60)  # more than a page shows
         self.away: dict[str, datetime] = {}
         self.opened: JournalEvent | None = None
 
@@ -391,7 +390,10 @@ class Snapshots:
             }
 
     def moment(self) -> Moment:
-        """Return whether there is time to compute, and how many slots are done."""
+        """Return whether no bracket is running or near, and how many slots are captured.
+
+        In such quiet time the computer may compute the answer so far (`web.answer`).
+        """
         with self._lock:
             journal, slots, now, rehearsal, states, _ = self._present()
             ahead = [slot.t_utc for slot in slots if states[slot.id] == "to do"]
@@ -537,8 +539,7 @@ class Snapshots:
                 local = parse_utc(event["t_utc"]).astimezone(self._zone)
                 at = f"{local:%a %d %b %H:%M}"
                 rows.append({"level": level, "text": text, "local": at, "times": 1})
-        # about a screen
-        return rows[:25]
+        return rows[:25]  # about a screen
 
     def _doctor(self, now: datetime) -> list[JsonTable]:
         """Return doctor's findings that need no device; a capture may be using the devices."""

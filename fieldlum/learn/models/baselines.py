@@ -83,7 +83,7 @@ def fit_mean(data: Dataset, **_: object) -> MeanFitted:
     log10 = np.zeros(data.shape)
     # one by one, because the logarithm of all maps would double the memory
     for luminance in data.luminance_cdm2:
-        # for logarithms; well below what any camera resolves
+        # The logarithm needs a value above 0; no camera resolves so little.
         log10 += np.log10(np.maximum(luminance, 1e-3)) / len(data)
     return MeanFitted(log10.astype(np.float32), captured(data.light))
 

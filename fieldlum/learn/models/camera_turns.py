@@ -20,7 +20,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter, mini
 from scipy.spatial.transform import Rotation
 from skimage.measure import block_reduce
 
-from fieldlum.core.arrays import Array, Floats, Floats32, Mask
+from fieldlum.core.arrays import Array, Floats, Floats32, Mask, evenly_spread
 from fieldlum.core.records import Progress, counted, quiet
 from fieldlum.learn.models.held_out_choice import weight_of_variance
 from fieldlum.optics.projection import (
@@ -180,9 +180,9 @@ class _RoomEdges:
         strength = np.hypot(edges[0], edges[1])
         # above it columns are very narrow; below -70 the tripod is in the picture
         compared = seen_mask & (np.abs(row_altitudes_deg(height))[:, None] < 70.0)
-        # share of the pixels that is compared, those with the strongest edges
+        # Only the 60 % of the pixels with the strongest edges are compared.
         pixels = np.flatnonzero(compared & (strength >= np.quantile(strength[compared], 1.0 - 0.6)))
-        # most pixels that are compared, to limit the time
+        # At most 6000 pixels limit the time.
         self.pixels = pixels[:: -(-len(pixels) // 6000)]  # [m]
         self.values = self.at_pixels(edges)  # [2 m]
         row, column = np.divmod(self.pixels, width)
@@ -266,8 +266,7 @@ def camera_turns(
     if count < 5 or height < 40 or not seen_mask.any():
         return CameraTurns(angles, u_deg, np.ones(count, bool))
     logs, seen_mask = _smaller(luminance_cdm2, seen_mask)
-    # Most captures, evenly spaced, whose median shows the room's edges, to limit the memory
-    shown = np.unique(np.linspace(0, count - 1, min(count, 200)).round().astype(int))
+    shown = evenly_spread(count, 200)  # their median shows the room's edges; limits the memory
     for k, smooth_px in enumerate(_SMOOTH_PX):
         progress(k, len(_SMOOTH_PX), "comparing the camera's poses")
         stored = {int(i): _edges_of(logs[i], heading_deg, angles[i], smooth_px) for i in shown}
@@ -385,11 +384,11 @@ def align(
     """
     for k in np.flatnonzero(turns.turned):
         angles = turns.angles_deg[k]
-        # for logarithms; well below what any camera resolves
+        # The logarithm needs a value above 0; no camera resolves so little.
         logs = np.log(np.maximum(np.nan_to_num(maps[k]), 1e-3))
         maps[k] = np.exp(turned_back(logs, heading_deg, angles))
         weight = weight_of_variance(interpolation_u(logs, heading_deg, angles) ** 2)
-        # pixels with less weight by interpolation do not count
+        # Interpolation made these pixels too uncertain.
         weight = np.where(weight < 0.5, 0.0, weight)
         share = turned_back(has_value[k].astype(float), heading_deg, angles)
         has_value[k] = share > 1.0 - 1e-6

@@ -405,7 +405,7 @@ class Trainer:
         return loss_value(parts)
 
     def validate(self, pixels: PixelSampler, numbers: Tensor) -> float:
-        """Return the loss of other pixels."""
+        """Return the loss at the held-out pixels with these numbers; no weight changes."""
         with torch.no_grad():
             parts = [self.sums(pixels, some).double() for some in numbers.split(self.largest)]
         return loss_value(total(torch.stack(parts).sum(dim=0)))

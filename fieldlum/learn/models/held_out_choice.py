@@ -156,11 +156,11 @@ def light_variance(data: Dataset) -> Array:
     is added.
     """
     light = data.light
-    # lowest sun for which horizontal readings give the sun's normal irradiance
+    # Horizontal readings do not give the normal irradiance of a sun below 1 degree.
     altitude = np.radians(np.maximum(light.sun_altitude_deg, 1.0))
     variance = (data.steadiness / (np.sqrt(12.0) * np.sin(altitude))) ** 2
     unknown = sun_is_unmeasured(light, light.dni_wm2)
-    # relative variance: such a sun may give as much light as the sky
+    # A sun that was not measured may give as much light as the sky: a relative variance of 1.
     return variance + np.where(unknown, 1.0, 0.0)
 
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from fieldlum.core.arrays import Floats, Floats32, Indices, Mask
+from fieldlum.core.arrays import Floats, Floats32, Indices, Mask, evenly_spread
 from fieldlum.core.errors import input_errors
 from fieldlum.learn.models import rebuilt
 from fieldlum.learn.models.data import Dataset
@@ -211,7 +211,7 @@ def _mirror(plane: MirrorPlane, data: Dataset) -> Mirror:
     bright = factor * full_lx / equirect_solid_angles(*data.shape).reshape(-1)[at]  # cd/m2
     # An image next to the sun, which is not searched, is at a grazing angle.
     front = suns @ plane.normal > np.sin(near_sun_rad(data.shape[0]) / 2.0)
-    # multiple of the luminance of `bright_spots` that shows an image
+    # An image is twice as bright as any surface that `bright_spots` allows.
     shows = (bright > 2.0 * limit) & front & data.seen.reshape(-1)[at]
     label = np.flatnonzero(visible | shows)
     chance, wrong = _chance(data, label, towards[label], at[label], visible[label])
@@ -234,8 +234,7 @@ def _chance(
     label: captures [k]; towards, at, visible: direction [k, 3], pixel [k] and label [k] of their
     images.
     """
-    # captures that compare pixels; chosen, limits the time
-    some = np.unique(np.linspace(0, len(data) - 1, 40).round().astype(int))
+    some = evenly_spread(len(data), 40)  # captures in which pixels are compared; limits the time
     maps = np.log10(np.maximum(data.luminance_cdm2[some], 1.0)).reshape(len(some), -1)
     rays = equirect_rays(*data.shape, data.heading_deg).reshape(-1, 3)
     chance = np.empty(len(rays), np.float32)
@@ -265,7 +264,7 @@ def _voted(cosine: Floats, here: Floats32, there: Floats32, visible: Mask) -> Fl
     # degrees, 0.05 to 0.2) change the error of DGP by -25 to +30 %, some by a factor of two
     # (docs/decisions.md).
     near = alike * np.exp(-0.5 * (angle_deg / 9.0) ** 2)
-    # of a label at any distance whose pixel is alike
+    # A label far away counts a hundredth, if its pixel is alike.
     weight = near + 0.01 * alike
     # a label of weight 1e-4, less than any alike one, has a chance of one half
     share = (weight @ visible + 0.5e-4) / (weight.sum(axis=1) + 1e-4)

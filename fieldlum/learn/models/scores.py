@@ -19,7 +19,7 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.core.arrays import Array, Floats, Floats32, Mask
+from fieldlum.core.arrays import Array, Floats, Floats32, Mask, evenly_spread
 from fieldlum.core.records import Progress, quiet
 from fieldlum.learn.models import Fitted, Prediction, trusted_hours
 from fieldlum.learn.models.data import Dataset
@@ -140,7 +140,7 @@ def truth(data: Dataset, *, glare: bool = True) -> Truth:
     n = len(data)
     with_glare = np.zeros(n, bool)
     if glare:
-        with_glare[np.unique(np.linspace(0, n - 1, min(n, 150)).round().astype(int))] = True
+        with_glare[evenly_spread(n, 150)] = True
     azimuths_deg = view_azimuths_deg(data.heading_deg)
     views = panorama_views(*data.shape, data.heading_deg, azimuths_deg, data.seen)
     d = len(views.azimuths_deg)
@@ -206,7 +206,7 @@ def compare(prediction: Prediction, data: Dataset, weights: Floats) -> Scores:
     blank = np.full(len(data), np.nan)
     in_band = blank
     if prediction.log10_sd is not None:
-        # standard deviations of a 90 % interval of a normal distribution
+        # A 90 % interval of a normal distribution is 1.6449 standard deviations to each side.
         in_band = (np.abs(error) <= 1.6449 * prediction.log10_sd[:, seen_mask]).mean(axis=1)
     added = {name: blank.copy() for name in _ADDED}
     return Scores(
@@ -249,7 +249,7 @@ def _glare_errors(
     true_contrast, contrast = test.contrast[rows[with_glare]], _contrast(maps, some)
     scores.rammg_truth[with_glare] = true_contrast.mean(axis=1)
     scores.rammg_error[with_glare] = contrast.mean(axis=1) - true_contrast.mean(axis=1)
-    # least number of rows of stored maps: that of the smallest panoramas of a demo
+    # Maps are stored with 58 rows at least, as the smallest panoramas of a demo have.
     measured, predicted = (
         np.log10(np.maximum(m.thin(58).luminance_cdm2, FLOOR_CDM2)).astype(np.float16)
         for m in (some, replace(some, luminance_cdm2=maps))
@@ -282,7 +282,7 @@ def summary(scores: Scores) -> ScoreFigures:
 
     A figure that was not computed is None.
     """
-    # cut in the authors' code, cd/m2; chosen there by Liu, Colburn and Inanici 2020
+    # The code of Liu, Colburn and Inanici 2020 omits maps above 500 cd/m2.
     kept, errors = scores.rammg_truth < 500.0, scores.errors
     return {
         "log10_mse_weighted": float(scores.mse_weighted.mean()),

@@ -473,7 +473,7 @@ def held_out_warnings(fitted: Fitted, data: Dataset) -> list[str]:
             f"wrong north or clock has its own warning); {POOR_WORDS}"
         )
     share = float(np.average(errors > TRUSTED_MSE, weights=weight))
-    # share of the captures; clean sets have under 2 %, with a lamp or a moved camera 20 to 60 %
+    # Clean sets have under 2 % of such captures, those with a lamp or a moved camera 20 to 60 %.
     if share > 0.1:
         texts.append(
             f"WARNING: for {share:.0%} of the captures, a prediction from the other days is wrong "

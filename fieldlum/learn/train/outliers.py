@@ -15,7 +15,7 @@ from itertools import combinations
 
 import numpy as np
 
-from fieldlum.core.arrays import Array, Floats, Indices, Mask
+from fieldlum.core.arrays import Array, Floats, Indices, Mask, evenly_spread
 from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.held_out_choice import UNSURE, is_badly_measured
 from fieldlum.learn.transport.arrays import MIN_CDM2, pixel_scale, seen_sky, training_arrays_of
@@ -72,7 +72,7 @@ def process_of(data: Dataset, *, with_patch: bool, seen_skies: bool = False) -> 
     judged = np.median(luminance, axis=1) > 1.0  # the floor of the scores, cd/m2
     valid = ~arrays.filled
     if arrays.patch is None:  # without a computed sun patch, direct sun looks like a change
-        # largest share of the sun in the light of an hour without sun patches
+        # With less sun than this share of the light, an hour shows no sun patches.
         judged &= arrays.features.beam < 0.05
     elif small.patch_cdm2 is not None:
         modes = ("nearest", "nearest", "wrap")
@@ -213,7 +213,7 @@ def _other_level(found: Evidence) -> Indices:
     at, days = process.hours[rows], process.days[rows]
     halves = [part for h in _PARTS_H for part in (at < h, at >= h)]
     parts = [rows[(days == day) & half] for day in np.unique(days) for half in halves]
-    # captures of a day that show a common factor
+    # One or two captures of a day do not show a common factor.
     parts = [part for part in parts if len(part) >= 3]
 
     def gain(chosen: Indices, darker: bool) -> float:
@@ -273,8 +273,8 @@ def find_changes(data: Dataset, *, with_patch: bool) -> RoomChanges | None:
     with_patch: use the sun patches of `data`.
     """
     count = len(data)
-    # that are compared, evenly spaced: the time grows with their third power
-    some = np.unique(np.linspace(0, count - 1, min(count, 250)).round().astype(int))
+    # The time grows with the third power of the number of captures.
+    some = evenly_spread(count, 250)
     few = data.take(some)
     process = process_of(few, with_patch=with_patch)
     judged = np.flatnonzero(process.judged)

@@ -156,9 +156,10 @@ class Transport:
         return patch
 
     def maps(self, light: Light, patch: Floats32 | None) -> SurfaceMaps:
-        """Predict n hours at the seen pixels, without the sun's disc.
+        """Predict n hours at the seen pixels, without the sun's disc, term by term as above.
 
-        patch: luminance of direct sun on surfaces [n, H, W] cd/m2; None adds no direct sun.
+        patch: luminance of direct sun on surfaces [n, H, W] cd/m2; None adds no direct sun. Last,
+        the second stage corrects hours with a sun from nearly the direction of a captured one.
         """
         pixels, features = self.pixels, self.states.features(light)
         if self.patch_light is not None and patch is not None:
@@ -207,8 +208,8 @@ class Transport:
         dark = np.maximum(luminance * (1.0 - share), np.float32(MIN_CDM2))
         slip = LOG10_E**2 * slip_variance(patch, self.seen, dark, unsure.slip_deg)
         off = slip @ (weights / weights.sum())
-        # log10 MSE: an hour that a shift of its sun patch would change by over a quarter is not
-        # trusted
+        # An hour that a displaced sun patch would change by over a quarter (0.01 log10 MSE) is not
+        # trusted.
         return np.hypot(sd, np.sqrt(slip)), expected + off, trusted & (off < 0.01)
 
     def with_displaced_patches(self, slip_deg: float) -> Transport:
@@ -526,7 +527,7 @@ def _inputs(
         bounced = physics.features(light, sunlight)
         arrays = replace(arrays, features=replace(arrays.features, bounced=bounced))
         perez = physics.luminance(light, sunlight, seen)
-    # fewer days do not show that other skies are better
+    # Fewer than four days do not show that other skies are better.
     sky = seen_sky(arrays) if len(np.unique(arrays.days)) >= 4 else None
     out = []
     for shown in (None,) if sky is None else (None, sky):
@@ -560,7 +561,6 @@ def one_season(days: NDArray) -> bool:
 
     days: dates [n] (datetime64). If True, held-out days do not test other seasons.
     """
-    # captures with a smaller range of the sun's declination are from one season
     return float(np.ptp(_declination_deg(days))) < 20.0
 
 
@@ -572,7 +572,6 @@ def seasons(days: NDArray) -> Indices:
     """
     declination = _declination_deg(days)
     values = np.unique(declination)
-    # least gap between the declinations of two seasons' days
     starts = values[1:][np.diff(values) > 10.0]
     return np.searchsorted(starts, declination, side="right")
 
@@ -625,7 +624,7 @@ class Uncertainty:
         of held-out days and seasons.
         """
         beam, n = captured.beam[self.tested], len(captured)
-        # hours with a tenth more or less sun are alike
+        # Hours with a tenth more or less sun are similar.
         sky = np.exp(-0.5 * ((hours.beam[:, None] - beam) / 0.1) ** 2) + 1e-9
         expected = guess * (sky @ self.error_of) / (sky @ self.guess_of)
         if not self.careful:

@@ -14,19 +14,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.core.arrays import Array, Floats, Floats32, Indices, Mask
+from fieldlum.core.arrays import Array, Floats, Floats32, Indices, Mask, evenly_spread
 from fieldlum.core.room_states import ADDED, OFF, indicators, parse_state
 from fieldlum.core.statistics import cauchy_weights, nan_percentiles
 from fieldlum.learn.models.held_out_choice import light_variance, weight_of_variance
 from fieldlum.optics.projection import equirect_rays, equirect_solid_angles
 from fieldlum.sky.light import LAMP_LX, Facades, Features, Light, facades_of, light_features
+from fieldlum.sky.perez import reinhart_patches
+from fieldlum.sky.sun_disc import add_source
 
 if TYPE_CHECKING:
     from fieldlum.learn.models.data import Dataset
-
-
-from fieldlum.sky.perez import reinhart_patches
-from fieldlum.sky.sun_disc import add_source
 
 MIN_CDM2 = 0.1  # in darker pixels relative errors have no meaning; not measured
 # Weights of the cells and of their sum beside the sun's light in a coarse model of the room, whose
@@ -116,9 +114,8 @@ def open_sky_from_captures(
     low, middle, high = nan_percentiles(ratio, (10, 50, 90))
     spread = np.subtract(*nan_percentiles(plain, (90, 10)))
     share = np.exp(low)
-    # a pixel with a smaller share of open sky counts as a surface
-    # Largest ratio of two scatters for a window pixel: of its luminance over the sky behind it, and
-    # over the total light
+    # A window pixel follows the sky behind it twice as well as the total light, and shows at least
+    # 5 % of that sky; other pixels count as surfaces.
     keep = (high - low < 0.5 * spread) & (share > 0.05) & (middle < np.log(1.2))
     return OpenSky(above[keep], share[keep].astype(np.float32), rays[above[keep]])
 
@@ -141,7 +138,7 @@ class PatchLight:
     def of(cls, patch: Floats, light: Light, window: Mask) -> PatchLight:
         """Return the divisors for captures; arguments as for `features`."""
         cells = _patch_cells(patch, window)
-        # less direct light is not visible in a room
+        # Less direct light than 20 lx is not visible in a room.
         sunny = light.direct_lx > 20.0
         if not cells[sunny].any():
             return cls(np.ones(2))
@@ -166,7 +163,7 @@ def _in_cells(picture: Floats) -> Floats:
     """Return the sums of a picture [H, W] over its cells, [c]."""
     for axis in (0, 1):
         size = picture.shape[axis]
-        # Cells of a picture whose patches are compared, about 8 x 16 degrees each
+        # At most 23 cells along each axis; a cell is about 8 x 16 degrees.
         edges = np.unique(np.linspace(0, size, min(23, size) + 1).astype(int))[:-1]
         picture = np.add.reduceat(picture, edges, axis=axis)
     return picture.ravel()
@@ -180,8 +177,7 @@ def _cell_roots(shape: tuple[int, ...]) -> Floats:
 def _patch_cells(patch: Floats, window: Mask) -> Floats:
     """Return the light of sun patches in each cell over the root of its solid angle, [n, c]."""
     weights = np.where(window, 0.0, equirect_solid_angles(*window.shape))
-    # Upper limit in these cells: the luminance of a sunlit white wall. Brighter pixels show a
-    # window or a disc
+    # Pixels brighter than a sunlit white wall (3e4 cd/m2) show a window or a disc.
     lit = (np.minimum(picture, 3e4) * weights for picture in patch)
     return np.array([_in_cells(picture) for picture in lit]) / _cell_roots(patch.shape)
 
@@ -339,11 +335,10 @@ def edge_weights(patch: Floats, seen: Mask, luminance: Floats, total_lx: Floats)
     """
     total = total_lx[:, None]  # [n, 1]
     dark = np.median(luminance / total, axis=0) * total  # [n, P]
-    # How far the patches of a fitted scene are displaced, seen from the camera: edges are 1 to 2 cm
-    # off, at some 3 m, and the sun 0.2 degrees.
+    # Patches of a fitted scene are displaced by 0.5 degrees as seen from the camera: edges by 1 to
+    # 2 cm at some 3 m, and the sun by 0.2 degrees.
     variance = slip_variance(patch, seen, dark, 0.5)
-    # Standard deviation of ln L at which a value next to an edge has half weight; that of the
-    # robust rounds.
+    # A standard deviation of 0.15 of ln L halves the weight, as in the robust rounds of the fit.
     return cauchy_weights(np.sqrt(variance), 0.15)
 
 
@@ -379,7 +374,7 @@ def computed_light(
     The gain is captured over computed luminance, limited to a factor of 20 below or above the
     median of all pixels. perez: see `ComputedLight`, None if `luminance` is under Perez's skies.
     """
-    # Computed light has no meaning below; far under that of any wall by day
+    # Any wall by day is far brighter than 1e-3 cd/m2, below which computed light has no meaning.
     gain = pixel_scale(arrays, np.maximum(luminance, np.float32(1e-3)))
     middle = np.median(gain)
     gain = np.clip(gain, middle / 20.0, middle * 20.0).astype(np.float32)  # black to white
@@ -410,9 +405,7 @@ class SeenSky:
 
     def features(self, arrays: TrainingArrays) -> Features:
         """Return the features of `arrays`, with these skies instead of Perez's."""
-        root = np.sqrt(reinhart_patches().solid_angles_sr).astype(np.float32)
-        unit = arrays.light.total_lx.astype(np.float32)[:, None]
-        return replace(arrays.features, sky=self.luminance_cdm2 * root / unit)
+        return replace(arrays.features, sky=arrays.light.sky_features(self.luminance_cdm2))
 
 
 def seen_sky(arrays: TrainingArrays) -> SeenSky | None:
@@ -426,7 +419,7 @@ def seen_sky(arrays: TrainingArrays) -> SeenSky | None:
     ratios, directions = _patch_ratios(arrays)  # [n, k], [k, 3]
     finite = ratios[np.isfinite(ratios)]
     sd = float(np.sqrt((finite**2).mean())) if len(finite) else 0.0
-    # least rms of ln luminance that is worth a test: under that of any cloud
+    # Any cloud changes the sky by more than 5 % (rms).
     if sd < 0.05:
         return None
     patches = reinhart_patches()
@@ -447,15 +440,15 @@ def _patch_ratios(arrays: TrainingArrays) -> tuple[Array, Array]:
     window = arrays.open_sky.index
     perez = arrays.sky[:, window]  # [n, w]
     captured = np.maximum(arrays.luminance[:, window], MIN_CDM2)
-    # cd/m2: a darker sky cannot be separated from the room's reflection in the glass
+    # A sky under 5 cd/m2 cannot be separated from the room's reflection in the glass.
     valid = ~arrays.filled[:, window] & (perez > 5.0)
     if arrays.patch is not None:
-        # of a window pixel's luminance: with more direct sun the pixel does not show the sky
+        # A window pixel with more than 2 % direct sun does not show the sky.
         valid &= arrays.patch[:, window] < 0.02 * captured
-    # omit hours with a blind, or with a lamp that the glass reflects
+    # Hours with a blind, or with a lamp that the glass reflects, do not show the sky.
     if arrays.light.states is not None:
         valid &= np.array([not state for state in arrays.light.states])[:, None]
-    # captures that show a sky patch, so that its median is its usual share
+    # The median over five captures or more is a sky patch's usual share.
     often = np.flatnonzero(valid.sum(axis=0) >= 5)
     valid, captured, perez = valid[:, often], captured[:, often], perez[:, often]
     ratios = np.where(valid, np.log(captured / np.maximum(perez, MIN_CDM2)), np.nan)
@@ -466,8 +459,7 @@ def _patch_ratios(arrays: TrainingArrays) -> tuple[Array, Array]:
     one = np.eye(len(names))[member]  # [w, k]
     counts, sums = valid @ one, np.where(valid, ratios, 0.0) @ one
     means = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
-    # that are used, to limit the time
-    some = np.unique(np.linspace(0, len(names) - 1, min(len(names), 80)).astype(int))
+    some = evenly_spread(len(names), 80)  # patches that are used; limits the time
     return means[:, some], everywhere[names[some]]
 
 

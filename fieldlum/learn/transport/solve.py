@@ -131,8 +131,7 @@ def each_chunk(work: Callable[[slice], None], count: int, size: int = 1024) -> I
     each other.
     """
     parts = [slice(start, min(start + size, count)) for start in range(0, count, size)]
-    # limits the memory
-    workers = min(os.cpu_count() or 1, 8)
+    workers = min(os.cpu_count() or 1, 8)  # limits the memory
     with threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(workers) as pool:
         for part, _ in zip(parts, pool.map(work, parts), strict=True):
             yield part.stop
@@ -234,8 +233,8 @@ def fit_chunk(
     target = np.maximum(arrays.luminance, MIN_CDM2) / unit
     computed = None if arrays.computed is None else arrays.computed.luminance
     columns = Columns.of(arrays, unit, computed)
-    # of a pixel's usual light: darker values (a hand in front of the lens) get no more weight than
-    # this one
+    # Values under 3 % of the pixel's usual light, such as a hand in front of the lens, get no more
+    # weight than a value of 3 %.
     dark = 0.03 * np.exp(np.mean(np.log(target), axis=0))
     response, weights = target, arrays.trust / np.maximum(target, dark) ** 2
     b, gains = solve(basis.values, columns, response, weights, noise, products)
@@ -378,7 +377,7 @@ def hold_out(arrays: TrainingArrays, basis: Basis, noise: float) -> HeldOutFit:
             arrays[part], scale[part], basis, noise, products
         )
 
-    # smaller, because each pixel has a hat matrix
+    # Chunks are smaller than in the fit, because each pixel has a hat matrix.
     for _ in each_chunk(one, len(scale), 128):
         pass
     residual = ~arrays.filled * np.log(target / predicted)
@@ -389,7 +388,7 @@ def hold_out(arrays: TrainingArrays, basis: Basis, noise: float) -> HeldOutFit:
         left = np.linalg.solve(inverse[np.ix_(rows, rows)], solved[rows])
         predicted[rows] *= np.exp(residual[rows] - left)
     luminance = predicted * arrays.light.total_lx[:, None] * scale
-    # for scores, lower values are raised to it (floor of the paper)
+    # Scores count values below 1 cd/m2 as 1 (floor of the paper).
     floored = (np.maximum(values, 1.0) for values in (luminance, arrays.luminance))
     error = ~arrays.filled * np.subtract(*(np.log10(values) for values in floored))
     unknown, log10 = np.full(len(luminance), np.nan), (error**2).mean(axis=1)
@@ -436,7 +435,7 @@ def _hold_out_some(
         deviation = solution - change[:, :, 0]
         deviation[:, r:] += 1.0
         out[:, rows] = np.einsum("pda,pa->pd", wanted[:, rows], deviation)
-    # sun patch and window sky have the gains of the full fit, and negative ones count as 0
+    # Sun patch and window sky have the gains of the full fit; negative gains count as 0.
     some = slice(perez.surface, None)
     direct = np.einsum("knp,pk->np", perez.values[some], fit.gains[:, some])
     surfaces = np.maximum(out.T - direct, fit.minimum)

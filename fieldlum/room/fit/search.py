@@ -165,8 +165,10 @@ def _slopes(
 def covariance(cost: SceneCost, guess: Guess, parameters: Sequence[Parameter]) -> Floats:
     """Return the covariance of parameters at the cheapest guess, in steps squared [k, k].
 
-    It is that of the priors and of noise, for which one standard deviation costs `cost.unit`, plus
-    that of different days (with under three days: hours), by their own slopes of the cost.
+    guess: the one with the lowest cost; a parameter's step is its `Parameter.step`. The covariance
+    is the sum of two. The first is by priors and noise: a displacement of one standard deviation
+    raises the cost by `cost.unit`. The second is by the scatter of the cost's gradient between
+    days, or between hours with under three days (sandwich estimator).
     """
     found = cost.residuals(guess)
     assert found is not None

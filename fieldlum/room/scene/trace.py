@@ -31,7 +31,7 @@ DISC_RAYS = "disc_rays"
 def nearest_box(
     low: Floats, high: Floats, origins: Floats, directions: Floats
 ) -> tuple[Floats, NDArray[np.int32], NDArray[np.int8], NDArray[np.int8]]:
-    """Return distance, box, and axis and sign of the face, as `Hits`, of n rays [n, 3] each.
+    """Return distance, box, and axis and sign of the face, of the first hit of n rays [n, 3] each.
 
     low, high: corners of the boxes [b, 3] m.
     """

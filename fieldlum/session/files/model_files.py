@@ -11,7 +11,7 @@ import numpy as np
 from msgspec import Struct, field
 from numpy.typing import NDArray
 
-from fieldlum.core.arrays import Floats
+from fieldlum.core.arrays import Floats, evenly_spread
 from fieldlum.core.records import JsonTable
 from fieldlum.session.codec import JsonFile, open_arrays
 from fieldlum.session.writing import replacing
@@ -172,8 +172,7 @@ class HeldOutMaps:
     def write(self, folder: Path) -> None:
         """Write held_out.npz: at most 150 hours, spread evenly from best to worst prediction."""
         order = np.argsort(self.log10_mse, kind="stable")
-        spread = np.linspace(0, len(order) - 1, min(len(order), MAX_MAPS)).round().astype(int)
-        kept = np.sort(order[spread])
+        kept = np.sort(order[evenly_spread(len(order), MAX_MAPS)])
         arrays: dict[str, Any] = {name: getattr(self, name)[kept] for name in _ARRAYS}
         with replacing(folder / "held_out.npz") as file:
             np.savez_compressed(file, format=HELD_OUT_FORMAT, **arrays)

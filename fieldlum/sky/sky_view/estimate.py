@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fieldlum.core.arrays import Array, Floats, Floats32, Indices, Mask
+from fieldlum.core.arrays import Array, Floats, Floats32, Indices, Mask, evenly_spread
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.records import Progress, Site, quiet
 from fieldlum.core.room_states import parse_state
@@ -146,7 +146,7 @@ def _stack(captured: Captured, seen: Callable[[Floats], Mask] | None, progress: 
     grid = max((picture.grid for picture in some), key=lambda grid: grid.height * grid.width)
     kept = np.any([np.isfinite(_placed(picture, grid)) for picture in some], axis=0)
     maximum = max(MIN_CAPTURES, _MAX_VALUES // max(int(kept.sum()), 1))
-    rows = np.unique(np.linspace(0, count - 1, min(count, maximum)).round().astype(int)).tolist()
+    rows = evenly_spread(count, maximum).tolist()
     in_lens = np.zeros(kept.shape, bool)
     if seen is not None:
         in_lens = seen(grid.rays().reshape(-1, 3)).reshape(kept.shape)

@@ -66,7 +66,7 @@ class CameraPose:
         return cls(**{**table, "covariance": covariance, "notes": tuple(table["notes"])})
 
     def drawn(self, rng: np.random.Generator, count: int) -> Floats:
-        """Return draws of the four values, [count, 4]."""
+        """Return random draws of `values`, by their covariance, [count, 4]."""
         covariance = np.asarray(self.covariance, float)
         return rng.multivariate_normal(self.values, covariance, count, method="eigh")
 

@@ -96,7 +96,7 @@ class Annual(HourlyFile):
 
     @property
     def judged(self) -> Mask:
-        """Mask [d]: True for directions with a DGP; False if lenses saw less than half of them."""
+        """Mask [d]: True for directions with a DGP, of which the lenses saw at least half."""
         return np.asarray(np.isfinite(self.views["dgp"]).any(axis=0))
 
 

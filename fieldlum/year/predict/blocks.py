@@ -233,7 +233,11 @@ def write_maps(store: Path, start: int, maps: Floats32) -> None:
 
 
 def finish_maps(folder: Path, annual: Annual, room: ModelRoom) -> None:
-    """Write times, directions, `disc_lx` [lx] and `trusted`, and give the store its name."""
+    """Complete the draft store of `begin_maps` in `folder`, and rename it to maps.zarr.
+
+    Adds the coordinates, and for each hour `disc_lx` [lx] and `trusted`. An earlier maps.zarr is
+    replaced.
+    """
     import xarray as xr
 
     text = "illuminance of the visible disc on a plane normal to it"
@@ -284,7 +288,7 @@ class HourJudge:
     """Computes the figures of predicted hours in some view directions of a room."""
 
     def __init__(self, room: ModelRoom, azimuths_deg: Floats) -> None:
-        """Compute the weights of the views."""
+        """Prepare the view directions azimuths_deg [d] around the horizon: weights and coverage."""
         size = room.height, room.width, room.heading_deg
         self.views = panorama_views(*size, azimuths_deg, room.seen)
         self._coverage = metrics.view_coverage(self.views)

@@ -123,7 +123,7 @@ def fit_year(
     def fitted(rows: Mask) -> MelanopicYear:
         kernel, some = Kernel(facades), light[rows]
         features = light_features(some)
-        # variance of a capture, as the transport model's middle one
+        # The variance of a capture is the middle one of the transport model's `NOISES`.
         covariance = kernel(features, features) + 1e-2 * np.eye(len(some))
         relative = photopic_lx[rows] / some.total_lx[:, None]
         coefficients = np.linalg.solve(covariance, relative)
