@@ -565,6 +565,12 @@ def test_a_netcdf_file_of_arm_has_the_values_and_times_of_scipy(tmp_path: Path) 
     assert "not used: up_short_hemisp" in read.notes[0] and "quality flags" in read.notes[-1]
     with pytest.raises(InputError, match="no column GHI"):
         read_logger_file(path, None, {"ghi_wm2": "GHI"})
+    with netcdf_file(path, "w") as file:
+        file.createDimension("time", 3)
+        file.createVariable("time", "d", ("time",))[:] = [0.0, 60.0, 120.0]
+        file.createVariable("ghi_wm2", "f", ("time",))[:] = 100.0
+    with pytest.raises(InputError, match="times without a unit"):
+        read_logger_file(path)
 
 
 @pytest.mark.contract
@@ -608,6 +614,8 @@ def test_every_column_in_wm2_is_listed(
         ("t_utc,ghi (kW/m2)\n2027-03-20T16:00Z,0.5\n", "columns t_utc, ghi"),
         ("t_utc,ghi_wm2\n", "no row could be read: it has no rows"),
         ("t_utc;ghi_wm2\n2027-03-20T16:00Z;5,1\n", "columns separated by ';'"),
+        ('"TOA5";"a"\n"TIMESTAMP";"GHI"\n', "columns separated by ';'"),
+        ("Plot Title: roof\nt_utc,ghi_wm2\n2027-03-20T16:00Z,5\n", "remove the lines above"),
     ],
 )
 def test_each_refusal_states_its_cause(tmp_path: Path, text: str, found: str) -> None:
@@ -715,7 +723,17 @@ def test_a_reading_is_one_number_or_refused(tmp_path: Path, cell: str) -> None:
 
 
 @pytest.mark.contract
-@pytest.mark.parametrize("start", [b"CDF\x01", b"\x89HDF\r\n", b"PK\x03\x04", b"\x1f\x8b\x08"])
+@pytest.mark.parametrize(
+    "start",
+    [
+        b"CDF\x01",
+        b"\x89HDF\r\n",
+        b"PK\x03\x04",
+        b"\x1f\x8b\x08",
+        b"<!DOCTYPE html>",
+        b'"TOB1","a"\r\n',
+    ],
+)
 def test_files_that_are_no_text_are_named(tmp_path: Path, start: bytes) -> None:
     (tmp_path / "a.csv").write_bytes(start + b"t_utc,ghi_wm2\n" * 3)
     for read in (
@@ -723,7 +741,7 @@ def test_files_that_are_no_text_are_named(tmp_path: Path, start: bytes) -> None:
         lambda path: read_weather(path, NORTH),
         PairsFile.read,
     ):
-        with pytest.raises(InputError, match=r"netCDF|zip archive|gzip"):
+        with pytest.raises(InputError, match=r"netCDF|zip archive|gzip|web page|TOB"):
             read(tmp_path / "a.csv")
 
 
@@ -800,6 +818,29 @@ def test_occupancy_takes_hours_of_one_digit(tmp_path: Path, start: str, end: str
     (tmp_path / "a.csv").write_text(f"days,start,end\nmon-fri,{start},{end}\n")
     (tmp_path / "b.csv").write_text(f"days,start,end\nmon-fri,{start:0>5},{end:0>5}\n")
     assert read_occupancy(tmp_path / "a.csv").periods == read_occupancy(tmp_path / "b.csv").periods
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize(
+    ("days", "count"),
+    [
+        ("Monday - Friday", 5),
+        ("mon\u2013fri", 5),  # as word processors write it
+        ("tues thurs", 2),
+        ("sat-mon", 3),
+        ("mon;tue", 0),
+        ("monthly", 0),
+        ("1-5", 0),
+    ],
+)
+def test_days_are_read_completely_or_refused(tmp_path: Path, days: str, count: int) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(f"days,start,end\n{days},08:00,18:00\n", encoding="utf-8")
+    if count:
+        assert len(read_occupancy(path).periods) == count
+        return
+    with pytest.raises(InputError, match=f"unknown days '{days}'.*correct line 2"):
+        read_occupancy(path)
 
 
 # ----------------------------------------------------------------------------------------------

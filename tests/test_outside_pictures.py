@@ -174,6 +174,9 @@ def test_a_cut_jpeg_is_named_in_words(tmp_path: Path, cut: float) -> None:
     path.write_bytes(path.read_bytes()[: int(cut * path.stat().st_size)])
     with pytest.raises(InputError, match="damaged or cut short"):
         read_jpeg(path)
+    path.write_bytes(path.read_bytes()[:90])  # within the EXIF: nobody can write it into this file
+    with pytest.raises(InputError, match="damaged or cut short"):
+        read_exif(path)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -205,6 +208,8 @@ def test_exposures_are_stated_beside_frames_without_exif(tmp_path: Path) -> None
         ("file,shutter_s,f_number,iso\na.jpg,0,5,8,100\n", "line 2: 5 cells"),
         ("file,shutter_s,f_number,iso\na.jpg,1,8\n", "line 2: 3 cells"),
         ("file,shutter_s,f_number,iso\na.jpg,1,8,0\n", "line 2: '0'"),
+        ("file,shutter_s,f_number,iso\na.jpg,1_0,8,1\n", "line 2: '1_0'"),
+        ("file,shutter_s,f_number,iso\na.jpg,1/60/2,8,1\n", "line 2: '1/60/2'"),
         ("file,shutter_s,f_number,iso\na.jpg,1,8,1\na.jpg,2,8,1\n", "line 3: a.jpg again"),
         ('file,shutter_s,f_number,iso\na.jpg,"1,8,1\nb.jpg,2,8,1\n', "line 2: a quotation mark"),
     ],
@@ -251,6 +256,15 @@ def test_a_file_that_the_camera_did_not_write_splits_no_bracket(
         kept, notes = without_edited([*frames, copy], size_px)
         assert kept == frames
         assert len(notes) == 1 and notes[0].startswith(str(copy.path))
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize("name", ["IMG_{}-edited.JPG", "IMG_{} (1).JPG", "Copy of IMG_{}.JPG"])
+def test_a_copy_of_every_frame_is_no_camera_of_its_own(tmp_path: Path, name: str) -> None:
+    frames = [_card_frame(tmp_path / f"IMG_{k:04d}.JPG", k) for k in range(1, 6)]
+    copies = [_card_frame(tmp_path / name.format(f"{k:04d}"), k) for k in range(1, 6)]
+    kept, notes = without_edited([*copies, *frames], (24, 16))
+    assert kept == frames and "as are 4 more files" in notes[0]
 
 
 @pytest.mark.contract

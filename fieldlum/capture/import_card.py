@@ -341,8 +341,8 @@ def without_edited(
 ) -> tuple[list[CardFrame], list[str]]:
     """Return the frames as the camera wrote them, and notes on copies and other sizes.
 
-    A copy, edited or not, has the time and exposure of a frame, but another form of name than most
-    frames of the card (IMG_0003_edit.JPG), or the same name in another folder. size_px : width and
+    A copy, edited or not, has the time and exposure of a frame, but a rarer or longer form of name
+    (IMG_0003_edit.JPG), or the same name in another folder. size_px : width and
     height of the camera's frames by its profile; if no JPEG has it, the commonest size counts.
     """
     sizes = {f.path: jpeg_size(f.path) for f in frames if is_jpeg(f.path)}
@@ -350,15 +350,16 @@ def without_edited(
     size = size_px if size_px in common else max(common, key=lambda s: common[s], default=size_px)
     other_size = {path for path, its in sizes.items() if its not in (size, (0, 0))}
     full = [frame for frame in frames if frame.path not in other_size]
-    forms = Counter(_form(frame.path) for frame in full)
+    counts = Counter(_form(frame.path) for frame in full)
+    rank = {frame.path: (counts[f := _form(frame.path)], -len(f)) for frame in full}
     alike: dict[tuple[datetime, Exposure], list[CardFrame]] = {}
     for frame in full:
         key = frame.t_camera.replace(microsecond=0), frame.exposure
         alike.setdefault(key, []).append(frame)
     edited: set[Path] = set()
     for same in (group for group in alike.values() if len(group) > 1):
-        best = max(forms[_form(frame.path)] for frame in same)
-        usual = [frame for frame in same if forms[_form(frame.path)] == best]
+        best = max(rank[frame.path] for frame in same)
+        usual = [frame for frame in same if rank[frame.path] == best]
         # Two files of one name in two folders: the camera's own folder is below DCIM (DCF 2.0).
         usual.sort(key=lambda f: ("DCIM" not in f.path.parts, len(f.path.parts), f.path))
         first = {frame.path.stem: frame for frame in reversed(usual)}

@@ -73,7 +73,7 @@ def reason_of(error: BaseException) -> str:
     return str(error) or type(error).__name__
 
 
-# First bytes of files that are no text, or a picture (their formats' specifications).
+# First bytes of files that are no table (their formats' specifications).
 _KINDS = {
     b"CDF": "a netCDF file",
     b"\x89HDF": "a netCDF or HDF5 file",
@@ -87,6 +87,9 @@ _KINDS = {
     b"MM\0*": "a raw or TIFF picture",
     b"v/1\x01": "an OpenEXR picture",
     b"#?RADIANCE": "a Radiance picture",
+    b"<": "a web page or an XML file",
+    b'"TOB': "a binary table of a Campbell logger (TOB)",
+    b'"TOACI1"': "a table of a Campbell logger in the form TOACI1",
 }
 
 

@@ -127,13 +127,12 @@ def split_header(path: Path, line: Line, mark: str = ",") -> list[str]:
 
     Raises InputError for a stray quotation mark, and for another separator than commas.
     """
-    where, remedy = f"{path}: line {line[0]}", "correct that line"
-    with input_errors(where, "a line of names", remedy, ValueError):
-        names = split_row(line[1], mark)
-    if len(names) == 1 and mark == "," and (other := re.search(r"[;\t|]", names[0])):
+    if mark == "," and "," not in line[1] and (other := re.search(r"[;\t|]", line[1])):
         remedy = "save it as CSV with commas between and points in the numbers"
         raise InputError(path, f"columns separated by {other[0]!r}", "commas", remedy)
-    return names
+    where, remedy = f"{path}: line {line[0]}", "correct that line"
+    with input_errors(where, "a line of names", remedy, ValueError):
+        return split_row(line[1], mark)
 
 
 def split_rows(

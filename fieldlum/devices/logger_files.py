@@ -209,6 +209,8 @@ def _netcdf(path: Path) -> _Table:
     with input_errors(path, expected, "export it as csv", ValueError, KeyError, TypeError):
         with xr.open_dataset(path, engine="scipy") as opened:
             frame = opened.load()
+        if frame["time"].dtype.kind != "M":
+            raise ValueError("times without a unit such as 'seconds since 2019-07-05'")
         times = frame["time"].to_numpy().astype("M8[us]").tolist()
     along = {str(name): v for name, v in frame.items() if v.dims == ("time",)}
     names = ["t_utc", *along]
@@ -286,7 +288,8 @@ def _columns(path: Path, table: _Table, asked: Mapping[str, str]) -> dict[str, i
         found = f"no known column of irradiance among the columns {all_names}"
         expected = "a column of irradiance, such as ghi_wm2, dhi_wm2 or dni_wm2"
         above = "remove the lines above the column names"
-        remedy = "choose it: --column ghi_wm2=NAME" if len(names) > 1 else above
+        is_above = len(names) == 1 and not table.is_logger
+        remedy = above if is_above else "choose it: --column ghi_wm2=NAME"
         raise InputError(path, found, expected, remedy)
     return at
 

@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
-from fractions import Fraction
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -17,7 +16,7 @@ import numpy as np
 
 from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.records import Exposure
-from fieldlum.core.strict_csv import read_table
+from fieldlum.core.strict_csv import read_number, read_table
 from fieldlum.optics.photometry import SAME_SETTING_EV
 
 EXPOSURES_CSV = "exposures.csv"
@@ -98,8 +97,10 @@ def _rows(path: Path) -> dict[str, tuple[float, float, float]]:
 
 def _positive(cell: str, path: Path, line: int) -> float:
     """Return a number above 0, which may be a fraction such as 1/60."""
-    with suppress(ValueError, ZeroDivisionError, OverflowError):
-        if (value := float(Fraction(cell))) > 0:
+    numerator, _, denominator = cell.partition("/")
+    with suppress(ValueError, ZeroDivisionError):
+        parts = [read_number(part, has_codes=False) for part in (numerator, denominator or "1")]
+        if (value := parts[0] / parts[1]) > 0:
             return value
     expected = "a number above 0, such as 0.5 or 1/60"
     raise InputError(path, f"line {line}: {cell!r}", expected, "write decimals with a point")

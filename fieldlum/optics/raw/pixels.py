@@ -314,6 +314,7 @@ def read_exif(path: Path, *, lens_f_number: float = 0.0) -> FrameInfo:
     with suppress(InputError):
         return info_of(path, tags, lens_f_number=lens_f_number)
     if is_jpeg(path):
+        _codes(path, sys.maxsize)  # damage is the cause, if the file is damaged
         return info_of(path, tags, lens_f_number=lens_f_number)
     with opened(path) as raw:
         return info_of(path, tags, _libraw_exposure(raw), lens_f_number=lens_f_number)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime, time, timedelta
@@ -17,6 +18,7 @@ from fieldlum.core.strict_csv import read_table
 from fieldlum.sky.sun import hour_of_year, position, standard_date, standard_midnight
 
 DAYS = ("mon", "tue", "wed", "thu", "fri", "sat", "sun")
+_DAY = re.compile(r"(mon|tues?|wed(nes)?|thu(rs?)?|fri|sat(ur)?|sun)(day)?")
 _HOUR = timedelta(hours=1)
 HOW = (
     "columns days,start,end (mon-fri,08:00,18:00), or a column occupied with 8760 rows of 0 or 1, "
@@ -94,12 +96,12 @@ def _time(cell: str) -> time:
 
 def _days(text: str) -> Iterator[int]:
     """Yield the days of a text such as "mon-fri sun"; raise ValueError for another one."""
-    for part in text.lower().split():
+    for part in re.sub(r"\s*[-\u2013]\s*", "-", text.lower()).split():
         first, dash, last = part.partition("-")
-        ends = [name[:3] for name in (first, last if dash else first)]
-        if not set(ends) <= set(DAYS):
+        ends = [name for name in (first, last if dash else first) if _DAY.fullmatch(name)]
+        if len(ends) < 2:
             raise ValueError(f"unknown days '{text}'")
-        a, b = map(DAYS.index, ends)
+        a, b = (DAYS.index(name[:3]) for name in ends)
         yield from ((a + k) % 7 for k in range((b - a) % 7 + 1))
 
 
