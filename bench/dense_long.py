@@ -13,6 +13,7 @@ import argparse
 import time
 from pathlib import Path
 
+from fieldlum.core.progress import shown_by
 from fieldlum.learn import models
 from fieldlum.learn.models.data import load_pairs
 
@@ -38,9 +39,10 @@ def main() -> None:
     data = load_pairs(asked.pairs)
     budget_s = None if asked.full else 60.0 * asked.minutes
     checkpoint = asked.out / "checkpoint.pt"
-    fitted = models.fit(
-        "dense", data, seed=asked.seed, budget_s=budget_s, checkpoint=checkpoint, progress=progress
-    )
+    with shown_by(progress):
+        fitted = models.fit(
+            "dense", data, seed=asked.seed, budget_s=budget_s, checkpoint=checkpoint
+        )
     models.save(asked.out, fitted, data)
     print(fitted.state().config["dense_training"])
 

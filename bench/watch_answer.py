@@ -16,7 +16,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from fieldlum import demo, merge
-from fieldlum.core.records import quiet
 from fieldlum.optics.profiles import bracket_exposures, load_camera_profile, shipped
 from fieldlum.room import simulate
 from fieldlum.session import create_session, open_session, write_plan
@@ -50,7 +49,7 @@ def main() -> None:
             session = open_session(asked.folder)
             write_plan(session.plan, now, setup.site.timezone)
         simulate.run(session, weather, height=asked.height, quality="draft", workers=1)
-        demo.capture(session, 1, quiet)
+        demo.capture(session, 1)
         if day == 1:
             merge.run(session, merge.MergeOptions(asked.height))
         worker = prediction_so_far.Worker(session, Snapshots(session).moment)

@@ -22,7 +22,7 @@ from fieldlum.bench import _colour, machine, markdown, store
 from fieldlum.bench.rows import ERRORS, Spec, parse_specs
 from fieldlum.core.arrays import Mask
 from fieldlum.core.plot_style import GRID, open_axes
-from fieldlum.core.records import Progress, quiet
+from fieldlum.core.progress import progress
 from fieldlum.learn.models.data import Dataset, load_pairs
 from fieldlum.learn.models.scores import evaluate, summary, truth
 from fieldlum.learn.train import fit_timed, patch_mode
@@ -78,8 +78,6 @@ def learning_curve(
     data: Dataset,
     test: Dataset,
     way: Literal["random", "greedy"],
-    *,
-    progress: Progress = quiet,
 ) -> list[dict[str, object]]:
     """Return rows with the error on `test` of models trained on 25, 50 ... captures of `data`.
 
@@ -149,9 +147,7 @@ def periods(data: Dataset) -> dict[str, Mask]:
     return {name: rows for name, rows in named.items() if rows.sum() >= FEWEST_HOURS}
 
 
-def compare_periods(
-    spec: Spec, data: Dataset, *, progress: Progress = quiet
-) -> list[dict[str, object]]:
+def compare_periods(spec: Spec, data: Dataset) -> list[dict[str, object]]:
     """Train on each collection period of `periods`; return a row of errors for each period.
 
     All periods are tested on the same hours: a random quarter of `data`, at most 300, which no

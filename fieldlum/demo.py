@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum.core.records import Progress
+from fieldlum.core.progress import progress
 from fieldlum.core.scheduler import Scheduler
 from fieldlum.optics.profiles import shipped
 from fieldlum.optics.projection import compass_name
@@ -66,7 +66,7 @@ def prepare(folder: Path) -> Session:
     return session
 
 
-def capture(session: Session, seed: int, progress: Progress) -> None:
+def capture(session: Session, seed: int) -> None:
     """Capture all due slots with a simulated camera and pyranometer.
 
     The clock jumps from slot to slot, so that nothing waits. seed: of the simulated noise.
@@ -160,14 +160,14 @@ def run(
     folder: Path,
     *,
     preset: str = "quick",
-    show: Callable[[str], AbstractContextManager[Progress]],
+    show: Callable[[str], AbstractContextManager[None]],
     workers: int = 2,
     weather: Path | None = None,
 ) -> Outcome:
     """Run all stages in `folder`, write demo.json, and return the outcome.
 
     preset: a name in `PRESETS`. weather: a weather file; None: the shipped Seattle year. show:
-    called with the name of each stage, returns a context manager that yields a progress function.
+    called with the name of each stage, returns a context manager that shows its progress.
     workers: number of processes. Results that are already in `folder` are used again.
     """
     from fieldlum import merge, pair, report
@@ -182,30 +182,30 @@ def run(
     seconds: dict[str, float] = {}
 
     @contextmanager
-    def stage(name: str) -> Iterator[Progress]:
+    def stage(name: str) -> Iterator[None]:
         started = time.monotonic()
-        with show(name) as progress:
-            yield progress
+        with show(name):
+            yield
         seconds[name] = round(time.monotonic() - started, 1)
 
     with stage("plan"):
         session = prepare(folder)
     year, model = simulate.weather_for(session.site_file(), weather), session.models / MODEL
-    with stage("render the room") as bar:
+    with stage("render the room"):
         how = {"height": height, "quality": quality, "workers": workers}
-        simulate.run(session, year, **how, coloured=True, progress=bar)
-    with stage("capture") as bar:
-        capture(session, 1, bar)
-    with stage("merge") as bar:
-        merge.run(session, merge.MergeOptions(height=height), scheduler=pool, progress=bar)
-    with stage("pair") as bar:
-        irradiance.run(session, progress=bar)
-        pair.run(session, progress=bar)
-    with stage("train") as bar:
+        simulate.run(session, year, **how, coloured=True)
+    with stage("capture"):
+        capture(session, 1)
+    with stage("merge"):
+        merge.run(session, merge.MergeOptions(height=height), scheduler=pool)
+    with stage("pair"):
+        irradiance.run(session)
+        pair.run(session)
+    with stage("train"):
         data = load_pairs(session)
-        scores = train.run(data, MODEL, budget_min=budget_min, seed=1, out=model, progress=bar)
-    with stage("predict a year") as bar:
-        annual, _ = predict.run(model, weather, seed=1, scheduler=pool, progress=bar)
+        scores = train.run(data, MODEL, budget_min=budget_min, seed=1, out=model)
+    with stage("predict a year"):
+        annual, _ = predict.run(model, weather, seed=1, scheduler=pool)
     with stage("report"):
         page = report.run(session)
     outcome = Outcome(page, seconds, _figures(session, scores, annual))

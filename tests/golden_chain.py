@@ -21,7 +21,6 @@ from unittest.mock import patch
 import numpy as np
 
 from fieldlum import demo, merge, pair, plan
-from fieldlum.core.records import quiet
 from fieldlum.learn import models, train
 from fieldlum.learn.models.data import load_pairs
 from fieldlum.optics.profiles import shipped
@@ -72,16 +71,16 @@ def run_chain(root: Path) -> Session:
     session = create_session(root / "session", setup, slots, {"set": "golden"})
     weather = shipped("capture_plans") / demo.WEATHER
     year = simulate.weather_for(session.site_file(), weather)
-    simulate.run(session, year, progress=quiet, height=HEIGHT, quality="draft", workers=1)
-    demo.capture(session, 1, quiet)
-    merge.run(session, merge.MergeOptions(height=HEIGHT), progress=quiet)
-    irradiance.run(session, progress=quiet)
-    pair.run(session, progress=quiet)
+    simulate.run(session, year, height=HEIGHT, quality="draft", workers=1)
+    demo.capture(session, 1)
+    merge.run(session, merge.MergeOptions(height=HEIGHT))
+    irradiance.run(session)
+    pair.run(session)
     model = session.models / "transport"
     # Without a clock: a busy machine would leave out held-out days, and change the scores.
     with patch.object(train, "monotonic", lambda: 0.0):
         train.run(load_pairs(session), "transport", seed=1, out=model)
-    predict.run(model, week_of(weather, root / "week.csv"), seed=1, progress=quiet)
+    predict.run(model, week_of(weather, root / "week.csv"), seed=1)
     return session
 
 

@@ -16,7 +16,6 @@ from click.testing import CliRunner
 
 from fieldlum import demo, plan
 from fieldlum.cli import main
-from fieldlum.core.records import Progress, quiet
 from fieldlum.optics.images import read_panorama
 from fieldlum.optics.profiles import shipped
 from fieldlum.session import create_session, open_session
@@ -26,8 +25,8 @@ from fieldlum.year.glare.single import panorama_glare
 
 
 @contextmanager
-def _unseen(name: str) -> Iterator[Progress]:
-    yield quiet
+def _unseen(name: str) -> Iterator[None]:
+    yield
 
 
 @pytest.fixture(scope="module")

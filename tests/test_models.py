@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from learning_room import dataset
 
 from fieldlum.core.errors import InputError
+from fieldlum.core.progress import shown_by
 from fieldlum.learn import models
 from fieldlum.learn.models import dense
 from fieldlum.learn.models.dense import (
@@ -125,8 +126,8 @@ def interrupted_after(epochs: int, **options: Any) -> None:
         if next(updates) > epochs * FEW.steps // EPOCHS:
             raise KeyboardInterrupt
 
-    with pytest.raises(KeyboardInterrupt):
-        models.fit("dense", DATA, progress=progress, **options)
+    with pytest.raises(KeyboardInterrupt), shown_by(progress):
+        models.fit("dense", DATA, **options)
 
 
 @pytest.mark.slow

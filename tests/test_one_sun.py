@@ -11,7 +11,7 @@ import pytest
 from learning_room import dataset, write_pairs
 
 from fieldlum.core.errors import InputError
-from fieldlum.core.records import Panorama, Slot, quiet, slot_id
+from fieldlum.core.records import Panorama, Slot, slot_id
 from fieldlum.core.scheduler import LOCAL
 from fieldlum.learn.models.data import load_pairs
 from fieldlum.optics.images import read_panorama, write_panorama
@@ -59,7 +59,7 @@ def paired_patch(folder: Path) -> Path:
     blank = np.ones((HEIGHT, 2 * HEIGHT), np.float32)
     write_panorama(picture, Panorama(blank, OFFICE.camera.heading_deg, t_utc=LOW))
     brackets = [BracketInterval(slot_id(LOW), picture, LOW, LOW)]
-    write_patches(session, OFFICE, brackets, low_light(), False, LOCAL, quiet)
+    write_patches(session, OFFICE, brackets, low_light(), False, LOCAL)
     return session.sunpatch(slot_id(LOW))
 
 

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 from test_sky_view import GRID, LIGHT, SITE, SKY, _at
 
-from fieldlum.core.records import Panorama, Room, SunSource, Window, quiet, slot_id
+from fieldlum.core.records import Panorama, Room, SunSource, Window, slot_id
 from fieldlum.optics.images import write_panorama
 from fieldlum.pair.sky_view import Shown, is_outdated, shares_of_beam, write_sky_view
 from fieldlum.session import Session
@@ -40,7 +40,7 @@ def session_of(folder: Path) -> tuple[Session, list[Shown]]:
 
 def write(session: Session, shown: list[Shown], *, force: bool = False) -> SkyView | None:
     light = LIGHT[list(ROWS)]
-    return write_sky_view(session, shown, light, SITE, force=force, progress=quiet)
+    return write_sky_view(session, shown, light, SITE, force=force)
 
 
 @pytest.mark.contract

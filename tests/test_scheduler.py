@@ -12,6 +12,7 @@ from click.testing import CliRunner
 
 from fieldlum.cli import main
 from fieldlum.core.errors import InputError
+from fieldlum.core.progress import shown_by
 from fieldlum.core.scheduler import (
     LOCAL,
     SHARED_VARIABLE,
@@ -94,7 +95,8 @@ def test_each_process_has_one_thread(tmp_path: Path) -> None:
 def test_units_run_here_in_order(tmp_path: Path) -> None:
     some = [WorkUnit(f"u{k}", units.doubled, tmp_path, k) for k in range(3)]
     shown: list[tuple[int, int, str]] = []
-    outcomes = list(run_units(some, LOCAL, progress=lambda *line: shown.append(line)))
+    with shown_by(lambda *line: shown.append(line)):
+        outcomes = list(run_units(some, LOCAL))
     assert [o.result() for o in outcomes] == [0, 2, 4]
     assert shown == [(1, 3, "u0"), (2, 3, "u1"), (3, 3, "u2")]
     assert list(run_units([], LOCAL)) == []

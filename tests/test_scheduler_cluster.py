@@ -12,7 +12,7 @@ from test_merge_stage import START, profile, take
 
 from fieldlum import merge
 from fieldlum.core.errors import InputError
-from fieldlum.core.records import CameraSetup, Exposure, Site, SiteFile, Slot, quiet
+from fieldlum.core.records import CameraSetup, Exposure, Site, SiteFile, Slot
 from fieldlum.core.scheduler import (
     LOCAL,
     SHARED_VARIABLE,
@@ -108,7 +108,7 @@ def simulated_year(root: Path, scheduler: Scheduler) -> dict[str, bytes]:
         BracketInterval(s.id, session.truth_panorama(s.id), s.t_utc, s.t_utc) for s in rendered
     ]
     light = light_at([s.t_utc for s in rendered], setup.site, np.array(500.0), np.array(100.0))
-    write_patches(session, setup, brackets, light, True, scheduler, quiet)
+    write_patches(session, setup, brackets, light, True, scheduler)
     model = root.parent / "nearest"  # one model for both: its config.json has its time
     if not model.is_dir():
         data = load_pairs(session)

@@ -11,6 +11,7 @@ import pytest
 from learning_room import dataset
 
 from fieldlum.core.errors import InputError
+from fieldlum.core.progress import shown_by
 from fieldlum.learn import train
 from fieldlum.session import check_writable
 
@@ -49,13 +50,9 @@ def test_train_says_at_once_that_the_disk_is_read_only(tmp_path: Path) -> None:
 def test_train_asks_before_it_computes(tmp_path: Path) -> None:
     (tmp_path / "model").write_text("")
     told: list[str] = []
-    with pytest.raises(NotADirectoryError):
-        train.run(
-            dataset(("2027-03-20", "2027-06-21"), height=8),
-            "nearest",
-            out=tmp_path / "model" / "x",
-            progress=lambda done, total, text: told.append(text),
-        )
+    data = dataset(("2027-03-20", "2027-06-21"), height=8)
+    with pytest.raises(NotADirectoryError), shown_by(lambda done, total, text: told.append(text)):
+        train.run(data, "nearest", out=tmp_path / "model" / "x")
     assert told == []
 
 

@@ -12,7 +12,7 @@ from learning_room import dataset, room, write_pairs
 
 from fieldlum.cli import main
 from fieldlum.core.errors import NotEnoughDataError
-from fieldlum.core.records import quiet
+from fieldlum.core.progress import shown_by
 from fieldlum.learn import models, train
 from fieldlum.learn.models import dense
 from fieldlum.learn.models.data import Dataset
@@ -116,8 +116,8 @@ def test_only_captures_without_a_scene_are_advised_to_get_a_room() -> None:
 @pytest.mark.contract
 def test_a_year_is_not_judged_without_a_room_for_its_patches() -> None:
     fitted = models.fit("transport", DATA)
-    assert year_of(fitted, DATA, "absolute", 0, quiet) is None
-    assert year_of(models.fit("mean", DATA), DATA, "none", 0, quiet) is None
+    assert year_of(fitted, DATA, "absolute", 0) is None
+    assert year_of(models.fit("mean", DATA), DATA, "none", 0) is None
 
 
 @pytest.mark.property
@@ -163,8 +163,8 @@ def test_a_network_without_time_for_a_pass_is_not_trained(
         def progress(*_: object) -> None:
             raise KeyboardInterrupt
 
-        with pytest.raises(KeyboardInterrupt):
-            dense.fit(few, budget_s=600.0, progress=progress)
+        with pytest.raises(KeyboardInterrupt), shown_by(progress):
+            dense.fit(few, budget_s=600.0)
         return
     with pytest.raises(NotEnoughDataError, match="raise --budget"):
         dense.fit(few, budget_s=600.0)

@@ -16,6 +16,7 @@ from datetime import date
 from pathlib import Path
 
 from fieldlum import plan
+from fieldlum.core.progress import shown_by
 from fieldlum.core.records import SiteFile, Slot
 from fieldlum.room import simulate
 from fieldlum.room.scene.radiosity import QUALITIES
@@ -70,7 +71,8 @@ def render(path: Path, out: Path, height: int, quality: str) -> None:
         if total and done % max(total // 20, 1) < 16:
             print(f"\r{path.stem}: {text} {done}/{total}   ", end="", file=sys.stderr, flush=True)
 
-    made = simulate.run(session, weather, height=height, quality=quality, progress=say)
+    with shown_by(say):
+        made = simulate.run(session, weather, height=height, quality=quality)
     rows = {name: sorted(row[s.id] for s in chosen) for name, chosen in sets.items()}
     (folder / "sets.json").write_text(json.dumps(rows), encoding="utf-8")
     spent = time.perf_counter() - begin

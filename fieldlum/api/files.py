@@ -8,7 +8,8 @@ from datetime import UTC, date, datetime
 from pathlib import Path
 
 from fieldlum.core.errors import InputError
-from fieldlum.core.records import JsonTable, Panorama, Progress, Site, SiteFile, quiet
+from fieldlum.core.progress import Progress, quiet, shown_by
+from fieldlum.core.records import JsonTable, Panorama, Site, SiteFile
 from fieldlum.merge import MergeResult
 from fieldlum.optics.profiles import CameraProfile
 from fieldlum.plan import Plan
@@ -353,7 +354,8 @@ def merge_frames(
         camera = load_camera_profile(camera)
     shots = merge.shots_of_files([path_of(f) for f in files], camera.camera.fixed_f_number)
     options = merge.MergeOptions(height=height, fit=fit)
-    return merge.merge_shots(shots, camera, options, heading_deg=heading_deg, progress=progress)
+    with shown_by(progress):
+        return merge.merge_shots(shots, camera, options, heading_deg=heading_deg)
 
 
 def evaluate_glare(

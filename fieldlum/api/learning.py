@@ -8,13 +8,14 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from numpy.typing import ArrayLike
 
 from fieldlum.api.files import path_of, place
 from fieldlum.core.errors import InputError, input_errors
-from fieldlum.core.records import Progress, Site, SiteFile, parse_utc, quiet
+from fieldlum.core.progress import Progress, quiet, shown_by
+from fieldlum.core.records import Site, SiteFile, parse_utc
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -167,8 +168,9 @@ def load_pairs(
 
     source = pairs.root if isinstance(pairs, Session) else path_of(pairs, "pairs")
     stated = None if site is None else path_of(site, "site")
-    captures = data.with_sky_view(data.load_pairs(source, stated, progress=progress))
-    return training_captures(captures, source, scene, "absolute", progress=progress)[0]
+    with shown_by(progress):
+        captures = data.with_sky_view(data.load_pairs(source, stated))
+        return training_captures(captures, source, scene, "absolute")[0]
 
 
 def fit(
@@ -220,10 +222,10 @@ def fit(
     """
     from fieldlum.learn import train
 
-    options: dict[str, Any] = {"patch": patch, "seed": seed, "progress": progress}
     with nullcontext(out) if out is not None else TemporaryDirectory() as where:
         folder = path_of(where, "out")
-        train.run(data, model, budget_min=budget_min, out=folder, **options)
+        with shown_by(progress):
+            train.run(data, model, budget_min=budget_min, patch=patch, seed=seed, out=folder)
         return load_model(folder)
 
 
@@ -380,14 +382,14 @@ def predict_year(
     """
     from fieldlum.year import predict
 
-    return predict.run(
-        path_of(model_folder, "model_folder"),
-        path_of(weather_file),
-        out=None if out is None else path_of(out, "out"),
-        maps=maps,
-        views=views,
-        occupancy_path=None if occupancy_file is None else path_of(occupancy_file),
-        label_shift_min=label_shift_min,
-        force=force,
-        progress=progress,
-    ).annual
+    with shown_by(progress):
+        return predict.run(
+            path_of(model_folder, "model_folder"),
+            path_of(weather_file),
+            out=None if out is None else path_of(out, "out"),
+            maps=maps,
+            views=views,
+            occupancy_path=None if occupancy_file is None else path_of(occupancy_file),
+            label_shift_min=label_shift_min,
+            force=force,
+        ).annual

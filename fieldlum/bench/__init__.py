@@ -14,7 +14,7 @@ from fieldlum.bench import stress
 from fieldlum.bench.rows import BenchData, radiance_row, score_row
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.plot_style import GRID, open_axes
-from fieldlum.core.records import JsonTable, Progress, counted, quiet
+from fieldlum.core.records import JsonTable, counted
 from fieldlum.learn.model_registry import MODELS
 from fieldlum.learn.models.scores import truth
 from fieldlum.learn.train import Trial, choose_model, day_folds
@@ -73,7 +73,6 @@ def run(
     with_stress: bool = False,
     render_hours: int = 1,
     out: Path,
-    progress: Progress = quiet,
 ) -> JsonTable:
     """Score all models, write tables and a chart into `out`; return what `bench --json` prints.
 
@@ -85,16 +84,16 @@ def run(
     trials: dict[str, Trial] = {}
     measured = None if test is None else truth(test)
     for spec in loaded.specs:
-        row, trial = score_row(spec, data, measured, budget_s=60.0 * budget_min, progress=progress)
+        row, trial = score_row(spec, data, measured, budget_s=60.0 * budget_min)
         rows.append(row)
         trials.setdefault(trial.name, trial)
     chosen = choose_model(list(trials.values()))
-    rendering = radiance_row(data if test is None else test, render_hours, progress=progress)
+    rendering = radiance_row(data if test is None else test, render_hours)
     rows += [] if rendering is None else [rendering]
     store(out, "scores", rows, lambda path: speed_accuracy(path, rows, machine()))
     parts = [f"## Scores\n\n{markdown(rows)}\nChosen: {chosen.name}. {chosen.reason}.\n"]
     if with_stress and loaded.specs:
-        cells = _stress(loaded, progress)
+        cells = _stress(loaded)
         write_csv(out / "stress.csv", cells)
         parts.append(f"## Stress\n\n{markdown(cells)}")
     hours = f"{len(test)} hours of {test.source}" if test else "held-out days"
@@ -104,7 +103,7 @@ def run(
     return {"models": rows, "chosen": chosen.name, "reason": chosen.reason}
 
 
-def _stress(loaded: BenchData, progress: Progress) -> list[JsonTable]:
+def _stress(loaded: BenchData) -> list[JsonTable]:
     """Run the stress tests of the first transport model, else of the first model."""
     specs, data, test = loaded.specs, loaded.data, loaded.test
     spec = next((spec for spec in specs if spec.name == "transport"), specs[0])
@@ -114,7 +113,7 @@ def _stress(loaded: BenchData, progress: Progress) -> list[JsonTable]:
             count = counted(len(data), "usable hour")
             raise NotEnoughDataError(f"{data.source}: {count}; expected 2; capture more hours")
         data, test = data.take(~folds[0]), data.take(folds[0])
-    return stress.run(spec, data, test, progress=progress)
+    return stress.run(spec, data, test)
 
 
 # ----------------------------------------------------------------------------------------------

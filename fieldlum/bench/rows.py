@@ -12,7 +12,8 @@ from typing import cast, get_args
 import numpy as np
 
 from fieldlum.core.errors import InputError, NotEnoughDataError
-from fieldlum.core.records import JsonTable, Progress, quiet
+from fieldlum.core.progress import progress
+from fieldlum.core.records import JsonTable
 from fieldlum.learn import models
 from fieldlum.learn.model_registry import MODELS
 from fieldlum.learn.models import Patch
@@ -97,7 +98,6 @@ def load(
     site: Path | None = None,
     scene: str = "",
     sky_view: Path | None = None,
-    progress: Progress = quiet,
 ) -> BenchData:
     """Read the pairs with their sun patches or their scene, as `train` learns them.
 
@@ -109,13 +109,13 @@ def load(
     no test hour is left.
     """
     specs = parse_specs(models)
-    data = with_sky_view(load_pairs(pairs, site, progress=progress), sky_view, progress=progress)
-    data, _ = training_captures(data, pairs, scene, "absolute", progress=progress)
+    data = with_sky_view(load_pairs(pairs, site), sky_view)
+    data, _ = training_captures(data, pairs, scene, "absolute")
     if test is None:
         return BenchData(data, None, specs)
-    others = load_pairs(test, site, progress=progress)
-    others, _ = in_scene(others, pairs, scene, "absolute", progress=progress)
-    others = with_same_box(others, data, progress=progress)
+    others = load_pairs(test, site)
+    others, _ = in_scene(others, pairs, scene, "absolute")
+    others = with_same_box(others, data)
     folders = (spec.folder for spec in specs if spec.folder is not None)
     fresh = without_training_hours(replace(others, sky_view=data.sky_view), data, *folders)
     return BenchData(data, fresh, specs)
@@ -137,13 +137,7 @@ def without_training_hours(test: Dataset, train: Dataset, *folders: Path) -> Dat
 
 
 def score_row(
-    spec: Spec,
-    data: Dataset,
-    test: Truth | None,
-    *,
-    seed: int = 0,
-    budget_s: float,
-    progress: Progress = quiet,
+    spec: Spec, data: Dataset, test: Truth | None, *, seed: int = 0, budget_s: float
 ) -> tuple[JsonTable, Trial]:
     """Fit one model with one seed on `data`; return its score row and the trial.
 
@@ -156,12 +150,10 @@ def score_row(
             found = f"the trained model {spec.label}, but no test hours"
             raise InputError("--models", found, "other hours than it knows", "add --test TEST.csv")
         folds = day_folds(data)
-        trial = evaluate_folds(
-            spec.name, data, folds, patch=patch, seed=seed, budget_s=budget_s, progress=progress
-        )
+        trial = evaluate_folds(spec.name, data, folds, patch=patch, seed=seed, budget_s=budget_s)
     else:
-        fitted, spent, count = _fitted(spec, data, patch, seed, budget_s, progress)
-        trial = Trial(spec.name, evaluate(fitted, test, progress=progress), *spent, count, 0)
+        fitted, spent, count = _fitted(spec, data, patch, seed, budget_s)
+        trial = Trial(spec.name, evaluate(fitted, test), *spent, count, 0)
     row = {
         "name": spec.label,
         "fit_s": trial.fit_s,
@@ -175,12 +167,10 @@ def score_row(
 
 
 def _fitted(
-    spec: Spec, data: Dataset, patch: Patch, seed: int, budget_s: float, progress: Progress
+    spec: Spec, data: Dataset, patch: Patch, seed: int, budget_s: float
 ) -> tuple[models.Fitted, Spent, int]:
     if spec.folder is None:
-        fitted, spent = fit_timed(
-            spec.name, data, patch=patch, seed=seed, budget_s=budget_s, progress=progress
-        )
+        fitted, spent = fit_timed(spec.name, data, patch=patch, seed=seed, budget_s=budget_s)
         return fitted, spent, len(data)
     config = models.read_config(spec.folder)
     about = config.state.get("dense_training", {})
@@ -192,9 +182,7 @@ def _fitted(
 PAPER_OPTIONS = ("-ab", "4", "-aa", ".1", "-ar", "512", "-ad", "2048", "-as", "1024")
 
 
-def radiance_row(
-    data: Dataset, hours: int, *, progress: Progress = quiet
-) -> dict[str, object] | None:
+def radiance_row(data: Dataset, hours: int) -> dict[str, object] | None:
     """Return a row of the score table with the seconds that rtrace needs for one map.
 
     The mean of `hours` bright hours of `data`, at its map size, on one core, with the paper's

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from fieldlum.bench.rows import Spec
 from fieldlum.core.arrays import Floats, Mask
-from fieldlum.core.records import JsonTable, Progress, quiet
+from fieldlum.core.progress import progress
+from fieldlum.core.records import JsonTable
 from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.scores import Scores, evaluate, truth
 from fieldlum.learn.train import fit_timed, held_out_warnings, patch_mode
@@ -223,9 +224,7 @@ def _geometry(data: Dataset, test: Dataset) -> Iterator[Case]:
 # results
 
 
-def run(
-    spec: Spec, data: Dataset, test: Dataset, *, budget_s: float = 60.0, progress: Progress = quiet
-) -> list[JsonTable]:
+def run(spec: Spec, data: Dataset, test: Dataset, *, budget_s: float = 60.0) -> list[JsonTable]:
     """Fit the model under each condition that the data allow; return one row per condition.
 
     data, test: training and test hours. Columns: name: model and options; regime: name of the

@@ -14,7 +14,8 @@ from zoneinfo import ZoneInfo
 
 from fieldlum import devices
 from fieldlum.core.errors import FieldlumError, InputError
-from fieldlum.core.records import IrradianceSample, JsonTable, Progress, Site, Slot, quiet
+from fieldlum.core.progress import progress
+from fieldlum.core.records import IrradianceSample, JsonTable, Site, Slot
 from fieldlum.devices import CameraInfo, InstrumentInfo
 from fieldlum.devices.awake import kept_awake
 from fieldlum.devices.clock import Clock, synchronised
@@ -88,15 +89,13 @@ def run(
     camera_uri: str,
     pyranometer_uri: str,
     now_utc: datetime,
-    progress: Progress = quiet,
     *,
     meter_uri: str = "",
     only: Container[str] = EVERY,
 ) -> list[Finding]:
     """Run all checks and return their findings; a check that raises an error is a failure.
 
-    progress: called with the number of checks done, their total and the name of the next one. An
-    empty URI means that the device is not used. only: names of the checks to run.
+    An empty URI means that the device is not used. only: names of the checks to run.
     """
     checks: dict[str, Callable[[], Iterable[Finding]]] = {
         "plan": lambda: check_plan(session, now_utc),

@@ -16,7 +16,8 @@ from fieldlum.capture.bracket import shots, write_capture
 from fieldlum.capture.logger_import import adopt_rows
 from fieldlum.capture.match_card import CardFrame, Group, Match, Offset, Report
 from fieldlum.core.errors import InputError, NotEnoughDataError
-from fieldlum.core.records import CameraSetup, Exposure, Progress, SiteFile, Slot, counted, quiet
+from fieldlum.core.progress import progress
+from fieldlum.core.records import CameraSetup, Exposure, SiteFile, Slot, counted
 from fieldlum.optics.photometry import same_exposure
 from fieldlum.optics.profiles import CameraBody, load_camera_profile
 from fieldlum.optics.raw import RAW_SUFFIXES, is_jpeg, jpeg_size, read_exif, same_model
@@ -36,7 +37,6 @@ def run(
     logger_utc_offset_s: float | None = None,
     columns: Mapping[str, str] | None = None,
     sensitivities: Mapping[str, float] | None = None,
-    progress: Progress = quiet,
 ) -> Report:
     """Copy brackets that match the plan into raw/ and the journal.
 
@@ -54,18 +54,16 @@ def run(
             offset_s = utc_offset_s if logger_utc_offset_s is None else logger_utc_offset_s
             rows = adopt_rows(session, logger, offset_s, columns, sensitivities)
         if folder is not None:
-            report = _adopt_card(session, folder, utc_offset_s, progress)
+            report = _adopt_card(session, folder, utc_offset_s)
         left_out, notes = (*report.left_out, *rows.left_out), (*report.notes, *rows.notes)
         about = {"left_out": left_out, "notes": notes}
         return replace(report, rows=rows.rows, withdrawn=rows.withdrawn, **about)
 
 
-def _adopt_card(
-    session: Session, folder: Path, utc_offset_s: float | None, progress: Progress
-) -> Report:
+def _adopt_card(session: Session, folder: Path, utc_offset_s: float | None) -> Report:
     """Import the brackets in a card's folder that match the plan."""
     setup, slots = session.site_file(), session.slots()
-    groups, left_out = _brackets(folder, setup, slots, utc_offset_s is not None, progress)
+    groups, left_out = _brackets(folder, setup, slots, utc_offset_s is not None)
     clocks: list[tuple[list[Group], Offset]] = []
     notes: list[str] = []
     refused: list[InputError] = []
@@ -89,7 +87,7 @@ def _adopt_card(
         raise NotEnoughDataError(f"{folder}: {found}; check --utc-offset and the plan")
     notes += match_card.clock_steps(clocks)
     notes += [_lacking_text(match, setup.camera) for match in matches]
-    new, moved = _adopt_all(session, setup.camera, matches, progress)
+    new, moved = _adopt_all(session, setup.camera, matches)
     offsets = tuple(offset for _, offset in clocks)
     about = [{"camera_clock_minus_utc_s": round(o.seconds, 1), "how": o.how} for o in offsets]
     imported = session.table().get("imported", {})
@@ -102,7 +100,7 @@ def _adopt_card(
 
 
 def _brackets(
-    folder: Path, setup: SiteFile, slots: Sequence[Slot], own_clock: bool, progress: Progress
+    folder: Path, setup: SiteFile, slots: Sequence[Slot], own_clock: bool
 ) -> tuple[list[Group], list[str]]:
     """Return the brackets in a card's folder, and sentences on files that are not used.
 
@@ -111,7 +109,7 @@ def _brackets(
     """
     files, others = card_files(folder)
     body = load_camera_profile(setup.camera.profile).camera
-    frames, unread = read_card(files, progress, lens_f_number=body.fixed_f_number)
+    frames, unread = read_card(files, lens_f_number=body.fixed_f_number)
     frames, other_cameras = of_the_session(frames, body)
     frames, copies = without_edited(frames, (body.width_px, body.height_px))
     left_out = [*other_cameras, *copies, *unread, *others]
@@ -159,7 +157,7 @@ def _lacking_text(match: Match, setup: CameraSetup) -> str:
 
 
 def _adopt_all(
-    session: Session, setup: CameraSetup, matches: Sequence[Match], progress: Progress
+    session: Session, setup: CameraSetup, matches: Sequence[Match]
 ) -> tuple[list[Match], tuple[str, ...]]:
     """Import every bracket that the journal does not record as done.
 
@@ -308,7 +306,7 @@ def card_files(folder: Path) -> tuple[list[Path], list[str]]:
 
 
 def read_card(
-    files: Sequence[Path], progress: Progress = quiet, *, lens_f_number: float = 0.0
+    files: Sequence[Path], *, lens_f_number: float = 0.0
 ) -> tuple[list[CardFrame], list[str]]:
     """Return the frames with their EXIF, and a note on each file that cannot be used.
 

@@ -51,13 +51,13 @@ def command(
     from fieldlum.bench import run
     from fieldlum.bench.rows import load
 
-    with progress("reading pictures") as show:
+    with progress("reading pictures"):
         read = partial(load, pairs, models.split(","), test=test, site=site)
-        loaded = read(scene=scene, sky_view=sky_view, progress=show)
+        loaded = read(scene=scene, sky_view=sky_view)
     for note in loaded.data.notes:
         say(note)
-    with progress("benchmark") as show:
-        judge = partial(run, loaded, out=out, budget_min=budget, progress=show)
+    with progress("benchmark"):
+        judge = partial(run, loaded, out=out, budget_min=budget)
         answer = judge(with_stress=stress, render_hours=render)
     print_answer(as_json, answer, [(out / "bench.md").read_text(encoding="utf-8")])
     say(f"tables and charts in {out}")

@@ -39,8 +39,8 @@ def report_command(
     from fieldlum.report.campaign import read_campaign, write_overview
 
     campaign, folder = read_campaign(campaign_file), out or campaign_file.parent / "campaign"
-    with progress("campaign report") as show:
-        page, rooms = write_overview(campaign, folder, show)
+    with progress("campaign report"):
+        page, rooms = write_overview(campaign, folder)
     broken = [room for room in rooms if room.broken]
     for room in broken:
         say(f"skipped: {room.session}: {room.broken}")

@@ -61,10 +61,8 @@ def command(
 
     session = open_session(session_folder)
     annual = newest_annual(session)
-    with progress("comparing") as shown:
-        found = compare(
-            session, result, out or session.root / "compare", view_azimuths, annual, shown
-        )
+    with progress("comparing"):
+        found = compare(session, result, out or session.root / "compare", view_azimuths, annual)
     answer = {name: value for name, value in found._asdict().items() if name != "files"}
     lines = table_lines(found.surfaces, _SURFACES) if found.surfaces else []
     lines = lines or table_lines(found.directions, _DIRECTIONS)

@@ -11,20 +11,18 @@ import click
 
 from fieldlum.cli.options import command_of
 from fieldlum.cli.terminal import progress, say
-from fieldlum.core.records import Progress
 
 
 @contextmanager
-def _shown(name: str) -> Iterator[Progress]:
+def _shown(name: str) -> Iterator[None]:
     say(f"-- {name}")
-    with progress(name) as bar:
-        yield bar
+    with progress(name):
+        yield
 
 
 @command_of("demo")
 def command(
-    folder: Path = Path("fieldlum-demo"),
-    preset: Literal["quick", "paper"] = "quick",
+    folder: Path = Path("fieldlum-demo"), preset: Literal["quick", "paper"] = "quick"
 ) -> None:
     """Run all stages on simulated captures.
 

@@ -37,9 +37,9 @@ def command(
 
     session = open_session(session_folder)
     camera_uri, pyranometer_uri, meter_uri = device_uris(session, camera, pyranometer, meter)
-    with terminal.progress("looking") as progress:
+    with terminal.progress("looking"):
         findings = doctor.run(
-            session, camera_uri, pyranometer_uri, datetime.now(UTC), progress, meter_uri=meter_uri
+            session, camera_uri, pyranometer_uri, datetime.now(UTC), meter_uri=meter_uri
         )
     lines = [f"{click.style(*MARKS[f.verdict])}  {f.what:13} {f.text}" for f in findings]
     drawing = session.root / "room.svg"

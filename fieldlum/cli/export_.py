@@ -32,7 +32,7 @@ def command(session_folder: Path, out: Path | None = None, view_azimuths: Azimut
     from fieldlum.session import open_session
 
     session = open_session(session_folder)
-    with progress("exporting") as shown:
-        files = export(session, out or session.root / "export", view_azimuths, shown)
+    with progress("exporting"):
+        files = export(session, out or session.root / "export", view_azimuths)
     for path in files:
         click.echo(str(path))

@@ -92,8 +92,8 @@ def command(
     add = partial(import_card.run, session, folder, logger=irradiance_file)
     add = partial(add, columns=dict(columns) or None, sensitivities=dict(sensitivity) or None)
     add = partial(add, utc_offset_s=utc_offset_s, logger_utc_offset_s=logger_utc_offset_s)
-    with terminal.progress("import") as shown:
-        report = add(progress=shown)
+    with terminal.progress("import"):
+        report = add()
     for line in _summary(report):
         terminal.say(line)
     frames, rows = counted(report.frames, "frame"), counted(report.rows, "row")

@@ -71,9 +71,9 @@ def command(
         size = size or (DEFAULT_SIZE if whole else DEFAULT_FISHEYE_SIZE)
         options = merge.MergeOptions(picture_height(size, 1 + whole), projection, fit)
         files, profile = frame_files(session, *more), load_camera_profile(camera)
-        with progress("Merge") as bar:
+        with progress("Merge"):
             result, facts = merge.files_to_picture(
-                files, profile, out, options, heading_deg=heading, progress=bar
+                files, profile, out, options, heading_deg=heading
             )
         answer = {"out": str(out), "verdict": result.verdict, **facts, "quality": result.quality}
         print_answer(as_json, answer, _lines(out, result, facts))
@@ -83,8 +83,8 @@ def command(
     opened = open_session(session)
     options = merge.MergeOptions(picture_height(size or _present_size(opened)), fit=fit)
     scheduler = scheduler_of(scheduler_text)
-    with progress("Merge") as bar:
-        verdicts = merge.run(opened, options, scheduler=scheduler, force=force, progress=bar)
+    with progress("Merge"):
+        verdicts = merge.run(opened, options, scheduler=scheduler, force=force)
     lines = [f"{v.slot} {v.state}: {v.text}" for v in verdicts]
     print_answer(as_json, {"slots": [v.table() for v in verdicts]}, lines)
     counts = Counter(v.state for v in verdicts)

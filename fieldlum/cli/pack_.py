@@ -48,7 +48,7 @@ def command(
     if not re.fullmatch(r"[A-Za-z0-9.+-]+", licence):
         raise click.BadParameter("write an SPDX identifier, like CC-BY-4.0", param_hint="--licence")
     statement = Statement(title, authors, licence, publisher, people)
-    with progress("packing") as shown:
-        cautions = pack(open_session(session_folder), archive, statement, shown)
+    with progress("packing"):
+        cautions = pack(open_session(session_folder), archive, statement)
     notes(cautions)
     click.echo(str(archive))

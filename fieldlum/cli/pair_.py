@@ -28,13 +28,13 @@ def command(session_folder: Path, scheduler_text: str = "local", force: bool = F
 
     scheduler = scheduler_of(scheduler_text)
     session = open_session(session_folder)
-    with terminal.progress("irradiance") as progress:
-        health = irradiance.run(session, force=force, progress=progress)
+    with terminal.progress("irradiance"):
+        health = irradiance.run(session, force=force)
     terminal.notes(health.warnings)
     if (picture := draw_days(session, force=force)) is not None:
         terminal.say(f"irradiance of each day: {picture}")
-    with terminal.progress("pair") as progress:
-        pairs = pair.run(session, force=force, scheduler=scheduler, progress=progress)
+    with terminal.progress("pair"):
+        pairs = pair.run(session, force=force, scheduler=scheduler)
     usable = sum(p.ok for p in pairs)
     click.echo(
         f"{session.pairs}: {usable} of {counted(len(pairs), 'panorama')} paired, "

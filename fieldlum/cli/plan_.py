@@ -102,8 +102,8 @@ def _planned(
     set_, *dates = asked
     request = plan.Request(set_, plan.today_at(setup.site, datetime.now(UTC)), *dates)
     _permit_room(setup)
-    with terminal.progress("choosing hours") as progress:
-        session, made = plan.run(setup, request, out, weather, progress)
+    with terminal.progress("choosing hours"):
+        session, made = plan.run(setup, request, out, weather)
     answer = plan.summary(session, made)
     terminal.notes(made.warnings)
     sentences = plan.sentences(answer)
@@ -139,8 +139,8 @@ def _coming(target: Path, weather: Weather | None) -> tuple[dict, list[str]]:
     if weather is None:
         weather = synthetic_weather(site)
         terminal.say("note: no --weather: clear skies with random clouds are used")
-    with terminal.progress("ranking hours") as progress:
-        answer = coming.run(session, weather, datetime.now(UTC), progress)
+    with terminal.progress("ranking hours"):
+        answer = coming.run(session, weather, datetime.now(UTC))
     return answer, coming.sentences(answer, site)
 
 

@@ -50,7 +50,7 @@ def command(
     from fieldlum.optics.projection import compass_name
     from fieldlum.year.predict import run
 
-    with progress("predict") as show:
+    with progress("predict"):
         annual, new = run(
             model_folder,
             weather_path,
@@ -63,7 +63,6 @@ def command(
             force=force,
             label_shift_min=label_shift_min,
             scheduler=scheduler_of(scheduler_text),
-            progress=show,
         )
     summary = annual.summary
     notes = [f"note: {text}" for text in (*summary.weather.repairs, *summary.notes)]

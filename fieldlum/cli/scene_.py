@@ -59,10 +59,10 @@ def fit(
     from fieldlum.room.fit.stage import run
 
     folder = out or (pairs if pairs.is_dir() else pairs.parent) / "scene"
-    with progress("reading pictures") as show:
-        data = load_pairs(pairs, site, progress=show)
-    with progress("fitting the scene") as show:
-        result = run(data, folder, clock_sd_min=clock_sd, find_changes=find_changes, progress=show)
+    with progress("reading pictures"):
+        data = load_pairs(pairs, site)
+    with progress("fitting the scene"):
+        result = run(data, folder, clock_sd_min=clock_sd, find_changes=find_changes)
     print_answer(as_json, answer_of(result.scene), _lines(result.scene))
     notes(() if as_json else result.scene.notes)
     say("written: " + ", ".join(str(file) for file in result.files))

@@ -12,16 +12,10 @@ import click
 
 from fieldlum.cli import terminal
 from fieldlum.cli.declared import EXISTING_PATH
-from fieldlum.cli.options import (
-    DEFAULT_SIZE,
-    CaptureSet,
-    command_of,
-    picture_height,
-    scheduler_of,
-)
+from fieldlum.cli.options import DEFAULT_SIZE, CaptureSet, command_of, picture_height, scheduler_of
 
 if TYPE_CHECKING:
-    from fieldlum.core.records import Progress, SiteFile
+    from fieldlum.core.records import SiteFile
     from fieldlum.session import Session
     from fieldlum.session.folder import PlanTable
     from fieldlum.weather import Weather
@@ -87,13 +81,13 @@ def command(
         terminal.say(f"weather: {repair}")
     chosen = quality or ("quick" if height <= 115 else "paper")
     if session is None and out is not None:
-        with terminal.progress("planning") as progress:
-            session = _planned(out, setup, weather, (set_, year, count, seed), progress)
+        with terminal.progress("planning"):
+            session = _planned(out, setup, weather, (set_, year, count, seed))
     assert session is not None
     render = partial(simulate.run, session, weather, height=height, quality=chosen, force=force)
-    with terminal.progress("simulating") as progress:
+    with terminal.progress("simulating"):
         render = partial(render, troubles=troubles, coloured=colour)
-        made = render(scheduler=scheduler_of(scheduler_text), progress=progress)
+        made = render(scheduler=scheduler_of(scheduler_text))
     answer = {"session": str(session.root), "rendered": made.rendered, "kept": made.kept}
     answer |= {"dark": made.dark, "weather": made.weather, "size": size, "quality": chosen}
     dark = f", {made.dark} slots without light" if made.dark else ""
@@ -107,9 +101,7 @@ def command(
     terminal.print_answer(as_json, answer, lines)
 
 
-def _planned(
-    out: Path, setup: SiteFile, weather: Weather, asked: tuple, progress: Progress
-) -> Session:
+def _planned(out: Path, setup: SiteFile, weather: Weather, asked: tuple) -> Session:
     """Write a new session of planned slots, or of `count` daylight hours of the weather."""
     from fieldlum import plan
     from fieldlum.room import simulate
@@ -121,4 +113,4 @@ def _planned(
         return simulate.make_session(out, setup, slots, about)
     today = plan.today_at(setup.site, datetime.now(UTC))
     request = plan.Request(set_, today, None, year, seed=seed)
-    return plan.run(setup, request, out, weather, progress)[0]
+    return plan.run(setup, request, out, weather)[0]

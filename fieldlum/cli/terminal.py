@@ -14,7 +14,7 @@ from typing import Any
 import click
 
 from fieldlum.core.errors import InputError, install_text
-from fieldlum.core.records import Progress
+from fieldlum.core.progress import Progress, shown_by
 
 # Seconds before the first line of progress in a log, and between lines; chosen.
 FIRST_LINE_S, LINE_EVERY_S = 2.0, 60.0
@@ -147,12 +147,14 @@ def _progress_lines(label: str) -> Progress:
 
 @contextmanager
 def progress(label: str) -> Iterator[Progress]:
-    """Yield a progress function: a bar with the remaining time on a terminal.
+    """Show the progress of work in the block: a bar with the remaining time on a terminal.
 
-    Elsewhere it prints a line after 2 s and then one per minute on stderr.
+    Elsewhere a line after 2 s and then one per minute on stderr. Yield the function that shows it.
     """
     if not is_terminal():
-        yield _progress_lines(label)
+        lines = _progress_lines(label)
+        with shown_by(lines):
+            yield lines
         return
     from rich import progress as rich_progress
     from rich.console import Console
@@ -169,4 +171,5 @@ def progress(label: str) -> Iterator[Progress]:
         def show(finished: int, total: int, text: str) -> None:
             bar.update(task, completed=finished, total=total or None, text=text)
 
-        yield show
+        with shown_by(show):
+            yield show

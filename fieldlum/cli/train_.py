@@ -68,20 +68,11 @@ def command(
 
     folder = out or (pairs if pairs.is_dir() else pairs.parent) / "models" / model
     used: Any  # "absolute", "gain" or "none", as the captures allow
-    with progress("reading pictures") as show:
-        data = with_sky_view(load_pairs(pairs, site, progress=show), sky_view, progress=show)
-        data, used = training_captures(data, pairs, scene, patch, progress=show)
-    with progress("training") as show:
-        answer = run(
-            data,
-            model,
-            budget_min=budget,
-            patch=used,
-            seed=seed,
-            out=folder,
-            force=force,
-            progress=show,
-        )
+    with progress("reading pictures"):
+        data = with_sky_view(load_pairs(pairs, site), sky_view)
+        data, used = training_captures(data, pairs, scene, patch)
+    with progress("training"):
+        answer = run(data, model, budget_min=budget, patch=used, seed=seed, out=folder, force=force)
     print_answer(as_json, answer, _lines(answer))
     for note in () if as_json else answer["notes"]:
         say(note)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from enum import IntFlag
@@ -18,14 +17,6 @@ from fieldlum.core.strict_toml import Positive
 # Largest picture that is read, unless a camera's profile states more: 0.5 GB of JPEG codes, 1.9 GB
 # of float32 colours. The largest sensors in use have 150 million pixels.
 MAX_PIXELS = 160_000_000
-Progress = Callable[[int, int, str], None]
-"Called as progress(done, total, text) by any work that takes over two seconds."
-
-
-def quiet(finished: int, total: int, text: str) -> None:
-    """Do nothing: the default where a progress function is expected."""
-
-
 # ----------------------------------------------------------------------------------------------
 # time
 

@@ -31,7 +31,7 @@ from urllib.parse import urlsplit
 from threadpoolctl import threadpool_limits
 
 from fieldlum.core.errors import InputError, NotEnoughDataError, input_errors, install_text
-from fieldlum.core.records import Progress, quiet
+from fieldlum.core.progress import progress, quiet, shown_by
 from fieldlum.optics.profiles import shipped
 from fieldlum.session import sha256
 
@@ -149,22 +149,19 @@ class UnitOutcome:
 
 
 def run_each(
-    units: Iterable[WorkUnit],
-    scheduler: Scheduler,
-    take: Callable[[UnitOutcome], object],
-    progress: Progress = quiet,
+    units: Iterable[WorkUnit], scheduler: Scheduler, take: Callable[[UnitOutcome], object]
 ) -> None:
     """Run every unit and pass each outcome to `take`; an error in `take` stops all units.
 
     Raises what `run_units` and `take` raise.
     """
-    with closing(run_units(units, scheduler, progress=progress)) as outcomes:
+    with closing(run_units(units, scheduler)) as outcomes:
         for outcome in outcomes:
             take(outcome)
 
 
 def run_units(
-    units: Iterable[WorkUnit], scheduler: Scheduler, *, progress: Progress = quiet
+    units: Iterable[WorkUnit], scheduler: Scheduler
 ) -> Generator[UnitOutcome, None, None]:
     """Run every unit and yield its outcome, in the order in which units end.
 
@@ -188,7 +185,7 @@ def run_units(
 
 def _here(unit: WorkUnit) -> UnitOutcome:
     try:
-        with threadpool_limits(1, user_api="blas"):  # as in a worker, for equal rounding
+        with shown_by(quiet), threadpool_limits(1, user_api="blas"):  # as a worker
             return UnitOutcome(unit, unit.call(unit.folder, unit.argument))
     except Exception as error:
         return UnitOutcome(unit, error=error)

@@ -1,6 +1,6 @@
 """The models that `train` can fit, one entry each; without heavy imports for the command line.
 
-A model is a module with ``fit(data, *, patch, seed, budget_s, progress) -> Fitted`` and
+A model is a module with ``fit(data, *, patch, seed, budget_s) -> Fitted`` and
 ``from_state(state) -> Fitted`` (`fieldlum/learn/models/__init__.py`). CONTRIBUTING.md states how
 to add one; command line, `auto`, `bench`, `predict` and `report` follow from its entry here.
 """

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.core.errors import InputError
-from fieldlum.core.records import Flag, JsonTable, Panorama, Progress, quiet
+from fieldlum.core.records import Flag, JsonTable, Panorama
 from fieldlum.merge.project import blend, finish, view_through
 from fieldlum.merge.ratios import Exposures, any_beyond_prior
 from fieldlum.merge.sensor import Findings, SensorImage, merge_sensor
@@ -253,7 +253,6 @@ def merge_shots(
     heading_deg: float = 180.0,
     sun_deg: tuple[float, float] | None = None,
     latitude_deg: float | None = None,
-    progress: Progress = quiet,
 ) -> MergeResult:
     """Merge a bracket of one or several headings.
 
@@ -271,8 +270,7 @@ def merge_shots(
     images, findings = [], []
     for heading, group in groupby(sorted_shots(shots, profile), key=lambda s: s.heading_deg):
         turn_deg = 0.0 if heading is None else heading - heading_deg
-        how = {"fit": options.fit, "turn_deg": turn_deg, "progress": progress}
-        image, part = merge_sensor(list(group), profile, **how)
+        image, part = merge_sensor(list(group), profile, fit=options.fit, turn_deg=turn_deg)
         images.append(image)
         findings.append(part)
     views = [view_through(image, lens, target) for image in images for lens in profile.lens]
@@ -343,7 +341,6 @@ def files_to_picture(
     options: MergeOptions | None = None,
     *,
     heading_deg: float = 180.0,
-    progress: Progress = quiet,
 ) -> tuple[MergeResult, dict[str, float]]:
     """Merge files of one heading and write the picture; return the result, and figures by name.
 
@@ -356,7 +353,7 @@ def files_to_picture(
         raise InputError(out, f"the suffix '{out.suffix}'", ".exr or .hdr", "correct --out")
     options = options or MergeOptions()
     shots = shots_of_files(files, profile.camera.fixed_f_number)
-    result = merge_shots(shots, profile, options, heading_deg=heading_deg, progress=progress)
+    result = merge_shots(shots, profile, options, heading_deg=heading_deg)
     panorama = result.panorama
     with replacing_path(out) as path:
         if out.suffix.lower() == ".exr":

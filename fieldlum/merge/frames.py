@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Array, Floats, Floats32, Indices, Mask, evenly_spread
 from fieldlum.core.errors import InputError
-from fieldlum.core.records import Progress, quiet
+from fieldlum.core.progress import progress
 from fieldlum.merge.shift import ReducedFrame, reduced
 from fieldlum.merge.shots import Shot
 from fieldlum.optics.linear_light import (
@@ -444,7 +444,7 @@ Signal = RawSignal | JpegSignal
 
 
 def read_frames(
-    shots: Sequence[Shot], profile: CameraProfile, crop: Crop, progress: Progress = quiet
+    shots: Sequence[Shot], profile: CameraProfile, crop: Crop
 ) -> tuple[list[Signal], Saturation]:
     """Read the frames of a bracket, most exposed first, and measure where they saturate.
 

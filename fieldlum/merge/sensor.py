@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from fieldlum.core.arrays import Floats, Floats32, Indices, Mask
-from fieldlum.core.records import Flag, Progress, quiet
+from fieldlum.core.records import Flag
 from fieldlum.core.statistics import robust_sigma
 from fieldlum.merge.estimator import Merged, Rows, merge_signals
 from fieldlum.merge.frames import Crop, RawSignal, Saturation, Signal, lens_crop, read_frames
@@ -202,12 +202,7 @@ class Findings:
 
 
 def merge_sensor(
-    shots: Sequence[Shot],
-    profile: CameraProfile,
-    *,
-    fit: bool | None = None,
-    turn_deg: float = 0.0,
-    progress: Progress = quiet,
+    shots: Sequence[Shot], profile: CameraProfile, *, fit: bool | None = None, turn_deg: float = 0.0
 ) -> tuple[SensorImage, Findings]:
     """Merge the frames of one heading.
 
@@ -220,7 +215,7 @@ def merge_sensor(
     shots, absent = _without_absent_filters(shots, profile, crop)
     law = stated_law([shot.exposure.shutter_s for shot in shots], profile)
     read_with = replace(profile, shutter_law=law.law)
-    frames, saturation = read_frames(shots, read_with, crop, progress)
+    frames, saturation = read_frames(shots, read_with, crop)
     lenses = [lens_geometry(lens, corner_px=(crop.left, crop.top)) for lens in profile.lens]
     turns = shifts([f.small() for f in frames], lenses, [s.path.name for s in shots])
     fits = is_raw if fit is None else fit

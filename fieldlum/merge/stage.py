@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from fieldlum.core import scheduler as work
 from fieldlum.core.errors import FieldlumError, InputError, NotEnoughDataError
 from fieldlum.core.false_colour import RANGE_CDM2, UNSEEN_RGB, coloured, png_of
-from fieldlum.core.records import CLIPPED_SUN, JsonTable, Progress, Site, SunSource, counted, quiet
+from fieldlum.core.records import CLIPPED_SUN, JsonTable, Site, SunSource, counted
 from fieldlum.merge.bracket import MergeOptions, MergeResult, merge_shots
 from fieldlum.merge.shots import Shot, middle_of, shots_of_slot, verified
 from fieldlum.merge.sky import disc_px, expected_sun_deg, mosaic_u_rel
@@ -285,7 +285,6 @@ def run(
     *,
     scheduler: work.Scheduler = work.LOCAL,
     force: bool = False,
-    progress: Progress = quiet,
 ) -> list[Verdict]:
     """Merge every captured slot that has no panorama from the same frames, profile and options.
 
@@ -301,7 +300,7 @@ def run(
     check_writable(session.panoramas)
     session.panoramas.mkdir(parents=True, exist_ok=True)
     verdicts: list[Verdict] = []
-    work.run_each(units, scheduler, lambda outcome: verdicts.append(_verdict(outcome)), progress)
+    work.run_each(units, scheduler, lambda outcome: verdicts.append(_verdict(outcome)))
     remove_scraps(session.panoramas)  # of workers killed in this run
     verdicts.sort(key=lambda v: v.slot)
     if summary_due(session):

@@ -14,15 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from fieldlum.core.errors import FieldlumError, InputError, NotEnoughDataError, input_errors
-from fieldlum.core.records import (
-    Panorama,
-    Progress,
-    Site,
-    SiteFile,
-    parse_utc,
-    quiet,
-    utc_text,
-)
+from fieldlum.core.records import Panorama, Site, SiteFile, parse_utc, utc_text
 from fieldlum.core.scheduler import LOCAL, Scheduler, UnitOutcome, WorkUnit, run_each
 from fieldlum.core.strict_toml import plain
 from fieldlum.optics.images import read_panorama, write_panorama
@@ -157,13 +149,7 @@ def check_night(path: Path, log: CleanIrradiance, site: Site) -> None:
         raise InputError(path, finding, "no light at night", remedy)
 
 
-def run(
-    session: Session,
-    *,
-    force: bool = False,
-    scheduler: Scheduler = LOCAL,
-    progress: Progress = quiet,
-) -> list[PairRow]:
+def run(session: Session, *, force: bool = False, scheduler: Scheduler = LOCAL) -> list[PairRow]:
     """Write pairs.csv, suns.csv and, with a room, sunpatches/; return the rows of pairs.csv.
 
     The panoramas do not change. A simulated session's own pairs remain in truth/pairs.csv. Raises
@@ -187,7 +173,7 @@ def run(
     ]
     usable = [k for k, row in enumerate(rows) if row.ok]
     used = [brackets[k] for k in usable], [rows[k] for k in usable]
-    completed = _with_suns(session, setup, *used, force, scheduler, progress)
+    completed = _with_suns(session, setup, *used, force, scheduler)
     for k, row in zip(usable, completed, strict=True):
         rows[k] = row
     PairsFile(session.pairs, tuple(rows)).write()
@@ -201,14 +187,13 @@ def _with_suns(
     rows: Sequence[PairRow],
     force: bool,
     scheduler: Scheduler,
-    progress: Progress,
 ) -> list[PairRow]:
     """Write sky_view.exr and suns.csv, and with a room the patches; return the completed rows."""
     light = _light(session, brackets, rows)
     shown = [_shown(b, float(lx)) for b, lx in zip(brackets, light.direct_lx, strict=True)]
-    view = write_sky_view(session, shown, light, setup.site, force=force, progress=progress)
+    view = write_sky_view(session, shown, light, setup.site, force=force)
     shares, by_view = shares_of_beam(view, setup.room, light)
-    patches = write_patches(session, setup, brackets, light, force, scheduler, progress)
+    patches = write_patches(session, setup, brackets, light, force, scheduler)
     completed: list[PairRow] = []
     suns: list[SunRow] = []
     for k, (row, picture, patch) in enumerate(zip(rows, shown, patches, strict=True)):
@@ -265,7 +250,6 @@ def write_patches(
     light: Light,
     force: bool,
     scheduler: Scheduler,
-    progress: Progress,
 ) -> list[str]:
     """Compute sunpatches/<slot>.exr of n slots; return their paths in the session, "" without room.
 
@@ -290,7 +274,7 @@ def write_patches(
         argument = [recipes[k] for k in job], light[job], size
         name, toml = f"sun-patches-{recipes[job[0]][0]}", (session.toml.name,)
         units.append(WorkUnit(name, trace_patches, session.root, argument, toml))
-    run_each(units, scheduler, UnitOutcome.result, progress)
+    run_each(units, scheduler, UnitOutcome.result)
     paths = (session.sunpatch(bracket.slot) for bracket in brackets)
     return [path.relative_to(session.root).as_posix() for path in paths]
 

@@ -13,7 +13,7 @@ import numpy as np
 from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.plot_style import RED, open_axes, styled
-from fieldlum.core.records import JsonTable, Panorama, Progress, Room, Site, SunSource
+from fieldlum.core.records import JsonTable, Panorama, Room, Site, SunSource
 from fieldlum.optics.images import read_panorama
 from fieldlum.optics.projection import altitude_azimuth_deg, equirect_pixel
 from fieldlum.pair.sun_strength import is_measured
@@ -79,13 +79,7 @@ class _Pictures:
 
 
 def write_sky_view(
-    session: Session,
-    shown: Sequence[Shown],
-    light: Light,
-    site: Site,
-    *,
-    force: bool,
-    progress: Progress,
+    session: Session, shown: Sequence[Shown], light: Light, site: Site, *, force: bool
 ) -> SkyView | None:
     """Estimate the sky view of n usable captures, write it with its picture, and return it.
 
@@ -112,7 +106,7 @@ def write_sky_view(
     captured = Captured(light, pictures.read, shares)
     in_lens = _in_lens(captures) if pictures.is_cut else None
     try:
-        view = sky_view_of(captured, discs, site, captures[0].heading_deg, in_lens, progress)
+        view = sky_view_of(captured, discs, site, captures[0].heading_deg, in_lens)
     except NotEnoughDataError:
         session.sky_view.unlink(missing_ok=True)
         return None

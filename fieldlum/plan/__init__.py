@@ -14,17 +14,7 @@ from numpy.typing import ArrayLike
 
 from fieldlum.core.arrays import Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
-from fieldlum.core.records import (
-    Exposure,
-    JsonTable,
-    Progress,
-    Room,
-    Site,
-    SiteFile,
-    Slot,
-    counted,
-    quiet,
-)
+from fieldlum.core.records import Exposure, JsonTable, Room, Site, SiteFile, Slot, counted
 from fieldlum.optics import profiles
 from fieldlum.plan import choose
 from fieldlum.plan.days import (
@@ -83,9 +73,7 @@ _NO_WINDOW = (
 )
 
 
-def make_plan(
-    setup: SiteFile, request: Request, weather: Weather | None = None, progress: Progress = quiet
-) -> Plan:
+def make_plan(setup: SiteFile, request: Request, weather: Weather | None = None) -> Plan:
     """Return the plan of a set: slots, cost, coverage and warnings; write nothing.
 
     Raises NotEnoughDataError if no hour of the set has the sun above the horizon, if `best` has no
@@ -99,7 +87,7 @@ def make_plan(
     hours = daylight_hours(days, site)
     _refuse_empty(hours, f"{night} {from_to}", "choose another --start or --set")
     task = choose.learning(site, room, weather) if weather is not None else None
-    chosen = _chosen(request, hours, weather, task, progress)
+    chosen = _chosen(request, hours, weather, task)
     remedy = "choose its dates with --start or --year, or another weather file"
     _refuse_empty(chosen, f"the weather file has no daylight {from_to}", remedy)
     profile = profiles.load_camera_profile(setup.camera.profile)
@@ -135,11 +123,7 @@ def _refuse_empty(hours: DaylightHours, finding: str, remedy: str) -> None:
 
 
 def _chosen(
-    request: Request,
-    hours: DaylightHours,
-    weather: Weather | None,
-    task: choose.Learning | None,
-    progress: Progress,
+    request: Request, hours: DaylightHours, weather: Weather | None, task: choose.Learning | None
 ) -> DaylightHours:
     if request.set == "even":
         rng, count = np.random.default_rng(request.seed), request.count or 200
@@ -150,7 +134,7 @@ def _chosen(
         raise NotEnoughDataError(
             "the best hours depend on the climate; state a weather year with --weather FILE"
         )
-    return hours[choose.best(hours, task, request.count or 50, progress)]
+    return hours[choose.best(hours, task, request.count or 50)]
 
 
 def _variance_left(task: choose.Learning, hours: DaylightHours) -> float:
@@ -217,17 +201,13 @@ def _cost_of(
 
 
 def run(
-    setup: SiteFile,
-    request: Request,
-    out: Path,
-    weather: Weather | None = None,
-    progress: Progress = quiet,
+    setup: SiteFile, request: Request, out: Path, weather: Weather | None = None
 ) -> tuple[Session, Plan]:
     """Make the plan that `request` describes; return the new session `out`, and the plan.
 
     Raises InputError if `out` is already a session, and the errors of `make_plan`.
     """
-    plan = make_plan(setup, request, weather, progress)
+    plan = make_plan(setup, request, weather)
     return create_session(out, setup, plan.slots, plan.about(request)), plan
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fieldlum.core.arrays import Floats, Indices
-from fieldlum.core.records import Progress, Room, Site, quiet
+from fieldlum.core.records import Room, Site
 from fieldlum.plan.days import DaylightHours
 from fieldlum.sky import sun
 from fieldlum.sky.light import Features, Kernel, facades_of, greedy_hours, light_at, light_features
@@ -119,7 +119,7 @@ def variance_left(task: Learning, captured: Features) -> float:
     return float(greedy_hours(task.kernel, task.year, task.year[:0], 0, taken=captured).variance[0])
 
 
-def best(hours: DaylightHours, task: Learning, count: int, progress: Progress = quiet) -> Indices:
+def best(hours: DaylightHours, task: Learning, count: int) -> Indices:
     """Return ascending indices of at most `count` hours that together reduce the variance most.
 
     The variance is summed over the year. The choice is greedy, among at most 2200 hours with
@@ -130,5 +130,5 @@ def best(hours: DaylightHours, task: Learning, count: int, progress: Progress = 
         return hours_known
     stride = -(-len(hours_known) // POOL_HOURS)
     pool = np.arange(0, len(hours_known), stride)
-    ranked = greedy_hours(task.kernel, task.year, features[pool], count, progress=progress)
+    ranked = greedy_hours(task.kernel, task.year, features[pool], count)
     return np.sort(hours_known[pool[ranked.rows]])

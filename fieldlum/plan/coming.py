@@ -12,7 +12,7 @@ from zoneinfo import ZoneInfo
 import numpy as np
 
 from fieldlum.core.errors import NotEnoughDataError, input_errors
-from fieldlum.core.records import JsonTable, Progress, Site, parse_utc, quiet, slot_id, utc_text
+from fieldlum.core.records import JsonTable, Site, parse_utc, slot_id, utc_text
 from fieldlum.plan import choose
 from fieldlum.plan.days import DaylightHours, daylight_hours, span
 from fieldlum.plan.makeup import captured_ids
@@ -75,9 +75,7 @@ def _season_sky(weather: Weather, hours: DaylightHours) -> sun.Irradiance:
     return sun.Irradiance(*(np.nansum(value, axis=0) / count for value in zip(*skies, strict=True)))
 
 
-def run(
-    session: Session, weather: Weather, now_utc: datetime, progress: Progress = quiet
-) -> JsonTable:
+def run(session: Session, weather: Weather, now_utc: datetime) -> JsonTable:
     """Rank the daylight hours (hh:30) after `now_utc`, of today and 13 days; return the best 12.
 
     The keys are those of `--json`. model: trained model of the kernel, None for an untrained kernel
@@ -104,7 +102,7 @@ def run(
     if not len(rows):
         text = f"{weather.name}: the weather has no daylight {coming}; use a typical year"
         raise NotEnoughDataError(text)
-    greedy = partial(greedy_hours, task.kernel, task.year, taken=captured, progress=progress)
+    greedy = partial(greedy_hours, task.kernel, task.year, taken=captured)
     (best, variance), (_, year) = greedy(pool, 12), greedy(task.year, BATCH)
     planned = {slot.id for slot in session.slots()}
     gained = 100.0 * (1.0 - year[-1] / year[0])

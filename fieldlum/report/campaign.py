@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from fieldlum.core.errors import FieldlumError, InputError
-from fieldlum.core.records import Progress, counted, quiet
+from fieldlum.core.progress import progress
+from fieldlum.core.records import counted
 from fieldlum.core.strict_toml import build, read_toml
 from fieldlum.report.page import Page, Section, Table, chip, named, render
 from fieldlum.report.sections import exceeded_text
@@ -129,9 +130,7 @@ def _read(session: Session, name: str) -> RoomOverview:
     )
 
 
-def write_overview(
-    campaign: CampaignFile, out: Path, progress: Progress = quiet
-) -> tuple[Path, list[RoomOverview]]:
+def write_overview(campaign: CampaignFile, out: Path) -> tuple[Path, list[RoomOverview]]:
     """Write index.html and overview.json into `out`; return the page's path and the overviews.
 
     The overviews are in the order of the rooms.

@@ -20,7 +20,8 @@ import numpy as np
 from fieldlum.core.arrays import Array, Floats, Mask
 from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.plot_style import styled
-from fieldlum.core.records import JsonTable, Panorama, Progress, Room, quiet
+from fieldlum.core.progress import progress
+from fieldlum.core.records import JsonTable, Panorama, Room
 from fieldlum.core.strict_csv import CsvTable, read_table
 from fieldlum.optics.projection import (
     altitude_azimuth_deg,
@@ -84,7 +85,6 @@ def compare(
     out: Path,
     azimuths_deg: Sequence[float] = (),
     annual: Annual | None = None,
-    progress: Progress = quiet,
 ) -> Comparison:
     """Compare a model's result with a session, and write compare.csv and compare.png to `out`.
 
@@ -93,7 +93,7 @@ def compare(
     a result that cannot be read, or that shares no picture and no hour with the session.
     """
     if model.is_dir() and not (model / SUN_UP_HOURS).is_file():
-        return _compare_pictures(session, model, out, progress)
+        return _compare_pictures(session, model, out)
     hours = read_model_hours(model, azimuths_deg)
     if annual is None:
         remedy = "run fieldlum predict with the weather file of the model"
@@ -134,7 +134,7 @@ def surface_names(room: Room, height: int, heading_deg: float) -> Array:
     return named
 
 
-def _compare_pictures(session: Session, model: Path, out: Path, progress: Progress) -> Comparison:
+def _compare_pictures(session: Session, model: Path, out: Path) -> Comparison:
     measured = {path.stem: path for path in session.panorama_files()}
     pictures = sorted(p for p in model.iterdir() if p.suffix.lower() in PICTURES)
     shared = [path for path in pictures if path.stem in measured]

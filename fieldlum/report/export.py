@@ -22,7 +22,8 @@ import tomli_w
 
 from fieldlum.core.errors import InputError
 from fieldlum.core.false_colour import png_of
-from fieldlum.core.records import Flag, Progress, Room, counted, quiet
+from fieldlum.core.progress import progress
+from fieldlum.core.records import Flag, Room, counted
 from fieldlum.optics.images import read_panorama, write_radiance_hdr
 from fieldlum.optics.projection import direction
 from fieldlum.optics.raw import RAW_SUFFIXES
@@ -52,9 +53,7 @@ _MARK_BYTES = 100  # of a file, which name its writer; room.hbjson has its name 
 _PAIR_COLUMNS = ("dni_wm2", "dhi_wm2", "sun_altitude_deg", "sun_azimuth_deg")
 
 
-def export(
-    session: Session, out: Path, azimuths_deg: Sequence[float] = (), progress: Progress = quiet
-) -> list[Path]:
+def export(session: Session, out: Path, azimuths_deg: Sequence[float] = ()) -> list[Path]:
     """Write everything that a session has, and return the files.
 
     maps/SLOT-AZ.hdr: Radiance fisheyes with VIEW and the sun, facing `azimuths_deg` (clockwise from
@@ -193,9 +192,7 @@ class Statement(NamedTuple):
     people: str
 
 
-def pack(
-    session: Session, out: Path, statement: Statement, progress: Progress = quiet
-) -> list[str]:
+def pack(session: Session, out: Path, statement: Statement) -> list[str]:
     """Write the archive `out` (.zip) and return notes for its authors.
 
     Raises InputError for frames whose EXIF has a position, an owner's name or a serial number.

@@ -18,7 +18,8 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldlum.core.arrays import Array, Floats, Floats32, Indices
-from fieldlum.core.records import Progress, Room, Site, quiet
+from fieldlum.core.progress import progress
+from fieldlum.core.records import Room, Site
 from fieldlum.sky import sun
 from fieldlum.sky.perez import PerezSky, perez_coefficients, perez_luminance, reinhart_patches
 
@@ -318,7 +319,6 @@ def greedy_hours(
     *,
     taken: Features | None = None,
     noise: float = 3e-3,
-    progress: Progress = quiet,
 ) -> GreedySelection:
     """Choose `count` hours of `pool`, each time the one that most reduces the variance over `year`.
 

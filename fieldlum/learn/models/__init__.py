@@ -1,6 +1,6 @@
 """Models of a room: what a fitted model must provide, and its folder on disk.
 
-A model is a module with a function that fits, ``fit(data, *, patch, seed, budget_s, progress) ->
+A model is a module with a function that fits, ``fit(data, *, patch, seed, budget_s) ->
 Fitted`` (or another name stated in `model_registry.MODELS`), and one that loads,
 ``from_state(state: ModelState) -> Fitted``. Model folders contain `config.json` and `weights.npz`:
 settings and plain arrays without pickle, so that a model from another person cannot run code.

@@ -21,7 +21,8 @@ from scipy.spatial.transform import Rotation
 from skimage.measure import block_reduce
 
 from fieldlum.core.arrays import Array, Floats, Floats32, Mask, evenly_spread
-from fieldlum.core.records import Progress, counted, quiet
+from fieldlum.core.progress import progress
+from fieldlum.core.records import counted
 from fieldlum.learn.models.held_out_choice import weight_of_variance
 from fieldlum.optics.projection import (
     altitude_azimuth_deg,
@@ -244,12 +245,7 @@ def _smaller(luminance_cdm2: Floats, seen_mask: Mask) -> tuple[Floats32, Mask]:
 
 
 def camera_turns(
-    luminance_cdm2: Floats,
-    seen_mask: Mask,
-    heading_deg: float,
-    *,
-    light: DirectLight | None = None,
-    progress: Progress = quiet,
+    luminance_cdm2: Floats, seen_mask: Mask, heading_deg: float, *, light: DirectLight | None = None
 ) -> CameraTurns:
     """Return how the camera of each capture was turned relative to most captures.
 

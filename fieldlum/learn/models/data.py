@@ -12,17 +12,8 @@ from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Array, Floats, Floats32, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
-from fieldlum.core.records import (
-    CLIPPED_SUN,
-    Flag,
-    Panorama,
-    Progress,
-    Site,
-    SiteFile,
-    counted,
-    quiet,
-    slot_id,
-)
+from fieldlum.core.progress import progress
+from fieldlum.core.records import CLIPPED_SUN, Flag, Panorama, Site, SiteFile, counted, slot_id
 from fieldlum.core.room_states import USAGE, merged_state
 from fieldlum.learn.models.camera_turns import (
     DirectLight,
@@ -134,7 +125,7 @@ class Dataset:
         every = {n: getattr(self, n) for n in ("luminance_cdm2", "patch_cdm2", "seen", "counts")}
         return replace(self, **{n: v[..., pick, pick] for n, v in every.items() if v is not None})
 
-    def patches(self, light: Light, progress: Progress = quiet) -> Floats32:
+    def patches(self, light: Light) -> Floats32:
         """Return the luminance of sun patches in the hours of `light`, [n, H, W] cd/m2.
 
         They are computed from the room of `setup`. Raises InputError for an impossible room.
@@ -142,7 +133,7 @@ class Dataset:
         room, suns, lx = self.setup.room, light.apparent_sun_direction, light.direct_lx
         assert room is not None
         height, heading = self.shape[0], self.heading_deg
-        return sun_patches(room, suns, lx, height=height, heading_deg=heading, progress=progress)
+        return sun_patches(room, suns, lx, height=height, heading_deg=heading)
 
     def about(self) -> dict[str, object]:
         """Return what a model's config.json records about its training data.
@@ -256,9 +247,7 @@ def _find_setup(path: Path, site: Path | None) -> SiteFile:
     raise InputError(path, finding, "site.toml next to the csv, or --site SITE.toml", remedy)
 
 
-def load_pairs(
-    where: Path | Session, site: Path | None = None, *, progress: Progress = quiet
-) -> Dataset:
+def load_pairs(where: Path | Session, site: Path | None = None) -> Dataset:
     """Read the captures of a pairs.csv with their pictures, in the order of time.
 
     where: path of the csv, a session or its folder; site: path of SITE.toml, None for that of the
@@ -292,12 +281,10 @@ def load_pairs(
             f"{path}: no usable row; expected a row with ok = 1 and irradiance above 0; see the "
             "column 'why', correct the cause and run fieldlum pair again"
         )
-    return _assemble(path, rows, setup, notes, progress)
+    return _assemble(path, rows, setup, notes)
 
 
-def _assemble(
-    path: Path, rows: list[PairRow], setup: SiteFile, notes: list[str], progress: Progress
-) -> Dataset:
+def _assemble(path: Path, rows: list[PairRow], setup: SiteFile, notes: list[str]) -> Dataset:
     altitude, azimuth = sun_of_rows(path, rows, setup.site)
     light = Light(
         t_utc=tuple(row.t_utc for row in rows),
@@ -308,12 +295,12 @@ def _assemble(
         states=_states(path, rows),
         refraction=_refraction(path, rows),
     )
-    data, has_value = read_pictures(path, rows, setup, light, progress)
+    data, has_value = read_pictures(path, rows, setup, light)
     heading, days = data.heading_deg, data.days
     beam = light.dni_wm2 * np.sin(np.radians(np.maximum(altitude, 0.0)))
     direct = DirectLight(beam / np.maximum(beam + light.dhi_wm2, 1.0), azimuth, days)
     maps = np.nan_to_num(data.luminance_cdm2)
-    turns = camera_turns(maps, data.seen, heading, light=direct, progress=progress)
+    turns = camera_turns(maps, data.seen, heading, light=direct)
     for k in (k for k, row in enumerate(rows) if row.sun_in_map):
         at = float(light.apparent_altitude_deg[k]), float(azimuth[k])
         take_disc_out(data, k, at, shown_place(*at, heading, turns.angles_deg[k]))
@@ -408,7 +395,7 @@ def take_disc_out(
 
 
 def read_pictures(
-    path: Path, rows: list[PairRow], setup: SiteFile, light: Light, progress: Progress
+    path: Path, rows: list[PairRow], setup: SiteFile, light: Light
 ) -> tuple[Dataset, Mask]:
     """Read the maps and sun patches of the rows of a pairs.csv; return them with a mask [n, H, W].
 
@@ -556,9 +543,7 @@ def joined_counts(counts: NDArray[np.float16], has_value: Mask) -> NDArray[np.fl
 # sky view of a csv of panoramas; that of a session is by `pair`
 
 
-def with_sky_view(
-    data: Dataset, file: Path | None = None, *, progress: Progress = quiet
-) -> Dataset:
+def with_sky_view(data: Dataset, file: Path | None = None) -> Dataset:
     """Return the captures with a sky view: of `file`, else their own, else estimated from the maps.
 
     Captures with blinds or snow are not used for it, unless all have the same. Raises InputError
@@ -576,7 +561,7 @@ def with_sky_view(
 
     captured = Captured(light, read, data.disc_lx / np.maximum(light.direct_lx, 1.0))
     site, discs = data.setup.site, _discs(data)
-    view = sky_view_of(captured, discs, site, data.heading_deg, progress=progress)
+    view = sky_view_of(captured, discs, site, data.heading_deg)
     return replace(data, sky_view=view)
 
 

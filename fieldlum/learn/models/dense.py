@@ -32,7 +32,7 @@ from torch.nn import functional as F
 
 from fieldlum.core.arrays import Array, Floats, Floats32
 from fieldlum.core.errors import InputError, NotEnoughDataError
-from fieldlum.core.records import Progress, quiet
+from fieldlum.core.progress import progress
 from fieldlum.learn.models import ModelState, Patch, Prediction, rebuilt, stored
 from fieldlum.learn.models.baselines import Domain, captured
 from fieldlum.learn.models.data import Dataset
@@ -493,7 +493,6 @@ def fit(
     plan: Run | None = None,
     checkpoint: Path | None = None,
     shape: Shape = Shape(),
-    progress: Progress = quiet,
 ) -> DenseFitted:
     """Train the network on `data`; return it with the weights of the smallest validation loss.
 
@@ -523,7 +522,7 @@ def fit(
     started = started[0] - run.elapsed_s, started[1] - run.cpu_s
     numbers = torch.randperm(len(held_out), generator=torch.Generator().manual_seed(seed))[:60_000]
     while run.share(budget_s) < 1.0:
-        _epoch(trainer, run, best, budget_s, seed, started[0], progress)
+        _epoch(trainer, run, best, budget_s, seed, started[0])
         score = trainer.validate(held_out, numbers.to(device))
         if math.isfinite(score) and score < run.best:
             run.best, best = score, trainer.weights()
@@ -556,7 +555,6 @@ def _epoch(
     budget_s: float | None,
     seed: int,
     start_s: float,
-    progress: Progress,
 ) -> None:
     """Update the weights until the epoch or the time ends; a loss that is no number restores best.
 

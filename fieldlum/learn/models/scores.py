@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Array, Floats, Floats32, Mask, evenly_spread
-from fieldlum.core.records import Progress, quiet
+from fieldlum.core.progress import progress
 from fieldlum.learn.models import Fitted, Prediction, trusted_hours
 from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.held_out_choice import HeldOutErrors, choice_weights
@@ -169,7 +169,7 @@ def _contrast(maps: Floats32, data: Dataset) -> Floats:
     return np.array([contrast_levels(image) for image in whole])
 
 
-def evaluate(fitted: Fitted, test: Truth, *, progress: Progress = quiet) -> Scores:
+def evaluate(fitted: Fitted, test: Truth) -> Scores:
     """Predict the hours of a test set and return the scores against the true maps."""
     parts = []
     for rows in _chunks(np.arange(len(test.data))):
@@ -353,9 +353,7 @@ def light_of_year(data: Dataset, rng: np.random.Generator) -> Light:
     return light_at(times, site, beam * here.dni_wm2, diffuse * here.dhi_wm2)
 
 
-def expect(
-    fitted: Fitted, data: Dataset, rng: np.random.Generator, progress: Progress = quiet
-) -> YearExpectation:
+def expect(fitted: Fitted, data: Dataset, rng: np.random.Generator) -> YearExpectation:
     """Return what a model of the captures `data` expects of the hours of `light_of_year`.
 
     If `data` has sun patches, those of the hours are computed from the room of `data`. The expected

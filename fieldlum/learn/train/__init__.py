@@ -18,7 +18,8 @@ import numpy as np
 
 from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.errors import NotEnoughDataError
-from fieldlum.core.records import Progress, counted, quiet
+from fieldlum.core.progress import progress
+from fieldlum.core.records import counted
 from fieldlum.core.statistics import held_out_masks
 from fieldlum.learn import models
 from fieldlum.learn.model_registry import MODELS
@@ -105,7 +106,6 @@ def fit_timed(
     seed: int,
     budget_s: float | None,
     checkpoint: Path | None = None,
-    progress: Progress = quiet,
 ) -> tuple[Fitted, Spent]:
     """Fit the model `name` of `MODELS` to `data`; return the model and the time of the fit.
 
@@ -113,7 +113,7 @@ def fit_timed(
     """
     wall, cpu = monotonic(), process_time()
     slow = {"budget_s": budget_s, "checkpoint": checkpoint} if MODELS[name].slow else {}
-    fitted = models.fit(name, data, patch=patch, seed=seed, progress=progress, **slow)
+    fitted = models.fit(name, data, patch=patch, seed=seed, **slow)
     return fitted, Spent(monotonic() - wall, process_time() - cpu)
 
 
@@ -125,7 +125,6 @@ def evaluate_folds(
     patch: Patch,
     seed: int,
     budget_s: float | None = None,
-    progress: Progress = quiet,
 ) -> Trial:
     """Fit without the captures of each of `day_folds`, compare with these, and join the scores.
 
@@ -134,10 +133,10 @@ def evaluate_folds(
     parts: list[Scores] = []
     times: list[Spent] = []
     share = budget_s and budget_s / len(folds)
-    options: dict[str, Any] = {"patch": patch, "seed": seed, "progress": progress}
+    options: dict[str, Any] = {"patch": patch, "seed": seed}
     for held in folds:
         fitted, spent = fit_timed(name, data.take(~held), budget_s=share, **options)
-        parts.append(evaluate(fitted, truth(data.take(held)), progress=progress))
+        parts.append(evaluate(fitted, truth(data.take(held))))
         times.append(spent)
     count = round(len(data) - np.mean([held.sum() for held in folds]))
     wall_s, cpu_s = np.mean(times, axis=0).tolist()
@@ -235,7 +234,6 @@ def fit_and_score(
     budget_s: float = 600.0,
     seed: int = 0,
     checkpoint: Path | None = None,
-    progress: Progress = quiet,
 ) -> Result:
     """Run trials on held-out days, choose a model, and fit it to all data.
 
@@ -245,16 +243,16 @@ def fit_and_score(
     """
     patch = patch_mode(data, patch)
     captures = len(data)
-    data, mirrors = split_images(with_sky_view(data, progress=progress))
+    data, mirrors = split_images(with_sky_view(data))
     data, changed = without_changes(data, with_patch=patch != "none")
-    setting = scan(data, patch, progress)
+    setting = scan(data, patch)
     data, late = with_right_clock(data, setting)
     if not day_folds(data):
         raise NotEnoughDataError(
             f"{data.source}: {counted(len(data), 'usable hour')}; at least 2 are needed to train "
             "and to test; capture more hours"
         )
-    options: dict[str, Any] = {"patch": patch, "seed": seed, "progress": progress}
+    options: dict[str, Any] = {"patch": patch, "seed": seed}
     options["budget_s"] = 0.5 * budget_s
     trials, left_out = _trials(data, model, options)
     choice = choose_model(trials) if model == "auto" else ModelSelection(model, "requested")
@@ -263,7 +261,7 @@ def fit_and_score(
     notes = [*notes_of(data, patch, model, trials), *left_out, *model_notes(fitted, data, patch)]
     notes += [f"WARNING: {m.captures} of {captures} captures {m.warning}" for m in mirrors]
     notes += [*changed, *late, *held_out_warnings(fitted, data), *moved]
-    year = year_of(fitted, data, patch, seed, progress)
+    year = year_of(fitted, data, patch, seed)
     return Result(fitted, tuple(trials), choice, spent.wall_s, data, tuple(notes), year, mirrors)
 
 
@@ -287,9 +285,7 @@ def _trials(data: Dataset, model: str, options: dict[str, Any]) -> tuple[list[Tr
     return trials, left_out
 
 
-def year_of(
-    fitted: Fitted, data: Dataset, patch: Patch, seed: int, progress: Progress
-) -> YearExpectation | None:
+def year_of(fitted: Fitted, data: Dataset, patch: Patch, seed: int) -> YearExpectation | None:
     """Return the error that the model itself expects over a year, for skies drawn from captures.
 
     seed: of the draw of 150 hours and their skies. Return None if the model does not estimate its
@@ -299,7 +295,7 @@ def year_of(
         data = replace(data, patch_cdm2=None)
     if data.patch_cdm2 is not None and data.setup.room is None:
         return None
-    year = expect(fitted, data, np.random.default_rng(seed), progress)
+    year = expect(fitted, data, np.random.default_rng(seed))
     return year if math.isfinite(year.expected_log10_mse) else None
 
 
@@ -312,7 +308,6 @@ def run(
     seed: int = 0,
     out: Path,
     force: bool = False,
-    progress: Progress = quiet,
 ) -> TrainAnswer:
     """Train, write the model and its scores to `out`, and return what `train --json` prints.
 
@@ -337,13 +332,7 @@ def run(
     check_writable(out)
     checkpoint = out / f"checkpoint-{digest([seed, mode, inputs['data']])[:12]}.pt"
     result = fit_and_score(
-        data,
-        model,
-        patch=patch,
-        budget_s=60.0 * budget_min,
-        seed=seed,
-        checkpoint=checkpoint,
-        progress=progress,
+        data, model, patch=patch, budget_s=60.0 * budget_min, seed=seed, checkpoint=checkpoint
     )
     fitted, choice = result.fitted, result.choice
     answer = {

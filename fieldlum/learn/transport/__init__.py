@@ -18,7 +18,8 @@ from threadpoolctl import threadpool_limits
 
 from fieldlum.core.arrays import Array, Floats, Floats32, Indices, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
-from fieldlum.core.records import Progress, counted, quiet
+from fieldlum.core.progress import part_of_progress, progress, quiet, shown_by
+from fieldlum.core.records import counted
 from fieldlum.learn.models import ModelState, Patch, Prediction, rebuilt, state_of
 from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.held_out_choice import HeldOutErrors, choose, difference
@@ -305,9 +306,7 @@ class _Inputs(NamedTuple):
     sky_sd: float | None = None
 
 
-def fit(
-    data: Dataset, *, patch: Patch = "absolute", seed: int = 0, progress: Progress = quiet
-) -> Transport | MeanTransport:
+def fit(data: Dataset, *, patch: Patch = "absolute", seed: int = 0) -> Transport | MeanTransport:
     """Fit a room's light transport to captures, in closed form.
 
     patch: "none" ignores the sun patches of `data`. With any other value, one factor on all patches
@@ -318,20 +317,16 @@ def fit(
     captures.
     """
     if data.scene is None or data.patch_cdm2 is None or patch == "none":
-        return _fit(_chosen_inputs(data, patch, seed, progress), progress)[0]
+        return _fit(_chosen_inputs(data, patch, seed))[0]
 
-    def first(done: int, of: int, text: str) -> None:
-        progress(done, 2 * of, text)
-
-    def second(done: int, of: int, text: str) -> None:
-        progress(of + done, 2 * of, text)
-
-    one, errors = _fit(_chosen(_described(data, patch, seed, first)), first)
-    other, plain_errors = _fit(_chosen_inputs(data, "none", seed, second), second)
+    with part_of_progress(0, 2):
+        one, errors = _fit(_chosen(_described(data, patch, seed)))
+    with part_of_progress(1, 2):
+        other, plain_errors = _fit(_chosen_inputs(data, "none", seed))
     return _mean(one, errors, other, plain_errors, len(data))
 
 
-def _chosen_inputs(data: Dataset, patch: Patch, seed: int, progress: Progress) -> _Chosen:
+def _chosen_inputs(data: Dataset, patch: Patch, seed: int) -> _Chosen:
     """Return the inputs of the stated room, or those without it if they predict clearly better.
 
     A box can be worse than no room if it lacks, for example, a building in front of its windows.
@@ -339,11 +334,12 @@ def _chosen_inputs(data: Dataset, patch: Patch, seed: int, progress: Progress) -
     figure is 0.34 times that with it in a room of another renderer where the year's error is 0.35
     times; in seven others it is 0.8 to 1.8 times, where the year's error is 0.7 to 1.8 times.
     """
-    stated = _chosen(_described(data, patch, seed, progress))
+    stated = _chosen(_described(data, patch, seed))
     if data.setup.room is None or seasons(data.days).max() == 0:
         return stated
     roomless = replace(data, setup=replace(data.setup, room=None), patch_cdm2=None)
-    free = _described(roomless, "none", seed, quiet)
+    with shown_by(quiet):
+        free = _described(roomless, "none", seed)
     of_days = [free.errors(inputs).figure("log10") for inputs in free.every]
     if min(of_days) >= stated.errors.figure("log10"):
         return stated
@@ -411,7 +407,7 @@ class _Chosen(NamedTuple):
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # its matrices are small; chunks run at once
-def _described(data: Dataset, patch: Patch, seed: int, progress: Progress) -> _Described:
+def _described(data: Dataset, patch: Patch, seed: int) -> _Described:
     """Describe the light of captures in all ways among which held-out days choose."""
     if len(data) < 3:
         found = f"{counted(len(data), 'capture')}; light transport needs at least 3"
@@ -464,7 +460,7 @@ def _chosen(of: _Described) -> _Chosen:
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
-def _fit(chosen: _Chosen, progress: Progress) -> tuple[Transport, Array]:
+def _fit(chosen: _Chosen) -> tuple[Transport, Array]:
     """Return one model, and its errors in the tests of `calibrate` [k, P]."""
     of, inputs, noise = chosen.of, chosen.inputs, chosen.noise
     arrays, basis = inputs.arrays, inputs.basis

@@ -14,7 +14,8 @@ from scipy.ndimage import rank_filter
 
 from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.errors import NotEnoughDataError
-from fieldlum.core.records import IrradianceSample, Progress, Site, counted, quiet
+from fieldlum.core.progress import progress
+from fieldlum.core.records import IrradianceSample, Site, counted
 from fieldlum.pair.irradiance import consistency
 from fieldlum.session import Session, day_files, read_day, remove_scraps
 from fieldlum.session.codec import convert, current_note, write_object
@@ -431,7 +432,7 @@ def clean_of(series: Series) -> CleanIrradiance:
     return CleanIrradiance(*values, source, flags)
 
 
-def run(session: Session, *, force: bool = False, progress: Progress = quiet) -> Health:
+def run(session: Session, *, force: bool = False) -> Health:
     """Check the logged irradiance; write irradiance/clean.csv and irradiance/health.json.
 
     With the same site and day files of the same sizes, the existing results are used, unless
@@ -446,7 +447,7 @@ def run(session: Session, *, force: bool = False, progress: Progress = quiet) ->
     table = None if force else current_note(note, inputs, [clean])
     if table is not None:
         return convert(table, Health)
-    raw, broken = _read(files, progress)
+    raw, broken = _read(files)
     if len(raw) == 0:
         cause = f"all {broken} logged lines are damaged" if broken else "no irradiance was logged"
         raise NotEnoughDataError(
@@ -463,7 +464,7 @@ def run(session: Session, *, force: bool = False, progress: Progress = quiet) ->
     return quality
 
 
-def _read(files: Sequence[Path], progress: Progress) -> tuple[Series, int]:
+def _read(files: Sequence[Path]) -> tuple[Series, int]:
     """Return the rows of all day files, and the number of damaged lines.
 
     Only the samples of one day at a time are Python objects, which limits the memory.

@@ -10,7 +10,7 @@ import numpy as np
 
 from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError
-from fieldlum.core.records import Progress, Room, quiet
+from fieldlum.core.records import Room
 from fieldlum.learn.models.data import Dataset
 from fieldlum.optics.projection import signed_angle_deg
 from fieldlum.room.fit.scene_file import SCENE_TOML, Scene, read_scene
@@ -41,13 +41,13 @@ def corrected(data: Dataset, north_deg: float, clock_min: float, room: Room) -> 
     )
 
 
-def with_patches(data: Dataset, *, progress: Progress = quiet) -> Dataset:
+def with_patches(data: Dataset) -> Dataset:
     """Return the captures with sun patches computed from the room of `data.setup`, not None.
 
     Patches are the luminance of surfaces by direct sun only, cd/m2 [n, H, W]. Raises
     InputError for an impossible room.
     """
-    return replace(data, patch_cdm2=data.patches(data.light, progress))
+    return replace(data, patch_cdm2=data.patches(data.light))
 
 
 def earlier(light: Light, minutes: float | Floats, data: Dataset) -> Light:
@@ -71,9 +71,7 @@ def earlier(light: Light, minutes: float | Floats, data: Dataset) -> Light:
     )
 
 
-def with_scene(
-    data: Dataset, scene: Scene, *, source: Path | str = SCENE_TOML, progress: Progress = quiet
-) -> Dataset:
+def with_scene(data: Dataset, scene: Scene, *, source: Path | str = SCENE_TOML) -> Dataset:
     """Return the captures with the corrections of a scene.
 
     With chosen "fitted", heading and room are relative to true north, the sun is at the true times,
@@ -93,12 +91,12 @@ def with_scene(
     if scene.chosen == "none":
         return replace(data, patch_cdm2=None, scene=about)
     if scene.chosen == "stated":
-        return with_patches(replace(data, scene=about), progress=progress)
+        return with_patches(replace(data, scene=about))
     turned = corrected(data, scene.north_deg, scene.clock_min, scene.room)
     view = data.sky_view and data.sky_view.turned(
         scene.north_deg, scene.u.get("north_deg", STATED_SD[0])
     )
-    return with_patches(replace(turned, scene=about, sky_view=view), progress=progress)
+    return with_patches(replace(turned, scene=about, sky_view=view))
 
 
 def _check_stated(data: Dataset, scene: Scene, source: Path | str) -> None:
@@ -118,9 +116,7 @@ def _check_stated(data: Dataset, scene: Scene, source: Path | str) -> None:
         raise InputError(source, finding, "the same [room]", remedy)
 
 
-def in_scene(
-    data: Dataset, pairs: Path, option: str, patch: str, *, progress: Progress = quiet
-) -> tuple[Dataset, str]:
+def in_scene(data: Dataset, pairs: Path, option: str, patch: str) -> tuple[Dataset, str]:
     """Return the captures as the option ``--scene`` demands, and the patch mode for training.
 
     option: a folder with scene.toml; "none" to ignore any scene; empty for the folder scene/ next
@@ -134,13 +130,13 @@ def in_scene(
     folder = Path(option) if option else beside
     if option != "none" and (option or (beside / SCENE_TOML).is_file()):
         scene = read_scene(folder)
-        data = with_scene(data, scene, source=folder / SCENE_TOML, progress=progress)
+        data = with_scene(data, scene, source=folder / SCENE_TOML)
         doubt = "" if scene.trusted else "WARNING: the scene is not trusted. "
         note = f"{doubt}scene {folder}: {scene.verdict}"
         data = replace(data, notes=(*data.notes, note))
         return data, "none" if scene.chosen == "none" else patch
     room = data.setup.room
     if data.patch_cdm2 is None and patch != "none" and room is not None and room.window:
-        data = with_patches(data, progress=progress)
+        data = with_patches(data)
         data = replace(data, notes=(*data.notes, "sun patches computed from [room]"))
     return data, patch

@@ -15,7 +15,8 @@ from threadpoolctl import threadpool_limits
 
 from fieldlum.core.arrays import Floats, Indices
 from fieldlum.core.errors import NotEnoughDataError
-from fieldlum.core.records import Progress, Room, quiet
+from fieldlum.core.progress import progress
+from fieldlum.core.records import Room
 from fieldlum.room.fit.apply import corrected, with_patches
 from fieldlum.room.fit.elements import KINDS, Kind
 from fieldlum.room.fit.evidence import PIXELS, SceneEvidence, gather
@@ -91,7 +92,6 @@ def fit_scene(
     clock_sd_min: float = CLOCK_SD_MIN,
     pixels: int = PIXELS,
     find_changes: Callable[..., Any] | None = None,
-    progress: Progress = quiet,
 ) -> SceneFit:
     """Find the scene that explains the sun patches of the captures, starting from the stated box.
 

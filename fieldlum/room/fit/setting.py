@@ -15,7 +15,8 @@ import numpy as np
 
 from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import NotEnoughDataError
-from fieldlum.core.records import Progress, SiteFile, quiet
+from fieldlum.core.progress import progress
+from fieldlum.core.records import SiteFile
 from fieldlum.learn.models import Fitted, Patch
 from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.transport import MeanTransport, Transport
@@ -66,7 +67,7 @@ class Setting:
     note: str = ""
 
 
-def scan(data: Dataset, patch: Patch, progress: Progress = quiet) -> Setting | None:
+def scan(data: Dataset, patch: Patch) -> Setting | None:
     """Test north, clock and the room's measures against the sun patches in the captures.
 
     Return None if patches are not used (patch "none", or `data` has none), without a box room with

@@ -11,7 +11,7 @@ import numpy as np
 
 from fieldlum.core.arrays import Floats, Indices, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
-from fieldlum.core.records import Progress, Room, quiet
+from fieldlum.core.records import Room
 from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.scores import YearExpectation, expect
 from fieldlum.optics.projection import equirect_solid_angles
@@ -42,7 +42,6 @@ def run(
     *,
     clock_sd_min: float = CLOCK_SD_MIN,
     find_changes: Callable[..., Any] | None = None,
-    progress: Progress = quiet,
 ) -> SceneResult:
     """Fit the scene of captures and write scene.toml, overlay.png and plan.png.
 
@@ -70,11 +69,10 @@ def run(
             pose=pose and prior_of(pose),
             clock_sd_min=clock_sd_min,
             find_changes=find_changes,
-            progress=progress,
         )
     except NotEnoughDataError as error:
         raise NotEnoughDataError(f"{error}; {note}" if note else str(error)) from None
-    scene = judged_scene(data, fit, progress=progress)
+    scene = judged_scene(data, fit)
     if note:
         scene = replace(scene, notes=(note, *scene.notes))
     if pose is not None:
@@ -85,7 +83,7 @@ def run(
     return SceneResult(scene, tuple(files))
 
 
-def judged_scene(data: Dataset, fit: SceneFit, *, progress: Progress = quiet) -> Scene:
+def judged_scene(data: Dataset, fit: SceneFit) -> Scene:
     """Return the fit as a scene, with the geometry of the smallest misfit and its expected error.
 
     The scene is trusted if there are enough sunny hours (`why_untrusted`), and if the model trusts
@@ -101,7 +99,7 @@ def judged_scene(data: Dataset, fit: SceneFit, *, progress: Progress = quiet) ->
     if "directions" in why:
         return scene
     stated = replace(data, setup=replace(data.setup, room=fit.stated))
-    year = expected_year(with_scene(stated, scene), progress)
+    year = expected_year(with_scene(stated, scene))
     share = 100.0 * year.trusted_share
     return replace(
         scene,
@@ -177,13 +175,13 @@ def choose_geometry(misfit: Mapping[str, float]) -> tuple[Chosen, str]:
     return chosen, reason
 
 
-def expected_year(data: Dataset, progress: Progress = quiet) -> YearExpectation:
+def expected_year(data: Dataset) -> YearExpectation:
     """Return what a transport model of captures with a scene expects of a year, at 250 pixels."""
     from fieldlum.learn.transport import fit
 
     rng = np.random.default_rng(0)
     data = replace(data, seen=_draw(data, rng))
-    return expect(fit(data), data, rng, progress)
+    return expect(fit(data), data, rng)
 
 
 def _draw(data: Dataset, rng: np.random.Generator) -> Mask:

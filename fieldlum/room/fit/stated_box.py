@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from fieldlum.core.errors import NotEnoughDataError
-from fieldlum.core.records import Progress, Room, quiet
+from fieldlum.core.records import Room
 from fieldlum.learn.models.data import Dataset
 from fieldlum.room.fit.apply import in_scene, with_patches, with_scene
 from fieldlum.room.fit.evidence import gather
@@ -74,22 +74,18 @@ def judge_box(data: Dataset, room: Room) -> BoxVerdict | None:
     )
 
 
-def training_captures(
-    data: Dataset, pairs: Path, option: str, patch: str, *, progress: Progress = quiet
-) -> tuple[Dataset, str]:
+def training_captures(data: Dataset, pairs: Path, option: str, patch: str) -> tuple[Dataset, str]:
     """Return captures as `train` learns them, and the patch mode for training.
 
     The arguments are those of `in_scene`, which applies the scene. If `option` is empty and there
     is no scene, captures with few clear hours decide whether the stated box is used, as
     `with_judged_box` describes. Raises InputError as `in_scene` does.
     """
-    data, patch = in_scene(data, pairs, option, patch, progress=progress)
-    return (data, patch) if option else with_judged_box(data, patch, progress=progress)
+    data, patch = in_scene(data, pairs, option, patch)
+    return (data, patch) if option else with_judged_box(data, patch)
 
 
-def with_judged_box(
-    data: Dataset, patch: str, *, progress: Progress = quiet
-) -> tuple[Dataset, str]:
+def with_judged_box(data: Dataset, patch: str) -> tuple[Dataset, str]:
     """Return captures without a scene as `judge_box` decides, and the patch mode for training.
 
     If it decides for the box, they have its patches; if not, none, and the mode is "none". They do
@@ -107,12 +103,12 @@ def with_judged_box(
     if verdict is None or not _has_patches_of_room(data):
         return data, patch
     scene = Scene(0.0, 0.0, room, verdict.chosen, verdict.reason, data.heading_deg, room)
-    judged = with_scene(data, scene, progress=progress)
+    judged = with_scene(data, scene)
     judged = replace(judged, notes=(*judged.notes, verdict.reason))
     return judged, "none" if verdict.chosen == "none" else patch
 
 
-def with_same_box(data: Dataset, trained: Dataset, *, progress: Progress = quiet) -> Dataset:
+def with_same_box(data: Dataset, trained: Dataset) -> Dataset:
     """Return captures to predict with the choice that `with_judged_box` made for training.
 
     data: captures after `in_scene`; trained: the training captures. If these have no patches by
@@ -127,7 +123,7 @@ def with_same_box(data: Dataset, trained: Dataset, *, progress: Progress = quiet
     room = data.setup.room
     if room is None or room.kind != "box" or not room.window:
         return data
-    return with_patches(replace(data, scene=trained.scene), progress=progress)
+    return with_patches(replace(data, scene=trained.scene))
 
 
 def _has_patches_of_room(data: Dataset) -> bool:

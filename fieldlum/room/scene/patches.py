@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fieldlum.core.arrays import Floats32, Indices
-from fieldlum.core.records import Progress, Room, quiet
+from fieldlum.core.progress import progress
+from fieldlum.core.records import Room
 from fieldlum.room.scene.trace import SunPoints
 from fieldlum.room.scene.view import look, patch_rays
 
@@ -28,7 +29,6 @@ def sun_patches(
     height: int,
     heading_deg: float,
     sub: int | None = None,
-    progress: Progress = quiet,
 ) -> Floats32:
     """Return the luminance of surfaces due to direct sun only (Radiance's -ab 0), [n, H, W] cd/m2.
 
@@ -43,7 +43,7 @@ def sun_patches(
     if room.kind != "box":
         from fieldlum.room.scene.radiance import traced
 
-        return traced(room, suns, normal, height, heading_deg, progress)
+        return traced(room, suns, normal, height, heading_deg)
     points = _sun_points(room, height, heading_deg, sub or patch_rays(height))
     toward = points.scene.to_room(suns)
     maps = np.zeros((len(suns), height, 2 * height), np.float32)

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats, Floats32
 from fieldlum.core.errors import InputError
-from fieldlum.core.records import Progress, Room
+from fieldlum.core.progress import progress
+from fieldlum.core.records import Room
 from fieldlum.optics.images import RADIANCE_LM_PER_W, RADIANCE_Y
 from fieldlum.room.scene.geometry import BoxScene, transmissivity, upright
 from fieldlum.room.scene.room_commands import require_permitted
@@ -165,12 +166,7 @@ def _viewpoint(room: Room) -> Floats:
 
 
 def traced(
-    room: Room,
-    suns: Floats,
-    normal_lx: Floats,
-    height: int,
-    heading_deg: float,
-    progress: Progress,
+    room: Room, suns: Floats, normal_lx: Floats, height: int, heading_deg: float
 ) -> Floats32:
     """Return sun patches of a room of kind "radiance", traced by rtrace -ab 0, [n, H, W] cd/m2.
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats, Floats32, Indices, Mask
 from fieldlum.core.errors import InputError
-from fieldlum.core.records import Panorama, Progress, Room, SiteFile, SunSource, quiet
+from fieldlum.core.records import Panorama, Room, SiteFile, SunSource
 from fieldlum.optics.images import (
     RADIANCE_CHROMATICITIES,
     RADIANCE_LM_PER_W,
@@ -516,12 +516,7 @@ def _tint(kind: str) -> Floats32:
 
 
 def lit_room(
-    setup: SiteFile,
-    *,
-    height: int = 115,
-    quality: str = "quick",
-    workers: int | None = None,
-    progress: Progress = quiet,
+    setup: SiteFile, *, height: int = 115, quality: str = "quick", workers: int | None = None
 ) -> LitRoom:
     """Trace the coefficients of a box room; the same room gives the same result always.
 
@@ -537,13 +532,11 @@ def lit_room(
     threads = min(workers or os.cpu_count() or 1, 8)
     s, faces = joined(view.samples)
     m, free = len(s.pixel), np.flatnonzero(np.isfinite(pieces.middle[:, 0]))
-    progress(0, m + len(free), "light between surfaces")
     normals = np.eye(3)[pieces.axis[free]] * pieces.sign[free, None]
     gathered = _gather(scene, pieces, pieces.middle[free], normals, how.piece_rays, threads)
     spread = csr_matrix(
         (np.ones(len(free), np.float32), (free, np.arange(len(free)))), (len(pieces), len(free))
     )
-    progress(len(free), m + len(free), "light on the pixels")
     normals = np.eye(3)[s.axis] * s.sign[:, None]
     from_points = _gather(scene, pieces, s.position, normals, how.pixel_rays, threads)
     reach_m = np.linalg.norm(s.position - scene.camera_m, axis=1) * np.pi / height * _SHARED_PX

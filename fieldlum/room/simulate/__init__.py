@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from fieldlum.core.errors import NotEnoughDataError
-from fieldlum.core.records import Progress, SiteFile, Slot, quiet
+from fieldlum.core.records import SiteFile, Slot
 from fieldlum.core.scheduler import LOCAL, Scheduler, UnitOutcome, WorkUnit, run_each
 from fieldlum.core.strict_toml import plain
 from fieldlum.optics.images import write_panorama
@@ -149,7 +149,6 @@ def run(
     force: bool = False,
     workers: int | None = None,
     scheduler: Scheduler = LOCAL,
-    progress: Progress = quiet,
 ) -> Simulated:
     """Render the truth of every slot of a session's plan and write its pairs.
 
@@ -177,7 +176,7 @@ def run(
         job = replace(how, slots=some, light=light[rows], shining=shining[rows])
         name, files = f"truth-{some[0].id}", (session.toml.name,)
         units.append(WorkUnit(name, render_slots, session.root.resolve(), job, files=files))
-    run_each(units, scheduler, UnitOutcome.result, progress)
+    run_each(units, scheduler, UnitOutcome.result)
     _write_irradiance(session, weather, slots, wrong)
     dni, dhi = measured_irradiance(
         light.t_utc, light.dni_wm2, light.dhi_wm2, light.sun_altitude_deg, wrong

@@ -13,7 +13,8 @@ import numpy as np
 
 from fieldlum.core.arrays import Array, Floats, Floats32, Indices, Mask, evenly_spread
 from fieldlum.core.errors import NotEnoughDataError
-from fieldlum.core.records import Progress, Site, quiet
+from fieldlum.core.progress import progress
+from fieldlum.core.records import Site
 from fieldlum.core.room_states import parse_state
 from fieldlum.sky.light import Light
 from fieldlum.sky.sky_view.disc import disc_of_hours
@@ -72,24 +73,22 @@ def sky_view_of(
     site: Site,
     heading_deg: float,
     seen: Callable[[Floats], Mask] | None = None,
-    progress: Progress = quiet,
 ) -> SkyView:
     """Return the sky view of captures. Those with blinds or snow are not used, unless all are so.
 
-    discs: that merge measured; heading_deg: stated azimuth of the pictures' centre column; seen,
-    progress: as of `estimate`. Raises NotEnoughDataError without a capture by daylight.
+    discs: that merge measured; heading_deg: stated azimuth of the pictures' centre column; seen:
+    as of `estimate`. Raises NotEnoughDataError without a capture by daylight.
     """
     marks = [parse_state(state) for state in captured.light.states or ()]
     usual = [k for k, parts in enumerate(marks) if all(p.startswith("lamp=") for p in parts)]
     captured = captured.take(usual) if usual else captured
     pose = pose_of_discs(discs, site, heading_deg)
-    return estimate(captured, seen, progress, pose, site.latitude_deg)
+    return estimate(captured, seen, pose, site.latitude_deg)
 
 
 def estimate(
     captured: Captured,
     seen: Callable[[Floats], Mask] | None = None,
-    progress: Progress = quiet,
     pose: CameraPose | None = None,
     latitude_deg: float | None = None,
 ) -> SkyView:
@@ -102,7 +101,7 @@ def estimate(
     lit = np.flatnonzero(captured.light.diffuse_lx > BEAM_LX)
     if not len(lit):
         raise NotEnoughDataError("a sky view needs captures by daylight; none has 1 000 lx outside")
-    stack = _stack(captured.take(lit.tolist()), seen, progress)
+    stack = _stack(captured.take(lit.tolist()), seen)
     decided = _decided(stack, pose or CameraPose(axis_deg=stack.grid.heading_deg), latitude_deg)
     turned = _turned(stack, decided.view)
     if turned is not decided.view.pose:
@@ -140,7 +139,7 @@ class _Stack:
         return np.maximum(np.cumsum(self.kept) - 1, 0)
 
 
-def _stack(captured: Captured, seen: Callable[[Floats], Mask] | None, progress: Progress) -> _Stack:
+def _stack(captured: Captured, seen: Callable[[Floats], Mask] | None) -> _Stack:
     count = len(captured.light)
     some = [captured.read(k) for k in sorted({0, count // 2, count - 1})]
     grid = max((picture.grid for picture in some), key=lambda grid: grid.height * grid.width)

@@ -18,7 +18,7 @@ import numpy as np
 
 from fieldlum.core.arrays import Array, Floats, Floats32, Mask
 from fieldlum.core.errors import InputError
-from fieldlum.core.records import Progress, SiteFile, quiet
+from fieldlum.core.records import SiteFile
 from fieldlum.core.scheduler import LOCAL, Scheduler, UnitOutcome, WorkUnit, run_each
 from fieldlum.learn.models import Fitted, Prediction, load, read_config, seen_of, trusted_hours
 from fieldlum.learn.models.mirrors import Mirror, MirroredSun, read_mirrors
@@ -444,7 +444,6 @@ def measure(
     melanopic: MelanopicYear | None = None,
     seed: int = 0,
     scheduler: Scheduler = LOCAL,
-    progress: Progress = quiet,
 ) -> HourFigures:
     """Predict every hour of `light`, and return the figures in d view directions.
 
@@ -470,7 +469,7 @@ def measure(
     def take(outcome: UnitOutcome) -> None:
         parts[outcome.unit.name] = outcome.result()
 
-    run_each(units, scheduler, take, progress)
+    run_each(units, scheduler, take)
     return joined([parts[unit.name] for unit in units])
 
 

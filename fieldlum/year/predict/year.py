@@ -14,7 +14,7 @@ from msgspec import structs
 
 from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
-from fieldlum.core.records import Progress, quiet, utc_text
+from fieldlum.core.records import utc_text
 from fieldlum.core.room_states import OFF
 from fieldlum.core.scheduler import LOCAL, Scheduler
 from fieldlum.learn.models import POOR_WORDS, Fitted, load, read_config
@@ -81,7 +81,6 @@ def run(
     seed: int = 0,
     label_shift_min: float = 0.0,
     scheduler: Scheduler = LOCAL,
-    progress: Progress = quiet,
 ) -> PredictedYear:
     """Predict all daylight hours of a weather file with a trained model, and write the year.
 
@@ -121,7 +120,7 @@ def run(
     folder.mkdir(parents=True, exist_ok=True)
     store = blocks.begin_maps(folder, len(light), room) if maps else None
     how = {"store": store, "melanopic": colours, "seed": seed, "scheduler": scheduler}
-    found = blocks.measure(model_folder, room, light, azimuths, progress=progress, **how)
+    found = blocks.measure(model_folder, room, light, azimuths, **how)
     found.hours["occupied"][:] = occupancy.at(light.t_utc, weather.site.timezone)
     about = _about(room, config, weather, light, azimuths)
     found.hours["trusted"] *= not any(POOR_WORDS in text for text in about.model_warnings)

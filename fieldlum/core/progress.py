@@ -1,0 +1,38 @@
+"""Report how far long work is; who called the work decides whether somebody sees it."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+
+Progress = Callable[[int, int, str], None]
+"""Shows how far work is: called with the number of finished steps, of all steps, and a text."""
+
+
+def quiet(finished: int, total: int, text: str) -> None:
+    """Show nothing."""
+
+
+_SHOW: ContextVar[Progress] = ContextVar("show", default=quiet)
+
+
+def progress(finished: int, total: int, text: str) -> None:
+    """Report how far some work is that takes over two seconds, to the innermost `shown_by`."""
+    _SHOW.get()(finished, total, text)
+
+
+@contextmanager
+def shown_by(show: Progress) -> Iterator[None]:
+    """Show the progress of work inside the block by `show`; with `quiet` it is not shown."""
+    token = _SHOW.set(show)
+    try:
+        yield
+    finally:
+        _SHOW.reset(token)
+
+
+@contextmanager
+def part_of_progress(number: int, count: int) -> Iterator[None]:
+    """Show the progress in the block as that of part `number`, from 0, of `count` equal parts."""
+    show = _SHOW.get()
+    with shown_by(lambda done, total, text: show(number * total + done, count * total, text)):
+        yield
