@@ -14,7 +14,7 @@ from zoneinfo import ZoneInfo
 import click
 
 from fieldlum.cli import terminal
-from fieldlum.cli.options import command_of, device_uris
+from fieldlum.cli.options import OpenSession, command_of, device_uris
 from fieldlum.core.errors import DeviceError
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 @command_of("capture")
 def command(
-    session_folder: Path,
+    session: OpenSession,
     camera: str | None = None,
     pyranometer: str | None = None,
     meter: str | None = None,
@@ -67,9 +67,8 @@ def command(
     from fieldlum.capture.utc_clock import wait_for_clock
     from fieldlum.capture.verify import bracket_doubts, doubts
     from fieldlum.optics.raw import unreadable
-    from fieldlum.session import open_session, sha256
+    from fieldlum.session import sha256
 
-    session = open_session(session_folder)
     if session.table().get("plan", {}).get("sha256") != sha256(session.plan):
         terminal.say(
             "note: plan.csv was changed after session.toml was written: run fieldlum doctor"

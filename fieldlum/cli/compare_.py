@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 from fieldlum.cli.declared import EXISTING_PATH
-from fieldlum.cli.options import Azimuths, command_of
+from fieldlum.cli.options import Azimuths, OpenSession, command_of
 from fieldlum.cli.terminal import print_answer, progress, say, table_lines
 
 _SURFACES = {
@@ -32,7 +32,7 @@ _DIRECTIONS = {
 
 @command_of("compare")
 def command(
-    session_folder: Path,
+    session: OpenSession,
     result: Annotated[Path, EXISTING_PATH],
     out: Path | None = None,
     view_azimuths: Azimuths = (),
@@ -56,10 +56,8 @@ def command(
           north; repeat it for each sensor of a grid.
     """
     from fieldlum.report.compare import compare
-    from fieldlum.session import open_session
     from fieldlum.year.predict import newest_annual
 
-    session = open_session(session_folder)
     annual = newest_annual(session)
     with progress("comparing"):
         found = compare(session, result, out or session.root / "compare", view_azimuths, annual)

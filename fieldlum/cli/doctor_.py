@@ -5,19 +5,18 @@ from __future__ import annotations
 import sys
 from contextlib import suppress
 from datetime import UTC, datetime
-from pathlib import Path
 
 import click
 
 from fieldlum.cli import terminal
-from fieldlum.cli.options import command_of, device_uris
+from fieldlum.cli.options import OpenSession, command_of, device_uris
 
 MARKS = {"ok": ("ok  ", "green"), "warn": ("look", "yellow"), "fail": ("FAIL", "red")}
 
 
 @command_of("doctor")
 def command(
-    session_folder: Path,
+    session: OpenSession,
     camera: str | None = None,
     pyranometer: str | None = None,
     meter: str | None = None,
@@ -33,9 +32,7 @@ def command(
     """
     from fieldlum.capture import doctor
     from fieldlum.room.scene.drawing import write_room
-    from fieldlum.session import open_session
 
-    session = open_session(session_folder)
     camera_uri, pyranometer_uri, meter_uri = device_uris(session, camera, pyranometer, meter)
     with terminal.progress("looking"):
         findings = doctor.run(

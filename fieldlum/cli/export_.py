@@ -6,12 +6,12 @@ from pathlib import Path
 
 import click
 
-from fieldlum.cli.options import Azimuths, command_of
+from fieldlum.cli.options import Azimuths, OpenSession, command_of
 from fieldlum.cli.terminal import progress
 
 
 @command_of("export")
-def command(session_folder: Path, out: Path | None = None, view_azimuths: Azimuths = ()) -> None:
+def command(session: OpenSession, out: Path | None = None, view_azimuths: Azimuths = ()) -> None:
     """Write a session's results for other programs.
 
     maps/SLOT-AZIMUTH.hdr: Radiance fisheyes with VIEW, for evalglare; sky_view.csv: the share of
@@ -29,9 +29,7 @@ def command(session_folder: Path, out: Path | None = None, view_azimuths: Azimut
           [default: the camera's heading]
     """
     from fieldlum.report.export import export
-    from fieldlum.session import open_session
 
-    session = open_session(session_folder)
     with progress("exporting"):
         files = export(session, out or session.root / "export", view_azimuths)
     for path in files:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import click
 
 from fieldlum.cli import terminal
-from fieldlum.cli.options import command_of
+from fieldlum.cli.options import OpenSession, command_of
 
 if TYPE_CHECKING:
     from fieldlum.capture.match_card import Report
@@ -51,7 +51,7 @@ def _sensitivity(text: str) -> tuple[str, float]:
 
 @command_of("import")
 def command(
-    session_folder: Path,
+    session: OpenSession,
     folder: Annotated[Path | None, "[FOLDER]"] = None,
     irradiance_file: Path | None = None,
     utc_offset_s: Annotated[Any, _utc_offset] = None,
@@ -86,9 +86,7 @@ def command(
         raise click.UsageError("--column and --sensitivity need a logger's file: --irradiance FILE")
     from fieldlum.capture import import_card
     from fieldlum.core.records import counted
-    from fieldlum.session import open_session
 
-    session = open_session(session_folder)
     add = partial(import_card.run, session, folder, logger=irradiance_file)
     add = partial(add, columns=dict(columns) or None, sensitivities=dict(sensitivity) or None)
     add = partial(add, utc_offset_s=utc_offset_s, logger_utc_offset_s=logger_utc_offset_s)

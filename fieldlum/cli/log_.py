@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from pathlib import Path
 from typing import Annotated
 
 import click
 
 from fieldlum.cli import terminal
-from fieldlum.cli.options import command_of
+from fieldlum.cli.options import OpenSession, command_of
 
 
 @command_of("log")
 def command(
-    session_folder: Path,
+    session: OpenSession,
     pyranometer: str,
     every_s: Annotated[float, click.FloatRange(min=0.1)] = 5.0,
 ) -> None:
@@ -30,9 +29,7 @@ def command(
     """
     from fieldlum.capture.logger import log
     from fieldlum.devices.clock import Clock
-    from fieldlum.session import open_session
 
-    session = open_session(session_folder)
     try:
         with terminal.unattended(), terminal.awake():
             clock = Clock()

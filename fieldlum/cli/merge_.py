@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @command_of("merge")
 def command(
-    session: Path | None = None,
+    source: Annotated[Path | None, "[SESSION]"] = None,
     more: tuple[Path, ...] = (),
     frames: bool = False,
     camera: str | None = None,
@@ -62,7 +62,7 @@ def command(
     from fieldlum.optics.raw import frame_files
     from fieldlum.session import open_session
 
-    if session is None or (frames and (not camera or out is None)):
+    if source is None or (frames and (not camera or out is None)):
         raise click.UsageError("name a SESSION, or --frames FILE... --camera PROFILE --out OUT")
     if frames:
         assert camera and out is not None
@@ -70,7 +70,7 @@ def command(
         whole = projection == "equirect"
         size = size or (DEFAULT_SIZE if whole else DEFAULT_FISHEYE_SIZE)
         options = merge.MergeOptions(picture_height(size, 1 + whole), projection, fit)
-        files, profile = frame_files(session, *more), load_camera_profile(camera)
+        files, profile = frame_files(source, *more), load_camera_profile(camera)
         with progress("Merge"):
             result, facts = merge.files_to_picture(
                 files, profile, out, options, heading_deg=heading
@@ -78,19 +78,19 @@ def command(
         answer = {"out": str(out), "verdict": result.verdict, **facts, "quality": result.quality}
         print_answer(as_json, answer, _lines(out, result, facts))
         return
-    if session.is_file() or more or camera or out or projection != "equirect" or heading != 180.0:
+    if source.is_file() or more or camera or out or projection != "equirect" or heading != 180.0:
         raise click.UsageError("files, --camera, --out, --projection, --heading need --frames")
-    opened = open_session(session)
-    options = merge.MergeOptions(picture_height(size or _present_size(opened)), fit=fit)
+    session = open_session(source)
+    options = merge.MergeOptions(picture_height(size or _present_size(session)), fit=fit)
     scheduler = scheduler_of(scheduler_text)
     with progress("Merge"):
-        verdicts = merge.run(opened, options, scheduler=scheduler, force=force)
+        verdicts = merge.run(session, options, scheduler=scheduler, force=force)
     lines = [f"{v.slot} {v.state}: {v.text}" for v in verdicts]
     print_answer(as_json, {"slots": [v.table() for v in verdicts]}, lines)
     counts = Counter(v.state for v in verdicts)
     if not as_json:
         say(", ".join(f"{counts[s]} {s}" for s in ("merged", "kept", "failed") if counts[s]))
-        if (sheet := opened.panoramas / "contact-1.png").is_file():
+        if (sheet := session.panoramas / "contact-1.png").is_file():
             say(f"look at {sheet}")
     if counts["failed"]:
         raise SystemExit(InputError.exit_code)

@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import click
 
-from fieldlum.cli.declared import FILE_PATH, declare
+from fieldlum.cli.declared import FILE_PATH, PATH, declare
 
 if TYPE_CHECKING:
     from fieldlum.core.scheduler import Scheduler
     from fieldlum.session import Session
-
+    from fieldlum.session import Session as OpenSession
+else:
+    OpenSession = Any  # the argument SESSION: the session of the folder that the user names
 
 CaptureSet = Literal["month", "9-day", "12-day", "4-day", "even", "best"]
 Above0 = Annotated[float, click.FloatRange(min=0, min_open=True)]
@@ -27,8 +29,15 @@ DAY = click.DateTime(["%Y-%m-%d"])
 DEVICES = ("camera", "pyranometer", "meter")
 
 
+def _opened(text: str) -> Session:
+    """Return the session of a folder."""
+    from fieldlum.session import open_session
+
+    return open_session(PATH.convert(text, None, None))
+
+
 def _shared(
-    session_folder: Annotated[Path, "SESSION"],
+    session: Annotated[Any, "SESSION", _opened],
     pairs: Annotated[Path, "SESSION|PAIRS.csv"],
     as_json: bool = False,
     force: bool = False,

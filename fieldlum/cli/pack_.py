@@ -9,13 +9,13 @@ from typing import Annotated
 import click
 
 from fieldlum.cli.declared import FILE_PATH
-from fieldlum.cli.options import command_of
+from fieldlum.cli.options import OpenSession, command_of
 from fieldlum.cli.terminal import notes, progress
 
 
 @command_of("pack")
 def command(
-    session_folder: Path,
+    session: OpenSession,
     archive: Annotated[Path, FILE_PATH],
     title: str,
     authors: tuple[str, ...],
@@ -41,7 +41,6 @@ def command(
       --people TEXT: Who can be seen, and how they consented.
     """
     from fieldlum.report.export import Statement, pack
-    from fieldlum.session import open_session
 
     if not all(text.strip() for text in (title, *authors, publisher, people)):
         raise click.UsageError("--title, --author, --publisher and --people: write a text")
@@ -49,6 +48,6 @@ def command(
         raise click.BadParameter("write an SPDX identifier, like CC-BY-4.0", param_hint="--licence")
     statement = Statement(title, authors, licence, publisher, people)
     with progress("packing"):
-        cautions = pack(open_session(session_folder), archive, statement)
+        cautions = pack(session, archive, statement)
     notes(cautions)
     click.echo(str(archive))

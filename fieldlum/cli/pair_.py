@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections import Counter
-from pathlib import Path
 
 import click
 
 from fieldlum.cli import terminal
-from fieldlum.cli.options import command_of, scheduler_of
+from fieldlum.cli.options import OpenSession, command_of, scheduler_of
 
 
 @command_of("pair")
-def command(session_folder: Path, scheduler_text: str = "local", force: bool = False) -> None:
+def command(session: OpenSession, scheduler_text: str = "local", force: bool = False) -> None:
     """Match panoramas with irradiance and sun; write the sky view.
 
     \b
@@ -23,11 +22,9 @@ def command(session_folder: Path, scheduler_text: str = "local", force: bool = F
     from fieldlum.core.records import counted
     from fieldlum.pair import irradiance
     from fieldlum.pair.irradiance.days_picture import draw_days
-    from fieldlum.session import open_session
     from fieldlum.sky.sky_view.view import SkyView
 
     scheduler = scheduler_of(scheduler_text)
-    session = open_session(session_folder)
     with terminal.progress("irradiance"):
         health = irradiance.run(session, force=force)
     terminal.notes(health.warnings)

@@ -14,6 +14,7 @@ from fieldlum.cli.options import DAY, CaptureSet, Year, command_of
 
 if TYPE_CHECKING:
     from fieldlum.core.records import SiteFile
+    from fieldlum.session import Session
     from fieldlum.weather import Weather
 
 
@@ -81,13 +82,12 @@ def command(
     }
     if text := next((text for text, is_wrong in wrong.items() if is_wrong), ""):
         raise click.UsageError(text)
-    setup = open_session(target).site_file() if of_session else load_site(target)
+    session = open_session(target) if of_session else None
+    setup = load_site(target) if session is None else session.site_file()
     site, shift = setup.site, label_shift_min
     weather = weather_file and read_weather(weather_file, site, label_shift_min=shift)
-    if next_:
-        answer, sentences = _coming(target, weather)
-    elif replan:
-        answer, sentences = _replanned(target, weather)
+    if session is not None:
+        answer, sentences = (_coming if next_ else _replanned)(session, weather)
     else:
         assert out is not None
         answer, sentences = _planned(setup, (set_, day, year, days, count), weather, out)
@@ -129,12 +129,10 @@ def _permit_room(setup: SiteFile) -> None:
         terminal.say(f"note: could not store the permission ({error}): fieldlum permit {path}")
 
 
-def _coming(target: Path, weather: Weather | None) -> tuple[dict, list[str]]:
+def _coming(session: Session, weather: Weather | None) -> tuple[dict, list[str]]:
     from fieldlum.plan import coming
-    from fieldlum.session import open_session
     from fieldlum.weather import synthetic_weather
 
-    session = open_session(target)
     site = session.site_file().site
     if weather is None:
         weather = synthetic_weather(site)
@@ -144,12 +142,10 @@ def _coming(target: Path, weather: Weather | None) -> tuple[dict, list[str]]:
     return answer, coming.sentences(answer, site)
 
 
-def _replanned(target: Path, weather: Weather | None) -> tuple[dict, list[str]]:
+def _replanned(session: Session, weather: Weather | None) -> tuple[dict, list[str]]:
     from fieldlum import plan
     from fieldlum.plan import makeup
-    from fieldlum.session import open_session
 
-    session = open_session(target)
     answer = makeup.run(session, datetime.now(UTC))
     plan.write_calendar(session, datetime.now(UTC))
     plan.write_sheets(session, weather)

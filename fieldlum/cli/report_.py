@@ -7,13 +7,13 @@ from typing import Literal
 
 import click
 
-from fieldlum.cli.options import command_of
+from fieldlum.cli.options import OpenSession, command_of
 from fieldlum.cli.terminal import say
 
 
 @command_of("report")
 def command(
-    session_folder: Path,
+    session: OpenSession,
     out: Path | None = None,
     for_reader: Literal["user", "assessor"] = "user",
 ) -> None:
@@ -31,8 +31,7 @@ def command(
       --for: The reader of the page.
     """
     from fieldlum.report import run
-    from fieldlum.session import open_session
 
-    page = run(open_session(session_folder), out, for_assessor=for_reader == "assessor")
+    page = run(session, out, for_assessor=for_reader == "assessor")
     say(f"report: {page.stat().st_size / 1e6:.2g} MB")
     click.echo(str(page))

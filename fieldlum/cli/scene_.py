@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import click
 
 from fieldlum.cli import terminal
-from fieldlum.cli.options import Port, command_of
+from fieldlum.cli.options import OpenSession, Port, command_of
 from fieldlum.cli.terminal import notes, print_answer, progress, say, table_lines
 from fieldlum.core.records import JsonTable
 
@@ -98,7 +98,7 @@ def _lines(scene: Scene) -> list[str]:
 
 @command_of("click", command)
 def click_corners(
-    session_folder: Path,
+    session: OpenSession,
     slot: str = "",
     csv_path: Path | None = None,
     camera_height_m: Annotated[float | None, click.FloatRange(0.05, 50.0)] = None,
@@ -124,9 +124,6 @@ def click_corners(
           [default: the session's]
       --port: Port of the page; 0 takes a free one.
     """
-    from fieldlum.session import open_session
-
-    session = open_session(session_folder)
     height_m = camera_height_m or session.site_file().camera.height_m
     with terminal.web_library():
         from fieldlum.web import click_room, server

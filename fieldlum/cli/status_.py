@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fieldlum.cli import terminal
-from fieldlum.cli.options import command_of
+from fieldlum.cli.options import OpenSession, command_of
 
 if TYPE_CHECKING:
     from fieldlum.core.records import JsonTable
@@ -14,7 +13,7 @@ if TYPE_CHECKING:
 
 @command_of("status")
 def command(
-    session_folder: Path, mark: tuple[str, str] | None = None, as_json: bool = False
+    session: OpenSession, mark: tuple[str, str] | None = None, as_json: bool = False
 ) -> None:
     """Show what a session has done and what is still to do.
 
@@ -28,9 +27,8 @@ def command(
           snow=yes|no.
     """
     from fieldlum.capture.status import status
-    from fieldlum.session import mark_slot, open_session
+    from fieldlum.session import mark_slot
 
-    session = open_session(session_folder)
     if mark is not None:
         state = mark_slot(session, *mark)
         terminal.say(f"{mark[0]}: {state or 'as usual'}")

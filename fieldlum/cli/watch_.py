@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from fieldlum.cli import terminal
-from fieldlum.cli.options import Port, command_of
+from fieldlum.cli.options import OpenSession, Port, command_of
 from fieldlum.core.errors import InputError
 
 DEFAULT_PORT = 8765  # chosen, because other programs rarely use it; scene click has the next number
@@ -16,7 +16,7 @@ DEFAULT_PORT = 8765  # chosen, because other programs rarely use it; scene click
 
 @command_of("watch")
 def command(
-    session_folder: Path,
+    session: OpenSession,
     port: Port = DEFAULT_PORT,
     lan: bool = False,
     weather: str = "synthetic",
@@ -40,9 +40,6 @@ def command(
       --compute/--no-compute: Merge new brackets and compute the prediction so far, at
           lowest priority between slots.
     """
-    from fieldlum.session import open_session
-
-    session = open_session(session_folder)
     with terminal.web_library():
         from fieldlum.web.server import prepare, watch_routes
     from fieldlum.web.prediction_so_far import Worker
