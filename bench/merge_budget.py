@@ -34,7 +34,7 @@ from fieldlum.merge.ratios import RatioCurve
 from fieldlum.merge.sensor import SensorImage
 from fieldlum.merge.shots import U_REPEAT, Shot, sorted_shots
 from fieldlum.optics.linear_light import lens_geometry, true_shutter_s
-from fieldlum.optics.photometry import response_table, srgb_table, vignetting_at, z_per_cdm2
+from fieldlum.optics.photometry import response_table, vignetting_at, z_per_cdm2
 from fieldlum.optics.profiles import (
     Bracket,
     CameraBody,
@@ -107,7 +107,7 @@ def profile_of(which: Set) -> CameraProfile:
     known = () if has("ratios") else tuple(ShutterTime(t, snapped(t), 1e-6) for t in DIAL_S)
     filtered = NeutralDensity("nd3", (900.0, 1000.0, 1150.0), 0.02 if has("filter") else 0.0)
     tail = {} if jpeg else {"nd": ("nd3",), "nd_shutter_s": (1 / 60, 1 / 1000)}
-    table = tuple(float(z) for z in srgb_table())
+    table = tuple(float(z) for z in response_table("srgb"))
     response = Response("table", table, table, table, u_rel=0.02 if has("response") else 0.0)
     return CameraProfile(
         CameraBody(

@@ -19,7 +19,7 @@ import numpy as np
 from fieldlum.core.records import Exposure
 from fieldlum.merge import MergeOptions, merge_sensor, merge_shots
 from fieldlum.merge.shots import shots_of_files, sorted_shots
-from fieldlum.optics.photometry import srgb_table
+from fieldlum.optics.photometry import response_table
 from fieldlum.optics.profiles import (
     Bracket,
     CameraBody,
@@ -69,7 +69,7 @@ def make_jpegs(folder: Path, times: tuple[float, ...]) -> list[Path]:
     rng, light, paths = np.random.default_rng(2), scene(), []
     for number, t in enumerate(times):
         codes = np.interp(
-            light * np.float32(2.0 * t / (WHITE - BLACK)), srgb_table(), np.arange(256.0)
+            light * np.float32(2.0 * t / (WHITE - BLACK)), response_table("srgb"), np.arange(256.0)
         )
         noisy = (
             np.rint(codes + rng.standard_normal(light.shape, dtype=np.float32))
@@ -187,7 +187,7 @@ def main() -> None:
                 folder, dual.bracket.shutter_s
             )
             body = replace(dual.camera, kind="jpeg")
-            curve = tuple(float(z) for z in srgb_table())
+            curve = tuple(float(z) for z in response_table("srgb"))
             response = Response("table", curve, curve, curve)
             other = replace(dual, camera=body, response=response)
             jobs.append(("two lenses, JPEG, to a 1024 x 512 panorama", pictures, other, "panorama"))

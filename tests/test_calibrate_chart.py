@@ -12,7 +12,7 @@ from fieldlum.calibrate import colour as chart
 from fieldlum.calibrate.readings import LinearFrame
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure
-from fieldlum.optics.photometry import srgb_table
+from fieldlum.optics.photometry import response_table
 
 CAMERA = np.array(
     [[0.60, 0.30, 0.05], [0.15, 0.75, 0.10], [0.02, 0.25, 0.60]]
@@ -27,7 +27,7 @@ def drawn(
     dark skin first.
     """
     rng = np.random.default_rng(seed)
-    colours = srgb_table()[CHART_SRGB][order]
+    colours = response_table("srgb")[CHART_SRGB][order]
     card = np.full((4 * CELL + 2 * RIM, 6 * CELL + 2 * RIM, 3), 0.02)
     for i, colour in enumerate(colours):
         y, x = RIM + i // 6 * CELL, RIM + i % 6 * CELL
@@ -110,7 +110,7 @@ def test_what_is_no_chart_is_refused() -> None:
 
 @pytest.mark.property
 def test_the_order_of_colours_tells_a_chart() -> None:
-    rgb = srgb_table()[CHART_SRGB] @ CAMERA.T
+    rgb = response_table("srgb")[CHART_SRGB] @ CAMERA.T
     glare = rgb + 0.03 * rgb.mean(axis=0)
     assert chart.misfit(rgb) < 0.03 and chart.misfit(glare) < 0.06
     grid = rgb.reshape(4, 6, 3)

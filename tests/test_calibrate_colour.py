@@ -12,7 +12,7 @@ from fieldlum.calibrate.pictures import Place
 from fieldlum.calibrate.readings import LinearFrame, linear_frame, transmission
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Exposure
-from fieldlum.optics.photometry import srgb_table, vignetting_at
+from fieldlum.optics.photometry import response_table, vignetting_at
 from fieldlum.optics.profiles import CameraProfile, Colour
 
 
@@ -59,7 +59,7 @@ def test_colour_keeps_a_right_prior() -> None:
 def _chart_frame(path: Path, seed: int = 1) -> tuple[Path, list[float]]:
     """A chart of known luminance: its colours, scaled so that a . rgb is the chart's own Y."""
     rng, a = np.random.default_rng(seed), np.array([0.30, 0.60, 0.10])
-    rgb = srgb_table()[CHART_SRGB]
+    rgb = response_table("srgb")[CHART_SRGB]
     rgb *= (colour.chart_xyz()[:, 1] / (rgb @ a))[:, None] * 3.0
     picture = np.full((SIZE, SIZE, 3), 20.0)
     left, top, cell = 60, 80, 20

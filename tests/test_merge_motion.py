@@ -10,7 +10,7 @@ from fieldlum.merge import merge_sensor
 from fieldlum.merge.estimator import merge_signals
 from fieldlum.merge.frames import RawSignal
 from fieldlum.merge.shots import Shot, sorted_shots
-from fieldlum.optics.photometry import srgb_table, z_per_cdm2
+from fieldlum.optics.photometry import response_table, z_per_cdm2
 from fieldlum.optics.profiles import Bracket, CameraBody, CameraProfile, Lens, Response
 from fieldlum.optics.raw import write_jpeg
 
@@ -36,7 +36,7 @@ def jpeg_motion(folder: Path, dimmed: float, u_rel: float) -> float:
     """Share flagged of an area that one of three frames shows dimmed, by a response known to
     u_rel.
     """
-    table = tuple(float(z) for z in srgb_table())
+    table = tuple(float(z) for z in response_table("srgb"))
     times = (0.5, 1 / 8, 1 / 32)
     profile = CameraProfile(
         CameraBody("small", "jpeg", 128, 128),

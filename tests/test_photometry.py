@@ -16,12 +16,10 @@ from fieldlum.optics.photometry import (
     illuminance_lx,
     illuminance_verdict,
     monotone,
-    polynomial_table,
     prior_u_log,
     response_table,
     same_exposure,
     saturation_plateau,
-    srgb_table,
     true_times_s,
     vertical_illuminance_lx,
     vignetting_at,
@@ -91,9 +89,9 @@ def test_the_plateau_is_found_below_the_tag_and_only_where_there_is_one() -> Non
 
 @pytest.mark.contract
 def test_response_tables() -> None:
-    assert srgb_table()[255] == pytest.approx(1.0)
+    assert response_table("srgb")[255] == pytest.approx(1.0)
     assert response_table("linear")[51] == pytest.approx(0.2)
-    assert polynomial_table((0.0, 0.0, 1.0))[128] == pytest.approx((128 / 255) ** 2)
+    assert response_table("polynomial", (0.0, 0.0, 1.0))[128] == pytest.approx((128 / 255) ** 2)
     with pytest.raises(ValueError, match="256 increasing"):
         response_table("table", tuple(range(256, 0, -1)))
     with pytest.raises(ValueError, match="coefficients"):
@@ -104,7 +102,7 @@ def test_response_tables() -> None:
 @settings(deadline=None, max_examples=30)
 @given(st.lists(st.floats(-2, 2), min_size=2, max_size=6))
 def test_any_response_polynomial_becomes_monotone(coefficients: list[float]) -> None:
-    z = polynomial_table(coefficients)
+    z = response_table("polynomial", coefficients)
     assert np.all(np.diff(z) >= 0) and np.all(z >= 0)
     assert monotone(z) == pytest.approx(z, abs=1e-12)
 

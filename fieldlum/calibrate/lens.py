@@ -16,7 +16,7 @@ from fieldlum.core.arrays import Array, Mask
 from fieldlum.core.errors import InputError
 from fieldlum.core.statistics import robust_sigma
 from fieldlum.optics.profiles import Lens
-from fieldlum.optics.projection import altitude_azimuth_deg, direction, lens_pixels, lens_rays
+from fieldlum.optics.projection import direction, lens_pixels, lens_rays
 
 # The mappings that are tried, with the powers of the angle in a polynomial; held-out targets
 # select one.
@@ -235,25 +235,22 @@ def _posed(targets: Targets, lens: Lens) -> Lens:
         finding = "the targets fit a lens only as a mirror image"
         remedy = "check the targets for a wrong sign, or for x and y exchanged"
         raise InputError(targets.source, finding, _WANTED, remedy)
-    right, forward = turn[:, 0], turn[:, 1]
-    tilt, azimuth = altitude_azimuth_deg(forward)
-    level = direction(0.0, azimuth + 90.0)
-    roll = np.degrees(np.arctan2(-right @ np.cross(level, forward), right @ level))
-    return replace(lens, azimuth_deg=float(azimuth), tilt_deg=float(tilt), roll_deg=float(roll))
+    left, tilt, roll = turn.as_euler("ZXY", degrees=True).tolist()
+    return replace(lens, azimuth_deg=-left, tilt_deg=tilt, roll_deg=roll)
 
 
-def _turn(directions: Array, true: Array) -> tuple[float, Array]:
+def _turn(directions: Array, true: Array) -> tuple[float, Any]:
     """Return the median distance (chord) of directions [n, 3] after rotation, and the rotation.
 
-    The rotation [3, 3] solves Wahba's problem (1965), with less weight for gross errors.
+    The rotation of scipy solves Wahba's problem (1965), with less weight for gross errors.
     """
     from scipy.spatial.transform import Rotation
 
-    off, turn = np.ones(len(directions)), np.eye(3)
+    off, turn = np.ones(len(directions)), Rotation.identity()
     for _ in range(10):
         weight = 1.0 / np.maximum(off, 0.02)
-        turn = Rotation.align_vectors(true, directions, weights=weight)[0].as_matrix()
-        off = np.linalg.norm(true - directions @ turn.T, axis=1)
+        turn = Rotation.align_vectors(true, directions, weights=weight)[0]
+        off = np.linalg.norm(true - turn.apply(directions), axis=1)
     return float(np.median(off)), turn
 
 

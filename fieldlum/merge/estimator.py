@@ -8,8 +8,7 @@ Weights computed from the noisy value itself would bias dark pixels by -15 %. Ne
 included, because clipping them would bias dark pixels too.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -37,13 +36,7 @@ class Rows(NamedTuple):
         return usable if self.full is None else usable & ~self.full
 
 
-def rows_of(frames: Sequence[Signal], first: int, last: int) -> list[Rows]:
-    """Return rows first to last - 1 of each frame."""
-    return [Rows(signal, *signal.strip(first, last)) for signal in frames]
-
-
-@dataclass(frozen=True, slots=True)
-class Merged:
+class Merged(NamedTuple):
     """Merged pixels, in the frames' shape: raw [h / 2, 2, w], JPEG [h, w, 3].
 
     value_cdm2: luminance by one colour of the camera, before vignetting and colour are corrected;
@@ -53,13 +46,6 @@ class Merged:
     value_cdm2: Floats32
     variance: Floats32
     flags: NDArray[np.uint8]
-
-
-def _strips(shape: tuple[int, ...]) -> Iterator[tuple[int, int]]:
-    # elements that fit in a core's cache; decides speed only
-    step = max(1, (1 << 17) // int(np.prod(shape[1:])))
-    for first in range(0, shape[0], step):
-        yield first, min(first + step, shape[0])
 
 
 def merge_signals(
@@ -72,9 +58,12 @@ def merge_signals(
     """
     value, variance = np.empty(shape, np.float32), np.empty(shape, np.float32)
     flags = np.empty(shape, np.uint8)
-    for a, b in _strips(shape):
-        part = merge_rows(rows_of(frames, a, b), passes, u_ratio)
-        value[a:b], variance[a:b], flags[a:b] = part.value_cdm2, part.variance, part.flags
+    # elements that fit in a core's cache; decides speed only
+    step = max(1, (1 << 17) // int(np.prod(shape[1:])))
+    for a in range(0, shape[0], step):
+        b = min(a + step, shape[0])
+        rows = [Rows(signal, *signal.strip(a, b)) for signal in frames]
+        value[a:b], variance[a:b], flags[a:b] = merge_rows(rows, passes, u_ratio)
     return Merged(value, variance, flags)
 
 

@@ -154,7 +154,7 @@ def sun_on_sensor(
     weight = _disc_weight(light[window], clipped[window] if bound_only else None)
     if not weight.any():
         return None
-    row, column = center_of_mass(weight)  # of pixel centres
+    row, column = np.asarray(center_of_mass(weight), float)  # of pixel centres
     wide_px = 2.0 * np.sqrt(np.count_nonzero(weight) / np.pi)
     # the halo of a clipped spot is not exactly round
     sigma_px = 0.05 * wide_px if bound_only else _CENTRE_PX / max(wide_px, 1.0)

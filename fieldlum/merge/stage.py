@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from zoneinfo import ZoneInfo
 
@@ -157,17 +158,10 @@ def _merge_readable(
 
     Raises InputError if less than half of the frames, or fewer than two, are readable.
     """
-
-    def merged(some: list[Shot]) -> MergeResult:
-        return merge_shots(
-            some,
-            job.profile,
-            job.options,
-            heading_deg=job.heading_deg,
-            sun_deg=sun_deg,
-            latitude_deg=job.site.latitude_deg,
-        )
-
+    place = {"heading_deg": job.heading_deg, "latitude_deg": job.site.latitude_deg}
+    merged = partial(
+        merge_shots, profile=job.profile, options=job.options, sun_deg=sun_deg, **place
+    )
     try:
         return merged(shots), []
     except InputError:

@@ -244,25 +244,11 @@ def check_vignetting(coefficients: tuple[float, ...]) -> str:
     return ""
 
 
-def srgb_table() -> Floats:
-    """Return linear z in [0, 1] of the codes 0 to 255 by sRGB (IEC 61966-2-1), [256]."""
-    c = np.arange(256) / 255.0
-    return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
-
-
-def polynomial_table(coefficients: Sequence[float]) -> Floats:
-    """Return z = sum c_k (code / 255)^k of codes 0 to 255, made non-decreasing and >= 0, [256].
-
-    coefficients : c_0 first; the .rsp file of hdrgen has c_0 last.
-    """
-    z = np.polynomial.polynomial.polyval(np.arange(256) / 255.0, np.asarray(coefficients, float))
-    return monotone(np.asarray(z, np.float64))
-
-
 def response_table(kind: str, curve: Sequence[float] = ()) -> Floats:
     """Return the linear signal z of the JPEG codes 0 to 255, [256].
 
-    kind : linear, srgb, polynomial (curve: coefficients, c_0 first) or table (curve: 256 values).
+    kind : linear, srgb (IEC 61966-2-1), table (curve: 256 values) or polynomial: sum c_k (code /
+    255)^k, made non-decreasing and >= 0 (curve: c_0 first; the .rsp file of hdrgen has c_0 last).
     Raises ValueError for a table that has another length, is not finite, decreases or does not end
     above 0, and for a polynomial with under two coefficients or one that is not finite.
     """
@@ -271,11 +257,14 @@ def response_table(kind: str, curve: Sequence[float] = ()) -> Floats:
         if z.shape != (256,) or not np.isfinite(z).all() or np.any(np.diff(z) < 0) or z[-1] <= 0:
             raise ValueError("a response table needs 256 increasing values")
         return z
+    code = np.arange(256) / 255.0
     if kind == "polynomial":
         if len(curve) < 2 or not np.isfinite(curve).all():
             raise ValueError("a response polynomial needs at least two finite coefficients")
-        return polynomial_table(curve)
-    return srgb_table() if kind == "srgb" else np.arange(256) / 255.0
+        return monotone(np.polynomial.polynomial.polyval(code, np.asarray(curve, float)))
+    if kind == "srgb":
+        return np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
+    return code
 
 
 def monotone(z: Floats) -> Floats:

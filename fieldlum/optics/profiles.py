@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from itertools import chain, pairwise
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -246,23 +246,30 @@ def check_camera(profile: CameraProfile, where: str) -> None:
 
     The range of each single value is checked when the profile is read.
     """
-    checks = (_lens_problems, _sensor_problems, _table_problems)
-    for finding, expected, *remedy in chain.from_iterable(check(profile) for check in checks):
+    for finding, expected, *remedy in _problems(profile):
         correct = remedy[0] if remedy else "correct this value in the profile"
         raise InputError(where, finding, expected, correct)
 
 
-def _sensor_problems(p: CameraProfile) -> Iterator[_Problem]:
+def _problems(p: CameraProfile) -> Iterator[_Problem]:
+    """Yield values of lenses, sensor, colour, response and stray light that no camera has."""
+    fit_again = "fit it again: fieldlum calibrate lens"
+    for lens in (lens for lens in p.lens if lens.mapping == "polynomial"):
+        terms = list(lens.coefficients) or "no coefficients"
+        finding = f"lens '{lens.name}': polynomial of {terms}"
+        try:
+            angle_of_radius(lens, 1.0)
+        except ValueError as error:
+            yield f"{finding} ({error})", "a polynomial that rises up to the edge", fit_again
+        if abs(sum(lens.coefficients) - 1.0) > 0.02:
+            total = f"{finding}, with the sum {sum(lens.coefficients):g}"
+            yield total, "coefficients that sum to 1", fit_again
     black, saturation = p.sensor.black_dn, p.sensor.saturation_dn
     if not max(black) < min(*saturation, p.sensor.white_dn):
         yield f"[sensor] black_dn = {max(black):g}", "less than saturation_dn and white_dn"
     if not rises(p.sensor.linearity):
         finding, remedy = f"sensor.linearity = {list(p.sensor.linearity)}", "calibrate it again"
         yield finding, "corrected counts that rise with the raw counts", remedy
-
-
-def _table_problems(p: CameraProfile) -> Iterator[_Problem]:
-    """Yield tables of colour, response and stray light whose values do not belong together."""
     radiance, melanopic = len(p.colour.rgb_to_radiance), len(p.colour.melanopic_from_rgb)
     if radiance not in (0, 9):
         yield f"colour.rgb_to_radiance has {radiance} values", "9 values, or none"
@@ -279,23 +286,6 @@ def _table_problems(p: CameraProfile) -> Iterator[_Problem]:
         yield finding, "rising angles from 0 to 180, and a value for each"
     if not all(a >= b for a, b in pairwise(values)) or min(values, default=0.0) < 0:
         yield f"[stray] per_sr = {list(values)}", "values of 0 or more that do not rise"
-
-
-def _lens_problems(p: CameraProfile) -> Iterator[_Problem]:
-    """Yield lenses whose radius does not rise to 1 at the edge."""
-    remedy = "fit it again: fieldlum calibrate lens"
-    for lens in p.lens:
-        if lens.mapping != "polynomial":
-            continue
-        terms = list(lens.coefficients) or "no coefficients"
-        finding = f"lens '{lens.name}': polynomial of {terms}"
-        try:
-            angle_of_radius(lens, 1.0)
-        except ValueError as error:
-            yield f"{finding} ({error})", "a polynomial that rises up to the edge", remedy
-        if abs(sum(lens.coefficients) - 1.0) > 0.02:
-            total = f"{finding}, with the sum {sum(lens.coefficients):g}"
-            yield total, "coefficients that sum to 1", remedy
 
 
 # ----------------------------------------------------------------------------------------------
