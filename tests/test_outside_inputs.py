@@ -376,6 +376,9 @@ def test_a_header_of_any_length_costs_no_hour(tmp_path: Path, lines: int) -> Non
     (tmp_path / "b.epw").write_text("\n".join([*header, *whole[8:]]))
     a, b = (read_weather(tmp_path / name, NORTH) for name in ("a.epw", "b.epw"))
     assert a.t_utc == b.t_utc and b.repairs == ()
+    (tmp_path / "b.epw").write_text("\n".join(header).replace("PERIODS,1,1", "PERIODS,1,4"))
+    with pytest.raises(InputError, match="4 rows for each hour; expected one row for each hour"):
+        table(tmp_path / "b.epw")
 
 
 @pytest.mark.contract
@@ -701,6 +704,24 @@ def test_times_of_loggers(tmp_path: Path, head: str, text: str, utc: bool) -> No
 
 
 @pytest.mark.contract
+@pytest.mark.parametrize(
+    "text", ["2027-03-20 06.30", "2027-03-20T06.30Z", "20270320 06.5", "2027-03-20T06:30.5Z"]
+)
+def test_a_point_after_the_hour_is_no_fraction_of_a_second(tmp_path: Path, text: str) -> None:
+    """Python reads 06.30, as Finnish and Italian programs write it, as 06:00:00.3."""
+    path = tmp_path / "a.csv"
+    path.write_text(f"time,ghi_wm2\n{text},160\n")
+    with pytest.raises(InputError, match=f"line 2: time '{text}', expected one like"):
+        read_logger_file(path, timedelta(0))
+    path.write_text(f"t_utc,dni_wm2,dhi_wm2\n{text},160,5\n")
+    with pytest.raises(InputError, match=f"line 2: time '{text}'"):
+        table(path)
+    path.write_text(f"t_utc,panorama,dni_wm2,dhi_wm2\n{text},a.exr,160,5\n")
+    with pytest.raises(InputError, match="line 2: time"):
+        PairsFile.read(path)
+
+
+@pytest.mark.contract
 @pytest.mark.parametrize("head", ["TIMESTAMP (UTC+1)", "Date Time (GMT-08:00)", "date"])
 def test_the_remedy_for_a_local_clock_does_not_make_it_utc(tmp_path: Path, head: str) -> None:
     (tmp_path / "a.csv").write_text(f"{head},ghi_wm2\n2027-03-20 06:00:00,160\n")
@@ -812,12 +833,18 @@ def test_a_changed_sensitivity_replaces_the_earlier_rows(tmp_path: Path) -> None
 
 @pytest.mark.contract
 @pytest.mark.parametrize(
-    ("start", "end"), [("8:00", "18:00"), ("08:00", "9:30"), ("0:15", "24:00")]
+    ("start", "end"),
+    [("8:00", "18:00"), ("08:00", "9:30"), ("0:15", "24:00"), ("8:00:00", "18:00:30")],
 )
 def test_occupancy_takes_hours_of_one_digit(tmp_path: Path, start: str, end: str) -> None:
     (tmp_path / "a.csv").write_text(f"days,start,end\nmon-fri,{start},{end}\n")
-    (tmp_path / "b.csv").write_text(f"days,start,end\nmon-fri,{start:0>5},{end:0>5}\n")
+    padded = ",".join(text if text.find(":") == 2 else f"0{text}" for text in (start, end))
+    (tmp_path / "b.csv").write_text(f"days,start,end\nmon-fri,{padded}\n")
     assert read_occupancy(tmp_path / "a.csv").periods == read_occupancy(tmp_path / "b.csv").periods
+    for text in ("08.30", "8", "6:00 PM", "8:60"):  # 08.30 was 08:00 and 0.3 s
+        (tmp_path / "a.csv").write_text(f"days,start,end\nmon-fri,{text},{end}\n")
+        with pytest.raises(InputError, match="correct line 2"):
+            read_occupancy(tmp_path / "a.csv")
 
 
 @pytest.mark.contract

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from enum import IntFlag
@@ -33,12 +34,23 @@ def utc_text(t_utc: datetime) -> str:
     return t.isoformat(timespec="milliseconds" if t.microsecond else "seconds") + "Z"
 
 
+def parse_time(text: str) -> datetime:
+    """Return the time of an ISO text, naive if it has no offset.
+
+    Raises ValueError for another text, and for 06.30, which Python reads as 06:00:00.3.
+    """
+    before, point, _ = text.replace(",", ".").partition(".")
+    if point and not re.search(r"\d\d(:?)\d\d\1\d\d$", before):
+        raise ValueError(f"time {text!r} has a point after hours or minutes")
+    return datetime.fromisoformat(text)
+
+
 def parse_utc(text: str) -> datetime:
     """Return the UTC time of an ISO text with an offset, such as that of `utc_text`.
 
     Raises ValueError for another text and for a time without an offset.
     """
-    t = datetime.fromisoformat(text)
+    t = parse_time(text)
     if t.tzinfo is None:
         raise ValueError(
             f"time {text!r} has no time zone: write it as UTC, such as 2027-03-20T15:30:00Z"

@@ -17,6 +17,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from fieldlum.core.errors import InputError, input_errors, kind_of
+from fieldlum.core.records import parse_time
 
 Line = tuple[int, str]
 """The number of a line in its file, from 1, and its text."""
@@ -256,7 +257,7 @@ def read_time(text: str, *, utc: bool = False) -> datetime:
     ValueError for another text and for a date without a time of day.
     """
     try:
-        t = datetime.fromisoformat(_YEAR_FIRST.sub(r"\1-\2-\3", re.sub(" ?UTC$", "Z", text)))
+        t = parse_time(_YEAR_FIRST.sub(r"\1-\2-\3", re.sub(" ?UTC$", "Z", text)))
     except ValueError:
         raise ValueError(f"time {text[:30]!r}, expected one like 2027-03-20T16:00:00Z") from None
     if len(text) <= len("2027-03-20"):

@@ -214,8 +214,8 @@ def _moment(date: Cells, hour: str, minute: str = "0") -> datetime:
         start = datetime(year, month, day, tzinfo=UTC)
         if not 0 <= hours <= 24:
             raise ValueError(f"hour {hours:g} is outside 0 to 24")
-    except (ValueError, OverflowError) as error:
-        found = f"no such time {'-'.join(date)} hour {hour} ({error})"
+    except (ValueError, OverflowError):
+        found = f"no such time {'-'.join(date).strip('-')} hour {hour}"
         expected = "a date of the calendar and an hour of 0 to 24"
         raise _CellError(found, expected) from None
     return start + timedelta(seconds=round(hours * 3600))
@@ -268,6 +268,11 @@ def _read_epw(path: Path, lines: list[str], site: Site) -> WeatherTable:
     expected = "LOCATION,city,,,,,latitude,longitude,zone,altitude"
     place, clock = _header_place(path, lines, (6, 7, 9, 8), expected)
     header = next((k for k, line in enumerate(lines) if line.startswith("DATA PERIODS")), 7) + 1
+    if several := re.match(
+        r"DATA PERIODS,\s*\d+,\s*([2-9]|\d\d)", "".join(lines[header - 1 : header])
+    ):
+        rows_an_hour = f"{several[1]} rows for each hour"
+        raise InputError(path, rows_an_hour, "one row for each hour", "average the file to hours")
     found = split_rows(path, numbered(lines[header:], header + 1))
     if found and len(found[0][1]) < 16:
         cells = f"line {found[0][0]}: {len(found[0][1])} cells"

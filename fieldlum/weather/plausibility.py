@@ -230,14 +230,12 @@ def _check_labels(path: Path, weather: Weather, station: _Sun, place: Site) -> s
 def _check_summer_time(path: Path, weather: Weather, light: Floats, station: _Sun) -> None:
     """Raise InputError if only shifts an hour apart explain sunrise and sunset of the seasons."""
     months = np.array([t.month for t in weather.t_utc])
-    against, best = [], []
-    for season in _SEASONS:
-        rows = np.isin(months, season)
-        counts = {m: _against(light, station, m, rows) for m in range(-180, 181, 15)}
-        fewest = min(counts.values())
-        middle = float(np.median([m for m, count in counts.items() if count == fewest]))
-        against.append(counts)
-        best.append(15 * round(middle / 15))
+    against = [
+        {m: _against(light, station, m, np.isin(months, season)) for m in range(-180, 181, 15)}
+        for season in _SEASONS
+    ]
+    middles = (np.median([m for m in c if c[m] == min(c.values())]) for c in against)
+    best = [15 * round(float(m) / 15) for m in middles]
     exchanged = min(against[0][best[1]], against[1][best[0]])
     own = max(against[0][best[0]], against[1][best[1]])
     if abs(abs(best[0] - best[1]) - 60) <= 15 and exchanged > max(4 * own, MIN_CONTRADICTIONS):

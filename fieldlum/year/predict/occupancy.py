@@ -91,7 +91,9 @@ def read_occupancy(path: Path) -> Occupancy:
 
 def _time(cell: str) -> time:
     """Return a time of day such as 08:00 or 8:00; 24:00 is the end of the day."""
-    return time.max if cell == "24:00" else time.fromisoformat(cell.zfill(5))
+    if not (parts := re.fullmatch(r"(\d?\d)(:\d\d(?::\d\d)?)", cell)):
+        raise ValueError(f"the time '{cell}'")
+    return time.max if cell == "24:00" else time.fromisoformat(parts[1].zfill(2) + parts[2])
 
 
 def _days(text: str) -> Iterator[int]:
