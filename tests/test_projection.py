@@ -166,10 +166,10 @@ def disc_energy(azimuth_deg: float, altitude_deg: float, height: int) -> float:
     rays = lens_rays(moved, at[None, :], at[:, None])
     inside = (rays @ sun >= np.cos(0.004654)).astype(np.float32)
     sensor = inside.reshape(120, sub, 120, sub).mean(axis=(1, 3))
-    r = resampler(Equirect(height), moved, (120, 120))
-    energy = (r.matrices[""] @ sensor.ravel() * r.coverage) @ equirect_solid_angles(
-        height, 2 * height
-    ).ravel()
+    first = max(round((90.0 - altitude_deg) / 180.0 * height) - 8, 0)  # rows around the disc
+    band = Equirect(height, (first, 0, 16, 2 * height))
+    r = resampler(band, moved, (120, 120))
+    energy = (r.matrices[""] @ sensor.ravel() * r.coverage) @ band.solid_angles().ravel()
     return float(energy / (2 * np.pi * (1 - np.cos(0.004654))))
 
 
