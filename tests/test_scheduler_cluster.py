@@ -150,7 +150,6 @@ def test_killed_full_and_other_workers_cost_their_units_alone(
         WorkUnit(name, units.written, folder, {"name": name, "seconds": 0.2}) for name in names
     ]
     running.worker("third")
-    running.worker("fourth")
     outcomes = []
     for outcome in run_units(some, parse_scheduler(str(running.file), notes.append)):
         outcomes.append(outcome)

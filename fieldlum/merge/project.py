@@ -243,29 +243,33 @@ def _project(sensor: SensorImage, r: Resampler) -> tuple[Floats, Floats, NDArray
     rgb, var = [], []
     flags = np.zeros(len(r.coverage), np.uint8)  # those of bad pixels may count, which is harmless
     for matrix in (r.matrices[colour] for colour in ("RGB" if width == 1 else ("",))):
-        data, where = matrix.data, (matrix.indices, matrix.indptr)
-        share: Floats | float = 1.0
+        weights, share = sparse.csr_array(matrix), np.float32(1.0)
+        row = np.repeat(np.arange(len(flags)), np.diff(matrix.indptr))
         if sensor.good is not None:  # scale the weights of each row without its bad pixels to 1
-            data = data * sensor.good.ravel()[matrix.indices]
-            share = np.maximum(_row_sums(matrix, data), 1e-6).astype(np.float32)[:, None]
+            good = sensor.good.ravel()[matrix.indices]
+            lost = _row_sums(matrix.data, row, ~good, len(flags))
+            share = np.maximum(1.0 - lost, 1e-6).astype(np.float32)[:, None]
             # a pixel without a good sensor pixel of some colour has no value
             flags[(share[:, 0] < 0.05) & (r.coverage > 0)] |= np.uint8(Flag.FILLED)
-        rgb.append(sparse.csr_array((data, *where), matrix.shape) @ value / share)
-        var.append(sparse.csr_array((data**2, *where), matrix.shape) @ variance / share**2)
-        raised = of_sensor[matrix.indices, 0]
+            weights.data = matrix.data * good
+        rgb.append(weights @ value / share)
+        weights.data = weights.data**2
+        var.append(weights @ variance / share**2)
+        raised = np.asarray(of_sensor[:, 0][matrix.indices], np.uint8)
         for colour in range(1, width):
             raised |= of_sensor[matrix.indices, colour]
         present = int(np.bitwise_or.reduce(raised, initial=0))
         for flag, minimum in _SHARE.items():
             if present & flag:
-                marked = _row_sums(matrix, matrix.data * ((raised & flag) > 0))
+                marked = _row_sums(matrix.data, row, raised & np.uint8(flag), len(flags))
                 flags[marked > minimum] |= np.uint8(flag)
     return np.hstack(rgb).astype(np.float64), np.hstack(var).astype(np.float64), flags
 
 
-def _row_sums(matrix: Any, data: Floats) -> Floats:
-    """Return the sum over each row of a sparse matrix, with `data` for its entries."""
-    return np.diff(np.concatenate(([0.0], np.cumsum(data, dtype=np.float64)))[matrix.indptr])
+def _row_sums(data: Floats32, row: Indices, chosen: NDArray[Any], rows: int) -> Floats:
+    """Return the sum over each row of a sparse matrix of its chosen entries; row: of each entry."""
+    at = np.flatnonzero(chosen)
+    return np.asarray(np.bincount(row[at], data[at], rows), np.float64)
 
 
 def view_through(

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fieldlum.core.arrays import Floats
-from fieldlum.core.statistics import MAD_TO_SIGMA, robust_sigma
+from fieldlum.core.statistics import MAD_TO_SIGMA, median, robust_sigma
 from fieldlum.merge.estimator import Rows
 from fieldlum.merge.frames import RawSignal, Signal, scaled
 from fieldlum.merge.shots import Shot, exposure_covariance, times_by_law
@@ -70,11 +70,11 @@ def pair_ratio(
     predicted = y_long * assumed_ratio
     r = y_short / predicted
     weight = 1.0 / (short_variance / predicted**2 + long_variance / y_long**2 + 1e-6)
-    root, centre, before, robust = np.sqrt(weight), float(np.median(r)), np.inf, weight
+    root, centre, before, robust = np.sqrt(weight), median(r), np.inf, weight
     spread = 1.0
     for _ in range(8):
         pull = np.abs(r - centre) * root
-        spread = max(1.0, MAD_TO_SIGMA * float(np.median(pull)))
+        spread = max(1.0, MAD_TO_SIGMA * median(pull))
         robust = weight * np.minimum(1.0, _HUBER_SIGMA * spread / np.maximum(pull, 1e-12))
         before, centre = centre, float((robust * r).sum() / robust.sum())
         if abs(centre - before) < 1e-7 * centre:  # a millionth of what a frame's ratio can show
@@ -111,10 +111,10 @@ def take_samples(frames: Sequence[Signal]) -> list[Rows]:
 
 
 def _exposed(rows: Rows, light: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return counts per cd/m2, weight and signal-to-noise ratio of a luminance in a frame."""
+    """Return counts per cd/m2, weight and signal-to-noise ratio of a luminance in a frame, [n]."""
     per = np.broadcast_to(rows.signal.per_cdm2, light.shape)
     weight = rows.signal.weight(light)
-    return per, weight, light * np.sqrt(weight * per)
+    return per.ravel(), weight.ravel(), (light * np.sqrt(weight * per)).ravel()
 
 
 def compare(long: Rows, shorts: Mapping[int, Rows], i: int = 0) -> list[PairRatio]:
@@ -125,20 +125,20 @@ def compare(long: Rows, shorts: Mapping[int, Rows], i: int = 0) -> list[PairRati
     """
     assert long.full is not None  # samples state it
     light = np.maximum(long.counts / long.signal.per_cdm2, 0.0).astype(np.float32)
-    of_long = long.counts, *_exposed(long, light)
-    bright = (of_long[-1] > 30.0) & ~long.full
+    of_long = long.counts.ravel(), *_exposed(long, light)
+    bright = (of_long[-1] > 30.0) & ~long.full.ravel()
     found = []
     for j, short in shorts.items():
         assert short.full is not None
-        of_short = short.counts, *_exposed(short, light)
-        well_exposed = bright & ~short.full
-        usable = well_exposed
+        of_short = short.counts.ravel(), *_exposed(short, light)
+        well_exposed = bright & ~short.full.ravel()
+        at = np.flatnonzero(well_exposed)
         for minimum in _SNR_SHORT if isinstance(long.signal, RawSignal) else _SNR_SHORT[-1:]:
-            usable = well_exposed & (of_short[-1] > minimum)
-            if usable.sum() >= _ENOUGH:
+            at = np.flatnonzero(well_exposed & (of_short[-1] > minimum))
+            if len(at) >= _ENOUGH:
                 break
-        y, e, w = (v[usable] for v in of_long[:3])
-        y_short, e_short, w_short = (v[usable] for v in of_short[:3])
+        y, e, w = (v[at] for v in of_long[:3])
+        y_short, e_short, w_short = (v[at] for v in of_short[:3])
         values = y, y_short, e / w, e_short / w_short, e_short / e
         found.append(pair_ratio(*(v.astype(np.float64) for v in values), frames=(i, j)))
     return [pair for pair in found if pair is not None]

@@ -14,7 +14,7 @@ from scipy.optimize import nnls
 
 from fieldlum.core.arrays import Floats, Floats32, Indices, Mask
 from fieldlum.core.records import Flag
-from fieldlum.core.statistics import robust_sigma
+from fieldlum.core.statistics import median, robust_sigma
 from fieldlum.merge.estimator import Merged, Rows, merge_signals
 from fieldlum.merge.frames import Crop, RawSignal, Saturation, Signal, lens_crop, read_frames
 from fieldlum.merge.ratios import Exposures, RatioCurve, compare, exposures_of, take_samples
@@ -100,8 +100,8 @@ def _steps(long: Rows, short: Rows, correction: float) -> list[tuple[float, floa
     steps = np.array_split(np.argsort(y_long), int(np.clip(len(at) // 200, 1, 12)))
     return [
         (
-            float(np.median(shot[step])),
-            float(np.median(read[step])),
+            median(shot[step]),
+            median(read[step]),
             max(robust_sigma(off[step]) ** 2 - rounded_dn2, rounded_dn2),
         )
         for step in steps
