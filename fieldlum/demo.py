@@ -6,8 +6,6 @@ read the same files as those of real devices. Merged, paired and predicted resul
 with the rendered truth.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager

@@ -4,8 +4,6 @@ Functions take paths as text or `Path`. The command line and this module call th
 `docs/python.md` shows both in use.
 """
 
-from __future__ import annotations
-
 from fieldlum.api.files import evaluate_glare as evaluate_glare
 from fieldlum.api.files import load_camera_profile as load_camera_profile
 from fieldlum.api.files import load_site as load_site

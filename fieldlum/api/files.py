@@ -1,7 +1,5 @@
 """Files, plans, merged brackets and glare of the Python API."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from datetime import UTC, date, datetime

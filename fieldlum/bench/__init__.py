@@ -1,7 +1,5 @@
 """Benchmark models on any pairs: speed, accuracy, disturbances."""
 
-from __future__ import annotations
-
 import os
 import platform
 from collections.abc import Callable, Mapping, Sequence

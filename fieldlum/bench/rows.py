@@ -1,7 +1,5 @@
 """Read the pairs of a benchmark; compute the rows of its score table."""
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Sequence

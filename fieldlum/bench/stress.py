@@ -10,8 +10,6 @@ as unflagged if the training did not warn, the hour is trusted, and less than a 
 was expected.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from datetime import timedelta

@@ -4,8 +4,6 @@ The fit starts from the profile's coefficients or the frames' colour matrix, and
 as the readings support it.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from contextlib import suppress

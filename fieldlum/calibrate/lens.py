@@ -1,7 +1,5 @@
 """Fit a lens's mapping and pose to targets or chessboards, and find its image circle."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -3,8 +3,6 @@
 The chosen model is the smallest within one standard error of the best; gross errors are left out.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress

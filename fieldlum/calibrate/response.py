@@ -1,7 +1,5 @@
 """Fit the response of a JPEG camera: from codes to linear light, for known exposures."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise

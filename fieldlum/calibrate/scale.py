@@ -1,7 +1,5 @@
 """Fit the absolute factor k to spot luminances and illuminances, with its uncertainty."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import NamedTuple

@@ -10,8 +10,6 @@ pixels would do so by chance, there is no result. A dead pixel is dark like the 
 averages it with its neighbours.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple

@@ -7,8 +7,6 @@ many brackets removes these changes, and a line over the seconds of each bracket
 Pictures determine only ratios: the mean level stays that of the times that the merge assumed.
 """
 
-from __future__ import annotations
-
 import math
 from collections import defaultdict
 from collections.abc import Container, Sequence

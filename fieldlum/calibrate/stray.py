@@ -5,8 +5,6 @@ is stray light. The same is true for any dark place in a dark room with one lamp
 trap or the lamp at many angles give the kernel of `optics.stray_light` by least squares.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

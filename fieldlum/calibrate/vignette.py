@@ -3,8 +3,6 @@
 Its order is the smallest that the readings support.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -4,8 +4,6 @@ The capture passes on its journal events and, about once a second, its state. Ea
 message. A fault of the same kind causes another message only after it was over, or after six hours.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress

@@ -4,8 +4,6 @@ A reserve file is deleted when the disk is full, to gain its space. What cannot 
 memory.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 import threading

@@ -1,7 +1,5 @@
 """Check, before a campaign, what could ruin a month of captures; each finding is one line."""
 
-from __future__ import annotations
-
 import shutil
 import sys
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence

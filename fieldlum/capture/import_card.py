@@ -1,7 +1,5 @@
 """Copy a card's frames and a logger's file into the session (`fieldlum import`)."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from collections import Counter

@@ -1,7 +1,5 @@
 """Log irradiance: one row for each poll that the instrument answers."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable
 from contextlib import closing, suppress

@@ -3,8 +3,6 @@
 A repeated import with another clock or other columns replaces the earlier rows.
 """
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Iterable, Mapping
 from contextlib import closing, suppress

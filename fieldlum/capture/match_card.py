@@ -4,8 +4,6 @@ The offset of the clock from UTC is stated by the user, in EXIF, or fitted to th
 which the clock was set during a campaign are detected too.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Send messages to users and heartbeats to a monitor, in the background."""
 
-from __future__ import annotations
-
 import logging
 import os
 import threading

@@ -1,7 +1,5 @@
 """Open devices when needed, drop failing ones, and reopen them after growing pauses."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable
 from contextlib import suppress

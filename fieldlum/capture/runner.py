@@ -1,7 +1,5 @@
 """The loop of a capture: wait for a slot, take its bracket, continue after every failure."""
 
-from __future__ import annotations
-
 import os
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Report the progress of each stage from the session's files."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Keep UTC correct when the computer's clock is set or the computer sleeps."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime, timedelta
 from pathlib import Path

@@ -4,8 +4,6 @@ It must be readable and have the requested exposure. At most half of the darkest
 clipped.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

@@ -3,8 +3,6 @@
 stdout has the answer; stderr has notes and progress.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 import sys

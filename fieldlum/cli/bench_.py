@@ -1,7 +1,5 @@
 """`fieldlum bench`: compare the models' speed and accuracy on any pairs."""
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 from typing import Annotated

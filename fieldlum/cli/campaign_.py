@@ -1,7 +1,5 @@
 """`fieldlum campaign`: one page of all rooms."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """`fieldlum compare`: a simulation of the room and what was measured."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -14,8 +14,6 @@ can be repeated; a function in `Annotated` reads the text. A parameter without a
 option, by its name (`options.SHARED`), or an argument.
 """
 
-from __future__ import annotations
-
 import inspect
 import math
 import re

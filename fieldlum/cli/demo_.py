@@ -1,7 +1,5 @@
 """`fieldlum demo`: all stages on simulated captures."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path

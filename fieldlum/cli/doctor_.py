@@ -1,7 +1,5 @@
 """`fieldlum doctor`: check devices, clock, disk and plan before a campaign."""
 
-from __future__ import annotations
-
 import sys
 from contextlib import suppress
 from datetime import UTC, datetime

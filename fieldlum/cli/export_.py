@@ -1,7 +1,5 @@
 """`fieldlum export`: what was measured, in the files of other programs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

@@ -1,7 +1,5 @@
 """`fieldlum info`: describe any file of fieldlum."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

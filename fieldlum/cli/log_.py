@@ -1,7 +1,5 @@
 """`fieldlum log`: log irradiance without a camera."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from typing import Annotated
 

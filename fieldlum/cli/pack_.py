@@ -1,7 +1,5 @@
 """`fieldlum pack`: a session as an archive for publication."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Annotated

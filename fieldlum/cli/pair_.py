@@ -1,7 +1,5 @@
 """`fieldlum pair`: match panoramas with irradiance, sun and sun patches."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 import click

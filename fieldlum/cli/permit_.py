@@ -1,7 +1,5 @@
 """`fieldlum permit`: permit a room file that runs commands, or a link in a session."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

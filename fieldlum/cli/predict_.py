@@ -1,7 +1,5 @@
 """`fieldlum predict`: run a weather year through a trained model."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """`fieldlum report`: write one self-contained page of a session."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Literal
 

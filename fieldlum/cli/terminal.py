@@ -1,7 +1,5 @@
 """Print JSON on stdout, notes and progress on stderr; keep long commands running."""
 
-from __future__ import annotations
-
 import json
 import math
 import signal

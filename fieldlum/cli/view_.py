@@ -1,7 +1,5 @@
 """`fieldlum view`: show luminance pictures."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Any
 

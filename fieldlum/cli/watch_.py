@@ -1,7 +1,5 @@
 """`fieldlum watch`: show a session as a live page in the browser."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Short names of array types (docstrings have shapes and units), and evenly spread indices."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -4,8 +4,6 @@ The first call compiles for some seconds; the result is stored next to the modul
 cache folder.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 

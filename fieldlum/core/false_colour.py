@@ -1,7 +1,5 @@
 """False colour of luminance: one colour map, scale and encoding for every picture."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from functools import lru_cache
 

@@ -1,7 +1,5 @@
 """Colours and matplotlib settings of charts: no pyplot, no global state."""
 
-from __future__ import annotations
-
 from contextlib import AbstractContextManager
 from typing import Any
 

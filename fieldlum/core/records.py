@@ -1,7 +1,5 @@
 """Define the values that stages exchange: frozen, with units in their names and times in UTC."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, field
 from datetime import UTC, datetime

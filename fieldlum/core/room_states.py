@@ -4,8 +4,6 @@ A state is text such as ``lamp=on;blind=half``; an empty text is the usual room 
 up, no snow). Lamps add light; the other words change the room's response to daylight.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from fieldlum.core.arrays import Floats

@@ -5,8 +5,6 @@ the option `--scheduler`. Units run by executors of `concurrent.futures`: a pool
 that of a Dask client. Only `_on_cluster` imports dask.
 """
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import ipaddress

@@ -1,7 +1,5 @@
 """Compute robust spreads, standard errors and the one-standard-error rule, for all stages."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -3,8 +3,6 @@
 Every csv reader uses this module, so that the same damage has the same answer everywhere.
 """
 
-from __future__ import annotations
-
 import codecs
 import csv
 import math

@@ -3,8 +3,6 @@
 An unknown key of a TOML table, a wrong type or a missing value is an error.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import tomllib

@@ -15,8 +15,6 @@ An option that a driver does not have raises a DeviceError with its name. No dri
 instrument's calibration or writes its registers.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import re

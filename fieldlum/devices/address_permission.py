@@ -4,8 +4,6 @@ An address in session.toml may come from another person. One that names a progra
 or another computer is used only after the user of this computer named it on the command line.
 """
 
-from __future__ import annotations
-
 import re
 import shlex
 import shutil

@@ -6,8 +6,6 @@ usb=VID:PID:SERIAL. A profile describes the lines: `regex` with named groups, `k
 DeviceError, and none of its numbers is used. Nothing is ever sent to such an instrument.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import time

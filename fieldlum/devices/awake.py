@@ -1,7 +1,5 @@
 """Keep this computer awake while a capture runs, by a lock of systemd-logind."""
 
-from __future__ import annotations
-
 import select
 import subprocess
 from collections.abc import Iterator

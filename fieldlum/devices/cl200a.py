@@ -6,8 +6,6 @@ of all bytes after STX up to and including ETX, as two hexadecimal digits. None 
 are sent changes the calibration.
 """
 
-from __future__ import annotations
-
 import re
 from abc import abstractmethod
 from collections.abc import Callable

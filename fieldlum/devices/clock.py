@@ -1,7 +1,5 @@
 """Provide clocks: the computer's, and a simulated one that can be stepped and suspended."""
 
-from __future__ import annotations
-
 import ctypes
 import ctypes.util
 import sys

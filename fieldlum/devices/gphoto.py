@@ -4,8 +4,6 @@ The option ``?delete=1`` deletes each picture from the card after it was copied.
 a child process, which is killed if it hangs; after a hang or a crash the camera is opened again.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 import re
 import signal

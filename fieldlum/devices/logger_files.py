@@ -5,8 +5,6 @@ quoted time WITHOUT a time zone, a record number and numbers; "NAN" is a missing
 must state the logger's UTC offset. Source: help.campbellsci.com, TOA5.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence

@@ -7,8 +7,6 @@ another profile), unit, dhi_unit and dni_unit (more instruments of the same kind
 parity, stop, timeout. Only functions 3 and 4 are sent: no register is ever written.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 import struct

@@ -4,8 +4,6 @@ Each frame of the folder is returned once, in the order of the camera's clock, f
 exposure that it matches.
 """
 
-from __future__ import annotations
-
 import shutil
 from contextlib import suppress
 from dataclasses import replace

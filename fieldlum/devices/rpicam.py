@@ -8,8 +8,6 @@ because the sensor exposes for an integer number of lines: 60 us gives 114 us on
 Source: rpicam-apps (options, the metadata's keys, the list of cameras). Untested on hardware.
 """
 
-from __future__ import annotations
-
 import errno
 import math
 import os

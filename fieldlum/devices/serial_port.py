@@ -1,7 +1,5 @@
 """Open serial ports; errors of a port become DeviceErrors with its name."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress

@@ -5,8 +5,6 @@ in CR only. Only R, S and I may be sent: T starts a test mode in which commands 
 calibration permanently.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from datetime import datetime

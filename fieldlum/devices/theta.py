@@ -4,8 +4,6 @@ The option ``?delete=1`` deletes pictures after they were copied. Source: Ricoh'
 v2.1. If the file format is raw+ (Z1), the DNG of a single picture is copied, else the JPEG.
 """
 
-from __future__ import annotations
-
 import urllib.error
 import urllib.request
 from collections.abc import Mapping

@@ -5,8 +5,6 @@ A model is a module with ``fit(data, *, patch, seed, budget_s) -> Fitted`` and
 to add one; command line, `auto`, `bench`, `predict` and `report` follow from its entry here.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

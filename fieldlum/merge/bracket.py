@@ -1,7 +1,5 @@
 """Merge one bracket, of one or several headings, from its frames to a map."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime

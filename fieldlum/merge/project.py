@@ -1,7 +1,5 @@
 """Project merged sensors onto one map: resampling, vignetting, colour, blending, uncertainty."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime

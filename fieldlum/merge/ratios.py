@@ -6,8 +6,6 @@ the selection. Weighted least squares with priors then give one correction for e
 determine only ratios; the priors determine the common level.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Merge the frames of one heading on the sensor, step by step: noise, bad pixels, filters."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise

@@ -8,8 +8,6 @@ against each other: the unknowns are the three angles of the turn, and the lens'
 points to directions. Robust weights reduce the effect of motion.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Decide which frames belong to a bracket, and which exposure each frame really had."""
 
-from __future__ import annotations
-
 import filecmp
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace

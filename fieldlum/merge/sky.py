@@ -8,8 +8,6 @@ that are as bright as a sky are resampled from the same merged sensor as the pan
 NaN.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from datetime import datetime

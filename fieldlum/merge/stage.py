@@ -1,7 +1,5 @@
 """Merge every captured slot of a session to panoramas/<slot>.exr (`fieldlum merge SESSION`)."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace

@@ -5,8 +5,6 @@ in all of them: which frames belong to a profile, black level and saturation, ga
 time with its uncertainty, filters, vignetting, response, and the lens on a part of the sensor.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -5,8 +5,6 @@ Sensors 23:5000, 2023). The spectrum of an LED does not follow from its colour, 
 of warm light is larger. bench/melanopic.py computes the constants and compares them with cameras.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 

@@ -11,8 +11,6 @@ bracket, MercuryYen/HDR-Imaging data/101; Ricoh states the same for the Theta). 
 to 6.7 %.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Camera profiles: calibration/NAME.toml, everything between sensor counts and cd/m2."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise

@@ -7,8 +7,6 @@ mirrored at the axis) do not depend only on the angle: they remain, and the kern
 measured on held-out readings, must cover them.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from fieldlum.core.arrays import Floats

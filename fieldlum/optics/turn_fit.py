@@ -4,8 +4,6 @@ Both kinds of turn use it: within a bracket (`merge.shift`) and between captures
 (`learn.models.camera_turns`). They differ in what they compare, and in what else may change.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@
 lens, `sky_view` where the camera sees the sky; this file runs the stage and traces the sun patches.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta

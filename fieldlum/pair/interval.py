@@ -1,7 +1,5 @@
 """Compute the irradiance during a bracket, and whether the bracket may be used."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from datetime import datetime
 

@@ -1,7 +1,5 @@
 """Choose the sun's illuminance at the lens: by the picture, a meter, or DNI and the sky view."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Choose hours: spread evenly over suns and skies, or greedily by a kernel's variance."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 The ranking also shows whether more captures pay.
 """
 
-from __future__ import annotations
-
 from datetime import UTC, datetime, timedelta
 from functools import partial
 from zoneinfo import ZoneInfo

@@ -1,7 +1,5 @@
 """Plan make-up slots: repeat a missed hour on a later day with the same path of the sun."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path

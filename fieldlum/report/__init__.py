@@ -3,8 +3,6 @@
 Results that do not exist yet are left out.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from fieldlum.core.errors import NotEnoughDataError

@@ -4,8 +4,6 @@ It certifies nothing. Figures are those of the predicted year; an interval that 
 "cannot tell". Names of columns follow honeybee (GA) and ClimateStudio (sDG).
 """
 
-from __future__ import annotations
-
 import tomllib
 from datetime import UTC, datetime
 from pathlib import Path

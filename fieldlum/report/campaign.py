@@ -3,8 +3,6 @@
 A room that cannot be read is named on the page.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime

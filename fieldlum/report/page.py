@@ -1,7 +1,5 @@
 """Render the report as one self-contained HTML page, and draw its pictures."""
 
-from __future__ import annotations
-
 import base64
 import io
 import json

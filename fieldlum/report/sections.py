@@ -1,7 +1,5 @@
 """The report's sections: where to sit, when glare comes, pictures, EDI, accuracy, captures."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime, timedelta

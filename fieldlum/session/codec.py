@@ -6,8 +6,6 @@ neighbour, NAME.sha256, in the form of `sha256sum`; a file without it is not che
 wrote it, or an earlier version.
 """
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import json
@@ -16,11 +14,11 @@ import warnings
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import fields
 from datetime import UTC, datetime
+from functools import cache
 from io import StringIO
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Self, TypeVar, cast
+from typing import Annotated, Any, ClassVar, Self, TypeVar, get_type_hints
 
 import msgspec
 import numpy as np
@@ -244,11 +242,11 @@ def read_row(kind: type[T], where: str, cells: Mapping[str, str], remedy: str) -
     """
     with input_errors(where, "", remedy, ValueError):
         values: dict[str, object] = {}
-        for field in fields(cast(Any, kind)):
-            if text := cells.get(field.name, ""):
-                values[field.name] = parse_utc(text) if field.type == "datetime" else text
-                if field.type == "bool":
-                    values[field.name] = _FLAGS.get(text.lower(), text)
+        for name, hint in _hints(kind).items():
+            if text := cells.get(name, ""):
+                values[name] = parse_utc(text) if hint is datetime else text
+                if hint is bool:
+                    values[name] = _FLAGS.get(text.lower(), text)
         row = convert(values, kind)
         for name in values:
             if isinstance(value := getattr(row, name), float) and not math.isfinite(value):
@@ -256,6 +254,7 @@ def read_row(kind: type[T], where: str, cells: Mapping[str, str], remedy: str) -
     return row
 
 
+_hints = cache(get_type_hints)
 _FLAGS = {"yes": True, "1.0": True, "no": False, "0.0": False}  # besides 1, true, 0, false
 
 

@@ -1,7 +1,5 @@
 """Read and write irradiance/2027-03-20.csv: one file for each UTC day, appended row by row."""
 
-from __future__ import annotations
-
 import csv
 import io
 import math

@@ -3,8 +3,6 @@
 Several processes may append: a capture runs while `fieldlum status --mark` marks a slot.
 """
 
-from __future__ import annotations
-
 import os
 import threading
 from collections.abc import Iterator

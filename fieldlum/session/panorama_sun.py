@@ -3,8 +3,6 @@
 Panoramas are not rewritten.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path

@@ -4,8 +4,6 @@ A session is data that anybody may have written. It may name a program, a file, 
 a link only if the user of this computer named it once on the command line.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import platform

@@ -1,7 +1,5 @@
 """plan.csv: the planned slots."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping
 from pathlib import Path

@@ -4,8 +4,6 @@ A session is data that anybody may have written: `../x`, `/etc/x` and symbolic l
 reach files of this computer.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 import shlex

@@ -1,7 +1,5 @@
 """SITE.toml: place, camera and room of a site."""
 
-from __future__ import annotations
-
 import math
 import re
 from functools import cache

@@ -1,7 +1,5 @@
 """Compute the state of each slot from the journal; list slots without a bracket, and make-ups."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime

@@ -1,7 +1,5 @@
 """Write complete files or nothing, and append lines with a CRC, flushed to disk."""
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import json

@@ -3,8 +3,6 @@
 This is true on average under any sky.
 """
 
-from __future__ import annotations
-
 from datetime import UTC, datetime
 
 import numpy as np

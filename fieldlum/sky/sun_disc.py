@@ -5,8 +5,6 @@ illuminance on a plane normal to the sun is comparable. Merge, training data and
 pictures separate map and disc with the functions of this module.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

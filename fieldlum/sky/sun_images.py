@@ -6,8 +6,6 @@ images in one mirror. A lamp stays where it is while the sun moves, and gives an
 time.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@
 with the sun.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from datetime import datetime, timedelta

@@ -4,8 +4,6 @@ Each format states times in its own way: its documentation defines which span or
 Where it leaves a choice, the choice that agrees best with sunrise and sunset is taken and listed.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -6,8 +6,6 @@ The limits are far from what real files show (docs/file-formats.md) and far from
 cause.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from itertools import pairwise

@@ -5,8 +5,6 @@ that a capture on the same computer never waits. Merge and pair write into the
 session; the model and the year are in its folder watch/, separate from the user's own.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

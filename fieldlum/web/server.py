@@ -5,8 +5,6 @@ loopback. So the token is needed on loopback too, and the Host and Origin header
 server. Another site can then not read the pages, even if its name points to 127.0.0.1.
 """
 
-from __future__ import annotations
-
 import asyncio
 import hmac
 import json

@@ -5,8 +5,6 @@ month of files every few seconds, and its memory must not grow. So each line of 
 one state, and a day of irradiance is a fixed number of bins.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import threading

@@ -5,8 +5,6 @@ clock_offset (s, the camera's clock minus the computer's), overhead (s between f
 options: seed, noise (W/m2).
 """
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import numpy as np

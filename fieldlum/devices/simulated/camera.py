@@ -1,7 +1,5 @@
 """Simulate a fisheye camera that photographs a `World` and writes DNG or JPEG files."""
 
-from __future__ import annotations
-
 import zlib
 from dataclasses import replace
 from datetime import timedelta

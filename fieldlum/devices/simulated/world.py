@@ -8,8 +8,6 @@ and ground behind its windows, for rehearsals.
 
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime, timedelta
 from functools import cache, lru_cache

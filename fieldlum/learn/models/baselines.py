@@ -3,8 +3,6 @@
 Models without a variance trust hours whose light is in the `Domain` of the captures.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -8,8 +8,6 @@ weights. Then the captures are turned back and the median is computed again. The
 captures share is zero. Picture files do not change.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -5,8 +5,6 @@ capture with direct sun labels the direction of its image. Other directions foll
 are near and whose pixels have similar luminance in all captures.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

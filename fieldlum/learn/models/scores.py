@@ -9,8 +9,6 @@ levels, with and without the authors' cut at 500. By solid angle: weights with a
 median, 90th percentile and worst image.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace

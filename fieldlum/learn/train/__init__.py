@@ -3,8 +3,6 @@
 `run` is what the `train` command calls; `evaluate_folds` and `fit_timed` serve the benchmarks too.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -7,8 +7,6 @@ day or a part of it, as by a blind, or one capture that is free. Its likelihood 
 single captures deviate, each to its own side; a change makes all of its captures deviate alike.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations

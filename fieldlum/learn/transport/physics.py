@@ -4,8 +4,6 @@ A room file is rough: furniture is missing, reflectances are guesses. Each pixel
 at the level of its captures, is the prior mean of the fit, if held-out days do not contradict it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from functools import cached_property, lru_cache

@@ -1,7 +1,5 @@
 """Read exposure, time and camera of a frame: from its EXIF, and from exposures.csv without it."""
 
-from __future__ import annotations
-
 import mmap
 import re
 import warnings

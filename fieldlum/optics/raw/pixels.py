@@ -1,7 +1,5 @@
 """Read the pixels of frames: raw mosaics through LibRaw, without development, and JPEG codes."""
 
-from __future__ import annotations
-
 import logging
 import mmap
 import os

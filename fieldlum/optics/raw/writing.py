@@ -1,7 +1,5 @@
 """Write plain DNG and JPEG frames with their EXIF, as a camera does."""
 
-from __future__ import annotations
-
 from datetime import datetime
 from fractions import Fraction
 from functools import lru_cache

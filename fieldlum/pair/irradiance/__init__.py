@@ -1,7 +1,5 @@
 """Convert the day files of a session to one quality-checked series, irradiance/clean.csv."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime

@@ -5,8 +5,6 @@ that broken clouds require. Limits of k-indices: Forstinger et al. 2021, Expert 
 solar radiation ground data sets (ISES SWC 2021; IEA PVPS Task 16).
 """
 
-from __future__ import annotations
-
 from datetime import UTC, datetime
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Draw the irradiance of all days as one picture, which shows gaps, shade and a wrong clock."""
 
-from __future__ import annotations
-
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any

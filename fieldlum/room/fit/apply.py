@@ -1,7 +1,5 @@
 """Apply a fitted scene to captures: north, clock, room and sun patches."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path

@@ -4,8 +4,6 @@ Windows at other places in the pictures than in the room are an error. A compass
 backwards is noted. Captures of another view are left out when they are read (`learn.models`).
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.optimize import nnls
 

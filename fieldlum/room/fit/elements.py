@@ -4,8 +4,6 @@ Proposals are a coarse grid of usual sizes; the search moves their faces, and ke
 if hours that it did not see agree.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import product

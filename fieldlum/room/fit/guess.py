@@ -4,8 +4,6 @@ Room axes: x to the right of the "south" wall as seen from outside, y away from 
 in `fieldlum.core.records.Room`. Lengths are in m, angles in degrees, the clock in minutes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache

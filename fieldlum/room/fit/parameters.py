@@ -1,7 +1,5 @@
 """Define the numbers of a scene that a search changes, with their steps and priors."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any

@@ -1,7 +1,5 @@
 """Estimate the camera's pose and clock from sun discs in panoramas, before sun patches are used."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -6,8 +6,6 @@ camera ends on the shell of the room or on a solid; from there the sun is seen i
 it passes the inner and the outer rectangle of a window, misses its bars and misses all solids.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 

@@ -1,7 +1,5 @@
 """Write and read scene.toml: the result of a fit, and the chosen geometry."""
 
-from __future__ import annotations
-
 import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path

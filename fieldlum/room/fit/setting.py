@@ -5,8 +5,6 @@ have large errors, but do not show the cause. Here the numbers of the stated roo
 a scene fit, on the same evidence and cost; a number is wrong if its correction is far from zero.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from math import ceil
 from typing import cast

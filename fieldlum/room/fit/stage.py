@@ -1,7 +1,5 @@
 """Run a scene fit from captures to scene.toml and pictures (`fieldlum scene fit`)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -3,8 +3,6 @@
 As no search used the captures, all hours with direct sun judge the box.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Find the captures with direct sun on a window, from which a scene can be fitted and judged."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from fieldlum.core.arrays import Floats, Mask

@@ -1,7 +1,5 @@
 """Compare a guess with the picture of the windows: bright panes against dark walls show edges."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -6,8 +6,6 @@ the pixels of the clicks give it. Which corner a click means follows from its di
 window 1 becomes the room's "south" wall.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -3,8 +3,6 @@
 x is to the right and y away from the "south" wall, as seen from inside facing "north"; z is up.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache

@@ -1,7 +1,5 @@
 """Write box rooms as honeybee models (HBJSON)."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from itertools import product
 from typing import Any

@@ -3,8 +3,6 @@
 The primary rays are traced once; each hour only needs shadow rays.
 """
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 

@@ -1,7 +1,5 @@
 """Write box rooms as Radiance text, and trace rooms of .rad or .oct files by rtrace."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager

@@ -6,8 +6,6 @@ same columns: 2305 Reinhart patches of the sky, the open plain below the horizon
 Interreflection follows from the coefficients of the pieces by a fixed point.
 """
 
-from __future__ import annotations
-
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass

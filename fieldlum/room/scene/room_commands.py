@@ -4,8 +4,6 @@ Radiance runs every line of a scene that begins with an exclamation mark, and th
 and octrees that it names (readobj.c, readoct.c).
 """
 
-from __future__ import annotations
-
 import re
 import shlex
 from pathlib import Path

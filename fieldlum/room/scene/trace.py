@@ -4,8 +4,6 @@ A point inside the panes sees the sun through an opening, past bars and boxes; a
 it past the building. Lengths are in m, in room axes.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 

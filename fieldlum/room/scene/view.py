@@ -1,7 +1,5 @@
 """Trace what each panorama pixel of a box room shows: surfaces, sky through glass, reflections."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple

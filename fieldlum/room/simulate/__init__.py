@@ -5,8 +5,6 @@ truth/irradiance.csv. truth/pairs.csv lists the same panoramas, so that `train` 
 the truth itself; pairs.csv does the same until `pair` writes the pairs of the captures.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

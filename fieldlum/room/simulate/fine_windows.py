@@ -4,8 +4,6 @@ What each direction meets first is traced at full size: sky, glass, frames, sunl
 that surfaces receive from the sky or after bounces is that of the nearest points of the panorama.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any

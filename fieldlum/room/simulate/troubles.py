@@ -5,8 +5,6 @@ readings (truth/irradiance.csv, pairs.csv). The stated session is unchanged: the
 times of the slots and the sun patches computed from them.
 """
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace

@@ -1,7 +1,5 @@
 """raw/SLOT/capture.json: the frames of one bracket, and the time of each."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime, timedelta

@@ -1,7 +1,5 @@
 """annual/NAME/predict.json: how a year was predicted, and its glare classes."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

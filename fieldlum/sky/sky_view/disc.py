@@ -4,8 +4,6 @@ The camera has looked through the window at the place of the eye. A stated room 
 directions that no lens saw, and by models without a sky view.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Read the centres of the sun's disc that merge measured in a session's captures."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path

@@ -4,8 +4,6 @@
 cut from the panorama, at the panorama's own size.
 """
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from pathlib import Path
 

@@ -10,8 +10,6 @@ A pixel at an edge, between slats or leaves is a sum of the sky's light and of a
 looks as the nearest opaque pixel does in the same hour.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

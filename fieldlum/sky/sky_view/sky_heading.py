@@ -6,8 +6,6 @@ weaker gradation and a slope in altitude shows how far the sky is turned. Clouds
 but differ from hour to hour.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from fieldlum.core.arrays import Floats, Floats32

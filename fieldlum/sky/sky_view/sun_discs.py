@@ -6,8 +6,6 @@ level and north. One of the two must be known from elsewhere: the clock by NTP o
 by a good spirit level.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

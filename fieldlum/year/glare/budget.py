@@ -5,8 +5,6 @@ remains of each pixel's u is independent of the other pixels. A year's figure sh
 scale over all its hours.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

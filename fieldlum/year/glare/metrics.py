@@ -11,8 +11,6 @@ OpenCV's bilinear resize; eight neighbours weighted 1 and 1/sqrt(2) over 4 + 2 s
 pixels count as no contrast; no solid angles; no wrap at the seam.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import product

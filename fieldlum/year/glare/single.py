@@ -1,7 +1,5 @@
 """Compute the glare of one picture, as plain values for a terminal, a pipe or Python."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import partial

@@ -8,8 +8,6 @@ definition of the search angle, -Y 50000). An additive sum over pixels, which ne
 higher for windows with bright and dark panes (docs/validation.md, "Glare").
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple

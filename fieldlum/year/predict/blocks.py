@@ -3,8 +3,6 @@
 With --maps they are stored in one Zarr v3 store; each unit of work writes one shard.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections.abc import Iterator, Sequence

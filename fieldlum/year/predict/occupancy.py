@@ -1,7 +1,5 @@
 """Define when the room is used: by EN 17037's default, or by a small csv."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Run `predict`: from a model and weather to a year of figures."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
