@@ -127,11 +127,11 @@ def _part(fit: Callable[..., FittedPart]) -> click.Command:
     signature = inspect.signature(fit)
     own = list(signature.parameters.values())[1:]
     fit.__signature__ = signature.replace(parameters=own)  # type: ignore[attr-defined]
-    made = declare(fit, fit.__name__, SHARED)
-    made.callback = partial(_run, fit)
-    made.params += declare(_every, "", SHARED).params
-    command.add_command(made)
-    return made
+    part = declare(fit, fit.__name__, SHARED)
+    part.callback = partial(_run, fit)
+    part.params += declare(_every, "", SHARED).params
+    command.add_command(part)
+    return part
 
 
 def _lens_index(profile: CameraProfile, lens_number: int) -> int:

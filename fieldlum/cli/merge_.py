@@ -67,9 +67,9 @@ def command(
     if frames:
         assert camera and out is not None
         new_file(out, force)
-        whole = projection == "equirect"
-        size = size or (DEFAULT_SIZE if whole else DEFAULT_FISHEYE_SIZE)
-        options = merge.MergeOptions(picture_height(size, 1 + whole), projection, fit)
+        is_panorama = projection == "equirect"
+        size = size or (DEFAULT_SIZE if is_panorama else DEFAULT_FISHEYE_SIZE)
+        options = merge.MergeOptions(picture_height(size, 1 + is_panorama), projection, fit)
         files, profile = frame_files(source, *more), load_camera_profile(camera)
         with progress("Merge"):
             result, facts = merge.files_to_picture(

@@ -85,10 +85,10 @@ def command_of(
     """Return a decorator that makes a command of a function, as `declared` describes."""
 
     def decorate(function: Callable[..., Any]) -> click.Command:
-        made = declare(function, name, SHARED)
+        created = declare(function, name, SHARED)
         if group is not None:
-            group.add_command(made)
-        return made
+            group.add_command(created)
+        return created
 
     return decorate
 

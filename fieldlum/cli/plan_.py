@@ -103,12 +103,12 @@ def _planned(
     request = plan.Request(set_, plan.today_at(setup.site, datetime.now(UTC)), *dates)
     _permit_room(setup)
     with terminal.progress("choosing hours"):
-        session, made = plan.run(setup, request, out, weather)
-    answer = plan.summary(session, made)
-    terminal.notes(made.warnings)
+        session, planned = plan.run(setup, request, out, weather)
+    answer = plan.summary(session, planned)
+    terminal.notes(planned.warnings)
     sentences = plan.sentences(answer)
     plan.write_calendar(session, datetime.now(UTC))
-    plan.write_sheets(session, weather, [*sentences[1:], *made.warnings])
+    plan.write_sheets(session, weather, [*sentences[1:], *planned.warnings])
     return answer, [*sentences, f"next: fieldlum doctor {out}"]
 
 

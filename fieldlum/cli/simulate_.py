@@ -87,14 +87,14 @@ def command(
     render = partial(simulate.run, session, weather, height=height, quality=chosen, force=force)
     with terminal.progress("simulating"):
         render = partial(render, troubles=troubles, coloured=colour)
-        made = render(scheduler=scheduler_of(scheduler_text))
-    answer = {"session": str(session.root), "rendered": made.rendered, "kept": made.kept}
-    answer |= {"dark": made.dark, "weather": made.weather, "size": size, "quality": chosen}
-    dark = f", {made.dark} slots without light" if made.dark else ""
-    hours = f"{made.rendered} hours rendered, {made.kept} unchanged{dark}"
+        result = render(scheduler=scheduler_of(scheduler_text))
+    answer = {"session": str(session.root), "rendered": result.rendered, "kept": result.kept}
+    answer |= {"dark": result.dark, "weather": result.weather, "size": size, "quality": chosen}
+    dark = f", {result.dark} slots without light" if result.dark else ""
+    hours = f"{result.rendered} hours rendered, {result.kept} unchanged{dark}"
     devices = "--camera sim:office --pyranometer sim:office --clock fast"
     lines = [
-        f"{session.root}: {hours}; weather: {made.weather}",
+        f"{session.root}: {hours}; weather: {result.weather}",
         f"train on the truth:    fieldlum train {session.root}",
         f"or photograph it:      fieldlum capture {session.root} {devices}",
     ]

@@ -384,9 +384,9 @@ def _on_cluster(units: list[WorkUnit], scheduler: Scheduler) -> Iterator[UnitOut
                     submit(unit)
                 else:
                     yield _given_up(unit, f"worker {worker}: {trouble}" if worker else trouble)
-            there = set() if ended else client.nthreads().keys()
+            present = set() if ended else client.nthreads().keys()
             for future, (_, places) in running.items():
-                if places and not ended and not places & there:  # else it would wait for ever
+                if places and not ended and not places & present:  # else it would wait for ever
                     future.cancel()
 
 

@@ -115,8 +115,8 @@ class GphotoCamera(Camera):
         """Return the camera's own text of each setting, by widget."""
         e = exposure
         wanted = {"aperture": e.f_number, "iso": e.iso, "shutter": e.shutter_s}
-        there = {role: self._settings[role] for role in wanted if role in self._settings}
-        return {name: choose(role, wanted[role], of) for role, (name, of) in there.items()}
+        settable = {role: self._settings[role] for role in wanted if role in self._settings}
+        return {name: choose(role, wanted[role], of) for role, (name, of) in settable.items()}
 
     def close(self) -> None:
         """End the child process, which releases the camera."""

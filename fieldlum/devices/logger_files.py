@@ -109,9 +109,9 @@ def read_logger_file(
     else:
         text = strict_csv.read_text(path, "a logger's file in csv or TOA5")
         if text.startswith(",".join(DAY_COLUMNS)):
-            samples, broken = read_day(path)
-            lost = (f"{broken} broken rows",) if broken else ()
-            logger_file = LoggerFile(tuple(samples), lost)
+            samples, damaged = read_day(path)
+            left_out = (f"{damaged} broken rows",) if damaged else ()
+            logger_file = LoggerFile(tuple(samples), left_out)
         else:
             logger_file = parse_table(path, text, *request)
     _check_readable(path, logger_file)
@@ -126,14 +126,14 @@ def read_logger_file(
 
 def _check_readable(path: Path, logger_file: LoggerFile) -> None:
     """Raise InputError for decimal commas, and for fewer readable than damaged rows."""
-    count, lost = len(logger_file.samples), logger_file.left_out
-    commas = [text for text in lost if COMMAS in text or _COMMA.search(text)]
+    count, left_out = len(logger_file.samples), logger_file.left_out
+    commas = [text for text in left_out if COMMAS in text or _COMMA.search(text)]
     if len(commas) > 1:
-        found = f"{len(commas)} of {count + len(lost)} rows have decimal commas: {commas[0]}"
+        found = f"{len(commas)} of {count + len(left_out)} rows have decimal commas: {commas[0]}"
         raise InputError(path, found, "numbers with a decimal point", _SAVE_AGAIN)
-    if len(lost) > count or not count:
-        first = lost[0] if lost else "it has no rows"
-        found = f"{len(lost)} rows cannot be read, {count} can: {first}"
+    if len(left_out) > count or not count:
+        first = left_out[0] if left_out else "it has no rows"
+        found = f"{len(left_out)} rows cannot be read, {count} can: {first}"
         found = found if count else f"no row could be read: {first}"
         raise InputError(path, found, "rows of irradiance", "compare a row with docs/devices.md")
 
@@ -241,7 +241,7 @@ def _read(
     clock = _Clock(path, table, utc_offset)
     samples: list[IrradianceSample] = []
     right: list[list[str]] = []
-    broken: list[str] = []
+    damaged: list[str] = []
     for number, line in table.lines:
         try:
             row = split_row(line, padded=not table.is_logger)
@@ -254,10 +254,10 @@ def _read(
             samples.append(sample_of(clock.utc(row), values, raw))
             right.append(row)
         except (ValueError, OverflowError) as error:
-            broken.append(f"line {number}: {error}")
+            damaged.append(f"line {number}: {error}")
     if clock.is_utc and utc_offset is not None:
         notes.append(f"times of {clock.name} are UTC: no offset moves them")
-    return LoggerFile(tuple(samples), (*broken, *table.cut), tuple(notes))
+    return LoggerFile(tuple(samples), (*damaged, *table.cut), tuple(notes))
 
 
 def _columns(path: Path, table: _Table, asked: Mapping[str, str]) -> dict[str, int]:
@@ -267,8 +267,8 @@ def _columns(path: Path, table: _Table, asked: Mapping[str, str]) -> dict[str, i
     """
     names, at = [name.lower() for name in table.names], dict[str, int]()
     all_names = ", ".join(table.names)[:120]
-    if lost := [name for name in asked.values() if name.lower() not in names]:
-        found, remedy = f"no column {', '.join(lost)}", "correct the name after --column"
+    if missing := [name for name in asked.values() if name.lower() not in names]:
+        found, remedy = f"no column {', '.join(missing)}", "correct the name after --column"
         raise InputError(path, found, f"one of {all_names}", remedy)
     taken = {name.lower() for name in asked.values()}
     free = [(i, text) for i, text in enumerate(table.usual()) if names[i] not in taken]
@@ -303,9 +303,9 @@ def _factors(
     factor: dict[str, float] = {}
     notes: list[str] = []
     names, units = table.names, table.units
-    if lost := [q for q in sensitivities if q not in at]:
-        remedy = f"name it: --column {lost[0]}=NAME"
-        raise InputError(path, f"no column for {lost[0]}", "a column", remedy)
+    if missing := [q for q in sensitivities if q not in at]:
+        remedy = f"name it: --column {missing[0]}=NAME"
+        raise InputError(path, f"no column for {missing[0]}", "a column", remedy)
     for quantity, i in at.items():
         unit, volts = units[i], microvolts(units[i])
         sensitivity = sensitivities.get(quantity)

@@ -94,9 +94,9 @@ class RpicamCamera(Camera):
         self._number = int(place or 0)
         cameras = parse_cameras(self._run(["--list-cameras"], START_S))
         if self._number not in cameras:
-            there = ", ".join(f"{n} ({name})" for n, name in cameras.items())
-            there = there or "none: check the ribbon cable, then restart"
-            raise DeviceError(f"rpicam: no camera {self._number}; {PROGRAM} names {there}")
+            listed = ", ".join(f"{n} ({name})" for n, name in cameras.items())
+            listed = listed or "none: check the ribbon cable, then restart"
+            raise DeviceError(f"rpicam: no camera {self._number}; {PROGRAM} names {listed}")
         sensor = cameras[self._number]
         self.info = CameraInfo("rpicam", "Raspberry Pi", sensor, clock_offset_s=0.0)
         self._taken: dict[Path, Exposure] = {}

@@ -68,9 +68,9 @@ def resolve(place: str) -> str:
     from serial.tools.list_ports import comports
 
     wanted = place.removeprefix("usb=").lower()
-    there = [port for port in comports() if port.vid is not None]
-    names = [f"{p.vid:04x}:{p.pid:04x}:{(p.serial_number or '').lower()}" for p in there]
-    for name, port in zip(names, there, strict=True):
+    usb_ports = [port for port in comports() if port.vid is not None]
+    names = [f"{p.vid:04x}:{p.pid:04x}:{(p.serial_number or '').lower()}" for p in usb_ports]
+    for name, port in zip(names, usb_ports, strict=True):
         if f"{name}:".startswith(f"{wanted}:"):
             return port.device
     ports = ", ".join(name.strip(":") for name in names) or "none"

@@ -86,27 +86,27 @@ def _turn(
     """Return the turn between two frames [rad] and its standard error; None for too few points."""
     from scipy.spatial.transform import Rotation
 
-    here_px, there_px = _tracked(long, short)  # [points, 2] each
+    long_px, short_px = _tracked(long, short)  # [points, 2] each
     rays: list[Floats] = [np.empty((2, 0, 3))]
     blocks = [np.empty(0, np.intp)]
     extent = np.array(long.seen.shape[::-1]) * long.step
     for lens in lenses:
         # the edge of a lens's image does not move with the scene
-        radii = [relative_radius(lens, *points.T) for points in (here_px, there_px)]
+        radii = [relative_radius(lens, *points.T) for points in (long_px, short_px)]
         inside = np.max(radii, axis=0) < 0.97
-        rays.append(np.stack([lens_rays(lens, *p[inside].T) for p in (here_px, there_px)]))
-        column, row = (here_px[inside] * _BLOCKS / extent).astype(np.intp).T
+        rays.append(np.stack([lens_rays(lens, *p[inside].T) for p in (long_px, short_px)]))
+        column, row = (long_px[inside] * _BLOCKS / extent).astype(np.intp).T
         blocks.append(row * _BLOCKS + column)
-    (here, there), block = np.concatenate(rays, axis=1), np.concatenate(blocks)
+    (long_rays, short_rays), block = np.concatenate(rays, axis=1), np.concatenate(blocks)
     parts = len(np.unique(block))
     if len(block) < _MIN_POINTS or parts < 5:
         return None
     turn, covariance = Rotation.identity(), np.eye(3)
     for _ in range(3):  # a fit is linear in the turn
-        moved = turn.apply(here)
+        moved = turn.apply(long_rays)
         design = np.asarray(np.cross(np.eye(3), moved[:, None]), np.float64)
         design = design.swapaxes(1, 2).reshape(-1, 3)
-        fit = fit_turn(design, (there - moved).ravel(), np.repeat(block, 3))
+        fit = fit_turn(design, (short_rays - moved).ravel(), np.repeat(block, 3))
         if fit is None:
             return None
         turn, covariance = Rotation.from_rotvec(fit[0]) * turn, fit[1] * parts / (parts - 3)
@@ -130,8 +130,8 @@ def _tracked(long: ReducedFrame, short: ReducedFrame) -> tuple[Floats, Floats]:
     back, returned, _ = track(second, first, end, None, **window)
     apart_px = np.abs(back - start).max(axis=(1, 2))
     good = (found[:, 0] > 0) & (returned[:, 0] > 0) & (apart_px < 0.3)
-    here, there = ((points[good, 0] + 0.5) * long.step for points in (start, end))
-    return here.astype(np.float64), there.astype(np.float64)
+    in_long, in_short = ((points[good, 0] + 0.5) * long.step for points in (start, end))
+    return in_long.astype(np.float64), in_short.astype(np.float64)
 
 
 def _grey(small: ReducedFrame, common: Mask) -> Array:

@@ -93,8 +93,8 @@ def make_plan(setup: SiteFile, request: Request, weather: Weather | None = None)
     profile = profiles.load_camera_profile(setup.camera.profile)
     exposures = profiles.planned_exposures(profile, setup.camera)
     slots = make_slots(chosen, setup, exposures)
-    left = _variance_left(task, chosen) if task else None
-    to_compare = (task, left) if task and left and request.set == "month" else None
+    remaining = _variance_left(task, chosen) if task else None
+    to_compare = (task, remaining) if task and remaining and request.set == "month" else None
     warnings = (
         *profiles.assumed_texts(setup.camera),
         profiles.uncalibrated_text(profile),
@@ -110,7 +110,7 @@ def make_plan(setup: SiteFile, request: Request, weather: Weather | None = None)
         tuple(days),
         *_cost_of(profile.bracket, exposures, setup),
         coverage(chosen, site, weather),
-        left,
+        remaining,
         _months(*to_compare, len(days), days[0].year) if to_compare else None,
         tuple(text for text in warnings if text),
     )
@@ -149,9 +149,9 @@ def _months(task: choose.Learning, variance_left: float, days: int, year: int) -
     each calendar month, January first.
     """
     middles = [date(year, month, 16) - timedelta(days=days // 2) for month in range(1, 13)]
-    left = [_variance_left(task, daylight_hours(span(d, days), task.site)) for d in middles]
-    best, minimum = f"{date(year, int(np.argmin(left)) + 1, 1):%B}", min(*left, variance_left)
-    by_month = [value / minimum for value in left]
+    months = [_variance_left(task, daylight_hours(span(d, days), task.site)) for d in middles]
+    best, minimum = f"{date(year, int(np.argmin(months)) + 1, 1):%B}", min(*months, variance_left)
+    by_month = [value / minimum for value in months]
     return {"best": best, "times_best": variance_left / minimum, "by_month": by_month}
 
 
@@ -405,11 +405,11 @@ def sentences(summary: JsonTable) -> list[str]:
             f"if the sky is clear, the sun shines through a window in {tags['sun-enters']} slots, "
             f"and the camera sees the sun itself in {tags.get('sun-in-view', 0)} slots"
         )
-    if (left := summary["variance_left_percent"]) is not None:
+    if (percent := summary["variance_left_percent"]) is not None:
         texts.append(
-            f"after these captures {left:.2g} % of the model's variance over the year is left "
-            f"({10 * left**0.5:.2g} % of its standard uncertainty), if skies are as in the weather "
-            "file"
+            f"after these captures {percent:.2g} % of the model's variance over the year is left "
+            f"({10 * percent**0.5:.2g} % of its standard uncertainty), if skies are as in the "
+            "weather file"
         )
     if (month := summary["month"]) is not None:
         texts.append(

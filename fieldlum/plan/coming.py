@@ -34,11 +34,11 @@ def trained_kernel(session: Session) -> tuple[Kernel, str] | None:
     """
     folders = [path for path in session.model_folders() if (path / "weights.npz").is_file()]
     site = session.site_file().site
-    here = {"latitude_deg": site.latitude_deg, "longitude_deg": site.longitude_deg}
+    place = {"latitude_deg": site.latitude_deg, "longitude_deg": site.longitude_deg}
     for folder in sorted(folders, key=lambda p: -(p / "config.json").stat().st_mtime):
         config = ModelConfig.read(folder)
-        there = config.setup.get("site", {})
-        off = (abs(float(there.get(name, value)) - value) for name, value in here.items())
+        trained_at = config.setup.get("site", {})
+        off = (abs(float(trained_at.get(name, value)) - value) for name, value in place.items())
         if config.model != "transport" or max(off) >= 0.1:
             continue
         remedy = "train the model again (fieldlum train)"
@@ -130,8 +130,8 @@ def run(session: Session, weather: Weather, now_utc: datetime) -> JsonTable:
 
 def sentences(answer: JsonTable, site: Site) -> list[str]:
     """Return the ranking as lines to print, with the hours in the local time of `site`."""
-    zone, left = ZoneInfo(site.timezone), answer["variance_left_percent"]
-    share_left = f"{left:.2g} %" if left < 99.5 else "all"
+    zone, percent = ZoneInfo(site.timezone), answer["variance_left_percent"]
+    share_left = f"{percent:.2g} %" if percent < 99.5 else "all"
     model = f" (model {answer['model']})" if answer["model"] else ""
     of_year = f"{share_left} of the model's variance over the year{model}"
     texts = [f"{answer['captured']} captures leave {of_year}"]

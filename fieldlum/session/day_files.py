@@ -108,12 +108,12 @@ def day_files(session: Session) -> list[Path]:
 def read_day(path: Path) -> tuple[list[IrradianceSample], int]:
     """Return the samples of one day file, in its order, and the number of damaged lines skipped."""
     samples: list[IrradianceSample] = []
-    broken = 0
+    damaged = 0
     with path.open("rb") as file:
         for line in file:
             sample = decode_sample(line)
             if sample is not None:
                 samples.append(sample)
             elif line != _DAY_HEADER:
-                broken += 1
-    return samples, broken
+                damaged += 1
+    return samples, damaged

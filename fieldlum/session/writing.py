@@ -141,8 +141,8 @@ def decode_line(line: bytes) -> Any:
     """Return the JSON value in a complete and undamaged line; None for any other line."""
     crc, _, text = line.rstrip(b"\n").partition(b" ")
     try:
-        sound = line.endswith(b"\n") and len(crc) == 8 and int(crc, 16) == zlib.crc32(text)
-        return json.loads(text) if sound else None
+        valid = line.endswith(b"\n") and len(crc) == 8 and int(crc, 16) == zlib.crc32(text)
+        return json.loads(text) if valid else None
     except (ValueError, RecursionError):
         return None
 
@@ -165,23 +165,23 @@ def exclusive(path: Path) -> Iterator[None]:
         lock.release()
 
 
-def cut_torn_tail(path: Path, sound: Callable[[bytes], bool]) -> int:
+def cut_torn_tail(path: Path, is_valid: Callable[[bytes], bool]) -> int:
     """Cut `path` after its last valid line; return the number of bytes moved to ``NAME.torn``.
 
     A kill or a power cut during a write leaves half a line, or a page of zeros. Damaged lines
-    before the last valid one remain: readers skip them. sound: whether a line is valid. A missing
-    file gives 0. Raises InputError if the last MiB has three or more lines and none is valid.
+    before the last valid one remain: readers skip them. is_valid: whether a line is valid. A
+    missing file gives 0. Raises InputError if the last MiB has three or more lines, none valid.
     """
     if not path.is_file():
         return 0
     with os.fdopen(open_file(path, os.O_RDWR), "rb+") as file:
         file.seek(max(0, file.seek(0, os.SEEK_END) - (1 << 20)))
         lines = file.readlines()
-        kept = next((k for k in range(len(lines), 0, -1) if sound(lines[k - 1])), 0)
-        if not kept and b"".join(lines).count(b"\n") > 2:
+        valid = next((k for k in range(len(lines), 0, -1) if is_valid(lines[k - 1])), 0)
+        if not valid and b"".join(lines).count(b"\n") > 2:
             found, remedy = "no valid line at the end of the file", "restore it, or move it away"
             raise InputError(path, found, "a file written by fieldlum", remedy)
-        if rest := b"".join(lines[kept:]):
+        if rest := b"".join(lines[valid:]):
             flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT
             with os.fdopen(open_file(path.with_name(f"{path.name}.torn"), flags), "ab") as torn:
                 torn.write(rest)

@@ -329,15 +329,15 @@ def greedy_hours(
     len(pool) count).
     """
     cross, own, prior = kernel(year, pool), kernel(pool, pool), kernel.diagonal(year)
-    total = left = float(prior.sum())
+    total = remaining = float(prior.sum())
     if taken is not None and len(taken):
         covariance = kernel(taken, taken) + noise * np.eye(len(taken))
         year_taken, pool_taken = kernel(year, taken), kernel(pool, taken)
         towards = np.linalg.solve(covariance, np.concatenate((pool_taken, year_taken)).T)
         cross = cross - year_taken @ towards[:, : len(pool)]
         own = own - pool_taken @ towards[:, : len(pool)]
-        left -= float(np.einsum("ij,ji->", year_taken, towards[:, len(pool) :]))
-    index, variance = [], [left / total]
+        remaining -= float(np.einsum("ij,ji->", year_taken, towards[:, len(pool) :]))
+    index, variance = [], [remaining / total]
     free = np.ones(len(pool), bool)
     for step in range(min(count, len(pool))):
         variances = np.maximum(np.diagonal(own), 0.0) + noise

@@ -359,8 +359,8 @@ class Snapshots:
     def state(self) -> JsonTable:
         """Return the present state: next slot, counts, newest picture, devices, events, checks."""
         with self._lock:
-            here = self._present()
-            journal, slots, now, rehearsal, states, merged = here
+            present = self._present()
+            journal, slots, now, rehearsal, states, merged = present
             ahead = [slot for slot in slots if states[slot.id] in ("to do", "running")]
             counts = list(states.values())
             days = (now.date(), now.date() - timedelta(days=1))
@@ -375,7 +375,7 @@ class Snapshots:
                 "running": is_running(journal),
                 "counts": {word: counts.count(word) for word in dict.fromkeys(counts)},
                 "slots": len(slots),
-                "next": self._slot_row(ahead[0], here) if ahead else None,
+                "next": self._slot_row(ahead[0], present) if ahead else None,
                 "latest": self._latest(),
                 "devices": self._devices(journal),
                 "irradiance": sample and {"t_utc": utc_text(sample[0]), "ghi_wm2": sample[1]},
@@ -407,11 +407,11 @@ class Snapshots:
         The states are done, missed, aborted, made up (by another slot), running, to do.
         """
         with self._lock:
-            here = self._present()
+            present = self._present()
             days: dict[str, list[JsonTable]] = {}
-            for slot in here.slots:
+            for slot in present.slots:
                 day = self._local_day(slot.t_utc).isoformat()
-                days.setdefault(day, []).append(self._slot_row(slot, here))
+                days.setdefault(day, []).append(self._slot_row(slot, present))
             return {"days": [{"date": day, "slots": rows} for day, rows in sorted(days.items())]}
 
     def day(self, day: date) -> JsonTable:
@@ -420,11 +420,11 @@ class Snapshots:
         The scale is one for all pictures of the day [cd/m2].
         """
         with self._lock:
-            here = self._present()
-            today = [slot for slot in here.slots if self._local_day(slot.t_utc) == day]
-            rows = [self._slot_row(slot, here) for slot in today]
+            present = self._present()
+            today = [slot for slot in present.slots if self._local_day(slot.t_utc) == day]
+            rows = [self._slot_row(slot, present) for slot in today]
             for row in rows:
-                why = here.journal.states.state(row["slot"]).why
+                why = present.journal.states.state(row["slot"]).why
                 row["verdict"] = self._verdict(row["slot"], why)
             paths = [self._session.panorama(row["slot"]) for row in rows if row["picture"]]
             return {
@@ -476,15 +476,15 @@ class Snapshots:
                 states[missed] = "made up"
         return states
 
-    def _slot_row(self, slot: Slot, here: _Present) -> JsonTable:
+    def _slot_row(self, slot: Slot, present: _Present) -> JsonTable:
         local = slot.t_utc.astimezone(self._zone)
         return {
             "slot": slot.id,
             "t_utc": utc_text(slot.t_utc),
             "local": f"{local:%H:%M}",
             "day": f"{local:%a %d %b %Y}",
-            "state": here.states[slot.id],
-            "picture": slot.id in here.merged,
+            "state": present.states[slot.id],
+            "picture": slot.id in present.merged,
             "sun_altitude_deg": round(slot.sun_altitude_deg, 1),
             "sun_azimuth_deg": round(slot.sun_azimuth_deg, 1),
         }

@@ -119,8 +119,8 @@ class Dataset:
         that noise and sharp edges remain.
         """
         rows = self.shape[0]
-        odd = [f for f in range(1, rows + 1, 2) if rows % f == 0 and rows // f >= height]
-        step = odd[-1] if odd else 1
+        divisors = [f for f in range(1, rows + 1, 2) if rows % f == 0 and rows // f >= height]
+        step = divisors[-1] if divisors else 1
         pick = slice(step // 2, None, step)  # centres of blocks are centres of pixels
         every = {n: getattr(self, n) for n in ("luminance_cdm2", "patch_cdm2", "seen", "counts")}
         return replace(self, **{n: v[..., pick, pick] for n, v in every.items() if v is not None})

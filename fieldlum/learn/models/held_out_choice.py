@@ -74,19 +74,19 @@ def trimmed_mean(values: Floats, weight: Floats, trim: float = TRIM) -> float:
     return float(np.average(values[used], weights=weight[used]))
 
 
-def difference(one: HeldOutErrors, other: HeldOutErrors, name: str) -> tuple[float, float]:
+def difference(candidate: HeldOutErrors, other: HeldOutErrors, name: str) -> tuple[float, float]:
     """Return how much larger an error is than that of another candidate, and its standard error.
 
     Both candidates have the same hours. The standard error is that of the trimmed mean, by
     winsorised differences (Tukey and McLaughlin 1963), where only days are independent; it is 0
     with one day. Both are NaN if no hour has the errors of both.
     """
-    a, b = getattr(one, name), getattr(other, name)
-    rows = np.isfinite(a) & np.isfinite(b) & (one.weight > 0.0)
+    a, b = getattr(candidate, name), getattr(other, name)
+    rows = np.isfinite(a) & np.isfinite(b) & (candidate.weight > 0.0)
     if not rows.any():
         return float("nan"), float("nan")
-    a, b, weight, day = a[rows], b[rows], one.weight[rows], one.day[rows]
-    trim = one.trim
+    a, b, weight, day = a[rows], b[rows], candidate.weight[rows], candidate.day[rows]
+    trim = candidate.trim
     mean = trimmed_mean(a, weight, trim) - trimmed_mean(b, weight, trim)
     near = np.minimum(a, limit_of(a, weight, trim)) - np.minimum(b, limit_of(b, weight, trim))
     error = standard_error(near * weight / weight.mean(), day)
@@ -112,19 +112,19 @@ def choose(candidates: Sequence[HeldOutErrors]) -> HeldOutChoice:
     those within a standard error there by log10 luminance. If several remain, the one with the
     smallest error of DGP is chosen, or of log10 luminance where DGP was not computed.
     """
-    left = list(range(len(candidates)))
+    remaining = list(range(len(candidates)))
     order: list[float] = []
     for by in CRITERIA:
         means = [candidate.figure(by) for candidate in candidates]
         if not np.isfinite(means).all():
             continue
         order = order or means
-        best = min(left, key=means.__getitem__)
-        gaps = {i: difference(candidates[i], candidates[best], by) for i in left}
-        left = [i for i, (gap, error) in gaps.items() if gap <= error]
-        if len(left) == 1:
+        best = min(remaining, key=means.__getitem__)
+        gaps = {i: difference(candidates[i], candidates[best], by) for i in remaining}
+        remaining = [i for i, (gap, error) in gaps.items() if gap <= error]
+        if len(remaining) == 1:
             return HeldOutChoice(best, by if len(gaps) > 1 else None)
-    return HeldOutChoice(min(left, key=order.__getitem__), None)
+    return HeldOutChoice(min(remaining, key=order.__getitem__), None)
 
 
 # ----------------------------------------------------------------------------------------------

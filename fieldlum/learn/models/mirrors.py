@@ -232,8 +232,8 @@ def _chance(
     label: captures [k]; towards, at, visible: direction [k, 3], pixel [k] and label [k] of their
     images.
     """
-    some = evenly_spread(len(data), 40)  # captures in which pixels are compared; limits the time
-    maps = np.log10(np.maximum(data.luminance_cdm2[some], 1.0)).reshape(len(some), -1)
+    compared = evenly_spread(len(data), 40)  # captures, to compare pixels; limits the time
+    maps = np.log10(np.maximum(data.luminance_cdm2[compared], 1.0)).reshape(len(compared), -1)
     rays = equirect_rays(*data.shape, data.heading_deg).reshape(-1, 3)
     chance = np.empty(len(rays), np.float32)
     for part in np.array_split(np.arange(len(rays)), len(rays) // 4096 + 1):  # limits the memory
@@ -241,21 +241,21 @@ def _chance(
     wrong = 0
     for day in np.unique(data.days[label]):
         out = data.days[label] == day
-        here, there = maps[:, at[out]], maps[:, at[~out]]
-        held_out = _voted(rays[at[out]] @ towards[~out].T, here, there, visible[~out])
+        of_images, of_labels = maps[:, at[out]], maps[:, at[~out]]
+        held_out = _voted(rays[at[out]] @ towards[~out].T, of_images, of_labels, visible[~out])
         wrong += int(((held_out > 0.5) != visible[out]).sum())
     return chance.reshape(data.shape), wrong
 
 
-def _voted(cosine: Floats, here: Floats32, there: Floats32, visible: Mask) -> Floats:
+def _voted(cosine: Floats, pixels: Floats32, labels: Floats32, visible: Mask) -> Floats:
     """Return the weighted share of visible labels for m pixels, [m].
 
-    cosine [m, k]: between pixels and labels; here [n, m], there [n, k]: log10 luminance over n
+    cosine [m, k]: between pixels and labels; pixels [n, m], labels [n, k]: log10 luminance over n
     captures; visible [k].
     """
-    square = (here**2).sum(axis=0)[:, None] + (there**2).sum(axis=0) - 2.0 * here.T @ there
+    square = (pixels**2).sum(axis=0)[:, None] + (labels**2).sum(axis=0) - 2.0 * pixels.T @ labels
     # rms difference of log10 luminance over the captures
-    unlike = np.maximum(square, 0.0) / len(here) / 0.1**2
+    unlike = np.maximum(square, 0.0) / len(pixels) / 0.1**2
     alike = np.exp(-0.5 * unlike.astype(float))  # [m, k]
     angle_deg = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
     # Kernel of the labels; chosen. In three views of a mirroring facade, other widths (6 to 18

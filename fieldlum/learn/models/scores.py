@@ -163,8 +163,8 @@ def _chunks(rows: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
 
 def _contrast(maps: Floats32, data: Dataset) -> Floats:
     """Return the contrast of each pyramid level with the true disc, [n, levels]; mean: RAMMG."""
-    whole = add_disc(maps, data.light, data.disc_lx, data.heading_deg)
-    return np.array([contrast_levels(image) for image in whole])
+    with_disc = add_disc(maps, data.light, data.disc_lx, data.heading_deg)
+    return np.array([contrast_levels(image) for image in with_disc])
 
 
 def evaluate(fitted: Fitted, test: Truth) -> Scores:
@@ -185,8 +185,8 @@ def evaluate(fitted: Fitted, test: Truth) -> Scores:
 
 
 def _log10(maps: Floats32, data: Dataset) -> Floats32:
-    whole = add_disc(maps, data.light, data.disc_lx, data.heading_deg)
-    return np.log10(np.maximum(whole, np.float32(FLOOR_CDM2)))
+    with_disc = add_disc(maps, data.light, data.disc_lx, data.heading_deg)
+    return np.log10(np.maximum(with_disc, np.float32(FLOOR_CDM2)))
 
 
 def compare(prediction: Prediction, data: Dataset, weights: Floats) -> Scores:
@@ -230,9 +230,9 @@ def _glare_errors(
     with_glare = test.glare_maps[rows]
     if not with_glare.any():
         return
-    some, maps = part.take(with_glare), prediction.luminance_cdm2[with_glare]
-    suns = some.light.apparent_sun_direction
-    glare = glare_directions(maps, test.views, suns, some.disc_lx)
+    judged, maps = part.take(with_glare), prediction.luminance_cdm2[with_glare]
+    suns = judged.light.apparent_sun_direction
+    glare = glare_directions(maps, test.views, suns, judged.disc_lx)
     true_dgp, true_ev = test.dgp[rows[with_glare]], test.ev_lx[rows[with_glare]]
     own_lx = test.own_disc_lx[rows[with_glare]]
     in_use = dgp_with_disc(glare, sun_per_lx(suns, test.views), own_lx)
@@ -244,18 +244,18 @@ def _glare_errors(
     scores.dgp_mse[with_glare] = mean((glare["dgp"] - true_dgp) ** 2)
     scores.dgp_mae[with_glare] = mean(np.abs(glare["dgp"] - true_dgp))
     scores.ev_error[with_glare] = mean(np.abs(np.log((glare["ev_lx"] + 1.0) / (true_ev + 1.0))))
-    true_contrast, contrast = test.contrast[rows[with_glare]], _contrast(maps, some)
+    true_contrast, contrast = test.contrast[rows[with_glare]], _contrast(maps, judged)
     scores.rammg_truth[with_glare] = true_contrast.mean(axis=1)
     scores.rammg_error[with_glare] = contrast.mean(axis=1) - true_contrast.mean(axis=1)
     # Maps are stored with 58 rows at least, as the smallest panoramas of a demo have.
     measured, predicted = (
         np.log10(np.maximum(m.thin(58).luminance_cdm2, FLOOR_CDM2)).astype(np.float16)
-        for m in (some, replace(some, luminance_cdm2=maps))
+        for m in (judged, replace(judged, luminance_cdm2=maps))
     )
     scores.maps = HeldOutMaps(
-        np.array(some.slots),
-        some.light.sun_altitude_deg,
-        some.light.sun_azimuth_deg,
+        np.array(judged.slots),
+        judged.light.sun_altitude_deg,
+        judged.light.sun_azimuth_deg,
         scores.mse_weighted[with_glare],
         test.dgp[rows[with_glare]],
         glare["dgp"],
@@ -343,12 +343,12 @@ def light_of_year(data: Dataset, rng: np.random.Generator) -> Light:
     times = [hours[k] for k in np.sort(rng.choice(np.flatnonzero(up), count, replace=False))]
     high = np.flatnonzero(data.light.sun_altitude_deg > 5.0)
     drawn = rng.choice(high if len(high) else np.arange(len(data)), count)
-    there = sun.clearsky([data.light.t_utc[k] for k in drawn], site)
-    here = sun.clearsky(times, site)
+    of_captures = sun.clearsky([data.light.t_utc[k] for k in drawn], site)
+    of_hours = sun.clearsky(times, site)
 
-    beam = np.minimum(data.light.dni_wm2[drawn] / np.maximum(there.dni_wm2, 1.0), 1.2)
-    diffuse = np.minimum(data.light.dhi_wm2[drawn] / np.maximum(there.dhi_wm2, 1.0), 4.0)
-    return light_at(times, site, beam * here.dni_wm2, diffuse * here.dhi_wm2)
+    beam = np.minimum(data.light.dni_wm2[drawn] / np.maximum(of_captures.dni_wm2, 1.0), 1.2)
+    diffuse = np.minimum(data.light.dhi_wm2[drawn] / np.maximum(of_captures.dhi_wm2, 1.0), 4.0)
+    return light_at(times, site, beam * of_hours.dni_wm2, diffuse * of_hours.dhi_wm2)
 
 
 def expect(fitted: Fitted, data: Dataset, rng: np.random.Generator) -> YearExpectation:

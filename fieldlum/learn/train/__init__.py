@@ -324,8 +324,8 @@ def run(
         "seed": seed,
         "fieldlum": __version__,
     }
-    made = current_note(out / ScoresFile.NAME, inputs, [out / name for name in MODEL_FILES])
-    if not force and made is not None and made.get("model_sha256") == _model_sha256(out):
+    existing = current_note(out / ScoresFile.NAME, inputs, [out / name for name in MODEL_FILES])
+    if not force and existing is not None and existing.get("model_sha256") == _model_sha256(out):
         return {**ScoresFile.read(out).table(), "kept": True}
     check_writable(out)
     checkpoint = out / f"checkpoint-{digest([seed, mode, inputs['data']])[:12]}.pt"
@@ -439,9 +439,9 @@ def held_out_warnings(fitted: Fitted, data: Dataset) -> list[str]:
     if fitted.held_out_mse is None or len(fitted.held_out_mse) != len(data):
         return []
     weight = choice_weights(data)
-    some = weight > 0.0
-    errors, weight = np.nan_to_num(fitted.held_out_mse, nan=np.inf)[some], weight[some]
-    day, texts = data.days[some], []
+    counted = weight > 0.0
+    errors, weight = np.nan_to_num(fitted.held_out_mse, nan=np.inf)[counted], weight[counted]
+    day, texts = data.days[counted], []
     days = np.unique(day)
     means = np.array([trimmed_mean(errors[day == d], weight[day == d]) for d in days])
     exceptions = days[(means > POOR_MSE) & (means > 4.0 * np.median(means))]

@@ -124,12 +124,12 @@ class Evidence:
         logs = np.log(np.maximum(squares, 1e-9)).mean(axis=1)
         return 0.5 * (np.array(self.volumes) - len(self.rows) * logs)
 
-    def change(self, some: Indices, shape: Floats) -> tuple[float, float]:
+    def change(self, captures: Indices, shape: Floats) -> tuple[float, float]:
         """Return what a free change of captures along a shape [n] gains in log likelihood.
 
         The second value is its likeliest size in units of the shape, the median over pixels.
         """
-        column = np.where(np.isin(self.rows, some), shape[self.rows], 0.0)
+        column = np.where(np.isin(self.rows, captures), shape[self.rows], 0.0)
         along = [column @ weights for weights in self.weights]
         norms = [float(column @ inverse @ column) for inverse in self.inverses]
         rest = [s - a**2 / n for s, a, n in zip(self.squares, along, norms, strict=True)]
@@ -138,15 +138,15 @@ class Evidence:
         k = int(np.argmax(likelihoods))
         return float(likelihoods[k]) - self.usual, float(np.median(along[k])) / norms[k]
 
-    def level_change(self, some: Indices) -> tuple[float, float]:
+    def level_change(self, captures: Indices) -> tuple[float, float]:
         """Return the gain of a factor on the light of captures, and the factor.
 
         A factor under 1.2 either way, or 1.5 of a single capture, is weather, and gains nothing:
         where Perez's classes of sky meet, 2 W/m2 of DNI change the light in a room by 1.3.
         """
-        gain, size = self.change(some, self.level)
+        gain, size = self.change(captures, self.level)
         factor = 1.0 / max(1.0 - size, 1e-3)
-        weather = 1.2 if len(some) > 1 else 1.5
+        weather = 1.2 if len(captures) > 1 else 1.5
         return gain if abs(np.log(factor)) > np.log(weather) else -np.inf, factor
 
 
@@ -272,8 +272,8 @@ def find_changes(data: Dataset, *, with_patch: bool) -> RoomChanges | None:
     """
     count = len(data)
     # The time grows with the third power of the number of captures.
-    some = evenly_spread(count, 250)
-    few = data.take(some)
+    compared = evenly_spread(count, 250)
+    few = data.take(compared)
     process = process_of(few, with_patch=with_patch)
     judged = np.flatnonzero(process.judged)
     if len(np.unique(process.days[judged])) < MIN_DAYS:
@@ -282,7 +282,7 @@ def find_changes(data: Dataset, *, with_patch: bool) -> RoomChanges | None:
     # looks like a dark sky there: captures that contradict the rest are found under Perez's.
     clouded = process_of(few, with_patch=with_patch, seen_skies=True)
     lamp = find_lamp(clouded, judged)
-    lit = np.isin(np.arange(len(some)), lamp) * process.lamp
+    lit = np.isin(np.arange(len(compared)), lamp) * process.lamp
     shaded = replace(process, covariance=process.covariance + 100.0 * np.outer(lit, lit))
     unexplained = find_unexplained(shaded)
     if len(unexplained):  # changed captures can hide a lamp, and make other captures look lit
@@ -292,9 +292,9 @@ def find_changes(data: Dataset, *, with_patch: bool) -> RoomChanges | None:
     if not len(lamp) and not len(unexplained):
         return None
     # the others are as the nearest of these, in the order of time
-    nearest = np.abs(np.arange(count)[:, None] - some).argmin(axis=1)
+    nearest = np.abs(np.arange(count)[:, None] - compared).argmin(axis=1)
     rest = np.setdiff1d(judged, unexplained)
-    factors = np.ones(len(some))
+    factors = np.ones(len(compared))
     for k in unexplained:
         factors[k] = Evidence(shaded, np.append(rest, k)).level_change(np.array([k]))[1]
     lamp, unexplained = (np.flatnonzero(np.isin(nearest, r)) for r in (lamp, unexplained))
@@ -311,9 +311,9 @@ def without_changes(data: Dataset, *, with_patch: bool) -> tuple[Dataset, list[s
     if changes is None:
         return data, []
     rows, days = changes.unexplained, data.days[changes.unexplained]
-    whole = np.array([(days == day).sum() == (data.days == day).sum() > 1 for day in days], bool)
-    clear = whole | ~is_badly_measured(data)[rows]  # single captures of faint light stay in use
-    rows, days, factor, whole = rows[clear], days[clear], changes.factor[clear], whole[clear]
+    full = np.array([(days == day).sum() == (data.days == day).sum() > 1 for day in days], bool)
+    clear = full | ~is_badly_measured(data)[rows]  # single captures of faint light stay in use
+    rows, days, factor, full = rows[clear], days[clear], changes.factor[clear], full[clear]
     notes = []
     if len(changes.lamp):
         lit = ", ".join(sorted({str(data.days[row]) for row in changes.lamp}))
@@ -323,19 +323,19 @@ def without_changes(data: Dataset, *, with_patch: bool) -> tuple[Dataset, list[s
             "learn the lamp, mark them (fieldlum status SESSION --mark SLOT lamp=on) and train "
             f"again: {', '.join(data.slots[row] for row in changes.lamp)}"
         )
-    for day in (*np.unique(days[whole]), None):
-        some = ~whole if day is None else whole & (days == day)
-        if not some.any():
+    for day in (*np.unique(days[full]), None):
+        named = ~full if day is None else full & (days == day)
+        if not named.any():
             continue
-        subject = f"{some.sum()} of {len(data)} captures"
-        subject = subject if day is None else f"the {some.sum()} captures of {day}"
-        verbs = ("contradicts", "is") if some.sum() == 1 else ("contradict", "are")
+        subject = f"{named.sum()} of {len(data)} captures"
+        subject = subject if day is None else f"the {named.sum()} captures of {day}"
+        verbs = ("contradicts", "is") if named.sum() == 1 else ("contradict", "are")
         notes.append(
             f"WARNING: {subject} {verbs[0]} the other days and {verbs[1]} not used: the median "
-            f"light is {np.median(factor[some]):.2f} times the predicted light. "
+            f"light is {np.median(factor[named]):.2f} times the predicted light. "
             "Possible causes are a moved blind, a lamp, snow or wrong irradiance; look at "
             "the pictures, mark what was different (fieldlum status SESSION --mark SLOT "
-            f"blind=half), and train again: {', '.join(data.slots[row] for row in rows[some])}"
+            f"blind=half), and train again: {', '.join(data.slots[row] for row in rows[named])}"
         )
     changed = np.union1d(changes.lamp, rows)
     return data.take(np.setdiff1d(np.arange(len(data)), changed)), notes

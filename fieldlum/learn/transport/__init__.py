@@ -256,16 +256,16 @@ class MeanTransport:
 
     def predict(self, light: Light, patch_cdm2: Floats32 | None = None) -> Prediction:
         """Predict luminance maps, as `Transport.predict`."""
-        one, other = self.patched.predict(light, patch_cdm2), self.plain.predict(light)
+        patched, plain = self.patched.predict(light, patch_cdm2), self.plain.predict(light)
         share, rest = self.share, 1.0 - self.share
-        root = share * np.sqrt(one.expected_mse) + rest * np.sqrt(other.expected_mse)
-        assert one.log10_sd is not None and other.log10_sd is not None
-        sd = np.sqrt(self.agreement) * (share * one.log10_sd + rest * other.log10_sd)
+        root = share * np.sqrt(patched.expected_mse) + rest * np.sqrt(plain.expected_mse)
+        assert patched.log10_sd is not None and plain.log10_sd is not None
+        sd = np.sqrt(self.agreement) * (share * patched.log10_sd + rest * plain.log10_sd)
         return Prediction(
-            (one.luminance_cdm2**share * other.luminance_cdm2**rest).astype(np.float32),
+            (patched.luminance_cdm2**share * plain.luminance_cdm2**rest).astype(np.float32),
             sd.astype(np.float32),
             self.agreement * root**2,
-            one.trusted,
+            patched.trusted,
         )
 
     def with_displaced_patches(self, slip_deg: float) -> MeanTransport:
@@ -320,10 +320,10 @@ def fit(data: Dataset, *, patch: Patch = "absolute", seed: int = 0) -> Transport
         return _fit(_chosen_inputs(data, patch, seed))[0]
 
     with part_of_progress(0, 2):
-        one, errors = _fit(_chosen(_described(data, patch, seed)))
+        patched, errors = _fit(_chosen(_described(data, patch, seed)))
     with part_of_progress(1, 2):
-        other, plain_errors = _fit(_chosen_inputs(data, "none", seed))
-    return _mean(one, errors, other, plain_errors, len(data))
+        plain, plain_errors = _fit(_chosen_inputs(data, "none", seed))
+    return _mean(patched, errors, plain, plain_errors, len(data))
 
 
 def _chosen_inputs(data: Dataset, patch: Patch, seed: int) -> _Chosen:
@@ -348,7 +348,7 @@ def _chosen_inputs(data: Dataset, patch: Patch, seed: int) -> _Chosen:
 
 
 def _mean(
-    one: Transport, errors: Array, other: Transport, plain_errors: Array, count: int
+    patched: Transport, errors: Array, plain: Transport, plain_errors: Array, count: int
 ) -> MeanTransport:
     """Return the mean of a model with and one without patches that held-out hours support.
 
@@ -361,7 +361,7 @@ def _mean(
     mixed = share * errors + (1.0 - share) * plain_errors
     root = share * np.sqrt((errors**2).mean()) + (1.0 - share) * np.sqrt((plain_errors**2).mean())
     agreement = float((mixed**2).mean() / max(root**2, 1e-9))
-    return MeanTransport(one, other, share, agreement, (mixed[:count] ** 2).mean(axis=1))
+    return MeanTransport(patched, plain, share, agreement, (mixed[:count] ** 2).mean(axis=1))
 
 
 class _Described(NamedTuple):
@@ -470,8 +470,8 @@ def _fit(chosen: _Chosen) -> tuple[Transport, Array]:
     )
     progress(90, 100, "calibrating uncertainty")
     careful = of.scale is None or of.physics is not None
-    some, residual = arrays[of.drawn], pixels.noise[of.drawn]
-    uncertainty, errors = calibrate(some, basis, inputs.covariance, noise, residual, careful)
+    sample, residual = arrays[of.drawn], pixels.noise[of.drawn]
+    uncertainty, errors = calibrate(sample, basis, inputs.covariance, noise, residual, careful)
     fitted = Transport(
         of.data.seen,
         of.data.heading_deg,
@@ -527,14 +527,14 @@ def _inputs(
     sky = seen_sky(arrays) if len(np.unique(arrays.days)) >= 4 else None
     out = []
     for shown in (None,) if sky is None else (None, sky):
-        some = arrays if shown is None else replace(arrays, features=shown.features(arrays))
-        compared = _compared(some, kernel, arrays.features)
+        under_sky = arrays if shown is None else replace(arrays, features=shown.features(arrays))
+        compared = _compared(under_sky, kernel, arrays.features)
         out.append(compared._replace(sky_sd=shown and shown.sd))
         if physics is not None and sunlight is not None and perez is not None:
             under = perez
             if shown is not None:
                 under = physics.luminance(light, sunlight, seen, shown.luminance_cdm2)
-            lit = replace(some, computed=computed_light(some, under, perez))
+            lit = replace(under_sky, computed=computed_light(under_sky, under, perez))
             out.append(out[-1]._replace(arrays=lit))
     return out
 

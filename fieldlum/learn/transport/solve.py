@@ -97,8 +97,8 @@ class Columns:
 
     def direct(self, gains: Array) -> Array:
         """Return the light of sun patch and window sky, [n, P]; negative gains count as 0."""
-        some = slice(self.surface, None)
-        return np.einsum("knp,pk->np", self.values[some], np.maximum(gains[:, some], 0.0))
+        direct = slice(self.surface, None)
+        return np.einsum("knp,pk->np", self.values[direct], np.maximum(gains[:, direct], 0.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -280,21 +280,21 @@ def fit_pixels(
     out = PixelFit(scale.astype(np.float32), b, patch, sky, minimum, second, computed, sd)
     inverse = second_inverse(arrays)
 
-    def one(part: slice) -> None:
-        some = arrays[part]
-        fit = fit_chunk(some, scale[part], basis, noise, products)
+    def fit_part(part: slice) -> None:
+        chunk = arrays[part]
+        fit = fit_chunk(chunk, scale[part], basis, noise, products)
         out.b[part], out.minimum[part] = fit.b, fit.minimum
         out.sky_gain[part] = np.maximum(fit.gains[:, -1], 0.0)
-        if some.patch is not None:
+        if chunk.patch is not None:
             out.patch_gain[part] = np.maximum(fit.gains[:, -2], 0.0)
-        if some.computed is not None:
-            out.computed_gain[part] = fit.gains[:, 0] * some.computed.gain
+        if chunk.computed is not None:
+            out.computed_gain[part] = fit.gains[:, 0] * chunk.computed.gain
         fitted = fit.light(basis.values @ fit.b.T)
-        left = ~some.filled * np.log(fit.target / fitted)
-        out.second[:, part] = inverse @ left
-        out.noise[part] = np.sqrt(np.maximum((left * out.second[:, part]).mean(axis=0), 0.0))
+        residual = ~chunk.filled * np.log(fit.target / fitted)
+        out.second[:, part] = inverse @ residual
+        out.noise[part] = np.sqrt(np.maximum((residual * out.second[:, part]).mean(axis=0), 0.0))
 
-    for stop in each_chunk(one, count):
+    for stop in each_chunk(fit_part, count):
         tick(stop, count)
     return out
 
@@ -372,13 +372,13 @@ def hold_out(arrays: TrainingArrays, basis: Basis, noise: float) -> HeldOutFit:
     scale, products = pixel_scale(arrays), pair_products(basis.values)
     predicted, target = (np.empty(arrays.luminance.shape) for _ in range(2))
 
-    def one(part: slice) -> None:
+    def predict_part(part: slice) -> None:
         predicted[:, part], target[:, part] = _hold_out_some(
             arrays[part], scale[part], basis, noise, products
         )
 
     # Chunks are smaller than in the fit, because each pixel has a hat matrix.
-    for _ in each_chunk(one, len(scale), 128):
+    for _ in each_chunk(predict_part, len(scale), 128):
         pass
     residual = ~arrays.filled * np.log(target / predicted)
     inverse = second_inverse(arrays)

@@ -319,12 +319,12 @@ class Health:
 
 
 def health(
-    raw: Series, clean: Series, altitude: Floats, top: Floats, broken: int, site: Site
+    raw: Series, clean: Series, altitude: Floats, top: Floats, damaged: int, site: Site
 ) -> Health:
     """Return figures and warnings about an instrument and its logger, from its rows.
 
     raw, clean: the same rows before and after the checks. altitude, top [n]: from `sky_geometry`.
-    broken: number of damaged lines.
+    damaged: number of damaged lines.
     """
     night = raw.ghi_wm2[(altitude < NIGHT_SUN_DEG) & np.isfinite(raw.ghi_wm2)]
     offset = float(np.median(night)) if len(night) >= 10 else None
@@ -337,7 +337,7 @@ def health(
     counts = {mark: int(np.sum((clean.marks & mark) != 0)) for mark in Mark}
     return Health(
         rows=len(clean),
-        broken_lines=broken,
+        broken_lines=damaged,
         usable=int(np.isfinite(clean.dni_wm2 + clean.dhi_wm2).sum()),
         every_s=poll_period_s(clean.t_unix_s),
         gaps=len(gaps),
@@ -346,7 +346,7 @@ def health(
         closure_pass=passed,
         clock_off_s=clock_off,
         marks={(mark.name or "").lower(): count for mark, count in counts.items() if count},
-        warnings=(*_of_log(offset, passed, clock_off, broken), *_by_day(clean, altitude, top)),
+        warnings=(*_of_log(offset, passed, clock_off, damaged), *_by_day(clean, altitude, top)),
     )
 
 
@@ -355,7 +355,7 @@ def health(
 
 
 def _of_log(
-    night_wm2: float | None, closure: float | None, off_s: float | None, broken: int
+    night_wm2: float | None, closure: float | None, off_s: float | None, damaged: int
 ) -> Iterator[str]:
     """Yield warnings about zero, closure, clock and damaged lines of a log."""
     if night_wm2 is not None and abs(night_wm2) >= NIGHT_OFFSET_WARN_WM2:
@@ -373,9 +373,9 @@ def _of_log(
             "the logger's clock, its --utc-offset (daylight saving?) and longitude_deg, and import "
             "the file again"
         )
-    if broken:
+    if damaged:
         yield (
-            f"skipped in irradiance/YYYY-MM-DD.csv: {counted(broken, 'damaged line')}; check the "
+            f"skipped in irradiance/YYYY-MM-DD.csv: {counted(damaged, 'damaged line')}; check the "
             "disk, and do not edit these files"
         )
 
@@ -445,9 +445,9 @@ def run(session: Session, *, force: bool = False) -> Health:
     table = None if force else current_note(note, inputs, [clean])
     if table is not None:
         return convert(table, Health)
-    raw, broken = _read(files)
+    raw, damaged = _read(files)
     if len(raw) == 0:
-        cause = f"all {broken} logged lines are damaged" if broken else "no irradiance was logged"
+        cause = f"all {damaged} logged lines are damaged" if damaged else "no irradiance was logged"
         raise NotEnoughDataError(
             f"{session.irradiance}: {cause}; run fieldlum log {session.root} "
             f"--pyranometer URI, or fieldlum import {session.root} --irradiance FILE"
@@ -456,7 +456,7 @@ def run(session: Session, *, force: bool = False) -> Health:
     checked = check(raw, altitude, top)
     checked.marks[:] |= suspicions(checked, altitude, top, site)
     series = derive(checked, altitude, site)
-    quality = health(raw, series, altitude, top, broken, site)
+    quality = health(raw, series, altitude, top, damaged, site)
     clean_of(series).write(clean)
     write_object(note, {**asdict(quality), "inputs": inputs})
     return quality
@@ -467,13 +467,13 @@ def _read(files: Sequence[Path]) -> tuple[Series, int]:
 
     Only the samples of one day at a time are Python objects, which limits the memory.
     """
-    days, broken = [], 0
+    days, damaged = [], 0
     for number, path in enumerate(files, start=1):
-        samples, harmed = read_day(path)
-        broken += harmed
+        samples, count = read_day(path)
+        damaged += count
         if samples:
             days.append(series_of(samples))
         progress(number, len(files), path.stem)
     days = days or [series_of([])]
     names = Series.__dataclass_fields__
-    return Series(*(np.concatenate([getattr(day, n) for day in days]) for n in names)), broken
+    return Series(*(np.concatenate([getattr(day, n) for day in days]) for n in names)), damaged

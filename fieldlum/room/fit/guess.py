@@ -264,9 +264,9 @@ def _common(first: tuple[float, float], other: tuple[float, float]) -> tuple[flo
     return max(first[0], other[0]), min(first[1], other[1])
 
 
-def _without(whole: tuple[float, float], part: tuple[float, float]) -> tuple[float, float]:
+def _without(interval: tuple[float, float], part: tuple[float, float]) -> tuple[float, float]:
     """Return the longer of the two ends that an interval has without a part of it."""
-    below, above = (whole[0], part[0]), (part[1], whole[1])
+    below, above = (interval[0], part[0]), (part[1], interval[1])
     return below if below[1] - below[0] >= above[1] - above[0] else above
 
 

@@ -63,14 +63,14 @@ class Parameter:
         return _with(guess, self.path, value)
 
 
-def _with(whole: Any, path: tuple[str | int, ...], value: float) -> Any:
+def _with(record: Any, path: tuple[str | int, ...], value: float) -> Any:
     """Return a record or tuple with the number at the end of `path` replaced."""
     if not path:
         return value
     key, rest = path[0], path[1:]
     if isinstance(key, int):
-        return (*whole[:key], _with(whole[key], rest, value), *whole[key + 1 :])
-    return replace(whole, **{key: _with(getattr(whole, key), rest, value)})
+        return (*record[:key], _with(record[key], rest, value), *record[key + 1 :])
+    return replace(record, **{key: _with(getattr(record, key), rest, value)})
 
 
 def room_parameters(guess: Guess, clock_sd_min: float = CLOCK_SD_MIN) -> list[Parameter]:

@@ -128,7 +128,7 @@ def _has_patches_of_room(data: Dataset) -> bool:
     """Return whether the captures have no patches, or those of their `[room]`."""
     if data.patch_cdm2 is None:
         return True
-    made = with_patches(data).patch_cdm2
-    assert made is not None
-    difference = float(np.abs(made - data.patch_cdm2).sum())
-    return difference <= MAX_OTHER_SHARE * float(made.sum() + data.patch_cdm2.sum())
+    computed = with_patches(data).patch_cdm2
+    assert computed is not None
+    difference = float(np.abs(computed - data.patch_cdm2).sum())
+    return difference <= MAX_OTHER_SHARE * float(computed.sum() + data.patch_cdm2.sum())

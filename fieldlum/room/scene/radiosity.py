@@ -483,21 +483,21 @@ class LitRoom:
     def _bounces(self) -> Any:
         return self.from_pieces[:, FIRST_PIECE:].tocsr()
 
-    def as_panorama(self, made: Rendering, k: int) -> Panorama:
+    def as_panorama(self, rendering: Rendering, k: int) -> Panorama:
         """Return moment `k` (from 0) of a rendering as a panorama, with its visible sun apart."""
         about = {"made_by": "fieldlum simulate", "room": self.setup.site.name}
-        light, sun, visible = made.light, None, float(made.visible_fraction[k])
+        light, sun, visible = rendering.light, None, float(rendering.visible_fraction[k])
         if 0.0 < visible < 1.0:
             scene = self.view.scene
             glass = disc_glass(scene, scene.to_room(light.apparent_sun_direction[k]))
             about[DISC_RAYS] = "".join("1" if ray else "0" for ray in glass > 0)
-        if made.disc_lx[k] > 0:
+        if rendering.disc_lx[k] > 0:
             angles = float(light.apparent_altitude_deg[k]), float(light.sun_azimuth_deg[k])
-            sun = SunSource(*angles, float(made.disc_lx[k]), visible, "rendering")
+            sun = SunSource(*angles, float(rendering.disc_lx[k]), visible, "rendering")
         heading, t_utc, rgb = self.view.heading_deg, light.t_utc[k], None
-        luminance = made.luminance_cdm2[k]
-        if made.colour is not None:
-            rgb = made.colour[k] * luminance[..., None] / RADIANCE_LM_PER_W
+        luminance = rendering.luminance_cdm2[k]
+        if rendering.colour is not None:
+            rgb = rendering.colour[k] * luminance[..., None] / RADIANCE_LM_PER_W
             about[ATTRIBUTE] = attribute_text(MELANOPIC_FROM_XYZ @ _TO_XYZ, np.eye(3), U_CHART)
         return Panorama(luminance, heading, t_utc=t_utc, sun=sun, rgb=rgb, attributes=about)
 

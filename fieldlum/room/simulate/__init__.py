@@ -199,20 +199,20 @@ def render_slots(folder: Path, job: _Job) -> None:
     session, wrong = Session(folder), job.troubles
     assert job.light is not None and job.shining is not None
     room, fine = _traced(folder, job.key, job.height, job.quality, job.pitch_deg, job.workers)
-    made = room.render(job.shining, coloured=job.coloured)
-    maps, zone = made.luminance_cdm2, room.setup.site.timezone
+    truth = room.render(job.shining, coloured=job.coloured)
+    maps, zone = truth.luminance_cdm2, room.setup.site.timezone
     if wrong.names:
         # Patches are computed from what is stated, as `pair` does.
-        made = replace(made, patch_cdm2=room.render(job.light).patch_cdm2)
+        truth = replace(truth, patch_cdm2=room.render(job.light).patch_cdm2)
         times = [slot.t_utc for slot in job.slots]
         maps = troubled_pictures(maps, room.view.sky > 0, times, job.planned_utc, zone, wrong)
     for k, slot in enumerate(job.slots):
         turned = knocked_camera(slot.t_utc, job.planned_utc, zone, wrong)
         if fine is not None and not turned:
-            factor = maps[k] / np.maximum(made.luminance_cdm2[k], 1e-9) if wrong.names else None
-            write_sky_picture(session.truth_sky_picture(slot.id), fine.picture(made, k, factor))
-        seen = room.as_panorama(replace(made, luminance_cdm2=maps), k)
-        patch = {"luminance_cdm2": made.patch_cdm2[k], "attributes": {"direct": "only"}}
+            factor = maps[k] / np.maximum(truth.luminance_cdm2[k], 1e-9) if wrong.names else None
+            write_sky_picture(session.truth_sky_picture(slot.id), fine.picture(truth, k, factor))
+        seen = room.as_panorama(replace(truth, luminance_cdm2=maps), k)
+        patch = {"luminance_cdm2": truth.patch_cdm2[k], "attributes": {"direct": "only"}}
         direct = replace(seen, rgb=None, **patch)
         places = session.truth_panorama(slot.id), session.truth_sunpatch(slot.id)
         for place, panorama in zip(places, (seen, direct), strict=True):

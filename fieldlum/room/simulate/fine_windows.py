@@ -47,13 +47,13 @@ class FineWindows:
     sun: SunPoints
     to_pixels: Any
 
-    def picture(self, made: Rendering, k: int, factor: Floats32 | None = None) -> SkyPicture:
+    def picture(self, rendering: Rendering, k: int, factor: Floats32 | None = None) -> SkyPicture:
         """Return moment `k` (from 0) of a rendering, without the sun's disc.
 
         factor: on the luminance of each of the panorama's pixels [H, W]; None for 1.
         """
-        light = made.light[[k]]
-        value = np.asarray(self.to_pixels @ made.points_lx[:, k], np.float32)
+        light = rendering.light[[k]]
+        value = np.asarray(self.to_pixels @ rendering.points_lx[:, k], np.float32)
         direct_lx = float(light.direct_lx[0])
         if direct_lx > 0:
             toward = self.sun.scene.to_room(light.apparent_sun_direction)[0]
@@ -96,14 +96,14 @@ def fine_windows(lit: LitRoom, pitch_deg: float) -> FineWindows | None:
     sky, plain = np.zeros((2, len(pixel)), np.float32)
     blocks: list[SurfaceSamples] = []
     codes: list[NDArray[np.int64]] = []
-    for some, row, world in _blocks(grid, pixel):
+    for part, row, world in _blocks(grid, pixel):
         toward = camera_rays(scene, room, world, view.heading_deg)
-        count = some.stop - some.start
-        samples, sky[some], plain[some] = trace_pixels(scene, row, toward, count)
+        count = part.stop - part.start
+        samples, sky[part], plain[part] = trace_pixels(scene, row, toward, count)
         middle = toward.reshape(count, _SUB**2, 3).mean(axis=1) @ scene.turn
-        rays[some] = middle / np.linalg.norm(middle, axis=1, keepdims=True)
+        rays[part] = middle / np.linalg.norm(middle, axis=1, keepdims=True)
         samples, code = joined(samples)
-        blocks.append(samples._replace(pixel=samples.pixel + np.int32(some.start)))
+        blocks.append(samples._replace(pixel=samples.pixel + np.int32(part.start)))
         codes.append(code)
     s = SurfaceSamples._make(np.concatenate(values) for values in zip(*blocks, strict=True))
     reach_m = np.linalg.norm(s.position - scene.camera_m, axis=1) * np.pi / view.height

@@ -112,9 +112,9 @@ def disc_lx(view: SkyView | None, setup: SiteFile, light: Light) -> Floats:
     disc = disc_of_hours(view, light)
     if setup.room is None or not disc.not_seen.any():
         return disc.best_lx
-    some = light[disc.not_seen]
+    unseen = light[disc.not_seen]
     best = disc.best_lx.copy()
-    best[disc.not_seen] = room_shares(setup.room, some.apparent_sun_direction) * some.direct_lx
+    best[disc.not_seen] = room_shares(setup.room, unseen.apparent_sun_direction) * unseen.direct_lx
     return best
 
 
@@ -138,10 +138,10 @@ def drawn_discs_lx(
     guesses = rng.permutation((np.arange(count) + 0.5) / count) * _CLEAR_GLASS
     open_hours = np.flatnonzero(np.isnan(shares).any(axis=0) & (light.direct_lx > 0.0))
     if len(open_hours):
-        some = light[open_hours]
-        filled = np.repeat(guesses[:, None], len(some), axis=1)
+        unknown = light[open_hours]
+        filled = np.repeat(guesses[:, None], len(unknown), axis=1)
         if setup.room is not None:
-            suns = np.stack([_turned(some, *turn) for turn in turns])  # [count, m, 3]
+            suns = np.stack([_turned(unknown, *turn) for turn in turns])  # [count, m, 3]
             filled = room_shares(setup.room, suns.reshape(-1, 3)).reshape(filled.shape)
         part = shares[:, open_hours]
         shares[:, open_hours] = np.where(np.isnan(part), filled, part)

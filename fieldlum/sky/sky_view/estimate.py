@@ -141,9 +141,9 @@ class _Stack:
 
 def _stack(captured: Captured, seen: Callable[[Floats], Mask] | None) -> _Stack:
     count = len(captured.light)
-    some = [captured.read(k) for k in sorted({0, count // 2, count - 1})]
-    grid = max((picture.grid for picture in some), key=lambda grid: grid.height * grid.width)
-    kept = np.any([np.isfinite(_placed(picture, grid)) for picture in some], axis=0)
+    samples = [captured.read(k) for k in sorted({0, count // 2, count - 1})]
+    grid = max((picture.grid for picture in samples), key=lambda grid: grid.height * grid.width)
+    kept = np.any([np.isfinite(_placed(picture, grid)) for picture in samples], axis=0)
     maximum = max(MIN_CAPTURES, _MAX_VALUES // max(int(kept.sum()), 1))
     rows = evenly_spread(count, maximum).tolist()
     in_lens = np.zeros(kept.shape, bool)

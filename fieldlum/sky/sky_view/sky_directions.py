@@ -79,8 +79,8 @@ def sky_reference(luminance: Floats32, light: Light, rays: Floats) -> SkyReferen
     Those that follow Perez's sky better than other light and are bright come first; what follows
     the sky that they show is added.
     """
-    some = max(1, len(rays) // (10 * SOME))
-    luminance, rays = luminance[:, ::some], rays[::some]
+    step = max(1, len(rays) // (10 * SOME))
+    luminance, rays = luminance[:, ::step], rays[::step]
     measured = usable_log(luminance, light, rays)
     reference = SkyReference(np.empty((0, 3)), np.empty((len(light), 0)), float("nan"))
     level, spread = _level_spread(measured - np.log(reference.sky(light, rays)))
@@ -108,12 +108,12 @@ def follow(luminance: Floats32, light: Light, rays: Floats, reference: SkyRefere
     step = max(1, _CHUNK_VALUES // max(len(light), 1))
     parts = []
     for k in range(0, max(len(rays), 1), step):
-        some = slice(k, k + step)
-        measured = usable_log(luminance[:, some], light, rays[some])
-        level, spread = _level_spread(measured - np.log(reference.sky(light, rays[some])))
+        part = slice(k, k + step)
+        measured = usable_log(luminance[:, part], light, rays[part])
+        level, spread = _level_spread(measured - np.log(reference.sky(light, rays[part])))
         rest = np.maximum(_rest_spread(measured, light), 1e-3)
         count = (~np.isnan(measured)).sum(axis=0)
-        parts.append((np.exp(level), spread / rest, count, _forward(measured, light, rays[some])))
+        parts.append((np.exp(level), spread / rest, count, _forward(measured, light, rays[part])))
     return Followed(*(np.concatenate(values).astype(float) for values in zip(*parts, strict=True)))
 
 
@@ -130,8 +130,8 @@ def sky_share(luminance: Floats32, sky: Floats32, front: Floats32) -> tuple[Floa
     x, y = np.where(usable, x, 0.0), np.where(usable, y, 0.0)
     size = np.maximum((x**2).sum(axis=0), 1e-9)
     share = (x * y).sum(axis=0) / size
-    left = np.where(usable, y - share * x, 0.0)
-    variance = (left**2).sum(axis=0) / np.maximum(usable.sum(axis=0) - 1, 1) / size
+    residual = np.where(usable, y - share * x, 0.0)
+    variance = (residual**2).sum(axis=0) / np.maximum(usable.sum(axis=0) - 1, 1) / size
     # what is in front may be as much brighter or darker than the nearest opaque pixel
     other = 0.5 * np.abs((x * np.where(usable, front / scale, 0.0)).sum(axis=0)) / size
     share = np.clip(share, 0.0, 1.0)

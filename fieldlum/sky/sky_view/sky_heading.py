@@ -34,13 +34,13 @@ def heading_by_sky(
     sunny = np.flatnonzero(light.direct_lx > 5.0 * BEAM_LX)
     if len(sunny) < _MIN_HOURS or len(rays) < _MIN_DIRECTIONS:
         return None
-    some, days = light[sunny], np.array([t.toordinal() for t in light.t_utc])[sunny]
+    sunlit, days = light[sunny], np.array([t.toordinal() for t in light.t_utc])[sunny]
     heading, u = 0.0, np.inf
     for _ in range(10):
         turned = [rays @ rotation(h, 0.0, 0.0, axis_deg).T for h in (heading, heading + _STEP_DEG)]
         level = np.nanmedian(_log_ratio(luminance, light, turned[0]), axis=0)
-        off, ahead = (_log_ratio(luminance[sunny], some, to) - level for to in turned)
-        turns, variances = _turns(off, (off - ahead) / _STEP_DEG, some, turned[0])
+        off, ahead = (_log_ratio(luminance[sunny], sunlit, to) - level for to in turned)
+        turns, variances = _turns(off, (off - ahead) / _STEP_DEG, sunlit, turned[0])
         usable = np.isfinite(turns)
         if usable.sum() < _MIN_HOURS:
             return None
@@ -70,8 +70,8 @@ def _turns(off: Floats, slope: Floats, light: Light, rays: Floats) -> tuple[Floa
         size = float(x @ x)
         if size > 1e-9:
             turns[k] = x @ y / size
-            left = y - turns[k] * x
-            variances[k] = (left @ left / len(y) + 1e-4) / size
+            residual = y - turns[k] * x
+            variances[k] = (residual @ residual / len(y) + 1e-4) / size
     return turns, variances
 
 

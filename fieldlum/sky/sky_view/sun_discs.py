@@ -97,11 +97,11 @@ def fit_pose(
     if len(discs) - gross.sum() > MIN_DISCS:
         keep = ~gross
     found = least_squares(cost, robust)
-    left = off(found.x * prior)[keep]
-    excess = max(1.0, float((left**2).sum()) / max(2.0 * keep.sum() - len(NAMES), 1.0))
+    residual = off(found.x * prior)[keep]
+    excess = max(1.0, float((residual**2).sum()) / max(2.0 * keep.sum() - len(NAMES), 1.0))
     found = least_squares(cost, found.x)
     covariance = np.linalg.inv(found.jac.T @ found.jac) * np.outer(prior, prior)
-    rms_deg = np.degrees(np.sqrt(((left * sigma[keep]) ** 2).sum(axis=1).mean()))
+    rms_deg = np.degrees(np.sqrt(((residual * sigma[keep]) ** 2).sum(axis=1).mean()))
     dropped = tuple(int(k) for k in np.flatnonzero(~keep))
     return PoseFit(found.x * prior, covariance, float(rms_deg), dropped)
 
