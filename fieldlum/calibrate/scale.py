@@ -10,7 +10,7 @@ from fieldlum.calibrate import readings as shared
 from fieldlum.calibrate.pictures import Chart, Place
 from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.errors import InputError, input_errors
-from fieldlum.core.records import Flag, Panorama
+from fieldlum.core.records import Flag, Panorama, listed
 from fieldlum.optics.images import calibration_mark
 from fieldlum.optics.photometry import illuminance_lx
 from fieldlum.optics.profiles import CameraProfile
@@ -167,7 +167,7 @@ def fit(
     if len(far) > len(log) / 3:  # the picture is wrong and not the readings
         finding = f"{len(far)} of {len(log)} readings differ from the fitted k by over 10 % and 3 u"
         remedy = "check azimuths (clockwise from north), one unit for all, and steady light"
-        raise InputError(source, f"{finding}: {', '.join(far[:4])}", "at most a third", remedy)
+        raise InputError(source, f"{finding}: {listed(far, 4)}", "at most a third", remedy)
     scatter = float((weight * (log - centre) ** 2).sum() / max(len(log) - 1, 1))
     u_rel = math.hypot(math.sqrt(max(scatter, 1.0) / weight.sum()), meter_u)
     line = "scale: one factor from one reading; no held-out error, which needs two readings"

@@ -1,6 +1,7 @@
 """Define the values that stages exchange: frozen, with units in their names and times in UTC."""
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from enum import IntFlag
@@ -239,6 +240,12 @@ JsonTable = dict[str, Any]
 def counted(count: int, noun: str) -> str:
     """Return a number with its noun, such as "1 room" or "3 rooms"."""
     return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
+def listed(names: Sequence[object], most: int = 5) -> str:
+    """Return the first `most` names and the number of the others, such as "a, b and 3 more"."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(map(str, names[:most])) + more
 
 
 def shutter_text(shutter_s: float) -> str:

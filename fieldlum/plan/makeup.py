@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum.core.records import JsonTable, Site, SiteFile, Slot, parse_utc, slot_id
+from fieldlum.core.records import JsonTable, Site, SiteFile, Slot, listed, parse_utc, slot_id
 from fieldlum.plan.days import hours_of, span, sun_band_percent
 from fieldlum.session import Session, replacing, sha256, update_session, write_plan
 from fieldlum.session.folder import PlanTable
@@ -156,15 +156,14 @@ def sentences(answer: JsonTable) -> list[str]:
     ]
     if made_up:
         days = sorted({f"{parse_utc(pair['slot']):%Y-%m-%d}" for pair in made_up})
-        shown = ", ".join(days[:6]) + (" ..." if len(days) > 6 else "")
         texts.append(
-            f"{len(made_up)} make-up slots added on {len(days)} days: {shown}; in each of them the "
-            f"sun is within {max(pair['sun_off_deg'] for pair in made_up):g} deg of its position "
-            "in the missed slot"
+            f"{len(made_up)} make-up slots added on {len(days)} days: {listed(days)}; in each of "
+            f"them the sun is within {max(pair['sun_off_deg'] for pair in made_up):g} deg of its "
+            "position in the missed slot"
         )
     if lost:
         text = f"{len(lost)} missed slots have no make-up within a year"
-        texts.append(f"{text}: {', '.join(lost[:4])}")
+        texts.append(f"{text}: {listed(lost, 4)}")
     band = answer["sun_band_percent"]
     texts.append(
         f"share of the year's sun band covered: {band['planned']:.0f} % as planned, "

@@ -23,7 +23,7 @@ import tomli_w
 from fieldlum.core.errors import InputError
 from fieldlum.core.false_colour import png_of
 from fieldlum.core.progress import progress
-from fieldlum.core.records import Flag, Room, counted
+from fieldlum.core.records import Flag, Room, counted, listed
 from fieldlum.optics.images import read_panorama, write_radiance_hdr
 from fieldlum.optics.projection import direction
 from fieldlum.optics.raw import RAW_SUFFIXES
@@ -285,8 +285,7 @@ def _notes(session: Session) -> list[str]:
         if flags is not None and float(((flags & Flag.MOTION) > 0).mean()) > 0.02:
             moved.append(path.stem)
     if moved:
-        listed = ", ".join(moved[:5]) + (" ..." if len(moved) > 5 else "")
-        notes.append(f"something moved, perhaps people: look at the frames of {listed}")
+        notes.append(f"something moved, perhaps people: look at the frames of {listed(moved)}")
     texts = [session.root / name for name in _FILES if (session.root / name).is_file()]
     if named := [path.name for path in texts if _HOME_PATH.search(path.read_bytes())]:
         notes.append(f"folders of this computer are named in {', '.join(named)}")

@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 from typing import Any, Required, TypedDict
 
 from fieldlum.core.errors import InputError, input_errors
-from fieldlum.core.records import counted, parse_utc, utc_text
+from fieldlum.core.records import counted, listed, parse_utc, utc_text
 from fieldlum.core.room_states import USAGE, merged_state
 from fieldlum.session.codec import convert
 from fieldlum.session.files.capture_json import frame_from
@@ -24,8 +24,6 @@ from fieldlum.session.writing import (
     encode_line,
     exclusive,
 )
-
-_NAMED = 5  # damaged lines that are named; chosen
 
 EventFields = dict[str, Any]
 """What an event states besides its kind and time; see `JournalEvent`."""
@@ -110,9 +108,7 @@ def damage_text(lines: list[int]) -> str:
     """Return a sentence about the lines of `damaged_lines`; "" if there is none."""
     if not lines:
         return ""
-    more = f" and {len(lines) - _NAMED} more" if len(lines) > _NAMED else ""
-    named = ", ".join(str(number) for number in lines[:_NAMED])
-    return f"journal.jsonl has {counted(len(lines), 'damaged line')} ({named}{more})"
+    return f"journal.jsonl has {counted(len(lines), 'damaged line')} ({listed(lines)})"
 
 
 def _lines(session: Session) -> Iterator[tuple[int, JournalEvent | None]]:

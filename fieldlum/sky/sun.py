@@ -326,12 +326,17 @@ def dirint_dni(ghi_wm2: ArrayLike, times_utc: Sequence[datetime], site: Site) ->
     return np.where(np.isnan(ghi), np.nan, np.where(zenith > 87.0, 0.0, dni))
 
 
+def horizontal_beam(normal: ArrayLike, altitude_deg: ArrayLike) -> Floats:
+    """Return what direct normal light gives on the horizontal, in its unit, [n]; 0 after sunset."""
+    return np.asarray(normal, float) * np.maximum(np.sin(np.radians(altitude_deg)), 0.0)
+
+
 def dhi_by_closure(ghi_wm2: ArrayLike, dni_wm2: ArrayLike, altitude_deg: ArrayLike) -> Floats:
     """Return diffuse = global - DNI sin(altitude), never negative, [n], in W/m2.
 
     With the sun below the horizon it is the global.
     """
-    beam = np.asarray(dni_wm2, float) * np.maximum(np.sin(np.radians(altitude_deg)), 0.0)
+    beam = horizontal_beam(dni_wm2, altitude_deg)
     return np.maximum(np.asarray(ghi_wm2, float) - beam, 0.0)
 
 
@@ -395,8 +400,7 @@ def closure_ratio(
 
     NaN (not testable) where that sum is not over 50 W/m2. Irradiances in W/m2.
     """
-    beam = np.asarray(dni_wm2, float) * np.maximum(np.sin(np.radians(altitude_deg)), 0.0)
-    total = np.asarray(dhi_wm2, float) + beam
+    total = np.asarray(dhi_wm2, float) + horizontal_beam(dni_wm2, altitude_deg)
     return np.divide(ghi_wm2, total, out=np.full(total.shape, np.nan), where=total > 50.0)
 
 

@@ -116,7 +116,7 @@ def check_sense(path: Path, weather: Weather, place: Site, ghi_wm2: Floats) -> l
     altitude = station.altitude_deg()
     if not (altitude > sun.CLEAR_SUN_DEG).any():
         return []
-    total = weather.dhi_wm2 + weather.dni_wm2 * np.maximum(np.sin(np.radians(altitude)), 0.0)
+    total = weather.dhi_wm2 + sun.horizontal_beam(weather.dni_wm2, altitude)
     share = float(total.sum() / max(sun.clearsky(weather.t_utc, place).ghi_wm2.sum(), 1.0))
     low, high = _SHARE_OF_CLEAR
     if not low <= share <= high:

@@ -11,6 +11,7 @@ from fieldlum.core.arrays import Floats, Floats32, Mask
 from fieldlum.learn.models import ModelState, Patch, Prediction, rebuilt, state_of
 from fieldlum.learn.models.data import Dataset
 from fieldlum.sky.light import Light
+from fieldlum.sky.sun import horizontal_beam
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,8 +152,7 @@ def outside(light: Light) -> Floats:
 
     Maps are scaled in proportion to it.
     """
-    rise = np.maximum(np.sin(np.radians(light.sun_altitude_deg)), 0.0)
-    return light.dni_wm2 * rise + light.dhi_wm2 + 1.0
+    return horizontal_beam(light.dni_wm2, light.sun_altitude_deg) + light.dhi_wm2 + 1.0
 
 
 def fit_nearest(data: Dataset, *, patch: Patch = "absolute", **_: object) -> NearestFitted:

@@ -20,7 +20,7 @@ from skimage.measure import block_reduce
 
 from fieldlum.core.arrays import Array, Floats, Floats32, Mask, evenly_spread
 from fieldlum.core.progress import progress
-from fieldlum.core.records import counted
+from fieldlum.core.records import counted, listed
 from fieldlum.learn.models.held_out_choice import weight_of_variance
 from fieldlum.optics.projection import (
     altitude_azimuth_deg,
@@ -430,6 +430,4 @@ def turn_notes(turns: CameraTurns, days: NDArray[np.datetime64]) -> list[str]:
 
 
 def _captures(rows: Mask, days: NDArray[np.datetime64]) -> str:
-    names = [str(day) for day in np.unique(days[rows])]
-    shown = ", ".join(names[:5]) + (" ..." if len(names) > 5 else "")
-    return f"{counted(int(rows.sum()), 'capture')} of {shown}"
+    return f"{counted(int(rows.sum()), 'capture')} of {listed(np.unique(days[rows]).tolist())}"

@@ -200,9 +200,8 @@ def sun_of_rows(path: Path, rows: Sequence[PairRow], site: Site) -> tuple[Floats
 def _check_irradiance(path: Path, rows: Sequence[PairRow], altitude_deg: Floats) -> None:
     top = sun.extraterrestrial_wm2([row.t_utc for row in rows])
     dni, dhi = np.array([(row.dni_wm2, row.dhi_wm2) for row in rows]).T
-    sine = np.sin(np.radians(np.maximum(altitude_deg, 0.0)))
     limits = sun.bsrn_limits(altitude_deg, top)
-    weak = sun.too_weak(dhi + dni * sine, altitude_deg, top)
+    weak = sun.too_weak(dhi + sun.horizontal_beam(dni, altitude_deg), altitude_deg, top)
     for wrong, finding, remedy in (
         (dhi > limits.dhi_wm2[1], "more diffuse light than any sky gives", "global irradiance"),
         (dni > limits.dni_wm2[1], "more direct light than above the atmosphere", "other units"),
@@ -297,7 +296,7 @@ def _assemble(path: Path, rows: list[PairRow], setup: SiteFile, notes: list[str]
     )
     data, has_value = read_pictures(path, rows, setup, light)
     heading, days = data.heading_deg, data.days
-    beam = light.dni_wm2 * np.sin(np.radians(np.maximum(altitude, 0.0)))
+    beam = sun.horizontal_beam(light.dni_wm2, altitude)
     direct = DirectLight(beam / np.maximum(beam + light.dhi_wm2, 1.0), azimuth, days)
     maps = np.nan_to_num(data.luminance_cdm2)
     turns = camera_turns(maps, data.seen, heading, light=direct)

@@ -17,7 +17,7 @@ import numpy as np
 from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.progress import progress
-from fieldlum.core.records import counted
+from fieldlum.core.records import counted, listed
 from fieldlum.core.statistics import held_out_masks
 from fieldlum.learn import models
 from fieldlum.learn.model_registry import MODELS
@@ -446,11 +446,10 @@ def held_out_warnings(fitted: Fitted, data: Dataset) -> list[str]:
     means = np.array([trimmed_mean(errors[day == d], weight[day == d]) for d in days])
     exceptions = days[(means > POOR_MSE) & (means > 4.0 * np.median(means))]
     if len(exceptions):
-        shown = ", ".join(map(str, exceptions[:5])) + (" ..." if len(exceptions) > 5 else "")
         texts.append(
-            f"WARNING: the held-out error of {shown} is over 4 times that of the median day: a "
-            "blind, a lamp or wrong irradiance; mark what was different (fieldlum status SESSION "
-            "--mark SLOT blind=half), or set ok = 0 in pairs.csv, and train again"
+            f"WARNING: the held-out error of {listed(exceptions.tolist())} is over 4 times that of "
+            "the median day: a blind, a lamp or wrong irradiance; mark what was different (fieldlum"
+            " status SESSION --mark SLOT blind=half), or set ok = 0 in pairs.csv, and train again"
         )
     mean = trimmed_mean(errors, weight)
     if np.median(errors) > POOR_MSE / 4 or mean > POOR_MSE:

@@ -163,13 +163,13 @@ class Transport:
         the second stage corrects hours with a sun from nearly the direction of a captured one.
         """
         pixels, features = self.pixels, self.states.features(light)
-        if self.patch_light is not None and patch is not None:
-            window = self.open_sky.mask(self.seen)
-            features = replace(features, bounced=self.patch_light.features(patch, light, window))
         sunlight = None
         if self.physics is not None:
             sunlight = self.physics.sunlight(light)
             features = replace(features, bounced=self.physics.features(light, sunlight))
+        elif self.patch_light is not None and patch is not None:
+            window = self.open_sky.mask(self.seen)
+            features = replace(features, bounced=self.patch_light.features(patch, light, window))
         cross = self.kernel(features, self.captured)  # [n, captures]
         unit = light.total_lx.astype(np.float32)[:, None] * pixels.scale
         surface = (cross @ self.projector).astype(np.float32) @ pixels.b.T  # [n, P]

@@ -157,7 +157,7 @@ def check(series: Series, altitude: Floats, top: Floats) -> Series:
     dni = np.where(two_level, computed, dni)
     unknown = np.isfinite(ghi) & np.isfinite(dni) & np.isnan(dhi)
     dhi = np.where(unknown, sun.dhi_by_closure(ghi, dni, altitude), dhi)
-    beam = dni * np.maximum(np.sin(np.radians(altitude)), 0.0)
+    beam = sun.horizontal_beam(dni, altitude)
     ghi = np.where(np.isfinite(dhi) & np.isfinite(dni) & np.isnan(ghi), dhi + beam, ghi)
     return Series(series.t_unix_s, ghi, dhi, dni, marks)
 

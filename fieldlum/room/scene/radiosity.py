@@ -45,6 +45,7 @@ from fieldlum.room.scene.trace import (
 from fieldlum.room.scene.view import SceneView, SurfaceSamples, look, patch_rays
 from fieldlum.sky.light import Light
 from fieldlum.sky.perez import reinhart_index, reinhart_patches
+from fieldlum.sky.sun import horizontal_beam
 
 SKY = len(reinhart_patches())
 PLAIN = SKY  # column of the open plain
@@ -399,7 +400,7 @@ class LitRoom:
         share, seen = self.view.sky.ravel(), np.flatnonzero(self.view.sky)
         seen_rgb = seen_cdm2[..., None] * _rgb(sky_xyz(seen_cdm2 / share[seen], clear))
         weight = patches.solid_angles_sr * patches.directions[:, 2]
-        beam_lx = light.direct_lx * np.maximum(np.sin(np.radians(light.sun_altitude_deg)), 0.0)
+        beam_lx = horizontal_beam(light.direct_lx, light.sun_altitude_deg)
         ground = np.einsum("s,sn,nsc->nc", weight, outdoors[:SKY], sky) + beam_lx[:, None] * sun
         ground = ground * _tint("ground")
         ground *= (light.sky.ground_cdm2 / np.maximum(ground @ _Y, 1e-9))[:, None]

@@ -295,7 +295,7 @@ def _write_irradiance(
     if troubles.names:
         altitude = sun.position(times, weather.site).altitude_deg
         dni_wm2, dhi_wm2 = measured_irradiance(times, dni_wm2, dhi_wm2, altitude, troubles)
-        ghi_wm2 = dni_wm2 * np.maximum(np.sin(np.radians(altitude)), 0.0) + dhi_wm2
+        ghi_wm2 = sun.horizontal_beam(dni_wm2, altitude) + dhi_wm2
     seconds = np.array([t.timestamp() for t in times])
     truth = CleanIrradiance(seconds, ghi_wm2, dhi_wm2, dni_wm2)
     truth.write(session.truth_irradiance)

@@ -14,7 +14,7 @@ import numpy as np
 from fieldlum.core.arrays import Array, Floats, Floats32, Indices, Mask, evenly_spread
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.progress import progress
-from fieldlum.core.records import Site
+from fieldlum.core.records import Site, listed
 from fieldlum.core.room_states import parse_state
 from fieldlum.sky.light import Light
 from fieldlum.sky.sky_view.disc import disc_of_hours
@@ -338,7 +338,7 @@ def _checked(decided: _Decided, captured: Captured) -> SkyView:
     named = [f"{light.t_utc[k]:%Y-%m-%d %H:%M} UTC ({what} captured)" for k, what in wrong]
     note = (
         f"{len(named)} captures contradict the sky view, which was corrected there: "
-        f"{', '.join(named[:3])}; check the heading and the clock",
+        f"{listed(named, 3)}; check the heading and the clock",
     )
     notes = _notes(replace(decided, scatters=decided.scatters & ~without)) + view.pose.notes
     return replace(view, **arrays, notes=notes + (note if named else ()))

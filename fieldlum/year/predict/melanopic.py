@@ -31,6 +31,7 @@ from fieldlum.sky.light import (
     light_at,
     light_features,
 )
+from fieldlum.sky.sun import horizontal_beam
 from fieldlum.year.glare.metrics import map_ev_lx
 from fieldlum.year.glare.sources import panorama_views
 
@@ -96,8 +97,7 @@ class MelanopicYear:
 
 def _parts(light: Light, sun_share: Floats) -> Floats:
     """Return what the weights multiply, [n, d, 3]."""
-    sine = np.maximum(np.sin(np.radians(light.sun_altitude_deg)), 0.0)
-    beam = light.dni_wm2 * sine
+    beam = horizontal_beam(light.dni_wm2, light.sun_altitude_deg)
     clear = (beam / np.maximum(beam + light.dhi_wm2, 1.0))[:, None]
     sky = 1.0 - sun_share
     sun = sun_share * sun_melanopic_ratio(light.apparent_altitude_deg)[:, None]
@@ -153,7 +153,7 @@ def _solve(parts: Floats, ratio: Floats) -> tuple[Floats, Floats]:
 
 def _without_sun(light: Light) -> Light:
     sky, dark = light.sky, np.zeros(len(light))
-    beam = sky.direct_lx * np.maximum(np.sin(np.radians(light.sun_altitude_deg)), 0.0)
+    beam = horizontal_beam(sky.direct_lx, light.sun_altitude_deg)
     ground = sky.ground_cdm2 * sky.diffuse_lx / np.maximum(sky.diffuse_lx + beam, MIN_LX)
     perez = replace(sky, direct_lx=dark, ground_cdm2=ground)
     return replace(light, dni_wm2=dark, perez=perez)
