@@ -15,7 +15,7 @@ from fieldlum.capture.logger_import import adopt_rows
 from fieldlum.capture.match_card import CardFrame, Group, Match, Offset, Report
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.progress import progress
-from fieldlum.core.records import CameraSetup, Exposure, SiteFile, Slot, counted
+from fieldlum.core.records import CameraSetup, Exposure, SiteFile, Slot, counted, listed
 from fieldlum.optics.photometry import same_exposure
 from fieldlum.optics.profiles import CameraBody, load_camera_profile
 from fieldlum.optics.raw import RAW_SUFFIXES, is_jpeg, jpeg_size, read_exif, same_model
@@ -149,7 +149,7 @@ def _lacking_text(match: Match, setup: CameraSetup) -> str:
     missing = lacking(match.group, match.slot, setup)
     if not missing:
         return ""
-    shown = ", ".join(exposure_text(e) for e in missing[:3]) + (" ..." if len(missing) > 3 else "")
+    shown = listed([exposure_text(exposure) for exposure in missing], 3)
     where = f"missing frames of slot {match.slot.id}"
     return f"{_range(match.group)}: {where}: {len(missing)} ({shown})"
 
