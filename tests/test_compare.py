@@ -252,6 +252,10 @@ def test_pictures_of_other_slots_are_refused(tmp_path: Path) -> None:
         ("hoy,dgp@nan\n12,0.3", "a view such as dgp@180"),
         ("hoy,dgp@180,dgp@540\n12,0.3,0.4", "two columns of dgp"),
         ("hoy,dgp\n12.5,", "no value in daylight hours"),
+        ("hoy,dgp,DGP\n12.5,0.3,0.4", "2 columns named dgp"),
+        ("hoy,Ev [klx]\n12.5,0.3", "the column ev [klx]; expected Ev in lx"),
+        ("hoy,illum (fc)\n12.5,300", "the column illum (fc); expected Ev in lx"),
+        ("hoy,dgp\n12.5,0_3", "numbers in dgp"),
     ],
 )
 def test_a_table_that_cannot_be_right_is_refused(tmp_path: Path, text: str, found: str) -> None:
@@ -269,6 +273,10 @@ def test_dgp_above_1_counts_as_1_as_in_the_predicted_year(tmp_path: Path) -> Non
     table = tmp_path / "other.csv"
     table.write_text("hoy,dgp\n12,0.3\n13,0.4\n14,1.7\n")
     assert read_model_hours(table, [180.0])["dgp", 180.0].tolist() == [0.3, 0.4, 1.0]
+    for name in ("DGP [-]", "dgp"):
+        table.write_text(f"hoy\t{name}\tEv (lx)\n12\t0.3\t900\n")
+        hours = read_model_hours(table, [180.0])
+        assert (hours["dgp", 180.0].tolist(), hours["ev_lx", 180.0].tolist()) == ([0.3], [900.0])
 
 
 @pytest.mark.contract

@@ -22,7 +22,7 @@ from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.plot_style import styled
 from fieldlum.core.progress import progress
 from fieldlum.core.records import JsonTable, Panorama, Room
-from fieldlum.core.strict_csv import CsvTable, read_table
+from fieldlum.core.strict_csv import CsvTable, check_names, read_number, read_table
 from fieldlum.optics.projection import (
     altitude_azimuth_deg,
     direction,
@@ -296,12 +296,17 @@ def read_model_hours(path: Path, azimuths_deg: Sequence[float]) -> pd.DataFrame:
     if path.is_dir():
         return _read_honeybee(path, azimuths_deg)
     table = read_table(path, "an hourly table", "export one row an hour", marks="\t,")
-    columns = {name.lower(): k for k, name in enumerate(table.names)}
+    names = [name.lower() for name in table.names]
+    check_names(path, names)
+    columns = {name: k for k, name in enumerate(names)}
     figures: dict[tuple[str, float], Floats] = {}
     for name, k in columns.items():
         word, _, place = name.partition("@")
-        figure = _FIGURES.get(word.split("[")[0].split("(")[0].strip())
+        word, _, unit = word.replace("[", "(").partition("(")
+        figure = _FIGURES.get(word.strip())
         if figure is not None:
+            if unit.strip(" )]") not in ("", "lx", "lux", "-"):
+                raise InputError(path, f"the column {name}", "Ev in lx, DGP 0 to 1", "convert it")
             key = figure, _azimuth(place, azimuths_deg, path)
             if key in figures:
                 twice = f"two columns of {figure} facing {key[1]:g} deg"
@@ -339,7 +344,8 @@ def _values(path: Path, figure: str, values: Floats) -> Floats:
 def _numbers(table: CsvTable, column: int) -> Floats:
     remedy = "write numbers, or nothing"
     with input_errors(table.path, f"numbers in {table.names[column]}", remedy, ValueError):
-        return np.array([float(cells[column] or "nan") for _, cells in table.rows])
+        cells = (cells[column] for _, cells in table.rows)
+        return np.array([read_number(cell, has_codes=False) for cell in cells])
 
 
 def _times_of(table: CsvTable, columns: dict[str, int]) -> Floats:
