@@ -269,6 +269,9 @@ def test_sam_files_are_read_as_sam_and_pvlib_mean_them(tmp_path: Path) -> None:
     for read in (without, with_30):
         assert [row.when - read.clock + read.shift for row in read.rows] == moments
         assert [row.dni for row in read.rows] == list(expected["dni"])
+    (tmp_path / "e.csv").write_text(text.splitlines()[0])
+    with pytest.raises(InputError, match="expected a header with Latitude"):
+        table(tmp_path / "e.csv")
     minute_0 = table(sam(tmp_path / "c.csv", "0"))
     assert minute_0.shift == HALF and "hour starts" in minute_0.notes[0]
     assert table(sam(tmp_path / "d.csv", source="TMY3")).typical and not without.typical
@@ -574,6 +577,11 @@ def test_a_netcdf_file_of_arm_has_the_values_and_times_of_scipy(tmp_path: Path) 
         file.createVariable("ghi_wm2", "f", ("time",))[:] = 100.0
     with pytest.raises(InputError, match="times without a unit"):
         read_logger_file(path)
+    content = path.read_bytes()
+    for size in range(4, len(content), 4):  # cut within any field
+        path.write_bytes(content[:size])
+        with pytest.raises(InputError, match="export it as csv"):
+            read_logger_file(path)
 
 
 @pytest.mark.contract

@@ -25,6 +25,7 @@ from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure
 from fieldlum.optics.images import luminance_weights, read_exr, read_radiance_hdr
 from fieldlum.optics.raw import pixels, read_exif, read_jpeg, read_mosaic, write_dng
+from fieldlum.sky.sky_view import SkyView
 
 EXPOSURE = Exposure(1 / 60, 5.6, 100.0)
 NAIVE = datetime(2027, 3, 20, 7, 30, tzinfo=UTC).replace(tzinfo=None)
@@ -495,6 +496,22 @@ def test_a_white_luminance_that_cannot_be_true_is_no_unit(tmp_path: Path, white:
     picture = read_exr(path)[0]
     assert picture.luminance_cdm2 == pytest.approx(7)
     assert "states no unit" in picture.attributes["note"]
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize("keep", [0.5, 0.8])
+def test_a_cut_exr_prints_nothing_into_the_answer(
+    tmp_path: Path, keep: float, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "a.exr"
+    noise = np.random.default_rng(1).uniform(1, 9, (90, 120)).astype(np.float32)
+    OpenEXR.File([_part("", dict.fromkeys("RGB", noise))]).write(str(path))
+    path.write_bytes(path.read_bytes()[: int(keep * path.stat().st_size)])
+    with pytest.raises(InputError, match=r"broken EXR \(.*pixel data.*\); expected a complete EXR"):
+        read_exr(path)
+    with pytest.raises(InputError, match=r"broken EXR \(Exception raised reading pixel data"):
+        SkyView.read(path)
+    assert capsys.readouterr().out == ""
 
 
 @pytest.mark.contract

@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import io
 import json
 import os
 import re
 import subprocess
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, redirect_stdout, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
@@ -480,28 +481,44 @@ def read_exr(path: Path, part: str = "") -> tuple[Panorama, str]:
     return _on_display_window(panorama, header), view if known else ""
 
 
-def _headers(path: Path) -> list[dict[str, Any]]:
-    """Return the attributes of each part. Raises InputError for a file that is no EXR."""
+@contextmanager
+def opened_exr(path: Path, **how: bool) -> Iterator[Any]:
+    """Yield a file that OpenEXR has read, `how` it reads it.
+
+    Raises ValueError for a file that is no EXR, and with the cause for one that is broken. OpenEXR
+    would print the cause, in the middle of what a command prints.
+    """
     import OpenEXR
 
-    # Check the first bytes before OpenEXR reads the file, because OpenEXR prints to stderr.
-    remedy = "check the path of the picture, and which program wrote it"
-    with input_errors(path, "an .exr picture", remedy, OSError), path.open("rb") as file:
+    with path.open("rb") as file:
         if file.read(4) != b"\x76\x2f\x31\x01":
-            raise InputError(path, "not an OpenEXR file", "an .exr picture", remedy)
+            raise ValueError("not an OpenEXR file")
+    printed = io.StringIO()
     try:
-        with OpenEXR.File(str(path), header_only=True) as exr:
-            return [
-                {**part.header, "channels": [c.name for c in part.header["channels"]]}
-                for part in exr.parts
-            ]
+        with redirect_stdout(printed):
+            exr = OpenEXR.File(str(path), **how)
+        if cause := printed.getvalue().removeprefix("Warning: ").strip():
+            raise ValueError(cause)
     except Exception as error:
-        raise _broken(path, error) from None
+        raise ValueError(f"broken EXR ({error})".replace("\n", " ")) from None
+    with exr:
+        yield exr
 
 
-def _broken(path: Path, error: Exception) -> InputError:
-    finding = f"broken EXR ({error})".replace("\n", " ")
-    return InputError(path, finding, "a complete EXR", "copy the file again")
+_COMPLETE = "a complete EXR", "copy the file again"
+
+
+def _headers(path: Path) -> list[dict[str, Any]]:
+    """Return the attributes of each part. Raises InputError for a file that is no EXR."""
+    remedy = "check the path of the picture, and which program wrote it"
+    with (
+        input_errors(path, "a complete .exr picture", remedy, Exception),  # of OpenEXR
+        opened_exr(path, header_only=True) as exr,
+    ):
+        return [
+            {**part.header, "channels": [c.name for c in part.header["channels"]]}
+            for part in exr.parts
+        ]
 
 
 def _window(header: Mapping[str, Any], name: str) -> tuple[int, int, int, int]:
@@ -516,10 +533,8 @@ def _check_size(headers: Sequence[Mapping[str, Any]], path: Path) -> None:
     All parts count, because OpenEXR decodes all of them.
     """
     for header, name in ((h, name) for h in headers for name in ("dataWindow", "displayWindow")):
-        try:
+        with input_errors(path, *_COMPLETE, KeyError, TypeError, ValueError):
             top, left, bottom, right = _window(header, name)
-        except (KeyError, TypeError, ValueError) as error:
-            raise _broken(path, error) from None
         count = max(1, len(header["channels"])) * len(headers)
         height, width = bottom - top, right - left
         if min(width, height) < 1 or width * height * count > _MAX_VALUES:
@@ -529,17 +544,15 @@ def _check_size(headers: Sequence[Mapping[str, Any]], path: Path) -> None:
 
 def _channels(path: Path, picture: _Picture) -> dict[str, Floats32]:
     """Return channels [H, W] of a picture by their plain name."""
-    import OpenEXR
-
-    try:
-        with OpenEXR.File(str(path), separate_channels=True) as exr:
-            channels = exr.parts[picture.part].channels
-            return {
-                plain_name: np.asarray(channels[name].pixels).astype(np.float32, copy=False)
-                for name, plain_name in picture.channels.items()
-            }
-    except Exception as error:
-        raise _broken(path, error) from None
+    with (
+        input_errors(path, *_COMPLETE, Exception),  # of OpenEXR
+        opened_exr(path, separate_channels=True) as exr,
+    ):
+        channels = exr.parts[picture.part].channels
+        return {
+            plain_name: np.asarray(channels[name].pixels).astype(np.float32, copy=False)
+            for name, plain_name in picture.channels.items()
+        }
 
 
 def _luminance(

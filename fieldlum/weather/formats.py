@@ -327,7 +327,7 @@ def _read_sam(path: Path, lines: list[str], site: Site) -> WeatherTable:
     the middle with minute 30. With minute 0 the choice that agrees best with the sun is taken.
     """
     expected = "a header with Latitude, Longitude, Elevation and Time Zone"
-    keys, values = (split_header(path, line) for line in list(enumerate(lines[:2], start=1)))
+    keys, values = (split_header(path, line) for line in enumerate([*lines, ""][:2], start=1))
     about = dict(zip(keys, values, strict=False))
     cells = [about.get(key, "?") for key in ("Latitude", "Longitude", "Elevation", "Time Zone")]
     place, clock = _place(path, cells, expected, about.get("City", "").strip("-") or "station")

@@ -18,6 +18,7 @@ import numpy as np
 from fieldlum.core.arrays import Floats, Floats32
 from fieldlum.core.errors import InputError, reason_of
 from fieldlum.core.records import JsonTable
+from fieldlum.optics.images import opened_exr
 from fieldlum.session.writing import replacing_path
 from fieldlum.sky.sky_view.picture import SkyGrid
 from fieldlum.sky.sky_view.pose import CameraPose
@@ -175,13 +176,7 @@ def _check(grid: SkyGrid, arrays: dict[str, Floats32], frame: str) -> None:
 
 
 def _content(path: Path) -> tuple[dict[str, Any], dict[str, Floats32]]:
-    import OpenEXR
-
-    with path.open("rb") as file:
-        # Check the first bytes before OpenEXR reads the file, because OpenEXR prints to stderr.
-        if file.read(4) != b"\x76\x2f\x31\x01":
-            raise ValueError("not an OpenEXR file")
-    with OpenEXR.File(str(path), separate_channels=True) as exr:
+    with opened_exr(path, separate_channels=True) as exr:
         about = json.loads(str(exr.header()["fieldlum:sky_view"]))
         channels = {
             name: np.asarray(exr.channels()[name].pixels, np.float32).copy() for name in CHANNELS
