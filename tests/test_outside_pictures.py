@@ -25,7 +25,7 @@ from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure
 from fieldlum.optics.images import luminance_weights, read_exr, read_radiance_hdr
 from fieldlum.optics.raw import pixels, read_exif, read_jpeg, read_mosaic, write_dng
-from fieldlum.sky.sky_view import SkyView
+from fieldlum.sky.sky_view.view import SkyView
 
 EXPOSURE = Exposure(1 / 60, 5.6, 100.0)
 NAIVE = datetime(2027, 3, 20, 7, 30, tzinfo=UTC).replace(tzinfo=None)
