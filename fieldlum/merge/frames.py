@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.core.arrays import Array, Floats, Floats32, Indices, Mask, evenly_spread
+from fieldlum.core.arrays import Array, Floats, Floats32, Mask, evenly_spread
 from fieldlum.core.errors import InputError
 from fieldlum.core.progress import progress
 from fieldlum.merge.shift import ReducedFrame, reduced
@@ -168,14 +168,9 @@ class RawSignal:
         Charge spills to neighbouring pixels and affects the other colours too.
         """
         a, b = max(first - 1, 0), min(last + 1, len(self.counts))
-        return self._widened(self.counts[None, a:b])[0, first - a : last - a]
-
-    def _widened(self, parts: NDArray[np.uint16]) -> Mask:
-        """Return `_near_full` of parts [parts, rows, 2, columns], each taken by itself."""
-        full = (parts - self.black >= _FULL * self.saturation).view(np.uint8)
-        square = np.ones((5, 5), np.uint8)
-        wide = [cv2.dilate(part.reshape(-1, parts.shape[-1]), square) for part in full]
-        return np.stack(wide).reshape(parts.shape).view(np.bool_)
+        full = (self.counts[a:b] - self.black >= _FULL * self.saturation).view(np.uint8)
+        wide = cv2.dilate(full.reshape(-1, full.shape[-1]), np.ones((5, 5), np.uint8))
+        return np.reshape(wide, full.shape)[first - a : last - a].view(np.bool_)
 
     def weight(self, predicted_cdm2: Floats32) -> Floats32:
         """Return the weight in the merge: per_cdm2 over photon and read variance, in its shape.
@@ -195,10 +190,9 @@ class RawSignal:
 
     def readable(self, counts: Floats32) -> tuple[Mask, Floats32]:
         """Return the mask of `usable` for counts [rows, ...], and the variances of all [DN^2]."""
-        variance = np.maximum(counts, 0.0) / np.float32(self.gain_e_per_dn) + np.float32(
-            self.noise_dn2
-        )
-        return counts < self.usable_limit, variance.astype(np.float32)
+        gain, noise = np.float32(self.gain_e_per_dn), np.float32(self.noise_dn2)
+        variance = np.maximum(counts, 0.0) / gain + noise
+        return self.usable(counts), variance.astype(np.float32)
 
     def small(self) -> ReducedFrame:
         """Return a reduced picture, the mean of all colours, to detect turns by its edges."""
@@ -216,13 +210,12 @@ class RawSignal:
         at = evenly_spread(len(self.counts), rows)
         # An odd step samples both columns of the mosaic.
         step = max(1, self.counts.shape[-1] // columns) | 1
-        around = np.clip(at[:, None] + (-1, 0, 1), 0, len(self.counts) - 1)
-        full = self._widened(self.counts[around])[:, 1, :, ::step]
+        full = np.concatenate([self._near_full(i, i + 1) for i in at.tolist()])
         patterns = {
             name: value[..., ::step] if (value := getattr(self, name)).ndim else value
             for name in ("black", "saturation", "per_cdm2")
         }
-        return replace(self, counts=self.counts[at][:, :, ::step], **patterns), full
+        return replace(self, counts=self.counts[at][..., ::step], **patterns), full[..., ::step]
 
 
 def _cell_pattern(cfa: str, by_colour: Sequence[float], width: int) -> Floats32:
@@ -317,10 +310,6 @@ class JpegSignal:
         )
 
     @cached_property
-    def _offsets(self) -> Indices:
-        return self._rows(np.arange(3, dtype=np.intp) * _Z_STEPS)
-
-    @cached_property
     def _tables(self) -> tuple[Floats32, Floats32]:
         """Variance of z, and weight of a predicted z, at equal steps of z, [3 steps].
 
@@ -346,7 +335,7 @@ class JpegSignal:
         z *= np.float32(_Z_STEPS / _Z_TOP)
         np.minimum(z, np.float32(_Z_STEPS - 1), out=z)
         index = z.astype(np.intp)
-        index += self._offsets
+        index += self._rows(np.arange(3) * _Z_STEPS)  # the three colours' tables follow each other
         return np.take(table, index, out=z, mode="clip")
 
     def strip(self, first: int, last: int) -> tuple[Floats32, Mask | None]:
@@ -409,7 +398,7 @@ class JpegSignal:
         """
         at = evenly_spread(len(self.codes), rows)
         step = max(1, self.codes.shape[1] // columns)
-        full = np.concatenate([self._near_full(int(i), int(i) + 1) for i in at])
+        full = np.concatenate([self._near_full(i, i + 1) for i in at.tolist()])
         per = self._rows(self.per_cdm2)[::step]
         codes = self.codes[at][:, ::step]
         part = replace(self, codes=codes, per_cdm2=per, bright_end=False, dark_end=False)

@@ -317,10 +317,9 @@ class Equirect:
 
     def solid_angles(self) -> Floats:
         """Return the solid angle of each pixel, in sr, [rows, columns]."""
-        rows, columns = self.shape
-        first = self.corner[0]
-        angles = row_solid_angles(self.height, 2 * self.height)[first : first + rows]
-        return np.repeat(angles[:, None], columns, axis=1)
+        (rows, columns), first = self.shape, self.corner[0]
+        angles = equirect_solid_angles(self.height, 2 * self.height)
+        return angles[first : first + rows, :columns]
 
 
 @dataclass(frozen=True, slots=True)
