@@ -8,9 +8,10 @@ that are as bright as a sky are resampled from the same merged sensor as the pan
 NaN.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime
+from itertools import product
 
 import numpy as np
 from scipy.ndimage import center_of_mass
@@ -208,34 +209,21 @@ def sky_cut(
     bright = (can_be_sun & _any(shines & (seen.coverage > 0.0), target))[place]
     out = np.full((bright.shape[0] * side, bright.shape[1] * side), np.nan, np.float32)
     clipped = np.zeros(out.shape, bool)
-    for tiles, part in _parts(bright, first, left, side):
+    step = max(1, 60 // side)  # tiles whose matrices have 1 MB at most; decides speed only
+    for i, j in product(*(range(0, count, step) for count in bright.shape)):
+        tiles = bright[i : i + step, j : j + step]
+        if not tiles.any():
+            continue
+        used = np.kron(tiles, np.ones((side, side), bool))
+        high, wide = used.shape
+        corner = (first + i) * side, (left + j) * side
+        part = Equirect(180 // _TILE_DEG * side, (*corner, high, wide))
         light, marked = _block(views, part, target)
-        into = tuple(slice(part.start * side, part.stop * side) for part in tiles)
-        used = np.kron(bright[tiles], np.ones((side, side), bool))
+        into = np.s_[i * side : i * side + high, j * side : j * side + wide]
         out[into], clipped[into] = np.where(used, light, np.nan), used & marked
-    step_deg = _TILE_DEG / side
     corner_deg = 90.0 - first * _TILE_DEG, left * _TILE_DEG - 180.0
-    grid = SkyGrid(*corner_deg, step_deg, heading_deg, *out.shape)
+    grid = SkyGrid(*corner_deg, _TILE_DEG / side, heading_deg, *out.shape)
     return SkyPicture(out, clipped, grid, dark_cdm2=dark_cdm2)
-
-
-def _parts(
-    bright: Mask, first: int, left: int, side: int
-) -> Iterator[tuple[tuple[slice, slice], Equirect]]:
-    """Yield blocks with a bright tile: their tiles, and the part of the sphere that they are.
-
-    bright: mask of tiles, of which the first is at row `first` and column `left` of a panorama of
-    tiles; side: pixels of a tile.
-    """
-    rows, columns = bright.shape
-    step = max(1, 60 // side)  # a block's matrices have 1 MB at most; decides speed only
-    for i in range(0, rows, step):
-        for j in range(0, columns, step):
-            tiles = slice(i, min(i + step, rows)), slice(j, min(j + step, columns))
-            if bright[tiles].any():
-                high, wide = bright[tiles].shape
-                corner = (first + i) * side, (left + j) * side
-                yield tiles, Equirect(180 // _TILE_DEG * side, (*corner, high * side, wide * side))
 
 
 def _block(views: Sequence[LensView], part: Equirect, target: Equirect) -> tuple[Floats, Mask]:
@@ -257,14 +245,12 @@ def _block(views: Sequence[LensView], part: Equirect, target: Equirect) -> tuple
 
 def _coarse_pixels(part: Equirect, target: Equirect) -> Indices:
     """Return the flat index of the target's pixel at each pixel of a part, [h w]."""
-    assert part.part is not None
     rows, columns = (
-        (start + np.arange(count) + 0.5) / part.height * target.height
-        for start, count in zip(part.part[:2], part.part[2:], strict=True)
+        ((start + np.arange(count) + 0.5) / part.height * target.height).astype(int)
+        for start, count in zip(part.corner, part.shape, strict=True)
     )
-    return (
-        rows.astype(int)[:, None] * 2 * target.height + columns.astype(int) % (2 * target.height)
-    ).ravel()
+    width = 2 * target.height
+    return (rows[:, None] * width + columns % width).ravel()
 
 
 def sun_tiles(heading_deg: float, latitude_deg: float) -> Mask:
@@ -285,5 +271,5 @@ def sun_tiles(heading_deg: float, latitude_deg: float) -> Mask:
 def _any(marked: Mask, target: Equirect) -> Mask:
     """Return the tiles with a marked pixel of a panorama [n], [90, 180]."""
     rows = 180 // _TILE_DEG * _SAMPLES
-    at = marked[_coarse_pixels(Equirect(rows, (0, 0, rows, 2 * rows)), target)]
+    at = marked[_coarse_pixels(Equirect(rows), target)]
     return np.asarray(at.reshape(rows // _SAMPLES, _SAMPLES, -1, _SAMPLES).any(axis=(1, 3)))
