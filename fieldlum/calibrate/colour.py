@@ -130,9 +130,9 @@ def _patch(
     frame: shared.LinearFrame, at: Place, radius_px: float, u_rel: float, profile: CameraProfile
 ) -> tuple[Floats, float]:
     """Return the colour [3] of a patch without vignetting, and the relative u of its comparison."""
-    patch = frame.patch(at.x, at.y, radius_px)
-    rgb = patch.rgb / shared.transmission(profile, frame.exposure.f_number, at.x, at.y)
-    return rgb, float(np.hypot(u_rel, patch.u_rel))
+    rgb, u_patch = frame.patch(at.x, at.y, radius_px)
+    transmission = shared.transmission(profile, frame.exposure.f_number, at.x, at.y)
+    return rgb / transmission, float(np.hypot(u_rel, u_patch))
 
 
 def from_chart(
@@ -410,7 +410,7 @@ def find_chart(frame: shared.LinearFrame) -> Floats:
     def off(corners: Floats) -> float:
         with suppress(InputError):  # a patch outside the picture, or clipped
             centres, radius_px = patch_centres(corners)
-            return misfit(np.array([frame.patch(x, y, radius_px).rgb for x, y in centres.tolist()]))
+            return misfit(np.array([frame.patch(x, y, radius_px)[0] for x, y in centres.tolist()]))
         return np.inf
 
     misfits = list(map(off, ways))

@@ -52,7 +52,6 @@ class Targets:
 class LensFit(NamedTuple):
     """A fitted lens, its held-out error, and warnings.
 
-    residual_px [n] : distance of each target from its fitted place, omitted targets included;
     rms_px, rms_deg : rms distance of held-out targets, or of chessboard corners. widest_deg :
     largest angle of a target from the axis; the mapping extrapolates beyond it. choice : how the
     polynomial's order was chosen. warnings : sentences about omitted targets and a pose far from
@@ -62,7 +61,6 @@ class LensFit(NamedTuple):
     lens: Lens
     rms_px: float
     rms_deg: float
-    residual_px: Array
     widest_deg: float
     choice: shared.OrderSelection
     warnings: tuple[str, ...] = ()
@@ -126,7 +124,7 @@ def fit(targets: Targets, lens: Lens) -> LensFit:
     rms_deg = choice.rms * lens.full_angle_deg / 2 / fitted.radius_px
     widest_deg = float(np.degrees(angle[inliers].max()))
     warnings = _warnings(targets, missed, inliers, new, lens)
-    return LensFit(new, choice.rms, rms_deg, missed, widest_deg, choice, warnings)
+    return LensFit(new, choice.rms, rms_deg, widest_deg, choice, warnings)
 
 
 def level_lens(lens: Lens) -> Lens:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from datetime import date
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -226,17 +226,6 @@ def _cell(path: Path, line: int, name: str, text: str, has_commas: bool) -> Any:
 # frames
 
 
-class Patch(NamedTuple):
-    """Mean camera R, G and B [3] of a disc on the sensor, in cd/m2 at the profile's k.
-
-    The tenth of the pixels with the smallest and the tenth with the largest values do not count.
-    u_rel : relative standard uncertainty of the mean green.
-    """
-
-    rgb: Floats
-    u_rel: float
-
-
 @dataclass(frozen=True, slots=True)
 class LinearFrame:
     """Camera colours [h, w, 3] in cd/m2 at the profile's k, not corrected for vignetting.
@@ -254,11 +243,12 @@ class LinearFrame:
     exposure: Exposure
     colour_matrix: Floats | None = None
 
-    def patch(self, x_px: float, y_px: float, radius_px: float) -> Patch:
-        """Return the mean colour of the good pixels in a disc of the sensor around x_px, y_px.
+    def patch(self, x_px: float, y_px: float, radius_px: float) -> tuple[Floats, float]:
+        """Return the mean colour [3] of the good pixels in a disc around x_px, y_px, and its u.
 
-        All in sensor pixels. Raises InputError for a disc that is not completely
-        in the picture, or if over a fifth of its pixels are bad.
+        u is the relative standard uncertainty of green. The tenth of the pixels with the smallest
+        and the tenth with the largest values do not count. All in sensor pixels. Raises InputError
+        for a disc that is not completely in the picture, or if over a fifth of its pixels are bad.
         """
         from scipy.stats import trim_mean
 
@@ -277,7 +267,7 @@ class LinearFrame:
             raise InputError(self.path, finding, "at most 20 %", "use a frame that exposes it well")
         rgb = np.asarray(trim_mean(values[~bad], 0.1, axis=0), float)
         error = float(np.nan_to_num(standard_error(values[~bad, 1])))
-        return Patch(rgb, error / max(float(rgb[1]), 1e-12))
+        return rgb, error / max(float(rgb[1]), 1e-12)
 
 
 def linear_frame(path: Path, profile: CameraProfile) -> LinearFrame:

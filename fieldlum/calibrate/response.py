@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -307,14 +307,11 @@ def fit(places: Places) -> ResponseFit:
     if choice.rms > 0.1:  # a still scene in steady light leaves 1 to 5 %
         caution = "CAUTION: check that camera and light did not change; take the bracket again"
         choice = replace(choice, line=f"{choice.line}. {caution}")
-    red, green, blue = (tuple(np.round(table, 7).tolist()) for table in tables)
-    response = Response("table", red, green, blue)
-    if isinstance(model, str):
-        response = Response(kind=model)  # type: ignore[arg-type]
+    kind: Any = model if isinstance(model, str) else "table"
+    curves = [tuple(np.round(table, 7).tolist()) for table in tables if kind == "table"]
     u_rel = round(max(choice.rms, 0.001), 5)
-    return ResponseFit(
-        replace(response, low_code=low, high_code=HIGH, u_rel=u_rel), tuple(rms), choice
-    )
+    response = Response(kind, *curves, low_code=low, high_code=HIGH, u_rel=u_rel)
+    return ResponseFit(response, tuple(rms), choice)
 
 
 def chart(places: Places, fit: ResponseFit) -> Chart:

@@ -29,13 +29,11 @@ from fieldlum.optics.raw import Mosaic, channel_positions, frame_files, is_jpeg
 class PixelDefects(NamedTuple):
     """Bad pixels (column, row) on the sensor, and the evidence.
 
-    frames : the frames that were read; by_chance : number of good pixels expected among bad_px by
-    chance; line : text for the profile.
+    frames : the frames that were read; line : text for the profile.
     """
 
     bad_px: tuple[tuple[int, int], ...]
     frames: tuple[Path, ...]
-    by_chance: float
     line: str
 
 
@@ -65,7 +63,7 @@ def find(sources: Sequence[Path], profile: CameraProfile) -> PixelDefects:
         raise NotEnoughDataError(f"{line}; expected at most 0.1 % of all; {remedy}")
     rows, columns = np.unravel_index(bad, (profile.camera.height_px, profile.camera.width_px))
     places = tuple(zip(columns.tolist(), rows.tolist(), strict=True))
-    return PixelDefects(places, frames, by_chance, line)
+    return PixelDefects(places, frames, line)
 
 
 def _deviating(path: Path, profile: CameraProfile) -> Indices:

@@ -292,12 +292,9 @@ def _levelled(
 
 def with_times(profile: CameraProfile, shutter_fit: ShutterFit) -> tuple[ShutterTime, ...]:
     """Return the profile's shutter times with the fitted ones added or replaced, longest first."""
-    new = shutter_fit.times
-
-    def is_kept(old: ShutterTime) -> bool:
-        return all(abs(old.nominal_s / t.nominal_s - 1) >= SAME_LABEL for t in new)
-
-    return tuple(sorted((*filter(is_kept, profile.shutter), *new), key=lambda t: -t.nominal_s))
+    new = np.array([t.nominal_s for t in shutter_fit.times])
+    others = [t for t in profile.shutter if (abs(t.nominal_s / new - 1) >= SAME_LABEL).all()]
+    return tuple(sorted((*others, *shutter_fit.times), key=lambda t: -t.nominal_s))
 
 
 def chart(fit: ShutterFit) -> Chart:

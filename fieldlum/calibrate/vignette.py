@@ -93,9 +93,9 @@ def _from_patches(path: Path, profile: CameraProfile) -> Samples:
     readings, f_numbers = [], {}
     for row, at in zip(rows, places, strict=True):
         frame = shared.linear_frame(at.path, profile)
-        patch = frame.patch(at.x, at.y, row["radius_px"])
-        value, r = float(patch.rgb @ weights), shared.relative_angle(profile.lens[lens], at.x, at.y)
-        readings.append((r, value / row["reference"], float(np.hypot(patch.u_rel, 0.002))))
+        rgb, u_patch = frame.patch(at.x, at.y, row["radius_px"])
+        value, r = float(rgb @ weights), shared.relative_angle(profile.lens[lens], at.x, at.y)
+        readings.append((r, value / row["reference"], float(np.hypot(u_patch, 0.002))))
         f_numbers[at.path] = frame.exposure.f_number
     f_number = _one_aperture(path, f_numbers, "write one table for each aperture")
     r, value, u_rel = np.array(readings).T

@@ -14,6 +14,7 @@ from typing import Any
 
 import click
 
+from fieldlum.cli.declared import InOrder
 from fieldlum.cli.terminal import say
 from fieldlum.core.errors import ChangedFileWarning, FieldlumError, InputError, install_text
 from fieldlum.version import __version__
@@ -44,15 +45,11 @@ DISK_TROUBLE = {
 }
 
 
-class _CommandGroup(click.Group):
+class _CommandGroup(InOrder):
     """The group of all commands, which prints the tool's own errors as one line.
 
     The module of a command is loaded only when the command is used.
     """
-
-    def list_commands(self, ctx: click.Context) -> list[str]:
-        """Return the names of the commands."""
-        return list(self.commands)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Return a command, or None for an unknown name."""

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import click
 
 from fieldlum.cli import terminal
-from fieldlum.cli.declared import EXISTING_PATH, declare, numbers
+from fieldlum.cli.declared import EXISTING_PATH, InOrder, declare, numbers
 from fieldlum.cli.options import SHARED
 
 if TYPE_CHECKING:
@@ -68,13 +68,7 @@ class FittedPart:
     figures: dict[str, Any] = field(default_factory=dict)
 
 
-class _InOrder(click.Group):
-    def list_commands(self, ctx: click.Context) -> list[str]:
-        """Return the names in the order in which a profile is fitted."""
-        return list(self.commands)
-
-
-@click.group("calibrate", cls=_InOrder)
+@click.group("calibrate", cls=InOrder)
 def command() -> None:
     """Fit a camera's profile from ordinary captures.
 

@@ -61,6 +61,14 @@ def numbers(count: int, mark: str) -> Callable[[str], tuple[float, ...]]:
     return read
 
 
+class InOrder(click.Group):
+    """A group that lists its commands in the order of the work."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the names of the commands."""
+        return list(self.commands)
+
+
 PATH = _LocalPath(path_type=Path)
 EXISTING_PATH = _LocalPath(path_type=Path, exists=True)
 FILE_PATH = _LocalPath(path_type=Path, dir_okay=False)
