@@ -16,7 +16,7 @@ from fieldlum.capture.disk_writer import Recorder
 from fieldlum.capture.logger import log
 from fieldlum.capture.logger_import import adopt_rows
 from fieldlum.capture.runner import Options, run
-from fieldlum.capture.utc_clock import SteadyClock
+from fieldlum.capture.steady_clock import SteadyClock
 from fieldlum.core.errors import DeviceError, InputError
 from fieldlum.core.records import Site, SiteFile, Slot
 from fieldlum.devices import InstrumentInfo

@@ -12,7 +12,7 @@ from faulty_clock import FaultyClock
 from tiny_field import FAST, T0, Field, TinyCamera
 
 from fieldlum.capture.runner import Live, refuse_a_clock_behind, refuse_what_is_not_offered, run
-from fieldlum.capture.utc_clock import SteadyClock
+from fieldlum.capture.steady_clock import SteadyClock
 from fieldlum.core.errors import DeviceError, NotEnoughDataError
 from fieldlum.core.records import Exposure
 from fieldlum.devices.clock import FastClock

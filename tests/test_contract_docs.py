@@ -94,6 +94,13 @@ def test_every_shown_import_exists(page: Path) -> None:
                 assert hasattr(importlib.import_module("fieldlum"), node.attr)
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_named_file_of_the_project_exists(page: Path) -> None:
+    named = r"`((?:bench|calibration|docs|fieldlum|packaging|tests)/[\w./-]+)`"
+    files = re.findall(named, page.read_text(encoding="utf-8"))
+    assert [file for file in files if "NAME" not in file and not (ROOT / file).exists()] == []
+
+
 def test_a_wrong_option_is_found() -> None:
     assert _unknown(["merge", "--no-such-option"])
     assert _unknown(["mergee", "SESSION"]) == "no command mergee"

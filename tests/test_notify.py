@@ -24,7 +24,7 @@ from fieldlum.capture.notify import (
     read_targets,
 )
 from fieldlum.capture.runner import Options, run
-from fieldlum.capture.utc_clock import wait_for_clock
+from fieldlum.capture.steady_clock import wait_for_clock
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure, IrradianceSample, SiteFile, Slot
 from fieldlum.devices import Camera, CameraInfo, InstrumentInfo, Pyranometer

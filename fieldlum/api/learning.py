@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from numpy.typing import ArrayLike
 
-from fieldlum.api.files import path_of, place
+from fieldlum.api.measurement import path_of, place
 from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.progress import Progress, quiet, shown_by
 from fieldlum.core.records import Site, SiteFile, parse_utc

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fieldlum.calibrate import readings as shared
+from fieldlum.calibrate import shared
 from fieldlum.calibrate.pictures import Chart, Place
 from fieldlum.core.arrays import Array, Floats, Mask
 from fieldlum.core.errors import InputError, input_errors

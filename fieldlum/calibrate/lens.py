@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.calibrate import readings as shared
+from fieldlum.calibrate import shared
 from fieldlum.calibrate.pictures import Chart, Place, grey_picture
 from fieldlum.core.arrays import Array, Mask
 from fieldlum.core.errors import InputError

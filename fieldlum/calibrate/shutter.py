@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldlum.calibrate.pictures import Chart
-from fieldlum.calibrate.readings import choose, folds, require, require_raw
+from fieldlum.calibrate.shared import choose, folds, require, require_raw
 from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import counted, shutter_text

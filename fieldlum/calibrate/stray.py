@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldlum.calibrate import readings as shared
+from fieldlum.calibrate import shared
 from fieldlum.calibrate.pictures import Chart, Place
 from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError

@@ -1,6 +1,6 @@
 """Capture: run the plan against a camera and a pyranometer, or import frames from a card.
 
-`utc_clock` keeps UTC correct when the computer's clock is set; `reconnect` reopens devices that
+`steady_clock` keeps UTC correct when the computer's clock is set; `reconnect` reopens devices that
 fail; `logger` writes irradiance; `bracket` takes one bracket; `runner` is the loop; `import_card`
 imports; `status` counts what is done. The state of each slot is computed by
 `fieldlum.session.slot_states`.

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from fieldlum.capture.disk_writer import Recorder
 from fieldlum.capture.reconnect import FIRST_PAUSE_S, MAX_PAUSE_S, Keeper, error_text, plain_info
-from fieldlum.capture.utc_clock import SteadyClock
+from fieldlum.capture.steady_clock import SteadyClock
 from fieldlum.capture.verify import as_taken
 from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import CameraSetup, Exposure, Slot

@@ -8,7 +8,7 @@ from functools import partial
 
 from fieldlum.capture.disk_writer import Recorder
 from fieldlum.capture.reconnect import Keeper, error_text, plain_info
-from fieldlum.capture.utc_clock import SteadyClock
+from fieldlum.capture.steady_clock import SteadyClock
 from fieldlum.core.records import IrradianceSample
 from fieldlum.devices import Pyranometer, open_pyranometer
 from fieldlum.devices.clock import Clock

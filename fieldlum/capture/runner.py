@@ -15,7 +15,7 @@ from fieldlum.capture.bracket import NO_CHECKS, BracketCapture, FrameChecks, sho
 from fieldlum.capture.disk_writer import RESERVE_BYTES, Listen, Recorder
 from fieldlum.capture.logger import Logger
 from fieldlum.capture.reconnect import Keeper, error_text, plain_info
-from fieldlum.capture.utc_clock import SteadyClock, boot_id
+from fieldlum.capture.steady_clock import SteadyClock, boot_id
 from fieldlum.core.errors import DeviceError, InputError, NotEnoughDataError
 from fieldlum.core.records import Slot, parse_utc
 from fieldlum.devices import Camera, IlluminanceMeter, Pyranometer

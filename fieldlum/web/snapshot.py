@@ -22,7 +22,7 @@ import numpy as np
 import psutil
 
 from fieldlum.capture import doctor
-from fieldlum.capture.utc_clock import boot_id
+from fieldlum.capture.steady_clock import boot_id
 from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError
 from fieldlum.core.false_colour import colour_table, coloured, luminance_ends, png_of, shared_scale

@@ -1,4 +1,4 @@
-"""Read frames, tables and panoramas, choose a model by held-out data, and write profiles.
+"""Steps that several fits share: read frames, tables and panoramas, choose a model, write profiles.
 
 The chosen model is the smallest within one standard error of the best; gross errors are left out.
 """

@@ -1,4 +1,4 @@
-"""Files, plans, merged brackets and glare of the Python API."""
+"""Sessions, plans, merged brackets, pictures and their glare in the Python API."""
 
 import os
 from collections.abc import Sequence
