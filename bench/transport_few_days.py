@@ -60,7 +60,7 @@ def judged(train: Dataset, test: Dataset, seen: NDArray[Any], *, computed: bool)
     error = np.log10(ratio)[:, seen]
     within = np.mean(np.abs(error) < 1.645 * made.log10_sd[:, seen])
     mse, expected = (error**2).mean(), made.expected_mse.mean()
-    one = model.patched if isinstance(model, transport.MeanTransport) else model
+    one = model.fitted if isinstance(model, transport.MeanTransport) else model
     used = "" if one.pixels.computed_gain.any() or not computed else " (off)"
     return f"{mse:.1e}{used} | {expected / mse:.1f} | {within:.2f}"
 

@@ -23,6 +23,7 @@ from fieldlum.room.fit.guess import guess_of
 from fieldlum.room.fit.parameters import stated_albedo
 from fieldlum.room.fit.stage import choose_geometry, expected_year, sun_blocks
 from fieldlum.room.fit.sunny import direct_on_windows_lx, sunny_hours
+from fieldlum.session.site_toml import site_table
 from fieldlum.sky import sun
 from fieldlum.sky.light import Light, light_at
 
@@ -130,8 +131,11 @@ def _with_patches_of(data: Dataset, room: Room) -> Dataset:
     return with_patches(replace(data, setup=setup))
 
 
-def _mean(data: Dataset) -> MeanTransport:
-    model = fit(data)
+def _mean(data: Dataset, stated: Room) -> MeanTransport:
+    """Return the model of captures whose room is a scene fitted from a stated room."""
+    table = site_table(replace(data.setup, room=stated))
+    scene = {"chosen": "fitted", "stated": table, "stated_heading_deg": data.heading_deg}
+    model = fit(replace(data, scene=scene))
     assert isinstance(model, MeanTransport)
     return model
 
@@ -140,12 +144,10 @@ def _mean(data: Dataset) -> MeanTransport:
 @pytest.mark.analytic
 def test_a_wrong_window_has_a_small_share_and_a_larger_expected_error() -> None:
     """A model that has true patches counts them, up to the share that is left to other suns."""
-    about = {"chosen": "fitted"}
-    right = replace(CAPTURES, scene=about)
-    wrong = replace(_with_patches_of(CAPTURES, SHIFTED), scene=about)
-    shares = [_mean(data).share for data in (right, wrong)]
+    wrong = _with_patches_of(CAPTURES, SHIFTED)
+    shares = [_mean(CAPTURES, SHIFTED).share, _mean(wrong, ROOM).share]
     assert shares[0] == MAX_SHARE > shares[1]
-    years = [expected_year(data) for data in (right, wrong)]
+    years = [expected_year(data) for data in (CAPTURES, wrong)]
     assert years[0].expected_log10_mse < years[1].expected_log10_mse
     # five days of two seasons: the suns of other seasons are far from all captures
     assert years[0].trusted_share < 0.5
@@ -153,10 +155,10 @@ def test_a_wrong_window_has_a_small_share_and_a_larger_expected_error() -> None:
 
 @pytest.mark.property
 def test_the_mean_of_two_models_is_no_worse_than_their_mean(tmp_path: Path) -> None:
-    data = replace(_with_patches_of(CAPTURES, SHIFTED), scene={"chosen": "fitted"})
+    data = _with_patches_of(CAPTURES, SHIFTED)
     some = CAPTURES.take(np.arange(3, 40, 7))
     patches = _with_patches_of(some, SHIFTED).patch_cdm2
-    mean = _mean(data)
+    mean = _mean(data, ROOM)
     save(tmp_path, mean, data)
     back = load(tmp_path)
     assert isinstance(back, MeanTransport) and back.share == mean.share
@@ -164,7 +166,8 @@ def test_the_mean_of_two_models_is_no_worse_than_their_mean(tmp_path: Path) -> N
     def error(made: Prediction) -> float:
         return float((np.log(made.luminance_cdm2 / some.luminance_cdm2) ** 2).mean())
 
-    one, other = mean.patched.predict(some.light, patches), mean.plain.predict(some.light)
+    one = mean.fitted.predict(some.light, patches)
+    other = mean.stated.predict(some.light, _patch_of(some.light))
     both = back.predict(some.light, patches)
     bound = mean.share * error(one) + (1.0 - mean.share) * error(other)
     assert error(both) <= bound

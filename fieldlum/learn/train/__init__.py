@@ -380,7 +380,7 @@ def model_notes(fitted: Fitted, data: Dataset, patch: Patch) -> list[str]:
             "Each capture was learnt under its own sky; predictions use the Perez model, and their "
             "uncertainty includes the difference"
         )
-    stated = data.setup.room is not None and data.scene is None and patch != "none"
+    stated = data.setup.room is not None and patch != "none"
     if stated and getattr(fitted, "patch_scale", 1.0) is None:
         notes.append(
             "WARNING: the stated [room] is not used: without it, captures are predicted from other "

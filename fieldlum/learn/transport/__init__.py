@@ -48,6 +48,8 @@ from fieldlum.learn.transport.solve import (
     second_inverse,
 )
 from fieldlum.optics.projection import equirect_solid_angles
+from fieldlum.room.scene.patches import sun_patches
+from fieldlum.session.site_toml import site_from_table
 from fieldlum.sky import sun
 from fieldlum.sky.light import Features, Kernel, Light
 
@@ -58,9 +60,9 @@ CHOOSING, CALIBRATING = 250, 600
 # second one compares inputs. Not measured.
 NOISES = (3e-3, 1e-2, 3e-2)
 
-# Largest share of the model with a fitted scene's patches: held-out hours do not have the year's
-# other suns. Of two models with errors of 0.6 times each other, three quarters lose 5 % (measured
-# in three rooms of other renderers); a scene that is worse than no patch loses half of its excess.
+# Largest share of the model of a fitted scene: held-out hours do not have the year's other suns. Of
+# two models with errors of 0.6 times each other, three quarters lose 5 % (measured in three rooms
+# of other renderers); a scene that is worse than the stated room loses half of its excess.
 MAX_SHARE = 0.75
 # Largest expected error without the stated room, over that with it, at which the room is not used:
 # between the ratios of `_chosen_inputs`. A larger limit drops rooms that help.
@@ -228,17 +230,17 @@ class Transport:
 
 @dataclass(frozen=True)
 class MeanTransport:
-    """The mean of the log maps of two models: with a fitted scene's sun patches, and without any.
+    """The mean of the log maps of two models: of a fitted scene, and of the room as it was stated.
 
     Captures cannot always tell which is better under suns that they do not have. The squared error
-    of the mean is at most the mean of theirs, and less where their errors differ. share: weight of
-    the model with patches; agreement: mean squared error of the mean on held-out hours, over that
-    of two models whose errors are the same everywhere; held_out_mse: log10 MSE of each capture,
-    predicted from other days [n].
+    of the mean is at most the mean of theirs, and less where their errors differ. stated: without a
+    room if the captures clearly contradict it; share: weight of the fitted model; agreement: mean
+    squared error of the mean on held-out hours, over that of two models whose errors are the same
+    everywhere; held_out_mse: log10 MSE of each capture, predicted from other days [n].
     """
 
-    patched: Transport
-    plain: Transport
+    fitted: Transport
+    stated: Transport
     share: float
     agreement: float
     held_out_mse: Array
@@ -247,30 +249,40 @@ class MeanTransport:
     @property
     def parameters(self) -> int:
         """Number of fitted values of both models."""
-        return self.patched.parameters + self.plain.parameters
+        return self.fitted.parameters + self.stated.parameters
 
     @property
     def sky_sd(self) -> float | None:
         """How the skies in the windows differed from Perez's; see `Transport`."""
-        return self.patched.sky_sd
+        return self.fitted.sky_sd
 
     def predict(self, light: Light, patch_cdm2: Floats32 | None = None) -> Prediction:
         """Predict luminance maps, as `Transport.predict`."""
-        patched, plain = self.patched.predict(light, patch_cdm2), self.plain.predict(light)
+        fitted = self.fitted.predict(light, patch_cdm2)
+        stated = self.stated.predict(light, self._stated_patches(light))
         share, rest = self.share, 1.0 - self.share
-        root = share * np.sqrt(patched.expected_mse) + rest * np.sqrt(plain.expected_mse)
-        assert patched.log10_sd is not None and plain.log10_sd is not None
-        sd = np.sqrt(self.agreement) * (share * patched.log10_sd + rest * plain.log10_sd)
+        root = share * np.sqrt(fitted.expected_mse) + rest * np.sqrt(stated.expected_mse)
+        assert fitted.log10_sd is not None and stated.log10_sd is not None
+        sd = np.sqrt(self.agreement) * (share * fitted.log10_sd + rest * stated.log10_sd)
         return Prediction(
-            (patched.luminance_cdm2**share * plain.luminance_cdm2**rest).astype(np.float32),
+            (fitted.luminance_cdm2**share * stated.luminance_cdm2**rest).astype(np.float32),
             sd.astype(np.float32),
             self.agreement * root**2,
-            patched.trusted,
+            fitted.trusted,
         )
+
+    def _stated_patches(self, light: Light) -> Floats32 | None:
+        """Return the sun patches of the stated room [n, H, W] cd/m2; None if it is not used."""
+        stated = self.stated
+        if stated.physics is None or stated.patch_scale is None:
+            return None
+        suns, lx, heading_deg = light.apparent_sun_direction, light.direct_lx, stated.heading_deg
+        height = len(stated.seen)
+        return sun_patches(stated.physics.room, suns, lx, height=height, heading_deg=heading_deg)
 
     def with_displaced_patches(self, slip_deg: float) -> MeanTransport:
         """Return the same model with displaced patches, as `Transport.with_displaced_patches`."""
-        return replace(self, patched=self.patched.with_displaced_patches(slip_deg))
+        return replace(self, fitted=self.fitted.with_displaced_patches(slip_deg))
 
     def state(self) -> ModelState:
         """Return settings for config.json and plain arrays for weights.npz."""
@@ -283,7 +295,7 @@ def from_state(state: ModelState) -> Transport | MeanTransport:
     Raises KeyError, TypeError or ValueError for missing or wrong content.
     """
     table = state.config["transport"]
-    kind = MeanTransport if "patched" in table else Transport
+    kind = MeanTransport if "fitted" in table else Transport
     return rebuilt(kind, table, state.arrays)
 
 
@@ -311,19 +323,28 @@ def fit(data: Dataset, *, patch: Patch = "absolute", seed: int = 0) -> Transport
 
     patch: "none" ignores the sun patches of `data`. With any other value, one factor on all patches
     is fitted, so that "absolute" (patches in cd/m2) and "gain" (patches known up to a factor) give
-    the same model. With the patches of a fitted scene the model is a mean, because a scene is
-    wrong in places. A stated room that captures clearly contradict is not used. seed: of the random
-    draw of pixels that choose inputs and noise. Raises NotEnoughDataError for fewer than three
-    captures.
+    the same model. With a fitted scene the model is a mean, because a scene is wrong in places. A
+    stated room that captures clearly contradict is not used. seed: of the random draw of pixels
+    that choose inputs and noise. Raises NotEnoughDataError for fewer than three captures.
     """
-    if data.scene is None or data.patch_cdm2 is None or patch == "none":
+    stated = None if patch == "none" else _as_stated(data)
+    if stated is None:
         return _fit(_chosen_inputs(data, patch, seed))[0]
 
     with part_of_progress(0, 2):
-        patched, errors = _fit(_chosen(_described(data, patch, seed)))
+        fitted, errors = _fit(_chosen(_described(data, patch, seed)))
     with part_of_progress(1, 2):
-        plain, plain_errors = _fit(_chosen_inputs(data, "none", seed))
-    return _mean(patched, errors, plain, plain_errors, len(data))
+        other, stated_errors = _fit(_chosen_inputs(stated, patch, seed))
+    return _mean(fitted, errors, other, stated_errors, len(data))
+
+
+def _as_stated(data: Dataset) -> Dataset | None:
+    """Return the captures with the stated heading and room; None without a fitted scene."""
+    if data.scene is None or data.scene["chosen"] != "fitted":
+        return None
+    setup = site_from_table(data.scene["stated"], data.source)
+    stated = replace(data, setup=setup, heading_deg=data.scene["stated_heading_deg"], scene=None)
+    return replace(stated, patch_cdm2=stated.patches(data.light))
 
 
 def _chosen_inputs(data: Dataset, patch: Patch, seed: int) -> _Chosen:
@@ -348,20 +369,20 @@ def _chosen_inputs(data: Dataset, patch: Patch, seed: int) -> _Chosen:
 
 
 def _mean(
-    patched: Transport, errors: Array, plain: Transport, plain_errors: Array, count: int
+    fitted: Transport, errors: Array, stated: Transport, stated_errors: Array, count: int
 ) -> MeanTransport:
-    """Return the mean of a model with and one without patches that held-out hours support.
+    """Return the mean of the models of a fitted and of the stated room that held-out hours support.
 
-    errors, plain_errors: log10 of predicted over captured luminance in the tests of `calibrate` [k,
-    P], of which the first `count` are of held-out days.
+    errors, stated_errors: log10 of predicted over captured luminance in the tests of `calibrate`,
+    [k, P], of which the first `count` are of held-out days.
     """
-    apart = plain_errors - errors
-    best = float((plain_errors * apart).sum() / max((apart**2).sum(), 1e-9))
+    apart = stated_errors - errors
+    best = float((stated_errors * apart).sum() / max((apart**2).sum(), 1e-9))
     share = float(np.clip(best, 0.0, MAX_SHARE))
-    mixed = share * errors + (1.0 - share) * plain_errors
-    root = share * np.sqrt((errors**2).mean()) + (1.0 - share) * np.sqrt((plain_errors**2).mean())
+    mixed = share * errors + (1.0 - share) * stated_errors
+    root = share * np.sqrt((errors**2).mean()) + (1.0 - share) * np.sqrt((stated_errors**2).mean())
     agreement = float((mixed**2).mean() / max(root**2, 1e-9))
-    return MeanTransport(patched, plain, share, agreement, (mixed[:count] ** 2).mean(axis=1))
+    return MeanTransport(fitted, stated, share, agreement, (mixed[:count] ** 2).mean(axis=1))
 
 
 class _Described(NamedTuple):

@@ -331,7 +331,10 @@ def _checked(decided: _Decided, captured: Captured) -> SkyView:
     disc = disc_of_hours(view, light)
     sure = (measured > _SHUT) & (disc.low_lx > 0.5 * disc.best_lx) & (disc.best_lx > 0.0)
     if sure.sum() >= 3:
-        gain = np.median(measured[sure] * light.direct_lx[sure] / disc.best_lx[sure])
+        beam_lx = light.direct_lx[sure]
+        ratio = measured[sure] * beam_lx / disc.best_lx[sure]
+        # strong beams: a weak one's efficacy is uncertain, and it causes little glare
+        gain = np.quantile(ratio, 0.5, weights=beam_lx, method="inverted_cdf")
         for name in names[1:]:
             arrays[name] = np.minimum(arrays[name] * np.clip(gain, 0.5, 1.5), 1.0, dtype=np.float32)
     wrong = _correct(arrays, view, suns, measured)
