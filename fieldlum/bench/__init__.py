@@ -11,7 +11,7 @@ import numpy as np
 from fieldlum.bench import stress
 from fieldlum.bench.rows import BenchData, radiance_row, score_row
 from fieldlum.core.errors import NotEnoughDataError
-from fieldlum.core.plot_style import GRID, open_axes
+from fieldlum.core.plot_style import GRID, new_figure, open_axes
 from fieldlum.core.records import JsonTable, counted
 from fieldlum.learn.model_registry import MODELS
 from fieldlum.learn.models.scores import truth
@@ -145,9 +145,7 @@ def pareto(points: Sequence[tuple[float, float]]) -> list[int]:
 
 def speed_accuracy(path: Path, rows: Sequence[Mapping[str, Any]], machine: str) -> None:
     """Draw each model's log10 MSE (paper mode) over its CPU seconds of training and of one map."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(11.0, 4.8), layout="constrained", dpi=150)
+    figure = new_figure(11.0, 4.8, dpi=150)
     labels = {"fit_cpu_s": "training", "predict_cpu_s_per_map": "one map"}
     for axis, (key, label) in zip(figure.subplots(1, 2), labels.items(), strict=True):
         axis.grid(True, which="major", color=GRID, linewidth=0.7)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Array
 from fieldlum.core.errors import InputError
-from fieldlum.core.plot_style import BLUE, INK, RED, open_axes
+from fieldlum.core.plot_style import BLUE, INK, RED, new_figure, open_axes
 from fieldlum.optics.images import read_panorama
 from fieldlum.optics.projection import equirect_pixel
 from fieldlum.optics.raw import read_mosaic
@@ -50,11 +50,9 @@ class Chart:
 
 def draw(chart: Chart, path: Path) -> None:
     """Write a chart as PNG, SVG or PDF, by suffix; the file appears complete or not at all."""
-    from matplotlib.figure import Figure
-
     curves, has_places = 2 * bool(chart.x[0]), len(chart.places) > 0
     count = max(curves + has_places, 1)
-    figure = Figure(figsize=(4.2 * count, 3.4), layout="constrained")
+    figure = new_figure(4.2 * count, 3.4)
     every = figure.subplots(1, count, squeeze=False)[0]
     figure.suptitle(chart.title, x=0.01, ha="left", fontsize=10, color=INK)
     if curves:

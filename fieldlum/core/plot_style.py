@@ -1,7 +1,14 @@
 """Colours and matplotlib settings of charts: no pyplot, no global state."""
 
+from __future__ import annotations
+
+import warnings
 from contextlib import AbstractContextManager
-from typing import Any
+from io import StringIO
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 INK, PALE, GRID = "#1d2733", "#b9c3cd", "#e5e7eb"
 RED, BLUE, GREEN, SAND, AMBER = "#c4441c", "#1f5fa8", "#1a7f5a", "#f5e3bf", "#edb95c"
@@ -26,6 +33,23 @@ def styled() -> AbstractContextManager[None]:
     from matplotlib import rc_context
 
     return rc_context(_SETTINGS)
+
+
+def new_figure(width_in: float, height_in: float, **settings: Any) -> Figure:
+    """Return an empty figure, without pyplot; its parts do not overlap."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width_in, height_in), layout="constrained", **settings)
+
+
+def svg_of(figure: Figure, **settings: Any) -> str:
+    """Return a figure as inline SVG, without the XML prologue and without a date."""
+    text = StringIO()
+    with styled(), warnings.catch_warnings():
+        # The site's name may have letters that the font lacks.
+        warnings.filterwarnings("ignore", message="Glyph .* missing from font")
+        figure.savefig(text, format="svg", metadata={"Date": None}, **settings)
+    return text.getvalue()[text.getvalue().index("<svg") :]
 
 
 def open_axes(axes: Any) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
-from fieldlum.core.plot_style import RED, open_axes, styled
+from fieldlum.core.plot_style import RED, new_figure, open_axes, styled
 from fieldlum.core.records import JsonTable, Panorama, Room, Site, SunSource
 from fieldlum.optics.images import read_panorama
 from fieldlum.optics.projection import altitude_azimuth_deg, equirect_pixel
@@ -165,8 +165,6 @@ def draw(path: Path, view: SkyView, panorama: Panorama, suns: Floats) -> None:
 
     suns [n, 3]: directions of captured discs, where the panoramas show them.
     """
-    from matplotlib.figure import Figure
-
     grid = view.grid
     left = grid.heading_deg + (grid.first_azimuth_deg + 180.0) % 360.0 - 180.0
     right, top = left + grid.width * grid.step_deg, grid.first_altitude_deg
@@ -178,7 +176,7 @@ def draw(path: Path, view: SkyView, panorama: Panorama, suns: Floats) -> None:
     around = panorama.heading_deg
     with styled():
         size = (10.0, 1.6 + 9.0 * (top - bottom + 10.0) / (right - left + 10.0))
-        figure = Figure(figsize=size, layout="constrained")
+        figure = new_figure(*size)
         axes = figure.subplots()
         for turn in (0.0, 360.0):  # a view can cross the panorama's edge
             extent = (around - 180.0 + turn, around + 180.0 + turn, -90.0, 90.0)

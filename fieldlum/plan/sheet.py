@@ -6,18 +6,17 @@ A page has boxes to tick, the sun's path and the shutter list.
 from __future__ import annotations
 
 import hashlib
-import warnings
 from collections.abc import Sequence
 from datetime import UTC, date, datetime, timedelta
 from html import escape
-from io import StringIO
 from itertools import accumulate, groupby
 from typing import TYPE_CHECKING, Any
 from zoneinfo import ZoneInfo
 
 import numpy as np
 
-from fieldlum.core.plot_style import AMBER, BLUE, GRID, INK, PALE, RED, SAND, open_axes, styled
+from fieldlum.core import plot_style
+from fieldlum.core.plot_style import AMBER, BLUE, GRID, INK, PALE, RED, SAND
 from fieldlum.core.records import Site, SiteFile, Slot, utc_text
 from fieldlum.optics.profiles import assumed_texts
 from fieldlum.optics.projection import altitude_azimuth_deg
@@ -125,21 +124,11 @@ def _figures(slots: Sequence[Slot], setup: SiteFile, weather: Weather | None) ->
     share, near = days.sun_band_percent(hours, site), f"{days.NEAR_DEG:g} deg of a captured sun"
     title = f"{site.name}: {len(hours)} captures reach {share:.0f} % of the year's sun band "
     title += f"(dark: within {near})"
-    chart = _svg(sky_chart(hours, setup))
+    chart = plot_style.svg_of(sky_chart(hours, setup))
     texts = [room_svg(setup), f"<p>{escape(title)}</p>{chart}"]
     if weather is not None:
-        texts.append(_svg(irradiance_figure(hours, site, weather)))
+        texts.append(plot_style.svg_of(irradiance_figure(hours, site, weather)))
     return [text for text in texts if text]
-
-
-def _svg(figure: Figure) -> str:
-    """Return a figure as inline SVG."""
-    buffer = StringIO()
-    with styled(), warnings.catch_warnings():
-        # The site's name may have letters that the font lacks.
-        warnings.filterwarnings("ignore", message="Glyph .* missing from font")
-        figure.savefig(buffer, format="svg", metadata={"Date": None})
-    return buffer.getvalue()[buffer.getvalue().index("<svg") :]
 
 
 def irradiance_figure(hours: days.DaylightHours, site: Site, weather: Weather) -> Figure:
@@ -149,9 +138,8 @@ def irradiance_figure(hours: days.DaylightHours, site: Site, weather: Weather) -
     that the weather year has then.
     """
     from matplotlib.colors import LogNorm
-    from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(7.2, 3.8), layout="constrained")
+    figure = plot_style.new_figure(7.2, 3.8)
     axes = figure.add_subplot()
     lit = (sun.position(weather.t_utc, site).altitude_deg > 0) & (weather.dhi_wm2 > 0)
     dni, dhi = weather.dni_wm2[lit], weather.dhi_wm2[lit]
@@ -168,7 +156,7 @@ def irradiance_figure(hours: days.DaylightHours, site: Site, weather: Weather) -
     title = f"{site.name}: {share:.0f} % of the year's daylight hours have skies like the plan's"
     axes.set_title(title, fontsize=10, loc="left")
     axes.legend(frameon=False, fontsize=8, loc="upper right")
-    open_axes(axes)
+    plot_style.open_axes(axes)
     return figure
 
 
@@ -196,7 +184,7 @@ def _sheet(
         "size_is_known": "profile" not in setup.camera.assumed,
         "gigabytes": f"{len(slots) * megabytes / 1000:.1f}",
         "gigabytes_so_far": f"{so_far * megabytes / 1000:.1f}",
-        "sun_path": _svg(sky_chart(days.hours_of(slots), setup, day)),
+        "sun_path": plot_style.svg_of(sky_chart(days.hours_of(slots), setup, day)),
     }
 
 
@@ -220,11 +208,9 @@ def sky_chart(hours: days.DaylightHours, setup: SiteFile, day: date | None = Non
     Liu, Colburn and Inanici 2020). A chart of azimuth against altitude would fail in the tropics,
     where the sun passes the zenith on either side.
     """
-    from matplotlib.figure import Figure
-
     site, camera = setup.site, setup.camera
     year = (day or (hours.t_utc[0] if len(hours) else datetime.now(UTC))).year
-    figure = Figure(figsize=(3.6, 3.6), layout="constrained")
+    figure = plot_style.new_figure(3.6, 3.6)
     axes: Any = figure.add_subplot(projection="polar")
     axes.set(theta_offset=np.pi / 2, theta_direction=-1, rlim=(0, 90), facecolor="#fdf8ec")
     axes.set_xticks(np.radians([0, 90, 180, 270]), ["N", "E", "S", "W"])

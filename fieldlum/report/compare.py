@@ -19,7 +19,7 @@ import numpy as np
 
 from fieldlum.core.arrays import Array, Floats, Mask
 from fieldlum.core.errors import InputError, input_errors
-from fieldlum.core.plot_style import styled
+from fieldlum.core.plot_style import new_figure, styled
 from fieldlum.core.progress import progress
 from fieldlum.core.records import JsonTable, Panorama, Room
 from fieldlum.core.strict_csv import CsvTable, check_names, read_number, read_table
@@ -519,10 +519,8 @@ class _Shared(NamedTuple):
 
 def _hours_png(shared: Sequence[_Shared]) -> bytes:
     """Return a picture of the difference of each view over the days and hours of the year."""
-    from matplotlib.figure import Figure
-
     with styled():
-        figure = Figure(figsize=(10.0, 2.6 * len(shared)), layout="constrained")
+        figure = new_figure(10.0, 2.6 * len(shared))
         axes = figure.subplots(len(shared), 1, squeeze=False)[:, 0]
         for axis, part in zip(axes, shared, strict=True):
             grid = np.full(_DAYS.sum() * 24, np.nan)

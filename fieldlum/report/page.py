@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats, Floats32
 from fieldlum.core.false_colour import COLOUR_MAP, RANGE_CDM2
-from fieldlum.core.plot_style import GREEN, INK, PALE, RED, styled
+from fieldlum.core.plot_style import GREEN, INK, PALE, RED, styled, svg_of
 from fieldlum.core.records import JsonTable
 from fieldlum.optics.projection import compass_name
 from fieldlum.session.files.predict_json import DirectionYear
@@ -164,14 +164,6 @@ POLAR_RANGE = (0.15, 0.6)  # of DGP; points above it are drawn at the rim; chose
 CLASS_COLOURS = {"high": GREEN, "medium": "#7fae2e", "minimum": "#e0a100", "none": "#c0392b"}
 
 
-def _svg(figure: Drawing) -> str:
-    """Return inline SVG without the XML prologue."""
-    buffer = io.StringIO()
-    figure.savefig(buffer, format="svg", bbox_inches="tight", metadata={"Date": None})
-    text = buffer.getvalue()
-    return text[text.index("<svg") :]
-
-
 def png(figure: Drawing, dpi: int = 110) -> bytes:
     """Return a figure as PNG."""
     buffer = io.BytesIO()
@@ -255,7 +247,7 @@ def captured_svg(
         axes.scatter(*captured, s=12, c=RED, lw=0, label="captured")
         axes.set(**axes_settings)
         axes.legend(loc="upper left", bbox_to_anchor=(0, 1.14), ncols=2)
-        return _svg(figure)
+        return svg_of(figure, bbox_inches="tight")
 
 
 # ----------------------------------------------------------------------------------------------
@@ -291,4 +283,4 @@ def polar_svg(azimuths_deg: Floats, dgp_exceeded: Floats, low: Floats, high: Flo
         axes.set_xticks(np.radians(np.arange(0, 360, 45)), names)
         axes.grid(color=PALE, lw=0.5)
         axes.spines["polar"].set_visible(False)
-        return _svg(figure)
+        return svg_of(figure, bbox_inches="tight")

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from fieldlum.core.arrays import Floats
-from fieldlum.core.plot_style import INK, RED, open_axes
+from fieldlum.core.plot_style import INK, RED, new_figure, open_axes
 from fieldlum.core.records import Site, parse_utc
 from fieldlum.session import Session, replacing_path
 from fieldlum.session.files.irradiance_csv import CleanIrradiance
@@ -22,8 +22,6 @@ def draw_days(session: Session, *, force: bool = False) -> Path | None:
     A column is a day and a row five minutes of local standard time. Return None if clean.csv has
     no row.
     """
-    from matplotlib.figure import Figure
-
     path, source = session.irradiance / "days.png", session.clean_irradiance
     if not force and path.is_file() and path.stat().st_mtime >= source.stat().st_mtime:
         return path
@@ -38,7 +36,7 @@ def draw_days(session: Session, *, force: bool = False) -> Path | None:
     taken = (np.array(captured) + offset.total_seconds()) / 86400.0
     taken = taken[np.isin(np.floor(taken), days)]
     bad = [bool(set(text.split()) - {"low-sun", "gap"}) for text in clean.flags]
-    figure = Figure(figsize=(min(6.0 + 0.15 * len(days), 20.0), 10.0), layout="constrained")
+    figure = new_figure(min(6.0 + 0.15 * len(days), 20.0), 10.0)
     for axes, name in zip(figure.subplots(3, sharex=True), ("ghi", "dni", "dhi"), strict=True):
         cell = column * _BINS + (hour / 24.0 * _BINS).astype(int)
         picture = _draw(axes, cell, getattr(clean, f"{name}_wm2"), len(days))

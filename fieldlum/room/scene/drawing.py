@@ -5,14 +5,13 @@ A drawing reveals a wrong `left_m` or azimuth, which a table does not.
 
 from __future__ import annotations
 
-from io import StringIO
 from itertools import combinations, product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fieldlum.core.plot_style import BLUE, INK, RED, styled
+from fieldlum.core.plot_style import BLUE, INK, RED, styled, svg_of
 from fieldlum.core.records import Room, SiteFile
 from fieldlum.optics.projection import compass_name
 from fieldlum.room.scene.clicked import ClickGrid
@@ -52,9 +51,7 @@ def room_svg(setup: SiteFile) -> str:
         axes = figure.add_axes((0.14, 0.14, 0.72, 0.72))
         _draw_plan(axes, setup.room)
         _draw_arrows(axes, setup.room, setup.camera.heading_deg)
-        text = StringIO()
-        figure.savefig(text, format="svg", metadata={"Date": None})
-    return text.getvalue()[text.getvalue().index("<svg") :]
+    return svg_of(figure)
 
 
 def _draw_plan(axes: Axes, room: Room) -> None:
