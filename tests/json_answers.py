@@ -81,7 +81,7 @@ def answers(root: Path) -> dict[str, list[str]]:
         "status": ["status", session],
         "doctor": ["doctor", root / "planned", "--camera", "sim:"],
         "simulate": [
-            *("simulate", root / "site.toml", "--out", root / "simulated", "--set", "4-day"),
+            *("simulate", root / "site.toml", "--out", root / "simulated", "--count", "12"),
             *("--size", "16x8", "--quality", "draft"),
         ],
         "merge": ["merge", _captured(root, frames), "--size", "32x16"],
@@ -112,9 +112,9 @@ def _answer(arguments: list[str | Path]) -> Any:
 
 def _captured(root: Path, frames: list[Path]) -> Path:
     """Return a session with one bracket."""
-    result = CliRunner().invoke(
-        main, ["plan", str(root / "dark.toml"), "--set", "4-day", "--out", str(root / "captured")]
-    )
+    words = ["plan", root / "dark.toml", "--set", "month", "--start", "2027-03-20", "--days", "1"]
+    words += ["--out", root / "captured"]
+    result = CliRunner().invoke(main, list(map(str, words)))
     assert result.exit_code == 0, result.output
     folder = root / "captured" / "raw" / "20270320T193000Z"
     folder.mkdir(parents=True)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from json_answers import WEATHER
 from learning_room import dataset, write_pairs
 
 from fieldlum.cli import main
@@ -68,8 +69,9 @@ def three_rooms(tmp_path: Path) -> Path:
 @pytest.mark.slow
 @pytest.mark.contract
 def test_a_broken_room_is_named_and_passed_over(three_rooms: Path, tmp_path: Path) -> None:
-    good = str(tmp_path / "good")
-    year = ["predict", f"{good}/models/nearest", "--weather", "synthetic", "--views", "2"]
+    good, weather = str(tmp_path / "good"), tmp_path / "weather.csv"
+    weather.write_text(WEATHER, encoding="ascii")
+    year = ["predict", f"{good}/models/nearest", "--weather", str(weather), "--views", "2"]
     for words in (["train", good, "--model", "nearest"], year):
         assert CliRunner().invoke(main, words).exit_code == 0
     result = CliRunner().invoke(main, ["campaign", "report", str(three_rooms), "--json"])

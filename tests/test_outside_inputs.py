@@ -408,7 +408,7 @@ def test_plan_moves_the_times_of_its_weather_file(tmp_path: Path) -> None:
         "--set",
         "even",
         "--count",
-        "12",
+        "2",
         "--year",
         "2030",
     ]

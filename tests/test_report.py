@@ -76,7 +76,9 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Session:
 
 @pytest.fixture(scope="module")
 def page(session: Session) -> Path:
-    return report.run(session)
+    shown = CliRunner().invoke(main, ["report", str(session.root), "--out", str(session.report)])
+    assert shown.exit_code == 0 and shown.stdout.strip().endswith("index.html")
+    return Path(shown.stdout.strip())
 
 
 @pytest.mark.slow
@@ -145,11 +147,7 @@ def test_the_plot_comes_before_the_warnings() -> None:
 
 
 @pytest.mark.slow
-def test_command_names_the_page_and_refuses_what_is_no_session(
-    session: Session, tmp_path: Path
-) -> None:
-    shown = CliRunner().invoke(main, ["report", str(session.root), "--out", str(tmp_path / "r")])
-    assert shown.exit_code == 0 and shown.stdout.strip().endswith("index.html")
+def test_command_refuses_what_is_no_session(tmp_path: Path) -> None:
     assert CliRunner().invoke(main, ["report", str(tmp_path)]).exit_code == 3
 
 

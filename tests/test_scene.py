@@ -260,7 +260,7 @@ def test_default_rays_give_the_area_in_the_sun() -> None:
     suns, lx = sun.direction([40.0, 25.0, 55.0], [190.0, 160.0, 205.0]), [1e4, 1e4, 1e4]
 
     def patches(sub: int | None) -> Floats32:
-        made = scene.sun_patches(BARE, suns, lx, height=60, heading_deg=180.0, sub=sub)
+        made = scene.sun_patches(BARE, suns, lx, height=30, heading_deg=180.0, sub=sub)
         return np.log10(10.0 + made)
 
     exact = patches(24)

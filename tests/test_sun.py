@@ -176,12 +176,13 @@ def test_each_standard_day_has_its_own_sun_beside_the_date_line(
 
 
 def _crossing(site: Site, low: datetime, high: datetime, altitude_deg: float) -> datetime:
-    """Where the true altitude passes `altitude_deg`, by bisection on `sun.position`."""
+    """Where the true altitude passes `altitude_deg`, to 0.1 s by `sun.position`."""
     sign = np.sign(sun.position([high], site).altitude_deg[0] - altitude_deg)
-    for _ in range(14):
-        middle = low + (high - low) / 2
-        above = np.sign(sun.position([middle], site).altitude_deg[0] - altitude_deg) == sign
-        low, high = (low, middle) if above else (middle, high)
+    for _ in range(4):
+        times = [low + (high - low) / 16 * k for k in range(17)]
+        beyond = np.sign(sun.position(times, site).altitude_deg - altitude_deg) == sign
+        first = max(int(np.argmax(beyond)), 1)
+        low, high = times[first - 1], times[first]
     return low
 
 

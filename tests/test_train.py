@@ -67,7 +67,7 @@ def test_one_day_is_parted_by_hours_and_said_so() -> None:
 @pytest.mark.contract
 def test_auto_goes_on_without_a_model_that_needs_more_hours() -> None:
     """Three hours: two to learn from are too few for transport, and that is said."""
-    result = fit_and_score(DATA.take(range(3)), "auto")
+    result = fit_and_score(DATA.take(range(3)), "auto", budget_s=2.0)
     assert result.choice.name in {"mean", "nearest", "dense"}
     assert any(note.startswith("transport was not tried") for note in result.notes)
 

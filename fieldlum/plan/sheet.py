@@ -219,8 +219,10 @@ def sky_chart(hours: days.DaylightHours, setup: SiteFile, day: date | None = Non
     if day is None:
         directions = days.band_directions(site, 16)
         altitude, azimuth = altitude_azimuth_deg(directions)
-        colour = np.where(days.near_planned(directions, hours), AMBER, SAND)
-        axes.scatter(np.radians(azimuth), 90 - altitude, s=12, c=colour, linewidths=0)
+        near = days.near_planned(directions, hours)
+        for some, colour in ((~near, SAND), (near, AMBER)):
+            place = np.radians(azimuth[some]), 90 - altitude[some]
+            axes.plot(*place, "o", ms=3.5, mew=0, color=colour)
     elif "heading_deg" not in camera.assumed:
         for heading in camera.headings or (camera.heading_deg,):
             axes.plot(np.radians(heading), 85, marker=(3, 0, -heading), color=BLUE, gid="view")

@@ -295,11 +295,15 @@ def clearsky(times_utc: Sequence[datetime], site: Site) -> Irradiance:
     Ineichen and Perez 2002 with pvlib's monthly turbidity, which needs no network. Raises
     ValueError for naive times.
     """
+    import pandas as pd
     from pvlib.location import Location
 
     place = Location(site.latitude_deg, site.longitude_deg, "UTC", site.altitude_m)
+    index, altitude = pandas_index(times_utc), position(times_utc, site).apparent_altitude_deg
+    angles = {"apparent_elevation": altitude, "apparent_zenith": 90.0 - altitude}
+    known = pd.DataFrame(angles, index=index)
     with _ignore_dayofyear_warning():
-        table = place.get_clearsky(pandas_index(times_utc), model="ineichen")
+        table = place.get_clearsky(index, model="ineichen", solar_position=known)
     return Irradiance(*(np.asarray(table[name], float) for name in ("ghi", "dni", "dhi")))
 
 
