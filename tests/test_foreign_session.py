@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -13,11 +14,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from places import SEATTLE
 from tiny_field import T0, Field, make_session
 
 from fieldlum.capture.alerts import _latest_contact_sheet, open_alerts
 from fieldlum.capture.notify import Message
+from fieldlum.cli import main
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import CameraSetup, Exposure, Room, SiteFile, slot_id
 from fieldlum.devices.address_permission import permission_subject, require_permitted
@@ -35,6 +38,7 @@ from fieldlum.session import (
 from fieldlum.session.codec import write_object
 from fieldlum.session.files.capture_json import Frame, frame_fields, frame_from
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
+from fieldlum.session.folder import _checked_stems
 from fieldlum.session.journal import damaged_lines
 from fieldlum.session.permits import computer, config_folder, is_permitted, permit, subject
 
@@ -42,6 +46,7 @@ pytestmark = [
     pytest.mark.contract,
     pytest.mark.skipif(sys.platform == "win32", reason="scripts and links of POSIX"),
 ]
+PACKAGE = Path(sys.modules["fieldlum"].__file__ or "").parent
 INERT = "void plastic grey\n0\n0\n5 .5 .5 .5 0 0\ngrey sphere ball\n0\n0\n4 0 0 0 1\n"
 
 
@@ -51,7 +56,7 @@ def _new_computer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "settings"))
 
 
-def fieldlum(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+def run_cli(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     """Run the command line as a user does."""
     line = [sys.executable, "-c", "from fieldlum.cli import main; main()", *map(str, arguments)]
     return subprocess.run(line, capture_output=True, text=True, timeout=120, check=False)
@@ -78,7 +83,7 @@ def test_a_program_in_a_stored_address_does_not_run(tmp_path: Path, command: str
     proof = tmp_path / "ran"
     address = f"rpicam:0?program={program(session.root / 'camera', proof)}"
     with_camera(session, address)
-    result = fieldlum(command, session.root)
+    result = run_cli(command, session.root)
     assert result.returncode == InputError.exit_code
     assert not proof.exists()
     assert result.stderr.count("\n") == 1 and "permit it with: fieldlum doctor" in result.stderr
@@ -90,15 +95,15 @@ def test_an_address_that_the_user_named_works_until_the_program_changes(tmp_path
     proof = tmp_path / "ran"
     script = program(tmp_path / "camera", proof)
     address = f"rpicam:0?program={script}"
-    fieldlum("doctor", session.root, "--camera", address)
+    run_cli("doctor", session.root, "--camera", address)
     assert proof.exists()
     proof.unlink()
     with_camera(session, address)
-    fieldlum("doctor", session.root)
+    run_cli("doctor", session.root)
     assert proof.exists()
     proof.unlink()
     script.write_text(f"#!/bin/sh\ntouch {proof} # edited\n", encoding="utf-8")
-    assert fieldlum("doctor", session.root).returncode == InputError.exit_code
+    assert run_cli("doctor", session.root).returncode == InputError.exit_code
     assert not proof.exists()
 
 
@@ -143,6 +148,36 @@ def test_an_address_of_more_than_a_device_needs_a_permission(tmp_path: Path, add
     assert wanted is not None
     permit(wanted)
     require_permitted(address, tmp_path / "session.toml", "--camera")
+
+
+@pytest.mark.slow
+def test_children_of_a_command_in_a_session_import_nothing_from_it(tmp_path: Path) -> None:
+    """`python -c`, as multiprocessing starts workers, imports from the current folder first."""
+    session, proof = make_session(tmp_path / "s"), tmp_path / "ran"
+    (session.root / "multiprocessing.py").write_text(f"open({str(proof)!r}, 'w')")
+    for hour in range(3):
+        session.capture_file(slot_id(T0 + timedelta(hours=hour))).parent.mkdir(parents=True)
+    line = [sys.executable, Path(sys.executable).with_name("fieldlum"), "merge", "."]
+    line += ["--scheduler", "2"]
+    result = subprocess.run(line, cwd=session.root, capture_output=True, timeout=120, check=False)
+    assert b"0 of 3 brackets could be merged" in result.stderr
+    assert not proof.exists()
+
+
+@pytest.mark.slow
+def test_settings_of_libraries_in_a_session_have_no_effect(tmp_path: Path) -> None:
+    """numba unpickles its cache, and matplotlib would run latex."""
+    (tmp_path / ".numba_config.yaml").write_text(f"cache_dir: {tmp_path}\n")
+    (tmp_path / "matplotlibrc").write_text("text.usetex: True\n")
+    code = (
+        "from fieldlum.core.plot_style import styled; from matplotlib import rcParams\n"
+        "from fieldlum.room.scene.trace import nearest_box\n"
+        "with styled(): print(rcParams['text.usetex'], nearest_box._cache.cache_path)"
+    )
+    line = [sys.executable, "-c", code]
+    environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
+    printed = subprocess.check_output(line, cwd=tmp_path, env=environment, text=True)
+    assert printed.startswith("False ") and str(tmp_path) not in printed
 
 
 # ----------------------------------------------------------------------------------------------
@@ -224,7 +259,7 @@ def test_a_permitted_room_asks_again_after_an_edit_of_a_nested_file(tmp_path: Pa
 def test_the_command_permit_shows_what_a_room_runs(tmp_path: Path) -> None:
     room = tmp_path / "room.rad"
     room.write_text(f"{INERT}!touch {tmp_path / 'ran'}\n")
-    result = fieldlum("permit", room)
+    result = run_cli("permit", room)
     assert result.returncode == 0 and f"runs: touch {tmp_path / 'ran'}" in result.stdout
     assert not (tmp_path / "ran").exists()
     traced(room)
@@ -245,11 +280,26 @@ def test_a_person_who_plans_with_a_room_file_pairs_it_later_without_a_question(
 
     setup = SiteFile(SEATTLE, CameraSetup(), room_of(room))
     site.write_text(tomli_w.dumps(site_table(setup)), encoding="utf-8")
-    result = fieldlum("plan", site, "--set", "4-day", "--out", tmp_path / "s")
+    result = run_cli("plan", site, "--set", "4-day", "--out", tmp_path / "s")
     assert result.returncode == 0, result.stderr
     assert "permitted, as you plan with it" in result.stderr
     traced(room)
     assert replace(setup).room == Session(tmp_path / "s").site_file().room
+
+
+# ----------------------------------------------------------------------------------------------
+# the terminal
+
+
+def test_texts_of_a_session_do_not_control_the_terminal(tmp_path: Path) -> None:
+    session = make_session(tmp_path / "s")
+    code, shown = "\x1b]0;name\x07\x9b2J\u202e", "?]0;name??2J?"
+    with_camera(session, f"sim:{code}")
+    result = CliRunner().invoke(main, ["info", str(session.root)])
+    assert shown in result.stdout and not set(code) & set(result.stdout) - set("]0;name2J")
+    answer = CliRunner().invoke(main, ["info", str(session.root), "--json"]).stdout
+    assert not set("\x1b\x9b\u202e") & set(answer)
+    assert json.loads(answer)["devices.uris.camera"] == f"sim:{code}"
 
 
 # ----------------------------------------------------------------------------------------------
@@ -319,6 +369,11 @@ FIXED = [
     "scene/scene.toml",
     "truth",
     "watch/answers.json",
+    "export",
+    "compare",
+    "plan.1.csv",
+    "pairs.csv.sha256",
+    "pairs.alignment.csv",
 ]
 
 
@@ -349,10 +404,17 @@ def test_a_link_that_fieldlum_never_opens_does_not_stop_a_capture(tmp_path: Path
     assert open_session(session.root) == session
 
 
-def test_a_pipe_in_a_session_is_refused(tmp_path: Path) -> None:
+def test_links_are_refused_wherever_the_code_names_a_file_of_a_session() -> None:
+    texts = [path.read_text(encoding="utf-8") for path in PACKAGE.rglob("*.py")]
+    named = {name for text in texts for name in re.findall(r'\broot / f?"([a-z_]+)', text)}
+    assert {"plan", "export", "watch"} <= named <= _checked_stems()
+
+
+@pytest.mark.parametrize("name", ["raw/frame.dng", "pairs.csv.sha256", ".capture.lock", ".reserve"])
+def test_a_pipe_in_a_session_is_refused(tmp_path: Path, name: str) -> None:
     session = make_session(tmp_path / "s")
     session.raw.mkdir()
-    os.mkfifo(session.raw / "frame.dng")
+    os.mkfifo(session.root / name)
     with pytest.raises(InputError, match="a pipe, socket or device"):
         open_session(session.root)
 
@@ -361,7 +423,7 @@ def test_raw_on_another_disk_works_once_it_is_permitted(rig: Field, tmp_path: Pa
     other = tmp_path / "disk"
     other.mkdir()
     link = linked(rig.session, "raw", other)
-    assert fieldlum("permit", link).returncode == 0
+    assert run_cli("permit", link).returncode == 0
     assert open_session(rig.session.root) == rig.session
     rig.run()
     assert len(list(other.glob("*/*.dng"))) == 9

@@ -15,7 +15,7 @@ from typing import Any
 import click
 
 from fieldlum.cli.declared import InOrder
-from fieldlum.cli.terminal import say
+from fieldlum.cli.terminal import printable, say
 from fieldlum.core.errors import ChangedFileWarning, FieldlumError, InputError, install_text
 from fieldlum.version import __version__
 
@@ -60,6 +60,8 @@ class _CommandGroup(InOrder):
     def invoke(self, ctx: click.Context) -> object:
         """Run the command; print expected errors as one line and exit with their code."""
         _hold_standard_files()
+        # Child processes import nothing from the current folder: it may be somebody else's session.
+        os.environ["PYTHONSAFEPATH"] = "1"
         try:
             with _warnings_as_notes():
                 return super().invoke(ctx)
@@ -86,7 +88,7 @@ class _CommandGroup(InOrder):
 
 @contextmanager
 def _warnings_as_notes() -> Iterator[None]:
-    """Print the warning of a changed file as one line on stderr, inside the block."""
+    """Print warnings without control codes on stderr, that of a changed file as one line."""
     with warnings.catch_warnings():
         show = warnings.showwarning
 
@@ -94,7 +96,7 @@ def _warnings_as_notes() -> Iterator[None]:
             if issubclass(category, ChangedFileWarning):
                 say(f"WARNING: {message}")
             else:
-                show(message, category, *place, **more)
+                show(printable(str(message)), category, *place, **more)
 
         warnings.showwarning = note
         yield
@@ -102,8 +104,8 @@ def _warnings_as_notes() -> Iterator[None]:
 
 def _complain(ctx: click.Context, text: str) -> None:
     """Print an error as one line, without control codes that file names may contain."""
-    shown = "".join(c if c.isprintable() else "?" for c in text.replace("\n", " "))
-    click.echo(f"fieldlum {ctx.invoked_subcommand}: {shown}", err=True)
+    line = printable(text.replace("\n", " "))
+    click.echo(f"fieldlum {ctx.invoked_subcommand}: {line}", err=True)
 
 
 def _hold_standard_files() -> None:

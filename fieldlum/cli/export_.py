@@ -2,10 +2,8 @@
 
 from pathlib import Path
 
-import click
-
 from fieldlum.cli.options import Azimuths, OpenSession, command_of
-from fieldlum.cli.terminal import progress
+from fieldlum.cli.terminal import progress, tell
 
 
 @command_of("export")
@@ -31,4 +29,4 @@ def command(session: OpenSession, out: Path | None = None, view_azimuths: Azimut
     with progress("exporting"):
         files = export(session, out or session.root / "export", view_azimuths)
     for path in files:
-        click.echo(str(path))
+        tell(str(path))

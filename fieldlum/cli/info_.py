@@ -3,10 +3,8 @@
 from pathlib import Path
 from typing import Any
 
-import click
-
 from fieldlum.cli.options import command_of
-from fieldlum.cli.terminal import emit_json, say
+from fieldlum.cli.terminal import emit_json, say, tell
 from fieldlum.core.errors import InputError
 
 Facts = dict[str, Any]  # facts about a file by name, as --json prints them
@@ -37,9 +35,9 @@ def command(files: tuple[Path, ...], part: str = "", json_lines: bool = False) -
         if json_lines:
             emit_json(facts)
         else:
-            click.echo(facts.pop("file"))
+            tell(facts.pop("file"))
             for name, value in facts.items():
-                click.echo(f"  {name:24} {_short(value)}")
+                tell(f"  {name:24} {_short(value)}".replace("\n", " "))
     if bad:
         raise SystemExit(InputError.exit_code)
 

@@ -31,7 +31,8 @@ def _finite(value: Any) -> Any:
 
 def emit_json(answer: Any) -> None:
     """Print exactly one JSON object on one line of stdout."""
-    click.echo(json.dumps(_finite(answer), ensure_ascii=False, default=str))
+    text = json.dumps(_finite(answer), ensure_ascii=False, default=str)
+    click.echo("".join(c if c.isprintable() else json.dumps(c)[1:-1] for c in text))
 
 
 def print_answer(as_json: bool, answer: Any, lines: Iterable[str]) -> None:
@@ -40,7 +41,7 @@ def print_answer(as_json: bool, answer: Any, lines: Iterable[str]) -> None:
         emit_json(answer)
         return
     for line in lines:
-        click.echo(line)
+        tell(line)
 
 
 def table_lines(
@@ -65,10 +66,19 @@ def table_lines(
     return [indent + "  ".join(line).rstrip() for line in cells]
 
 
+def printable(text: str) -> str:
+    """Return a text with "?" for control codes of the terminal, which anybody may have written."""
+    return "".join(c if c.isprintable() or c == "\n" else "?" for c in text)
+
+
 def say(text: str) -> None:
-    """Print a sentence for the user on stderr, without control codes of the terminal."""
-    shown = "".join(c if c.isprintable() or c == "\n" else "?" for c in text)
-    click.echo(shown, err=True)
+    """Print a sentence for the user on stderr."""
+    click.echo(printable(text), err=True)
+
+
+def tell(text: str) -> None:
+    """Print a line of a command's answer on stdout."""
+    click.echo(printable(text))
 
 
 def notes(texts: Iterable[str]) -> None:
@@ -160,14 +170,14 @@ def progress(label: str) -> Iterator[Progress]:
     columns = (
         *rich_progress.Progress.get_default_columns(),
         rich_progress.MofNCompleteColumn(),
-        rich_progress.TextColumn("{task.fields[text]}"),
+        rich_progress.TextColumn("{task.fields[text]}", markup=False),
     )
     screen = Console(stderr=True)
     with rich_progress.Progress(*columns, console=screen, transient=True) as bar:
         task = bar.add_task(label, total=None, text="")
 
         def show(finished: int, total: int, text: str) -> None:
-            bar.update(task, completed=finished, total=total or None, text=text)
+            bar.update(task, completed=finished, total=total or None, text=printable(text))
 
         with shown_by(show):
             yield show

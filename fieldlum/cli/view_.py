@@ -7,7 +7,7 @@ import click
 
 from fieldlum.cli.declared import FILE_PATH
 from fieldlum.cli.options import command_of, new_file
-from fieldlum.cli.terminal import say
+from fieldlum.cli.terminal import say, tell
 
 
 def _region(text: str) -> Any:
@@ -66,7 +66,7 @@ def command(
         for note in picture.notes:
             say(f"fieldlum view: {picture.name}: {note}")
     for line in (*map(_region_line, rows), *([str(out)] if pictures else ())):
-        click.echo(line)
+        tell(line)
     if csv_path is not None:
         write_csv(csv_path, rows)
     if len(pictures) < len(files):

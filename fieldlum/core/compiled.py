@@ -4,6 +4,7 @@ The first call compiles for some seconds; the result is stored next to the modul
 cache folder.
 """
 
+import os
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
@@ -16,6 +17,9 @@ def compiled(function: Function) -> Function:
     Division by zero gives inf or NaN, as in NumPy. Other threads can run meanwhile. Without numba,
     as on a computer that only captures, the function is interpreted: a hundred times slower.
     """
+    # Otherwise .numba_config.yaml in the current folder, which can be of a foreign session, could
+    # name a cache, whose files can run code.
+    os.environ.setdefault("NUMBA_CACHE_DIR", "")
     try:
         from numba import njit
     except ModuleNotFoundError:

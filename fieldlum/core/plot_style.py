@@ -29,10 +29,13 @@ _SETTINGS: dict[Any, Any] = {
 
 
 def styled() -> AbstractContextManager[None]:
-    """Return a context in which new figures have fieldlum's colours and settings."""
-    from matplotlib import rc_context
+    """Return a context in which new figures have fieldlum's colours and settings.
 
-    return rc_context(_SETTINGS)
+    A file matplotlibrc in the current folder, which may be somebody else's session, has no effect.
+    """
+    from matplotlib import rc_context, rcParamsDefault
+
+    return rc_context({**rcParamsDefault, **_SETTINGS})
 
 
 def new_figure(width_in: float, height_in: float, **settings: Any) -> Figure:

@@ -127,7 +127,7 @@ def heat_map(
         quantities.append(layer._asdict() | {"grids": grids})
     data = json.dumps({"year": year, "days": days, "quantities": quantities})
     names = [layer.name for layer, _ in layers]
-    return about | {"json": data.replace("</", "<\\/"), "quantities": names}
+    return about | {"json": data.replace("<", "\\u003c"), "quantities": names}
 
 
 class Page(NamedTuple):

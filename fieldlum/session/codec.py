@@ -95,7 +95,7 @@ def current_note(note: Path, inputs: object, outputs: Iterable[Path] = ()) -> Js
     try:
         table = json.loads(note.read_text(encoding="utf-8"))
         recorded = table.get("inputs", table)
-    except (OSError, ValueError, AttributeError):
+    except (OSError, ValueError, AttributeError, RecursionError):
         return None
     same = recorded == json.loads(json.dumps(inputs))
     return table if same and all(path.is_file() for path in outputs) else None

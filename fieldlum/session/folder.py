@@ -216,14 +216,17 @@ class Session:
         return timedelta(seconds=capture.get("grace_s", DEFAULT_GRACE_S))
 
 
-# Further entries of a session's folder that fieldlum opens; hidden ones count too.
-_MORE_NAMES = ("scene", "watch", "journal.jsonl.torn", "alignment.csv")
+# Further entries of a session's folder that fieldlum opens, up to the first dot of their names.
+_MORE_STEMS = ("scene", "watch", "export", "compare", "room", "demo")
 
 
-def _checked_names() -> set[str]:
-    """Return the entries of a session's folder in which a link is refused."""
+def _checked_stems() -> set[str]:
+    """Return the entries of a session's folder in which a link is refused: pairs, session.
+
+    pairs stands for pairs.csv, pairs.csv.sha256 and pairs.alignment.csv.
+    """
     places = (place for place in vars(Session).values() if isinstance(place, _Place | _SlotPlace))
-    return {place.top for place in places} | set(_MORE_NAMES)
+    return {place.top.partition(".")[0] for place in places} | set(_MORE_STEMS)
 
 
 def open_session(root: Path) -> Session:
@@ -240,7 +243,7 @@ def open_session(root: Path) -> Session:
             remedy = f"name its folder: {root.parent}"
         raise InputError(root, found, "a session folder", remedy)
     remedy = "correct that place, or restore session.toml from a copy"
-    refuse_links(root, _checked_names())
+    refuse_links(root, _checked_stems())
     with input_errors(session.toml, "TOML with the types that fieldlum writes", remedy, ValueError):
         convert(session.table(), SessionTable, strict=True)
     return session

@@ -78,27 +78,26 @@ def refuse_link(root: Path, path: Path) -> None:
         raise InputError(link, found, expected, remedy + shlex.quote(str(link)))
 
 
-def refuse_links(root: Path, names: Container[str]) -> None:
+def refuse_links(root: Path, stems: Container[str]) -> None:
     """Raise InputError for a link, pipe or device in a session where fieldlum reads or writes.
 
-    names: of the entries of the session's folder to check, with all below them. A hidden entry must
-    be no link; what is below it is of the disk or of another program. Links that the user of this
-    computer permitted are followed and checked too.
+    stems: names, up to their first dot, of the entries of the session's folder to check, with all
+    below them. A hidden entry must be none itself; what is below it is of the disk or of another
+    program. Links that the user of this computer permitted are followed and checked too.
     """
     for entry in list(os.scandir(root)):
-        if entry.name in names:
-            _refuse_in(entry)
-        elif entry.name.startswith("."):
-            refuse_link(root, Path(entry.path))
+        is_hidden = entry.name.startswith(".")
+        if is_hidden or entry.name.partition(".")[0] in stems:
+            _refuse_in(entry, is_deep=not is_hidden)
 
 
-def _refuse_in(entry: os.DirEntry[str]) -> None:
+def _refuse_in(entry: os.DirEntry[str], *, is_deep: bool = True) -> None:
     path = Path(entry.path)
     if entry.is_symlink():
         refuse_link(path.parent, path)
     elif not (entry.is_file() or entry.is_dir()):
         raise InputError(path, "a pipe, socket or device", "a file or a folder", "remove it")
-    if entry.is_dir():
+    if is_deep and entry.is_dir():
         for inner in list(os.scandir(path)):
             _refuse_in(inner)
 

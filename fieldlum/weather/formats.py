@@ -416,7 +416,7 @@ def _read_pvgis(path: Path, lines: list[str], site: Site) -> WeatherTable:
 
 def _read_pvgis_json(path: Path, lines: list[str], site: Site) -> WeatherTable:
     """Return the rows of a json of PVGIS, which has the content of the csv."""
-    kinds = (KeyError, IndexError, TypeError, AttributeError, ValueError)
+    kinds = (KeyError, IndexError, TypeError, AttributeError, ValueError, RecursionError)
     with input_errors(path, "json of PVGIS with outputs of each hour", _AGAIN, *kinds):
         answer = json.loads("\n".join(lines))
         outputs, about = answer["outputs"], answer["inputs"]

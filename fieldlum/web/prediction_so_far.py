@@ -213,7 +213,7 @@ def read_answer(session: Session) -> JsonTable | None:
     try:
         answer = json.loads((session.root / "watch" / "answer.json").read_text(encoding="utf-8"))
         parse_utc(answer["t_utc"])
-    except (OSError, ValueError, TypeError, KeyError):
+    except (OSError, ValueError, TypeError, KeyError, RecursionError):
         return None
     return answer
 
