@@ -167,11 +167,11 @@ def read_table(
     missing or unknown column, an invalid or empty cell, or a csv without readings.
     """
     table = _table(path)
-    known = *required, *optional
+    names = *required, *optional
     wrong = [f"no column {name}" for name in required if name not in table.names]
-    wrong += [f"unknown column {name}" for name in table.names if name not in known]
+    wrong += [f"unknown column {name}" for name in table.names if name not in names]
     if wrong:
-        raise InputError(path, wrong[0], f"columns {', '.join(known)}", "correct the first line")
+        raise InputError(path, wrong[0], f"columns {', '.join(names)}", "correct the first line")
     readings = []
     # In a file with decimal commas a point separates thousands, which is refused.
     commas = table.mark != "," and any("," in cell for _, cells in table.rows for cell in cells)

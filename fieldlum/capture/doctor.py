@@ -407,13 +407,13 @@ def check_disk(session: Session, now_utc: datetime, free_bytes: int) -> Finding:
     """
     planned = 1e6 * float(session.table().get("plan", {}).get("megabytes_per_slot", 0.0))
     folders = session.captured_folders()
-    taken = [folder for folder in folders if session.capture_file(folder.name).is_file()]
-    sizes = [sum(file.stat().st_size for file in folder.glob("[!.]*")) for folder in taken[-5:]]
+    captured = [folder for folder in folders if session.capture_file(folder.name).is_file()]
+    sizes = [sum(file.stat().st_size for file in folder.glob("[!.]*")) for folder in captured[-5:]]
     ahead = len(slots_ahead(session, now_utc))
-    wanted = ahead * max(planned, *sizes, 0) * 1.3
-    need = f"{wanted / 1e9:.1f} GB for {ahead} slots, with 30 % in reserve"
+    needed = ahead * max(planned, *sizes, 0) * 1.3
+    need = f"{needed / 1e9:.1f} GB for {ahead} slots, with 30 % in reserve"
     free = f"{free_bytes / 1e9:.1f} GB free"
-    if free_bytes < wanted:
+    if free_bytes < needed:
         return fail("disk", f"{free}; needed: {need}; delete files or use a larger disk")
     return ok("disk", f"{free}, enough: {need}")
 

@@ -239,7 +239,7 @@ def withdraw(
     for match in matches:
         for card in match.group.frames:
             cards.setdefault(card.path.name, []).append((match, card))
-    gone: list[str] = []
+    withdrawn: list[str] = []
     for slot, state in states.slots.items():
         pairs = [(frame, *card) for frame in state.frames for card in cards.get(frame.file, ())]
         is_imported = state.outcome == "done" and state.why == "imported"
@@ -248,8 +248,8 @@ def withdraw(
             _set_aside(session, slot)
             why = "imported with another clock"
             journal.append("withdrawn", datetime.now(UTC), slot=slot, why=why)
-            gone.append(slot)
-    return tuple(gone)
+            withdrawn.append(slot)
+    return tuple(withdrawn)
 
 
 def _is_elsewhere(slot: str, frame: Frame, match: Match, card: CardFrame) -> bool:

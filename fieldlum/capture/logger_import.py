@@ -91,21 +91,21 @@ def withdraw(session: Session, samples: Iterable[IrradianceSample]) -> int:
     that are imported again with another clock can leave the day file's length as it was, and only
     another length causes a new clean.csv.
     """
-    gone = {_key(sample) for sample in samples}
+    removed = {_key(sample) for sample in samples}
     count = 0
-    for path in day_files(session) if gone else []:
+    for path in day_files(session) if removed else []:
         rows, _ = read_day(path)
-        kept = [row for row in rows if _key(row) not in gone]
-        if len(kept) == len(rows):
+        remaining = [row for row in rows if _key(row) not in removed]
+        if len(remaining) == len(rows):
             continue
-        count += len(rows) - len(kept)
+        count += len(rows) - len(remaining)
         aside = session.irradiance / "withdrawn"
         number = len(list(aside.glob(f"{path.stem}.*.csv")))
         with replacing_path(aside / f"{path.stem}.{number}.csv") as copy:
             shutil.copyfile(path, copy)
         with replacing(path) as file:
             file.write((",".join(DAY_COLUMNS) + "\n").encode())
-            file.writelines(encode_sample(row) for row in kept)
+            file.writelines(encode_sample(row) for row in remaining)
     if count:
         session.clean_irradiance.unlink(missing_ok=True)
     return count

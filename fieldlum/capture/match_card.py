@@ -127,9 +127,9 @@ def group_frames(
     groups: list[list[CardFrame]] = []
     for frame, gap_s in zip(ordered, (0.0, *gaps_s), strict=False):
         if groups:
-            taken = sum(same_exposure(f.exposure, frame.exposure) for f in groups[-1])
+            present = sum(same_exposure(f.exposure, frame.exposure) for f in groups[-1])
             often = max(1, sum(same_exposure(e, frame.exposure) for e in pattern)) * headings
-            if gap_s <= pause_s and taken < often:
+            if gap_s <= pause_s and present < often:
                 groups[-1].append(frame)
                 continue
         groups.append([frame])

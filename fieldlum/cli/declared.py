@@ -101,9 +101,9 @@ def declare(
     for parameter in inspect.signature(function).parameters.values():
         own = [entry for entry in entries if entry.is_of(parameter.name)]
         entry = max(own, key=lambda entry: len(entry.names), default=None)
-        made = _parameter(parameter, hints[parameter.name], entry)
-        is_shared = entry is None and made.metavar is None
-        parameters.append(shared.get(parameter.name, made) if is_shared else made)
+        declared = _parameter(parameter, hints[parameter.name], entry)
+        is_shared = entry is None and declared.metavar is None
+        parameters.append(shared.get(parameter.name, declared) if is_shared else declared)
     return click.Command(name, callback=function, params=parameters, help=text)
 
 

@@ -139,12 +139,12 @@ def click_corners(
 
     clicked = room_from_clicks(read_clicks(csv_path), picture.grid, height_m, where=str(csv_path))
     table = click_room.clicked_table(clicked)
-    path, taken = click_room.save_room(session, clicked, replace_room=force)
+    path, is_written = click_room.save_room(session, clicked, replace_room=force)
     lines = [f"{r['name']:22} {r['value']:9.3f} +- {r['u']:.3f}" for r in table["rows"]]
     lines.append(f"the south wall faces {table['faces']}; misfit {clicked.misfit_px:.2f} px rms")
-    print_answer(as_json, {**table, "file": str(path), "taken": taken}, lines)
+    print_answer(as_json, {**table, "file": str(path), "taken": is_written}, lines)
     if as_json:
         return
     notes(clicked.notes)
     earlier = "the session still has its earlier room: use --force to replace it"
-    say(f"written: {path}; {'the session has this room now' if taken else earlier}")
+    say(f"written: {path}; {'the session has this room now' if is_written else earlier}")

@@ -108,14 +108,14 @@ def _refuse(hint: Any, value: Any, where: str) -> None:
     if not isinstance(value, dict):
         return
     kind = next((part for part in (hint, *typing.get_args(hint)) if _is_record(part)), None)
-    known = typing.get_type_hints(kind) if kind is not None else dict.fromkeys(value)
+    keys_of_kind = typing.get_type_hints(kind) if kind is not None else dict.fromkeys(value)
     for key, inner in value.items():
-        if key not in known:
-            near = get_close_matches(key, known, n=1)
-            keys = f"known keys: {', '.join(sorted(known)) or 'none'}"
+        if key not in keys_of_kind:
+            near = get_close_matches(key, keys_of_kind, n=1)
+            keys = f"known keys: {', '.join(sorted(keys_of_kind)) or 'none'}"
             remedy = f"did you mean '{near[0]}'?" if near else keys
             raise InputError(where, f"unknown key '{key}'", remedy=remedy)
-        _refuse(known[key], inner, f"{where} [{key}]")
+        _refuse(keys_of_kind[key], inner, f"{where} [{key}]")
 
 
 def _is_record(kind: Any) -> bool:

@@ -264,11 +264,11 @@ class LineForm:
         are rejected, then the new form is accepted.
         """
         usual, count = Counter(self._forms).most_common(1)[0] if self._forms else ("", 0)
-        known = len(self._forms) >= _RECENT_LINES // 3 and len(self._forms) - count <= 1
+        is_settled = len(self._forms) >= _RECENT_LINES // 3 and len(self._forms) - count <= 1
         form = _NUMBER_OF_STREAM.sub(lambda match: "#" + "0" * len(match[1] or ""), text)
         form = re.sub(r"[ \t]+", " ", form)
         self._forms.append(form)
-        if not known or form == usual:
+        if not is_settled or form == usual:
             return ""
         return f"its form is {form!r} (# and decimals), and earlier lines have {usual!r}"
 

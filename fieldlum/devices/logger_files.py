@@ -270,8 +270,8 @@ def _columns(path: Path, table: _Table, asked: Mapping[str, str]) -> dict[str, i
     if missing := [name for name in asked.values() if name.lower() not in names]:
         found, remedy = f"no column {', '.join(missing)}", "correct the name after --column"
         raise InputError(path, found, f"one of {all_names}", remedy)
-    taken = {name.lower() for name in asked.values()}
-    free = [(i, text) for i, text in enumerate(table.usual()) if names[i] not in taken]
+    named = {name.lower() for name in asked.values()}
+    free = [(i, text) for i, text in enumerate(table.usual()) if names[i] not in named]
     for quantity in QUANTITIES:
         name = asked.get(quantity, quantity).lower()
         matches = [names.index(name)] if name in names else []

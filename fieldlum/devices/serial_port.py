@@ -52,8 +52,8 @@ def _cannot_open(port: str, reason: str) -> str:
 
         ports = ", ".join(sorted(port.device for port in comports()))
         return f"{port}: no such port; ports: {ports or 'none, check cable and power'}"
-    known = (f"{port}: {why}" for text, why in _REASONS.items() if re.search(text, reason))
-    return next(known, reason)
+    reasons = (f"{port}: {why}" for text, why in _REASONS.items() if re.search(text, reason))
+    return next(reasons, reason)
 
 
 def resolve(place: str) -> str:

@@ -385,8 +385,8 @@ def write_panorama(path: Path, panorama: Panorama, *, view: str = "equirect") ->
     layers = {"Y": panorama.luminance_cdm2, "u": panorama.u_cdm2, "flags": panorama.flags}
     if panorama.rgb is not None:
         layers |= dict(zip("RGB", np.moveaxis(panorama.rgb, -1, 0), strict=True))
-    given = {name: values for name, values in layers.items() if values is not None}
-    channels = {name: np.ascontiguousarray(v, np.float32) for name, v in given.items()}
+    present = {name: values for name, values in layers.items() if values is not None}
+    channels = {name: np.ascontiguousarray(v, np.float32) for name, v in present.items()}
     header = {
         "compression": OpenEXR.ZIP_COMPRESSION,
         "type": OpenEXR.scanlineimage,
@@ -477,8 +477,8 @@ def read_exr(path: Path, part: str = "") -> tuple[Panorama, str]:
     panorama = Panorama(luminance, heading, channels.get("u"), flags, t_utc, sun, rgb, own)
     # OpenEXR itself names the view of a stereo picture in this attribute, such as "left".
     view = str(header.get("view", ""))
-    known = view.startswith(("equirect", "-v", "VIEW=", "rvu "))
-    return _on_display_window(panorama, header), view if known else ""
+    has_view = view.startswith(("equirect", "-v", "VIEW=", "rvu "))
+    return _on_display_window(panorama, header), view if has_view else ""
 
 
 @contextmanager

@@ -68,11 +68,11 @@ def taken_brackets(session: Session) -> list[BracketInterval]:
     """
     brackets = [_taken(session, path) for path in session.panorama_files()]
     slots_of: dict[str, list[str]] = {}
-    for taken in brackets:
-        for frame in taken.frames:
-            slots_of.setdefault(frame, []).append(taken.slot)
+    for bracket in brackets:
+        for frame in bracket.frames:
+            slots_of.setdefault(frame, []).append(bracket.slot)
     others = [next((s for f in t.frames for s in slots_of[f] if s != t.slot), "") for t in brackets]
-    return [replace(taken, double_of=other) for taken, other in zip(brackets, others, strict=True)]
+    return [replace(each, double_of=other) for each, other in zip(brackets, others, strict=True)]
 
 
 def _taken(session: Session, path: Path) -> BracketInterval:
@@ -102,14 +102,14 @@ def _slot_time(path: Path) -> datetime:
 
 
 def judge(
-    taken: BracketInterval, light: Outside, altitude_deg: float, azimuth_deg: float
+    bracket: BracketInterval, light: Outside, altitude_deg: float, azimuth_deg: float
 ) -> PairRow:
     """Return the row of pairs.csv for a bracket; `why` has the reason not to use it, or doubts."""
     why = light.why
-    top_wm2 = sun.extraterrestrial_wm2([taken.t_utc])[0]
-    if taken.double_of:
+    top_wm2 = sun.extraterrestrial_wm2([bracket.t_utc])[0]
+    if bracket.double_of:
         why = (
-            f"the same frames as slot {taken.double_of}: a card was imported with two clock "
+            f"the same frames as slot {bracket.double_of}: a card was imported with two clock "
             "offsets; import it again with the right --utc-offset, which removes the wrong one, "
             "then merge and pair again"
         )
@@ -117,15 +117,15 @@ def judge(
         why = "the sun is below the horizon"
     elif not why and sun.too_weak(light.ghi_wm2, altitude_deg, top_wm2):
         why = "less light than the darkest overcast sky: a covered instrument, or values in kW/m2"
-    doubts = ["" if taken.complete else "bracket incomplete"]
-    if (u_percent := taken.sun_u_percent) >= 5.0:
+    doubts = ["" if bracket.complete else "bracket incomplete"]
+    if (u_percent := bracket.sun_u_percent) >= 5.0:
         text = "the sun covers few pixels: its illuminance is uncertain by"
         doubts.append(f"{text} {u_percent:.0f} %")
-    name = f"{taken.panorama.parent.name}/{taken.panorama.name}"
+    name = f"{bracket.panorama.parent.name}/{bracket.panorama.name}"
     of_sky = light.dni_wm2, light.dhi_wm2, light.ghi_wm2, light.source
     of_sun = altitude_deg, azimuth_deg, light.steadiness
     doubt = _joined(*doubts, light.caution)
-    return PairRow(taken.t_utc, name, *of_sky, *of_sun, ok=not why, why=why or doubt)
+    return PairRow(bracket.t_utc, name, *of_sky, *of_sun, ok=not why, why=why or doubt)
 
 
 def _joined(*texts: str) -> str:
@@ -220,17 +220,17 @@ def _light(session: Session, brackets: Sequence[BracketInterval], rows: Sequence
     return Light(times, dni, dhi, altitude, azimuth, states=states if any(states) else None)
 
 
-def _shown(taken: BracketInterval, full_normal_lx: float) -> Shown:
+def _shown(bracket: BracketInterval, full_normal_lx: float) -> Shown:
     """Return what the panorama of a bracket shows; only a caution if it cannot be read."""
-    warn_if_changed(taken.panorama)
+    warn_if_changed(bracket.panorama)
     try:
-        panorama = read_panorama(taken.panorama)
+        panorama = read_panorama(bracket.panorama)
     except FieldlumError as error:
-        return Shown(taken.slot, caution=str(error))
-    sun, caution = measured_sun(panorama, full_normal_lx, taken.meter_lx)
+        return Shown(bracket.slot, caution=str(error))
+    sun, caution = measured_sun(panorama, full_normal_lx, bracket.meter_lx)
     seen = np.isfinite(panorama.seen_cdm2)
     recorded_lx = panorama.sun.normal_illuminance_lx if panorama.sun else 0.0
-    return Shown(taken.slot, sun, recorded_lx, caution, seen, panorama.heading_deg)
+    return Shown(bracket.slot, sun, recorded_lx, caution, seen, panorama.heading_deg)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -257,11 +257,11 @@ def write_patches(
         return [""] * len(brackets)
     first = read_panorama(brackets[0].panorama)
     size = first.luminance_cdm2.shape[0], first.heading_deg
-    known = [plain(setup.room), plain(setup.camera), *size, patch_rays(size[0])]
+    common = [plain(setup.room), plain(setup.camera), *size, patch_rays(size[0])]
     suns = light.apparent_altitude_deg, light.sun_azimuth_deg, light.direct_lx
     recipes, missing = [], []
     for k, (bracket, altitude, azimuth, lx) in enumerate(zip(brackets, *suns, strict=True)):
-        recipe = digest([*known, round(float(altitude), 4), round(float(azimuth), 4), f"{lx:.5g}"])
+        recipe = digest([*common, round(float(altitude), 4), round(float(azimuth), 4), f"{lx:.5g}"])
         recipes.append((bracket.slot, recipe))
         files = session.sunpatch_sidecar(bracket.slot), session.sunpatch(bracket.slot)
         if force or current_note(files[0], recipe, files[1:]) is None:

@@ -384,7 +384,7 @@ def sentences(summary: JsonTable) -> list[str]:
     cost = f"{counted(summary['frames'], 'frame')}, {summary['seconds_per_slot']:g} s"
     unknown = " per slot; the size of the files is unknown, because no camera is stated"
     each, total = summary["megabytes"] / slots, summary["megabytes"] / 1000
-    known = f" and {each:.0f} MB per slot, {total:.1f} GB in total"
+    sizes = f" and {each:.0f} MB per slot, {total:.1f} GB in total"
     share = summary["coverage"]
     covered = f"the plan covers {share['sun_band_percent']:.0f} % of the year's sun band"
     if share["irradiance_percent"] is not None:
@@ -395,7 +395,7 @@ def sentences(summary: JsonTable) -> list[str]:
     texts = [
         f"{counted(slots, 'slot')} on {counted(days, 'day')}, {summary['first']} to "
         f"{summary['last']}, in {summary['session']}",
-        cost + (known if summary["size_is_known"] else unknown),
+        cost + (sizes if summary["size_is_known"] else unknown),
         covered,
     ]
     if summary["solar_noon"]:

@@ -36,7 +36,7 @@ def make_up(
     that has the missed day's declination within 0.2 deg (also on the other side of the solstice),
     the sun up and within 12 deg of the missed one, and no planned slot at that time.
     """
-    site, taken = setup.site, {slot.id for slot in planned}
+    site, occupied = setup.site, {slot.id for slot in planned}
     days = span(sun.standard_date(now_utc, site.timezone) + timedelta(days=1), 370)
     noon = timedelta(hours=12)
     midnights = [sun.standard_midnight(day, site.timezone) for day in days]
@@ -50,19 +50,19 @@ def make_up(
         off = np.abs(declination - sun.declination_deg([midnight + noon])[0])
         same = np.flatnonzero(off <= SAME_DECLINATION_DEG).tolist()
         times = [midnights[i] + (slot.t_utc - midnight) for i in same]
-        free = _first_free(slot, times, taken, site)
+        free = _first_free(slot, times, occupied, site)
         if free is None:
             lost.append(slot.id)
             continue
         new, off_deg = free
-        taken.add(new.id)
+        occupied.add(new.id)
         added.append(new)
         pairs.append({"missed": slot.id, "slot": new.id, "sun_off_deg": round(off_deg, 1)})
     return added, pairs, lost
 
 
 def _first_free(
-    slot: Slot, times: Sequence[datetime], taken: set[str], site: Site
+    slot: Slot, times: Sequence[datetime], occupied: set[str], site: Site
 ) -> tuple[Slot, float] | None:
     """Return the first free slot with the sun near that of a missed slot, and the angle [deg]."""
     at = sun.position(times, site)
@@ -70,7 +70,7 @@ def _first_free(
     cosine = sun.direction(at.altitude_deg, at.azimuth_deg) @ old
     off = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
     for i in np.flatnonzero((at.altitude_deg > 0) & (off <= MAX_OFF_DEG)).tolist():
-        if slot_id(times[i]) not in taken:
+        if slot_id(times[i]) not in occupied:
             tags = (*(tag for tag in slot.tags if not tag.startswith(MAKEUP)), MAKEUP + slot.id)
             altitude, azimuth = float(at.altitude_deg[i]), float(at.azimuth_deg[i])
             return Slot(times[i], altitude, azimuth, slot.exposures, tags), float(off[i])

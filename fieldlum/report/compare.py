@@ -331,12 +331,12 @@ def _azimuth(place: str, azimuths_deg: Sequence[float], path: Path) -> float:
 
 def _values(path: Path, figure: str, values: Floats) -> Floats:
     """Return a model's figures; DGP above 1 counts as 1, as in the predicted year."""
-    known = values[np.isfinite(values)]
-    if (known < 0).any():
-        found = f"{'DGP' if figure == 'dgp' else 'Ev'} of {known.min():g}"
+    finite = values[np.isfinite(values)]
+    if (finite < 0).any():
+        found = f"{'DGP' if figure == 'dgp' else 'Ev'} of {finite.min():g}"
         raise InputError(path, found, "0 or more", "write nothing for an hour without a value")
-    if figure == "dgp" and len(known) and np.median(known) > 1.0:
-        found = f"DGP of {np.median(known):g} in the median"
+    if figure == "dgp" and len(finite) and np.median(finite) > 1.0:
+        found = f"DGP of {np.median(finite):g} in the median"
         raise InputError(path, found, "0 to 1", "divide percent by 100")
     return np.minimum(values, 1.0) if figure == "dgp" else values
 

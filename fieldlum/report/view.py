@@ -233,7 +233,7 @@ def write_page(path: Path, pictures: Sequence[MeasuredPicture], rows: Sequence[J
 
 
 def _about(picture: MeasuredPicture) -> JsonTable:
-    """Return what the page states about a picture; of the view's vectors it needs only `frame`."""
+    """Return what the page states about a picture; of its view's vectors only `frame`."""
     height, width = picture.luminance_cdm2.shape
     view = picture.picture.view
     arrays = {} if view is None else {"frame": view.frame.tolist(), "forward": None, "up": None}

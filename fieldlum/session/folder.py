@@ -38,7 +38,7 @@ class PlanTable(TypedDict, total=False):
     """[plan] of session.toml: the request, and time [s] and disk space [MB] of each slot.
 
     seed: of a sample of the year; first, last: dates of the slots; revision: number of this
-    version of the plan;  sha256: of plan.csv, older_sha256: of the earlier ones.
+    version of the plan; sha256: of plan.csv, older_sha256: of the earlier ones.
     """
 
     set: str

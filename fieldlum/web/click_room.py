@@ -99,10 +99,10 @@ def save_room(session: Session, clicked: ClickedRoom, *, replace_room: bool) -> 
     lines += [f"#   {name} +- {u:.3g}" for name, u in clicked.u.items()]
     with replacing(path, "w", encoding="utf-8") as file:
         file.write("\n".join(lines) + "\n\n" + tomli_w.dumps(site_table(new)))
-    taken = setup.room is None or replace_room
-    if taken:
+    is_written = setup.room is None or replace_room
+    if is_written:
         update_session(session, {"setup": site_table(new)})
-    return path, taken
+    return path, is_written
 
 
 def click_routes(picture: ClickedPicture, camera_height_m: float) -> list[Route]:
@@ -127,8 +127,8 @@ def click_routes(picture: ClickedPicture, camera_height_m: float) -> list[Route]
         return clicked_table(clicked) | {"lines": lines, "patches": _patches(clicked.room, picture)}
 
     def saved(clicked: ClickedRoom, replace_room: bool) -> JsonTable:
-        path, taken = save_room(session, clicked, replace_room=replace_room)
-        return {"file": str(path), "taken": taken}
+        path, is_written = save_room(session, clicked, replace_room=replace_room)
+        return {"file": str(path), "taken": is_written}
 
     def posted(path: str, make: Callable[[ClickedRoom, bool], JsonTable]) -> Route:
         """Return the route of `make` for posted clicks; an InputError becomes a sentence."""

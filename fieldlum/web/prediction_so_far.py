@@ -199,9 +199,9 @@ class Worker:
 def _each(process: psutil.Popen, act: str) -> None:
     """Kill, suspend or resume a process and its children; those that have ended are skipped."""
     with suppress(psutil.Error):
-        for one in (process, *process.children(recursive=True)):
+        for member in (process, *process.children(recursive=True)):
             with suppress(psutil.Error):
-                getattr(one, act)()
+                getattr(member, act)()
 
 
 def read_answer(session: Session) -> JsonTable | None:

@@ -143,10 +143,10 @@ class Guard:
         if method == "POST" and not origin:
             return refused(403, "A change needs the header Origin.")
         token = request.query_params.get("token", "") if request.scope["path"] == "/" else ""
-        known = _same(request.cookies.get(self._name, ""), self._cookie)
-        if known and not token:
+        has_cookie = _same(request.cookies.get(self._name, ""), self._cookie)
+        if has_cookie and not token:
             return None
-        if known or (method == "GET" and _same(token, self.token)):  # no token in the address
+        if has_cookie or (method == "GET" and _same(token, self.token)):  # no token in the address
             cookie = f"{self._name}={self._cookie}; Path=/; HttpOnly; SameSite=Strict"
             return Response(status_code=303, headers={"location": "/", "set-cookie": cookie})
         return refused(401, "Open the address with the token that the terminal printed first.")

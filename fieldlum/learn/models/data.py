@@ -108,9 +108,9 @@ class Dataset:
         rows = np.arange(len(self))[np.asarray(index)]
         names = ("luminance_cdm2", "patch_cdm2", "disc_lx", "disc_deg", "days", "steadiness")
         every = {name: getattr(self, name) for name in (*names, "counts", "uncertain")}
-        some = {name: value[rows] for name, value in every.items() if value is not None}
+        selected = {name: value[rows] for name, value in every.items() if value is not None}
         slots = tuple(self.slots[i] for i in rows)
-        return replace(self, light=self.light[rows], slots=slots, **some)
+        return replace(self, light=self.light[rows], slots=slots, **selected)
 
     def thin(self, height: int) -> Dataset:
         """Return the same hours at every f-th pixel in both directions, with `height` rows or more.

@@ -125,9 +125,10 @@ class Evidence:
         return 0.5 * (np.array(self.volumes) - len(self.rows) * logs)
 
     def change(self, captures: Indices, shape: Floats) -> tuple[float, float]:
-        """Return what a free change of captures along a shape [n] gains in log likelihood.
+        """Return by how much a change of `captures` along a shape [n] raises the log likelihood.
 
-        The second value is its likeliest size in units of the shape, the median over pixels.
+        Its size is free in each pixel. The second value is the likeliest size in units of the
+        shape, the median over pixels.
         """
         column = np.where(np.isin(self.rows, captures), shape[self.rows], 0.0)
         along = [column @ weights for weights in self.weights]

@@ -467,8 +467,8 @@ def _chosen(of: _Described) -> _Chosen:
     best, errors = of.every[k], tried[k]
     states = replace(best.arrays.states, always=True)
     lamps = states.features(best.arrays.light).lamps
-    some = replace(best.arrays.features, lamps=lamps), replace(best.perez, lamps=lamps)
-    lit = _compared(replace(best.arrays, states=states, features=some[0]), of.kernel, some[1])
+    both = replace(best.arrays.features, lamps=lamps), replace(best.perez, lamps=lamps)
+    lit = _compared(replace(best.arrays, states=states, features=both[0]), of.kernel, both[1])
     with_lamp = of.errors(lit)
     gain, error = difference(errors, with_lamp, "log10")
     if gain > max(0.3 * errors.figure("log10"), error):
@@ -630,8 +630,8 @@ class Uncertainty:
     def second_variance(self, hours: Features, captured: Features) -> Array:
         """Return the variance that remains after the second stage, with its noise, [m]."""
         cross = second_covariance(hours, captured)
-        known = np.einsum("ij,ij->i", cross @ self.second, cross)
-        return np.maximum(hours.beam**2 - known, 0.0) + SECOND_NOISE
+        explained = np.einsum("ij,ij->i", cross @ self.second, cross)
+        return np.maximum(hours.beam**2 - explained, 0.0) + SECOND_NOISE
 
     def experience(self, hours: Features, captured: Features, guess: Array) -> Array:
         """Return the log10 MSE to expect in m hours, [m].

@@ -241,8 +241,8 @@ class TrainingArrays:
         """Return the arrays of some pixels."""
         names = ("luminance", "patch", "sky", "filled", "trust", "weights")
         every = {name: getattr(self, name) for name in names}
-        some = {name: v[..., pixels] for name, v in every.items() if v is not None}
-        return replace(self, computed=self.computed and self.computed[pixels], **some)
+        selected = {name: v[..., pixels] for name, v in every.items() if v is not None}
+        return replace(self, computed=self.computed and self.computed[pixels], **selected)
 
 
 def training_arrays_of(data: Dataset, *, with_patch: bool) -> TrainingArrays:
@@ -456,11 +456,11 @@ def _patch_ratios(arrays: TrainingArrays) -> tuple[Array, Array]:
     everywhere = reinhart_patches().directions
     nearest = np.argmax(arrays.open_sky.directions[often] @ everywhere.T, axis=1)  # [w]
     names, member = np.unique(nearest, return_inverse=True)
-    one = np.eye(len(names))[member]  # [w, k]
-    counts, sums = valid @ one, np.where(valid, ratios, 0.0) @ one
+    of_patch = np.eye(len(names))[member]  # [w, k]
+    counts, sums = valid @ of_patch, np.where(valid, ratios, 0.0) @ of_patch
     means = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
-    some = evenly_spread(len(names), 80)  # patches that are used; limits the time
-    return means[:, some], everywhere[names[some]]
+    used = evenly_spread(len(names), 80)  # patches that are used; limits the time
+    return means[:, used], everywhere[names[used]]
 
 
 def _interpolated(sd: float, ratios: Array, directions: Array, wanted: Array) -> Array:
@@ -470,11 +470,11 @@ def _interpolated(sd: float, ratios: Array, directions: Array, wanted: Array) ->
     standard deviation `sd`, smooth in direction. A patch that a capture does not show has a
     variance without limit there.
     """
-    known = np.isfinite(ratios)  # [n, k]
+    shown = np.isfinite(ratios)  # [n, k]
     own, cross = (
         sd**2 * np.exp((directions @ b.T - 1.0) / WIDTH**2) for b in (directions, wanted)
     )  # [k, k], [k, m]
-    noise = np.where(known, (NOISE_SHARE * sd) ** 2, 1e6)  # [n, k]
+    noise = np.where(shown, (NOISE_SHARE * sd) ** 2, 1e6)  # [n, k]
     covariance = own + noise[:, :, None] * np.eye(len(directions))
-    weights = np.linalg.solve(covariance, np.where(known, ratios, 0.0)[:, :, None])[:, :, 0]
+    weights = np.linalg.solve(covariance, np.where(shown, ratios, 0.0)[:, :, None])[:, :, 0]
     return weights @ cross

@@ -310,12 +310,12 @@ def patch_scale(arrays: TrainingArrays) -> float:
     if not (arrays.patch > 0.0).any():
         return 1.0
     lit = arrays.patch > 0.02 * np.percentile(arrays.patch[arrays.patch > 0.0], 95)
-    some = (lit.sum(axis=0) >= 3) & (lit.mean(axis=0) <= 0.5)
+    compared = (lit.sum(axis=0) >= 3) & (lit.mean(axis=0) <= 0.5)
     total = arrays.light.total_lx[:, None]
-    ratio = np.where(lit, np.nan, arrays.luminance / total)[:, some]
+    ratio = np.where(lit, np.nan, arrays.luminance / total)[:, compared]
     plain = nan_percentiles(ratio, (50.0,))[0] * total  # [n, some]
-    excess = (arrays.luminance[:, some] - plain) / np.maximum(arrays.patch[:, some], 1e-9)
-    values = excess[lit[:, some]]
+    excess = (arrays.luminance[:, compared] - plain) / np.maximum(arrays.patch[:, compared], 1e-9)
+    values = excess[lit[:, compared]]
     gain = float(np.median(values)) if len(values) else 1.0
     return gain if gain > 0.0 else 1.0
 
@@ -385,8 +385,8 @@ def hold_out(arrays: TrainingArrays, basis: Basis, noise: float) -> HeldOutFit:
     solved = inverse @ residual
     for day in np.unique(arrays.days):
         rows = np.flatnonzero(arrays.days == day)
-        left = np.linalg.solve(inverse[np.ix_(rows, rows)], solved[rows])
-        predicted[rows] *= np.exp(residual[rows] - left)
+        held_out = np.linalg.solve(inverse[np.ix_(rows, rows)], solved[rows])
+        predicted[rows] *= np.exp(residual[rows] - held_out)
     luminance = predicted * arrays.light.total_lx[:, None] * scale
     # Scores count values below 1 cd/m2 as 1 (floor of the paper).
     floored = (np.maximum(values, 1.0) for values in (luminance, arrays.luminance))
@@ -436,7 +436,7 @@ def _hold_out_some(
         deviation[:, r:] += 1.0
         out[:, rows] = np.einsum("pda,pa->pd", wanted[:, rows], deviation)
     # Sun patch and window sky have the gains of the full fit; negative gains count as 0.
-    some = slice(perez.surface, None)
-    direct = np.einsum("knp,pk->np", perez.values[some], fit.gains[:, some])
+    added = slice(perez.surface, None)
+    direct = np.einsum("knp,pk->np", perez.values[added], fit.gains[:, added])
     surfaces = np.maximum(out.T - direct, fit.minimum)
     return surfaces + perez.direct(fit.gains), fit.target

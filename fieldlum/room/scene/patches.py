@@ -46,9 +46,9 @@ def sun_patches(
     toward = points.scene.to_room(suns)
     maps = np.zeros((len(suns), height, 2 * height), np.float32)
 
-    def fill(some: Indices) -> None:
-        units = points.direct(toward[some]).reshape(len(some), height, 2 * height)
-        maps[some] = units * normal[some, None, None].astype(np.float32)
+    def fill(hours: Indices) -> None:
+        units = points.direct(toward[hours]).reshape(len(hours), height, 2 * height)
+        maps[hours] = units * normal[hours, None, None].astype(np.float32)
 
     threads = max(cv2.getNumThreads(), 1)  # 1 in a process of the scheduler
     lit = np.flatnonzero(normal > 0)

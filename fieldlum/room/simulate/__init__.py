@@ -99,8 +99,8 @@ def sample_slots(
     Raises NotEnoughDataError if the year has fewer other hours.
     """
     day = weather.daylight()
-    taken = set(without)
-    free = np.array([k for k, t in enumerate(day.t_utc) if t not in taken])
+    excluded = set(without)
+    free = np.array([k for k, t in enumerate(day.t_utc) if t not in excluded])
     if count > len(free):
         raise NotEnoughDataError(
             f"{count} hours requested, but the weather year has only {len(free)} unused hours with "
@@ -170,9 +170,9 @@ def run(
     units = []
     for start in range(0, len(missing), _SLOTS_A_UNIT):
         rows = np.array(missing[start : start + _SLOTS_A_UNIT])
-        some = tuple(slots[k] for k in rows)
-        job = replace(how, slots=some, light=light[rows], shining=shining[rows])
-        name, files = f"truth-{some[0].id}", (session.toml.name,)
+        job_slots = tuple(slots[k] for k in rows)
+        job = replace(how, slots=job_slots, light=light[rows], shining=shining[rows])
+        name, files = f"truth-{job_slots[0].id}", (session.toml.name,)
         units.append(WorkUnit(name, render_slots, session.root.resolve(), job, files=files))
     run_each(units, scheduler, UnitOutcome.result)
     _write_irradiance(session, weather, slots, wrong)

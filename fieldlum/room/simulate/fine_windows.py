@@ -153,9 +153,9 @@ def _blocks(grid: SkyGrid, pixel: Indices) -> Iterator[tuple[slice, NDArray[np.i
     step = (np.arange(_SUB) + 0.5) / _SUB
     down, across = (v.ravel() for v in np.meshgrid(step, step, indexing="ij"))
     for start in range(0, len(pixel), size):
-        some = slice(start, min(start + size, len(pixel)))
-        row, column = np.divmod(pixel[some], grid.width)
+        block = slice(start, min(start + size, len(pixel)))
+        row, column = np.divmod(pixel[block], grid.width)
         altitude = grid.first_altitude_deg - (row[:, None] + down) * grid.step_deg
         turn = grid.first_azimuth_deg + (column[:, None] + across) * grid.step_deg
         rays = direction(altitude, grid.heading_deg + turn).reshape(-1, 3)
-        yield some, np.arange(len(row)).repeat(_SUB**2).astype(np.int32), rays
+        yield block, np.arange(len(row)).repeat(_SUB**2).astype(np.int32), rays

@@ -96,8 +96,8 @@ class CameraPose:
         A pose by discs stays as it was; without discs, the corrected heading replaces it.
         """
         rest_deg, axis_deg = self.heading_deg - north_deg, (self.axis_deg + north_deg) % 360.0
-        rest = replace(self, heading_deg=rest_deg, axis_deg=axis_deg)
-        return rest._updated(-rest_deg, u_deg)
+        restated = replace(self, heading_deg=rest_deg, axis_deg=axis_deg)
+        return restated._updated(-rest_deg, u_deg)
 
     def _updated(self, by_deg: float, u_deg: float) -> CameraPose:
         """Return the pose after a measured correction to its heading (Kalman)."""

@@ -360,8 +360,8 @@ def _figure_texts(rows: Sequence[Mapping[str, Any]], share: float, factor: float
             f"W/sr/m2; {_SCALE}"
         )
     elif 0.0 < highest < MIN_DGP_EV_LX:
-        known = f"; if the picture is not calibrated, {_SCALE}" if factor == 1.0 else ""
+        remedy = f"; if the picture is not calibrated, {_SCALE}" if factor == 1.0 else ""
         yield (
             f"Ev is at most {highest:.3g} lx: below {MIN_DGP_EV_LX:.0f} lx a DGP may be too low"
-            f"{known}"
+            f"{remedy}"
         )

@@ -121,14 +121,14 @@ def fit_year(
     day, ratio, errors = np.array(days), melanopic_lx / photopic_lx, []
 
     def fitted(rows: Mask) -> MelanopicYear:
-        kernel, some = Kernel(facades), light[rows]
-        features = light_features(some)
+        kernel, used = Kernel(facades), light[rows]
+        features = light_features(used)
         # The variance of a capture is the middle one of the transport model's `NOISES`.
-        covariance = kernel(features, features) + 1e-2 * np.eye(len(some))
-        relative = photopic_lx[rows] / some.total_lx[:, None]
+        covariance = kernel(features, features) + 1e-2 * np.eye(len(used))
+        relative = photopic_lx[rows] / used.total_lx[:, None]
         coefficients = np.linalg.solve(covariance, relative)
         year = MelanopicYear(kernel, features, coefficients, _TYPICAL, np.ones(0), 0.0)
-        weights, factors = _solve(_parts(some, year.sun_shares(some)), ratio[rows])
+        weights, factors = _solve(_parts(used, year.sun_shares(used)), ratio[rows])
         return replace(year, weights=weights, factors=factors)
 
     for held in np.unique(day):

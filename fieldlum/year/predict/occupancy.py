@@ -129,8 +129,8 @@ def occupied_hours(
     days = sorted({standard_date(t, zone) for t in times_utc})
     starts = [standard_midnight(day, zone) for day in days]
     middles = np.array([start + (k + 0.5) * _HOUR for start in starts for k in range(24)])
-    known = {(t - starts[0]) // _HOUR for t in times_utc}
-    blank = np.array([(t - starts[0]) // _HOUR not in known for t in middles])
+    with_weather = {(t - starts[0]) // _HOUR for t in times_utc}
+    blank = np.array([(t - starts[0]) // _HOUR not in with_weather for t in middles])
     used = occupancy.at(middles.tolist(), zone)
     used[blank] &= position(middles[blank].tolist(), site).altitude_deg <= 0.0
     if not used.any():
