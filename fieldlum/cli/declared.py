@@ -1,7 +1,7 @@
 """Declare a command's parameters once: types in the signature, help in the docstring.
 
     @command_of("log")
-    def command(session_folder: Path, every_s: Annotated[float, click.FloatRange(0.1)] = 5.0):
+    def command(session: OpenSession, every_s: Annotated[float, click.FloatRange(0.1)] = 5.0):
         '''Log irradiance without a camera.
 
         Options:
