@@ -384,6 +384,20 @@ def test_a_header_of_any_length_costs_no_hour(tmp_path: Path, lines: int) -> Non
         table(tmp_path / "b.epw")
 
 
+@pytest.mark.slow
+@pytest.mark.contract
+def test_a_negative_code_by_day_is_missing_and_no_night_offset(tmp_path: Path) -> None:
+    light = light_of(NORTH, hours_of(NORTH))
+    light[: 24 * 60][light[: 24 * 60] == 0] = -6.0  # nights of a thermopile
+    noon = 24 * 170 + 11
+    light[noon : noon + 5] = -9.0
+    weather = read_weather(write_epw(tmp_path / "a.epw", NORTH, light), NORTH)
+    assert len(weather) == 8755 and (weather.dni_wm2 >= 0).all()
+    assert weather.repairs[0] == "5 hours negative by day count as missing"
+    assert "(down to -6.0 W/m2, a night offset) set to zero" in weather.repairs[1]
+    assert "5 missing hours left out" in weather.repairs[2]
+
+
 @pytest.mark.contract
 def test_two_spellings_of_one_weather_column_are_refused(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text(

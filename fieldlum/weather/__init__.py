@@ -32,6 +32,8 @@ FILLED_GAP_HOURS = 3
 NEAR_KM = 30.0
 FAR_KM = 300.0
 _HOUR = timedelta(hours=1)
+# Zero offsets of pyrheliometers are smaller, and diffuse light by day is larger. Chosen.
+_LOWEST_BY_DAY_WM2 = -5.0
 
 
 # ----------------------------------------------------------------------------------------------
@@ -69,7 +71,7 @@ def read_weather(path: Path, site: Site, *, label_shift_min: float = 0.0) -> Wea
     shift = table.shift + timedelta(minutes=label_shift_min)
     with input_errors(path, "times from year 1 to 9999", "correct the dates", OverflowError):
         rows = _in_order(path, _in_utc(table, shift, site, repairs))
-    columns = _values(rows, repairs)
+    columns = _values(rows, table.place or site, repairs)
     check_hourly(path, [row.when for row in rows])
     name = f"{path.name} ({table.place.name})" if table.place else path.name
     weather = _fill_gaps(
@@ -156,9 +158,16 @@ def _in_order(path: Path, rows: list[WeatherRow]) -> list[WeatherRow]:
     return rows
 
 
-def _values(rows: list[WeatherRow], repairs: list[str]) -> Floats:
-    """Return DNI, DHI and GHI of all rows, [3, n], W/m2; set negative readings to zero, listed."""
+def _values(rows: list[WeatherRow], place: Site, repairs: list[str]) -> Floats:
+    """Return DNI, DHI and GHI of all rows, [3, n], W/m2; set negative readings to zero, listed.
+
+    Clearly negative ones by day are no offset of an instrument but a code, such as -9: missing.
+    """
     values = np.array([(row.dni, row.dhi, row.ghi) for row in rows]).T  # (3, n)
+    is_day = sun.position([row.when for row in rows], place).altitude_deg > 10.0
+    if (codes := (values < _LOWEST_BY_DAY_WM2) & is_day).any():
+        repairs.append(f"{int(codes.any(axis=0).sum())} hours negative by day count as missing")
+        values[codes] = np.nan
     negative = values < 0
     if negative.any():
         repairs.append(
