@@ -315,4 +315,4 @@ def test_the_ledger_keeps_the_last_start_of_a_capture() -> None:
         {"event": kind, "t_utc": f"2027-03-20T15:3{minute}:00Z"}
         for minute, kind in enumerate(("open", "close", "open", "note"))
     ]
-    assert fold(events).opened == events[2] and fold(events[3:]).opened is None
+    assert fold(events).last_open == events[2] and fold(events[3:]).last_open is None

@@ -204,8 +204,8 @@ class _Runner:
         self.slots = session.slots()
         self.states = before = read_slot_states(session)
         if before.last_utc is not None:
-            if before.opened is not None:
-                clock.carry_on(parse_utc(before.opened["t_utc"]), before.opened)
+            if before.last_open is not None:
+                clock.carry_on(parse_utc(before.last_open["t_utc"]), before.last_open)
             refuse_a_clock_behind(clock.now(), before.last_utc)
         refuse_a_past_plan(self.slots, before, clock.now(), timedelta(seconds=options.grace_s))
         reserve_bytes, how = options.reserve_bytes, {"flush": options.flush, "listen": self.listen}

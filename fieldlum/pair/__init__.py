@@ -133,7 +133,10 @@ def _joined(*texts: str) -> str:
 
 
 def check_night(path: Path, log: CleanIrradiance, site: Site) -> None:
-    """Raise InputError for over 5 minutes of light with the sun well down: wrong clock or place."""
+    """Raise InputError if the log has over 5 minutes of light at night (`lit_at_night`).
+
+    path: of the log, for the error. The cause is a wrong clock or a wrong place.
+    """
     lit = lit_at_night(log.t_unix_s, log.ghi_wm2, site)
     if len(lit) > 5:
         finding = (

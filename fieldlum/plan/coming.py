@@ -32,10 +32,9 @@ def trained_kernel(session: Session) -> tuple[Kernel, str] | None:
     A model that was trained 0.1 degrees of latitude or longitude away (11 km) is skipped. Raises
     InputError for a model folder with wrong content.
     """
-    folders = [path for path in session.model_folders() if (path / "weights.npz").is_file()]
     site = session.site_file().site
     place = {"latitude_deg": site.latitude_deg, "longitude_deg": site.longitude_deg}
-    for folder in sorted(folders, key=lambda p: -(p / "config.json").stat().st_mtime):
+    for folder in session.trained_models():
         config = ModelConfig.read(folder)
         trained_at = config.setup.get("site", {})
         off = (abs(float(trained_at.get(name, value)) - value) for name, value in place.items())

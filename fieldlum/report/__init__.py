@@ -19,11 +19,8 @@ from fieldlum.year.predict import Annual, newest_annual, read_pictures
 
 def _model_of(session: Session, annual: Annual | None) -> Path | None:
     """Return the model that predicted the year, else the newest model; None without one."""
-    models = [path for path in session.model_folders() if (path / "weights.npz").is_file()]
-    named = annual.summary.inputs["model"] if annual else ""
-    return max(
-        models, key=lambda f: (f.name == named, (f / "config.json").stat().st_mtime), default=None
-    )
+    used = annual.summary.inputs["model"] if annual else ""
+    return min(session.trained_models(), key=lambda folder: folder.name != used, default=None)
 
 
 def _budget_section(year: Annual) -> list[Section]:

@@ -238,7 +238,11 @@ def comparison_png(
 def captured_svg(
     year: Sequence[Floats], captured: Sequence[Floats], label: str, **axes_settings: Any
 ) -> str:
-    """Plot the captures over the hours of a year, x and y [n] of each; return SVG text."""
+    """Plot captured hours over the other hours of a year, in any two quantities; return SVG text.
+
+    year, captured: x and y of the points, [n] each; year without points is not drawn. label: of the
+    year's points; axes_settings: of `Axes.set`, such as xlabel.
+    """
     with styled():
         figure = Drawing(figsize=(5.2, 3.4))
         axes = figure.add_subplot()

@@ -94,7 +94,7 @@ class Share(NamedTuple):
     high: float
 
     def text(self) -> str:
-        """Return the share with its interval, if it is wider than the digits shown."""
+        """Return the share, with its interval unless both ends round to the same percent."""
         value, low, high = (f"{part:.0f}" for part in self)
         return f"{value} %" if low == high else f"{value} % ({low} to {high})"
 

@@ -184,6 +184,11 @@ class Session:
         """Return the folders in models/ with a config.json, sorted by name."""
         return sorted(path.parent for path in self.models.glob("*/config.json"))
 
+    def trained_models(self) -> list[Path]:
+        """Return the model folders with config.json and weights.npz, newest first."""
+        complete = (path for path in self.model_folders() if (path / "weights.npz").is_file())
+        return sorted(complete, key=lambda path: -(path / "config.json").stat().st_mtime)
+
     def annual_folders(self) -> list[Path]:
         """Return the folders in annual/ with a predict.json, sorted by name."""
         return sorted(path.parent for path in self.annual.glob("*/predict.json"))

@@ -35,12 +35,13 @@ class SlotStates:
     """State of all slots of a journal, and how often each event occurred.
 
     slots: by slot id, only those with an event; last_utc: newest time of an event that no person
-    caused; opened: the last `open` event (start of a capture); counts: by kind of event.
+    caused; last_open: the last `open` event (start of a capture), even if that capture was closed;
+    counts: by kind of event.
     """
 
     slots: dict[str, SlotState] = field(default_factory=dict)
     last_utc: datetime | None = None
-    opened: JournalEvent | None = None
+    last_open: JournalEvent | None = None
     counts: dict[str, int] = field(default_factory=dict)
 
     def state(self, slot: str) -> SlotState:
@@ -61,7 +62,7 @@ def fold(events: Iterable[JournalEvent], states: SlotStates | None = None) -> Sl
         if kind not in BY_PEOPLE:
             states.last_utc = t_utc if states.last_utc is None else max(states.last_utc, t_utc)
         if kind == "open":
-            states.opened = event
+            states.last_open = event
         if "slot" in event:
             slot = event["slot"]
             states.slots[slot] = _step(states.state(slot), kind, event)

@@ -96,7 +96,10 @@ class Columns:
         return features_light + np.einsum("knp,pk->np", self.values[:count], gains[:, :count])
 
     def direct(self, gains: Array) -> Array:
-        """Return the light of sun patch and window sky, [n, P]; negative gains count as 0."""
+        """Return the light of sun patch and window sky, in the unit of `values`, [n, P].
+
+        Negative gains count as 0.
+        """
         direct = slice(self.surface, None)
         return np.einsum("knp,pk->np", self.values[direct], np.maximum(gains[:, direct], 0.0))
 
