@@ -76,7 +76,7 @@ def lines_of(text: str) -> list[str]:
 def numbered(lines: Iterable[str], first: int = 1) -> list[Line]:
     """Return the lines that are neither empty nor comments (#), with their numbers.
 
-    A line such as ``sep=,`` is one of Excel's own.
+    A line such as ``sep=,``, which some spreadsheets need, is skipped too.
     """
     return [
         (number, line)

@@ -24,7 +24,7 @@ def synchronised() -> bool | None:
 
 
 class Backoff:
-    """Pauses [s] between tries of something that fails: each is twice the one before, to a limit.
+    """Pauses [s] between tries of something that fails: each is twice the last, up to a limit.
 
     reset : the next pause is the first one again.
     """

@@ -91,7 +91,7 @@ class SerialPort:
     """A serial port with fixed settings, locked against other programs that lock their ports.
 
     timeout_s : of each read and write; port : pyserial's own object. Raises DeviceError if the port
-    cannot be opened; so do its methods, apart from `close`, if it fails later.
+    cannot be opened. Its methods, apart from `close`, raise it if the port fails later.
     """
 
     def __init__(self, place: str, line: SerialLine, *, timeout_s: float) -> None:

@@ -286,7 +286,7 @@ def world() -> int:
 
 
 def total(tensor: Tensor) -> Tensor:
-    """Return `tensor` after each value in it was replaced by its sum over all processes."""
+    """Replace each value of `tensor`, in place, by its sum over all processes; return it."""
     if world() > 1:
         dist.all_reduce(tensor)
     return tensor

@@ -214,8 +214,8 @@ def _stated_bars(room: Room, window: Window, rect: WindowRect, number: int) -> l
 def room_of(guess: Guess, stated: Room) -> Room:
     """Return the guess as a `Room`: bars and solids become boxes.
 
-    Windows end at the edges of their wall and at windows before them, beyond which no light enters.
-    stated: the room from which other fields are taken, also the walls' azimuth; neither
+    Windows end at the edges of their wall and at windows earlier in the list, beyond which no light
+    enters. stated: the room from which other fields are taken, also the walls' azimuth; neither
     `guess.wall_azimuth_deg` nor `guess.north_deg` is applied.
     """
     windows = tuple(_window(guess, rect) for rect in _fitting(guess))

@@ -93,7 +93,7 @@ class CameraPose:
     def turned(self, north_deg: float, u_deg: float) -> CameraPose:
         """Return the pose relative to a stated heading that is corrected by `north_deg` +- `u_deg`.
 
-        A pose by discs stays as it was; without discs, the corrected heading replaces it.
+        A pose by discs does not change; without discs, the corrected heading is used.
         """
         rest_deg, axis_deg = self.heading_deg - north_deg, (self.axis_deg + north_deg) % 360.0
         restated = replace(self, heading_deg=rest_deg, axis_deg=axis_deg)
