@@ -14,6 +14,7 @@ from places import SEATTLE
 from fieldlum import plan
 from fieldlum.cli import main
 from fieldlum.core.errors import InputError
+from fieldlum.core.plot_style import svg_of
 from fieldlum.core.records import CameraSetup, Exposure, Room, Site, SiteFile, Window
 from fieldlum.optics.profiles import save_profile
 from fieldlum.plan import choose, coming, makeup
@@ -125,7 +126,7 @@ def test_coverage_grows_with_the_set(weather: Weather) -> None:
 def test_figures_draw_anywhere(latitude: float, weather: Weather) -> None:
     setup = SiteFile(Site("x", latitude, 0.0))
     hours = daylight_hours(span(date(2027, 3, 20), 2), setup.site)
-    assert calendar._svg(calendar.sky_chart(hours, setup)).startswith("<svg")
+    assert svg_of(calendar.sky_chart(hours, setup)).startswith("<svg")
     assert calendar.irradiance_figure(_set("4-day"), SEATTLE, weather).axes
 
 
