@@ -21,7 +21,12 @@ from fieldlum.session.files.model_files import ScoresFile
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.session.files.predict_json import PredictFile
 from fieldlum.session.files.sidecar import Sidecar, warn_if_changed
-from fieldlum.session.panorama_sun import read_panorama_with_sun
+from fieldlum.session.panorama_sun import (
+    SunRow,
+    read_panorama_with_sun,
+    read_suns,
+    write_suns,
+)
 
 NOON = datetime(2027, 6, 21, 12, tzinfo=UTC)
 
@@ -55,12 +60,19 @@ def scores(folder: Path) -> Path:
     return folder / "scores.json"
 
 
+def suns(folder: Path) -> Path:
+    row = SunRow("panoramas/a.exr", 30.0, 180.0, 231.0, 1.0, "dni", 0.0)
+    write_suns(folder / "suns.csv", [row])
+    return folder / "suns.csv"
+
+
 READERS: dict[Callable[[Path], Path], Callable[[Path], object]] = {
     pairs: PairsFile.read,
     clean: CleanIrradiance.read,
     hourly: lambda path: HourlyFile.read(path.parent, np.array([180.0]), 1),
     predict: lambda path: PredictFile.read(path.parent),
     scores: lambda path: ScoresFile.read(path.parent),
+    suns: read_suns,
 }
 
 

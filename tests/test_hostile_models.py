@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 from learning_room import dataset
 
-from fieldlum.core.errors import InputError
+from fieldlum.core.errors import ChangedFileWarning, InputError
 from fieldlum.learn import train
 from fieldlum.learn.models import load, read_config
 from fieldlum.session.codec import read_arrays
@@ -29,8 +30,8 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def copy(model: Path, tmp_path: Path) -> Path:
-    for path in model.iterdir():
-        (tmp_path / path.name).write_bytes(path.read_bytes())
+    """Return a copy of the model without checksums, which its author could write again."""
+    shutil.copytree(model, tmp_path, dirs_exist_ok=True, ignore=shutil.ignore_patterns("*.sha256"))
     load(tmp_path)
     return tmp_path
 
@@ -44,6 +45,15 @@ def _rewrite(folder: Path, change: Callable[[dict[str, np.ndarray]], object]) ->
 
 def _first_pixels(arrays: dict[str, np.ndarray]) -> str:
     return next(name for name, a in arrays.items() if a.dtype.kind == "f" and a.size > 100)
+
+
+@pytest.mark.slow
+def test_a_changed_number_of_a_model_is_reported(model: Path, tmp_path: Path) -> None:
+    path = shutil.copytree(model, tmp_path / "changed") / "config.json"
+    load(path.parent)
+    path.write_text(path.read_text().replace('"seed": 1', '"seed": 7'))
+    with pytest.warns(ChangedFileWarning, match=r"config\.json: the content changed after"):
+        load(path.parent)
 
 
 @pytest.mark.slow

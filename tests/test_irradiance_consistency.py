@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
+
 import numpy as np
 import pytest
+from places import SEATTLE
 
 from fieldlum.pair.irradiance.consistency import (
+    clear_sky,
     closure_fails,
     k_index_fails,
     shaded_horizon,
 )
+from fieldlum.sky import sun
 
 DAY = np.arange(0.0, 86400.0, 60.0)
 ALTITUDE = 60.0 * np.sin(2.0 * np.pi * (DAY / 86400.0 - 0.25))
@@ -23,6 +28,16 @@ def clear_day() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     dni = np.where(sine > 0, 900.0 * np.exp(-0.08 / np.maximum(sine, 0.02)), 0.0)
     dhi = 90.0 * np.sqrt(sine)
     return dhi + dni * sine, dhi, dni
+
+
+@pytest.mark.analytic
+def test_the_clear_sky_between_its_five_minutes_is_that_of_the_moment() -> None:
+    t = datetime(2027, 6, 21, 17, tzinfo=UTC).timestamp() + 97.0 * np.arange(60)
+    times = [datetime.fromtimestamp(x, UTC) for x in t]
+    azimuth, dni = clear_sky(t, SEATTLE)
+    # the sun moves by at most 2.5 degrees in a step, nearly straight
+    assert azimuth == pytest.approx(sun.position(times, SEATTLE).azimuth_deg, abs=0.05)
+    assert dni == pytest.approx(sun.clearsky(times, SEATTLE).dni_wm2, rel=1e-3)
 
 
 @pytest.mark.analytic

@@ -7,7 +7,7 @@ import pytest
 
 from fieldlum.core.records import Exposure, Flag
 from fieldlum.merge import merge_sensor
-from fieldlum.merge.estimator import merge_signals
+from fieldlum.merge.estimator import Rows, merge_signals
 from fieldlum.merge.frames import RawSignal
 from fieldlum.merge.shots import Shot, sorted_shots
 from fieldlum.optics.photometry import response_table, z_per_cdm2
@@ -30,6 +30,22 @@ def test_the_variance_of_a_pixel_that_moved_is_its_chi2_about_the_mean() -> None
     assert merged.value_cdm2 == pytest.approx(104.0, rel=1e-5)  # weights 100 and 25
     chi2 = 100 * (100 - 104) ** 2 + 25 * (120 - 104) ** 2
     assert merged.variance == pytest.approx(chi2 / 125, rel=1e-4)
+
+
+@pytest.mark.analytic
+def test_a_frame_fills_what_its_saturated_neighbour_lost_above_five_deviations() -> None:
+    """Noise of 10 DN; 60 and 40 DN in the columns next to a saturated pixel; 4 DN per cd/m2."""
+    black, full, per = (np.asarray(v, np.float32) for v in (0.0, 1000.0, 4.0))
+    counts = np.tile(np.array([1000, 60, 40, 200, 200, 200], np.uint16), (1, 2, 1))
+    signal = RawSignal(counts, black, full, per, 1e12, 100.0)
+    rows = Rows(signal, *signal.strip(0, 1))
+    assert rows.usable()[0, 0].tolist() == [False, False, False, True, True, True]
+    merged = merge_signals([signal], counts.shape)
+    value, variance, flags = (a[0, 0] for a in (merged.value_cdm2, merged.variance, merged.flags))
+    limit_cdm2 = float(signal.max_cdm2)
+    assert value == pytest.approx([limit_cdm2, 15.0, 0.0, 50.0, 50.0, 50.0])
+    assert variance == pytest.approx([limit_cdm2**2, 6.25, 0.0, 6.25, 6.25, 6.25])
+    assert flags.tolist() == [Flag.CLIPPED_HIGH, Flag.BLOOM, Flag.CLIPPED_HIGH, 0, 0, 0]
 
 
 def jpeg_motion(folder: Path, dimmed: float, u_rel: float) -> float:

@@ -199,6 +199,7 @@ def test_a_strangers_model_folder_cannot_run_code(tmp_path: Path) -> None:
         models.load(tmp_path)
     config = json.loads((tmp_path / "config.json").read_text())
     (tmp_path / "config.json").write_text(json.dumps(config | {"model": "os.system"}))
+    (tmp_path / "config.json.sha256").unlink()
     with pytest.raises(InputError, match="the unknown model"):
         models.load(tmp_path)
 

@@ -419,6 +419,7 @@ def _changed(model: Path, tmp_path: Path, **more: object) -> Path:
     shutil.copytree(model, folder)
     config = json.loads((folder / "config.json").read_text())
     (folder / "config.json").write_text(json.dumps({**config, **more}))
+    (folder / "config.json.sha256").unlink(missing_ok=True)
     return folder
 
 

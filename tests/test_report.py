@@ -228,6 +228,7 @@ def test_what_training_doubts_is_on_the_first_screen(session: Session, tmp_path:
         config = json.loads((folder / "config.json").read_text("utf-8"))
         config["warnings"] = [warning]
         (folder / "config.json").write_text(json.dumps(config), encoding="utf-8")
+        (folder / "config.json.sha256").unlink(missing_ok=True)
         year, _ = predict.run(folder, session.root / "w.csv", maps=trusted is not None)
         assert year.about["model_warnings"] == [warning]
         if trusted is not None:

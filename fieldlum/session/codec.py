@@ -226,11 +226,12 @@ def _plain(value: Any) -> Any:
 def read_rows(
     kind: type[T], path: Path, expected: str, remedy: str, needed: Sequence[str] = ()
 ) -> list[T]:
-    """Return the records in the lines of a csv; see `read_row`.
+    """Return the records in the lines of a csv, see `read_row`; warn if the file changed.
 
     expected, remedy: for the InputError of a missing file, or one without the columns `needed`.
     """
     table = read_table(path, expected, remedy, needed=needed)
+    change_of(path)
     return [read_row(kind, f"{path}: line {n}", cells, remedy) for n, cells in table.dicts()]
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from fieldlum.core.records import CLIPPED_SUN, Panorama, SunSource
 from fieldlum.optics.images import read_panorama
-from fieldlum.session.codec import check_format, read_rows, write_csv
+from fieldlum.session.codec import check_format, read_rows, sealed, write_csv
 from fieldlum.session.files.sidecar import warn_if_changed
 
 FORMAT = 1  # of suns.csv; docs/file-formats.md
@@ -56,8 +56,9 @@ class SunRow:
 
 
 def write_suns(path: Path, rows: Sequence[SunRow]) -> None:
-    """Write suns.csv: a header and all rows."""
-    write_csv(path, (asdict(row) for row in rows), [field.name for field in fields(SunRow)])
+    """Write suns.csv, a header and all rows, with its SHA-256 in suns.csv.sha256."""
+    with sealed(path):
+        write_csv(path, (asdict(row) for row in rows), [field.name for field in fields(SunRow)])
 
 
 def read_suns(path: Path) -> dict[str, SunRow]:

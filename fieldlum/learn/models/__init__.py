@@ -189,7 +189,7 @@ def save(
         data.sky_view.write(folder / SKY_VIEW)
     else:
         (folder / SKY_VIEW).unlink(missing_ok=True)
-    write_object(folder / ModelConfig.NAME, {"format": ModelConfig.FORMAT, **table})
+    write_object(folder / ModelConfig.NAME, {"format": ModelConfig.FORMAT, **table}, digest=True)
 
 
 def read_config(folder: Path) -> ModelConfig:
