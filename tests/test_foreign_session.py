@@ -135,6 +135,8 @@ def test_an_address_of_a_device_needs_no_permission(address: str) -> None:
         "theta:http://10.0.0.1",
         "serial:/home/me/file?kind=spn1",
         "serial:/dev/../home/me/file?kind=spn1",
+        "serial:/dev/watchdog?kind=spn1",
+        "modbus:/dev/sda?kind=smp",
         "serial:/dev/ttyUSB0?kind=ascii&profile=../p.toml",
         "modbus:/dev/ttyUSB0?kind=/tmp/smp.toml",
         "gphoto:?newer=1",

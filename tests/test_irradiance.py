@@ -446,6 +446,12 @@ def test_stage_writes_clean_csv_and_keeps_it(session: Session) -> None:
     log.append(at(900, 805.0, 150.0))
     log.close()
     assert irradiance.run(session).rows == 101
+    (day,) = day_files(session)
+    whole = day.read_bytes()
+    day.write_bytes(whole.replace(b",805,", b",905,", 1))
+    assert irradiance.run(session).broken_lines == 1
+    day.write_bytes(whole)  # restored, of the same size
+    assert irradiance.run(session).rows == 101
     table, before = session.root / "session.toml", clean.stat().st_mtime_ns
     text = table.read_text()
     longitude = f"longitude_deg = {SEATTLE.longitude_deg}"

@@ -21,7 +21,11 @@ _HARMLESS = re.compile(
 )
 _NAMES = ("kind", "profile")  # of a shipped file, unless the value is a path
 _PLAIN = re.compile(r"(?!.*\.toml$)[\w.-]+", re.ASCII)
-_PORT = re.compile(r"/dev/(?!.*\.\.)[\w./:+-]+|usb=[\w:.-]*|COM\d+", re.ASCII)
+# Serial ports alone: to open another device, such as /dev/watchdog, can have an effect.
+_PORT = re.compile(
+    r"/dev/(?!.*\.\.)(?:tty[A-Za-z]|cu\.|serial/|rfcomm|pts/)[\w./:+-]+|usb=[\w:.-]*|COM\d+",
+    re.ASCII,
+)
 _SERIAL = ("serial", "modbus", "cl200a", "t10a")
 _NO_PLACE = ("sim", "gphoto", "rpicam")  # their place is a word or a number
 

@@ -15,7 +15,7 @@ from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.progress import progress
 from fieldlum.core.records import IrradianceSample, Site, counted
 from fieldlum.pair.irradiance import consistency
-from fieldlum.session import Session, day_files, read_day, remove_scraps
+from fieldlum.session import Session, day_files, read_day, remove_scraps, sha256
 from fieldlum.session.codec import convert, current_note, write_object
 from fieldlum.session.files.irradiance_csv import DERIVED, MEASURED, CleanIrradiance
 from fieldlum.sky import sun
@@ -433,15 +433,15 @@ def clean_of(series: Series) -> CleanIrradiance:
 def run(session: Session, *, force: bool = False) -> Health:
     """Check the logged irradiance; write irradiance/clean.csv and irradiance/health.json.
 
-    With the same site and day files of the same sizes, the existing results are used, unless
+    With the same site and the same day files, the existing results are used, unless
     `force`. Raises NotEnoughDataError without a readable line.
     """
     remove_scraps(session.irradiance)
     files = day_files(session)
     note, clean = session.irradiance_health, session.clean_irradiance
     site = session.site_file().site
-    sizes = {path.name: path.stat().st_size for path in files}
-    inputs = {"recipe": _RECIPE, "files": sizes, "site": asdict(site)}
+    digests = {path.name: sha256(path) for path in files}
+    inputs = {"recipe": _RECIPE, "files": digests, "site": asdict(site)}
     table = None if force else current_note(note, inputs, [clean])
     if table is not None:
         return convert(table, Health)
