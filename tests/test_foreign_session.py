@@ -289,6 +289,21 @@ def test_a_person_who_plans_with_a_room_file_pairs_it_later_without_a_question(
     assert replace(setup).room == Session(tmp_path / "s").site_file().room
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["session.toml", "pairs.csv"])
+def test_a_huge_file_is_refused_in_one_line(tmp_path: Path, name: str) -> None:
+    """A sparse file of a terabyte needs no disk."""
+    session = make_session(tmp_path / "s")
+    with (session.root / name).open("wb") as file:
+        try:
+            file.truncate(1 << 40)
+        except OSError:
+            pytest.skip("no sparse files here")
+    result = run_cli("status", session.root)
+    assert result.returncode == InputError.exit_code and result.stderr.count("\n") == 1
+    assert "more data than the memory of this computer holds" in result.stderr
+
+
 # ----------------------------------------------------------------------------------------------
 # the terminal
 

@@ -16,7 +16,13 @@ import click
 
 from fieldlum.cli.declared import InOrder
 from fieldlum.cli.terminal import printable, say
-from fieldlum.core.errors import ChangedFileWarning, FieldlumError, InputError, install_text
+from fieldlum.core.errors import (
+    ChangedFileWarning,
+    FieldlumError,
+    InputError,
+    install_text,
+    reason_of,
+)
 from fieldlum.version import __version__
 
 # In the order of the work. Each name is a module of this folder with a click command `command`.
@@ -80,6 +86,9 @@ class _CommandGroup(InOrder):
             missing = f"the package {error.name} is not installed"
             only = "this fieldlum was installed for captures only"
             _complain(ctx, f"{missing}: {only}; {install_text('compute')}")
+            sys.exit(InputError.exit_code)
+        except MemoryError as error:
+            _complain(ctx, f"{reason_of(error)}: look for a file of excessive size")
             sys.exit(InputError.exit_code)
         except KeyboardInterrupt:
             _complain(ctx, "interrupted; start it again to continue")

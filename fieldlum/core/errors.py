@@ -70,6 +70,8 @@ def reason_of(error: BaseException) -> str:
         return f"no entry {error}"
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
+    if isinstance(error, MemoryError):
+        return "more data than the memory of this computer holds"
     return str(error) or type(error).__name__
 
 

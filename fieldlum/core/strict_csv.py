@@ -50,7 +50,7 @@ def read_text(path: Path, expected: str, remedy: str = "check the path") -> str:
 
     Raises InputError for a file that cannot be read, and for other files, with their kind.
     """
-    with input_errors(path, expected, remedy, OSError):
+    with input_errors(path, expected, remedy, OSError, MemoryError):
         data = path.read_bytes()
     if kind := kind_of(data):
         raise InputError(path, kind, expected, "name the right file, or export it as csv")

@@ -194,7 +194,7 @@ def read_object(path: Path, expected: str, remedy: str) -> JsonTable:
 
     Raises InputError, with the texts `expected` and `remedy`, for a missing file or other content.
     """
-    with input_errors(path, expected, remedy, OSError, ValueError, RecursionError):
+    with input_errors(path, expected, remedy, OSError, ValueError, RecursionError, MemoryError):
         table = json.loads(path.read_text(encoding="utf-8"))
     if not isinstance(table, dict):
         raise InputError(path, f"JSON of type {type(table).__name__}", expected, remedy)
