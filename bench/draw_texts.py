@@ -30,7 +30,7 @@ VERDICT_MODULES = (
     "year/predict/year",
     "pair/irradiance",
     "capture/doctor",
-    "capture/verify",
+    "capture/frame_checks",
     "plan/__init__",
     "calibrate/",
 )

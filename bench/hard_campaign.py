@@ -37,7 +37,7 @@ from fieldlum.learn.train import held_out_warnings, model_notes
 from fieldlum.learn.train.outliers import without_changes
 from fieldlum.optics.profiles import shipped
 from fieldlum.room import simulate
-from fieldlum.room.fit.setting import scan, settle, with_right_clock
+from fieldlum.room.fit.misplaced_patches import scan, settle, with_right_clock
 from fieldlum.room.simulate import Troubles, load_troubles
 from fieldlum.session import create_session, open_session
 from fieldlum.session.site_toml import load_site

@@ -71,8 +71,8 @@ def capture(session: Session, seed: int) -> None:
     """
     from fieldlum import capture as stage
     from fieldlum.capture.bracket import FrameChecks
+    from fieldlum.capture.frame_checks import doubts
     from fieldlum.capture.runner import Live
-    from fieldlum.capture.verify import doubts
 
     def watch(live: Live) -> None:
         progress(live.done, live.planned, live.next_slot)

@@ -13,8 +13,8 @@ from tiny_field import FAST, LADDER, Field, make_session
 
 from fieldlum.capture.alerts import Alerts
 from fieldlum.capture.bracket import FrameChecks
+from fieldlum.capture.frame_checks import doubts
 from fieldlum.capture.notify import Message
-from fieldlum.capture.verify import doubts
 from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import Exposure, Panorama
 from fieldlum.devices import Camera
@@ -202,7 +202,7 @@ def test_a_bracket_that_clips_all_over_is_told_at_once(rig: Field) -> None:
 def test_frames_are_checked_against_what_was_asked(tmp_path: Path) -> None:
     import numpy as np
 
-    from fieldlum.capture.verify import bracket_doubts, doubts
+    from fieldlum.capture.frame_checks import bracket_doubts, doubts
     from fieldlum.optics.raw import unreadable, write_dng, write_jpeg
 
     asked = Exposure(1 / 250, 5.6)

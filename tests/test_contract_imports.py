@@ -13,7 +13,7 @@ pytestmark = pytest.mark.contract
 
 PACKAGE = Path(__file__).parents[1] / "fieldlum"
 RANKS = (
-    {"core", "learn.model_registry", "version"},
+    {"core", "learn.model_kinds", "version"},
     {
         "optics.melanopic",
         "optics.photometry",

@@ -9,7 +9,7 @@ from learning_room import dataset
 
 from fieldlum.cli import main
 from fieldlum.learn import models
-from fieldlum.learn.model_registry import MODELS
+from fieldlum.learn.model_kinds import MODELS
 from fieldlum.session.files.model_files import ModelConfig
 from fieldlum.year.predict.blocks import wants_patch
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from fieldlum.capture.verify import doubts
+from fieldlum.capture.frame_checks import doubts
 from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import Exposure
 from fieldlum.devices import not_offered, open_camera

@@ -12,7 +12,7 @@ import pytest
 from tiny_field import FAST, T0, Field, make_session
 
 from fieldlum.capture.bracket import FrameChecks
-from fieldlum.capture.verify import doubts
+from fieldlum.capture.frame_checks import doubts
 from fieldlum.core.errors import DeviceError, InputError
 from fieldlum.core.records import CameraSetup, Exposure
 from fieldlum.devices import open_camera

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fieldlum.capture.verify import doubts
+from fieldlum.capture.frame_checks import doubts
 from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import Exposure
 from fieldlum.devices import open_camera

@@ -242,7 +242,7 @@ def test_a_room_without_commands_needs_no_permission(tmp_path: Path) -> None:
 
 
 def test_a_permitted_room_asks_again_after_an_edit_of_a_nested_file(tmp_path: Path) -> None:
-    from fieldlum.room.scene.room_commands import what_runs
+    from fieldlum.room.scene.embedded_commands import what_runs
 
     nested, room = tmp_path / "nested.rad", tmp_path / "room.rad"
     nested.write_text(INERT)

@@ -21,7 +21,7 @@ from fieldlum.learn.models.held_out_choice import (
 )
 from fieldlum.learn.models.scores import Scores
 from fieldlum.learn.train import Trial, choose_model, held_out_warnings, notes_of
-from fieldlum.pair.interval import is_doubted
+from fieldlum.pair.bracket_irradiance import is_doubted
 
 DAYS = ("2027-03-19", "2027-03-20", "2027-03-21", "2027-06-20", "2027-06-21", "2027-06-22")
 DATA = dataset(DAYS, height=8)

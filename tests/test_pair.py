@@ -33,7 +33,7 @@ from fieldlum.core.records import (
 from fieldlum.learn.models.data import load_pairs
 from fieldlum.optics.images import read_panorama, write_panorama
 from fieldlum.pair import irradiance
-from fieldlum.pair.interval import outside
+from fieldlum.pair.bracket_irradiance import outside
 from fieldlum.pair.sun_strength import completed_sun, measured_sun
 from fieldlum.session import DayFiles, Session, create_session
 from fieldlum.session.files.capture_json import Frame, frame_fields

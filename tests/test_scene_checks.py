@@ -13,7 +13,7 @@ from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Site
 from fieldlum.learn.models.data import Dataset
 from fieldlum.room.fit.checks import check_captures
-from fieldlum.room.fit.setting import scan, warnings_of
+from fieldlum.room.fit.misplaced_patches import scan, warnings_of
 from fieldlum.room.fit.stage import run
 
 HEIGHT = 32

@@ -17,7 +17,7 @@ from fieldlum.learn.models import Fitted
 from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.transport import fit
 from fieldlum.learn.transport.arrays import slip_variance
-from fieldlum.room.fit.setting import Setting, scan, settle, warnings_of, with_right_clock
+from fieldlum.room.fit.misplaced_patches import Setting, scan, settle, warnings_of, with_right_clock
 from fieldlum.room.scene import sun_patches
 from fieldlum.sky import sun
 from fieldlum.sky.light import Light, light_at

@@ -21,7 +21,7 @@ from fieldlum.learn.train import held_out_warnings
 from fieldlum.learn.transport import Transport
 from fieldlum.optics.profiles import shipped
 from fieldlum.room import simulate
-from fieldlum.room.fit.setting import scan, settle
+from fieldlum.room.fit.misplaced_patches import scan, settle
 from fieldlum.room.simulate.troubles import (
     Trouble,
     Troubles,

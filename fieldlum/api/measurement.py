@@ -16,7 +16,7 @@ from fieldlum.weather import Weather
 
 
 def path_of(value: object, what: str = "file") -> Path:
-    """Return a path; raises InputError for a value that is neither text nor a path."""
+    """Return a path; raises InputError, which names `what`, for a value that cannot be one."""
     if isinstance(value, str | os.PathLike):
         return Path(value)
     raise InputError(

@@ -13,7 +13,7 @@ from fieldlum.bench.rows import BenchData, radiance_row, score_row
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.plot_style import GRID, new_figure, open_axes
 from fieldlum.core.records import JsonTable, counted
-from fieldlum.learn.model_registry import MODELS
+from fieldlum.learn.model_kinds import MODELS
 from fieldlum.learn.models.scores import truth
 from fieldlum.learn.train import Trial, choose_model, day_folds
 from fieldlum.session import replacing, replacing_path

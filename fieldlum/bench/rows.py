@@ -13,7 +13,7 @@ from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.progress import progress
 from fieldlum.core.records import JsonTable
 from fieldlum.learn import models
-from fieldlum.learn.model_registry import MODELS
+from fieldlum.learn.model_kinds import MODELS
 from fieldlum.learn.models import Patch
 from fieldlum.learn.models.data import Dataset, load_pairs, with_sky_view
 from fieldlum.learn.models.scores import Truth, evaluate, summary

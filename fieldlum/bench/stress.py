@@ -2,8 +2,8 @@
 
 A condition changes the training data, the test data, or both, relative to its own normal case.
 "Reported" means one of three: the training warned (`learn.train.held_out_warnings`,
-`room.fit.setting.settle`); the model expected, on average, more than a third of the error; or it
-did not trust most of the hours, or most of those with a large error.
+`room.fit.misplaced_patches.settle`); the model expected, on average, more than a third of the
+error; or it did not trust most of the hours, or most of those with a large error.
 
 A gross error is a map that is wrong by more than a factor of 1.6 (log10 MSE over 0.04). It counts
 as unflagged if the training did not warn, the hour is trusted, and less than a third of the error
@@ -25,7 +25,7 @@ from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.scores import Scores, evaluate, truth
 from fieldlum.learn.train import fit_timed, held_out_warnings, patch_mode
 from fieldlum.room.fit.apply import with_patches
-from fieldlum.room.fit.setting import scan, settle
+from fieldlum.room.fit.misplaced_patches import scan, settle
 from fieldlum.sky import sun
 from fieldlum.sky.light import Light
 
@@ -225,13 +225,14 @@ def _geometry(data: Dataset, test: Dataset) -> Iterator[Case]:
 def run(spec: Spec, data: Dataset, test: Dataset, *, budget_s: float = 60.0) -> list[JsonTable]:
     """Fit the model under each condition that the data allow; return one row per condition.
 
-    data, test: training and test hours. Columns: name: model and options; regime: name of the
-    condition; n_train, n_test: numbers of hours; log10_mse_weighted, median, worst: mean, median
-    and largest error of the test hours; expected_mse: mean error that the model expected, None if
-    it expects none; untrusted_share: of the test hours; warned: whether the fit warned; reported:
-    whether the tool reported the error in any way; gross, gross_unflagged: number of hours with
-    gross errors, and of those without any warning, distrust or large expected error; times_normal:
-    the mean error over that of the normal case.
+    data, test: training and test hours. budget_s: time limit of each training [s]. Columns: name:
+    model and options; regime: name of the condition; n_train, n_test: numbers of hours;
+    log10_mse_weighted, median, worst: mean, median and largest error of the test hours;
+    expected_mse: mean error that the model expected, None if it expects none; untrusted_share: of
+    the test hours; warned: whether the fit warned; reported: whether the tool reported the error in
+    any way; gross, gross_unflagged: number of hours with gross errors, and of those without any
+    warning, distrust or large expected error; times_normal: the mean error over that of the normal
+    case.
     """
     rows: list[JsonTable] = []
     normal: dict[str, float] = {}

@@ -276,7 +276,8 @@ def xyz_from_chart(rgb: Floats, y_from_rgb: Sequence[float], cct_k: float) -> Fl
 def chart_xyz(cct_k: float = 6500.0) -> Floats:
     """Return X, Y, Z of a chart's patches under CIE daylight, [24, 3]; the white patch has Y 100.
 
-    Mean reflectances of 30 charts (BabelColor 2012); Y differs by 3 % rms from McCamy 1976.
+    cct_k: correlated colour temperature of the daylight [K]. Mean reflectances of 30 charts
+    (BabelColor 2012); Y differs by 3 % rms from McCamy 1976.
     """
     table = np.loadtxt(_CHART_XYZ, delimiter=",").reshape(24, 3, 3)  # patch, S0 to S2, XYZ
     patches = daylight_parts(cct_k) @ table

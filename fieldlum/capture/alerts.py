@@ -81,7 +81,7 @@ class Alerts:
                 self._send("the disk is full", free, once=t_utc)
 
     def look(self, live: Live) -> None:
-        """Send the messages that are due now, whether or not an event happened."""
+        """Send the messages that are due by time: lost devices, low disk, the daily summary."""
         with self._lock:
             self._new_day(live.t_utc)
             if live.ghi_wm2 is not None:
@@ -161,8 +161,9 @@ def open_alerts(
 ) -> Iterator[Alerts]:
     """Yield the object that a capture calls to send messages and heartbeats; then close it.
 
-    post: sends one message; None without targets. heartbeat_address: "" without a monitor.
-    with_picture: attach the latest contact sheet to the daily summary; the sheet may show people.
+    post: sends one message; None without targets. heartbeat_address: "" without a monitor. say:
+    called with notes for the user's terminal. with_picture: attach the latest contact sheet to the
+    daily summary; the sheet may show people.
     """
     site = session.site_file().site
     outbox = Outbox(post, say) if post is not None else None

@@ -10,9 +10,9 @@ from datetime import datetime, timedelta
 from pathlib import Path
 
 from fieldlum.capture.disk_writer import Recorder
+from fieldlum.capture.frame_checks import as_taken
 from fieldlum.capture.reconnect import FIRST_PAUSE_S, MAX_PAUSE_S, Keeper, error_text, plain_info
 from fieldlum.capture.steady_clock import SteadyClock
-from fieldlum.capture.verify import as_taken
 from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import CameraSetup, Exposure, Slot
 from fieldlum.devices import Camera, IlluminanceMeter

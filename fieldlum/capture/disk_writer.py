@@ -32,8 +32,9 @@ class Recorder:
 
     Writing an event or a row raises no error for faults of the disk: the recorder stores in memory
     what could not be written (of rows the newest 100 000), and tries again at the next event or
-    row. reserve, reserve_bytes: name and size of a file that is deleted when the disk is full, to
-    gain its space; each process has its own. rows: number written.
+    row. now: returns UTC. reserve, reserve_bytes: name and size of a file that is deleted when the
+    disk is full, to gain its space; each process has its own. flush: with False, files survive a
+    killed process but not a power cut. listen: called with each event. rows: number written.
     """
 
     def __init__(

@@ -70,7 +70,7 @@ def iso_date(text: str, source: str = "camera profile") -> date | None:
 
 
 def age_text(calibrated: date | None, today: date) -> str:
-    """Return a sentence on a calibration that is over two years old, else ""."""
+    """Return a sentence on a calibration over two years old; "" for a newer one or no date."""
     if calibrated is None or (today - calibrated).days <= _CALIBRATION_YEARS * 365.25:
         return ""
     years = f"over {_CALIBRATION_YEARS:g} years ago"

@@ -280,8 +280,9 @@ def clock_offset(
 ) -> Offset:
     """Return the camera's clock minus UTC: as stated, else from EXIF, else fitted to the plan.
 
-    A common delay of brackets that a timer started is added. Raises InputError if the fit finds no
-    offset, or several of which none is UTC or the place's civil time.
+    stated_s: the offset that the user states [s], None if none. A common delay of brackets that a
+    timer started is added. Raises InputError if the fit finds no offset, or several of which none
+    is UTC or the place's civil time.
     """
     if stated_s is not None:
         start = Offset(stated_s, "--utc-offset")
@@ -327,7 +328,7 @@ def as_shown(frames: Sequence[CardFrame]) -> list[CardFrame]:
 
 
 def exif_note(groups: Sequence[Group], stated_s: float | None) -> str:
-    """Return a note if EXIF's offset differs from the stated one [s] by over a minute, else ""."""
+    """Return a note if EXIF's offset differs from `stated_s` [s] by over a minute, else ""."""
     offsets_s = () if stated_s is None else _exif_offsets_s(groups)
     if stated_s is None or all(abs(offset_s - stated_s) <= 60.0 for offset_s in offsets_s):
         return ""

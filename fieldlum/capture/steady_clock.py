@@ -29,8 +29,9 @@ class SteadyClock(Clock):
     `check` compares it with the computer's clock and must be called regularly. A difference of up
     to 2 s is drift and is followed. A larger one, a step, is followed only if a time server
     controls that clock. Otherwise the steady time continues, so that slots keep their sun position,
-    and does not follow drift until the step is undone.
-    `check` returns steps and sleeps as journal events.
+    and does not follow drift until the step is undone. `check` returns steps and sleeps as journal
+    events. trusted: returns whether a time server controls the clock, None if unknown; boot:
+    identifies the computer's boot.
     """
 
     def __init__(

@@ -8,7 +8,7 @@ import click
 
 from fieldlum.cli.options import Above0, command_of
 from fieldlum.cli.terminal import print_answer, progress, say
-from fieldlum.learn.model_registry import MODELS
+from fieldlum.learn.model_kinds import MODELS
 
 
 @command_of("bench")

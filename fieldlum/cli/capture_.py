@@ -63,9 +63,9 @@ def command(
     from fieldlum import capture
     from fieldlum.capture.alerts import open_alerts
     from fieldlum.capture.bracket import FrameChecks
+    from fieldlum.capture.frame_checks import bracket_doubts, doubts
     from fieldlum.capture.notify import read_address
     from fieldlum.capture.steady_clock import wait_for_clock
-    from fieldlum.capture.verify import bracket_doubts, doubts
     from fieldlum.optics.raw import unreadable
     from fieldlum.session import sha256
 

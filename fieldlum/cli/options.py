@@ -129,7 +129,7 @@ def _permit_device(uri: str) -> None:
 
 
 def new_file(path: Path | None, force: bool) -> None:
-    """Raise InputError if a file to write exists already, unless with --force."""
+    """Raise InputError if a file to write exists already, unless `force`; None is no file."""
     from fieldlum.core.errors import InputError
 
     if path is not None and path.exists() and not force:

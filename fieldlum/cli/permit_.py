@@ -21,7 +21,7 @@ def command(paths: Annotated[tuple[Path, ...], "PATH...", EXISTING_PATH]) -> Non
     Example:
       fieldlum permit office.rad
     """
-    from fieldlum.room.scene.room_commands import commands, what_runs
+    from fieldlum.room.scene.embedded_commands import commands, what_runs
     from fieldlum.session.permits import permit
     from fieldlum.session.safe_paths import link_subject
 

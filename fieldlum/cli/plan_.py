@@ -114,7 +114,7 @@ def _planned(
 
 def _permit_room(setup: SiteFile) -> None:
     """Permit the room file of a SITE.toml that the user named, with a note of what it could run."""
-    from fieldlum.room.scene.room_commands import described, what_runs
+    from fieldlum.room.scene.embedded_commands import described, what_runs
     from fieldlum.session.permits import permit
 
     if setup.room is None or setup.room.kind == "box":

@@ -50,7 +50,7 @@ def table_lines(
     """Return rows as an aligned table: numbers to the right, "-" for None.
 
     columns: heading and format of each key, such as {"dgp": ("DGP", ".3f")}; a text has the format
-    "<", and is to the left. A column without any value is omitted.
+    "<", and is to the left. A column without any value is omitted. indent: before each line.
     """
     table = [dict(row) for row in rows]
     used = {n: c for n, c in columns.items() if any(row.get(n) is not None for row in table)}

@@ -10,7 +10,7 @@ import click
 from fieldlum.cli.declared import PATH
 from fieldlum.cli.options import Above0, command_of
 from fieldlum.cli.terminal import print_answer, progress, say, table_lines
-from fieldlum.learn.model_registry import MODELS
+from fieldlum.learn.model_kinds import MODELS
 
 if TYPE_CHECKING:
     from fieldlum.session.files.model_files import TrainAnswer

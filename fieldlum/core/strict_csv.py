@@ -48,7 +48,8 @@ _MICROVOLTS = {"v": 1e6, "mv": 1e3, "uv": 1.0, "µv": 1.0, "μv": 1.0}
 def read_text(path: Path, expected: str, remedy: str = "check the path") -> str:
     """Return the text of a file in UTF-8, UTF-16 with its mark, or a Western 8-bit encoding.
 
-    Raises InputError for a file that cannot be read, and for other files, with their kind.
+    expected, remedy: for errors. Raises InputError for a file that cannot be read, and for other
+    files, with their kind.
     """
     with input_errors(path, expected, remedy, OSError, MemoryError):
         data = path.read_bytes()
@@ -76,7 +77,8 @@ def lines_of(text: str) -> list[str]:
 def numbered(lines: Iterable[str], first: int = 1) -> list[Line]:
     """Return the lines that are neither empty nor comments (#), with their numbers.
 
-    A line such as ``sep=,``, which some spreadsheets need, is skipped too.
+    first: number of the first line. A line such as ``sep=,``, which some spreadsheets need, is
+    skipped too.
     """
     return [
         (number, line)
@@ -199,10 +201,10 @@ def read_table(
 ) -> CsvTable:
     """Return the header and the rows of a csv without comments (#) and empty lines.
 
-    expected, remedy: for errors. marks: separators that are allowed; the first one in the header
-    counts. Empty columns at the right, which spreadsheets write, are left out. Raises InputError
-    for a file that cannot be read, a missing or repeated column, a cell below an empty name, and
-    what `split_rows` refuses.
+    expected, remedy: for errors. needed: names of required columns. marks: separators that are
+    allowed; the first of them that the header contains counts. Empty columns at the right, which
+    spreadsheets write, are left out. Raises InputError for a file that cannot be read, a missing or
+    repeated column, a cell below an empty name, and what `split_rows` refuses.
     """
     lines = numbered(lines_of(read_text(path, expected, remedy)))
     if not lines:

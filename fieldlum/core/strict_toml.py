@@ -81,8 +81,9 @@ def build(cls: type[T], table: TomlTable, where: str, *, strict: bool = True) ->
     """Build the record `cls` from a TOML table, and check every key and value by its type hints.
 
     Nested dataclasses, tuples and Literals are built and checked too. A key that is not in the
-    table gets the field's default. where: name of the file or table, for errors. Raises InputError
-    for an unknown key, a missing key without a default, and a value of another type.
+    table gets the field's default. where: name of the file or table, for errors. strict: as
+    `msgspec.convert`; with False, a text that states a number is accepted. Raises InputError for an
+    unknown key, a missing key without a default, and a value of another type.
     """
     keys = typing.get_type_hints(cls)
     for key in (key for key in _KINDS if key in table and key not in keys):

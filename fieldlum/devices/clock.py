@@ -24,9 +24,9 @@ def synchronised() -> bool | None:
 
 
 class Backoff:
-    """Pauses [s] between tries of something that fails: each is twice the last, up to a limit.
+    """Pauses between tries of something that fails: each is twice the last, up to a limit.
 
-    reset : the next pause is the first one again.
+    first_s : the first pause; max_s : the limit.
     """
 
     def __init__(self, first_s: float, max_s: float) -> None:

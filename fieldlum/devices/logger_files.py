@@ -145,7 +145,10 @@ def parse_table(
     columns: Mapping[str, str],
     sensitivities: Mapping[str, float],
 ) -> LoggerFile:
-    """Return the rows of a TOA5 or csv table, also if they are few; see `read_logger_file`."""
+    """Return the rows of a TOA5 or csv table, also if they are few.
+
+    text: content of the file; path: for errors. Other arguments and errors: `read_logger_file`.
+    """
     table = _toa5(path, text) if text.startswith(('"TOA5",', "TOA5,")) else _csv(path, text)
     return _read(path, table, utc_offset, columns, sensitivities)
 

@@ -254,11 +254,11 @@ def merge_shots(
 ) -> MergeResult:
     """Merge a bracket of one or several headings.
 
-    shots: in any order. heading_deg: azimuth of the resulting picture's centre, clockwise from true
-    north. sun_deg: the sun's apparent altitude and azimuth; if the disc is visible there, it is
-    removed from a panorama (not from a fisheye picture). None: the disc is not searched for.
-    latitude_deg: of the camera, for the luminance around what can be sky; None: it is not cut.
-    Raises InputError if the frames cannot be merged.
+    shots: in any order. options: None for the defaults of `MergeOptions`. heading_deg: azimuth of
+    the resulting picture's centre, clockwise from true north. sun_deg: the sun's apparent altitude
+    and azimuth; if the disc is visible there, it is removed from a panorama (not from a fisheye
+    picture). None: the disc is not searched for. latitude_deg: of the camera, for the luminance
+    around what can be sky; None: it is not cut. Raises InputError if the frames cannot be merged.
     """
     options = options or MergeOptions()
     target = options.target(profile)
@@ -343,9 +343,9 @@ def files_to_picture(
     """Merge files of one heading and write the picture; return the result, and figures by name.
 
     The figure vertical_illuminance_lx is at the camera, on a plane that faces the picture's centre.
-    Exposures come from the EXIF; the sun's disc is not searched for. heading_deg: azimuth of the
-    picture's centre, clockwise from true north. Raises InputError for a frame that cannot be
-    merged, or if `out` ends neither in .exr nor in .hdr.
+    Exposures come from the EXIF; the sun's disc is not searched for. options, heading_deg: as for
+    `merge_shots`. Raises InputError for a frame that cannot be merged, or if `out` ends neither in
+    .exr nor in .hdr.
     """
     if out.suffix.lower() not in (".exr", ".hdr"):
         raise InputError(out, f"the suffix '{out.suffix}'", ".exr or .hdr", "correct --out")

@@ -368,12 +368,13 @@ def finish(
     """Return the finished map with its flags and its uncertainty (GUM).
 
     view: result of `blend`. heading_deg: azimuth of the map's centre, clockwise from true north.
-    With the luminance L and relative uncertainties in brackets after L^2, the uncertainty u is
-    u^2 = random^2 + L^2 (exposure^2 + response^2 + vignetting^2 + colour^2 + k^2) + (glare floor)^2
-    + (stray light)^2 + edges^2. The uncertainty of a filter is part of the exposure's. The glare
-    floor is a share of the mean luminance that is seen. A clipped pixel is a lower bound with an
-    uncertainty of 100 % or more. bench/merge_budget.py compares u with simulated cameras;
-    bench/merge_scene.py compares the part for edges with a scene.
+    t_utc: time of the picture, None if unknown. With the luminance L and relative uncertainties in
+    brackets after L^2, the uncertainty u is u^2 = random^2 + L^2 (exposure^2 + response^2 +
+    vignetting^2 + colour^2 + k^2) + (glare floor)^2 + (stray light)^2 + edges^2. The uncertainty of
+    a filter is part of the exposure's. The glare floor is a share of the mean luminance that is
+    seen. A clipped pixel is a lower bound with an uncertainty of 100 % or more.
+    bench/merge_budget.py compares u with simulated cameras; bench/merge_scene.py compares the part
+    for edges with a scene.
     """
     p, light = profile, view.luminance
     in_lens = (view.flags & Flag.OUTSIDE_LENS) == 0

@@ -195,7 +195,7 @@ def sky_cut(
     azimuth of the panorama's centre, clockwise from true north; latitude_deg: of the camera. Pixels
     are at least as large as the sensor's, within 2 %, and at least 0.1 degrees.
     """
-    can_be_sun = sun_tiles(heading_deg, latitude_deg) & _any(seen.coverage > 0.0, target)
+    can_be_sun = sun_tiles(heading_deg, latitude_deg) & _tiles_with(seen.coverage > 0.0, target)
     if not can_be_sun.any():
         return None
     # The sun's disc has 22 pixels of 0.1 degrees; finer ones would need four times the space.
@@ -206,7 +206,7 @@ def sky_cut(
     # What a window shows is brighter than the room: only brighter tiles are resampled.
     dark_cdm2 = 1.25 * float(np.median(seen.luminance[seen.coverage > 0.0]))
     shines = (seen.luminance > dark_cdm2) | (seen.flags & Flag.CLIPPED_HIGH > 0)
-    bright = (can_be_sun & _any(shines & (seen.coverage > 0.0), target))[place]
+    bright = (can_be_sun & _tiles_with(shines & (seen.coverage > 0.0), target))[place]
     out = np.full((bright.shape[0] * side, bright.shape[1] * side), np.nan, np.float32)
     clipped = np.zeros(out.shape, bool)
     step = max(1, 60 // side)  # tiles whose matrices have 1 MB at most; decides speed only
@@ -268,8 +268,11 @@ def sun_tiles(heading_deg: float, latitude_deg: float) -> Mask:
     return out & above[:, None]
 
 
-def _any(marked: Mask, target: Equirect) -> Mask:
-    """Return the tiles with a marked pixel of a panorama [n], [90, 180]."""
+def _tiles_with(marked: Mask, target: Equirect) -> Mask:
+    """Return a mask [90, 180], True for tiles with a marked pixel at one of 3 x 3 places in them.
+
+    marked: of the pixels of the panorama `target`, flat [H W].
+    """
     rows = 180 // _TILE_DEG * _SAMPLES
     at = marked[_coarse_pixels(Equirect(rows), target)]
     return np.asarray(at.reshape(rows // _SAMPLES, _SAMPLES, -1, _SAMPLES).any(axis=(1, 3)))

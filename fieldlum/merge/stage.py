@@ -280,10 +280,10 @@ def run(
 ) -> list[Verdict]:
     """Merge every captured slot that has no panorama from the same frames, profile and options.
 
-    force: merge slots with such a panorama again. Then write the summary, if a panorama is new.
-    Return one verdict for each captured slot, sorted by slot; slots that were not merged again have
-    the state "kept". Raises NotEnoughDataError if nothing was captured, InputError if all brackets
-    failed.
+    scheduler: where brackets are merged. force: merge slots with such a panorama again. Then write
+    the summary, if a panorama is new. Return one verdict for each captured slot, sorted by slot;
+    slots that were not merged again have the state "kept". Raises NotEnoughDataError if nothing was
+    captured, InputError if all brackets failed.
     """
     slots = [folder.name for folder in session.captured_folders()]
     if not slots:

@@ -89,8 +89,8 @@ def melanopic_edi(
 def sun_melanopic_ratio(altitude_deg: Floats | float) -> Floats:
     """Return the melanopic over the photopic illuminance of direct sunlight, without glazing.
 
-    altitude_deg : apparent, of any shape, which is that of the result. The relative air mass is
-    that of Kasten and Young 1989.
+    altitude_deg : apparent, of any shape, which is that of the result; below 0 it counts as 0. The
+    relative air mass is that of Kasten and Young 1989.
     """
     return np.asarray(_SUN_RATIO * np.exp(-_SUN_RATIO_DECAY * _air_mass(altitude_deg)))
 

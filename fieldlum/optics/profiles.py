@@ -344,7 +344,7 @@ def assumed_texts(setup: CameraSetup) -> list[str]:
 
 
 def turning_text(setup: CameraSetup) -> str:
-    """Return who turns a camera that has headings; "" for a fixed camera."""
+    """Return a sentence that a person must turn a camera with headings; "" for a fixed camera."""
     if not setup.headings:
         return ""
     headings = ", ".join(f"{heading:g}" for heading in setup.headings)
@@ -405,7 +405,10 @@ def save_profile(path: Path, profile: CameraProfile) -> None:
 
 
 def bracket_exposures(bracket: Bracket, filter_name: str = "") -> tuple[Exposure, ...]:
-    """Return exposures without a filter, then those with a filter; each longest time first."""
+    """Return exposures without a filter, then those with a filter; each longest time first.
+
+    filter_name: the filter whose exposures of the profile are added; "" for none.
+    """
 
     def group(times_s: Sequence[float], name: str) -> list[Exposure]:
         exposures = (bracket.f_number, bracket.iso, name)
@@ -430,7 +433,7 @@ def planned_exposures(profile: CameraProfile, setup: CameraSetup) -> tuple[Expos
 
 
 def sun_text(slots: Sequence[Slot]) -> str:
-    """Return how the sun's disc is measured in those slots whose camera sees it; "" for none."""
+    """Return a sentence on how the sun's disc is measured; "" if no slot has it in view."""
     in_view = [slot for slot in slots if "sun-in-view" in slot.tags]
     if not in_view:
         return ""

@@ -42,8 +42,9 @@ def fit_turn(
     design [m, k] : changes of the values by one unit of each unknown, the turn about three axes
     first; target [m] : differences of the values; block [m] : numbers, from 0, of the parts of the
     picture whose errors are independent of each other, for the covariance (sandwich estimate).
-    weights [m] : of the values, before the robust ones. Residuals beyond two standard deviations
-    lose weight, because shadows and people move. None if the edges do not determine the unknowns.
+    weights [m] : of the values, before the robust ones. contrasts : factors that are removed from
+    the values; None for none. Residuals beyond two standard deviations lose weight, because shadows
+    and people move. None if the edges do not determine the unknowns.
     """
     scale = np.sqrt((design**2).mean(axis=0)) + 1e-30
     base = np.ones(len(target)) if weights is None else weights

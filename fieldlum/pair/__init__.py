@@ -16,7 +16,7 @@ from fieldlum.core.records import Panorama, Site, SiteFile, parse_utc, utc_text
 from fieldlum.core.scheduler import LOCAL, Scheduler, UnitOutcome, WorkUnit, run_each
 from fieldlum.core.strict_toml import plain
 from fieldlum.optics.images import read_panorama, write_panorama
-from fieldlum.pair.interval import Outside, outside
+from fieldlum.pair.bracket_irradiance import Outside, outside
 from fieldlum.pair.sky_view import Shown, shares_of_beam, write_sky_view
 from fieldlum.pair.sun_strength import DNI, SKY_VIEW, completed_sun, is_measured, measured_sun
 from fieldlum.room.scene import sun_patches
@@ -153,9 +153,10 @@ def check_night(path: Path, log: CleanIrradiance, site: Site) -> None:
 def run(session: Session, *, force: bool = False, scheduler: Scheduler = LOCAL) -> list[PairRow]:
     """Write pairs.csv, suns.csv and, with a room, sunpatches/; return the rows of pairs.csv.
 
-    The panoramas do not change. A simulated session's own pairs remain in truth/pairs.csv. Raises
-    NotEnoughDataError if nothing is merged, InputError without irradiance/clean.csv or for light at
-    night.
+    force: compute the sky view and the sun patches again even if they exist; scheduler: where sun
+    patches are computed. The panoramas do not change. A simulated session's own pairs remain in
+    truth/pairs.csv. Raises NotEnoughDataError if nothing is merged, InputError without
+    irradiance/clean.csv or for light at night.
     """
     brackets = taken_brackets(session)
     if not brackets:

@@ -22,7 +22,8 @@ def measured_sun(
     """Return the picture's sun, completed by the meter if it is clipped, and a caution.
 
     full_normal_lx: DNI times the direct luminous efficacy of Perez et al. (1990), before the glass
-    [lx]. The result is None for a picture without a sun: a sun that it does not show is not added.
+    [lx]. meter_lx: reading of the illuminance meter at the lens, None without one. The result is
+    None for a picture without a sun: a sun that it does not show is not added.
     """
     stated = panorama.sun
     if stated is None:

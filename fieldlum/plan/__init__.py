@@ -76,9 +76,11 @@ _NO_WINDOW = (
 def make_plan(setup: SiteFile, request: Request, weather: Weather | None = None) -> Plan:
     """Return the plan of a set: slots, cost, coverage and warnings; write nothing.
 
-    Raises NotEnoughDataError if no hour of the set has the sun above the horizon, if `best` has no
-    weather, or if `even` or `best` has weather without daylight on the days of the set; InputError
-    for a profile or room that cannot be used.
+    weather: a year of the place, needed by `best`; it adds the coverage of its daylight, and the
+    uncertainty that the captures would leave. None: without these. Raises NotEnoughDataError if no
+    hour of the set has the sun above the horizon, if `best` has no weather, or if `even` or `best`
+    has weather without daylight on the days of the set; InputError for a profile or room that
+    cannot be used.
     """
     site, room = setup.site, setup.room
     days = set_days(request.set, site, request.today, request.start, request.year, request.days)
@@ -205,7 +207,7 @@ def run(
 ) -> tuple[Session, Plan]:
     """Make the plan that `request` describes; return the new session `out`, and the plan.
 
-    Raises InputError if `out` is already a session, and the errors of `make_plan`.
+    weather: as for `make_plan`. Raises the errors of `make_plan` and `create_session`.
     """
     plan = make_plan(setup, request, weather)
     return create_session(out, setup, plan.slots, plan.about(request)), plan

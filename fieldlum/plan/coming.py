@@ -49,10 +49,10 @@ def trained_kernel(session: Session) -> tuple[Kernel, str] | None:
 
 
 def captured_features(session: Session, task: choose.Learning) -> Features:
-    """Return the light features of the n completed captures and usable pairs, [n].
+    """Return the light features of the completed captures and usable pairs.
 
     A capture with a usable row in pairs.csv has its measured irradiance. One without has the
-    irradiance of the weather year, and is omitted if that has none then.
+    irradiance of the weather year of `task`, and is omitted if that has none then.
     """
     pairs = PairsFile.find(session.pairs).usable
     times, dni, dhi = ([getattr(p, n) for p in pairs] for n in ("t_utc", "dni_wm2", "dhi_wm2"))

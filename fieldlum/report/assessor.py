@@ -104,7 +104,7 @@ def _camera_rows(profile: CameraProfile) -> list[tuple[str, str]]:
 
 
 def page(session: Session, annual: Annual | None) -> str:
-    """Return the page as HTML. Raises InputError without a predicted year."""
+    """Return the page as HTML. Raises InputError if `annual`, the predicted year, is None."""
     if annual is None:
         remedy = "run fieldlum predict first"
         raise InputError(session.root, "no predicted year", "a year of figures", remedy)

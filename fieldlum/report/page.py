@@ -43,7 +43,10 @@ def class_name(row: DirectionYear) -> str:
 
 
 def chip(row: DirectionYear, more: str = "") -> dict[str, str]:
-    """Return a cell with the glare class of a direction in its colour, grey while it is open."""
+    """Return a table cell with the glare class of a direction in its colour, then the text `more`.
+
+    It is grey while the class is not certain.
+    """
     return {"kind": row.glare_class if row.certain else "open", "text": class_name(row) + more}
 
 
@@ -165,7 +168,7 @@ CLASS_COLOURS = {"high": GREEN, "medium": "#7fae2e", "minimum": "#e0a100", "none
 
 
 def png(figure: Drawing, dpi: int = 110) -> bytes:
-    """Return a figure as PNG."""
+    """Return a figure as PNG bytes; dpi: pixels per inch of its size."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=dpi, bbox_inches="tight")
     return buffer.getvalue()
@@ -186,9 +189,10 @@ def picture_grid(
 ) -> tuple[Drawing, list[Axes]]:
     """Draw luminance pictures [H, W] in cd/m2 in false colour, with titles and one colour bar.
 
-    width_in: of one picture in inches. NaN is white. ratios: the last column has binary logarithms
-    of ratios, drawn from blue (1/2) to red (2) with their own bar. The axes are in pixels from the
-    top left.
+    width_in: of one picture in inches; scale_cdm2: ends of the colour scale, at which values are
+    cut off. NaN is white. ratios: the maps of the last column are binary logarithms of ratios,
+    drawn from blue (1/2) to red (2) with their own bar. Return the figure and the axes of each map,
+    in pixels from its top left.
     """
     rows, columns = -(-len(maps) // columns), min(columns, len(maps))
     height_in = width_in * max(image.shape[0] / image.shape[1] for image in maps) + 0.4

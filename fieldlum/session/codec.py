@@ -306,7 +306,8 @@ def write_csv(
 def write_columns(path: Path, columns: Mapping[str, Any], digits: int = 7) -> None:
     """Write arrays [n] as a csv, with its SHA-256 in NAME.sha256.
 
-    t_utc: Unix times [s], written as ISO texts; digits: significant ones of the numbers.
+    columns: arrays by name; t_utc: Unix times [s], written as ISO texts; digits: significant ones
+    of the numbers.
     """
     times = [datetime.fromtimestamp(t, UTC) for t in columns["t_utc"]]
     lists = [np.asarray(values).tolist() for values in {**columns, "t_utc": times}.values()]

@@ -62,7 +62,7 @@ def write_suns(path: Path, rows: Sequence[SunRow]) -> None:
 
 
 def read_suns(path: Path) -> dict[str, SunRow]:
-    """Return the rows by panorama; empty for a missing file.
+    """Return the rows by panorama, such as "panoramas/20270320T193000Z.exr"; empty without a file.
 
     Raises InputError, with the line, for other content.
     """
@@ -78,11 +78,11 @@ def read_panorama_with_sun(
 ) -> Panorama:
     """Read a panorama and add the sun that `pair` computed for it.
 
-    suns: the table suns.csv by panorama, for a caller that reads many pictures; None: read it from
-    the folder above the picture's. part: of an .exr, as for `read_exr`. A sun that the picture
-    measured is not replaced; without a sun in the picture none is added. `attributes["note"]`
-    reports a sun that remains a lower bound, because every frame is clipped there. Raises
-    InputError for an unusable picture or table.
+    suns: result of `suns_of`, for a caller that reads many pictures of one session; None: read
+    suns.csv from the folder above the picture's. part: of an .exr, as for `read_exr`. A sun that
+    the picture measured is not replaced; without a sun in the picture none is added.
+    `attributes["note"]` reports a sun that remains a lower bound, because every frame is clipped
+    there. Raises InputError for an unusable picture or table.
     """
     warn_if_changed(path)
     panorama = read_panorama(path, part)
@@ -106,8 +106,5 @@ def read_panorama_with_sun(
 
 
 def suns_of(panorama: Path) -> dict[str, SunRow]:
-    """Return the rows of suns.csv in the folder above a panorama's folder, by panorama.
-
-    Empty if the file is missing. Raises InputError for other content.
-    """
+    """Return the rows of suns.csv in the folder above a panorama's folder, as `read_suns`."""
     return read_suns(panorama.absolute().parent.parent / "suns.csv")

@@ -84,7 +84,7 @@ def reinhart_patches(mf: int = 4) -> SkyPatches:
 def reinhart_index(directions: Array, mf: int = 4) -> NDArray[np.intp]:
     """Return the number of the patch of `reinhart_patches` that holds each direction [n, 3], [n].
 
-    Directions below the horizon count as those at it.
+    mf: as for `patches_per_row`. Directions below the horizon count as those at it.
     """
     rows = np.array(patches_per_row(mf))
     height = np.pi / 2 / (7 * mf + 0.5)
@@ -255,7 +255,7 @@ def perez_luminance(
     """Return the luminance of n skies in m directions, [n, m], in cd/m2, without the sun disc.
 
     It is 179 times perezlum, including its transition to the ground. sun_direction [n, 3] and
-    directions [m, 3] are unit vectors.
+    directions [m, 3] are unit vectors. dtype: of the result.
     """
     sun = np.atleast_2d(np.asarray(sun_direction, dtype))
     rays = np.atleast_2d(np.asarray(directions, dtype))

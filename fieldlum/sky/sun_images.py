@@ -125,7 +125,8 @@ def without_lamps(
 ) -> list[SunImage]:
     """Return the spots that are dimmer than the sun and move when it moves by 3 tolerances.
 
-    suns [n, 3], direct_lx [n]: of all captures, whose rows the spots name.
+    A spot at the place of a brighter one, a lamp, is omitted too. suns [n, 3], direct_lx [n]: of
+    all captures, whose rows the spots name. height: rows of the maps.
     """
     if not spots:
         return []

@@ -40,11 +40,11 @@ class _Sun:
         self._altitude_deg, self._east = at.altitude_deg, np.sin(np.radians(at.azimuth_deg))
 
     def altitude_deg(self, shift_min: float = 0.0) -> Floats:
-        """Return the sun's altitudes [n] with all times moved by minutes, at most 13 hours."""
+        """Return the sun's altitudes [n] with all times `shift_min` later, at most 13 hours."""
         return np.interp(self.t_unix_s + 60.0 * shift_min, self._grid_s, self._altitude_deg)
 
     def is_morning(self, shift_min: float) -> Mask:
-        """Return where the sun is in the east, [n], with all times moved by minutes."""
+        """Return a mask [n], True for the sun in the east, with all times `shift_min` later."""
         return np.interp(self.t_unix_s + 60.0 * shift_min, self._grid_s, self._east) > 0.0
 
 

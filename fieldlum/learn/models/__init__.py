@@ -1,9 +1,9 @@
 """Models of a room: what a fitted model must provide, and its folder on disk.
 
-A model is a module with a function that fits, ``fit(data, *, patch, seed, budget_s) ->
-Fitted`` (or another name stated in `model_registry.MODELS`), and one that loads,
-``from_state(state: ModelState) -> Fitted``. Model folders contain `config.json` and `weights.npz`:
-settings and plain arrays without pickle, so that a model from another person cannot run code.
+A model is a module with a function that fits, ``fit(data, *, patch, seed, budget_s) -> Fitted`` (or
+another name stated in `model_kinds.MODELS`), and one that loads, ``from_state(state: ModelState) ->
+Fitted``. Model folders contain `config.json` and `weights.npz`: settings and plain arrays without
+pickle, so that a model from another person cannot run code.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Array, Floats, Floats32, Mask
 from fieldlum.core.errors import InputError
-from fieldlum.learn.model_registry import MODELS
+from fieldlum.learn.model_kinds import MODELS
 from fieldlum.session import replacing
 from fieldlum.session.codec import NPZ_ERRORS, read_arrays, write_object
 from fieldlum.session.files.model_files import ModelConfig
@@ -111,9 +111,10 @@ def stored(part: Any, prefix: str, arrays: dict[str, Array]) -> dict[str, Any]:
 
 
 def rebuilt(kind: type[_Part], table: Any, arrays: Mapping[str, Array]) -> _Part:
-    """Return the dataclass that `stored` described.
+    """Return the dataclass of type `kind` that `stored` described.
 
-    Raises KeyError, TypeError or ValueError for missing or wrong content.
+    table: result of `stored`; arrays: those that it added, by name. Raises KeyError, TypeError or
+    ValueError for missing or wrong content.
     """
     if table.get("format", FORMAT) != FORMAT:
         raise ValueError("a model of an earlier version")

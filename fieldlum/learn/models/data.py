@@ -25,7 +25,7 @@ from fieldlum.learn.models.camera_turns import (
 from fieldlum.learn.models.held_out_choice import weight_of_variance
 from fieldlum.optics.images import PANORAMA_LINE, read_panorama
 from fieldlum.optics.projection import equirect_solid_angles, signed_angle_deg
-from fieldlum.pair.interval import is_doubted
+from fieldlum.pair.bracket_irradiance import is_doubted
 from fieldlum.pair.sky_view import is_outdated
 from fieldlum.room.scene.patches import sun_patches
 from fieldlum.session import Session, marks, open_session

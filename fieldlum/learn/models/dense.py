@@ -456,11 +456,17 @@ class Run:
     skipped: int = 0
 
     def share(self, budget_s: float | None) -> float:
-        """Return the completed share of the updates, or of the time if that is larger."""
+        """Return the completed share (0 to 1) of the updates, or of the time if that is larger.
+
+        budget_s: time limit of the training [s]; None for no limit.
+        """
         return min(max(self.step / self.steps, self.elapsed_s / (budget_s or math.inf)), 1.0)
 
     def rate_now(self, budget_s: float | None) -> float:
-        """Return the learning rate of the next update: a warm-up of 3 %, then a cosine to 0."""
+        """Return the learning rate of the next update, which falls to 0 as a cosine of `share`.
+
+        In the first 3 % of the updates it also rises linearly from 0. budget_s: as for `share`.
+        """
         warm = min(1.0, (self.step + 1) / (0.03 * self.steps + 1))
         return self.rate * warm * 0.5 * (1.0 + math.cos(math.pi * self.share(budget_s)))
 
@@ -498,8 +504,8 @@ def fit(
 
     patch: with "none" sun patches are not an input; seed: of all random numbers; budget_s: time
     limit [s]; plan: length, None for `affordable_run`. checkpoint: path, written after each epoch;
-    an existing one is continued, with its length; None for none. Raises InputError for a checkpoint
-    that cannot be used, and as `affordable_run`.
+    an existing one is continued, with its length; None for none. shape: widths of the network's
+    layers. Raises InputError for a checkpoint that cannot be used, and as `affordable_run`.
     """
     started = time.monotonic(), time.process_time()
     device = pick_device()

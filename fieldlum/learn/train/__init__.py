@@ -20,7 +20,7 @@ from fieldlum.core.progress import progress
 from fieldlum.core.records import counted, listed
 from fieldlum.core.statistics import held_out_masks
 from fieldlum.learn import models
-from fieldlum.learn.model_registry import MODELS
+from fieldlum.learn.model_kinds import MODELS
 from fieldlum.learn.models import POOR_WORDS, TRUSTED_FACTOR, TRUSTED_MSE, Fitted, Patch
 from fieldlum.learn.models.data import Dataset, with_sky_view
 from fieldlum.learn.models.held_out_choice import (
@@ -41,7 +41,7 @@ from fieldlum.learn.models.scores import (
     truth,
 )
 from fieldlum.learn.train.outliers import without_changes
-from fieldlum.room.fit.setting import scan, settle, with_right_clock
+from fieldlum.room.fit.misplaced_patches import scan, settle, with_right_clock
 from fieldlum.session import check_writable, sha256
 from fieldlum.session.codec import current_note, data_digest, digest
 from fieldlum.session.files.model_files import ScoreRow, ScoresFile, TrainAnswer
@@ -235,9 +235,11 @@ def fit_and_score(
 ) -> Result:
     """Run trials on held-out days, choose a model, and fit it to all data.
 
-    model: a name of `MODELS`, or "auto" for all of them. budget_s: time in which the network is
-    trained [s], half of it without held-out days. Raises NotEnoughDataError for too few hours to
-    hold any out, or to fit `model`, and if the network has no time.
+    model: a name of `MODELS`, or "auto" for all of them. patch: with "none" sun patches are not an
+    input. budget_s: time in which the network is trained [s], half of it without held-out days.
+    seed: of all random numbers. checkpoint: of the network's last training, as for `dense.fit`.
+    Raises NotEnoughDataError for too few hours to hold any out, or to fit `model`, and if the
+    network has no time.
     """
     patch = patch_mode(data, patch)
     captures = len(data)
@@ -311,8 +313,8 @@ def run(
 
     If captures and options have not changed since the same version trained the model, nothing is
     trained (unless `force`) and the answer's `kept` is True. An interrupted dense training
-    continues from its checkpoint in `out`. budget_min: minutes for
-    the network.
+    continues from its checkpoint in `out`. budget_min: minutes for the network. Other arguments:
+    `fit_and_score`.
     """
     mode = patch_mode(data, patch)
     inputs = {

@@ -403,7 +403,11 @@ class _Described(NamedTuple):
     def errors(
         self, inputs: _Inputs, noise: float = NOISES[1], days: NDArray | None = None
     ) -> HeldOutErrors:
-        """Return the errors of held-out days [n], or of other groups of hours, at some pixels."""
+        """Return the errors of held-out days, at some pixels.
+
+        noise: relative variance of a captured value. days [n]: groups of hours that are held out
+        together; None for the captures' days.
+        """
         arrays = inputs.arrays[self.drawn[:CHOOSING]]
         arrays = arrays if days is None else replace(arrays, days=days)
         return hold_out(arrays, inputs.basis, noise).errors

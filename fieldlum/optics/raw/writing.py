@@ -69,8 +69,9 @@ def write_dng(
     A file at `path` is replaced; capture flushes it to disk and renames it. counts : [h, w] 16-bit,
     black level included. exposure : shutter time, f-number, ISO and the name of an ND filter for
     the EXIF. black_dn : black level for R, G1, G2, B, and white_dn : white level, both only
-    recorded in the file. cfa : colours of the top left 2 x 2 pixels row by row. t_camera : time for
-    the EXIF, None for no time. colour_matrix : [3, 3], converts XYZ to camera RGB.
+    recorded in the file. cfa : colours of the top left 2 x 2 pixels row by row. t_camera, make,
+    model : time and camera for the EXIF, None or "" for none. colour_matrix : [3, 3], converts XYZ
+    to camera RGB.
     """
     from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
@@ -118,7 +119,8 @@ def write_jpeg(
     """Write codes [h, w, 3], red first, as a JPEG with EXIF, without chroma subsampling.
 
     A file at `path` is replaced. exposure: shutter time, f-number, ISO and the name of an ND filter
-    for the EXIF; t_camera: time for the EXIF, None for no time; quality: 1 to 100, as in Pillow.
+    for the EXIF; t_camera, make, model: time and camera for the EXIF, None or "" for none; quality:
+    1 to 100, as in Pillow.
     """
     from PIL import Image
 

@@ -19,8 +19,8 @@ _BINS = 288  # of five minutes in a day
 def draw_days(session: Session, *, force: bool = False) -> Path | None:
     """Draw irradiance/days.png unless it is newer than clean.csv; return its path.
 
-    A column is a day and a row five minutes of local standard time. Return None if clean.csv has
-    no row.
+    force: draw it in any case. A column is a day and a row five minutes of local standard time.
+    Return None if clean.csv has no row.
     """
     path, source = session.irradiance / "days.png", session.clean_irradiance
     if not force and path.is_file() and path.stat().st_mtime >= source.stat().st_mtime:

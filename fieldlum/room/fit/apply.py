@@ -40,10 +40,10 @@ def corrected(data: Dataset, north_deg: float, clock_min: float, room: Room) -> 
 
 
 def with_patches(data: Dataset) -> Dataset:
-    """Return the captures with sun patches computed from the room of `data.setup`, not None.
+    """Return the captures with sun patches computed from the room of `data.setup`.
 
-    Patches are the luminance of surfaces by direct sun only, cd/m2 [n, H, W]. Raises
-    InputError for an impossible room.
+    `data` must have a room. Patches are the luminance of surfaces by direct sun only, cd/m2 [n, H,
+    W]. Raises InputError for an impossible room.
     """
     return replace(data, patch_cdm2=data.patches(data.light))
 

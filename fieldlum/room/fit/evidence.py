@@ -159,7 +159,7 @@ class SceneEvidence:
         seen = np.maximum(flat, MIN_CDM2)
         direct = np.zeros_like(seen)
         direct[self.rows] = patch
-        below = LightBelow(data)(seen, direct)[self.rows]
+        below = LightBelowPatches(data)(seen, direct)[self.rows]
         level = levelled(below, seen[self.rows], patch, self.directions, self.weights)
         return replace(self, below=np.maximum(level, MIN_CDM2).astype(np.float32))
 
@@ -351,10 +351,13 @@ _RIDGE = 1e-3
 _PATCH_SHARE = 0.3  # share of a pixel's light; a stronger patch hides the light below; chosen
 
 
-class LightBelow:
-    """Smooth light of sky and sun in n captures, from which the light below patches is estimated.
+class LightBelowPatches:
+    """Estimates the luminance that pixels would show in n captures without their sun patches.
 
-    data: the captures, for their light and room.
+    Light of sky and sun that changes smoothly between hours has few features: the eigenvectors of
+    the kernel with the largest eigenvalues, and 1. A pixel is a ridge regression on them. data: the
+    captures, for their light and room. basis: the features [k, n]; products: of each two of them [k
+    k, n]; total_lx: the total light, by which luminance is divided [n, 1].
     """
 
     def __init__(self, data: Dataset) -> None:

@@ -140,7 +140,11 @@ def fit_scene(
 
 
 class SceneSearch:
-    """State of one fit: the guess, and the evidence and albedos that belong to it."""
+    """State of one fit: the guess, and the evidence and albedos that belong to it.
+
+    data, room: captures and stated box. pose: the camera's by sun discs, None if unknown.
+    clock_sd_min: standard deviation of the stated clock's error [min]. pixels: number that is used.
+    """
 
     def __init__(
         self,
@@ -161,14 +165,17 @@ class SceneSearch:
         self.unit = prior_unit(self.evidence, self.start, self.albedo_with_solids())
 
     def cost(self, *, coarse: bool = False) -> SceneCost:
-        """Return the cost of a guess."""
+        """Return the function that computes a guess's cost; coarse: at fewer pixels, for speed."""
         evidence = self.evidence.coarse() if coarse else self.evidence
         return SceneCost(
             evidence, self.start, self.parameters, self.albedo, self.unit, self.pose, self.view
         )
 
     def run(self, step: Callable[[int, str], None], kinds: Sequence[Kind] = KINDS) -> Guess:
-        """Search everything from the stated box; the state becomes the result's."""
+        """Search everything from the stated box; the state becomes the result's.
+
+        step: called with the progress in percent and its name. kinds: of elements that are tried.
+        """
         step(10, "box and clock")
         cost = self.cost(coarse=True)
         tries = [search(cost, start, self.parameters) for start in self._starts()]

@@ -35,10 +35,10 @@ def direct_on_windows_lx(data: Dataset, room: Room | None) -> Floats:
 def sunny_hours(data: Dataset, room: Room | None, *, near_strongest: bool = False) -> Mask:
     """Return a mask [n], True for hours with strong direct sun on the plane of a window.
 
-    Strong is over 1 000 lx and over a tenth of the total light; with `near_strongest`, over a tenth
-    of the strongest hour. Both also find the faint sun of overcast days. Therefore, if fewer than
-    six hours near the strongest one have sunshine (direct irradiance of at least 120 W/m2), hours
-    without sunshine do not count.
+    room: without a box room with windows, as `direct_on_windows_lx`. Strong is over 1 000 lx and
+    over a tenth of the total light; with `near_strongest`, over a tenth of the strongest hour. Both
+    also find the faint sun of overcast days. Therefore, if fewer than six hours near the strongest
+    one have sunshine (direct irradiance of at least 120 W/m2), hours without sunshine do not count.
     """
     onto = direct_on_windows_lx(data, room)
     strong = near = onto > _STRONGEST_SHARE * max(float(onto.max(initial=0.0)), 1.0)

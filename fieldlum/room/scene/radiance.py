@@ -14,8 +14,8 @@ from fieldlum.core.errors import InputError
 from fieldlum.core.progress import progress
 from fieldlum.core.records import Room
 from fieldlum.optics.images import RADIANCE_LM_PER_W, RADIANCE_Y
+from fieldlum.room.scene.embedded_commands import require_permitted
 from fieldlum.room.scene.geometry import BoxScene, transmissivity, upright
-from fieldlum.room.scene.room_commands import require_permitted
 from fieldlum.room.scene.trace import SUN_RADIUS_DEG
 from fieldlum.room.scene.view import patch_rays, pixel_rays
 
@@ -73,7 +73,10 @@ SKY_TEXT = "void glow skyglow\n0\n0\n4 1 1 1 0\nskyglow source sky\n0\n0\n4 0 0 
 
 
 def sun_text(direction: Floats, normal_illuminance_lx: float = RADIANCE_LM_PER_W) -> str:
-    """Return a sun in direction [3] as Radiance text; 179 lx give an irradiance of 1 W/m2."""
+    """Return a sun in direction [3], to the sun, as Radiance text.
+
+    normal_illuminance_lx: on a plane normal to the sun; 179 lx, the default, are 1 W/m2.
+    """
     radiance = normal_illuminance_lx / RADIANCE_LM_PER_W / SUN_SR
     x, y, z = direction
     light = f"void light solar\n0\n0\n3 {radiance:.8g} {radiance:.8g} {radiance:.8g}\n"
@@ -169,8 +172,10 @@ def traced(
     """Return sun patches of a room of kind "radiance", traced by rtrace -ab 0, [n, H, W] cd/m2.
 
     suns : [n, 3] unit vectors in world axes (x east, y north); normal_lx : [n], lx on a plane
-    normal to the sun. Pixels have the rays of `patch_rays`. Raises InputError for a missing or
-    invalid room file, and for a viewpoint_m without three numbers.
+    normal to the sun. height : rows H of the panoramas, W = 2H; heading_deg : azimuth of their
+    centre, clockwise from true north. Pixels have the rays of `patch_rays`. Raises InputError for a
+    room file that is missing, invalid, or could run something without a permission, and for a
+    viewpoint_m without three numbers.
     """
     eye = _viewpoint(room)
     pixel, rays = pixel_rays(height, heading_deg, patch_rays(height))

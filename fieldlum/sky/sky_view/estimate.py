@@ -95,8 +95,9 @@ def estimate(
     """Return the sky view of captures of one state of the room.
 
     seen: returns, for directions [p, 3], whether a lens saw them; where a lens saw a direction, but
-    no sky picture has it, merge found it too dark for the sky. latitude_deg: of the room;
-    the sun never reaches some directions. Raises NotEnoughDataError without a capture with light.
+    no sky picture has it, merge found it too dark for the sky. pose: of the camera, None for the
+    stated heading. latitude_deg: of the room; the sun never reaches some directions. Raises
+    NotEnoughDataError without a capture with light.
     """
     lit = np.flatnonzero(captured.light.diffuse_lx > BEAM_LX)
     if not len(lit):

@@ -154,13 +154,17 @@ def _rest_spread(measured: Floats32, light: Light) -> Floats:
 
 
 def _forward(measured: Floats32, light: Light, rays: Floats) -> Floats:
-    """Return ln of the rise of luminance over diffuse light with the sun in front, [p]."""
+    """Return ln of how much brighter directions [p, 3] are with the sun in front of them, [p].
+
+    The luminance is relative to the diffuse light. The sun is in front if it shines strongly from
+    about the azimuth of the direction. measured: ln of luminance [n, p].
+    """
     over = measured - np.log(light.diffuse_lx)[:, None]
     level = rays[:, :2] / np.maximum(np.hypot(rays[:, 0], rays[:, 1]), 1e-9)[:, None]
-    behind = light.sun_direction[:, :2] @ level.T > 0.3
-    behind &= (light.direct_lx > 10.0 * BEAM_LX)[:, None]
-    lit = _level_spread(np.where(behind, over, np.nan))[0]
-    return lit - _level_spread(np.where(behind, np.nan, over))[0]
+    in_front = light.sun_direction[:, :2] @ level.T > 0.3
+    in_front &= (light.direct_lx > 10.0 * BEAM_LX)[:, None]
+    with_sun = _level_spread(np.where(in_front, over, np.nan))[0]
+    return with_sun - _level_spread(np.where(in_front, np.nan, over))[0]
 
 
 def _level_spread(values: Floats | Floats32) -> tuple[Floats, Floats]:

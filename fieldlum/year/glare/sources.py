@@ -181,7 +181,10 @@ def widen(mask: Mask, radius_rad: float) -> Mask:
 
 @compiled
 def _widened(mask: Mask, half: Indices) -> Mask:
-    """Mark `half` columns on either side of each True pixel, in the rows above to below it."""
+    """Return a mask [H, W], True within the circles of `_half_widths` around True pixels of `mask`.
+
+    half [k, H]: result of `_half_widths`.
+    """
     height, width = mask.shape
     out = np.zeros_like(mask)
     for row in range(height):
@@ -197,10 +200,11 @@ def _widened(mask: Mask, half: Indices) -> Mask:
 
 @lru_cache(maxsize=8)
 def _half_widths(height: int, radius_rad: float) -> Indices:
-    """Return how wide circles around pixels are in rows above and below, by the haversine formula.
+    """Return half the width of circles around pixels, in columns, by the haversine formula, [k, H].
 
-    Half the width, in columns of a panorama of `height` rows, of a circle around each row [height],
-    in rows from above to below [k]; -1 where the circle does not reach.
+    The last axis is the row of the centre, in a panorama of H = `height` rows. The first axis is
+    the row in which the width is measured, from the highest of k rows to the lowest; the centre's
+    row is the middle one. -1 where the circle does not reach, or no row exists.
     """
     reach = max(1, round(radius_rad / np.pi * height))
     altitude = np.pi / 2 - (np.arange(height) + 0.5) / height * np.pi

@@ -445,8 +445,9 @@ def measure(
 ) -> HourFigures:
     """Predict every hour of `light`, and return the figures in d view directions.
 
-    store: of maps, None to write none; melanopic: colours by the captures, None without any. A unit
-    of work has 64 hours; the last may have fewer.
+    store: of maps, None to write none; melanopic: colours by the captures, None without any; seed:
+    of random draws; scheduler: where hours are predicted. A unit of work has 64 hours; the last may
+    have fewer.
     """
     model = model_folder.resolve()
     folder = Path(os.path.commonpath([model, *([store.resolve()] if store else [])]))

@@ -86,9 +86,10 @@ def run(
     `force`.
 
     out: output folder; None: `default_folder`. views: number of view directions around the horizon.
-    maps: also write all maps. lamps: "" as in the captures; "off"; or a csv as for occupancy, with
-    the hours in which lamps that are marked in the captures are on. sky_view: a sky_view.exr in
-    place of the model's. label_shift_min: minutes added to the times of the weather file.
+    maps: also write all maps. occupancy_path: csv of the occupied hours; None: EN 17037's. seed: of
+    random draws. lamps: "" as in the captures; "off"; or a csv as for occupancy, with the hours in
+    which lamps that are marked in the captures are on. sky_view: a sky_view.exr in place of the
+    model's. label_shift_min: minutes added to the times of the weather file.
 
     Raises InputError for a file, folder or model that cannot be used, or if place, camera, room or
     pictures of model and session differ; NotEnoughDataError for weather without daylight or without

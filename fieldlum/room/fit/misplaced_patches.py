@@ -202,7 +202,8 @@ def _at(misfits: Floats, offset_min: float) -> Floats:
 def with_right_clock(data: Dataset, setting: Setting | None) -> tuple[Dataset, list[str]]:
     """Return the captures at corrected times, and a warning, if the clock differs between days.
 
-    Other days get the median offset. Otherwise return the captures and an empty list.
+    setting: result of `scan`. Days without an offset of their own get the median offset. If the
+    clock does not differ, return the captures and an empty list.
     """
     if setting is None or not setting.late_min:
         return data, []
@@ -220,9 +221,10 @@ def with_right_clock(data: Dataset, setting: Setting | None) -> tuple[Dataset, l
 def settle(fitted: Fitted, data: Dataset, setting: Setting | None) -> tuple[Fitted, list[str]]:
     """Return the model with a larger uncertainty near sun patches, and warnings.
 
-    Both apply only if the captures contradict the computed sun patches; the uncertainty is that of
-    patches displaced as far as the captures show, for a transport model only. Nothing is corrected:
-    a wrong north must be corrected in SITE.toml, which all stages read.
+    setting: result of `scan`, of the captures `data`. Both apply only if the captures contradict
+    the computed sun patches; the uncertainty is that of patches displaced as far as the captures
+    show, for a transport model only. Nothing is corrected: a wrong north must be corrected in
+    SITE.toml, which all stages read.
     """
     if setting is None:
         return fitted, []
