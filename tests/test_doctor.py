@@ -348,5 +348,7 @@ def test_exit_codes(tmp_path: Path) -> None:
     good = CliRunner().invoke(main, [*words, "--json"])
     assert good.exit_code == 0 and json.loads(good.stdout)["ok"] is True
     bad = CliRunner().invoke(main, [*words, "--camera", "nonsense:"])
-    assert bad.exit_code == 4 and "FAIL" in bad.stdout
+    assert bad.exit_code == 4 and "\nFAIL  camera " in bad.stdout
+    coloured = CliRunner().invoke(main, [*words, "--camera", "nonsense:"], color=True)
+    assert "\n\x1b[31mFAIL\x1b[0m  camera " in coloured.stdout
     assert CliRunner().invoke(main, ["doctor", str(tmp_path / "absent")]).exit_code == 3

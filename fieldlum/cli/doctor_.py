@@ -36,10 +36,16 @@ def command(
         findings = doctor.run(
             session, camera_uri, pyranometer_uri, datetime.now(UTC), meter_uri=meter_uri
         )
-    lines = [f"{click.style(*MARKS[f.verdict])}  {f.what:13} {f.text}" for f in findings]
+    if as_json:
+        terminal.emit_json(doctor.as_table(findings))
+        sys.exit(doctor.exit_code(findings))
+    for finding in findings:
+        click.echo(click.style(*MARKS[finding.verdict]), nl=False)
+        terminal.tell(f"  {finding.what:13} {finding.text}")
     drawing = session.root / "room.svg"
     with suppress(OSError):  # a full or read-only disk is reported by another check
-        if not as_json and write_room(session.site_file(), drawing):
-            lines.append(f"      room          drawn in {drawing}: check windows, camera and north")
-    terminal.print_answer(as_json, doctor.as_table(findings), lines)
+        if write_room(session.site_file(), drawing):
+            terminal.tell(
+                f"      room          drawn in {drawing}: check windows, camera and north"
+            )
     sys.exit(doctor.exit_code(findings))
