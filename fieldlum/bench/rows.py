@@ -139,8 +139,9 @@ def score_row(
 ) -> tuple[JsonTable, Trial]:
     """Fit one model with one seed on `data`; return its score row and the trial.
 
-    The test is `test`, or held-out days of `data` if None. A trained model is not fitted again.
-    Raises InputError for a trained model without test hours.
+    budget_s: time limit of the training [s]. The test is `test`, or held-out days of `data` if
+    None. A trained model is not fitted again. Raises InputError for a trained model without test
+    hours.
     """
     patch = patch_mode(data, spec.patch)
     if test is None:

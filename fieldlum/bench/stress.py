@@ -97,7 +97,7 @@ def _noise(shape: tuple[int, ...], share: float, seed: int) -> Floats:
 
 
 def noisy_pixels(data: Dataset, share: float, seed: int) -> Dataset:
-    """Return the data with each pixel's luminance times log-normal noise."""
+    """Return the data with log-normal noise; share: standard deviation of a pixel's ln L."""
     factor = _noise(data.luminance_cdm2.shape, share, seed).astype(np.float32)
     return replace(data, luminance_cdm2=data.luminance_cdm2 * factor)
 

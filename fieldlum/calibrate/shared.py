@@ -193,9 +193,10 @@ def columns(rows: Sequence[CsvRow], *names: str) -> Floats:
 
 
 def beyond_lens(share: float) -> bool:
-    """Return whether an angle over half of a lens's full angle is an error of the reading.
+    """Return whether a reading's angle is impossible for its lens, and therefore an error.
 
-    Data sheets round full angles, so that true readings are up to 5 % beyond.
+    share: the angle from the axis, divided by half of the lens's full angle. Data sheets round full
+    angles, so that true readings are up to 5 % beyond.
     """
     return share > 1.05
 

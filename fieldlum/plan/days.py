@@ -210,7 +210,7 @@ def _cells(irradiance: ArrayLike) -> NDArray[np.int64]:
 def coverage(hours: DaylightHours, site: Site, weather: Weather | None = None) -> Coverage:
     """Return how much of the year's sun band some hours cover; with weather, also of its daylight.
 
-    The shares by weather are None without hours, too.
+    The shares by weather are None without weather, and without hours.
     """
     band = sun_band_percent(hours, site)
     if weather is None or not len(hours):

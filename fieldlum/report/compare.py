@@ -116,7 +116,8 @@ def _write(out: Path, rows: Sequence[JsonTable], picture: bytes) -> tuple[Path, 
 def surface_names(room: Room, height: int, heading_deg: float) -> Array:
     """Return what each pixel of a panorama mostly shows, [H, W]: "N wall", "floor", "window" ...
 
-    The empty name is what neither box nor opening shows.
+    height: rows H, W = 2H; heading_deg: azimuth of the centre column. The name is empty where
+    neither box nor opening is.
     """
     view = look(room, height, heading_deg)
     names = np.full(2 * height**2, "", dtype=object)

@@ -100,9 +100,10 @@ def find_disc(
 ) -> SunDisc | None:
     """Return the sun disc in a map [H, W = 2H]; None if there is no disc.
 
-    near_deg : expected altitude and azimuth, to 3 degrees or 2.5 pixels. Without it the map's
-    brightest spot is examined, which must not be brighter than the sun can be. clipped [H, W] :
-    pixels whose luminance is a lower bound. dni_wm2 : direct irradiance, if known.
+    heading_deg : azimuth of the map's centre. near_deg : expected altitude and azimuth, to 3
+    degrees or 2.5 pixels. Without it the map's brightest spot is examined, which must not be
+    brighter than the sun can be. clipped [H, W] : pixels whose luminance is a lower bound.
+    dni_wm2 : direct irradiance, if known.
 
     A disc is a compact spot. Its brightest pixel exceeds any surface or sky and three times its
     surroundings, and its energy is that of a disc of 1e6 cd/m2 or more. If pixels near `near_deg`
@@ -147,7 +148,8 @@ def add_disc(
 ) -> Floats32:
     """Return maps [n, H, W] with each disc's energy added to the pixel of the sun.
 
-    disc_lx [n] : illuminance on a plane normal to the sun; light : has the sun's positions.
+    disc_lx [n] : illuminance on a plane normal to the sun; light : has the sun's positions;
+    heading_deg : azimuth of the maps' centre.
     """
     place = light.apparent_altitude_deg, light.sun_azimuth_deg
     return add_source(luminance_cdm2, place, disc_lx, heading_deg)
@@ -159,7 +161,12 @@ def add_source(
     normal_lx: Floats,
     heading_deg: float,
 ) -> Floats32:
-    """Return maps [n, H, W] with a small source in each, at altitudes and azimuths [n]."""
+    """Return maps [n, H, W] with a source of one pixel added to each.
+
+    place_deg : altitudes and azimuths [n] of the sources, clockwise from true north.
+    normal_lx [n] : illuminance on a plane normal to their directions; heading_deg : azimuth of the
+    maps' centre.
+    """
     height, width = luminance_cdm2.shape[1:]
     row, column = equirect_pixel(*place_deg, height, width, heading_deg)
     i = np.clip(row.astype(int), 0, height - 1)

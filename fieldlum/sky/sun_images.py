@@ -96,8 +96,9 @@ def bright_spots(
 ) -> list[SunImage]:
     """Return the compact spots of a map [H, W] that no surface in the sun can be as bright as.
 
-    Each has the brightness and the energy that `find_disc` requires. sun [3]: its surroundings are
-    not searched.
+    Each has the brightness and the energy that `find_disc` requires. heading_deg: azimuth of the
+    map's centre; sun [3]: its surroundings are not searched; dni_wm2: of the capture; row: its
+    index, stored in the spots.
     """
     light = np.nan_to_num(np.asarray(luminance_cdm2, np.float32), posinf=0.0, neginf=0.0)
     height, width = light.shape
@@ -147,7 +148,7 @@ def find_mirrors(
     Spots of distant suns that stay in one place, and few among many, are no images.
 
     spots: of all captures, by `bright_spots`; suns [n, 3] and direct_lx [n]: direction of each
-    capture's sun, and its illuminance on a plane normal to it.
+    capture's sun, and its illuminance on a plane normal to it; height: rows of the maps.
     """
     rest = without_lamps(spots, suns, direct_lx, height)
     mirrors = []

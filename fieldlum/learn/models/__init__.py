@@ -94,7 +94,10 @@ FORMAT = 5  # of fitted values in a model's folder
 
 
 def state_of(model: Any, with_patch: bool) -> ModelState:
-    """Return the fields of a dataclass as the content of a model folder, under its name."""
+    """Return the fields of a dataclass as the content of a model folder, under its name.
+
+    with_patch: whether the model uses sun patches.
+    """
     arrays: dict[str, Array] = {}
     table = stored(model, "array", arrays) | {"format": FORMAT}
     return ModelState({"with_patch": with_patch, model.name: table}, arrays)

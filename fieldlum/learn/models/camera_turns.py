@@ -146,9 +146,10 @@ def turned_back(maps: Array, heading_deg: float, angles_deg: Array | Sequence[fl
 def interpolation_u(maps: Array, heading_deg: float, angles_deg: Array | Sequence[float]) -> Array:
     """Return the standard uncertainty that interpolation in `turned_back` causes, [H, W].
 
-    maps: one map [H, W], ln L or another quantity, whose unit the result has. A turn by a fraction
-    f of a pixel mixes neighbours in the picture, and turning it back mixes them again. What remains
-    is f (1 - f) times the range of values among the 3 x 3 neighbours.
+    maps: one map [H, W], ln L or another quantity, whose unit the result has; heading_deg,
+    angles_deg: as for `turned_back`. A turn by a fraction f of a pixel mixes neighbours in the
+    picture, and turning it back mixes them again. What remains is f (1 - f) times the range of
+    values among the 3 x 3 neighbours.
     """
     places = _places(maps.shape, heading_deg, angles_deg)
     part = places - np.floor(places)

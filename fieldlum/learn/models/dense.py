@@ -586,7 +586,7 @@ def _epoch(
 def restore(path: Path, trainer: Trainer, mark: str) -> tuple[Run, dict[str, Tensor]]:
     """Load a checkpoint into the trainer; return its run and its best weights.
 
-    mark: digest of training data, patch mode, seed and form. Raises InputError if it differs, and
+    mark: digest of training data, patch mode, seed and shape. Raises InputError if it differs, and
     for a file that cannot be read or contains other objects than tensors, numbers and texts.
     """
     faults = (Warning, RuntimeError, LookupError, TypeError, EOFError, AttributeError)

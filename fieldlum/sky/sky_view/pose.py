@@ -80,7 +80,8 @@ class CameraPose:
     def with_heading(self, by_deg: float, u_deg: float) -> CameraPose:
         """Return the pose with a measured correction to its heading; what is correlated follows.
 
-        A correction beyond what both uncertainties explain is named, and not used.
+        by_deg, u_deg: measured minus present heading, and its standard uncertainty. A correction
+        beyond what both uncertainties explain is named, and not used.
         """
         text = f"heading {by_deg:+.1f} +- {u_deg:.1f} degrees by the sky's brightness about the sun"
         if abs(by_deg) > _CONTRADICTION * np.hypot(self.heading_sd_deg, u_deg):

@@ -74,10 +74,10 @@ class SkyReference:
 
 
 def sky_reference(luminance: Floats32, light: Light, rays: Floats) -> SkyReference:
-    """Return the directions of `rays` [p, 3] that show the sky. luminance: [n, p], NaN if unusable.
+    """Return those of the directions `rays` that show the sky, and the luminance that they show.
 
-    Those that follow Perez's sky better than other light and are bright come first; what follows
-    the sky that they show is added.
+    luminance, rays: as for `follow`. Those that follow Perez's sky better than other light and are
+    bright come first; what follows the sky that they show is added.
     """
     step = max(1, len(rays) // (10 * SOME))
     luminance, rays = luminance[:, ::step], rays[::step]
@@ -103,7 +103,8 @@ def sky_reference(luminance: Floats32, light: Light, rays: Floats) -> SkyReferen
 def follow(luminance: Floats32, light: Light, rays: Floats, reference: SkyReference) -> Followed:
     """Return how the light of p directions follows the sky over the n captures of `light`.
 
-    luminance: cd/m2 [n, p], NaN if unusable; rays: world axes, x east, y north, z up [p, 3].
+    luminance: cd/m2 [n, p], NaN if unusable; rays: world axes, x east, y north, z up [p, 3];
+    reference: result of `sky_reference`.
     """
     step = max(1, _CHUNK_VALUES // max(len(light), 1))
     parts = []
