@@ -14,4 +14,4 @@ Indices = NDArray[np.intp]
 
 def evenly_spread(count: int, most: int) -> Indices:
     """Return at most `most` of the indices 0 to `count` - 1, evenly from first to last, [k]."""
-    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.intp))
+    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.intp))
