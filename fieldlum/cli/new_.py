@@ -229,7 +229,7 @@ def _camera(dialogue: Dialogue) -> CameraSetup:
 
 
 def site_text(setup: SiteFile) -> str:
-    """Return the text of a SITE.toml with site and camera; `load_site` reads it."""
+    """Return the text of a SITE.toml, without [pyranometer]; `load_site` reads it."""
     import tomli_w
 
     from fieldlum.session.site_toml import site_table

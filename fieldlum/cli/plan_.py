@@ -45,9 +45,9 @@ def command(
       fieldlum plan office-2027 --replan
 
     Options:
-      --set: Which hours of the year to capture.
+      --set: Which hours of the year to capture; best needs --weather.
       --start YYYY-MM-DD: First day, local date. [default: the next possible one]
-      --year: Plan the events of this year.
+      --year: Plan the events of this year, in place of --start.
       --days: Number of days of a month (31), or of the period for even and best (365).
       --count: Number of hours, for even (200) and best (50).
       --weather: Weather year (EPW, TMY3 or CSV), for skies and coverage.

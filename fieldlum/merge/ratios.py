@@ -329,11 +329,11 @@ def exposures_of(
             pairs = bracket_pairs(samples)
     prior = exposure_covariance([s.exposure for s in shots], replace(profile, shutter_law=law.law))
     fit = fit_ratios(pairs if fits else [], prior)
-    exposures = _trust(law, fit, prior, samples, pairs, profile, fits)
+    exposures = _with_uncertainty(law, fit, prior, samples, pairs, profile, fits)
     return scaled(frames, fit.correction), exposures, samples
 
 
-def _trust(
+def _with_uncertainty(
     law: ShutterLaw,
     fit: RatioFit,
     prior: Floats,
@@ -342,6 +342,7 @@ def _trust(
     profile: CameraProfile,
     fits: bool,
 ) -> Exposures:
+    """Return the exposures, with the uncertainty that differences between frames show."""
     residuals = neighbours(pairs, fit.correction)
     u_typical = float(np.median(fit.u_log))
     u_response = 0.0 if profile.camera.kind == "raw" else profile.response.u_rel

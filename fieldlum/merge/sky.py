@@ -189,7 +189,9 @@ def sky_cut(
     heading_deg: float,
     latitude_deg: float,
 ) -> SkyPicture | None:
-    """Return the luminance around what can be sky with the sun's disc; None if no lens sees it.
+    """Return the luminance of directions that the sun reaches in a year; None if no lens sees any.
+
+    Only tiles with a pixel that is clipped or brighter than their surroundings are filled.
 
     views: of each lens at each heading, on the panorama `target`; seen: their blend. heading_deg:
     azimuth of the panorama's centre, clockwise from true north; latitude_deg: of the camera. Pixels

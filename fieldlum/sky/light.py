@@ -4,7 +4,7 @@ A room responds linearly to the sky's patches and to the sun. Its response varie
 sun's direction, except for the sharp sun patch, which is known from geometry or has its own model.
 The kernel is the covariance that follows: linear in the sky vector, linear in the sun's share and
 smooth in its direction; a sun behind all facades adds little. `plan` uses it before any picture
-exists, `models.transport` to learn from pictures.
+exists, `learn.transport` to learn from pictures.
 """
 
 from __future__ import annotations

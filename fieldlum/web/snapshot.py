@@ -402,7 +402,7 @@ class Snapshots:
             return Moment(not busy, captured)
 
     def calendar(self) -> JsonTable:
-        """Return the local days of the plan with the state of each slot.
+        """Return {"days": [{"date", "slots"}]}: the plan's local days with their slots' states.
 
         The states are done, missed, aborted, made up (by another slot), running, to do.
         """

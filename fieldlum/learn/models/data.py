@@ -160,12 +160,12 @@ class Dataset:
 
 
 def sun_of_rows(path: Path, rows: Sequence[PairRow], site: Site) -> tuple[Floats, Floats]:
-    """Return the sun's altitude and azimuth [deg] by the csv; by SPA where the csv has none.
+    """Return the sun's true altitude and its azimuth [deg], [n] each: of the csv, else by SPA.
 
     Raises InputError, naming the line, for rows that contradict each other or the sun: a repeated
     time or picture, a sun position in the csv more than 2.5 degrees from that computed for `site`,
-    and irradiance that is too large or too small for any sky, such as values in kW/m2. path: the
-    csv that the error names.
+    and irradiance that is too large or too small for any sky, such as values in kW/m2. path: of
+    the csv, in whose folder the pictures are.
     """
     times = [row.t_utc for row in rows]
     pictures = [(path.parent / row.panorama).resolve() for row in rows]
@@ -545,8 +545,8 @@ def joined_counts(counts: NDArray[np.float16], has_value: Mask) -> NDArray[np.fl
 def with_sky_view(data: Dataset, file: Path | None = None) -> Dataset:
     """Return the captures with a sky view: of `file`, else their own, else estimated from the maps.
 
-    Captures with blinds or snow are not used for it, unless all have the same. Raises InputError
-    for a file that is not a sky view.
+    file: a sky_view.exr. Captures with blinds or snow are not used for it, unless all have the
+    same. Raises InputError for another file, NotEnoughDataError without a capture by daylight.
     """
     if file is not None:
         return replace(data, sky_view=SkyView.read(file))

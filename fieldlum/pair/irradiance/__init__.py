@@ -346,7 +346,7 @@ def health(
         closure_pass=passed,
         clock_off_s=clock_off,
         marks={(mark.name or "").lower(): count for mark, count in counts.items() if count},
-        warnings=(*_of_log(offset, passed, clock_off, damaged), *_by_day(clean, altitude, top)),
+        warnings=(*_of_log(offset, passed, clock_off, damaged), *_of_day(clean, altitude, top)),
     )
 
 
@@ -393,7 +393,7 @@ _FAULTS = {
 }
 
 
-def _by_day(clean: Series, altitude: Floats, top: Floats) -> Iterator[str]:
+def _of_day(clean: Series, altitude: Floats, top: Floats) -> Iterator[str]:
     """Yield a sentence for each fault that over 5 % of the rows have while the sun is well up."""
     up = altitude > sun.CLEAR_SUN_DEG
     if not up.any():

@@ -80,7 +80,7 @@ class CaptureFile(JsonFile, frozen=True):
 
     @classmethod
     def upgraded(cls, table: JsonTable, path: Path) -> JsonTable:
-        """Return the table with its frames built, and with the times and the slot of old files."""
+        """Return a file's JSON object with frames, and times and slot, which old files lack."""
         rows = enumerate(table.get("frames", ()))
         frames = tuple(frame_from({"index": number, **row}) for number, row in rows)
         if "t_open_utc" not in table:

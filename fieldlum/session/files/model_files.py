@@ -70,7 +70,7 @@ class ModelConfig(JsonFile, frozen=True):
 
     @classmethod
     def upgraded(cls, table: JsonTable, path: Path) -> JsonTable:
-        """Return the table with itself as the state."""
+        """Return a file's JSON object with all its keys as `state` too."""
         return {**table, "state": table}
 
 

@@ -204,7 +204,7 @@ class Sidecar(JsonFile, frozen=True):
 
     @classmethod
     def upgraded(cls, table: JsonTable, path: Path) -> JsonTable:
-        """Return the table with its slot (in its file's name) and with the report built."""
+        """Return a file's JSON object with its slot, from the file's name, and a `MergeReport`."""
         report = MergeReport.from_table(table.get("quality") or {})
         return {"slot": path.stem, **table, "quality": report}
 
