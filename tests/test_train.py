@@ -11,13 +11,14 @@ from click.testing import CliRunner
 from learning_room import dataset, room, write_pairs
 
 from fieldlum.cli import main
+from fieldlum.core.arrays import Floats32
 from fieldlum.core.errors import NotEnoughDataError
-from fieldlum.core.progress import shown_by
+from fieldlum.core.progress import progress, shown_by
 from fieldlum.learn import models, train
 from fieldlum.learn.models import dense
 from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.dense import validation_split
-from fieldlum.learn.models.scores import light_of_year
+from fieldlum.learn.models.scores import expect, light_of_year
 from fieldlum.learn.train import (
     day_folds,
     evaluate_folds,
@@ -27,6 +28,7 @@ from fieldlum.learn.train import (
     year_of,
 )
 from fieldlum.optics.projection import equirect_solid_angles
+from fieldlum.sky.light import Light
 
 DAYS = ("2027-03-19", "2027-03-20", "2027-03-21", "2027-06-20", "2027-06-21", "2027-06-22")
 DATA = dataset(DAYS, height=8)
@@ -192,8 +194,10 @@ def test_the_command(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.contract
-def test_a_model_of_the_same_captures_and_options_is_kept(tmp_path: Path) -> None:
-    """Other captures, options or weights train again, and so does `force`."""
+def test_a_model_of_the_same_captures_and_options_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Other captures, options, weights or arrays train again, and so does `force`."""
     out = tmp_path / "m"
 
     def kept(data: Dataset = DATA, **options: Any) -> bool:
@@ -206,8 +210,25 @@ def test_a_model_of_the_same_captures_and_options_is_kept(tmp_path: Path) -> Non
     assert kept(replace(darker, source="elsewhere/pairs.csv"), seed=1)
     (out / "weights.npz").write_bytes(b"damaged")
     assert [kept(darker, seed=1), kept(darker, seed=1)] == [False, True]
+    with monkeypatch.context() as other_version:
+        other_version.setattr("fieldlum.learn.models.baselines.from_state", lambda: None)
+        assert not kept(darker, seed=1)
     (out / "scores.json").unlink()
     assert not kept(darker, seed=1)
+
+
+@pytest.mark.contract
+def test_the_error_of_a_year_is_one_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    def patches(data: Dataset, light: Light) -> Floats32:
+        progress(1, 2, "sun patches")
+        return np.zeros((len(light), *data.seen.shape), np.float32)
+
+    monkeypatch.setattr(Dataset, "patches", patches)
+    data = replace(DATA, patch_cdm2=np.zeros_like(DATA.luminance_cdm2))
+    shown: list[tuple[int, int, str]] = []
+    with shown_by(lambda *line: shown.append(line)):
+        expect(models.fit("mean", data), data, np.random.default_rng(0))
+    assert {line[1:] for line in shown} == {(150, "error of a year")}
 
 
 @pytest.mark.slow

@@ -240,3 +240,12 @@ def load(folder: Path) -> Fitted:
         finding = f"weights that cannot be used ({error})".replace("\n", " ")
         remedy = "train the model again (fieldlum train)"
         raise InputError(path, finding, "the arrays that config.json describes", remedy) from None
+
+
+def is_usable(folder: Path) -> bool:
+    """Return whether `load` can read the model in a folder, which another version may have made."""
+    try:
+        load(folder)
+    except InputError:
+        return False
+    return True

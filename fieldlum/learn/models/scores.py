@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Array, Floats, Floats32, Mask, evenly_spread
-from fieldlum.core.progress import progress
+from fieldlum.core.progress import progress, quiet, shown_by
 from fieldlum.learn.models import Fitted, Prediction, trusted_hours
 from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.held_out_choice import HeldOutErrors, choice_weights
@@ -363,7 +363,8 @@ def expect(fitted: Fitted, data: Dataset, rng: np.random.Generator) -> YearExpec
     for rows in _chunks(np.arange(n)):
         progress(int(rows[0]), n, "error of a year")
         hours = light[rows]
-        patch = None if data.patch_cdm2 is None else data.patches(hours)
+        with shown_by(quiet):
+            patch = None if data.patch_cdm2 is None else data.patches(hours)
         prediction = fitted.predict(hours, patch)
         expected[rows], trusted[rows] = prediction.expected_mse, trusted_hours(prediction)
     return YearExpectation(float(expected.mean()), float(trusted.mean()), n)

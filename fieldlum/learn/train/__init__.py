@@ -327,7 +327,8 @@ def run(
         "fieldlum": __version__,
     }
     existing = current_note(out / ScoresFile.NAME, inputs, [out / name for name in MODEL_FILES])
-    if not force and existing is not None and existing.get("model_sha256") == _model_sha256(out):
+    same = existing is not None and existing.get("model_sha256") == _model_sha256(out)
+    if same and not force and models.is_usable(out):
         return {**ScoresFile.read(out).table(), "kept": True}
     check_writable(out)
     checkpoint = out / f"checkpoint-{digest([seed, mode, inputs['data']])[:12]}.pt"
