@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from fieldlum.core.errors import NotEnoughDataError
+from fieldlum.core.progress import shown_by
 from fieldlum.core.records import CameraSetup, Room, Site, SiteFile, Window, slot_id
 from fieldlum.learn.models import Prediction, load, save
 from fieldlum.learn.models.data import Dataset
@@ -168,7 +169,10 @@ def test_the_mean_of_two_models_is_no_worse_than_their_mean(tmp_path: Path) -> N
 
     one = mean.fitted.predict(some.light, patches)
     other = mean.stated.predict(some.light, _patch_of(some.light))
-    both = back.predict(some.light, patches)
+    shown: list[tuple[int, int, str]] = []
+    with shown_by(lambda *line: shown.append(line)):
+        both = back.predict(some.light, patches)
+    assert not shown  # a prediction is a step of other work
     bound = mean.share * error(one) + (1.0 - mean.share) * error(other)
     assert error(both) <= bound
     assert (both.expected_mse <= np.maximum(one.expected_mse, other.expected_mse)).all()

@@ -277,8 +277,9 @@ class MeanTransport:
         if stated.physics is None or stated.patch_scale is None:
             return None
         suns, lx, heading_deg = light.apparent_sun_direction, light.direct_lx, stated.heading_deg
-        height = len(stated.seen)
-        return sun_patches(stated.physics.room, suns, lx, height=height, heading_deg=heading_deg)
+        room, height = stated.physics.room, len(stated.seen)
+        with shown_by(quiet):  # a prediction is a step of the work that shows progress
+            return sun_patches(room, suns, lx, height=height, heading_deg=heading_deg)
 
     def with_displaced_patches(self, slip_deg: float) -> MeanTransport:
         """Return the same model with displaced patches, as `Transport.with_displaced_patches`."""
