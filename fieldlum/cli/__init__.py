@@ -66,10 +66,8 @@ class _CommandGroup(InOrder):
     def invoke(self, ctx: click.Context) -> object:
         """Run the command; print expected errors as one line and exit with their code."""
         _hold_standard_files()
-        # Child processes import nothing from the current folder: it may be somebody else's session.
-        os.environ["PYTHONSAFEPATH"] = "1"
         try:
-            with _warnings_as_notes():
+            with _warnings_as_notes(), _children_import_nothing_here():
                 return super().invoke(ctx)
         except FieldlumError as error:
             _complain(ctx, str(error))
@@ -93,6 +91,17 @@ class _CommandGroup(InOrder):
         except KeyboardInterrupt:
             _complain(ctx, "interrupted; start it again to continue")
             sys.exit(INTERRUPTED)
+
+
+@contextmanager
+def _children_import_nothing_here() -> Iterator[None]:
+    """Let Python processes import nothing from the current folder: it may be somebody's session."""
+    before = os.environ.setdefault("PYTHONSAFEPATH", "")
+    os.environ["PYTHONSAFEPATH"] = "1"
+    try:
+        yield
+    finally:
+        os.environ["PYTHONSAFEPATH"] = before
 
 
 @contextmanager
