@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import struct
+import sys
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +14,7 @@ import pytest
 
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Flag
-from fieldlum.optics.images import NO_UNIT, read_exr
+from fieldlum.optics.images import NO_UNIT, opened_exr, read_exr
 
 REC709 = np.array([0.2126, 0.7152, 0.0722])
 SHAPE = (6, 9)
@@ -108,3 +110,27 @@ def test_a_picture_that_claims_too_many_pixels_is_refused_before_decoding(tmp_pa
     path.write_bytes(data.replace(box, struct.pack("<4i", 0, 0, 39_999, 39_999)))
     with pytest.raises(InputError, match="40000 x 40000"):
         read_exr(path)
+
+
+@pytest.mark.contract
+def test_what_another_thread_prints_while_a_picture_is_opened_is_shown(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The watch page reads pictures in threads of a process that prints."""
+    path, read, output = _write(tmp_path / "a.exr", {"RGB": _rgb()}), OpenEXR.File, sys.stdout
+
+    def read_while_another_prints(*arguments: Any, **how: Any) -> Any:
+        other = threading.Thread(target=print, args=("from another thread",))
+        other.start()
+        other.join()
+        print("of OpenEXR" if "broken" in arguments[0] else "", end="")
+        return read(*arguments, **how)
+
+    monkeypatch.setattr(OpenEXR, "File", read_while_another_prints)
+    with opened_exr(path, header_only=True) as exr:
+        assert len(exr.parts) == 1
+    assert set(capsys.readouterr().out.split("\n")) == {"from another thread", ""}
+    broken = path.rename(tmp_path / "broken.exr")
+    with pytest.raises(ValueError, match="of OpenEXR"), opened_exr(broken, header_only=True):
+        pass
+    assert sys.stdout is output

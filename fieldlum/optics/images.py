@@ -15,6 +15,8 @@ import json
 import os
 import re
 import subprocess
+import sys
+import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout, suppress
 from dataclasses import dataclass, replace
@@ -481,6 +483,22 @@ def read_exr(path: Path, part: str = "") -> tuple[Panorama, str]:
     return _on_display_window(panorama, header), view if has_view else ""
 
 
+_OPENING = threading.Lock()  # standard output is one for all threads
+
+
+class _OwnOutput(io.StringIO):
+    """What one thread prints; other threads go on printing to the output of before."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._thread, self._output = threading.get_ident(), sys.stdout
+
+    def write(self, text: str, /) -> int:
+        """Keep the text of the thread that opens a file, and print that of others."""
+        is_own = threading.get_ident() == self._thread
+        return super().write(text) if is_own else self._output.write(text)
+
+
 @contextmanager
 def opened_exr(path: Path, **how: bool) -> Iterator[Any]:
     """Yield a file that OpenEXR has read, `how` it reads it.
@@ -493,9 +511,8 @@ def opened_exr(path: Path, **how: bool) -> Iterator[Any]:
     with path.open("rb") as file:
         if file.read(4) != b"\x76\x2f\x31\x01":
             raise ValueError("not an OpenEXR file")
-    printed = io.StringIO()
     try:
-        with redirect_stdout(printed):
+        with _OPENING, redirect_stdout(_OwnOutput()) as printed:
             exr = OpenEXR.File(str(path), **how)
         if cause := printed.getvalue().removeprefix("Warning: ").strip():
             raise ValueError(cause)

@@ -390,7 +390,7 @@ class Snapshots:
     def moment(self) -> Moment:
         """Return whether no bracket is running or near, and how many slots are captured.
 
-        In such quiet time the computer may compute the answer so far (`web.answer`).
+        In such quiet time the computer may compute the answer so far (`prediction_so_far`).
         """
         with self._lock:
             journal, slots, now, rehearsal, states, _ = self._present()

@@ -442,9 +442,9 @@ def held_out_warnings(fitted: Fitted, data: Dataset) -> list[str]:
     if fitted.held_out_mse is None or len(fitted.held_out_mse) != len(data):
         return []
     weight = choice_weights(data)
-    counted = weight > 0.0
-    errors, weight = np.nan_to_num(fitted.held_out_mse, nan=np.inf)[counted], weight[counted]
-    day, texts = data.days[counted], []
+    judged = weight > 0.0
+    errors, weight = np.nan_to_num(fitted.held_out_mse, nan=np.inf)[judged], weight[judged]
+    day, texts = data.days[judged], []
     days = np.unique(day)
     means = np.array([trimmed_mean(errors[day == d], weight[day == d]) for d in days])
     exceptions = days[(means > POOR_MSE) & (means > 4.0 * np.median(means))]
