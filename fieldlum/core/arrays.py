@@ -12,6 +12,6 @@ Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 
 
-def evenly_spread(count: int, most: int) -> Indices:
-    """Return at most `most` of the indices 0 to `count` - 1, evenly from first to last, [k]."""
-    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.intp))
+def evenly_spread(count: int, maximum: int) -> Indices:
+    """Return up to `maximum` of the indices 0 to `count` - 1, evenly from first to last, [k]."""
+    return np.unique(np.linspace(0, count - 1, min(count, maximum)).astype(np.intp))

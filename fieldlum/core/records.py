@@ -242,10 +242,10 @@ def counted(count: int, noun: str) -> str:
     return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
-def listed(names: Sequence[object], most: int = 5) -> str:
-    """Return the first `most` names and the number of the others, such as "a, b and 3 more"."""
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(map(str, names[:most])) + more
+def listed(names: Sequence[object], maximum: int = 5) -> str:
+    """Return up to `maximum` names, and the number of the others, such as "a, b and 3 more"."""
+    more = f" and {len(names) - maximum} more" if len(names) > maximum else ""
+    return ", ".join(map(str, names[:maximum])) + more
 
 
 def shutter_text(shutter_s: float) -> str:
