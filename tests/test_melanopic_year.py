@@ -119,7 +119,9 @@ def test_the_captures_colour_reaches_the_year(tmp_path: Path) -> None:
         write_panorama(path, white)
     room = room_of(models.read_config(tmp_path / "m"), tmp_path / "m")
     azimuths = np.array([0.0, 180.0])
-    colours = year_of_captures(pairs, room, azimuths)
+    colours = year_of_captures(pairs, room, azimuths, 0.0)
+    of_scale = year_of_captures(pairs, room, azimuths, 0.05)
+    assert of_scale.u_rel == pytest.approx(np.hypot(colours.u_rel, 0.05))
     found = measure(tmp_path / "m", room, data.light[:6], azimuths, melanopic=colours)
     edi, ev = found.views["melanopic_edi_lx"], found.views["ev_lx"]
     # the fit expects warmer light of a low sun than these grey pictures have

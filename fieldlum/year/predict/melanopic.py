@@ -51,7 +51,7 @@ class MelanopicYear:
     kernel, captured : covariance between hours, and the captures' features; coefficients [n, d] :
     kernel(hours, captured) @ coefficients is Ev over the total light outside. weights [3] : of an
     overcast sky, of a sky's clearness, and of the sun; factors [d] : of the view directions;
-    u_rel : relative standard uncertainty, by days held out and by the camera's colour.
+    u_rel : relative standard uncertainty, by days held out and by the camera's colour and scale.
     """
 
     kernel: Kernel
@@ -116,7 +116,7 @@ def fit_year(
 
     light : of the captures; photopic_lx, melanopic_lx : vertical illuminance without the sun's
     disc, [n, d]; days [n] : number of the day of each, for holding days out; u_colour_rel :
-    relative standard uncertainty of the camera's colour; facades : of the room.
+    relative standard uncertainty of the camera's colour and scale; facades : of the room.
     """
     day, ratio, errors = np.array(days), melanopic_lx / photopic_lx, []
 
@@ -168,9 +168,12 @@ def has_colour(pairs: Path) -> bool:
     return melanopic_ratio(read_panorama(picture)) is not None
 
 
-def year_of_captures(pairs: Path, room: ModelRoom, azimuths_deg: Floats) -> MelanopicYear:
+def year_of_captures(
+    pairs: Path, room: ModelRoom, azimuths_deg: Floats, u_scale: float
+) -> MelanopicYear:
     """Fit the ratio to the pictures of a pairs.csv, in view directions [d].
 
+    u_scale: relative standard uncertainty of the camera's scale, which the ratio then includes.
     Raises NotEnoughDataError if no picture has melanopic colour.
     """
     views = panorama_views(room.height, room.width, room.heading_deg, azimuths_deg, room.seen)
@@ -195,4 +198,11 @@ def year_of_captures(pairs: Path, room: ModelRoom, azimuths_deg: Floats) -> Mela
     light = light_at([row.t_utc for row in rows], room.setup.site, dni, dhi)
     days = [row.t_utc.toordinal() for row in rows]
     facades = facades_of(room.setup.room)
-    return fit_year(light, np.array(photopic), np.array(melanopic), days, u_rel, facades)
+    return fit_year(
+        light,
+        np.array(photopic),
+        np.array(melanopic),
+        days,
+        float(np.hypot(u_rel, u_scale)),
+        facades,
+    )

@@ -101,10 +101,12 @@ def run(
     folder = out or default_folder(model_folder)
     occupancy = default_occupancy() if occupancy_path is None else read_occupancy(occupancy_path)
     lit = None if not lamps else Occupancy("off") if lamps == "off" else read_occupancy(Path(lamps))
-    pairs = session.pairs if session is not None and has_colour(session.pairs) else None
+    coloured = session if session is not None and has_colour(session.pairs) else None
     options = {"views": views, "occupancy": occupancy.text, "maps": maps, "seed": seed}
     options |= {"label_shift_min": label_shift_min, "lamps": lit.text if lit else ""}
-    inputs = _files(model_folder, weather_path, sky_view) | options | {"colour": pairs is not None}
+    inputs = (
+        _files(model_folder, weather_path, sky_view) | options | {"colour": coloured is not None}
+    )
     if not force and (existing := _already(folder, inputs)) is not None:
         return PredictedYear(existing, new=False)
     check_writable(folder)
@@ -114,7 +116,10 @@ def run(
     light = _daylight(weather, weather_path, lit)
     azimuths = view_azimuths_deg(room.heading_deg, views)
     hours_used, days = occupied_hours(occupancy, weather.t_utc, weather.site)
-    colours = year_of_captures(pairs, room, azimuths) if pairs else None
+    colours = None
+    if coloured is not None:
+        scale = scale_u_rel(coloured)
+        colours = year_of_captures(coloured.pairs, room, azimuths, scale)
     _delete_earlier_year(folder)
     folder.mkdir(parents=True, exist_ok=True)
     store = blocks.begin_maps(folder, len(light), room) if maps else None
