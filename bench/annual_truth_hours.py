@@ -11,7 +11,7 @@ import numpy as np
 from annual_truth_office import Array
 from numpy.typing import NDArray
 
-from fieldlum.sky.light import Light
+from fieldlum.sky.daylight import Light
 
 YEAR = 2027  # of the labels only; the sun's vectors are the reference's own
 UTC_OFFSET_H = 1.0  # of the weather file

@@ -19,7 +19,7 @@ from rich.console import Console
 
 from fieldlum import capture
 from fieldlum.capture.runner import Live
-from fieldlum.cli.capture_ import panel
+from fieldlum.cli.capture_command import panel
 from fieldlum.core.records import Site, SiteFile, Slot
 from fieldlum.optics.profiles import bracket_exposures, load_camera_profile
 from fieldlum.session import create_session

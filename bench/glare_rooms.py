@@ -20,7 +20,7 @@ from glare_agreement import compare, report, strata
 
 from fieldlum.core.records import CameraSetup, Room, Site, SiteFile, Window
 from fieldlum.room.scene.radiosity import lit_room
-from fieldlum.sky.light import light_at
+from fieldlum.sky.daylight import light_at
 from fieldlum.weather import synthetic_weather
 from fieldlum.year.glare.metrics import glare_directions
 from fieldlum.year.glare.pictures import reference_version

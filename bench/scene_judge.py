@@ -37,7 +37,7 @@ from fieldlum.room.fit.parameters import room_parameters
 from fieldlum.room.fit.pictures import draw as draw_scene
 from fieldlum.room.fit.scene_file import Scene
 from fieldlum.room.fit.stage import judged_scene
-from fieldlum.room.fit.sunny import sunny_hours
+from fieldlum.room.fit.sunny_hours import sunny_hours
 
 Array = NDArray[Any]
 

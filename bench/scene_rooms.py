@@ -43,8 +43,8 @@ from fieldlum.room.simulate.troubles import (
     true_light,
 )
 from fieldlum.sky import sun
-from fieldlum.sky.light import Light, light_at
-from fieldlum.sky.sky_view.sun_discs import sun_earlier
+from fieldlum.sky.daylight import Light, light_at
+from fieldlum.sky.sky_view.measured_discs import sun_earlier
 
 Array = NDArray[Any]
 YEAR = 2027

@@ -19,7 +19,7 @@ from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
 from fieldlum.room.scene.geometry import glass_optics
-from fieldlum.sky.light import Light
+from fieldlum.sky.daylight import Light
 
 Array = NDArray[Any]
 

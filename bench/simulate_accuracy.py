@@ -20,7 +20,7 @@ from fieldlum.optics.profiles import shipped
 from fieldlum.room import simulate
 from fieldlum.room.scene import radiance, view
 from fieldlum.session.site_toml import load_site
-from fieldlum.sky.light import Light, light_at
+from fieldlum.sky.daylight import Light, light_at
 
 HOURS = (
     ("clear noon", datetime(2027, 3, 20, 20, 10, tzinfo=UTC), 750.0, 90.0),

@@ -35,7 +35,7 @@ from fieldlum.room import simulate
 from fieldlum.room.scene import build, disc_visibility
 from fieldlum.room.simulate.fine_windows import fine_windows
 from fieldlum.room.simulate.troubles import CloudyLight
-from fieldlum.sky.light import Light, light_at
+from fieldlum.sky.daylight import Light, light_at
 from fieldlum.sky.sky_view.disc import disc_of_hours, drawn_shares
 from fieldlum.sky.sky_view.estimate import Captured, estimate
 from fieldlum.sky.sky_view.measured_discs import MeasuredDiscs

@@ -19,7 +19,7 @@ import numpy as np
 from transport_office import draw, errors, read
 
 from fieldlum.learn.transport import fit
-from fieldlum.sky.light import Facades, Kernel, greedy_hours, light_features
+from fieldlum.sky.daylight_kernel import Facades, Kernel, greedy_hours, light_features
 
 
 def main() -> None:

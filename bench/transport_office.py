@@ -26,7 +26,7 @@ from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.transport import Transport, fit
 from fieldlum.optics.projection import equirect_solid_angles
 from fieldlum.room.scene import sun_patches
-from fieldlum.sky.light import Light
+from fieldlum.sky.daylight import Light
 from fieldlum.sky.perez import PerezSky
 from fieldlum.sky.sun import SUN_SOLID_ANGLE_SR
 from fieldlum.sky.sun_disc import add_disc, find_disc, without_disc

@@ -27,7 +27,7 @@ from fieldlum.learn.models.data import Dataset, load_pairs
 from fieldlum.learn.models.scores import evaluate, summary, truth
 from fieldlum.learn.train import fit_timed, patch_mode
 from fieldlum.session.files.model_files import ScoreFigures
-from fieldlum.sky.light import Kernel, facades_of, greedy_hours, light_features
+from fieldlum.sky.daylight_kernel import Kernel, facades_of, greedy_hours, light_features
 
 CURVE = {
     "name": "model",

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from click.testing import CliRunner
 
-from fieldlum.cli import main, scene_
+from fieldlum.cli import main, scene_command
 from fieldlum.core.records import Exposure
 from fieldlum.optics.photometry import z_per_cdm2
 from fieldlum.optics.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor, save_profile
@@ -101,7 +101,7 @@ def answers(root: Path) -> dict[str, list[str]]:
         "info frame": ["info", frames[0]],
     }
     found = {name: keys_of(_answer(arguments)) for name, arguments in commands.items()}
-    return {**found, "scene fit": keys_of(scene_.answer_of(read_scene(SCENE)))}
+    return {**found, "scene fit": keys_of(scene_command.answer_of(read_scene(SCENE)))}
 
 
 def _answer(arguments: list[str | Path]) -> Any:

@@ -11,7 +11,7 @@ from fieldlum.learn.models.data import Dataset
 from fieldlum.optics.images import write_panorama
 from fieldlum.optics.projection import equirect_rays
 from fieldlum.sky import sun
-from fieldlum.sky.light import Light, light_at
+from fieldlum.sky.daylight import Light, light_at
 
 SEATTLE = Site("Test room", 47.6, -122.3, "America/Los_Angeles")
 SETUP = SiteFile(SEATTLE, CameraSetup(heading_deg=180.0))

@@ -14,7 +14,7 @@ from fieldlum.room.fit.guess import Guess, guess_of
 from fieldlum.room.scene import sun_patches
 from fieldlum.room.scene.view import look
 from fieldlum.sky import sun
-from fieldlum.sky.light import Light
+from fieldlum.sky.daylight import Light
 
 DAYS = ("2027-03-20", "2027-06-21", "2027-12-21")
 SEATTLE = Site("test room", 47.6, -122.3, "America/Los_Angeles")

@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from fieldlum.calibrate import sensor as linearity
-from fieldlum.cli.calibrate_ import linearity as command
+from fieldlum.cli.calibrate_command import linearity as command
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Exposure
 from fieldlum.merge.frames import Crop, load_raw

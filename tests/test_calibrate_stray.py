@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from fieldlum.calibrate import stray
-from fieldlum.cli.calibrate_ import stray as command
+from fieldlum.cli.calibrate_command import stray as command
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Panorama
 from fieldlum.optics.images import write_panorama

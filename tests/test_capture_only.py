@@ -101,7 +101,7 @@ def test_modules_of_the_page_import_without_them() -> None:
         "import fieldlum.web.server, fieldlum.devices.rpicam, fieldlum.capture.runner\n"
         "import fieldlum.capture.alerts, fieldlum.capture.logger, fieldlum.plan\n"
         "import fieldlum.capture.doctor, fieldlum.capture.import_card\n"
-        "import fieldlum.cli.watch_, fieldlum.cli.log_"
+        "import fieldlum.cli.watch_command, fieldlum.cli.log_command"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
 

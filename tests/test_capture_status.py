@@ -77,7 +77,7 @@ def test_commands_exit_as_documented(rig: Field, tmp_path: Path) -> None:
 def test_live_display(rig: Field, tmp_path: Path) -> None:
     from rich.console import Console
 
-    from fieldlum.cli.capture_ import panel
+    from fieldlum.cli.capture_command import panel
 
     rig.run()
     console = Console(record=True, width=66, file=__import__("io").StringIO())
@@ -90,7 +90,7 @@ def test_live_display(rig: Field, tmp_path: Path) -> None:
 def test_simulated_time_has_an_estimate_of_the_real_time(
     rig: Field, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from fieldlum.cli.capture_ import simulated
+    from fieldlum.cli.capture_command import simulated
 
     rig.run()
     now = iter([0.0, 60.0, 121.0])

@@ -20,7 +20,7 @@ from tiny_field import T0, Field
 from tiny_field import make_session as tiny_session
 
 from fieldlum.capture.runner import Live, Options, run
-from fieldlum.cli.capture_ import panel
+from fieldlum.cli.capture_command import panel
 from fieldlum.core.records import Exposure, Site, SiteFile, Slot
 from fieldlum.devices.clock import FastClock
 from fieldlum.session import Journal, Session, create_session, read_journal

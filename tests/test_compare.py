@@ -29,7 +29,7 @@ from fieldlum.room import simulate
 from fieldlum.room.scene.radiance import octree
 from fieldlum.session import Session, create_session
 from fieldlum.session.files.predict_json import PredictFile
-from fieldlum.sky.light import light_at
+from fieldlum.sky.daylight import light_at
 from fieldlum.year.glare.pictures import panorama_to_fisheye
 from fieldlum.year.glare.single import panorama_glare, picture_glare
 from fieldlum.year.predict import Annual

@@ -16,7 +16,7 @@ from fieldlum.learn.models.scores import evaluate, summary, truth
 from fieldlum.optics.profiles import shipped
 from fieldlum.room.scene import build, disc_visibility
 from fieldlum.session.site_toml import load_site
-from fieldlum.sky.light import Light, light_at
+from fieldlum.sky.daylight import Light, light_at
 from fieldlum.sky.sky_view.disc import disc_lx, disc_source, drawn_discs_lx
 from fieldlum.weather import shipped_seattle
 from fieldlum.year.glare.metrics import dgp_with_disc, glare_directions, sun_per_lx

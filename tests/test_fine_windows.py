@@ -16,7 +16,7 @@ from fieldlum.optics.projection import LensGeometry, lens_pixels
 from fieldlum.room import simulate
 from fieldlum.room.scene.trace import DISC_RAYS, disc_rays
 from fieldlum.room.simulate.fine_windows import fine_windows
-from fieldlum.sky.light import light_at
+from fieldlum.sky.daylight import light_at
 from fieldlum.sky.sky_view.picture import SkyGrid, SkyPicture, read_sky_picture, write_sky_picture
 
 LENS = LensGeometry((150.0, 150.0), 145.0, 180.0, "equidistant")

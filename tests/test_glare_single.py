@@ -278,7 +278,7 @@ def test_more_light_than_the_sun_gives_is_reported(tmp_path: Path) -> None:
 @pytest.mark.contract
 def test_a_metric_of_the_registry_is_in_every_answer(monkeypatch: pytest.MonkeyPatch) -> None:
     """One entry is enough for `glare --json`, `glare --csv` and a year."""
-    from fieldlum.cli.glare_ import csv_rows
+    from fieldlum.cli.glare_command import csv_rows
     from fieldlum.year.glare import metrics
 
     metric = metrics.Metric(lambda view: view.ev_lx / 1000.0, in_year=True)

@@ -32,7 +32,7 @@ from fieldlum.pair.irradiance import (
 from fieldlum.pair.irradiance.days_picture import draw_days
 from fieldlum.session import DayFiles, Session, create_session, day_files, open_session
 from fieldlum.session.files.irradiance_csv import CleanIrradiance
-from fieldlum.sky import light_clock, sun
+from fieldlum.sky import log_clock_offset, sun
 
 NOON = datetime(2027, 6, 21, 20, 10, tzinfo=UTC)
 
@@ -307,19 +307,19 @@ def logged(site: Site, first: datetime, days: int, seed: int = 0) -> tuple[np.nd
 @pytest.mark.parametrize("off_h", [0.0, 1.0, -8.0, 11.0])
 def test_the_light_tells_how_far_a_clock_is_off(site: Site, month: int, off_h: float) -> None:
     t, ghi = logged(site, datetime(2027, month, 18, tzinfo=UTC), 3, seed=month)
-    off = light_clock.clock_off_s(t + 3600.0 * off_h, ghi, site)
-    assert off == pytest.approx(3600.0 * off_h, abs=0.6 * light_clock.CLOCK_WARN_S)
+    off = log_clock_offset.clock_off_s(t + 3600.0 * off_h, ghi, site)
+    assert off == pytest.approx(3600.0 * off_h, abs=0.6 * log_clock_offset.CLOCK_WARN_S)
 
 
 @pytest.mark.analytic
 def test_a_clock_is_judged_by_whole_days_alone() -> None:
     t, ghi = logged(SEATTLE, datetime(2027, 6, 18, tzinfo=UTC), 3)
     around_slots = t % 3600.0 == 1800.0
-    assert light_clock.clock_off_s(t[around_slots], ghi[around_slots], SEATTLE) is None
-    assert light_clock.clock_off_s(t[:100], ghi[:100], SEATTLE) is None
-    assert light_clock.clock_off_s(t, np.full_like(ghi, np.nan), SEATTLE) is None
+    assert log_clock_offset.clock_off_s(t[around_slots], ghi[around_slots], SEATTLE) is None
+    assert log_clock_offset.clock_off_s(t[:100], ghi[:100], SEATTLE) is None
+    assert log_clock_offset.clock_off_s(t, np.full_like(ghi, np.nan), SEATTLE) is None
     assert (
-        light_clock.clock_off_s(t, ghi, Site("Tromso", 69.65, 18.96)) is None
+        log_clock_offset.clock_off_s(t, ghi, Site("Tromso", 69.65, 18.96)) is None
     )  # midnight sun: clouds make the dark
 
 
@@ -344,9 +344,11 @@ def test_an_hour_of_daylight_saving_is_told(tmp_path: Path) -> None:
 def test_a_clock_set_within_the_log_is_light_at_night(after: int, seed: int) -> None:
     """`pair` refuses it, with the first such minute, which is of the day or of the next one."""
     t, ghi = logged(SEATTLE, datetime(2027, 12, 1, 8, tzinfo=UTC), 14, seed=seed)
-    assert not light_clock.lit_at_night(t, ghi, SEATTLE)
+    assert not log_clock_offset.lit_at_night(t, ghi, SEATTLE)
     day = datetime(2027, 12, 15 - after, 8, tzinfo=UTC)
-    found = light_clock.lit_at_night(np.where(t >= day.timestamp(), t + 3600.0, t), ghi, SEATTLE)
+    found = log_clock_offset.lit_at_night(
+        np.where(t >= day.timestamp(), t + 3600.0, t), ghi, SEATTLE
+    )
     assert len(found) > 5 and timedelta(0) < found[0] - day < timedelta(days=2)
 
 

@@ -10,14 +10,13 @@ from learning_room import scaled
 from places import SEATTLE
 
 from fieldlum.core.records import Room, Window
-from fieldlum.sky.light import (
+from fieldlum.sky.daylight import Light, light_at
+from fieldlum.sky.daylight_kernel import (
     Facades,
     Kernel,
-    Light,
     facades_of,
     facades_unknown,
     greedy_hours,
-    light_at,
     light_features,
 )
 

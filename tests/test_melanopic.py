@@ -34,7 +34,7 @@ from fieldlum.optics.profiles import Colour, check_camera
 from fieldlum.optics.projection import direction
 from fieldlum.optics.raw import write_jpeg
 from fieldlum.room.scene.radiance import octree
-from fieldlum.sky.light import light_at
+from fieldlum.sky.daylight import light_at
 
 # X, Y, Z of D65 and of illuminant A (CIE 015:2018, table 7), and their ratios by CIE S 026.
 D65, A = np.array([0.9504, 1.0, 1.0888]), np.array([1.0985, 1.0, 0.3558])

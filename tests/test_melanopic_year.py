@@ -13,7 +13,8 @@ from fieldlum.learn import models
 from fieldlum.optics.images import read_panorama, write_panorama
 from fieldlum.optics.melanopic import attribute_text
 from fieldlum.session.files.hourly_csv import HOUR_COLUMNS, VIEW_COLUMNS, HourlyFile
-from fieldlum.sky.light import Light, facades_of, light_at
+from fieldlum.sky.daylight import Light, light_at
+from fieldlum.sky.daylight_kernel import facades_of
 from fieldlum.year.predict.blocks import measure, room_of
 from fieldlum.year.predict.melanopic import (
     MelanopicYear,

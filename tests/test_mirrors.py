@@ -21,7 +21,7 @@ from fieldlum.learn.models.mirrors import Mirror, read_mirrors, split_images
 from fieldlum.learn.train import fit_and_score, run
 from fieldlum.optics.projection import altitude_azimuth_deg, direction, equirect_rays
 from fieldlum.session.files.predict_json import PredictFile
-from fieldlum.sky.light import Light
+from fieldlum.sky.daylight import Light
 from fieldlum.sky.sun_disc import SunDisc, add_source
 from fieldlum.sky.sun_images import (
     SunImage,

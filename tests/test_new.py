@@ -18,7 +18,7 @@ from places import SEATTLE
 
 from fieldlum.capture.status import next_step
 from fieldlum.cli import main
-from fieldlum.cli.new_ import site_text
+from fieldlum.cli.new_command import site_text
 from fieldlum.core.records import CameraSetup, Exposure, Room, SiteFile, Window
 from fieldlum.optics.profiles import load_camera_profile
 from fieldlum.optics.raw import write_jpeg

@@ -21,7 +21,7 @@ from fieldlum.room import simulate
 from fieldlum.session import Session, create_session
 from fieldlum.session.site_toml import load_site
 from fieldlum.sky import sun
-from fieldlum.sky.light import Light, light_at
+from fieldlum.sky.daylight import Light, light_at
 from fieldlum.year.predict.blocks import ModelRoom, blocks
 
 OFFICE = load_site(shipped("capture_plans") / "seattle-office.toml")

@@ -516,7 +516,7 @@ def test_a_cut_exr_prints_nothing_into_the_answer(
 
 @pytest.mark.contract
 def test_info_gives_a_picture_of_another_program_no_heading(tmp_path: Path) -> None:
-    from fieldlum.cli.info_ import describe
+    from fieldlum.cli.info_command import describe
 
     view = "-vta -vd 0 -1 0 -vu 0 0 1 -vh 180 -vv 180"
     path = tmp_path / "a.exr"

@@ -7,7 +7,7 @@ import pytest
 from places import SEATTLE
 
 from fieldlum.room.scene.geometry import turned
-from fieldlum.sky.light import light_at
+from fieldlum.sky.daylight import light_at
 from fieldlum.sky.perez import cosines, reinhart_patches
 
 RNG = np.random.default_rng(7)

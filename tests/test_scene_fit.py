@@ -9,8 +9,7 @@ from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.records import Site
 from fieldlum.optics.projection import rotation, turned
 from fieldlum.sky import sun
-from fieldlum.sky.sky_view.measured_discs import MeasuredDiscs
-from fieldlum.sky.sky_view.sun_discs import fit_pose, sun_earlier
+from fieldlum.sky.sky_view.measured_discs import MeasuredDiscs, fit_pose, sun_earlier
 
 SEATTLE = Site("office", 47.6, -122.3, "America/Los_Angeles")
 TRUE = {"heading": 1.3, "tilt": 0.4, "roll": -0.3, "clock": 0.1, "scale": 0.004}

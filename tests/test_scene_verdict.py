@@ -23,10 +23,10 @@ from fieldlum.room.fit.fit import SceneFit
 from fieldlum.room.fit.guess import guess_of
 from fieldlum.room.fit.parameters import stated_albedo
 from fieldlum.room.fit.stage import choose_geometry, expected_year, sun_blocks
-from fieldlum.room.fit.sunny import direct_on_windows_lx, sunny_hours
+from fieldlum.room.fit.sunny_hours import direct_on_windows_lx, sunny_hours
 from fieldlum.session.site_toml import site_table
 from fieldlum.sky import sun
-from fieldlum.sky.light import Light, light_at
+from fieldlum.sky.daylight import Light, light_at
 
 SEATTLE = Site("office", 47.6, -122.3, "America/Los_Angeles")
 ROOM = Room(

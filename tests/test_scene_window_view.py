@@ -17,7 +17,7 @@ from fieldlum.room.fit.parameters import glass_parameters, room_parameters, stat
 from fieldlum.room.fit.search import SceneCost, search
 from fieldlum.room.fit.window_view import window_view
 from fieldlum.room.scene.view import look
-from fieldlum.sky.light import Light
+from fieldlum.sky.daylight import Light
 
 EDGES = ("window 1 u0", "window 1 u1", "window 1 z0", "window 1 z1")
 

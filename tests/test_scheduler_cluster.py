@@ -28,7 +28,7 @@ from fieldlum.pair import BracketInterval, write_patches
 from fieldlum.room import simulate
 from fieldlum.session import Session, create_session, remove_scraps
 from fieldlum.session.site_toml import load_site
-from fieldlum.sky.light import light_at
+from fieldlum.sky.daylight import light_at
 from fieldlum.year import predict
 
 pytestmark = [pytest.mark.contract, pytest.mark.slow]

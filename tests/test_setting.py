@@ -20,7 +20,7 @@ from fieldlum.learn.transport.arrays import slip_variance
 from fieldlum.room.fit.misplaced_patches import Setting, scan, settle, warnings_of, with_right_clock
 from fieldlum.room.scene import sun_patches
 from fieldlum.sky import sun
-from fieldlum.sky.light import Light, light_at
+from fieldlum.sky.daylight import Light, light_at
 
 ROOM = Room(
     width_m=5.0,

@@ -26,7 +26,7 @@ from fieldlum.room import simulate
 from fieldlum.room.scene import geometry, radiance, radiosity, view
 from fieldlum.session import open_session
 from fieldlum.session.site_toml import load_site, site_table
-from fieldlum.sky.light import Light, light_at
+from fieldlum.sky.daylight import Light, light_at
 
 OFFICE = load_site(shipped("capture_plans") / "seattle-office.toml")
 SMALL = SiteFile(

@@ -15,7 +15,7 @@ from fieldlum.core.arrays import Floats, Indices
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Room, Site, SiteFile, Window
 from fieldlum.optics.projection import rotation
-from fieldlum.sky.light import Light, light_at
+from fieldlum.sky.daylight import Light, light_at
 from fieldlum.sky.sky_view.disc import disc_lx, disc_of_hours, disc_source, drawn_shares
 from fieldlum.sky.sky_view.estimate import Captured, estimate
 from fieldlum.sky.sky_view.picture import SkyGrid, SkyPicture

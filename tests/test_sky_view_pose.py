@@ -17,9 +17,8 @@ from fieldlum.learn.models.data import take_disc_out as take_out_of_map
 from fieldlum.merge.sky import take_out_disc
 from fieldlum.optics.projection import altitude_azimuth_deg, rotation
 from fieldlum.sky import sun
-from fieldlum.sky.sky_view.measured_discs import MeasuredDiscs
+from fieldlum.sky.sky_view.measured_discs import MeasuredDiscs, scaled
 from fieldlum.sky.sky_view.pose import STATED_SD, CameraPose, open_combination, pose_of_discs
-from fieldlum.sky.sky_view.sun_discs import scaled
 from fieldlum.sky.sun_disc import add_source
 
 TIMES = tuple(

@@ -18,7 +18,7 @@ from fieldlum.learn.transport.solve import basis_of, fit_pixels, patch_scale
 from fieldlum.optics.images import read_panorama, write_panorama
 from fieldlum.room.fit.apply import with_patches
 from fieldlum.room.scene.view import look
-from fieldlum.sky.light import Kernel
+from fieldlum.sky.daylight_kernel import Kernel
 
 SHAPE = (4, 8)
 

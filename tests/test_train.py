@@ -28,7 +28,7 @@ from fieldlum.learn.train import (
     year_of,
 )
 from fieldlum.optics.projection import equirect_solid_angles
-from fieldlum.sky.light import Light
+from fieldlum.sky.daylight import Light
 
 DAYS = ("2027-03-19", "2027-03-20", "2027-03-21", "2027-06-20", "2027-06-21", "2027-06-22")
 DATA = dataset(DAYS, height=8)

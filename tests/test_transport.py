@@ -29,7 +29,8 @@ from fieldlum.learn.transport.solve import (
     solve,
 )
 from fieldlum.optics.projection import equirect_rays
-from fieldlum.sky.light import Kernel, light_at
+from fieldlum.sky.daylight import light_at
+from fieldlum.sky.daylight_kernel import Kernel
 from fieldlum.sky.perez import reinhart_patches
 
 SETUP = SiteFile(SEATTLE, CameraSetup(heading_deg=180.0))

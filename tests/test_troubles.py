@@ -33,7 +33,7 @@ from fieldlum.room.simulate.troubles import (
 from fieldlum.session import Session, create_session
 from fieldlum.session.site_toml import load_site
 from fieldlum.sky import sun
-from fieldlum.sky.light import light_at
+from fieldlum.sky.daylight import light_at
 
 SETUP = load_site(shipped("capture_plans") / "seattle-office.toml")
 HARD = load_troubles(shipped("capture_plans") / "troubles" / "hard.toml")

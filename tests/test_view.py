@@ -155,7 +155,7 @@ def test_a_folder_that_is_no_session_is_named(tmp_path: Path) -> None:
 def test_a_session_shows_its_latest_panorama(tmp_path: Path) -> None:
     from places import SEATTLE
 
-    from fieldlum.cli.view_ import _latest_panorama
+    from fieldlum.cli.view_command import _latest_panorama
     from fieldlum.core.errors import NotEnoughDataError
     from fieldlum.core.records import SiteFile
     from fieldlum.session import create_session

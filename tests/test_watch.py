@@ -28,7 +28,7 @@ from starlette.responses import PlainTextResponse
 from test_session import WRONG_EVENTS
 from tiny_field import LADDER, T0, Field, make_session
 
-from fieldlum.cli import watch_
+from fieldlum.cli import watch_command
 from fieldlum.core.records import IrradianceSample, Panorama, SiteFile, Slot, utc_text
 from fieldlum.devices.clock import FastClock
 from fieldlum.optics.images import write_panorama
@@ -285,7 +285,7 @@ def test_the_code_in_the_terminal_reads_as_the_address() -> None:
 
 @pytest.mark.contract
 def test_the_code_is_white_on_black_in_every_terminal() -> None:
-    shown = click.command()(lambda: watch_._show_lan("http://192.168.178.40:8765/"))
+    shown = click.command()(lambda: watch_command._show_lan("http://192.168.178.40:8765/"))
     assert "\x1b[38;5;231m\x1b[48;5;16m██" in CliRunner().invoke(shown, color=True).stderr
 
 

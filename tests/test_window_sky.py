@@ -15,7 +15,7 @@ from fieldlum.learn.transport.arrays import seen_sky, training_arrays_of
 from fieldlum.optics.projection import equirect_rays
 from fieldlum.room.simulate.troubles import Trouble, Troubles, true_light
 from fieldlum.sky import sun
-from fieldlum.sky.light import Light, light_at
+from fieldlum.sky.daylight import Light, light_at
 from fieldlum.sky.perez import reinhart_patches
 
 SITE = Site("Test room", 47.6, -122.3, "America/Los_Angeles")

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from fieldlum.learn.models import Fitted, Patch
     from fieldlum.learn.models.data import Dataset
     from fieldlum.session import Session
-    from fieldlum.sky.light import Light
+    from fieldlum.sky.daylight import Light
     from fieldlum.year.predict import Annual
     from fieldlum.year.predict.blocks import ModelRoom
 
@@ -114,7 +114,7 @@ class RoomModel:
 
     @staticmethod
     def _checked(light: Light) -> Light:
-        from fieldlum.sky.light import Light
+        from fieldlum.sky.daylight import Light
 
         if not isinstance(light, Light) or not len(light):
             expected = "one hour or more from fieldlum.light_at"
@@ -300,7 +300,7 @@ def light_at(
     """
     import numpy as np
 
-    from fieldlum.sky import light
+    from fieldlum.sky import daylight
 
     if isinstance(times_utc, str | datetime) or not isinstance(times_utc, Iterable):
         times_utc = [times_utc]
@@ -319,7 +319,7 @@ def light_at(
                 "correct it",
             )
         values.append(numbers)
-    return light.light_at(times, place(site), *values)
+    return daylight.light_at(times, place(site), *values)
 
 
 _NO_ARRAY = (TypeError, ValueError)

@@ -27,7 +27,7 @@ from fieldlum.learn.train import fit_timed, held_out_warnings, patch_mode
 from fieldlum.room.fit.apply import with_patches
 from fieldlum.room.fit.misplaced_patches import scan, settle
 from fieldlum.sky import sun
-from fieldlum.sky.light import Light
+from fieldlum.sky.daylight import Light
 
 MIN_HOURS = 8  # hours of training and of test that a condition needs; chosen
 GROSS_MSE = 0.04  # log10 MSE of a gross error: a factor of 1.6

@@ -11,12 +11,18 @@ from pathlib import Path
 
 from fieldlum.capture.disk_writer import Recorder
 from fieldlum.capture.frame_checks import as_taken
-from fieldlum.capture.reconnect import FIRST_PAUSE_S, MAX_PAUSE_S, Keeper, error_text, plain_info
+from fieldlum.capture.reconnect import (
+    FIRST_PAUSE_S,
+    MAX_PAUSE_S,
+    Backoff,
+    Keeper,
+    error_text,
+    plain_info,
+)
 from fieldlum.capture.steady_clock import SteadyClock
 from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import CameraSetup, Exposure, Slot
 from fieldlum.devices import Camera, IlluminanceMeter
-from fieldlum.devices.clock import Backoff
 from fieldlum.session import Session, disk_is_full, sha256, sync_folder
 from fieldlum.session.files.capture_json import CaptureFile, Frame, frame_fields, interval_of
 from fieldlum.session.folder import DeviceTable

@@ -11,12 +11,13 @@ from typing import Literal
 from zoneinfo import ZoneInfo
 
 from fieldlum import devices
+from fieldlum.capture.steady_clock import synchronised
 from fieldlum.core.errors import FieldlumError, InputError
 from fieldlum.core.progress import progress
 from fieldlum.core.records import IrradianceSample, JsonTable, Site, Slot
 from fieldlum.devices import CameraInfo, InstrumentInfo
 from fieldlum.devices.awake import kept_awake
-from fieldlum.devices.clock import Clock, synchronised
+from fieldlum.devices.clock import Clock
 from fieldlum.optics import profiles
 from fieldlum.optics.profiles import CameraProfile, load_camera_profile
 from fieldlum.optics.raw import same_model

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import urlsplit
 
+from fieldlum.capture.reconnect import Backoff
 from fieldlum.core.errors import InputError, input_errors, install_text
-from fieldlum.devices.clock import Backoff
 
 FIRST_PAUSE_S, MAX_PAUSE_S = 30.0, 900.0  # for services that limit requests; a quarter of an hour
 

@@ -8,7 +8,7 @@ from typing import Any, Generic, TypeVar
 
 from fieldlum.core.errors import DeviceError
 from fieldlum.devices import CameraInfo, Device, InstrumentInfo
-from fieldlum.devices.clock import Backoff, Clock
+from fieldlum.devices.clock import Clock
 from fieldlum.session.folder import DeviceTable
 
 # Not measured: the first pause suits a loose plug, and the longest fits into a slot's window.
@@ -22,6 +22,26 @@ def error_text(error: BaseException) -> str:
 
 D = TypeVar("D", bound=Device)
 R = TypeVar("R")
+
+
+class Backoff:
+    """Pauses between tries of something that fails: each is twice the last, up to a limit.
+
+    first_s : the first pause; max_s : the limit.
+    """
+
+    def __init__(self, first_s: float, max_s: float) -> None:
+        self._first_s, self._max_s = first_s, max_s
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin with the first pause again, after a success."""
+        self._pause_s = self._first_s
+
+    def next_s(self) -> float:
+        """Return the next pause [s]."""
+        pause_s, self._pause_s = self._pause_s, min(2.0 * self._pause_s, self._max_s)
+        return pause_s
 
 
 class Keeper(Generic[D]):

@@ -15,11 +15,11 @@ from fieldlum.capture.bracket import NO_CHECKS, BracketCapture, FrameChecks, sho
 from fieldlum.capture.disk_writer import RESERVE_BYTES, Listen, Recorder
 from fieldlum.capture.logger import Logger
 from fieldlum.capture.reconnect import Keeper, error_text, plain_info
-from fieldlum.capture.steady_clock import SteadyClock, boot_id
+from fieldlum.capture.steady_clock import SteadyClock, boot_id, synchronised
 from fieldlum.core.errors import DeviceError, InputError, NotEnoughDataError
 from fieldlum.core.records import Slot, parse_utc
 from fieldlum.devices import Camera, IlluminanceMeter, Pyranometer
-from fieldlum.devices.clock import Clock, FastClock, synchronised
+from fieldlum.devices.clock import Clock, FastClock
 from fieldlum.session import DEFAULT_GRACE_S, Session, disk_is_full, sole_user
 from fieldlum.session.files.capture_json import Frame
 from fieldlum.session.folder import DevicesTable, store_grace, update_session

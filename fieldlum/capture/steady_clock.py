@@ -1,11 +1,14 @@
 """Keep UTC correct when the computer's clock is set or the computer sleeps."""
 
+import ctypes
+import ctypes.util
+import sys
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from fieldlum.devices.clock import Clock, synchronised
+from fieldlum.devices.clock import Clock
 from fieldlum.session import Session
 from fieldlum.session.journal import EventFields
 
@@ -13,6 +16,22 @@ from fieldlum.session.journal import EventFields
 # drift, which is followed. The drift between two checks is far smaller.
 STEP_S = 2.0
 _CLOCK_TOLERANCE = timedelta(minutes=2)  # for a session copied from another computer
+
+
+def synchronised() -> bool | None:
+    """Return whether a time server controls the clock, by Linux's kernel; None if unknown.
+
+    It is the state that `timedatectl` shows as NTPSynchronized.
+    """
+    if not sys.platform.startswith("linux"):
+        return None
+    # struct timex, all zero: with modes 0 the call only reads
+    timex = ctypes.create_string_buffer(512)
+    try:
+        state = ctypes.CDLL(ctypes.util.find_library("c"), use_errno=True).adjtimex(timex)
+    except (OSError, AttributeError):
+        return None
+    return None if state < 0 else state != 5  # TIME_ERROR: not synchronised, <sys/timex.h>
 
 
 def boot_id() -> str:

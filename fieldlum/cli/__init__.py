@@ -61,7 +61,7 @@ class _CommandGroup(InOrder):
         """Return a command, or None for an unknown name."""
         if cmd_name not in COMMANDS:
             return None
-        return import_module(f"fieldlum.cli.{cmd_name}_").command
+        return import_module(f"fieldlum.cli.{cmd_name}_command").command
 
     def invoke(self, ctx: click.Context) -> object:
         """Run the command; print expected errors as one line and exit with their code."""

@@ -1,46 +1,7 @@
 """Provide clocks: the computer's, and a simulated one that can be stepped and suspended."""
 
-import ctypes
-import ctypes.util
-import sys
 import time
 from datetime import UTC, datetime, timedelta
-
-
-def synchronised() -> bool | None:
-    """Return whether a time server controls the clock, by Linux's kernel; None if unknown.
-
-    It is the state that `timedatectl` shows as NTPSynchronized.
-    """
-    if not sys.platform.startswith("linux"):
-        return None
-    # struct timex, all zero: with modes 0 the call only reads
-    timex = ctypes.create_string_buffer(512)
-    try:
-        state = ctypes.CDLL(ctypes.util.find_library("c"), use_errno=True).adjtimex(timex)
-    except (OSError, AttributeError):
-        return None
-    return None if state < 0 else state != 5  # TIME_ERROR: not synchronised, <sys/timex.h>
-
-
-class Backoff:
-    """Pauses between tries of something that fails: each is twice the last, up to a limit.
-
-    first_s : the first pause; max_s : the limit.
-    """
-
-    def __init__(self, first_s: float, max_s: float) -> None:
-        self._first_s, self._max_s = first_s, max_s
-        self.reset()
-
-    def reset(self) -> None:
-        """Begin with the first pause again, after a success."""
-        self._pause_s = self._first_s
-
-    def next_s(self) -> float:
-        """Return the next pause [s]."""
-        pause_s, self._pause_s = self._pause_s, min(2.0 * self._pause_s, self._max_s)
-        return pause_s
 
 
 class Clock:

@@ -29,8 +29,8 @@ from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.session.files.sidecar import Sidecar, warn_if_changed
 from fieldlum.session.panorama_sun import SunRow, write_suns
 from fieldlum.sky import sun
-from fieldlum.sky.light import Light
-from fieldlum.sky.light_clock import lit_at_night
+from fieldlum.sky.daylight import Light
+from fieldlum.sky.log_clock_offset import lit_at_night
 
 
 @dataclass(frozen=True, slots=True)

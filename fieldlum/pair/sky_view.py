@@ -19,7 +19,7 @@ from fieldlum.optics.projection import altitude_azimuth_deg, equirect_pixel
 from fieldlum.pair.sun_strength import is_measured
 from fieldlum.session import Session, replacing_path, sha256
 from fieldlum.session.codec import data_digest
-from fieldlum.sky.light import Light
+from fieldlum.sky.daylight import Light
 from fieldlum.sky.sky_view.disc import disc_of_hours, room_shares
 from fieldlum.sky.sky_view.estimate import Captured, sky_view_of
 from fieldlum.sky.sky_view.measured_discs import read_discs

@@ -9,7 +9,8 @@ from fieldlum.core.arrays import Floats, Indices
 from fieldlum.core.records import Room, Site
 from fieldlum.plan.days import DaylightHours
 from fieldlum.sky import sun
-from fieldlum.sky.light import Features, Kernel, facades_of, greedy_hours, light_at, light_features
+from fieldlum.sky.daylight import light_at
+from fieldlum.sky.daylight_kernel import Features, Kernel, facades_of, greedy_hours, light_features
 from fieldlum.weather import Weather
 
 # The paper's normalisation of irradiances (Liu, Colburn and Inanici 2020). [W/m2]

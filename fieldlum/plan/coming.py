@@ -19,7 +19,8 @@ from fieldlum.session.codec import NPZ_ERRORS, read_arrays
 from fieldlum.session.files.model_files import ModelConfig
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.sky import sun
-from fieldlum.sky.light import Facades, Features, Kernel, greedy_hours, light_at, light_features
+from fieldlum.sky.daylight import light_at
+from fieldlum.sky.daylight_kernel import Facades, Features, Kernel, greedy_hours, light_features
 from fieldlum.weather import Weather
 
 AHEAD_DAYS = 14  # days ahead that are ranked; chosen

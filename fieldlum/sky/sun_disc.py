@@ -19,7 +19,7 @@ from fieldlum.optics.projection import (
     row_altitudes_deg,
     row_solid_angles,
 )
-from fieldlum.sky.light import Light
+from fieldlum.sky.daylight import Light
 from fieldlum.sky.sun import SUN_SOLID_ANGLE_SR
 
 SUN_RADIUS_RAD = 0.004652  # 0.2665 degrees, the mean disc of SUN_SOLID_ANGLE_SR

@@ -31,7 +31,7 @@ from fieldlum.version import __version__
 if TYPE_CHECKING:
     from fieldlum.learn.models.data import Dataset
     from fieldlum.learn.models.mirrors import Mirror
-    from fieldlum.sky.light import Light
+    from fieldlum.sky.daylight import Light
 
 _Part = TypeVar("_Part")
 Patch = Literal["absolute", "gain", "none"]

@@ -39,7 +39,7 @@ from fieldlum.learn.models.data import Dataset
 from fieldlum.optics.projection import equirect_rays, signed_angle_deg
 from fieldlum.session import replacing
 from fieldlum.session.codec import data_digest
-from fieldlum.sky.light import Light
+from fieldlum.sky.daylight import Light
 from fieldlum.sky.perez import reinhart_patches
 
 LOG_TOP = 9.2  # log10 of 1.6e9 cd/m2, the sun's disc (paper)

@@ -19,7 +19,7 @@ from fieldlum.sky.sun import LOW_SUN_DEG, ZERO_OFFSET_WM2
 
 if TYPE_CHECKING:
     from fieldlum.learn.models.data import Dataset
-    from fieldlum.sky.light import Light
+    from fieldlum.sky.daylight import Light
 
 # Share of the weight of the hours with the largest errors that does not count: 1 hour of a day's
 # 10 may have an irradiance that its picture contradicts. Chosen.

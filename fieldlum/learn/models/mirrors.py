@@ -24,7 +24,7 @@ from fieldlum.optics.projection import (
 )
 from fieldlum.session.codec import read_arrays
 from fieldlum.session.files.model_files import ModelConfig
-from fieldlum.sky.light import Light
+from fieldlum.sky.daylight import Light
 from fieldlum.sky.sun_disc import brightest_surface_cdm2, without_disc
 from fieldlum.sky.sun_images import (
     MirrorPlane,

@@ -25,7 +25,7 @@ from fieldlum.learn.models.held_out_choice import HeldOutErrors, choice_weights
 from fieldlum.optics.projection import SEEN
 from fieldlum.session.files.model_files import HeldOutMaps, ScoreFigures
 from fieldlum.sky import sun
-from fieldlum.sky.light import Light, light_at
+from fieldlum.sky.daylight import Light, light_at
 from fieldlum.sky.sky_view.disc import disc_lx
 from fieldlum.sky.sun_disc import add_disc
 from fieldlum.year.glare.metrics import (

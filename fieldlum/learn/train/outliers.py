@@ -18,7 +18,7 @@ from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.held_out_choice import UNSURE, is_badly_measured
 from fieldlum.learn.transport.arrays import MIN_CDM2, pixel_scale, seen_sky, training_arrays_of
 from fieldlum.sky import sun
-from fieldlum.sky.light import LAMP_LX, Kernel
+from fieldlum.sky.daylight_kernel import LAMP_LX, Kernel
 
 MIN_DAYS = 4  # with fewer days it is unclear which day is the exception
 _HEIGHT, _PIXELS = 20, 200  # rows and pixels of the maps that are compared

@@ -51,7 +51,8 @@ from fieldlum.optics.projection import equirect_solid_angles
 from fieldlum.room.scene.patches import sun_patches
 from fieldlum.session.site_toml import site_from_table
 from fieldlum.sky import sun
-from fieldlum.sky.light import Features, Kernel, Light
+from fieldlum.sky.daylight import Light
+from fieldlum.sky.daylight_kernel import Features, Kernel
 
 # Number of pixels, drawn by solid angle, that choose inputs and noise, and that calibrate the
 # uncertainty. Not measured.

@@ -19,7 +19,8 @@ from fieldlum.core.room_states import ADDED, OFF, indicators, parse_state
 from fieldlum.core.statistics import cauchy_weights, nan_percentiles
 from fieldlum.learn.models.held_out_choice import light_variance, weight_of_variance
 from fieldlum.optics.projection import equirect_rays, equirect_solid_angles
-from fieldlum.sky.light import LAMP_LX, Facades, Features, Light, facades_of, light_features
+from fieldlum.sky.daylight import Light
+from fieldlum.sky.daylight_kernel import LAMP_LX, Facades, Features, facades_of, light_features
 from fieldlum.sky.perez import reinhart_patches
 from fieldlum.sky.sun_disc import add_source
 

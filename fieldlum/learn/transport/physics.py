@@ -18,7 +18,7 @@ from fieldlum.optics.projection import equirect_solid_angles, wrapped
 from fieldlum.room.scene import build
 from fieldlum.room.scene.radiosity import FIRST_PIECE, lit_room
 from fieldlum.room.scene.trace import SunPoints, sun_points
-from fieldlum.sky.light import Light, light_at
+from fieldlum.sky.daylight import Light, light_at
 
 # Rows of the panorama of computed light. With 16 rows the error of two days is 1.4 to 1.8 times
 # that of 60 rows, with 40 rows 1.05 to 1.15 times.

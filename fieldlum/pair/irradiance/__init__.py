@@ -19,7 +19,7 @@ from fieldlum.session import Session, day_files, read_day, remove_scraps, sha256
 from fieldlum.session.codec import convert, current_note, write_object
 from fieldlum.session.files.irradiance_csv import DERIVED, MEASURED, CleanIrradiance
 from fieldlum.sky import sun
-from fieldlum.sky.light_clock import CLOCK_WARN_S, clock_off_s
+from fieldlum.sky.log_clock_offset import CLOCK_WARN_S, clock_off_s
 
 # seconds; DIRINT uses neighbouring minutes, but not across a longer gap; chosen
 _SEGMENT_GAP_S = 1800.0

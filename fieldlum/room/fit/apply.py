@@ -15,7 +15,7 @@ from fieldlum.room.fit.scene_file import SCENE_TOML, Scene, read_scene
 from fieldlum.session.files.model_files import UsedScene
 from fieldlum.session.site_toml import site_table
 from fieldlum.sky import sun
-from fieldlum.sky.light import Light
+from fieldlum.sky.daylight import Light
 from fieldlum.sky.sky_view.pose import STATED_SD
 
 # Chosen: larger than the rounding of a panorama's header, smaller than the 0.1 degrees to which

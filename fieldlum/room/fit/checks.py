@@ -15,7 +15,7 @@ from fieldlum.room.fit.evidence import require_box
 from fieldlum.room.fit.guess import guess_of
 from fieldlum.room.fit.renderer import OUTSIDE, surfaces
 from fieldlum.room.scene.view import pixel_rays
-from fieldlum.sky.light import facades_of
+from fieldlum.sky.daylight_kernel import facades_of
 
 # Chosen, not measured: a third of the smallest turn that is reported; a turn beyond what the search
 # corrects for a compass near steel; minimum number of hours that show a pattern.

@@ -16,7 +16,7 @@ from fieldlum.core.records import Room
 from fieldlum.optics.projection import equirect_solid_angles, signed_angle_deg
 from fieldlum.room.fit.guess import Guess, guess_of
 from fieldlum.room.fit.renderer import FLOOR, SHELL, Surfaces, surfaces, unit_patches
-from fieldlum.room.fit.sunny import (
+from fieldlum.room.fit.sunny_hours import (
     MIN_SUNNY_HOURS,
     SUNSHINE_WM2,
     direct_on_windows_lx,
@@ -24,7 +24,7 @@ from fieldlum.room.fit.sunny import (
 )
 from fieldlum.room.scene.view import pixel_rays
 from fieldlum.sky import sun
-from fieldlum.sky.light import Kernel, facades_of, light_features
+from fieldlum.sky.daylight_kernel import Kernel, facades_of, light_features
 
 if TYPE_CHECKING:
     from fieldlum.learn.models.data import Dataset

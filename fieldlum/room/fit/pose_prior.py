@@ -8,8 +8,14 @@ from fieldlum.core.arrays import Floats
 from fieldlum.core.records import Site
 from fieldlum.room.fit.guess import Guess
 from fieldlum.room.fit.parameters import LEVEL_SD_DEG, NORTH_SD_DEG, POSE_NAMES
-from fieldlum.sky.sky_view.measured_discs import MIN_U_DEG, MeasuredDiscs
-from fieldlum.sky.sky_view.sun_discs import MIN_DISCS, NAMES, PoseFit, fit_pose
+from fieldlum.sky.sky_view.measured_discs import (
+    MIN_DISCS,
+    MIN_U_DEG,
+    NAMES,
+    MeasuredDiscs,
+    PoseFit,
+    fit_pose,
+)
 
 # uncertainty of an equidistant model without a lens calibration; chosen, not measured
 _LENS_SCALE_SD = 0.01

@@ -21,7 +21,7 @@ from fieldlum.room.fit.parameters import CLOCK_SD_MIN
 from fieldlum.room.fit.pictures import draw
 from fieldlum.room.fit.pose_prior import pose_note, pose_of, prior_of
 from fieldlum.room.fit.scene_file import Chosen, Scene, write_scene
-from fieldlum.room.fit.sunny import sunny_hours
+from fieldlum.room.fit.sunny_hours import sunny_hours
 from fieldlum.session import Session, check_writable
 from fieldlum.sky.sky_view.measured_discs import read_discs
 

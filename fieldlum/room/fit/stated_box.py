@@ -16,7 +16,7 @@ from fieldlum.room.fit.evidence import gather
 from fieldlum.room.fit.guess import guess_of
 from fieldlum.room.fit.parameters import stated_albedo
 from fieldlum.room.fit.scene_file import Chosen, Scene
-from fieldlum.room.fit.sunny import MIN_SUNNY_HOURS, sunny_hours
+from fieldlum.room.fit.sunny_hours import MIN_SUNNY_HOURS, sunny_hours
 
 # With fewer clear hours, held-out days chose plain recipes for patches of a tape-measured box in
 # two rooms of four, with up to 2.6 times the error.

@@ -43,7 +43,7 @@ from fieldlum.room.scene.trace import (
     sun_points,
 )
 from fieldlum.room.scene.view import SceneView, SurfaceSamples, look, patch_rays
-from fieldlum.sky.light import Light
+from fieldlum.sky.daylight import Light
 from fieldlum.sky.perez import reinhart_index, reinhart_patches
 from fieldlum.sky.sun import horizontal_beam
 

@@ -45,7 +45,7 @@ from fieldlum.session.files.irradiance_csv import CleanIrradiance
 from fieldlum.session.files.pairs_csv import PairRow, write_simulated_pairs
 from fieldlum.session.folder import PlanTable
 from fieldlum.sky import sun
-from fieldlum.sky.light import Light, light_at
+from fieldlum.sky.daylight import Light, light_at
 from fieldlum.sky.sky_view.picture import write_sky_picture
 from fieldlum.weather import (
     NEAR_KM,

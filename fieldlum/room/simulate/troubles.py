@@ -21,7 +21,7 @@ from fieldlum.core.strict_toml import build, read_toml
 from fieldlum.optics.projection import altitude_azimuth_deg, equirect_rays
 from fieldlum.session.codec import digest
 from fieldlum.sky import sun
-from fieldlum.sky.light import Light
+from fieldlum.sky.daylight import Light
 from fieldlum.sky.perez import reinhart_patches
 
 # Sizes of the disturbances. Where no source is stated they are chosen to look like a campaign, not

@@ -11,7 +11,7 @@ import numpy as np
 from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.records import Room, SiteFile
 from fieldlum.optics.projection import direction
-from fieldlum.sky.light import Light
+from fieldlum.sky.daylight import Light
 from fieldlum.sky.sky_view.view import SkyView
 from fieldlum.sky.sun import SUN_SOLID_ANGLE_SR
 from fieldlum.sky.sun_disc import MIN_DISC_CDM2, SUN_RADIUS_RAD

@@ -16,7 +16,7 @@ from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.progress import progress
 from fieldlum.core.records import Site, listed
 from fieldlum.core.room_states import parse_state
-from fieldlum.sky.light import Light
+from fieldlum.sky.daylight import Light
 from fieldlum.sky.sky_view.disc import disc_of_hours
 from fieldlum.sky.sky_view.measured_discs import MeasuredDiscs
 from fieldlum.sky.sky_view.picture import SkyGrid, SkyPicture

@@ -13,8 +13,7 @@ import numpy as np
 from fieldlum.core.arrays import Floats
 from fieldlum.core.records import JsonTable, Site
 from fieldlum.optics.projection import rotation
-from fieldlum.sky.sky_view.measured_discs import MeasuredDiscs
-from fieldlum.sky.sky_view.sun_discs import MIN_DISCS, PoseFit, fit_pose, scaled
+from fieldlum.sky.sky_view.measured_discs import MIN_DISCS, MeasuredDiscs, PoseFit, fit_pose, scaled
 
 # Standard uncertainties of a stated pose: a compass near steel is within 5 degrees (two standard
 # deviations), a spirit level on a camera within 1 degree, a lens profile within 1 %. Chosen.

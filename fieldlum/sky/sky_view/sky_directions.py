@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fieldlum.core.arrays import Floats, Floats32
-from fieldlum.sky.light import Light
+from fieldlum.sky.daylight import Light
 
 # Directions this close to the sun are not used: circumsolar brightness and a lens's flare are not
 # modelled well there (Perez's gradation is steep within 10 degrees).

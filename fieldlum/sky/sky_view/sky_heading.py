@@ -10,7 +10,7 @@ import numpy as np
 
 from fieldlum.core.arrays import Floats, Floats32
 from fieldlum.optics.projection import rotation
-from fieldlum.sky.light import Light
+from fieldlum.sky.daylight import Light
 from fieldlum.sky.sky_view.sky_directions import BEAM_LX, usable_log
 
 _MIN_HOURS, _MIN_DIRECTIONS = 5, 10  # of the estimate, and of an hour in it; chosen

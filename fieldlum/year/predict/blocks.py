@@ -26,7 +26,7 @@ from fieldlum.session import sha256
 from fieldlum.session.files.hourly_csv import HOUR_COLUMNS
 from fieldlum.session.files.model_files import ModelConfig
 from fieldlum.session.site_toml import site_from_table
-from fieldlum.sky.light import Light
+from fieldlum.sky.daylight import Light
 from fieldlum.sky.sky_view.disc import disc_lx, disc_source, drawn_discs_lx
 from fieldlum.sky.sky_view.view import NAME as SKY_VIEW
 from fieldlum.sky.sky_view.view import SkyView

@@ -21,16 +21,8 @@ from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.optics.images import read_panorama
 from fieldlum.optics.melanopic import U_SUN, melanopic_ratio, sun_melanopic_ratio
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
-from fieldlum.sky.light import (
-    MIN_LX,
-    Facades,
-    Features,
-    Kernel,
-    Light,
-    facades_of,
-    light_at,
-    light_features,
-)
+from fieldlum.sky.daylight import MIN_LX, Light, light_at
+from fieldlum.sky.daylight_kernel import Facades, Features, Kernel, facades_of, light_features
 from fieldlum.sky.sun import horizontal_beam
 from fieldlum.year.glare.metrics import map_ev_lx
 from fieldlum.year.glare.sources import panorama_views

@@ -37,7 +37,7 @@ from fieldlum.session.files.predict_json import (
 )
 from fieldlum.session.files.sidecar import newest_sidecar
 from fieldlum.session.site_toml import site_table
-from fieldlum.sky.light import Light, light_at
+from fieldlum.sky.daylight import Light, light_at
 from fieldlum.sky.sky_view.view import NAME as SKY_VIEW
 from fieldlum.sky.sky_view.view import SkyView
 from fieldlum.version import __version__

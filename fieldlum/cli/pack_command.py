@@ -38,7 +38,7 @@ def command(
       --publisher TEXT: Who publishes it and gives the DOI, such as Zenodo or a university.
       --people TEXT: Who can be seen, and how they consented.
     """
-    from fieldlum.report.export import Statement, pack
+    from fieldlum.report.export_and_pack import Statement, pack
 
     if not all(text.strip() for text in (title, *authors, publisher, people)):
         raise click.UsageError("--title, --author, --publisher and --people: write a text")

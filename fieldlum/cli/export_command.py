@@ -24,7 +24,7 @@ def command(session: OpenSession, out: Path | None = None, view_azimuths: Azimut
       --view-azimuth DEG: Direction of the fisheyes, clockwise from true north; can be repeated.
           [default: the camera's heading]
     """
-    from fieldlum.report.export import export
+    from fieldlum.report.export_and_pack import export
 
     with progress("exporting"):
         files = export(session, out or session.root / "export", view_azimuths)

@@ -1,4 +1,4 @@
-"""Describe the light outside: its features for learning, and the kernel between hours.
+"""Compare hours by their light: facades, features of an hour, a kernel, and the choice of hours.
 
 A room responds linearly to the sky's patches and to the sun. Its response varies smoothly with the
 sun's direction, except for the sharp sun patch, which is known from geometry or has its own model.
@@ -11,19 +11,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from fieldlum.core.arrays import Array, Floats, Floats32, Indices
 from fieldlum.core.progress import progress
-from fieldlum.core.records import Room, Site
+from fieldlum.core.records import Room
 from fieldlum.sky import sun
-from fieldlum.sky.perez import PerezSky, perez_coefficients, perez_luminance, reinhart_patches
+from fieldlum.sky.daylight import Light
 
-MIN_LX = 1e-3  # least total light [lx], so that features of a dark hour are finite; chosen
 # Share of a sun behind the facade that still enters, by reflection from ground and surroundings.
 # Chosen, not measured (docs/decisions.md).
 BEHIND = 0.1
@@ -33,125 +30,6 @@ FACING = 0.8
 LAMP_LX = 1000.0  # light outside [lx] at which a lamp's share is about one; chosen
 # Azimuths of the walls relative to the room's south wall.
 WALLS_DEG = {"south": 0.0, "west": 90.0, "north": 180.0, "east": 270.0}
-
-
-@dataclass(frozen=True)
-class Light:
-    """The light outside at n times.
-
-    t_utc: times with a zone; dni_wm2, dhi_wm2: direct normal and diffuse horizontal irradiance [n]
-    W/m2; sun_altitude_deg, sun_azimuth_deg: the sun without refraction, azimuth clockwise from
-    north [n]; perez: skies known from elsewhere (such as a rendering), None to compute them from
-    the irradiance; states: the room's state at each time, as text of
-    `fieldlum.core.room_states`, None for the usual state; refraction: True if pictures show
-    the sun raised by refraction, as a camera does, False if they show it at the true altitude, as
-    some renderings do.
-    """
-
-    t_utc: tuple[datetime, ...]
-    dni_wm2: Floats
-    dhi_wm2: Floats
-    sun_altitude_deg: Floats
-    sun_azimuth_deg: Floats
-    perez: PerezSky | None = None
-    states: tuple[str, ...] | None = None
-    refraction: bool = True
-
-    def __len__(self) -> int:
-        return len(self.t_utc)
-
-    def __getitem__(self, rows: slice | Array | Sequence[int]) -> Light:
-        """Return the times that an index, a boolean array or a slice selects."""
-        index = np.arange(len(self))[rows if isinstance(rows, slice) else np.asarray(rows)]
-        names = ("dni_wm2", "dhi_wm2", "sun_altitude_deg", "sun_azimuth_deg")
-        return replace(
-            self,
-            t_utc=tuple(self.t_utc[i] for i in index),
-            perez=None if self.perez is None else self.perez[index],
-            states=None if self.states is None else tuple(self.states[i] for i in index),
-            **{name: getattr(self, name)[index] for name in names},
-        )
-
-    @cached_property
-    def sky(self) -> PerezSky:
-        """Perez skies at the n times: those of `perez`, else computed from the irradiance."""
-        if self.perez is not None:
-            return self.perez
-        return perez_coefficients(self.dni_wm2, self.dhi_wm2, self.sun_altitude_deg, self.t_utc)
-
-    @cached_property
-    def sun_direction(self) -> Floats:
-        """Unit vectors towards the true sun, [n, 3]: x east, y north, z up; for sky and kernels."""
-        return sun.direction(self.sun_altitude_deg, self.sun_azimuth_deg)
-
-    @cached_property
-    def apparent_altitude_deg(self) -> Floats:
-        """The altitude at which pictures show the sun, [n], in deg."""
-        if not self.refraction:
-            return self.sun_altitude_deg
-        return sun.apparent_altitude_deg(self.sun_altitude_deg)
-
-    @cached_property
-    def apparent_sun_direction(self) -> Floats:
-        """Unit vectors towards the sun in pictures, [n, 3]; for patches, disc and glare."""
-        return sun.direction(self.apparent_altitude_deg, self.sun_azimuth_deg)
-
-    @cached_property
-    def sky_cdm2(self) -> Floats32:
-        """Luminance of the Reinhart sky patches in cd/m2, without the sun, [n, 2305]."""
-        return self.sky_at(reinhart_patches().directions)
-
-    def sky_at(self, directions: Floats) -> Floats32:
-        """Return the sky's luminance in directions [m, 3], without the sun, [n, m], in cd/m2.
-
-        Below the horizon it is that of open ground.
-        """
-        suns = self.sun_direction
-        return perez_luminance(self.sky, suns, directions, dtype=np.float32)  # pyright: ignore
-
-    @property
-    def direct_lx(self) -> Floats:
-        """The sun's illuminance on a plane normal to it, [n], in lx."""
-        return self.sky.direct_lx
-
-    @cached_property
-    def diffuse_lx(self) -> Floats:
-        """The sky's illuminance on the horizontal, summed over the patches, [n], in lx."""
-        patches = reinhart_patches()
-        weights = patches.solid_angles_sr * patches.directions[:, 2]
-        return np.asarray(self.sky_cdm2 @ weights, float)
-
-    @cached_property
-    def total_lx(self) -> Floats:
-        """Sum of the sky's horizontal illuminance and the sun's normal illuminance, [n], in lx.
-
-        Features are divided by it; it is at least 0.001 lx, and not small for a low sun.
-        """
-        return np.maximum(self.diffuse_lx + self.direct_lx, MIN_LX)
-
-    def sky_features(self, sky_cdm2: Floats32) -> Floats32:
-        """Return `Features.sky` of these hours for the luminance of their sky patches, [n, 2305].
-
-        Luminances are multiplied by the root of the patch's solid angle, so that products of two
-        hours are integrals over the sky.
-        """
-        root_solid_angle = np.sqrt(reinhart_patches().solid_angles_sr).astype(np.float32)
-        return sky_cdm2 * root_solid_angle / self.total_lx.astype(np.float32)[:, None]
-
-
-def light_at(times_utc: Sequence[datetime], site: Site, dni_wm2: Floats, dhi_wm2: Floats) -> Light:
-    """Return the light at n times, with the sun's position computed by SPA (NREL).
-
-    dni_wm2, dhi_wm2: direct normal and diffuse horizontal irradiance, [n] or one value for all
-    times [W/m2]. Raises ValueError for times without a zone.
-    """
-    at = sun.position(times_utc, site)
-    dni, dhi = (np.full(len(times_utc), value, float) for value in (dni_wm2, dhi_wm2))
-    return Light(tuple(times_utc), dni, dhi, at.altitude_deg, at.azimuth_deg)
-
-
-# ----------------------------------------------------------------------------------------------
-# facades
 
 
 @dataclass(frozen=True, slots=True)
