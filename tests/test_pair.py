@@ -33,7 +33,7 @@ from fieldlum.core.records import (
 from fieldlum.learn.models.data import load_pairs
 from fieldlum.optics.images import read_panorama, write_panorama
 from fieldlum.pair import irradiance
-from fieldlum.pair.bracket_irradiance import outside
+from fieldlum.pair.bracket_irradiance import irradiance_during
 from fieldlum.pair.sun_strength import completed_sun, measured_sun
 from fieldlum.session import DayFiles, Session, create_session
 from fieldlum.session.files.capture_json import Frame, frame_fields
@@ -60,14 +60,14 @@ def log(seconds: np.ndarray, ghi: np.ndarray, every: float = 5.0) -> CleanIrradi
 def test_statistics_come_from_the_interval_alone() -> None:
     k = np.arange(-60.0, 60.0)
     ghi = np.where((k >= 0) & (k <= 6), 500.0 + 5 * k, 100.0)
-    light = outside(log(k, ghi), NOON, NOON + timedelta(seconds=30))
+    light = irradiance_during(log(k, ghi), NOON, NOON + timedelta(seconds=30))
     assert (light.ghi_wm2, light.dhi_wm2, light.rows, light.why) == (515.0, 103.0, 7, "")
     assert light.steadiness == pytest.approx(30.0 / 515.0)
 
 
 @pytest.mark.analytic
 def test_a_short_bracket_takes_a_row_on_either_side() -> None:
-    light = outside(
+    light = irradiance_during(
         log(np.arange(-9.0, 9.0), np.full(18, 400.0)),
         NOON + timedelta(seconds=1),
         NOON + timedelta(seconds=3),
@@ -80,7 +80,9 @@ def test_a_short_bracket_takes_a_row_on_either_side() -> None:
 def test_stale_data_are_refused(missing: tuple[int, int]) -> None:
     k = np.arange(-20.0, 20.0)
     kept = k[(k < missing[0]) | (k > missing[1])]
-    light = outside(log(kept, np.full(len(kept), 400.0)), NOON, NOON + timedelta(seconds=30))
+    light = irradiance_during(
+        log(kept, np.full(len(kept), 400.0)), NOON, NOON + timedelta(seconds=30)
+    )
     assert light.why.startswith("no irradiance") and np.isnan(light.ghi_wm2)
 
 
@@ -93,12 +95,15 @@ def test_blank_figures_are_no_data_and_say_why() -> None:
         dni_wm2=np.full(40, np.nan),
         flags=np.array(["status"] * 40, object),
     )
-    assert outside(blank, NOON, NOON + timedelta(seconds=30)).why == "irradiance unusable: status"
+    assert (
+        irradiance_during(blank, NOON, NOON + timedelta(seconds=30)).why
+        == "irradiance unusable: status"
+    )
 
 
 @pytest.mark.contract
 def test_coarse_rows_are_refused() -> None:
-    light = outside(
+    light = irradiance_during(
         log(np.arange(-5.0, 5.0), np.full(10, 400.0), every=3600.0),
         NOON,
         NOON + timedelta(seconds=30),
@@ -110,7 +115,7 @@ def test_coarse_rows_are_refused() -> None:
 def test_unsteady_light_is_cautioned_then_refused() -> None:
     k = np.arange(-9.0, 9.0)
     for rise, ok in ((0.2, True), (0.9, False)):
-        light = outside(
+        light = irradiance_during(
             log(k, np.where(k < 3, 400.0, 400.0 * (1 + rise))), NOON, NOON + timedelta(seconds=30)
         )
         assert (light.why == "") is ok and "light changed" in light.caution + light.why
@@ -123,7 +128,7 @@ def test_each_bracket_goes_by_the_logger_of_its_own_time() -> None:
     t = np.r_[slow, fast]
     both = log(t, np.full(len(t), 400.0), every=1.0)
     for moment, rows in ((NOON, 4), (NOON + timedelta(days=1, hours=1), 13)):
-        light = outside(both, moment, moment + timedelta(seconds=60))
+        light = irradiance_during(both, moment, moment + timedelta(seconds=60))
         assert (light.why, light.rows) == ("", rows)
 
 
@@ -132,7 +137,7 @@ def test_exchanged_components_are_refused() -> None:
     """Global and diffuse in each other's column would be hours without any sun."""
     known = log(np.arange(-20.0, 20.0), np.full(40, 400.0))
     exchanged = replace(known, ghi_wm2=known.dhi_wm2, dhi_wm2=known.ghi_wm2, dni_wm2=np.zeros(40))
-    assert "exchanged" in outside(exchanged, NOON, NOON + timedelta(seconds=30)).why
+    assert "exchanged" in irradiance_during(exchanged, NOON, NOON + timedelta(seconds=30)).why
 
 
 @pytest.mark.contract
@@ -140,7 +145,7 @@ def test_a_dead_instrument_and_kilowatts_are_refused_by_day_alone() -> None:
     top = 1400.0
     assert sun.too_weak([0.4, 3.0, 20.0], 20.0, top).tolist() == [True, False, False]
     assert not sun.too_weak([0.0, 0.0], [5.0, -20.0], top).any()
-    light = outside(
+    light = irradiance_during(
         log(np.arange(-20.0, 20.0), np.full(40, 0.4)), NOON, NOON + timedelta(seconds=30)
     )
     taken = pair.BracketInterval("x", Path("x.exr"), NOON, NOON)
@@ -419,7 +424,7 @@ def test_pairing_recovers_the_simulated_light_within_the_instruments_noise(tmp_p
         instrument.close()
         days.close()
     irradiance.run(session)
-    light = outside(
+    light = irradiance_during(
         CleanIrradiance.read(session.irradiance / "clean.csv"), NOON, NOON + timedelta(seconds=40)
     )
     truth = open_world(session, 3).irradiance(NOON + timedelta(seconds=20))

@@ -107,7 +107,7 @@ def test_gathered_light_is_complete(truth: simulate.LitRoom) -> None:
     """Under a luminance of 1 everywhere every point receives pi (glass takes its part
     near the window).
     """
-    total = np.asarray(truth.from_points.sum(axis=1)).ravel()
+    total = np.asarray(truth.point_coefficients.sum(axis=1)).ravel()
     assert total.max() < 1.02 * np.pi
     assert np.median(total) > 0.97 * np.pi
 
@@ -117,8 +117,8 @@ def test_gathered_light_is_complete(truth: simulate.LitRoom) -> None:
 def test_the_same_room_comes_out_the_same() -> None:
     """Fits of one room would otherwise differ from run to run."""
     first, second = (simulate.lit_room(SMALL, height=8, quality="draft") for _ in range(2))
-    assert (first.from_points != second.from_points).nnz == 0
-    assert (first.from_pieces != second.from_pieces).nnz == 0
+    assert (first.point_coefficients != second.point_coefficients).nnz == 0
+    assert (first.piece_coefficients != second.piece_coefficients).nnz == 0
 
 
 @pytest.mark.slow

@@ -58,9 +58,10 @@ class RoomModel:
     def predict(self, light: Light) -> xr.Dataset:
         """Return maps over (time, y, x), with altitude y and azimuth x in degrees.
 
-        Variables: luminance_cdm2 without the sun's disc, log10_sd (its standard deviation) where
-        the model states it, and over time disc_lx (illuminance of the visible disc on a plane
-        normal to the sun), the place of the sun in the picture, trusted and expected_log10_mse.
+        Variables: luminance_cdm2 without the sun's disc; log10_sd, the standard deviation of its
+        log10, only if the model states it. Over time: disc_lx (illuminance of the visible disc on a
+        plane normal to the sun), sun_altitude_deg (apparent, as in pictures), sun_azimuth_deg,
+        trusted, and expected_log10_mse (NaN if the model does not state it).
         Memory grows with the number of hours: 0.4 MB for one at 460 x 230.
         """
         import numpy as np

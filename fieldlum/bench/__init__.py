@@ -74,8 +74,9 @@ def run(
 ) -> JsonTable:
     """Score all models, write tables and a chart into `out`; return what `bench --json` prints.
 
-    Files: bench.md and scores; with `with_stress` stress.csv too. budget_min: minutes of training
-    for the dense network; render_hours: hours for which Radiance is timed.
+    Keys: models: rows of `score_row` and `radiance_row`; chosen, reason: as in `ModelSelection`.
+    Files: bench.md, scores.csv and scores.png; with `with_stress` stress.csv too. budget_min:
+    minutes of training for the dense network; render_hours: hours for which Radiance is timed.
     """
     data, test = loaded.data, loaded.test
     rows: list[Mapping[str, object]] = []

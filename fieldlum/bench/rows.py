@@ -139,6 +139,7 @@ def score_row(
 ) -> tuple[JsonTable, Trial]:
     """Fit one model with one seed on `data`; return its score row and the trial.
 
+    The row has name (label), fit_s, fit_cpu_s [s], n_train, seed, patch and `scores.summary`.
     budget_s: time limit of the training [s]. The test is `test`, or held-out days of `data` if
     None. A trained model is not fitted again. Raises InputError for a trained model without test
     hours.
@@ -184,9 +185,9 @@ PAPER_OPTIONS = ("-ab", "4", "-aa", ".1", "-ar", "512", "-ad", "2048", "-as", "1
 def radiance_row(data: Dataset, hours: int) -> dict[str, object] | None:
     """Return a row of the score table with the seconds that rtrace needs for one map.
 
-    The mean of `hours` bright hours of `data`, at its map size, on one core, with the paper's
-    options. The room is the box of [room]. Its sky is uniform with the hour's illuminance, which
-    costs as much as a Perez sky. Return None without a box room.
+    predict_s_per_map, predict_cpu_s_per_map: mean of `hours` bright hours of `data`, at its map
+    size, on one core, with the paper's options. The room is the box of [room]. Its sky is uniform
+    with the hour's illuminance, which costs as much as a Perez sky. Return None without a box room.
     """
     room = data.setup.room
     if room is None or room.kind != "box" or hours < 1:

@@ -130,7 +130,7 @@ def exit_code(findings: Sequence[Finding]) -> int:
 
 
 def as_table(findings: Sequence[Finding]) -> JsonTable:
-    """Return the object that `doctor --json` prints about the findings."""
+    """Return {"ok", "findings"} of `doctor --json`: ok is True if none failed; `Finding` fields."""
     return {"ok": exit_code(findings) == 0, "findings": [asdict(finding) for finding in findings]}
 
 

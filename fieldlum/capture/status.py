@@ -13,7 +13,15 @@ from fieldlum.session.slot_states import SlotStates, read_slot_states, slots_to_
 
 
 def status(session: Session) -> JsonTable:
-    """Return the object that `status --json` prints: by stage, what is done and still to do."""
+    """Return what each stage of a session has done and still has to do, as `status --json`.
+
+    session, name: folder and site. plan: set, slots, first_utc and last_utc. capture: numbers of
+    slots done, missed, aborted and owed (still to do), frames; next: id of a slot or None;
+    device_lost, clock_steps, suspends: numbers of events; damaged_lines: of the journal.
+    irradiance: days, rows, last (date or None), cleaned. merge, pair: done, owed, usable. train:
+    models with name and class. predict: years, the names. report: done. next_step: see `next_step`.
+    Raises InputError for a file of the session that cannot be read.
+    """
     slots, recorded = session.slots(), read_slot_states(session)
     captured = {slot.id for slot in slots if recorded.state(slot.id).frames}
     merged = {path.stem for path in session.panorama_files()}

@@ -340,9 +340,9 @@ def files_to_picture(
     *,
     heading_deg: float = 180.0,
 ) -> tuple[MergeResult, dict[str, float]]:
-    """Merge files of one heading and write the picture; return the result, and figures by name.
+    """Merge files of one heading and write the picture; return the result, and one figure by name.
 
-    The figure vertical_illuminance_lx is at the camera, on a plane that faces the picture's centre.
+    It is vertical_illuminance_lx, at the camera, on a plane that faces the picture's centre.
     Exposures come from the EXIF; the sun's disc is not searched for. options, heading_deg: as for
     `merge_shots`. Raises InputError for a frame that cannot be merged, or if `out` ends neither in
     .exr nor in .hdr.

@@ -56,7 +56,7 @@ class Verdict:
     report: MergeReport | None = None
 
     def table(self) -> JsonTable:
-        """Return the object that `merge --json` prints for the slot; quality is {} if it failed."""
+        """Return slot, state, text and quality (`MergeReport.table`, {} if the merge failed)."""
         quality = self.report.table() if self.report else {}
         return {"slot": self.slot, "state": self.state, "text": self.text, "quality": quality}
 
@@ -368,7 +368,7 @@ def _thumbnail(path: Path) -> NDArray[np.uint8]:
 
 
 def write_summary(session: Session) -> None:
-    """Write contact sheets and quality.csv of all merged brackets.
+    """Write contact sheets and quality.csv (`QUALITY_COLUMNS`) of all merged brackets.
 
     quality.csv is written last: its date shows that the summary is complete.
     """

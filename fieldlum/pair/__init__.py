@@ -16,7 +16,7 @@ from fieldlum.core.records import Panorama, Site, SiteFile, parse_utc, utc_text
 from fieldlum.core.scheduler import LOCAL, Scheduler, UnitOutcome, WorkUnit, run_each
 from fieldlum.core.strict_toml import plain
 from fieldlum.optics.images import read_panorama, write_panorama
-from fieldlum.pair.bracket_irradiance import Outside, outside
+from fieldlum.pair.bracket_irradiance import BracketIrradiance, irradiance_during
 from fieldlum.pair.sky_view import Shown, shares_of_beam, write_sky_view
 from fieldlum.pair.sun_strength import DNI, SKY_VIEW, completed_sun, is_measured, measured_sun
 from fieldlum.room.scene import sun_patches
@@ -102,7 +102,7 @@ def _slot_time(path: Path) -> datetime:
 
 
 def judge(
-    bracket: BracketInterval, light: Outside, altitude_deg: float, azimuth_deg: float
+    bracket: BracketInterval, light: BracketIrradiance, altitude_deg: float, azimuth_deg: float
 ) -> PairRow:
     """Return the row of pairs.csv for a bracket; `why` has the reason not to use it, or doubts."""
     why = light.why
@@ -170,7 +170,7 @@ def run(session: Session, *, force: bool = False, scheduler: Scheduler = LOCAL) 
     places = sun.position([b.t_utc for b in brackets], setup.site)
     angles = np.stack([places.altitude_deg, places.azimuth_deg], axis=1).tolist()
     rows = [
-        judge(b, outside(log, b.t_open_utc, b.t_close_utc), *at)
+        judge(b, irradiance_during(log, b.t_open_utc, b.t_close_utc), *at)
         for b, at in zip(brackets, angles, strict=True)
     ]
     usable = [k for k, row in enumerate(rows) if row.ok]

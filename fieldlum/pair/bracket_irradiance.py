@@ -10,7 +10,7 @@ from fieldlum.session.files.irradiance_csv import MEASURED, CleanIrradiance
 
 
 @dataclass(frozen=True, slots=True)
-class Outside:
+class BracketIrradiance:
     """Outdoor irradiance during a bracket; NaN is unknown.
 
     why: the reason that this irradiance must not be used, or ""; caution: a doubt about it, or
@@ -29,7 +29,9 @@ class Outside:
     caution: str = ""
 
 
-def outside(log: CleanIrradiance, opened: datetime, closed: datetime) -> Outside:
+def irradiance_during(
+    log: CleanIrradiance, opened: datetime, closed: datetime
+) -> BracketIrradiance:
     """Return the mean irradiance and its steadiness during a bracket, from `opened` to `closed`.
 
     If it has fewer than three rows, those within one row interval before and after it are included.
@@ -44,9 +46,9 @@ def outside(log: CleanIrradiance, opened: datetime, closed: datetime) -> Outside
     near = slice(max(int(first) - 1, 0), int(last) + 1)
     stale = _worst_distance_s(log.t_unix_s[near][usable[near]], start, end)
     if every > 900.0:
-        return Outside(why=f"irradiance was logged only every {every:.0f} s")
+        return BracketIrradiance(why=f"irradiance was logged only every {every:.0f} s")
     if stale > 2.0 * every + 1.0:
-        return Outside(why=_stale_text(log, near, start, end, stale))
+        return BracketIrradiance(why=_stale_text(log, near, start, end, stale))
     inside = usable & (log.t_unix_s >= start) & (log.t_unix_s <= end)
     if inside.sum() < 3:
         inside = usable & (log.t_unix_s >= start - every) & (log.t_unix_s <= end + every)
@@ -75,7 +77,7 @@ def _stale_text(log: CleanIrradiance, near: slice, start: float, end: float, sta
     return f"no irradiance at that time, the nearest row is {stale:.0f} s away"
 
 
-def _statistics(log: CleanIrradiance, rows: Mask) -> Outside:
+def _statistics(log: CleanIrradiance, rows: Mask) -> BracketIrradiance:
     ghi, dhi, dni = (value[rows] for value in (log.ghi_wm2, log.dhi_wm2, log.dni_wm2))
     mean, spread = float(ghi.mean()), float(np.ptp(ghi))
     steadiness = spread / mean if mean > 1.0 else 0.0
@@ -91,7 +93,7 @@ def _statistics(log: CleanIrradiance, rows: Mask) -> Outside:
     derived = [text for text in log.source[rows] if text != MEASURED]
     dhi_mean, dni_mean = (max(float(value.mean()), 0.0) for value in (dhi, dni))
     light = mean, dhi_mean, dni_mean, steadiness, (*derived, MEASURED)[0]
-    return Outside(*light, int(rows.sum()), why, "; ".join(caution))
+    return BracketIrradiance(*light, int(rows.sum()), why, "; ".join(caution))
 
 
 _CHANGED = "light changed"

@@ -38,10 +38,11 @@ from fieldlum.weather import Weather
 
 
 def sun_enters(room: Room, altitude_deg: ArrayLike, azimuth_deg: ArrayLike) -> Mask:
-    """Return a mask [n]: True where the sun at these angles [deg] shines through a window.
+    """Return a mask [n]: True where a sun at these angles shines through a window.
 
+    altitude_deg, azimuth_deg: [n] of the sun as the room receives it, clockwise from true north.
     It shines through if one of 6 x 6 points of the window is lit past reveals, bars and
-    obstructions. azimuth_deg: clockwise from true north. Raises InputError for an impossible room.
+    obstructions. Raises InputError for an impossible room.
     """
     scene = build(room)
     suns = scene.to_room(sun.direction(altitude_deg, azimuth_deg))

@@ -78,9 +78,10 @@ def run(session: Session, weather: Weather, now_utc: datetime) -> JsonTable:
 
     The keys are those of `--json`. model: trained model of the kernel, None for an untrained kernel
     of the facades; captured: number of captures; variance_left_percent: share of the prior variance
-    over the year that they leave; hours: each with the percentage of it that a capture then would
-    remove after those above it, under the mean sky of the season; next_batch: the percentage that
-    the best 25 hours of the year would remove, and whether this pays, from 10 % on.
+    over the year that they leave; hours: slot, t_utc, sun_altitude_deg (true), sun_azimuth_deg,
+    reduction_percent (of the prior variance, by a capture then, after those above it, under the
+    mean sky of the season) and planned of each; next_batch: captures (25), reduction_percent by the
+    best 25 hours of the year, and pays (from 10 % on).
 
     Raises NotEnoughDataError if these days have no more daylight, InputError for a model, pairs or
     plan that cannot be read.

@@ -57,11 +57,11 @@ def export(session: Session, out: Path, azimuths_deg: Sequence[float] = ()) -> l
     """Write everything that a session has, and return the files.
 
     maps/SLOT-AZ.hdr: Radiance fisheyes with VIEW and the sun, facing `azimuths_deg` (clockwise from
-    true north; the camera's heading if empty). sky_view.csv: the share of the sun's beam that
-    arrives from each direction, with its 95 % bounds, empty where no lens saw; sky_view_mask.png:
-    the same as a fisheye. room.rad: the fitted room, else the stated one, in room axes;
-    room.hbjson: the same for honeybee, in true north. pairs.nc, year.nc: netCDF 3 with units.
-    Raises InputError for a damaged file.
+    true north; the camera's heading if empty). sky_view.csv: by altitude_deg and azimuth_deg,
+    beam_share: the share of the sun's beam that arrives from there, with its 95 % bounds low and
+    high, empty where no lens saw; sky_view_mask.png: the same as a fisheye. room.rad: the fitted
+    room, else the stated one, in room axes; room.hbjson: the same for honeybee, in true north.
+    pairs.nc, year.nc: netCDF 3 with units. Raises InputError for a damaged file.
     """
     panoramas = session.panorama_files()
     if not panoramas and not session.annual_folders():
@@ -193,9 +193,10 @@ class Statement(NamedTuple):
 
 
 def pack(session: Session, out: Path, statement: Statement) -> list[str]:
-    """Write the archive `out` (.zip) and return notes for its authors.
+    """Write the archive `out` (.zip) and return notes for its authors, one sentence each.
 
-    Raises InputError for frames whose EXIF has a position, an owner's name or a serial number.
+    Raises InputError if `out` exists, for a session without captures, and for frames whose EXIF has
+    a position, an owner's name or a serial number.
     """
     if out.exists():
         raise InputError(out, "it exists", "a new file", "remove it, or choose another name")

@@ -30,9 +30,13 @@ EventFields = dict[str, Any]
 
 
 class JournalEvent(TypedDict, total=False):
-    """One line of journal.jsonl: event, its kind, such as done; t_utc, ISO time; what is read.
+    """One line of journal.jsonl; event: its kind, such as done; t_utc: ISO time.
 
-    Which keys an event has depends on its kind; other keys are for people.
+    The other keys depend on the kind, and only those that readers use are declared. slot: id; why:
+    reason; attempt: of the bracket, from 1; frame: fields of `Frame`; by_s: how late a bracket
+    began [s]; state: of the room, as ``lamp=on``; text: a remark; device: its name; after_s: how
+    long it was away; seconds: of a sleep; boot_id, boottime_s: of the computer; pid: of the
+    process.
     """
 
     event: Required[str]

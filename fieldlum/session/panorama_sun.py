@@ -34,9 +34,9 @@ _SAME_BOUND_REL = 1e-4  # the EXR attribute has six digits
 class SunRow:
     """The sun of one panorama.
 
-    panorama: path relative to the csv. altitude_deg: apparent; normal_illuminance_lx: on a plane
-    normal to the sun; visible_fraction: of the disc; origin: how the illuminance is known.
-    bound_lx: illuminance that the picture itself records; the row counts only while the two agree.
+    panorama: path relative to the csv. altitude_deg: apparent; azimuth_deg: clockwise from true
+    north; normal_illuminance_lx, visible_fraction, origin: as in `SunSource`. bound_lx: illuminance
+    that the panorama's own file records; if the file records another one now, the row is not used.
     """
 
     panorama: str

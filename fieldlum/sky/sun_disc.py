@@ -100,10 +100,10 @@ def find_disc(
 ) -> SunDisc | None:
     """Return the sun disc in a map [H, W = 2H]; None if there is no disc.
 
-    heading_deg : azimuth of the map's centre. near_deg : expected altitude and azimuth, to 3
-    degrees or 2.5 pixels. Without it the map's brightest spot is examined, which must not be
-    brighter than the sun can be. clipped [H, W] : pixels whose luminance is a lower bound.
-    dni_wm2 : direct irradiance, if known.
+    heading_deg : azimuth of the map's centre. near_deg : expected apparent altitude and azimuth,
+    clockwise from north, correct to 3 degrees or 2.5 pixels. Without it the map's brightest spot is
+    examined, which must not be brighter than the sun can be. clipped [H, W] : pixels whose
+    luminance is a lower bound. dni_wm2 : direct irradiance, if known.
 
     A disc is a compact spot. Its brightest pixel exceeds any surface or sky and three times its
     surroundings, and its energy is that of a disc of 1e6 cd/m2 or more. If pixels near `near_deg`

@@ -62,9 +62,11 @@ class ClickedPicture:
 
 
 def clicked_table(clicked: ClickedRoom) -> JsonTable:
-    """Return a room's lengths [m] and azimuth [deg], with their uncertainties, as JSON.
+    """Return a clicked room as JSON for the page.
 
-    Further keys: faces (where the south wall faces), walls of the windows, misfit_px and notes.
+    rows: {"name", "value", "u"} for each length [m] and angle [deg] of `Room`, windows as
+    window.NUMBER.left_m from 0; faces: compass direction of the south wall; walls: of each window;
+    misfit_px, notes: as in `ClickedRoom`.
     """
     room = clicked.room
     rows = [(name, getattr(room, name)) for name in _NUMBERS_KEPT]

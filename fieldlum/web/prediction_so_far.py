@@ -207,8 +207,9 @@ def _each(process: psutil.Popen, act: str) -> None:
 def read_answer(session: Session) -> JsonTable | None:
     """Return the stored answer (watch/answer.json); None for a missing or damaged file.
 
-    It is the result of one run of `Worker`: its time, number of captures, weather, warnings, the
-    glare class of each view direction over a predicted year, and useful coming hours.
+    It is the result of one run of `Worker`. t_utc: its time; captures: number of captured slots;
+    weather: its name; synthetic: whether it is a synthetic year; warnings: texts; protection: a
+    `DirectionYear` for each view direction; useful: at most eight of the `hours` of `plan --next`.
     """
     try:
         answer = json.loads((session.root / "watch" / "answer.json").read_text(encoding="utf-8"))
@@ -219,8 +220,10 @@ def read_answer(session: Session) -> JsonTable | None:
 
 
 def answer_table(session: Session, worker: Worker | None) -> JsonTable:
-    """Return the last answer (None without one) and the present step.
+    """Return the last answer and what is computed now, as JSON for the page.
 
+    last: `read_answer`, or None; computes: whether this process has a worker; step: what it
+    computes now, ""; problem: error of its last step, ""; least_captures: needed for an answer.
     worker: None if nothing is computed here.
     """
     return {

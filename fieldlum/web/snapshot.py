@@ -147,10 +147,10 @@ def _bin_of(t_utc: datetime) -> int:
 
 
 def scale_of(paths: Sequence[Path]) -> JsonTable:
-    """Return low and high of one scale for several panoramas in cd/m2, see `shared_scale`.
+    """Return {"low", "high", "stamp"}: one scale for several panoramas [cd/m2].
 
-    A panorama that cannot be read is left out: a merge may be writing it. stamp: a text that
-    changes when one of them is written again.
+    low, high: ends by `shared_scale`. stamp: a text that changes when one of them is written again.
+    A panorama that cannot be read is left out: a merge may be writing it.
     """
     ends, stamp = [], 0
     for path in paths:
@@ -200,11 +200,13 @@ def scale_png() -> bytes:
 
 
 def day_curve(day: date, site: Site, bins_of: Callable[[date], DayBins]) -> JsonTable:
-    """Return the irradiance of a local day in bins of 2 min [W/m2], and which bins are flagged.
+    """Return the irradiance of a local day in n bins of two minutes.
 
-    Flagged are values that are impossible for the sun's altitude, and bins with an error that the
-    instrument reported. Bins at night without a reading are omitted; a missing value is None.
-    bins_of: returns those of a UTC day.
+    Lists [n]: minutes (bin's middle after midnight), ghi, dni, dhi and clear_ghi (of a cloudless
+    sky) in W/m2, None for a missing value; flagged: True where the instrument reported an error, or
+    a value is impossible for the sun's altitude. flagged_bins, impossible_bins: number of bins with
+    the first and with the second fault; status: number of rows by reported error. Bins at night
+    without a reading are omitted. bins_of: returns the bins of a UTC day.
     """
     zone = ZoneInfo(site.timezone)
     start = datetime(day.year, day.month, day.day, tzinfo=zone).astimezone(UTC)
@@ -357,7 +359,18 @@ class Snapshots:
         self._findings: tuple[datetime, list[JsonTable]] | None = None
 
     def state(self) -> JsonTable:
-        """Return the present state: next slot, counts, newest picture, devices, events, checks."""
+        """Return the present state of the session, as JSON for the page.
+
+        name, timezone: of the site; folder; now_utc, now_local, today: present time;
+        rehearsal: True if time is simulated; running: whether a capture runs on this computer;
+        counts: number of slots by state (see `calendar`); slots: their number; next: the next slot,
+        as in `calendar`, None if none is left; latest: {"slot", "verdict", "local", "date"} and the
+        scale of the newest panorama, None without one; devices: camera, camera_battery,
+        camera_clock_offset_s [s], and away (UTC since when, by device); irradiance: {"t_utc",
+        "ghi_wm2"} of the last reading or None; disk: {"free_bytes", "days"} (days of captures that
+        fit); computer: `battery`; events: {"level", "text", "local", "times"} each, newest first;
+        findings: of `doctor` without devices; version: changes with the plan and the slots' states.
+        """
         with self._lock:
             present = self._present()
             journal, slots, now, rehearsal, states, merged = present
@@ -402,9 +415,11 @@ class Snapshots:
             return Moment(not busy, captured)
 
     def calendar(self) -> JsonTable:
-        """Return {"days": [{"date", "slots"}]}: the plan's local days with their slots' states.
+        """Return {"days": [{"date", "slots"}]}: the plan's local days with their slots.
 
-        The states are done, missed, aborted, made up (by another slot), running, to do.
+        A slot has slot (its id), t_utc, local, day (texts of its time), state (done, missed,
+        aborted, made up (by another slot), running, to do), picture (whether it is merged),
+        sun_altitude_deg (true) and sun_azimuth_deg.
         """
         with self._lock:
             present = self._present()
@@ -415,9 +430,10 @@ class Snapshots:
             return {"days": [{"date": day, "slots": rows} for day, rows in sorted(days.items())]}
 
     def day(self, day: date) -> JsonTable:
-        """Return a local day's slots with verdicts and pictures, and its irradiance.
+        """Return {"date", "slots", "scale", "irradiance"} of a local day.
 
-        The scale is one for all pictures of the day [cd/m2].
+        slots: as in `calendar`, with `verdict`; scale: `scale_of` all pictures of the day;
+        irradiance: `day_curve`.
         """
         with self._lock:
             present = self._present()

@@ -33,7 +33,7 @@ class Domain:
         return (cosine >= np.cos(np.radians(12.0))) | (light.dni_wm2 < 60.0)
 
 
-def captured(light: Light) -> Domain:
+def domain_of(light: Light) -> Domain:
     """Return the domain of the captures whose light is `light`."""
     return Domain(light.sun_direction[light.dni_wm2 >= 60.0])
 
@@ -84,7 +84,7 @@ def fit_mean(data: Dataset, **_: object) -> MeanFitted:
     for luminance in data.luminance_cdm2:
         # The logarithm needs a value above 0; no camera resolves so little.
         log10 += np.log10(np.maximum(luminance, 1e-3)) / len(data)
-    return MeanFitted(log10.astype(np.float32), captured(data.light))
+    return MeanFitted(log10.astype(np.float32), domain_of(data.light))
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,8 @@ class NearestFitted:
     the map's sun patch (surfaces in direct sun) is replaced by that of the predicted hour.
 
     rest_cdm2: captured maps, without their sun patches if with_patch is True [m, H, W]; features:
-    by `light_features` [m, 5]; scale: by `outside` [m]; domain: range of light in the captures.
+    by `similarity_features` [m, 5]; scale: by `level_wm2` [m]; domain: range of light in the
+    captures.
     """
 
     rest_cdm2: Floats32
@@ -120,9 +121,9 @@ class NearestFitted:
         light is similar to that of the captures are trusted. Raises ValueError without patch_cdm2
         for a model that was fitted with sun patches.
         """
-        distance = ((light_features(light)[:, None] - self.features) ** 2).sum(axis=2)
+        distance = ((similarity_features(light)[:, None] - self.features) ** 2).sum(axis=2)
         near = distance.argmin(axis=1)
-        scale = (outside(light) / self.scale[near]).astype(np.float32)
+        scale = (level_wm2(light) / self.scale[near]).astype(np.float32)
         maps = self.rest_cdm2[near] * scale[:, None, None]
         if self.with_patch:
             if patch_cdm2 is None:
@@ -135,7 +136,7 @@ class NearestFitted:
         return state_of(self, self.with_patch)
 
 
-def light_features(light: Light) -> Floats:
+def similarity_features(light: Light) -> Floats:
     """Return five features of each of n hours, [n, 5]; similar hours have similar values.
 
     With the beam share b = DNI / (DNI + DHI) these are the unit vector to the sun (three values)
@@ -147,7 +148,7 @@ def light_features(light: Light) -> Floats:
     )
 
 
-def outside(light: Light) -> Floats:
+def level_wm2(light: Light) -> Floats:
     """Return the global horizontal irradiance of each hour plus 1 W/m2, [n].
 
     Maps are scaled in proportion to it.
@@ -165,7 +166,9 @@ def fit_nearest(data: Dataset, *, patch: Patch = "absolute", **_: object) -> Nea
     rest, light = data.luminance_cdm2, data.light
     if with_patch and data.patch_cdm2 is not None:
         rest = np.maximum(rest - data.patch_cdm2, np.float32(0.02) * rest)
-    return NearestFitted(rest, light_features(light), outside(light), with_patch, captured(light))
+    return NearestFitted(
+        rest, similarity_features(light), level_wm2(light), with_patch, domain_of(light)
+    )
 
 
 def from_state(state: ModelState) -> MeanFitted | NearestFitted:

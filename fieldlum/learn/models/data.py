@@ -138,8 +138,8 @@ class Dataset:
     def about(self) -> dict[str, object]:
         """Return what a model's config.json records about its training data.
 
-        These are site, heading, height and width, the scene if one was used, and the source, slots
-        and days of the captures.
+        setup: SITE.toml as a table; heading_deg, height, width [px]: of the maps; scene: only if
+        one was used; training: {"source", "slots", "days"} of the captures.
         """
         return {
             "setup": site_table(self.setup),

@@ -34,7 +34,7 @@ from fieldlum.core.arrays import Array, Floats, Floats32
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.progress import progress
 from fieldlum.learn.models import ModelState, Patch, Prediction, rebuilt, stored
-from fieldlum.learn.models.baselines import Domain, captured
+from fieldlum.learn.models.baselines import Domain, domain_of
 from fieldlum.learn.models.data import Dataset
 from fieldlum.optics.projection import equirect_rays, signed_angle_deg
 from fieldlum.session import replacing
@@ -378,7 +378,11 @@ class Trainer:
         self.optimiser = torch.optim.Adam(net.parameters(), fused=True)
 
     def sums(self, pixels: PixelSampler, numbers: Tensor) -> Tensor:
-        """Return [S, T, count] of this process's part of a batch."""
+        """Return three sums over this process's part of a batch, for `loss_value`, [3].
+
+        They are the weighted squared errors, the weighted squared targets (both of encoded
+        luminance), and the number of pixels. numbers: indices of the batch's pairs in `pixels`.
+        """
         scene, direct, target, weight = pixels.batch(numbers[rank() :: world()])
         error = self.net(scene, direct) - target
         count = torch.tensor(float(len(target)), device=target.device)
@@ -405,7 +409,7 @@ class Trainer:
         return loss_value(parts)
 
     def validate(self, pixels: PixelSampler, numbers: Tensor) -> float:
-        """Return the loss at the held-out pixels with these numbers; no weight changes."""
+        """Return the loss of pairs of `pixels`, by index, which training does not use."""
         with torch.no_grad():
             parts = [self.sums(pixels, some).double() for some in numbers.split(self.largest)]
         return loss_value(total(torch.stack(parts).sum(dim=0)))
@@ -426,7 +430,11 @@ class Trainer:
 
 
 def loss_value(parts: Tensor) -> float:
-    """Return the loss MSE + 10 RER of a batch; parts: [S, T, count], see the module."""
+    """Return the loss MSE + 10 RER of a batch (Liu, Colburn and Inanici 2020).
+
+    parts: sums of `Trainer.sums` over all processes [3]. MSE is the first over the third, RER the
+    root of the first over the second.
+    """
     error, target, count = parts.tolist()
     return error / count + 10.0 * math.sqrt(error / max(target, 1e-12))
 
@@ -551,7 +559,7 @@ def fit(
         "device": device.type,
         "validation_slots": [data.slots[i] for i in check],
     }
-    return DenseFitted(net, shape, average, data.heading_deg, patch, captured(data.light), about)
+    return DenseFitted(net, shape, average, data.heading_deg, patch, domain_of(data.light), about)
 
 
 def _epoch(

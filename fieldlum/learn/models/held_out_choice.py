@@ -57,7 +57,10 @@ class HeldOutErrors:
 
 
 def limit_of(values: Floats, weight: Floats, trim: float) -> float:
-    """Return the value that at most a share `trim` of the weight exceeds."""
+    """Return the smallest of the values [n] that at most a share `trim` of the weight exceeds.
+
+    weight: [n], at least 0; n must be at least 1.
+    """
     order = np.argsort(values)
     above = 1.0 - np.cumsum(weight[order]) / weight.sum()
     return float(values[order][np.argmax(above <= trim + 1e-9)])
@@ -77,9 +80,9 @@ def trimmed_mean(values: Floats, weight: Floats, trim: float = TRIM) -> float:
 def difference(candidate: HeldOutErrors, other: HeldOutErrors, name: str) -> tuple[float, float]:
     """Return how much larger an error is than that of another candidate, and its standard error.
 
-    Both candidates have the same hours. The standard error is that of the trimmed mean, by
-    winsorised differences (Tukey and McLaughlin 1963), where only days are independent; it is 0
-    with one day. Both are NaN if no hour has the errors of both.
+    name: of one of `CRITERIA`. Both candidates have the same hours. The standard error is that of
+    the trimmed mean, by winsorised differences (Tukey and McLaughlin 1963), where only days are
+    independent; it is 0 with one day. Both are NaN if no hour has the errors of both.
     """
     a, b = getattr(candidate, name), getattr(other, name)
     rows = np.isfinite(a) & np.isfinite(b) & (candidate.weight > 0.0)

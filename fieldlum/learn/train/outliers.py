@@ -180,7 +180,10 @@ def _days_and_pairs(process: Process, rows: Indices) -> list[Indices]:
 
 
 def find_lamp(process: Process, rows: Indices) -> Indices:
-    """Return the captures of `rows` with a lamp, in the mornings or evenings of some days."""
+    """Return those of the captures `rows` in which a lamp was on, as indices; empty if none.
+
+    A lamp is searched in mornings or evenings, and needs at least three captures.
+    """
     found = Evidence(process, rows)
 
     def gain(lit: Indices) -> float:
@@ -233,9 +236,10 @@ def _other_level(found: Evidence) -> Indices:
 
 
 def find_unexplained(process: Process) -> Indices:
-    """Return the captures of another level, and single ones that contradict the others.
+    """Return the indices of captures whose light contradicts the others; empty if none.
 
-    They are removed one after the other, at most half of all, as long as four days remain.
+    These are groups with another level, and single captures. They are removed one after the other,
+    at most half of all, as long as four days remain.
     """
     judged = rows = np.flatnonzero(process.judged)
     while len(np.unique(process.days[rows])) >= MIN_DAYS:

@@ -634,7 +634,11 @@ class Uncertainty:
         return np.maximum(own - np.einsum("ij,ij->i", cross @ self.inverse, cross), 0.0)
 
     def second_variance(self, hours: Features, captured: Features) -> Array:
-        """Return the variance that remains after the second stage, with its noise, [m]."""
+        """Return the variance of m hours that remains after the second stage, [m].
+
+        It includes the noise of one capture. The second stage corrects light of the sun; its
+        variance is in units of (sun's share of the total light) squared.
+        """
         cross = second_covariance(hours, captured)
         explained = np.einsum("ij,ij->i", cross @ self.second, cross)
         return np.maximum(hours.beam**2 - explained, 0.0) + SECOND_NOISE

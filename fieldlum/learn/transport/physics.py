@@ -152,8 +152,8 @@ def _physics_of(setup: SiteFile) -> Physics:
     count = min(SUN_MODES, len(reflect))
     pictures = np.random.default_rng(0).standard_normal((len(root), count)) * root
     points = lit.smooth.T @ (lit.to_pixels.T @ pictures)
-    first = lit.from_points[:, FIRST_PIECE:].T @ points  # [p, k]
-    bounces = lit.from_pieces[:, FIRST_PIECE:].T.tocsr()
+    first = lit.point_coefficients[:, FIRST_PIECE:].T @ points  # [p, k]
+    bounces = lit.piece_coefficients[:, FIRST_PIECE:].T.tocsr()
     total = first
     # each leaves less than half of the light, so the rest is below a millionth
     for _ in range(20):

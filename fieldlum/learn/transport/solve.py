@@ -127,9 +127,9 @@ class PixelFit:
 
 
 def each_chunk(work: Callable[[slice], None], count: int, size: int = 1024) -> Iterator[int]:
-    """Call `work` for every chunk, on up to eight cores; yield the number of finished pixels.
+    """Call `work(slice)` for chunks of `count` pixels on up to eight cores; yield how many ended.
 
-    size: of a chunk, which limits the memory of the normal matrices to some 100 MB each.
+    size: pixels of a chunk, which limit the memory of the normal matrices to some 100 MB each.
     Meanwhile BLAS uses one thread, because on systems of a hundred unknowns its threads wait for
     each other.
     """
@@ -328,9 +328,10 @@ def patch_scale(arrays: TrainingArrays) -> float:
 
 
 def second_covariance(a: Features, b: Features) -> Array:
-    """Return the covariance of the second stage between hours, [len(a), len(b)].
+    """Return the covariance of the second stage between hours, [len(a), len(b)], without unit.
 
-    It is that of effects of the sun from nearly the same direction.
+    It is the product of the sun's shares of the total light, times a factor that falls from 1 to 0
+    as the two directions of the sun differ. The second stage corrects such hours.
     """
     cosine = np.clip(a.direction @ b.direction.T, -1.0, 1.0)
     return np.outer(a.beam, b.beam) * np.exp((cosine - 1.0) / SECOND_WIDTH**2)

@@ -41,8 +41,8 @@ class Kind:
     """A kind of element.
 
     propose: returns guesses with one element more; parameters: of the element that was added last;
-    gain: share by which it must lower the cost; apart_m: distance from which two proposals are
-    different.
+    gain: share of the cost (0 to 1) by which an element must lower it, to be accepted; apart_m:
+    distance from which two proposals are different.
     """
 
     name: str
@@ -84,29 +84,29 @@ def _shades(guess: Guess) -> Iterator[Guess]:
         sides = ((low, high), (low, middle_u), (middle_u, high))
         for out, tilt, along in product(FACADE_DISTANCES_M, FACADE_ELEVATIONS_DEG, sides):
             top = middle_z + out * float(np.tan(np.radians(tilt)))
-            yield outside(guess, rect, along, (out, out + FACADE_THICKNESS_M), (0.0, top))
+            yield with_box_outside(guess, rect, along, (out, out + FACADE_THICKNESS_M), (0.0, top))
         along = (rect.u_m[0] - CANOPY_OVERHANG_M, rect.u_m[1] + CANOPY_OVERHANG_M)
         within = (0.3 * guess.thickness_m, 0.7 * guess.thickness_m)
         for share in SCREEN_SHARES:
             low_m = rect.z_m[1] - share * (rect.z_m[1] - rect.z_m[0])
-            yield outside(guess, rect, along, within, (low_m, rect.z_m[1]))
+            yield with_box_outside(guess, rect, along, within, (low_m, rect.z_m[1]))
         for gap, depth in product(CANOPY_GAPS_M, CANOPY_DEPTHS_M):
             z = rect.z_m[1] + gap
             out_m = (guess.thickness_m, guess.thickness_m + depth)
-            yield outside(guess, rect, along, out_m, (z, z + CANOPY_THICKNESS_M))
+            yield with_box_outside(guess, rect, along, out_m, (z, z + CANOPY_THICKNESS_M))
 
 
-def outside(
+def with_box_outside(
     guess: Guess,
     rect: WindowRect,
     along: tuple[float, float],
     out: tuple[float, float],
     height: tuple[float, float],
 ) -> Guess:
-    """Return the guess with a box in front of a window.
+    """Return the guess with an opaque box outside, in front of the window `rect`.
 
-    along: its extent along the window's wall; out: outwards from the wall's inner face; height: in
-    height.
+    Extents are (from, to) in m. along: along the window's wall, in room axes; out: outwards from
+    the wall's inner face; height: above the floor.
     """
     axis, side = WALLS[rect.wall]
     across = (guess.size_m[axis] + out[0], guess.size_m[axis] + out[1])

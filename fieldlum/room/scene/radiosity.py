@@ -316,10 +316,12 @@ class Rendering:
 class LitRoom:
     """A room whose light can be computed for any sky and sun; `lit_room` creates it.
 
-    samples, faces : the m points that the pixels show, as `joined` returns them; from_points : CSR
-    [m, columns] their irradiance; smooth : CSR [m, m] means over neighbours on one face; to_pixels
-    : CSR [H W, m] from irradiance to luminance; from_pieces : CSR [p, columns] irradiance of the
-    pieces.
+    samples, faces : the m points that the pixels show, as `joined` returns them. point_coefficients
+    : daylight coefficients, CSR [m, columns]: irradiance [lx] of a point per luminance [cd/m2] of a
+    sky patch, of the plain, or of one of p surface pieces, in this order of columns;
+    piece_coefficients : the same of the pieces, CSR [p, columns]. smooth : CSR [m, m], means over
+    neighbours on one face; to_pixels : CSR [H W, m], luminance of a pixel per irradiance of a
+    point.
     """
 
     setup: SiteFile
@@ -327,10 +329,10 @@ class LitRoom:
     pieces: Pieces
     samples: SurfaceSamples
     faces: NDArray[np.int64]
-    from_points: Any
+    point_coefficients: Any
     smooth: Any
     to_pixels: Any
-    from_pieces: Any
+    piece_coefficients: Any
 
     @cached_property
     def _sun_points(self) -> tuple[SunPoints, SunPoints, SunPoints]:
@@ -364,7 +366,7 @@ class LitRoom:
             out[lit] = points.direct(toward[lit]) * direct_lx[lit, None]
         outdoors = np.zeros((FIRST_PIECE, n), np.float32)
         outdoors[:SKY], outdoors[PLAIN] = light.sky_cdm2.T, light.sky.ground_cdm2
-        points_lx = self.smooth @ (self.from_points @ self.columns(outdoors, sunlit.T))
+        points_lx = self.smooth @ (self.point_coefficients @ self.columns(outdoors, sunlit.T))
         out = np.ascontiguousarray((self.to_pixels @ points_lx).T, np.float32) + shown
         sky = self.view.sky.ravel()
         seen = np.flatnonzero(sky)
@@ -459,7 +461,7 @@ class LitRoom:
         bounces. Sky and plain that are seen through windows are not added. The result is [H W, n],
         cd/m2.
         """
-        return self.to_pixels @ (self.smooth @ (self.from_points @ columns))
+        return self.to_pixels @ (self.smooth @ (self.point_coefficients @ columns))
 
     @cached_property
     def _passes(self) -> int:
@@ -478,11 +480,11 @@ class LitRoom:
 
     @cached_property
     def _outdoors(self) -> Any:
-        return self.from_pieces[:, :FIRST_PIECE].tocsr()
+        return self.piece_coefficients[:, :FIRST_PIECE].tocsr()
 
     @cached_property
     def _bounces(self) -> Any:
-        return self.from_pieces[:, FIRST_PIECE:].tocsr()
+        return self.piece_coefficients[:, FIRST_PIECE:].tocsr()
 
     def as_panorama(self, rendering: Rendering, k: int) -> Panorama:
         """Return moment `k` (from 0) of a rendering as a panorama, with its visible sun apart."""
@@ -537,11 +539,19 @@ def lit_room(
         (np.ones(len(free), np.float32), (free, np.arange(len(free)))), (len(pieces), len(free))
     )
     normals = np.eye(3)[s.axis] * s.sign[:, None]
-    from_points = _gather(scene, pieces, s.position, normals, how.pixel_rays, threads)
+    point_coefficients = _gather(scene, pieces, s.position, normals, how.pixel_rays, threads)
     reach_m = np.linalg.norm(s.position - scene.camera_m, axis=1) * np.pi / height * _SHARED_PX
     smooth = near_light((s.position, faces), (s.position, faces), _SHARED, reach_m)
     luminance = (s.weight * scene.reflectance[s.box] / np.pi).astype(np.float32)
     to_pixels = csr_matrix((luminance, (s.pixel, np.arange(m))), (2 * height**2, m))
     return LitRoom(
-        setup, view, pieces, s, faces, from_points, smooth, to_pixels, (spread @ gathered).tocsr()
+        setup,
+        view,
+        pieces,
+        s,
+        faces,
+        point_coefficients,
+        smooth,
+        to_pixels,
+        (spread @ gathered).tocsr(),
     )

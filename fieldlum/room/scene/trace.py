@@ -29,9 +29,11 @@ DISC_RAYS = "disc_rays"
 def nearest_box(
     low: Floats, high: Floats, origins: Floats, directions: Floats
 ) -> tuple[Floats, NDArray[np.int32], NDArray[np.int8], NDArray[np.int8]]:
-    """Return distance, box, and axis and sign of the face, of the first hit of n rays [n, 3] each.
+    """Return distance [m], box, and axis and sign of the face, [n] each, where n rays first hit.
 
-    low, high: corners of the boxes [b, 3] m.
+    low, high: corners of the boxes [b, 3] m; origins, directions: of the rays [n, 3]. Without a hit
+    the distance is inf and the box -1. axis: 0 to 2 of the face's normal; sign: 1 or -1, towards
+    the ray's origin. Boxes that contain the origin are ignored.
     """
     count = len(directions)
     distance, box = np.full(count, np.inf), np.full(count, -1, np.int32)

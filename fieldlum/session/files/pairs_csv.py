@@ -99,7 +99,7 @@ class PairsFile:
         return cls.read(path) if path.is_file() else cls(path, ())
 
     def write(self) -> None:
-        """Write all rows without their state and refraction; NaN becomes an empty cell."""
+        """Write `PAIR_COLUMNS` of all rows, which lack state and refraction; NaN: an empty cell."""
         with sealed(self.path):
             write_csv(self.path, (asdict(row) for row in self.rows), PAIR_COLUMNS)
 

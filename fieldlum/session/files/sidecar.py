@@ -179,9 +179,9 @@ class Sidecar(JsonFile, frozen=True):
     """The content of panoramas/SLOT.json, the sidecar of a merged panorama.
 
     t_utc: middle of the bracket; verdict: "good", or what to check; report: the key `quality`; sun:
-    None without a disc; profile: its name, and the sha256 of its file; factors: of the merge, by
-    name; inputs: what the result depends on; sha256: of the panorama, "" in a file of 0.1.0;
-    software: versions.
+    None without a disc; profile: its name, and the sha256 of its file; factors: k, y_from_rgb and
+    u_percent (of k, colour, glare_floor) of the merge; inputs: what the result depends on; sha256:
+    of the panorama, "" in a file of 0.1.0; software: versions.
     """
 
     EXPECTED = "the sidecar of a merged panorama"

@@ -211,7 +211,7 @@ COLUMNS = (
 
 
 def write_budgets(path: Path, budgets: Iterable[tuple[str, Budget]]) -> None:
-    """Write (file, budget) pairs as CSV: a row for each source, then one for the combined u."""
+    """Write (file, budget) pairs as csv with `COLUMNS`: a row a source, then one of the total u."""
     rows: list[tuple[object, ...]] = []
     for name, b in budgets:
         head = (name, b.figure, f"{b.azimuth_deg:g}", f"{b.estimate:.6g}", b.unit)

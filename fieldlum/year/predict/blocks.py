@@ -404,7 +404,10 @@ def room_figures(
 
 
 def discs_of(room: ModelRoom, light: Light, seed: int) -> tuple[Floats, Floats]:
-    """Return the disc's illuminance normal to the sun, [n] lx, and random draws of it, [k, n]."""
+    """Return the disc's illuminance normal to the sun [n] lx, and random draws of it [k, n] lx.
+
+    The disc is that which the lens sees, 0 where it is hidden. seed: of the draws.
+    """
     rng = np.random.default_rng([seed, 2])
     view, setup = room.sky_view, room.setup
     return disc_lx(view, setup, light), drawn_discs_lx(view, setup, light, rng)
