@@ -14,7 +14,7 @@ import numpy as np
 
 from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError, NotEnoughDataError, input_errors
-from fieldlum.core.records import Site
+from fieldlum.core.records import Site, SiteFile
 from fieldlum.core.strict_csv import lines_of, read_text
 from fieldlum.optics.profiles import shipped
 from fieldlum.optics.projection import direction
@@ -98,6 +98,19 @@ def shipped_seattle(site: Site | None = None) -> Weather:
 
 # ----------------------------------------------------------------------------------------------
 # checks and repairs
+
+
+def weather_for(setup: SiteFile, path: Path | None = None, seed: int = 1) -> Weather:
+    """Return the weather year of the file `path`.
+
+    Without a file, return the shipped year of Seattle for a site within 30 km of it, and a
+    synthetic year drawn by `seed` for other sites.
+    """
+    if path is not None:
+        return read_weather(path, setup.site)
+    if distance_km(setup.site, SHIPPED_SITE) <= NEAR_KM:
+        return shipped_seattle(setup.site)
+    return synthetic_weather(setup.site, seed)
 
 
 def distance_km(a: Site, b: Site) -> float:

@@ -28,14 +28,7 @@ from fieldlum.sky import sun
 from fieldlum.sky.daylight import Light, light_at
 from fieldlum.sky.sky_view.disc import disc_lx
 from fieldlum.sky.sun_disc import add_disc
-from fieldlum.year.glare.metrics import (
-    RAMMG_LEVELS,
-    contrast_levels,
-    dgp_with_disc,
-    glare_directions,
-    sun_per_lx,
-    view_coverage,
-)
+from fieldlum.year.glare import metrics
 from fieldlum.year.glare.sources import Views, panorama_views, view_azimuths_deg
 
 FLOOR_CDM2 = 1.0  # paper
@@ -142,15 +135,15 @@ def truth(data: Dataset, *, glare: bool = True) -> Truth:
     azimuths_deg = view_azimuths_deg(data.heading_deg)
     views = panorama_views(*data.shape, data.heading_deg, azimuths_deg, data.seen)
     d = len(views.azimuths_deg)
-    dgp, ev, contrast = (np.full((n, k), np.nan) for k in (d, d, RAMMG_LEVELS))
+    dgp, ev, contrast = (np.full((n, k), np.nan) for k in (d, d, metrics.RAMMG_LEVELS))
     for rows in _chunks(np.flatnonzero(with_glare)):
         part = data.take(rows)
         suns, maps = part.light.apparent_sun_direction, part.luminance_cdm2
-        glare_of = glare_directions(maps, views, suns, part.disc_lx)
+        glare_of = metrics.glare_directions(maps, views, suns, part.disc_lx)
         dgp[rows], ev[rows] = glare_of["dgp"], glare_of["ev_lx"]
         contrast[rows] = _contrast(maps, part)
     own_disc = disc_lx(data.sky_view, data.setup, data.light) if glare else np.full(n, np.nan)
-    full = np.array(view_coverage(views).words) == SEEN
+    full = np.array(metrics.view_coverage(views).words) == SEEN
     full = full if full.any() else np.ones(d, bool)
     weight = choice_weights(data)
     return Truth(data, data.weights, views, with_glare, dgp, contrast, ev, full, weight, own_disc)
@@ -164,7 +157,7 @@ def _chunks(rows: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
 def _contrast(maps: Floats32, data: Dataset) -> Floats:
     """Return the contrast of each pyramid level with the true disc, [n, levels]; mean: RAMMG."""
     with_disc = add_disc(maps, data.light, data.disc_lx, data.heading_deg)
-    return np.array([contrast_levels(image) for image in with_disc])
+    return np.array([metrics.contrast_levels(image) for image in with_disc])
 
 
 def evaluate(fitted: Fitted, test: Truth) -> Scores:
@@ -232,10 +225,10 @@ def _glare_errors(
         return
     judged, maps = part.take(with_glare), prediction.luminance_cdm2[with_glare]
     suns = judged.light.apparent_sun_direction
-    glare = glare_directions(maps, test.views, suns, judged.disc_lx)
+    glare = metrics.glare_directions(maps, test.views, suns, judged.disc_lx)
     true_dgp, true_ev = test.dgp[rows[with_glare]], test.ev_lx[rows[with_glare]]
     own_lx = test.own_disc_lx[rows[with_glare]]
-    in_use = dgp_with_disc(glare, sun_per_lx(suns, test.views), own_lx)
+    in_use = metrics.dgp_with_disc(glare, metrics.sun_per_lx(suns, test.views), own_lx)
 
     def mean(values: Floats) -> Floats:
         return values[:, test.full].mean(axis=1)

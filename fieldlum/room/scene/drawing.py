@@ -64,13 +64,10 @@ def _draw_plan(axes: Axes, room: Room) -> None:
     centred: dict[str, Any] = {"ha": "center", "va": "center", "textcoords": "offset points"}
     for number, (o, window) in enumerate(zip(build(room).openings, room.window, strict=True), 1):
         x, y = ((o.inner_m, o.inner_m), o.u_m)[:: 1 if o.axis == 0 else -1]
-        axes.plot(
-            x, y, color=BLUE, lw=7, solid_capstyle="butt", clip_on=False, gid=f"window{number}"
-        )
-        label, middle = (
-            f"window {number}, {window.width_m:g} m",
-            (float(np.mean(x)), float(np.mean(y))),
-        )
+        line = {"color": BLUE, "lw": 7, "solid_capstyle": "butt", "gid": f"window{number}"}
+        axes.plot(x, y, clip_on=False, **line)
+        label = f"window {number}, {window.width_m:g} m"
+        middle = (float(np.mean(x)), float(np.mean(y)))
         inwards = (-14 * o.outward, 0) if o.axis == 0 else (0, -14 * o.outward)
         axes.annotate(label, middle, inwards, **centred, rotation=0 if o.axis else 90)
     for name, turn in WALL_TURN_DEG.items():

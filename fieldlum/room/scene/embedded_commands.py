@@ -21,11 +21,8 @@ _MAX_SHOWN = 80  # characters of a command in a message
 
 def commands(path: Path) -> list[str]:
     """Return the command lines of a room file and of the files that they name, as text."""
-    return [text for data in _files(path) for text in _commands_in(data)]
-
-
-def _commands_in(data: bytes) -> list[str]:
-    return [found.decode("ascii", "replace").strip() for found in _COMMAND.findall(data)]
+    found = (line for data in _files(path) for line in _COMMAND.findall(data))
+    return [line.decode("ascii", "replace").strip() for line in found]
 
 
 def _runs(data: bytes, suffix: str) -> bool:
@@ -68,9 +65,7 @@ def what_runs(path: Path) -> Subject | None:
 
     Its digest covers the file and the files that its commands name.
     """
-    if not path.is_file():
-        return None
-    if not _runs(path.read_bytes(), path.suffix):
+    if not path.is_file() or not _runs(path.read_bytes(), path.suffix):
         return None
     return subject("room", str(path.resolve()), *_files(path))
 

@@ -246,25 +246,27 @@ def _opening(room: Room, window: Window, where: str) -> Opening:
     axis, side = WALLS[window.wall]
     length = room.width_m if axis == 1 else room.depth_m
     top = window.sill_m + window.height_m
-    fits = (
-        window.left_m >= 0
-        and window.left_m + window.width_m <= length + _ROUNDING_M
-        and 0 <= window.sill_m <= top <= room.height_m + _ROUNDING_M
-    )
-    if not fits or window.width_m <= 0 or window.height_m <= 0:
-        along = f"from {window.left_m:g} to {window.left_m + window.width_m:g} m along the wall"
+    right = window.left_m + window.width_m
+    fits = 0 <= window.left_m < right <= length + _ROUNDING_M
+    if not fits or not 0 <= window.sill_m < top <= room.height_m + _ROUNDING_M:
+        along = f"from {window.left_m:g} to {right:g} m along the wall"
         wall = wall_named(window.wall, room.wall_azimuth_deg)
         finding = f"a window {along}, {window.sill_m:g} to {top:g} m above the floor"
         expected = f"a window inside the {wall} of {length:g} x {room.height_m:g} m"
         raise InputError(where, finding, expected, "correct the window")
     high_end = length - window.left_m - window.width_m
     start = high_end if window.wall in FROM_HIGH_END else window.left_m
-    inner = 0.0 if side == 0 else (room.width_m if axis == 0 else room.depth_m)
-    outward = 1 if side else -1
-    outer = inner + outward * room.wall_thickness_m
+    inner, outer = _faces_m(room, window.wall)
     span = (max(start, 0.0), min(start + window.width_m, length))
     heights = (window.sill_m, min(top, room.height_m))
-    return Opening(axis, outward, inner, outer, span, heights, window.transmittance)
+    return Opening(axis, 2 * side - 1, inner, outer, span, heights, window.transmittance)
+
+
+def _faces_m(room: Room, wall: str) -> tuple[float, float]:
+    """Return the inside and the outside of a wall along the axis of its normal, m."""
+    axis, side = WALLS[wall]
+    inner = side * (room.width_m, room.depth_m)[axis]
+    return inner, inner + (2 * side - 1) * room.wall_thickness_m
 
 
 def _check_overlap(openings: tuple[Opening, ...], where: str) -> None:
@@ -284,13 +286,11 @@ def _wall_boxes(room: Room, wall: str, openings: tuple[Opening, ...]) -> Iterato
     The ends of the strips are the reveals.
     """
     axis, side = WALLS[wall]
-    outward = 1 if side else -1
-    holes = [o for o in openings if (o.axis, o.outward) == (axis, outward)]
+    holes = [o for o in openings if (o.axis, o.outward) == (axis, 2 * side - 1)]
     t = room.wall_thickness_m
     # South and north walls include the corners; west and east walls are between them.
     first, last = (-t, room.width_m + t) if axis == 1 else (0.0, room.depth_m)
-    inner = 0.0 if side == 0 else (room.depth_m if axis == 1 else room.width_m)
-    n0, n1 = sorted((inner, inner + outward * t))
+    n0, n1 = sorted(_faces_m(room, wall))
     edges = sorted({first, last, *(u for o in holes for u in o.u_m)})
     for u0, u1 in pairwise(edges):
         cut = sorted(o.z_m for o in holes if o.u_m[0] <= u0 and u1 <= o.u_m[1])

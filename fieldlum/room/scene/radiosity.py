@@ -18,30 +18,10 @@ from numpy.typing import NDArray
 from fieldlum.core.arrays import Floats, Floats32, Indices, Mask
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Panorama, Room, SiteFile, SunSource
-from fieldlum.optics.images import (
-    RADIANCE_CHROMATICITIES,
-    RADIANCE_LM_PER_W,
-    RADIANCE_Y,
-    rgb_to_xyz,
-)
-from fieldlum.optics.melanopic import (
-    ATTRIBUTE,
-    MELANOPIC_FROM_XYZ,
-    U_CHART,
-    attribute_text,
-    sky_xyz,
-    sun_xyz,
-)
+from fieldlum.optics import images, melanopic
 from fieldlum.optics.projection import equirect_rays
+from fieldlum.room.scene import trace
 from fieldlum.room.scene.geometry import BoxScene
-from fieldlum.room.scene.trace import (
-    DISC_RAYS,
-    SunPoints,
-    disc_glass,
-    disc_visibility,
-    ends,
-    sun_points,
-)
 from fieldlum.room.scene.view import SceneView, SurfaceSamples, look, patch_rays
 from fieldlum.sky.daylight import Light
 from fieldlum.sky.perez import reinhart_index, reinhart_patches
@@ -67,9 +47,9 @@ _COLOURS = {
 }
 _COLOUR_BOUNCES = 6  # later ones change colours by up to 1.5 %, median 0.06 % (demo)
 _MAX_REFLECTANCE = 0.95  # of one colour, so that bounces end; chosen
-_TO_XYZ = rgb_to_xyz(RADIANCE_CHROMATICITIES)
+_TO_XYZ = images.rgb_to_xyz(images.RADIANCE_CHROMATICITIES)
 _FROM_XYZ = np.linalg.inv(_TO_XYZ)
-_Y = np.array(RADIANCE_Y, np.float32)  # of R, G and B
+_Y = np.array(images.RADIANCE_Y, np.float32)  # of R, G and B
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,7 +210,7 @@ def _gather(
         origin, up = position[start : start + step], normal[start : start + step]
         toward = _hemispheres(up, rays, np.random.default_rng(start))
         rows, at, weights = [], [], []
-        for e in ends(scene, (origin + up * _OFFSET_M).repeat(rays, axis=0), toward):
+        for e in trace.ends(scene, (origin + up * _OFFSET_M).repeat(rays, axis=0), toward):
             sky = reinhart_index(e.toward @ scene.turn)
             face = 6 * e.box + 2 * e.axis + (e.sign > 0)
             piece = FIRST_PIECE + pieces.at(np.maximum(face, 0), e.position)
@@ -335,28 +315,27 @@ class LitRoom:
     piece_coefficients: Any
 
     @cached_property
-    def _sun_points(self) -> tuple[SunPoints, SunPoints, SunPoints]:
+    def _sun_points(self) -> tuple[trace.SunPoints, trace.SunPoints, trace.SunPoints]:
         """Points of the pictures' direct sun, those of a model's patches, and the pieces'."""
         room, p, rays = box_room(self.setup), self.pieces, patch_rays(self.view.height)
         shown, given = (
             look(room, self.view.height, self.view.heading_deg, count).sun_points()
             for count in (rays + 1, rays)
         )
-        faces = p.axis[p.piece], p.sign[p.piece]
-        return shown, given, sun_points(shown.scene, p.position, *faces, p.share, p.piece, len(p))
+        points = p.position, p.axis[p.piece], p.sign[p.piece], p.share, p.piece
+        return shown, given, trace.sun_points(shown.scene, *points, len(p))
 
     @cached_property
     def _sky_rays(self) -> Floats:
-        return equirect_rays(self.view.height, 2 * self.view.height, self.view.heading_deg).reshape(
-            -1, 3
-        )
+        height = self.view.height
+        return equirect_rays(height, 2 * height, self.view.heading_deg).reshape(-1, 3)
 
     def render(self, light: Light, *, coloured: bool = False) -> Rendering:
         """Render all moments of `light` at once; memory grows with their number.
 
         coloured : also the colours, which do not change the luminance.
         """
-        n, pixels = len(light), 2 * self.view.height**2
+        n, height = len(light), self.view.height
         toward, direct_lx = self.view.scene.to_room(light.apparent_sun_direction), light.direct_lx
         shown, given, sunlit = (
             np.zeros((n, points.targets), np.float32) for points in self._sun_points
@@ -376,11 +355,10 @@ class LitRoom:
         colour = None
         if coloured:
             colour = self._colour(light, outdoors, sunlit.T, shown, seen_cdm2)
-            colour = colour.reshape(n, self.view.height, -1, 3)
-        visible, through = disc_visibility(self.view.scene, toward)
-        shape = (n, self.view.height, pixels // self.view.height)
+            colour = colour.reshape(n, height, -1, 3)
+        visible, through = trace.disc_visibility(self.view.scene, toward)
+        maps = out.reshape(n, height, -1), given.reshape(n, height, -1)
         disc_lx = direct_lx * visible * through
-        maps = out.reshape(shape), given.reshape(shape)
         return Rendering(*maps, disc_lx, visible, light, points_lx, colour)
 
     def _colour(
@@ -397,10 +375,10 @@ class LitRoom:
         s] : of the sky through glass. Each colour bounces by itself; glass is neutral.
         """
         clear, patches = light.sky.clearness[:, None], reinhart_patches()
-        sun = _rgb(sun_xyz(light.apparent_altitude_deg))  # [n, 3]
-        sky = _rgb(sky_xyz(outdoors[:SKY].T, clear))  # [n, SKY, 3]
+        sun = _rgb(melanopic.sun_xyz(light.apparent_altitude_deg))  # [n, 3]
+        sky = _rgb(melanopic.sky_xyz(outdoors[:SKY].T, clear))  # [n, SKY, 3]
         share, seen = self.view.sky.ravel(), np.flatnonzero(self.view.sky)
-        seen_rgb = seen_cdm2[..., None] * _rgb(sky_xyz(seen_cdm2 / share[seen], clear))
+        seen_rgb = seen_cdm2[..., None] * _rgb(melanopic.sky_xyz(seen_cdm2 / share[seen], clear))
         weight = patches.solid_angles_sr * patches.directions[:, 2]
         beam_lx = horizontal_beam(light.direct_lx, light.sun_altitude_deg)
         ground = np.einsum("s,sn,nsc->nc", weight, outdoors[:SKY], sky) + beam_lx[:, None] * sun
@@ -492,16 +470,17 @@ class LitRoom:
         light, sun, visible = rendering.light, None, float(rendering.visible_fraction[k])
         if 0.0 < visible < 1.0:
             scene = self.view.scene
-            glass = disc_glass(scene, scene.to_room(light.apparent_sun_direction[k]))
-            about[DISC_RAYS] = "".join("1" if ray else "0" for ray in glass > 0)
+            glass = trace.disc_glass(scene, scene.to_room(light.apparent_sun_direction[k]))
+            about[trace.DISC_RAYS] = "".join("1" if ray else "0" for ray in glass > 0)
         if rendering.disc_lx[k] > 0:
             angles = float(light.apparent_altitude_deg[k]), float(light.sun_azimuth_deg[k])
             sun = SunSource(*angles, float(rendering.disc_lx[k]), visible, "rendering")
         heading, t_utc, rgb = self.view.heading_deg, light.t_utc[k], None
         luminance = rendering.luminance_cdm2[k]
         if rendering.colour is not None:
-            rgb = rendering.colour[k] * luminance[..., None] / RADIANCE_LM_PER_W
-            about[ATTRIBUTE] = attribute_text(MELANOPIC_FROM_XYZ @ _TO_XYZ, np.eye(3), U_CHART)
+            rgb = rendering.colour[k] * luminance[..., None] / images.RADIANCE_LM_PER_W
+            of_rgb = melanopic.MELANOPIC_FROM_XYZ @ _TO_XYZ, np.eye(3), melanopic.U_CHART
+            about[melanopic.ATTRIBUTE] = melanopic.attribute_text(*of_rgb)
         return Panorama(luminance, heading, t_utc=t_utc, sun=sun, rgb=rgb, attributes=about)
 
 
@@ -544,14 +523,5 @@ def lit_room(
     smooth = near_light((s.position, faces), (s.position, faces), _SHARED, reach_m)
     luminance = (s.weight * scene.reflectance[s.box] / np.pi).astype(np.float32)
     to_pixels = csr_matrix((luminance, (s.pixel, np.arange(m))), (2 * height**2, m))
-    return LitRoom(
-        setup,
-        view,
-        pieces,
-        s,
-        faces,
-        point_coefficients,
-        smooth,
-        to_pixels,
-        (spread @ gathered).tocsr(),
-    )
+    coefficients = point_coefficients, smooth, to_pixels, (spread @ gathered).tocsr()
+    return LitRoom(setup, view, pieces, s, faces, *coefficients)

@@ -47,15 +47,7 @@ from fieldlum.session.folder import PlanTable
 from fieldlum.sky import sun
 from fieldlum.sky.daylight import Light, light_at
 from fieldlum.sky.sky_view.picture import write_sky_picture
-from fieldlum.weather import (
-    NEAR_KM,
-    SHIPPED_SITE,
-    Weather,
-    distance_km,
-    read_weather,
-    shipped_seattle,
-    synthetic_weather,
-)
+from fieldlum.weather import Weather, weather_for
 
 _VERSION = 4  # of the rendering; increase it to render all hours again
 # rendered together: more would need more memory, fewer more multiplications
@@ -74,19 +66,6 @@ class Simulated:
     kept: int
     dark: int
     weather: str
-
-
-def weather_for(setup: SiteFile, path: Path | None = None, seed: int = 1) -> Weather:
-    """Return the weather year of the file `path`.
-
-    Without a file, return the shipped year of Seattle for a site within 30 km of it, and a
-    synthetic year drawn by `seed` for other sites.
-    """
-    if path is not None:
-        return read_weather(path, setup.site)
-    if distance_km(setup.site, SHIPPED_SITE) <= NEAR_KM:
-        return shipped_seattle(setup.site)
-    return synthetic_weather(setup.site, seed)
 
 
 def sample_slots(
@@ -176,9 +155,8 @@ def run(
         units.append(WorkUnit(name, render_slots, session.root.resolve(), job, files=files))
     run_each(units, scheduler, UnitOutcome.result)
     _write_irradiance(session, weather, slots, wrong)
-    dni, dhi = measured_irradiance(
-        light.t_utc, light.dni_wm2, light.dhi_wm2, light.sun_altitude_deg, wrong
-    )
+    outside = light.t_utc, light.dni_wm2, light.dhi_wm2, light.sun_altitude_deg
+    dni, dhi = measured_irradiance(*outside, wrong)
     write_pairs(session, slots, replace(light, dni_wm2=dni, dhi_wm2=dhi), lit, weather)
     about = {
         "weather": weather.name,

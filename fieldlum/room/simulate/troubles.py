@@ -18,7 +18,7 @@ from fieldlum.core.arrays import Array, Floats, Floats32, Mask
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Site
 from fieldlum.core.strict_toml import build, read_toml
-from fieldlum.optics.projection import altitude_azimuth_deg, equirect_rays
+from fieldlum.optics.projection import altitude_azimuth_deg, equirect_rays, signed_angle_deg
 from fieldlum.session.codec import digest
 from fieldlum.sky import sun
 from fieldlum.sky.daylight import Light
@@ -272,7 +272,7 @@ def _changed_room(
         out = np.where(upper, out * passed, out * (0.5 + 0.5 * passed)).astype(np.float32)
     if troubles.chair is not None and day >= days // 2:
         azimuth = float(np.random.default_rng(troubles.chair.seed).uniform(0.0, 360.0))
-        where = _block(height, width, azimuth, -35.0, *_CHAIR_DEG)
+        where = _block(out.shape, azimuth, -35.0, _CHAIR_DEG)
         out[where] *= np.float32(1.0 - troubles.chair.size)
     return out
 
@@ -282,14 +282,13 @@ def _changed_picture(
 ) -> Array:
     """Return the picture with a person, a turn, wrong exposure times and clipping, [H, W]."""
     out = image
-    height, width = out.shape
     if troubles.people is not None:
         rng = np.random.default_rng([troubles.people.seed, int(t_utc.timestamp())])
         if rng.random() < troubles.people.size:
-            body = _block(height, width, rng.uniform(0.0, 360.0), -20.0, *_PERSON_DEG)
+            body = _block(out.shape, rng.uniform(0.0, 360.0), -20.0, _PERSON_DEG)
             out = np.where(body, np.float32(0.3 * np.median(out)), out)
     if troubles.knock is not None and knocked:
-        shift = troubles.knock.size / 360.0 * width
+        shift = troubles.knock.size / 360.0 * out.shape[1]
         columns = int(np.floor(shift))
         near, far = np.roll(out, -columns, axis=1), np.roll(out, -columns - 1, axis=1)
         part = shift - columns
@@ -297,27 +296,21 @@ def _changed_picture(
     if troubles.exposures is not None:
         rng = np.random.default_rng([troubles.exposures.seed, int(t_utc.timestamp())])
         out = out * np.float32(np.exp(troubles.exposures.size * rng.standard_normal()))
-    if troubles.clipped is not None:
-        order = sorted(all_slots, key=lambda t: _draw(troubles.clipped, t))
-        if t_utc in order[: int(troubles.clipped.size)]:
+    if (clipped := troubles.clipped) is not None:
+        # a random order of the slots, the same in each process
+        texts = {t: f"{clipped.seed} {t.timestamp():.0f}".encode() for t in all_slots}
+        if t_utc in sorted(texts, key=lambda t: zlib.crc32(texts[t]))[: int(clipped.size)]:
             out = np.minimum(out, np.float32(_CLIP_CDM2))
     return out
 
 
-def _draw(trouble: Trouble | None, t_utc: datetime) -> int:
-    """Return a random number of a time, by which slots are put into a random order."""
-    return zlib.crc32(f"{trouble.seed if trouble else 0} {t_utc.timestamp():.0f}".encode())
-
-
 def _block(
-    height: int,
-    width: int,
-    azimuth_deg: float,
-    altitude_deg: float,
-    wide_deg: float,
-    high_deg: float,
+    shape: tuple[int, int], azimuth_deg: float, altitude_deg: float, size_deg: tuple[float, float]
 ) -> Mask:
-    """Return the pixels of an upright rectangle; its azimuth counts from the heading, [H, W]."""
-    altitude, azimuth = altitude_azimuth_deg(equirect_rays(height, width, 0.0))
-    away = np.abs((azimuth - azimuth_deg + 180.0) % 360.0 - 180.0)
-    return (away < wide_deg / 2) & (np.abs(altitude - altitude_deg) < high_deg / 2)
+    """Return the pixels of an upright rectangle; its azimuth counts from the heading, [H, W].
+
+    size_deg: its width and its height.
+    """
+    altitude, azimuth = altitude_azimuth_deg(equirect_rays(*shape, 0.0))
+    away = np.abs(signed_angle_deg(azimuth - azimuth_deg))
+    return (away < size_deg[0] / 2) & (np.abs(altitude - altitude_deg) < size_deg[1] / 2)

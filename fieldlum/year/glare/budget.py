@@ -21,17 +21,11 @@ from fieldlum.session.codec import write_csv
 from fieldlum.session.panorama_sun import MEASURED_ORIGINS
 from fieldlum.sky.sky_view.pose import STATED_SD
 from fieldlum.sky.sky_view.view import SkyView
+from fieldlum.year.glare import standards
 from fieldlum.year.glare.metrics import glare_directions
 from fieldlum.year.glare.pictures import read_picture
 from fieldlum.year.glare.single import seen_pixels, take_out_sun, valid_pixels
 from fieldlum.year.glare.sources import panorama_views
-from fieldlum.year.glare.standards import (
-    DRAWS,
-    DgpUncertainty,
-    dgp_per_scale,
-    exceeded_in_share,
-    year_errors,
-)
 
 # relative u of a disc's illuminance by DNI: luminous efficacy and glass together; not measured
 U_DISC = 0.05
@@ -155,7 +149,7 @@ def picture_budget(
 def year_budget(
     dgp: Floats,
     ev_lx: Floats,
-    uncertainty: DgpUncertainty,
+    uncertainty: standards.DgpUncertainty,
     occupied_hours: int,
     azimuths_deg: Floats,
     u_scale: float,
@@ -166,15 +160,14 @@ def year_budget(
     u_scale: relative standard uncertainty of the camera's scale. Another year's weather, a blind
     that moves and clouds that move within the hour are not in it.
     """
-    azimuths = np.asarray(azimuths_deg, float)
 
     def exceeded(values: Floats) -> Floats:
-        return exceeded_in_share(np.clip(values, 0.0, 1.0), occupied_hours)
+        return standards.exceeded_in_share(np.clip(values, 0.0, 1.0), occupied_hours)
 
-    rng = np.random.default_rng(0)
-    errors = (np.nan_to_num(uncertainty.u_maps) * year_errors(dgp.shape, rng) for _ in range(DRAWS))
-    of_scale = u_scale * dgp_per_scale(dgp, ev_lx)
-    by_model = np.std([exceeded(dgp + error) for error in errors], axis=0, ddof=1)
+    rng, u_maps = np.random.default_rng(0), np.nan_to_num(uncertainty.u_maps)
+    draws = (standards.year_errors(dgp.shape, rng) for _ in range(standards.DRAWS))
+    of_scale = u_scale * standards.dgp_per_scale(dgp, ev_lx)
+    by_model = np.std([exceeded(dgp + u_maps * draw) for draw in draws], axis=0, ddof=1)
     scales = np.abs(exceeded(dgp + of_scale) - exceeded(dgp - of_scale))
     unseen = np.abs(exceeded(uncertainty.maximum) - exceeded(uncertainty.minimum))
     rectangular = Source("part of the view that no lens saw", "B", _RECTANGULAR, 1.0, "u", "hour")
@@ -187,7 +180,8 @@ def year_budget(
         source = Source("whether the sun's disc is seen", "B", _NORMAL, 1.0, "u", "all hours")
         sources.append((source, np.std([exceeded(d) for d in uncertainty.drawn], axis=0)))
     name = "DGP exceeded in 5 %"
-    return _budgets({name: exceeded(dgp)}, azimuths, [(s, {name: part}) for s, part in sources])
+    rows = [(s, {name: part}) for s, part in sources]
+    return _budgets({name: exceeded(dgp)}, azimuths_deg, rows)
 
 
 def _budgets(

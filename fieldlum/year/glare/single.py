@@ -11,15 +11,8 @@ import numpy as np
 from fieldlum.core.arrays import Floats, Floats32, Mask
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Flag, JsonTable, Panorama, SunSource, counted, utc_text
+from fieldlum.optics import projection
 from fieldlum.optics.melanopic import melanopic_edi, melanopic_ratio
-from fieldlum.optics.projection import (
-    FULLY_SEEN_SHARE,
-    NOT_SEEN,
-    PARTLY_SEEN,
-    SEEN,
-    direction,
-    signed_angle_deg,
-)
 from fieldlum.sky.sun_disc import find_disc, without_disc
 from fieldlum.year.glare import metrics, pictures
 from fieldlum.year.glare.sources import (
@@ -91,9 +84,8 @@ def panorama_glare(panorama: Panorama, azimuths_deg: Sequence[float] = ()) -> Js
     if width != 2 * height:
         found, remedy = f"a map of {width} x {height} pixels", "use an equirectangular map"
         raise InputError("panorama", found, "a map twice as wide as high", remedy)
-    return judged(pictures.Picture(panorama, None), Path("panorama"), azimuths_deg)[0] | {
-        "file": ""
-    }
+    picture = pictures.Picture(panorama, None)
+    return judged(picture, Path("panorama"), azimuths_deg)[0] | {"file": ""}
 
 
 def judged(
@@ -146,7 +138,7 @@ def judged(
     rows = _view_rows(pixels, picture, views, sources, sun, lamps)
     if reference:
         _add_reference(rows, pixels, picture, views, sun)
-    graded = [np.nan if row["seen"] == NOT_SEEN else row["dgp"] for row in rows]
+    graded = [np.nan if row["seen"] == projection.NOT_SEEN else row["dgp"] for row in rows]
     texts = *_picture_texts(picture, seen_mask), *warnings, *_figure_texts(rows, share, factor)
     answer: JsonTable = {
         "file": str(path),
@@ -173,7 +165,7 @@ def _view_rows(
     lamps: bool,
 ) -> list[dict[str, Any]]:
     """Return the figures of each direction. pixels : luminance [H, W] without the sun."""
-    rays = None if sun is None else direction(sun.altitude_deg, sun.azimuth_deg)[None]
+    rays = None if sun is None else projection.direction(sun.altitude_deg, sun.azimuth_deg)[None]
     disc = None if sun is None else np.array([sun.normal_illuminance_lx])
     coverage = metrics.view_coverage(views)
     parts = metrics.glare_directions(pixels[None], views, rays, disc, sources=[sources])
@@ -193,12 +185,12 @@ def _view_rows(
         row |= {name: plain(values[i]) for name, values in figures.items()}
         row |= {"verdict": _verdict(row["dgp"]), "seen": coverage.words[i]}
         row["seen_share"] = float(coverage.seen_share[i])
-        if row["seen"] == PARTLY_SEEN:
+        if row["seen"] == projection.PARTLY_SEEN:
             low, high = (float(bound[0, i]) for bound in bounds)
             words = dict.fromkeys((_verdict(low), _verdict(high)))
             row |= {"dgp_low": low, "dgp_high": high, "verdict": " to ".join(words)}
-        if row["seen"] == NOT_SEEN:
-            row["verdict"] = NOT_SEEN
+        if row["seen"] == projection.NOT_SEEN:
+            row["verdict"] = projection.NOT_SEEN
             row |= dict.fromkeys(figures) if views.is_panorama else {}
         if picture.view is not None:
             row["altitude_deg"] = picture.view.altitude_deg
@@ -237,10 +229,9 @@ def _add_reference(
     for row in rows:
         if picture.view is not None:
             disc = 0.0 if sun is None else pictures.disc_pixels(views, pixels.shape, sun)
-            row["reference"] = pictures.reference_glare(
-                pixels + disc, view=picture.view.text
-            )._asdict()
-        elif row["seen"] == SEEN:
+            found = pictures.reference_glare(pixels + disc, view=picture.view.text)
+            row["reference"] = found._asdict()
+        elif row["seen"] == projection.SEEN:
             heading_deg, azimuth_deg = picture.panorama.heading_deg, row["azimuth_deg"]
             shown = pictures.panorama_to_fisheye(pixels, heading_deg, azimuth_deg, sun=sun)
             row["reference"] = pictures.reference_glare(shown)._asdict()
@@ -248,7 +239,7 @@ def _add_reference(
 
 def _check_azimuths(azimuth_deg: float, asked: Sequence[float], path: Path) -> None:
     """Raise InputError for view directions other than the picture's own."""
-    if asked and np.abs(signed_angle_deg(np.asarray(asked) - azimuth_deg)).max() > 1e-3:
+    if asked and np.abs(projection.signed_angle_deg(np.asarray(asked) - azimuth_deg)).max() > 1e-3:
         found = f"--view-azimuth with a picture that has one view direction, {azimuth_deg:.1f} deg"
         expected = "--view-azimuth only with a panorama"
         raise InputError(path, found, expected, "remove --view-azimuth")
@@ -346,7 +337,7 @@ def _picture_texts(picture: pictures.Picture, seen_mask: Mask | None) -> Iterato
 
 def _figure_texts(rows: Sequence[Mapping[str, Any]], share: float, factor: float) -> Iterator[str]:
     """Yield warnings of a small picture, more light than sun and sky give, and darkness."""
-    if share < FULLY_SEEN_SHARE:
+    if share < projection.FULLY_SEEN_SHARE:
         yield (
             f"the picture covers {100 * share:.0f} % of the hemisphere in front: Ev is a lower "
             "bound, and DGP counts the part outside the picture as black; a partly seen view has "

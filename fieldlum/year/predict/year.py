@@ -16,15 +16,8 @@ from fieldlum.core.records import utc_text
 from fieldlum.core.room_states import OFF
 from fieldlum.core.scheduler import LOCAL, Scheduler
 from fieldlum.learn.models import POOR_WORDS, Fitted, load, read_config
+from fieldlum.optics import projection
 from fieldlum.optics.images import read_panorama
-from fieldlum.optics.projection import (
-    NOT_SEEN,
-    PARTLY_SEEN,
-    SEEN,
-    compass_name,
-    seen_shares,
-    signed_angle_deg,
-)
 from fieldlum.session import Session, check_writable, open_session, sha256
 from fieldlum.session.codec import current_note
 from fieldlum.session.files.hourly_csv import COLOUR_COLUMNS, VIEW_COLUMNS
@@ -186,12 +179,13 @@ def _judged(
     budgets = year_budget(dgp, ev_lx, u, hours_used, azimuths, u_scale)
     count = int(used.sum())
     untrusted, wide = (float(hours.sum()) / max(count, 1) for hours in unsure_hours(annual))
-    shares = [] if room.seen is None else seen_shares(room.seen, room.heading_deg, azimuths)
+    shares = (
+        [] if room.seen is None else projection.seen_shares(room.seen, room.heading_deg, azimuths)
+    )
+    unsure = untrusted, untrusted + wide
     summary = structs.replace(
         summary,
-        occupancy=YearOccupancy(
-            summary.inputs["occupancy"], hours_used, count, untrusted, untrusted + wide
-        ),
+        occupancy=YearOccupancy(summary.inputs["occupancy"], hours_used, count, *unsure),
         seen_share=tuple(round(float(share), 3) for share in shares),
         notes=(*_notes(summary, room, untrusted, wide), *_unseen_notes(rows)),
         protection=rows,
@@ -306,11 +300,10 @@ def check_session(model_folder: Path, room: ModelRoom, scene: UsedScene | None =
     then the room and heading as stated before the fit are compared.
     """
     session = session_of(model_folder)
-    for found, expected in () if session is None else _differences(session, room, scene):
+    for found, there in () if session is None else _differences(session, room, scene):
+        expected = f"{there}, as in this session"
         remedy = "merge, pair and train again, or use the model that was trained on this session"
-        raise InputError(
-            model_folder, f"a model {found}", f"{expected}, as in this session", remedy
-        )
+        raise InputError(model_folder, f"a model {found}", expected, remedy)
 
 
 def _differences(
@@ -337,7 +330,7 @@ def _differences(
         if (height, width) != (room.height, room.width):
             found = f"with pictures of {room.width} x {room.height} pixels"
             yield found, f"{width} x {height} pixels"
-        if abs(signed_angle_deg(first.heading_deg - heading_deg)) > 0.1:
+        if abs(projection.signed_angle_deg(first.heading_deg - heading_deg)) > 0.1:
             yield f"with a heading of {heading_deg:g} deg", f"{first.heading_deg:g} deg"
 
 
@@ -400,11 +393,11 @@ _WIDE_DGP = 0.2  # an interval of this width spans all classes (EN 17037: 0.35 t
 
 
 _UNSEEN_NOTES = {
-    NOT_SEEN: "have no result: the camera's lens saw less than half of them; turn the camera to "
-    "more headings, or use a lens that sees more",
-    PARTLY_SEEN: "have bounds only: the lens saw 50 to 98 % of them, and the intervals assume that "
-    "the unseen part has between 0 cd/m2 and the larger of the sky's mean luminance and the "
-    "brightest hundredth of the seen pixels; turn the camera to more headings for smaller "
+    projection.NOT_SEEN: "have no result: the camera's lens saw less than half of them; turn the "
+    "camera to more headings, or use a lens that sees more",
+    projection.PARTLY_SEEN: "have bounds only: the lens saw 50 to 98 % of them, and the intervals "
+    "assume that the unseen part has between 0 cd/m2 and the larger of the sky's mean luminance "
+    "and the brightest hundredth of the seen pixels; turn the camera to more headings for smaller "
     "intervals",
 }
 
@@ -414,7 +407,7 @@ def _unseen_notes(rows: Sequence[DirectionYear]) -> Iterator[str]:
     for word, meaning in _UNSEEN_NOTES.items():
         of = [row.azimuth_deg for row in rows if row.seen == word]
         if of:
-            named = ", ".join(f"{a:.0f}° ({compass_name(a)})" for a in of)
+            named = ", ".join(f"{a:.0f}° ({projection.compass_name(a)})" for a in of)
             yield f"the view directions {named} {meaning}"
 
 
@@ -459,7 +452,7 @@ def best_and_worst(rows: Sequence[DirectionYear]) -> tuple[DirectionYear, Direct
     limits. To be the best, a partly seen direction counts with the upper end of its interval (1 if
     unknown), so that an unseen part never makes a direction a recommendation.
     """
-    judged = [row for row in rows if row.glare_class != NOT_SEEN]
+    judged = [row for row in rows if row.glare_class != projection.NOT_SEEN]
     if not judged:
         return None
 
@@ -468,6 +461,6 @@ def best_and_worst(rows: Sequence[DirectionYear]) -> tuple[DirectionYear, Direct
 
     def as_best(row: DirectionYear) -> tuple[float, int]:
         upper = 1.0 if row.high is None else row.high
-        return glare(row) if row.seen == SEEN else (upper, glare(row)[1])
+        return glare(row) if row.seen == projection.SEEN else (upper, glare(row)[1])
 
     return min(judged, key=as_best), max(judged, key=glare)
