@@ -31,7 +31,7 @@ from fieldlum import merge
 from fieldlum.core.records import CameraSetup, Exposure, Site, SiteFile, Slot, slot_id, utc_text
 from fieldlum.merge import stage
 from fieldlum.optics.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor, save_profile
-from fieldlum.optics.raw import write_dng
+from fieldlum.optics.raw.writing import write_dng
 from fieldlum.session import Session, create_session, sha256
 
 TIMES_S, BRACKETS = (0.5, 1 / 16, 1 / 128), 4

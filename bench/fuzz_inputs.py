@@ -43,7 +43,8 @@ from fieldlum.optics.profiles import (
     save_profile,
     shipped,
 )
-from fieldlum.optics.raw import read_exif, read_jpeg, read_mosaic, write_dng, write_jpeg
+from fieldlum.optics.raw import read_exif, read_jpeg, read_mosaic
+from fieldlum.optics.raw.writing import write_dng, write_jpeg
 from fieldlum.session.site_toml import load_site
 
 HANG_S = 60.0

@@ -34,7 +34,7 @@ from fieldlum.merge import MergeOptions
 from fieldlum.merge.stage import _MergeJob as MergeJob
 from fieldlum.merge.stage import merge_slot
 from fieldlum.optics.profiles import load_camera_profile
-from fieldlum.optics.raw import write_dng
+from fieldlum.optics.raw.writing import write_dng
 from fieldlum.room.scene import sun_patches
 from fieldlum.session import Session, create_session, open_session
 from fieldlum.session.files.capture_json import CaptureFile, Frame, frame_fields

@@ -50,7 +50,7 @@ from fieldlum.optics.profiles import (
     bracket_exposures,
 )
 from fieldlum.optics.projection import Equirect, angle_of_radius, lens_rays
-from fieldlum.optics.raw import write_dng, write_jpeg
+from fieldlum.optics.raw.writing import write_dng, write_jpeg
 
 PARTS = ("random", "ratios", "filter", "response", "vignetting", "colour", "k", "glare floor")
 DIAL_S = (4.0, 1.0, 1 / 4, 1 / 15, 1 / 60, 1 / 250, 1 / 1000, 1 / 4000)

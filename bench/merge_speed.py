@@ -29,7 +29,7 @@ from fieldlum.optics.profiles import (
     Response,
     Sensor,
 )
-from fieldlum.optics.raw import write_dng, write_jpeg
+from fieldlum.optics.raw.writing import write_dng, write_jpeg
 
 WIDTH, HEIGHT = 6000, 4000
 BLACK, FULL, WHITE, GAIN, READ_E = 512.0, 15000.0, 16383.0, 4.0, 6.0

@@ -27,7 +27,7 @@ from fieldlum.merge.frames import Crop, RawSignal, Saturation, load_raw
 from fieldlum.merge.shots import Shot
 from fieldlum.optics.linear_light import curve_u_rel
 from fieldlum.optics.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor
-from fieldlum.optics.raw import write_dng
+from fieldlum.optics.raw.writing import write_dng
 
 PLATEAU_DN, WHITE_DN = 4080.0, 4095.0
 GAIN_E_PER_DN, READ_NOISE_E = 3.6, 13.0  # photon transfer of the set's own flats

@@ -16,7 +16,7 @@ from fieldlum.optics.profiles import (
     Vignetting,
 )
 from fieldlum.optics.projection import LensGeometry, angle_of_radius
-from fieldlum.optics.raw import write_dng
+from fieldlum.optics.raw.writing import write_dng
 
 SIZE = 240
 TRUE_V = (1.0, 0.0, -0.10, 0.0, -0.22)

@@ -19,7 +19,7 @@ from fieldlum.cli import main, scene_command
 from fieldlum.core.records import Exposure
 from fieldlum.optics.photometry import z_per_cdm2
 from fieldlum.optics.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor, save_profile
-from fieldlum.optics.raw import write_dng
+from fieldlum.optics.raw.writing import write_dng
 from fieldlum.room.fit.scene_file import read_scene
 
 KEPT = Path(__file__).parent / "fixtures" / "json_keys.json"

@@ -27,7 +27,7 @@ from fieldlum.optics.profiles import (
     load_camera_profile,
     save_profile,
 )
-from fieldlum.optics.raw import write_dng
+from fieldlum.optics.raw.writing import write_dng
 
 BLACK, WHITE = 64.0, 4095.0
 TRUE = (-0.02, 0.035)  # of the light: +-1 % over the scale, as a real CCD has

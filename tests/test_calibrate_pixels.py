@@ -21,7 +21,7 @@ from fieldlum.optics.profiles import (
     load_camera_profile,
     save_profile,
 )
-from fieldlum.optics.raw import write_dng
+from fieldlum.optics.raw.writing import write_dng
 
 SIDE = 256
 HOT = {(100, 60), (131, 140), (64, 190)}

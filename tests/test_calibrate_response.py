@@ -16,7 +16,8 @@ from fieldlum.optics.photometry import response_table, true_times_s
 from fieldlum.optics.profiles import (
     CameraBody,
 )
-from fieldlum.optics.raw import read_jpeg, write_jpeg
+from fieldlum.optics.raw import read_jpeg
+from fieldlum.optics.raw.writing import write_jpeg
 
 
 def _bracket(

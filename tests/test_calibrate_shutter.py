@@ -28,7 +28,7 @@ from fieldlum.optics.profiles import (
     load_camera_profile,
     save_profile,
 )
-from fieldlum.optics.raw import write_dng
+from fieldlum.optics.raw.writing import write_dng
 from fieldlum.session import Session, create_session, exposure_text, sha256
 from fieldlum.session.files.sidecar import Sidecar
 

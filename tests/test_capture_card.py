@@ -21,7 +21,8 @@ from fieldlum.capture.match_card import CardFrame, Group, Offset, clock_parts, d
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import CameraSetup, Exposure, SiteFile, Slot
 from fieldlum.optics.profiles import load_camera_profile, save_profile
-from fieldlum.optics.raw import same_model, write_dng, write_jpeg
+from fieldlum.optics.raw import same_model
+from fieldlum.optics.raw.writing import write_dng, write_jpeg
 from fieldlum.session import Session, create_session, read_journal
 from fieldlum.session.slot_states import fold
 

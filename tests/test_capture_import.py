@@ -31,7 +31,7 @@ from fieldlum.capture.match_card import (
 from fieldlum.cli import main
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import CameraSetup, Exposure, IrradianceSample, SiteFile, Slot
-from fieldlum.optics.raw import write_jpeg
+from fieldlum.optics.raw.writing import write_jpeg
 from fieldlum.session import Session, create_session, day_files, read_day, read_journal, sha256
 from fieldlum.session.slot_states import fold
 

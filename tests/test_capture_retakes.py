@@ -203,7 +203,8 @@ def test_frames_are_checked_against_what_was_asked(tmp_path: Path) -> None:
     import numpy as np
 
     from fieldlum.capture.frame_checks import bracket_doubts, doubts
-    from fieldlum.optics.raw import unreadable, write_dng, write_jpeg
+    from fieldlum.optics.raw import unreadable
+    from fieldlum.optics.raw.writing import write_dng, write_jpeg
 
     asked = Exposure(1 / 250, 5.6)
     grey, white = np.full((16, 16, 3), 90, np.uint8), np.full((16, 16, 3), 255, np.uint8)

@@ -10,7 +10,7 @@ from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import Exposure
 from fieldlum.devices import open_camera
 from fieldlum.devices.clock import FastClock
-from fieldlum.optics.raw import write_dng, write_jpeg
+from fieldlum.optics.raw.writing import write_dng, write_jpeg
 
 pytestmark = pytest.mark.contract
 

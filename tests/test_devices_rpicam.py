@@ -19,7 +19,8 @@ from fieldlum.devices import open_camera
 from fieldlum.devices.clock import Clock, FastClock
 from fieldlum.devices.rpicam import RpicamCamera, parse_cameras, parse_metadata
 from fieldlum.optics.profiles import load_camera_profile
-from fieldlum.optics.raw import read_exif, read_mosaic, write_dng
+from fieldlum.optics.raw import read_exif, read_mosaic
+from fieldlum.optics.raw.writing import write_dng
 from fieldlum.session import disk_is_full, read_journal
 from fieldlum.session.files.capture_json import CaptureFile
 

@@ -32,7 +32,7 @@ from fieldlum.optics.melanopic import (
 )
 from fieldlum.optics.profiles import Colour, check_camera
 from fieldlum.optics.projection import direction
-from fieldlum.optics.raw import write_jpeg
+from fieldlum.optics.raw.writing import write_jpeg
 from fieldlum.room.scene.radiance import octree
 from fieldlum.sky.daylight import light_at
 

@@ -35,7 +35,7 @@ from fieldlum.optics.profiles import (
     load_camera_profile,
 )
 from fieldlum.optics.projection import direction, equirect_rays, equirect_solid_angles
-from fieldlum.optics.raw import write_dng
+from fieldlum.optics.raw.writing import write_dng
 
 GAIN, READ_E = 4.0, 6.0
 

@@ -14,7 +14,7 @@ from fieldlum.merge.sensor import SeenNoise
 from fieldlum.merge.shots import sorted_shots
 from fieldlum.optics.photometry import true_times_s, z_per_cdm2
 from fieldlum.optics.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor
-from fieldlum.optics.raw import write_dng
+from fieldlum.optics.raw.writing import write_dng
 
 pytestmark = pytest.mark.analytic
 

@@ -10,7 +10,7 @@ from fieldlum.merge import MergeOptions, merge_shots, shots_of_files
 from fieldlum.merge.frames import Crop
 from fieldlum.merge.sensor import good_pixels, odd_pixels
 from fieldlum.optics.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor
-from fieldlum.optics.raw import write_dng
+from fieldlum.optics.raw.writing import write_dng
 
 pytestmark = pytest.mark.analytic
 

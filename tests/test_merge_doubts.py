@@ -21,7 +21,7 @@ from fieldlum.merge.shots import U_ISO, exposure_covariance, sorted_shots
 from fieldlum.optics.photometry import PairRatio, true_times_s, z_per_cdm2
 from fieldlum.optics.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor
 from fieldlum.optics.projection import Equirect, Fisheye, LensGeometry
-from fieldlum.optics.raw import write_dng, write_jpeg
+from fieldlum.optics.raw.writing import write_dng, write_jpeg
 
 SIZE = 160
 SMALL = MergeOptions(height=24)

@@ -12,7 +12,7 @@ from fieldlum.merge.frames import RawSignal
 from fieldlum.merge.shots import Shot, sorted_shots
 from fieldlum.optics.photometry import response_table, z_per_cdm2
 from fieldlum.optics.profiles import Bracket, CameraBody, CameraProfile, Lens, Response
-from fieldlum.optics.raw import write_jpeg
+from fieldlum.optics.raw.writing import write_jpeg
 
 
 @pytest.mark.analytic

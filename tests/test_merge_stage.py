@@ -37,7 +37,7 @@ from fieldlum.optics.profiles import (
     load_camera_profile,
     save_profile,
 )
-from fieldlum.optics.raw import write_dng
+from fieldlum.optics.raw.writing import write_dng
 from fieldlum.session import Session, create_session
 
 TIMES_S = (0.5, 1 / 15, 1 / 125)

@@ -17,20 +17,22 @@ from learning_room import dataset
 from fieldlum.core.errors import InputError
 from fieldlum.learn import models
 from fieldlum.learn.models.data import Dataset
-from fieldlum.learn.models.mirrors import Mirror, read_mirrors, split_images
-from fieldlum.learn.train import fit_and_score, run
-from fieldlum.optics.projection import altitude_azimuth_deg, direction, equirect_rays
-from fieldlum.session.files.predict_json import PredictFile
-from fieldlum.sky.daylight import Light
-from fieldlum.sky.sun_disc import SunDisc, add_source
-from fieldlum.sky.sun_images import (
+from fieldlum.learn.models.mirrors import (
+    Mirror,
     SunImage,
     bright_spots,
     find_mirrors,
     glass_reflectance,
     mirrored,
+    read_mirrors,
+    split_images,
     tolerance_rad,
 )
+from fieldlum.learn.train import fit_and_score, run
+from fieldlum.optics.projection import altitude_azimuth_deg, direction, equirect_rays
+from fieldlum.session.files.predict_json import PredictFile
+from fieldlum.sky.daylight import Light
+from fieldlum.sky.sun_disc import SunDisc, add_source
 from fieldlum.weather import read_weather
 from fieldlum.year.glare.metrics import glare_directions
 from fieldlum.year.glare.sources import panorama_views

@@ -21,7 +21,7 @@ from fieldlum.cli import main
 from fieldlum.cli.new_command import site_text
 from fieldlum.core.records import CameraSetup, Exposure, Room, SiteFile, Window
 from fieldlum.optics.profiles import load_camera_profile
-from fieldlum.optics.raw import write_jpeg
+from fieldlum.optics.raw.writing import write_jpeg
 from fieldlum.room.scene.drawing import room_svg, wind
 from fieldlum.session.site_toml import load_site
 

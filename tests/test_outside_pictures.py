@@ -24,7 +24,8 @@ from fieldlum.capture.match_card import CardFrame
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure
 from fieldlum.optics.images import luminance_weights, read_exr, read_radiance_hdr
-from fieldlum.optics.raw import pixels, read_exif, read_jpeg, read_mosaic, write_dng
+from fieldlum.optics.raw import read_exif, read_jpeg, read_mosaic
+from fieldlum.optics.raw.writing import write_dng
 from fieldlum.sky.sky_view.view import SkyView
 
 EXPOSURE = Exposure(1 / 60, 5.6, 100.0)
@@ -162,7 +163,7 @@ def test_the_profile_raises_the_limit_on_pixels(
     path = jpeg(tmp_path / "f.jpg", exif_segment(GOOD), size=(40, 30))
     monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 100)
     assert read_jpeg(path).codes.shape == (30, 40, 3)
-    monkeypatch.setattr(pixels, "MAX_PIXELS", 1000)
+    monkeypatch.setattr("fieldlum.optics.raw.MAX_PIXELS", 1000)
     assert read_jpeg(path, camera_pixels=1200).codes.shape == (30, 40, 3)
     with pytest.raises(InputError, match=r"40 x 30 pixels; expected at most 1,000 pixels"):
         read_jpeg(path)

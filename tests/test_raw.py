@@ -14,14 +14,8 @@ from hypothesis import strategies as st
 
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure
-from fieldlum.optics.raw import (
-    channel_positions,
-    read_exif,
-    read_jpeg,
-    read_mosaic,
-    write_dng,
-    write_jpeg,
-)
+from fieldlum.optics.raw import channel_positions, read_exif, read_jpeg, read_mosaic
+from fieldlum.optics.raw.writing import write_dng, write_jpeg
 
 WHEN = datetime(2027, 3, 20, 15, 30, 0, 250_000, tzinfo=UTC)
 EXPOSURE = Exposure(1 / 250, 5.6, 100.0, "nd3")
@@ -235,10 +229,10 @@ def test_a_mutated_frame_reads_or_is_refused(tmp_path: Path, data: st.DataObject
 def test_a_mosaic_other_than_bayers_is_named(size: int) -> None:
     import rawpy
 
-    from fieldlum.optics.raw import pixels
+    from fieldlum.optics.raw import _pattern  # pyright: ignore[reportPrivateUsage]
 
     raw = SimpleNamespace(raw_type=rawpy.RawType.Flat, raw_pattern=np.zeros((size, size), int))
     with pytest.raises(InputError) as refused:
-        pixels._pattern(Path("a.raf"), raw)  # pyright: ignore[reportPrivateUsage]
+        _pattern(Path("a.raf"), raw)
     found = f"a.raf: a mosaic of {size} x {size} colour filters; expected a Bayer mosaic"
     assert str(refused.value).startswith(found)

@@ -28,7 +28,7 @@ from fieldlum.optics.profiles import (
     load_camera_profile,
     save_profile,
 )
-from fieldlum.optics.raw import write_dng
+from fieldlum.optics.raw.writing import write_dng
 
 FULL_STOPS_S = (1 / 4, 1 / 8, 1 / 15, 1 / 30, 1 / 60, 1 / 125, 1 / 250)
 HALF_STOPS_S = (1 / 20, 1 / 30, 1 / 45, 1 / 60, 1 / 90, 1 / 125, 1 / 180, 1 / 250)

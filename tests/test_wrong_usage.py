@@ -15,7 +15,7 @@ from fieldlum.cli import main
 from fieldlum.core.records import Exposure, Panorama
 from fieldlum.optics.images import write_panorama, write_radiance_hdr
 from fieldlum.optics.profiles import shipped
-from fieldlum.optics.raw import write_jpeg
+from fieldlum.optics.raw.writing import write_jpeg
 
 pytestmark = pytest.mark.contract
 

@@ -66,9 +66,8 @@ def turned(data: Dataset, degrees: float) -> Dataset:
 
     Sun patches are computed again for this sun, if there is a [room]; the maps do not change.
     """
-    return _patched(
-        with_light(data, sun_azimuth_deg=(data.light.sun_azimuth_deg + degrees) % 360.0)
-    )
+    azimuth_deg = (data.light.sun_azimuth_deg + degrees) % 360.0
+    return _patched(with_light(data, sun_azimuth_deg=azimuth_deg))
 
 
 def late(data: Dataset, minutes: float) -> Dataset:

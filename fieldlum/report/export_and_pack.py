@@ -69,7 +69,9 @@ def export(session: Session, out: Path, azimuths_deg: Sequence[float] = ()) -> l
     out.mkdir(parents=True, exist_ok=True)
     seen_deg = azimuths_deg or (session.site_file().camera.heading_deg,)
     files = [*_sky(session, out), *_room(session, out, seen_deg)]
-    files += [*_pairs(session, out), *_year(session, out)]
+    files += _pairs(session, out)
+    if (annual := newest_annual(session)) is not None:
+        files.append(_netcdf(annual.to_xarray(), out / "year.nc"))
     (out / "maps").mkdir(exist_ok=True)
     for number, path in enumerate(panoramas):
         progress(number, len(panoramas), "maps")
@@ -77,9 +79,8 @@ def export(session: Session, out: Path, azimuths_deg: Sequence[float] = ()) -> l
         light, _ = valid_pixels(panorama, path)
         asked = azimuths_deg or (panorama.heading_deg,)
         for azimuth in dict.fromkeys(round(a % 360.0, 1) % 360.0 for a in asked):
-            picture = panorama_to_fisheye(
-                light, panorama.heading_deg, azimuth, size=_FISHEYE_PX, sun=panorama.sun
-            )
+            how = {"size": _FISHEYE_PX, "sun": panorama.sun}
+            picture = panorama_to_fisheye(light, panorama.heading_deg, azimuth, **how)
             toward = " ".join(f"{value:.6f}" for value in direction(0.0, azimuth))
             view = f"{FISHEYE_VIEW} -vp 0 0 0 -vd {toward} -vu 0 0 1"
             target = out / "maps" / f"{path.stem}-{azimuth:g}.hdr"
@@ -148,11 +149,6 @@ def _pairs(session: Session, out: Path) -> list[Path]:
     columns["panorama"] = ("time", [row.panorama for row in pairs], {})
     coordinates = {"time": time_coordinate([row.t_utc for row in pairs])}
     return [_netcdf(xr.Dataset(columns, coordinates), out / "pairs.nc")]
-
-
-def _year(session: Session, out: Path) -> list[Path]:
-    annual = newest_annual(session)
-    return [] if annual is None else [_netcdf(annual.to_xarray(), out / "year.nc")]
 
 
 def _netcdf(data: xr.Dataset, path: Path) -> Path:

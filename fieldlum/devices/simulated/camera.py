@@ -22,7 +22,8 @@ from fieldlum.optics.images import RADIANCE_Y
 from fieldlum.optics.photometry import vignetting_at, z_per_cdm2
 from fieldlum.optics.profiles import CameraProfile
 from fieldlum.optics.projection import relative_radius
-from fieldlum.optics.raw import channel_positions, write_dng, write_jpeg
+from fieldlum.optics.raw import channel_positions
+from fieldlum.optics.raw.writing import write_dng, write_jpeg
 from fieldlum.sky.sky_view.picture import SkyGrid
 
 # ----------------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Array, Floats, Floats32, Mask
-from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.core.errors import InputError, NotEnoughDataError, input_errors
 from fieldlum.core.progress import progress
 from fieldlum.core.records import CLIPPED_SUN, Flag, Panorama, Site, SiteFile, counted, slot_id
 from fieldlum.core.room_states import USAGE, merged_state
@@ -183,15 +183,14 @@ def sun_of_rows(path: Path, rows: Sequence[PairRow], site: Site) -> tuple[Floats
     # Angles absent from the csv are NaN and compare False.
     if (wrong := cosine < np.cos(np.radians(2.5))).any():
         k = int(np.argmax(wrong))
-        at = f"altitude {altitude[k]:.1f}, azimuth {azimuth[k]:.1f} deg"
-        raise InputError(
-            path,
-            f"line {rows[k].line}: sun at altitude {stated[0, k]:.1f}, azimuth "
-            f"{stated[1, k]:.1f} deg",
-            f"{at}, computed from t_utc and the place of {site.name}",
-            "check t_utc, the sign of the site's longitude and the order of the rows, or empty "
-            "both sun columns",
+        found, at = (
+            f"altitude {sun_deg[0][k]:.1f}, azimuth {sun_deg[1][k]:.1f} deg"
+            for sun_deg in (stated, (altitude, azimuth))
         )
+        expected = f"{at}, computed from t_utc and the place of {site.name}"
+        remedy = "check t_utc, the sign of the site's longitude and the order of the rows"
+        remedy += ", or empty both sun columns"
+        raise InputError(path, f"line {rows[k].line}: sun at {found}", expected, remedy)
     _check_irradiance(path, rows, altitude)
     missing = np.isnan(stated).any(axis=0)
     return tuple(np.where(missing, (altitude, azimuth), stated))
@@ -262,9 +261,8 @@ def load_pairs(where: Path | Session, site: Path | None = None) -> Dataset:
     if path.is_dir():
         path = open_session(path).pairs
     if not path.is_file():
-        raise InputError(
-            path, "no such file", "a pairs.csv", "write one with: fieldlum pair SESSION"
-        )
+        remedy = "write one with: fieldlum pair SESSION"
+        raise InputError(path, "no such file", "a pairs.csv", remedy)
     setup = _find_setup(path, site)
     pairs = PairsFile.read(path)
     rows, refused, notes = _usable_rows(pairs), len(pairs.refused), list(pairs.warnings)
@@ -338,13 +336,8 @@ def _states(path: Path, rows: list[PairRow]) -> tuple[str, ...] | None:
     marked = marks(Session(path.parent))
     states = []
     for row in rows:
-        try:
-            state = merged_state(row.state, marked.get(Path(row.panorama).stem, ""))
-        except ValueError as error:
-            raise InputError(
-                path, f"line {row.line}: {error}", USAGE, "correct that cell"
-            ) from None
-        states.append(state)
+        with input_errors(f"{path}: line {row.line}", USAGE, "correct that cell", ValueError):
+            states.append(merged_state(row.state, marked.get(Path(row.panorama).stem, "")))
     return tuple(states) if any(states) else None
 
 

@@ -245,18 +245,10 @@ def _glare_errors(
         np.log10(np.maximum(m.thin(58).luminance_cdm2, FLOOR_CDM2)).astype(np.float16)
         for m in (judged, replace(judged, luminance_cdm2=maps))
     )
-    scores.maps = HeldOutMaps(
-        np.array(judged.slots),
-        judged.light.sun_altitude_deg,
-        judged.light.sun_azimuth_deg,
-        scores.mse_weighted[with_glare],
-        test.dgp[rows[with_glare]],
-        glare["dgp"],
-        true_contrast,
-        contrast,
-        measured,
-        predicted,
-    )
+    at = judged.light.sun_altitude_deg, judged.light.sun_azimuth_deg
+    errors, dgp = scores.mse_weighted[with_glare], (true_dgp, glare["dgp"])
+    maps = true_contrast, contrast, measured, predicted
+    scores.maps = HeldOutMaps(np.array(judged.slots), *at, errors, *dgp, *maps)
 
 
 # ----------------------------------------------------------------------------------------------

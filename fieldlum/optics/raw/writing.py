@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fieldlum.core.records import Exposure
-from fieldlum.optics.raw.pixels import channel_positions
+from fieldlum.optics.raw import channel_positions
 
 # Types of TIFF values (TIFF 6.0, section 2), for the tags that Pillow does not know.
 _BYTE, _ASCII, _SHORT, _LONG, _RATIONAL, _SRATIONAL = 1, 2, 3, 4, 5, 10

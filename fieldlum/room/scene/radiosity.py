@@ -288,9 +288,6 @@ class Rendering:
     points_lx: Floats32
     colour: Floats32 | None = None
 
-    def __len__(self) -> int:
-        return len(self.luminance_cdm2)
-
 
 @dataclass(frozen=True)
 class LitRoom:
