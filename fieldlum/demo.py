@@ -200,8 +200,7 @@ def run(
         irradiance.run(session)
         pair.run(session)
     with stage("train"):
-        data = load_pairs(session)
-        scores = train.run(data, MODEL, budget_min=budget_min, seed=1, out=model)
+        scores = train.run(load_pairs(session), MODEL, budget_min=budget_min, seed=1, out=model)
     with stage("predict a year"):
         annual, _ = predict.run(model, weather, seed=1, scheduler=pool)
     with stage("report"):

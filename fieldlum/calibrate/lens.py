@@ -119,8 +119,7 @@ def fit(targets: Targets, lens: Lens) -> LensFit:
     )
     missed, angle = _misses(fitted, targets)
     _check(fitted, missed[inliers], angle[inliers], targets)
-    kept = {} if pose else _pose_of(lens)
-    new = replace(_rounded(fitted), **kept)
+    new = replace(_rounded(fitted), **({} if pose else _pose_of(lens)))
     rms_deg = choice.rms * lens.full_angle_deg / 2 / fitted.radius_px
     widest_deg = float(np.degrees(angle[inliers].max()))
     warnings = _warnings(targets, missed, inliers, new, lens)
@@ -244,8 +243,7 @@ def _turn(directions: Array, true: Array) -> tuple[float, Any]:
 
     off, turn = np.ones(len(directions)), Rotation.identity()
     for _ in range(10):
-        weight = 1.0 / np.maximum(off, 0.02)
-        turn = Rotation.align_vectors(true, directions, weights=weight)[0]
+        turn = Rotation.align_vectors(true, directions, weights=1.0 / np.maximum(off, 0.02))[0]
         off = np.linalg.norm(true - turn.apply(directions), axis=1)
     return float(np.median(off)), turn
 
@@ -278,9 +276,8 @@ def chessboard_corners(path: Path, columns: int, rows: int) -> Array | None:
     complete, corners = cv2.findChessboardCornersSB(
         grey_picture(path), (columns, rows), flags=cv2.CALIB_CB_NORMALIZE_IMAGE
     )
-    if not complete:
-        return None
-    return np.asarray(corners, float).reshape(-1, 2) + 0.5  # OpenCV counts from a pixel's middle
+    # OpenCV counts from a pixel's middle.
+    return np.asarray(corners, float).reshape(-1, 2) + 0.5 if complete else None
 
 
 def fit_boards(
@@ -301,8 +298,7 @@ def fit_boards(
     points[:, :2] = np.mgrid[:columns, :rows].T.reshape(-1, 2)
 
     def rays_of(poses: Array) -> Array:
-        boards = poses.reshape(-1, 6)
-        at = [Rotation.from_rotvec(p[:3]).apply(points) + p[3:] for p in boards]
+        at = [Rotation.from_rotvec(p[:3]).apply(points) + p[3:] for p in poses.reshape(-1, 6)]
         at = np.concatenate(at)
         return at / np.linalg.norm(at, axis=-1, keepdims=True)
 

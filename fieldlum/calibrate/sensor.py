@@ -62,8 +62,7 @@ def find(sources: Sequence[Path], profile: CameraProfile) -> PixelDefects:
         remedy = "check gain and read noise under [sensor] in the profile"
         raise NotEnoughDataError(f"{line}; expected at most 0.1 % of all; {remedy}")
     rows, columns = np.unravel_index(bad, (profile.camera.height_px, profile.camera.width_px))
-    places = tuple(zip(columns.tolist(), rows.tolist(), strict=True))
-    return PixelDefects(places, frames, line)
+    return PixelDefects(tuple(zip(columns.tolist(), rows.tolist(), strict=True)), frames, line)
 
 
 def _deviating(path: Path, profile: CameraProfile) -> Indices:
@@ -264,5 +263,4 @@ def chart(levels: Levels, fit: LinearityFit) -> Chart:
     good = np.isfinite(logs[0])
     share, (before, after) = 100 * levels.share.ravel()[good], (log[good] for log in logs)
     x, y = ("share of the full scale [%]", share), ("light over time", np.exp(before))
-    title = f"Linearity; held-out rms {100 * fit.u_rel:.2g} %"
-    return Chart(title, after, (), x, y, np.exp(after))
+    return Chart(f"Linearity; held-out rms {100 * fit.u_rel:.2g} %", after, (), x, y, np.exp(after))

@@ -327,8 +327,7 @@ def relative_angle(lens: Lens, x_px: float, y_px: float) -> float:
 
     x_px, y_px : on the sensor. 0 on the axis, 1 at the edge of the image circle.
     """
-    radius = relative_radius(lens, x_px, y_px)
-    return float(angle_of_radius(lens, radius) / lens.half_angle_rad)
+    return float(angle_of_radius(lens, relative_radius(lens, x_px, y_px)) / lens.half_angle_rad)
 
 
 def transmission(profile: CameraProfile, f_number: float, x_px: float, y_px: float) -> float:

@@ -125,8 +125,7 @@ def exit_code(findings: Sequence[Finding]) -> int:
 
     A bad file (3) precedes a device (4), because without files the other checks have no meaning.
     """
-    codes = [finding.exit_code for finding in findings if finding.verdict == "fail"]
-    return min(codes, default=0)
+    return min([finding.exit_code for finding in findings if finding.verdict == "fail"], default=0)
 
 
 def as_table(findings: Sequence[Finding]) -> JsonTable:

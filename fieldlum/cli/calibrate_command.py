@@ -106,8 +106,7 @@ def _run(
     terminal.notes(new.notes)
     if picture:
         draw(new.chart, picture)
-    today = datetime.now(UTC).date()
-    save_calibration(out, profile, new.frames, new.lines, today, **new.changed)
+    save_calibration(out, profile, new.frames, new.lines, datetime.now(UTC).date(), **new.changed)
     lines = []
     for name in _TABLES.keys() & new.figures:
         lines += terminal.table_lines(new.figures[name], _TABLES[name], "  ")

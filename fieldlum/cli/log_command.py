@@ -30,8 +30,7 @@ def command(
 
     try:
         with terminal.unattended(), terminal.awake():
-            clock = Clock()
-            log(session, pyranometer, clock=clock, every_s=every_s, rows=None, say=terminal.say)
+            log(session, pyranometer, clock=Clock(), every_s=every_s, rows=None, say=terminal.say)
     except KeyboardInterrupt:
         with suppress(OSError):  # the terminal may be closed by now
             click.echo(f"{session.irradiance}: stopped")

@@ -112,5 +112,4 @@ def _planned(out: Path, setup: SiteFile, weather: Weather, asked: tuple) -> Sess
         about: PlanTable = {"set": "year-sample", "count": count, "seed": seed}
         return simulate.make_session(out, setup, slots, about)
     today = plan.today_at(setup.site, datetime.now(UTC))
-    request = plan.Request(set_, today, None, year, seed=seed)
-    return plan.run(setup, request, out, weather)[0]
+    return plan.run(setup, plan.Request(set_, today, None, year, seed=seed), out, weather)[0]

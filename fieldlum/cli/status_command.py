@@ -30,8 +30,7 @@ def command(
     from fieldlum.session import mark_slot
 
     if mark is not None:
-        state = mark_slot(session, *mark)
-        terminal.say(f"{mark[0]}: {state or 'as usual'}")
+        terminal.say(f"{mark[0]}: {mark_slot(session, *mark) or 'as usual'}")
     stage_status = status(session)
     terminal.print_answer(as_json, stage_status, _lines(stage_status))
 

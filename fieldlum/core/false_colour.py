@@ -22,19 +22,16 @@ def colour_table() -> NDArray[np.uint8]:
 
 
 def coloured(
-    luminance_cdm2: Floats | Floats32,
-    low: float = RANGE_CDM2[0],
-    high: float = RANGE_CDM2[1],
-    unseen_rgb: tuple[int, int, int] = UNSEEN_RGB,
+    luminance_cdm2: Floats | Floats32, low: float = RANGE_CDM2[0], high: float = RANGE_CDM2[1]
 ) -> NDArray[np.uint8]:
     """Return RGB [..., 3] of luminances, on a logarithmic scale from low to high [cd/m2].
 
-    Values outside the scale get the colour of its nearer end; not finite ones `unseen_rgb`.
+    Values outside the scale get the colour of its nearer end; not finite ones `UNSEEN_RGB`.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.log(np.maximum(luminance_cdm2, 1e-9) / low) / np.log(high / low)
     rgb = colour_table()[np.nan_to_num(np.clip(share * 255.0 + 0.5, 0, 255)).astype(np.uint8)]
-    rgb[~np.isfinite(luminance_cdm2)] = unseen_rgb
+    rgb[~np.isfinite(luminance_cdm2)] = UNSEEN_RGB
     return rgb
 
 

@@ -104,13 +104,13 @@ def held_out_masks(groups: Array, parts: int) -> Iterator[Mask]:
         yield np.isin(groups, names[part::parts])
 
 
-def is_no_worse(errors: Floats, best_errors: Floats, groups: Array | None = None) -> bool:
+def is_no_worse(errors: Floats, best_errors: Floats) -> bool:
     """Return whether a model's mean held-out error is at most one standard error above the best's.
 
     errors, best_errors [n]: of the model and of the best model, for the same data in the same
-    order. The standard error is that of the mean of errors - best_errors, by `groups` as in
-    `standard_error`: easy and difficult days are the same for both models, so that their spread
-    does not describe the difference. With one value or one group the standard error counts as 0.
+    order. The standard error is that of the mean of errors - best_errors: easy and difficult data
+    are the same for both models, so that their spread does not describe the difference. With one
+    value the standard error counts as 0.
     """
     difference = np.asarray(errors, float) - np.asarray(best_errors, float)
-    return bool(difference.mean() <= np.nan_to_num(standard_error(difference, groups)))
+    return bool(difference.mean() <= np.nan_to_num(standard_error(difference)))

@@ -110,8 +110,7 @@ def read_logger_file(
         text = strict_csv.read_text(path, "a logger's file in csv or TOA5")
         if text.startswith(",".join(DAY_COLUMNS)):
             samples, damaged = read_day(path)
-            left_out = (f"{damaged} broken rows",) if damaged else ()
-            logger_file = LoggerFile(tuple(samples), left_out)
+            logger_file = LoggerFile(tuple(samples), (f"{damaged} broken rows",) if damaged else ())
         else:
             logger_file = parse_table(path, text, *request)
     _check_readable(path, logger_file)
@@ -249,8 +248,7 @@ def _read(
         try:
             row = split_row(line, padded=not table.is_logger)
             if len(row) != len(names):
-                has_commas = strict_csv.decimal_commas(row, len(names), right[-50:])
-                why = COMMAS if has_commas else ""
+                why = COMMAS if strict_csv.decimal_commas(row, len(names), right[-50:]) else ""
                 raise ValueError(f"{len(row)} values, expected {len(names)}{why}")
             values = {q: _number(row[i], q, factor.get(q, 1.0)) for q, i in at.items()}
             raw = ",".join(row[i] for i in sorted(at.values()))

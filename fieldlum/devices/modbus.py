@@ -363,5 +363,4 @@ def open_pyranometer(
         raise DeviceError(f"{uri.text}: a unit number occurs twice; each unit needs its own")
     stated = {"baud": options.baud, "parity": options.parity, "stop": options.stop}
     line = replace(profile.line, **{name: value for name, value in stated.items() if value})
-    bus = _connected(uri.place, line, options.timeout)
-    return ModbusPyranometer(bus, profile, units, clock)
+    return ModbusPyranometer(_connected(uri.place, line, options.timeout), profile, units, clock)

@@ -97,8 +97,7 @@ class RpicamCamera(Camera):
             listed = ", ".join(f"{n} ({name})" for n, name in cameras.items())
             listed = listed or "none: check the ribbon cable, then restart"
             raise DeviceError(f"rpicam: no camera {self._number}; {PROGRAM} names {listed}")
-        sensor = cameras[self._number]
-        self.info = CameraInfo("rpicam", "Raspberry Pi", sensor, clock_offset_s=0.0)
+        self.info = CameraInfo("rpicam", "Raspberry Pi", cameras[self._number], clock_offset_s=0.0)
         self._taken: dict[Path, Exposure] = {}
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:

@@ -139,14 +139,10 @@ def check_night(path: Path, log: CleanIrradiance, site: Site) -> None:
     """
     lit = lit_at_night(log.t_unix_s, log.ghi_wm2, site)
     if len(lit) > 5:
-        finding = (
-            f"irradiance was logged in {len(lit)} minutes with the sun well below the horizon, "
-            f"first at {utc_text(lit[0])}"
-        )
-        remedy = (
-            "check the logger's clock (fieldlum import --utc-offset) and the sign of the site's "
-            "longitude"
-        )
+        dark = f"{len(lit)} minutes with the sun well below the horizon"
+        finding = f"irradiance was logged in {dark}, first at {utc_text(lit[0])}"
+        remedy = "check the logger's clock (fieldlum import --utc-offset) "
+        remedy += "and the sign of the site's longitude"
         raise InputError(path, finding, "no light at night", remedy)
 
 
@@ -160,9 +156,8 @@ def run(session: Session, *, force: bool = False, scheduler: Scheduler = LOCAL) 
     """
     brackets = taken_brackets(session)
     if not brackets:
-        raise NotEnoughDataError(
-            f"{session.panoramas}: no panorama to pair; run fieldlum merge {session.root}"
-        )
+        remedy = f"run fieldlum merge {session.root}"
+        raise NotEnoughDataError(f"{session.panoramas}: no panorama to pair; {remedy}")
     for folder in (session.root, session.panoramas, session.sunpatches):
         remove_scraps(folder)
     setup, log = session.site_file(), CleanIrradiance.read(session.clean_irradiance)

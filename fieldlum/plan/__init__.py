@@ -22,7 +22,6 @@ from fieldlum.plan.days import (
     DaylightHours,
     coverage,
     daylight_hours,
-    hours_of,
     season_tag,
     set_days,
     span,
@@ -171,8 +170,7 @@ def make_slots(
     below 5 deg; in a box room also "sun-enters" (through a window) and "sun-in-view" (of the
     camera). Raises InputError for an impossible box room.
     """
-    zone = setup.site.timezone
-    days = [sun.standard_date(t, zone) for t in hours.t_utc]
+    days = [sun.standard_date(t, setup.site.timezone) for t in hours.t_utc]
     seasons = {day: season_tag(day, setup.site) for day in set(days)}
     angles = hours.altitude_deg, hours.azimuth_deg
     tagged = {"low-sun": hours.altitude_deg < sun.LOW_SUN_DEG}
@@ -214,8 +212,8 @@ def run(
     return create_session(out, setup, plan.slots, plan.about(request)), plan
 
 
-def write_calendar(session: Session, made_utc: datetime) -> Path:
-    """Write plan.ics next to plan.csv, from the slots in plan.csv, and return its path.
+def write_calendar(session: Session, made_utc: datetime) -> None:
+    """Write plan.ics next to plan.csv, from the slots in plan.csv.
 
     Raises InputError if session.toml has no complete table [plan].
     """
@@ -223,7 +221,6 @@ def write_calendar(session: Session, made_utc: datetime) -> Path:
     data = ics(session.slots(), session.site_file().site, seconds, made_utc, revision)
     with replacing(session.root / "plan.ics") as file:
         file.write(data)
-    return session.root / "plan.ics"
 
 
 def write_sheets(
@@ -290,11 +287,6 @@ class Plan:
     variance_left: float | None
     months: JsonTable | None
     warnings: tuple[str, ...]
-
-    @property
-    def hours(self) -> DaylightHours:
-        """Times of the slots, and the sun's angles at these times."""
-        return hours_of(self.slots)
 
     def about(self, request: Request) -> PlanTable:
         """Return the table [plan] of session.toml, with the options that are set and revision 0."""

@@ -104,7 +104,7 @@ def run(session: Session, weather: Weather, now_utc: datetime) -> JsonTable:
     greedy = partial(greedy_hours, task.kernel, task.year, taken=captured)
     (best, variance), (_, year) = greedy(pool, 12), greedy(task.year, BATCH)
     planned = {slot.id for slot in session.slots()}
-    gained = 100.0 * (1.0 - year[-1] / year[0])
+    gained = float(100.0 * (1.0 - year[-1] / year[0]))
     drops = -100.0 * np.diff(variance) / year[0]
     return {
         "model": trained[1] if trained else None,
@@ -121,11 +121,7 @@ def run(session: Session, weather: Weather, now_utc: datetime) -> JsonTable:
             }
             for i, drop in zip(rows[best], drops.tolist(), strict=True)
         ],
-        "next_batch": {
-            "captures": BATCH,
-            "reduction_percent": gained,
-            "pays": bool(gained >= 10.0),
-        },
+        "next_batch": {"captures": BATCH, "reduction_percent": gained, "pays": gained >= 10.0},
     }
 
 

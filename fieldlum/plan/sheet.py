@@ -143,8 +143,7 @@ def irradiance_figure(hours: days.DaylightHours, site: Site, weather: Weather) -
     axes = figure.add_subplot()
     lit = (sun.position(weather.t_utc, site).altitude_deg > 0) & (weather.dhi_wm2 > 0)
     dni, dhi = weather.dni_wm2[lit], weather.dhi_wm2[lit]
-    top = max(float(dhi.max()), 500) + 25
-    ends = zip((1150, top), days.CELL_WM2, strict=True)
+    ends = zip((1150, max(float(dhi.max()), 500) + 25), days.CELL_WM2, strict=True)
     bins = [np.arange(0, end, size / 2) for end, size in ends]
     *_, picture = axes.hist2d(dni, dhi, bins=bins, norm=LogNorm(), cmap="YlOrBr", rasterized=True)
     figure.colorbar(picture, ax=axes, label="hours per year in a cell")

@@ -172,8 +172,7 @@ class JsonFile(msgspec.Struct, frozen=True):
 
         Raises OSError if it cannot be written.
         """
-        path = place / self.NAME
-        write_object(path, {"format": self.FORMAT, **self.table()}, digest=self.SEALED)
+        write_object(place / self.NAME, {"format": self.FORMAT, **self.table()}, digest=self.SEALED)
 
 
 def check_format(path: Path, version: object, newest: int) -> None:

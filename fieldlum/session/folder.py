@@ -217,8 +217,7 @@ class Session:
     @property
     def grace(self) -> timedelta:
         """How late a bracket may start: the --grace of the last capture, else 300 s."""
-        capture = self.table().get("capture", {})
-        return timedelta(seconds=capture.get("grace_s", DEFAULT_GRACE_S))
+        return timedelta(seconds=self.table().get("capture", {}).get("grace_s", DEFAULT_GRACE_S))
 
 
 # Further entries of a session's folder that fieldlum opens, up to the first dot of their names.

@@ -53,8 +53,7 @@ def config_folder() -> Path:
 
     Raises OSError for a user without a home folder.
     """
-    name = "APPDATA" if sys.platform == "win32" else "XDG_CONFIG_HOME"
-    stated = Path(os.environ.get(name, ""))
+    stated = Path(os.environ.get("APPDATA" if sys.platform == "win32" else "XDG_CONFIG_HOME", ""))
     try:
         # The XDG specification ignores relative paths; one could lead into a session.
         return (stated if stated.is_absolute() else Path.home() / ".config") / "fieldlum"

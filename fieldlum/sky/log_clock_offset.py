@@ -60,10 +60,7 @@ def complete_days(t_unix_s: Floats, ghi_wm2: Floats) -> list[tuple[float, float]
     lit = ghi_wm2 > LIT_WM2
     starts = np.flatnonzero(lit & ~np.r_[True, lit[:-1]])
     ends = np.flatnonzero(lit & ~np.r_[lit[1:], True])
-    if not len(starts) or not len(ends):
-        return []
-    ends = ends[ends >= starts[0]]
-    starts = starts[: len(ends)]
+    ends = ends[ends >= starts.min(initial=len(lit))]
     days: list[tuple[int, int]] = []
     for start, end in zip(starts, ends, strict=False):
         if days and t_unix_s[start] - t_unix_s[days[-1][1]] < _LONGEST_STORM_S:
@@ -88,8 +85,6 @@ def lit_at_night(t_unix_s: Floats, ghi_wm2: Floats, site: Site) -> list[datetime
     hour. Empty if there are none. t_unix_s, ghi_wm2: [n] rows.
     """
     minutes = np.unique(np.floor(t_unix_s[ghi_wm2 > LIT_WM2] / 60.0))
-    if len(minutes) == 0:
-        return []
     moments = [datetime.fromtimestamp(60.0 * m + 30.0, UTC) for m in minutes]
     down = sun.position(moments, site).altitude_deg < -3.0
     return [moments[i] for i in np.flatnonzero(down)]

@@ -53,7 +53,7 @@ class SkyPatches:
         return len(self.solid_angles_sr)
 
 
-def patches_per_row(mf: int = 4) -> list[int]:
+def patches_per_row(mf: int) -> list[int]:
     """Return the number of Reinhart patches in each row from the horizon up, then 1 for the zenith.
 
     mf : number of rows and columns into which each Tregenza patch is divided.
@@ -81,13 +81,13 @@ def reinhart_patches(mf: int = 4) -> SkyPatches:
     return out
 
 
-def reinhart_index(directions: Array, mf: int = 4) -> NDArray[np.intp]:
+def reinhart_index(directions: Array) -> NDArray[np.intp]:
     """Return the number of the patch of `reinhart_patches` that holds each direction [n, 3], [n].
 
-    mf: as for `patches_per_row`. Directions below the horizon count as those at it.
+    Directions below the horizon count as those at it.
     """
-    rows = np.array(patches_per_row(mf))
-    height = np.pi / 2 / (7 * mf + 0.5)
+    rows = np.array(patches_per_row(4))
+    height = np.pi / 2 / (len(rows) - 0.5)
     altitude = np.arcsin(np.clip(directions[:, 2], 0.0, 1.0))
     row = np.minimum((altitude / height).astype(np.intp), len(rows) - 1)
     turn = np.arctan2(directions[:, 0], directions[:, 1]) / (2.0 * np.pi)
@@ -114,9 +114,6 @@ class PerezSky:
     brightness: Floats
     direct_lx: Floats
     diffuse_lx: Floats
-
-    def __len__(self) -> int:
-        return len(self.norm_cdm2)
 
     def __getitem__(self, index: object) -> PerezSky:
         return PerezSky(*(getattr(self, name)[index] for name in self.__dataclass_fields__))

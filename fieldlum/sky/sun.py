@@ -107,11 +107,8 @@ def standard_offset(timezone: str, year: int) -> timedelta:
     The "dst" field of the time zone data is not used: for Ireland it marks winter as the exception.
     """
     zone = ZoneInfo(timezone)
-    offsets = [
-        datetime(year, month, 15, 12, tzinfo=zone).utcoffset() or timedelta()
-        for month in range(1, 13)
-    ]
-    return min(offsets)
+    middles = (datetime(year, month, 15, 12, tzinfo=zone) for month in range(1, 13))
+    return min(t.utcoffset() or timedelta() for t in middles)
 
 
 def zone_off_sun_h(site: Site) -> float:
@@ -340,8 +337,7 @@ def dhi_by_closure(ghi_wm2: ArrayLike, dni_wm2: ArrayLike, altitude_deg: ArrayLi
 
     With the sun below the horizon it is the global.
     """
-    beam = horizontal_beam(dni_wm2, altitude_deg)
-    return np.maximum(np.asarray(ghi_wm2, float) - beam, 0.0)
+    return np.maximum(np.asarray(ghi_wm2, float) - horizontal_beam(dni_wm2, altitude_deg), 0.0)
 
 
 def dni_by_closure(ghi_wm2: ArrayLike, dhi_wm2: ArrayLike, altitude_deg: ArrayLike) -> Floats:

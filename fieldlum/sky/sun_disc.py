@@ -205,8 +205,7 @@ def _measured_disc(band: _Band, search: Mask) -> SunDisc | None:
         return None
     brightest = int(np.argmax(np.where(search, band.light, -np.inf)))
     peak = float(band.light.flat[brightest])
-    start = band.rays.reshape(-1, 3)[brightest]
-    about = band.angle_rad(start) <= 2.0 * band.reach_rad
+    about = band.angle_rad(band.rays.reshape(-1, 3)[brightest]) <= 2.0 * band.reach_rad
     bright = about & (band.light >= 0.5 * peak)
     room_sr = 4.0 * SUN_SOLID_ANGLE_SR + 9.0 * float(band.solid_sr.flat[brightest])
     if peak <= 0.0 or band.solid_sr[bright].sum() > room_sr:

@@ -204,8 +204,7 @@ def _fill_gaps(path: Path, year: Weather, rows: list[WeatherRow], repairs: list[
     everything = sorted([*times, *filled])
     at, have = (np.array([t.timestamp() for t in some]) for some in (everything, times))
     dni, dhi = (np.interp(at, have, value[good]) for value in (year.dni_wm2, year.dhi_wm2))
-    altitude = sun.position(everything, year.site).altitude_deg
-    ghi = dhi + sun.horizontal_beam(dni, altitude)
+    ghi = dhi + sun.horizontal_beam(dni, sun.position(everything, year.site).altitude_deg)
     stated = year.ghi_wm2[good]
     has_ghi = ~np.isnan(stated)
     ghi[np.isin(at, have[has_ghi])] = stated[has_ghi]

@@ -214,8 +214,7 @@ def _moment(date: Cells, hour: str, minute: str = "0") -> datetime:
             raise ValueError(f"hour {hours:g} is outside 0 to 24")
     except (ValueError, OverflowError):
         found = f"no such time {'-'.join(date).strip('-')} hour {hour}"
-        expected = "a date of the calendar and an hour of 0 to 24"
-        raise _CellError(found, expected) from None
+        raise _CellError(found, "a date of the calendar and an hour of 0 to 24") from None
     return start + timedelta(seconds=round(hours * 3600))
 
 
@@ -266,9 +265,8 @@ def _read_epw(path: Path, lines: list[str], site: Site) -> WeatherTable:
     expected = "LOCATION,city,,,,,latitude,longitude,zone,altitude"
     place, clock = _header_place(path, lines, (6, 7, 9, 8), expected)
     header = next((k for k, line in enumerate(lines) if line.startswith("DATA PERIODS")), 7) + 1
-    if several := re.match(
-        r"DATA PERIODS,\s*\d+,\s*([2-9]|\d\d)", "".join(lines[header - 1 : header])
-    ):
+    periods = "".join(lines[header - 1 : header])
+    if several := re.match(r"DATA PERIODS,\s*\d+,\s*([2-9]|\d\d)", periods):
         rows_an_hour = f"{several[1]} rows for each hour"
         raise InputError(path, rows_an_hour, "one row for each hour", "average the file to hours")
     found = split_rows(path, numbered(lines[header:], header + 1))

@@ -237,10 +237,8 @@ def _check_summer_time(path: Path, weather: Weather, light: Floats, station: _Su
     exchanged = min(against[0][best[1]], against[1][best[0]])
     own = max(against[0][best[0]], against[1][best[1]])
     if abs(abs(best[0] - best[1]) - 60) <= 15 and exchanged > max(4 * own, MIN_CONTRADICTIONS):
-        found = (
-            f"sunrise and sunset agree from June to August if rows are moved by {best[0]:+d} min"
-        )
-        found += f", and from December to February by {best[1]:+d} min"
+        moved = f"{best[0]:+d} min, and from December to February by {best[1]:+d} min"
+        found = f"sunrise and sunset agree from June to August if rows are moved by {moved}"
         remedy = f"{STANDARD_TIME} in all rows: the file's clock follows summer time"
         raise InputError(path, found, "one clock in all months", remedy)
 

@@ -192,12 +192,10 @@ class SimulatedCamera(Camera):
         about["t_camera"] = t_camera.replace(tzinfo=None)  # cameras write no time zone
         path = target.with_name(f"{target.name}.{'jpg' if self._is_jpeg else 'dng'}")
         if self._is_jpeg:
-            codes = jpeg_codes(image, self._profile, taken, rng)
-            write_jpeg(path, codes, set_to, **about)
+            write_jpeg(path, jpeg_codes(image, self._profile, taken, rng), set_to, **about)
         else:
             about |= {"black_dn": sensor.black_dn, "white_dn": sensor.white_dn, "cfa": sensor.cfa}
-            counts = raw_counts(image, self._profile, taken, rng)
-            write_dng(path, counts, set_to, **about)
+            write_dng(path, raw_counts(image, self._profile, taken, rng), set_to, **about)
         self._clock.sleep(self._overhead_s + true_s)
         return path
 
@@ -230,8 +228,7 @@ class SimulatedCamera(Camera):
             detail = detail_of(panorama)
             grid = None if detail is None else detail.grid
             views = self._views(heading_deg - panorama.heading_deg, (height, width), grid)
-            scene = optics.on_sensor(panorama, views, self._shape)
-            image = camera_channels(scene, self._profile)
+            image = camera_channels(optics.on_sensor(panorama, views, self._shape), self._profile)
             if not self._is_jpeg:
                 image = mosaic_of(image, self._profile.sensor.cfa)
             self._last = (panorama, heading_deg, image)
@@ -249,8 +246,7 @@ class SimulatedCamera(Camera):
         rows, columns = np.mgrid[0.5 : self._shape[0], 0.5 : self._shape[1]]
         for lens in self._profile.lens:
             distance = relative_radius(lens, columns, rows)
-            angle = optics.angle_of_radius(lens, np.minimum(distance, 1.0))
-            relative = angle / lens.half_angle_rad
+            relative = optics.angle_of_radius(lens, np.minimum(distance, 1.0)) / lens.half_angle_rad
             curve, _ = linear_light.vignetting_of(lens, f_number)
             inside = distance <= 1.0
             out[inside] = vignetting_at(curve, relative)[inside]

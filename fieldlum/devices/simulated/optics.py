@@ -121,8 +121,7 @@ def _fine_channels(detail: SkyPicture, flat: Floats32, panorama: Panorama) -> Fl
     luminance, shape = panorama.luminance_cdm2.ravel(), panorama.luminance_cdm2.shape
     rays = replace(detail.grid, heading_deg=0.0).rays().reshape(-1, 3)
     coarse = _panorama_pixels(rays, (shape[0], shape[1]))
-    fine = detail.luminance_cdm2.ravel()
-    share = fine / np.maximum(luminance[coarse], 1e-9)
+    share = detail.luminance_cdm2.ravel() / np.maximum(luminance[coarse], 1e-9)
     return flat[coarse] * np.where(np.isfinite(share), share, 1.0)[:, None].astype(np.float32)
 
 

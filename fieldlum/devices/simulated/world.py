@@ -171,8 +171,7 @@ class Office:
         ground = room.reflectance_ground * view.plain.ravel()
         upward = projection.equirect_rays(_HEIGHT, 2 * _HEIGHT, 0.0)[..., 2].ravel()
         sky = view.sky.ravel() * 3.0 / 7.0 * (1.0 + 2.0 * np.abs(upward))  # CIE overcast sky
-        lit = np.bincount(s.pixel, shown, len(ground)) + ground
-        return lit / np.pi, sky / np.pi
+        return (np.bincount(s.pixel, shown, len(ground)) + ground) / np.pi, sky / np.pi
 
     def _scene(self, t_utc: datetime) -> Panorama:
         light, (lit, sky) = self.irradiance(t_utc), self._fixed()

@@ -125,8 +125,7 @@ class ScoresFile(JsonFile, frozen=True):
 
         The error is missing for example because the time limit ended before.
         """
-        rows = (row for row in self.models if row.get("name") == self.chosen)
-        row = next(rows, None)
+        row = next((row for row in self.models if row.get("name") == self.chosen), None)
         return row if row is not None and row.get("median") is not None else None
 
 

@@ -124,8 +124,7 @@ def _refuse_foreign_pictures(path: Path, rows: Iterable[PairRow]) -> None:
     for row in rows:
         for name in (row.panorama, row.sunpatch):
             if name:
-                where = f"{path}: line {row.line}"
-                inside(root, name, where, folder.relative_to(root).as_posix())
+                inside(root, name, f"{path}: line {row.line}", folder.relative_to(root).as_posix())
 
 
 def _row(path: Path, line: int, cells: dict[str, str]) -> PairRow:
