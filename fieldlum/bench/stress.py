@@ -210,9 +210,8 @@ def _geometry(data: Dataset, test: Dataset) -> Iterator[Case]:
     base = "normal, patches from [room]"
     yield Case(base, _patched(data), _patched(test), base)
     for degrees in (0.2, 0.5, 1.0, 2.0):
-        yield Case(
-            f"north off by {degrees:g} degrees", turned(data, degrees), turned(test, degrees), base
-        )
+        name = f"north off by {degrees:g} degrees"
+        yield Case(name, turned(data, degrees), turned(test, degrees), base)
     for minutes in (5, 15):
         yield Case(f"clock off by {minutes} min", late(data, minutes), late(test, minutes), base)
 

@@ -308,10 +308,8 @@ def _measured_sun(
     shown = filtered if through else [part.shots[-1] for part in findings]
     times = [s.t_utc.timestamp() for s in shown if s.t_utc is not None]
     t_utc = datetime.fromtimestamp(float(np.mean(times)), UTC) if times else None
-    altitude_deg, azimuth_deg, sigma_deg = place
-    return MeasuredSun(
-        round(altitude_deg, 4), round(azimuth_deg, 4), float(f"{sigma_deg:.3g}"), t_utc
-    )
+    altitude, azimuth, sigma_deg = place
+    return MeasuredSun(round(altitude, 4), round(azimuth, 4), float(f"{sigma_deg:.3g}"), t_utc)
 
 
 # ----------------------------------------------------------------------------------------------

@@ -253,10 +253,8 @@ def load_raw(
     full = [f - b for f, b in zip(full_dn(mosaic, profile, plateau), black, strict=True)]
     per = frame_z_per_cdm2(shot.exposure, profile)
     red, green, blue = nd_factors(shot.exposure.nd, profile)
-    per_colour = [
-        per * (sensor.white_dn - b) / f
-        for b, f in zip(black, (red, green, green, blue), strict=True)
-    ]
+    factors = zip(black, (red, green, green, blue), strict=True)
+    per_colour = [per * (sensor.white_dn - b) / f for b, f in factors]
     gain = gain_e_per_dn(shot.exposure.iso, profile)
     return RawSignal(
         counts,
@@ -303,11 +301,8 @@ class JpegSignal:
     def _limits(self) -> tuple[Floats32, Floats32, Floats32]:
         """Lowest and highest z that are used, and highest readable z, [w, 3] each."""
         low = np.full(3, -1.0, np.float32) if self.dark_end else self.z_of_code[self.low_code]
-        return (
-            self._rows(low),
-            self._rows(self.z_of_code[self._top]),
-            self._rows(self.z_of_code[_TOP_CODE]),
-        )
+        high, top = self.z_of_code[self._top], self.z_of_code[_TOP_CODE]
+        return self._rows(low), self._rows(high), self._rows(top)
 
     @cached_property
     def _tables(self) -> tuple[Floats32, Floats32]:

@@ -161,15 +161,10 @@ def neighbours(pairs: list[PairRatio], correction: Floats) -> list[NeighbourQual
     are no neighbours are omitted.
     """
     delta = np.log(correction)
+    off = [float(100 * (p.log_ratio - delta[p.short] + delta[p.long])) for p in pairs]
     return [
-        NeighbourQuality(
-            p.long,
-            p.short,
-            float(100 * (p.log_ratio - delta[p.short] + delta[p.long])),
-            100 * p.u_log,
-            p.pixels,
-        )
-        for p in pairs
+        NeighbourQuality(p.long, p.short, percent, 100 * p.u_log, p.pixels)
+        for p, percent in zip(pairs, off, strict=True)
         if p.short == p.long + 1
     ]
 

@@ -96,15 +96,9 @@ def _steps(long: Rows, short: Rows, correction: float) -> list[tuple[float, floa
     rounded_dn2 = 1 / 12
     off = y_short - r * y_long + np.random.default_rng(0).uniform(-0.5, 0.5, len(at))
     steps = np.array_split(np.argsort(y_long), int(np.clip(len(at) // 200, 1, 12)))
-    return [
-        (
-            median(shot[step]),
-            median(read[step]),
-            max(robust_sigma(off[step]) ** 2 - rounded_dn2, rounded_dn2),
-        )
-        for step in steps
-        if len(step) >= 200
-    ]
+    large = [step for step in steps if len(step) >= 200]
+    measured = [max(robust_sigma(off[k]) ** 2 - rounded_dn2, rounded_dn2) for k in large]
+    return [(median(shot[k]), median(read[k]), m) for k, m in zip(large, measured, strict=True)]
 
 
 # ----------------------------------------------------------------------------------------------

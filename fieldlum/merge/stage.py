@@ -156,10 +156,9 @@ def _merge_readable(
 
     Raises InputError if less than half of the frames, or fewer than two, are readable.
     """
-    place = {"heading_deg": job.heading_deg, "latitude_deg": job.site.latitude_deg}
-    merged = partial(
-        merge_shots, profile=job.profile, options=job.options, sun_deg=sun_deg, **place
-    )
+    camera = {"profile": job.profile, "options": job.options, "heading_deg": job.heading_deg}
+    sky = {"sun_deg": sun_deg, "latitude_deg": job.site.latitude_deg}
+    merged = partial(merge_shots, **camera, **sky)
     try:
         return merged(shots), []
     except InputError:
@@ -174,13 +173,11 @@ def _with_session_facts(
     result: MergeResult, profile: CameraProfile, complete: bool, lost: list[str]
 ) -> MergeResult:
     """Return the result with its illuminance and with a verdict that covers the slot as well."""
-    panorama = result.panorama
-    illuminance_lx = vertical_illuminance_lx(
-        panorama.luminance_cdm2, panorama.heading_deg, panorama.heading_deg, panorama.sun
-    )
-    report = structs.replace(
-        result.report, vertical_illuminance_lx=illuminance_lx, lost=tuple(lost)
-    )
+    panorama, heading_deg = result.panorama, result.panorama.heading_deg
+    place = heading_deg, heading_deg, panorama.sun
+    ahead_lx = vertical_illuminance_lx(panorama.luminance_cdm2, *place)
+    facts = {"vertical_illuminance_lx": ahead_lx, "lost": tuple(lost)}
+    report = structs.replace(result.report, **facts)
     text = result.verdict
     if not complete:
         text = f"incomplete bracket: not all planned frames exist; {text}"
@@ -204,8 +201,7 @@ def _write(session: Session, job: _MergeJob, result: MergeResult, recipe: JsonTa
     sidecar_sun = None
     if sun is not None:
         place, u_percent = (sun.altitude_deg, sun.azimuth_deg), round(100 * _sun_u_rel(p), 2)
-        bound = sun.origin == CLIPPED_SUN
-        lx = sun.normal_illuminance_lx
+        bound, lx = sun.origin == CLIPPED_SUN, sun.normal_illuminance_lx
         sidecar_sun = SidecarSun(*place, lx, u_percent, sun.origin, bound, result.sun)
     Sidecar(
         job.slot,
@@ -298,12 +294,9 @@ def run(
     if summary_due(session):
         write_summary(session)
     if all(v.state == "failed" for v in verdicts):
-        raise InputError(
-            session.raw,
-            f"0 of {counted(len(verdicts), 'bracket')} could be merged; {verdicts[0].slot}: "
-            f"{verdicts[0].text}",
-            remedy="correct the cause and merge again",
-        )
+        count, first = counted(len(verdicts), "bracket"), verdicts[0]
+        found = f"0 of {count} could be merged; {first.slot}: {first.text}"
+        raise InputError(session.raw, found, remedy="correct the cause and merge again")
     return verdicts
 
 

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 from typing import Literal, TypeVar
 
 import numpy as np
+from numpy.polynomial.polynomial import polyval
 from numpy.typing import ArrayLike, NDArray
 
 from fieldlum.core.arrays import Floats
@@ -221,9 +222,7 @@ def vignetting_at(coefficients: tuple[float, ...], radius: ArrayLike) -> Floats:
     limited to 0 to 1.
     """
     r = np.clip(np.asarray(radius, float), 0.0, 1.0)
-    return np.asarray(
-        np.polynomial.polynomial.polyval(r, np.asarray(coefficients or (1.0,), float)), np.float64
-    )
+    return np.asarray(polyval(r, coefficients or (1.0,)), np.float64)
 
 
 def check_vignetting(coefficients: tuple[float, ...]) -> str:
@@ -259,7 +258,7 @@ def response_table(kind: str, curve: Sequence[float] = ()) -> Floats:
     if kind == "polynomial":
         if len(curve) < 2 or not np.isfinite(curve).all():
             raise ValueError("a response polynomial needs at least two finite coefficients")
-        return monotone(np.polynomial.polynomial.polyval(code, np.asarray(curve, float)))
+        return monotone(polyval(code, curve))
     if kind == "srgb":
         return np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
     return code
@@ -331,9 +330,8 @@ def fit_response(
     n = value.size
     rows = np.arange(n)
     columns = np.r_[value, 256 + place]
-    data = sparse.csr_matrix(
-        (np.r_[weight, -weight], (np.tile(rows, 2), columns)), (n, 256 + places)
-    )
+    at = np.tile(rows, 2), columns
+    data = sparse.csr_matrix((np.r_[weight, -weight], at), (n, 256 + places))
     curve = np.arange(1, 255)
     hat = np.minimum(curve, 255 - curve) / 127.0 + 0.05
     bends = np.r_[hat, -2 * hat, hat] * np.sqrt(smooth * n / 256 / 100)
@@ -361,12 +359,8 @@ def _ray_integrals(height: int, width: int, heading_deg: float) -> Floats:
     upward = np.diff(np.sin(edges) ** 2 / 2)  # of sin cos
     turn = np.radians(heading_deg) + (np.linspace(0.0, 1.0, width + 1) - 0.5) * 2 * np.pi
     east, north, step = np.diff(-np.cos(turn)), np.diff(np.sin(turn)), 2 * np.pi / width
-    parts = (
-        level[:, None] * east,
-        level[:, None] * north,
-        np.repeat(upward[:, None] * step, width, axis=1),
-    )
-    return np.stack(parts, axis=-1)
+    up = np.repeat(upward[:, None] * step, width, axis=1)
+    return np.stack((level[:, None] * east, level[:, None] * north, up), axis=-1)
 
 
 def _cosine_weights(height: int, width: int, heading_deg: float, normal: Floats) -> Floats:

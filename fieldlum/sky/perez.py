@@ -111,7 +111,6 @@ class PerezSky:
     ground_cdm2: Floats
     shape: Floats
     clearness: Floats
-    brightness: Floats
     direct_lx: Floats
     diffuse_lx: Floats
 
@@ -226,11 +225,9 @@ def perez_coefficients(
     direct_lx = dni * np.maximum(efficacy, 0.0)
     norm = diffuse_lx / _relative_horizontal(shape, zenith)
     zenith_cdm2 = np.maximum(norm * _relative(shape, np.ones_like(zenith), zenith), 0.0)
-    ground = GROUND_REFLECTANCE * (
-        zenith_cdm2 * _ground_over_zenith(clearness, altitude)
-        + direct_lx * np.sin(altitude) / np.pi
-    )
-    return PerezSky(norm, ground, shape, clearness, brightness, direct_lx, diffuse_lx)
+    of_sky = zenith_cdm2 * _ground_over_zenith(clearness, altitude)
+    ground = GROUND_REFLECTANCE * (of_sky + direct_lx * np.sin(altitude) / np.pi)
+    return PerezSky(norm, ground, shape, clearness, direct_lx, diffuse_lx)
 
 
 # Three products, added in the order x, y, z: a BLAS library adds in another order for another

@@ -194,9 +194,8 @@ def is_badly_measured(data: Dataset) -> Mask:
     light = data.light
     upwards = np.sin(np.radians(np.maximum(light.sun_altitude_deg, 1.0)))
     unknown_wm2 = ZERO_OFFSET_WM2 / upwards
-    return beam_is_uncertain(data) | (
-        UNSURE * (light.dhi_wm2 + light.dni_wm2) ** 2 < unknown_wm2**2
-    )
+    small = UNSURE * (light.dhi_wm2 + light.dni_wm2) ** 2 < unknown_wm2**2
+    return beam_is_uncertain(data) | small
 
 
 def choice_weights(data: Dataset) -> Floats:

@@ -213,9 +213,8 @@ def make_session(out: Path, setup: SiteFile, slots: Sequence[Slot], about: PlanT
 
     about: further keys of the table [plan]. Raises InputError if `out` is a session already.
     """
-    return create_session(
-        out, setup, sorted(slots, key=lambda slot: slot.t_utc), {**about, "slots": len(slots)}
-    )
+    in_order = sorted(slots, key=lambda slot: slot.t_utc)
+    return create_session(out, setup, in_order, {**about, "slots": len(slots)})
 
 
 def _light_of(setup: SiteFile, slots: Sequence[Slot], weather: Weather) -> tuple[Light, np.ndarray]:
@@ -233,9 +232,8 @@ def _forget_other(session: Session, slots: Sequence[Slot], weather: Weather, how
     Otherwise an interrupted run could leave a mixture.
     """
     path, setup = session.truth / "made.json", session.site_file()
-    light = hashlib.sha256(
-        np.concatenate((weather.dni_wm2, weather.dhi_wm2)).astype("<f4").tobytes()
-    ).hexdigest()
+    both = np.concatenate((weather.dni_wm2, weather.dhi_wm2)).astype("<f4")
+    light = hashlib.sha256(both.tobytes()).hexdigest()
     room = [plain(setup.room), setup.camera.heading_deg, how.height, how.quality, _VERSION]
     now = {"room": digest(room), "weather": weather.name, "light_sha256": light}
     now |= {"window_pitch_deg": f"{how.pitch_deg:.4f}", "troubles": how.troubles.key}

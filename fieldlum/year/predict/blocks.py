@@ -364,18 +364,15 @@ def relative_uncertainty(
     else:
         u_rel = np.float32(np.log(10.0)) * predicted.log10_sd
         power = np.where(maps > SOURCE_CDM2, maps, np.float32(0.0)) ** 2
-        of_ev = metrics.map_ev_lx(maps * u_rel, views) / np.maximum(
-            figures["ev_lx"] - figures["sun_ev_lx"], 1e-6
-        )
-        of_source = metrics.map_ev_lx(power * u_rel, views) / np.maximum(
-            metrics.map_ev_lx(power, views), 1e-6
+        ev_lx = figures["ev_lx"] - figures["sun_ev_lx"], metrics.map_ev_lx(power, views)
+        of_ev, of_source = (
+            metrics.map_ev_lx(light * u_rel, views) / np.maximum(lx, 1e-6)
+            for light, lx in zip((maps, power), ev_lx, strict=True)
         )
     share_ev = figures["sun_ev_lx"] / np.maximum(figures["ev_lx"], 1e-6)
     share = figures["sun_contrast"] / np.maximum(figures["contrast"], 1e-30)
-    return (
-        np.hypot((1.0 - share_ev) * of_ev, share_ev * U_DISC),
-        np.hypot((1.0 - share) * of_source, share * U_DISC),
-    )
+    u_ev_rel = np.hypot((1.0 - share_ev) * of_ev, share_ev * U_DISC)
+    return u_ev_rel, np.hypot((1.0 - share) * of_source, share * U_DISC)
 
 
 def _images(block: HourBlock, views: Views, count: int) -> list[metrics.DiscLight]:
