@@ -99,4 +99,7 @@ def test_simulated_time_has_an_estimate_of_the_real_time(
         for live in rig.shown[:2]:
             show(live)
     lines = capsys.readouterr().err.splitlines()
-    assert lines == ["capture: 1 of 3, about 2.0 min left", "capture: 2 of 3, about 1.0 min left"]
+    assert lines == [
+        "capture: 1 of 3 (1 done, 0 missed, 0 aborted, 2 left)",
+        "capture: 2 of 3, about 1.0 min left",
+    ]

@@ -53,8 +53,10 @@ def test_a_person_answers_wrongly_and_rightly(tmp_path: Path) -> None:
         ("decimal degrees", "7.69 E"),
         ("Time zone", "Europe/Rom"),
         ("is it Europe/Rome", "America/New_York"),
-        ("east is positive", "Europe/Rome"),
-        ("Altitude", ""),
+        ("east are positive", ""),
+        ("Longitude", ""),
+        ("Time zone", "Europe/Rome"),
+        ("Altitude", "240"),
         ("Camera: a number", "nothing"),
         ("nothing", "fisheye"),
         ("is it", "sim-fisheye"),
@@ -180,6 +182,18 @@ def _answers(*more: str) -> str:
 
 
 @pytest.mark.contract
+def test_a_longitude_with_a_wrong_sign_can_be_corrected(tmp_path: Path) -> None:
+    """Longitude and time zone contradict each other: all are asked again, with their answers."""
+    path = tmp_path / "office.toml"
+    place = ("Bogota", "4.7", "74.07", "America/Bogota", "", "-74.07", "", "", "2600")
+    answers = "\n".join((*place, "none yet", "-", "", "-", ""))
+    shown = CliRunner().invoke(main, ["new", str(path)], answers)
+    assert shown.exit_code == 0 and "9.9 h from solar time" in shown.output, shown.output
+    site = load_site(path).site
+    assert (site.longitude_deg, site.altitude_m) == (-74.07, 2600.0)
+
+
+@pytest.mark.contract
 def test_no_camera_and_no_heading_yet_is_an_answer(tmp_path: Path) -> None:
     """The file says what is not known, and the site knows that its defaults are no statements."""
     path = tmp_path / "office.toml"
@@ -227,7 +241,7 @@ def test_a_damaged_file_of_answers_is_no_obstacle(tmp_path: Path) -> None:
 
 @pytest.mark.contract
 def test_a_wrong_sign_of_the_latitude_is_asked_again(tmp_path: Path) -> None:
-    answers = "office\n33.9\n18.4\nAfrica/Johannesburg\nAfrica/Tripoli\n0\nnone\n-\n\n-\n"
+    answers = "office\n33.9\n18.4\nAfrica/Johannesburg\n-33.9\n\n\n0\nnone\n-\n\n-\n"
     shown = CliRunner().invoke(main, ["new", str(tmp_path / "s.toml")], answers)
     assert "with the other sign of the latitude 12" in shown.output, shown.output
     assert shown.exit_code == 0

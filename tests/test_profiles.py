@@ -4,21 +4,31 @@ same.
 
 import math
 import re
+from dataclasses import replace
+from datetime import date
 from importlib.resources import files
 from pathlib import Path
 
 import pytest
 
+from fieldlum.capture.doctor import judge_age
 from fieldlum.core.errors import InputError
-from fieldlum.core.records import Site
+from fieldlum.core.records import CameraSetup, Room, Site, SiteFile
 from fieldlum.optics.profiles import (
     bracket_exposures,
     find_camera_profile,
     load_camera_profile,
     save_profile,
     shipped,
+    uncalibrated_text,
 )
-from fieldlum.session.site_toml import load_site, site_from_table, site_table, wrong_sign_text
+from fieldlum.session.site_toml import (
+    load_site,
+    site_from_table,
+    site_table,
+    with_paths_from,
+    wrong_sign_text,
+)
 
 PLACE = {
     "name": "here",
@@ -163,6 +173,47 @@ def test_every_shipped_camera_loads_and_round_trips(path: Path, tmp_path: Path) 
     assert bracket_exposures(profile.bracket)
     save_profile(tmp_path / "copy.toml", profile)
     assert load_camera_profile(tmp_path / "copy.toml") == profile
+
+
+@pytest.mark.contract
+def test_a_date_alone_is_no_calibration() -> None:
+    """`calibrate lens` sets the date; the scale is still a guess, and doctor must not say ok."""
+    start = load_camera_profile("canon-eos-8mm-uncalibrated")
+    assert "no date of calibration: standard uncertainties are scale 50 %" in (
+        uncalibrated_text(start)
+    )
+    dated = replace(start, camera=replace(start.camera, date="2027-01-01"))
+    assert (
+        "not calibrated: standard uncertainties are scale 50 %, colour 20 %, vignetting 15 %"
+        in (uncalibrated_text(dated))
+    )
+    assert judge_age(dated, date(2027, 2, 1)).verdict == "warn"
+    for name in ("canon-5d2-8mm-f5.6", "sim-fisheye"):
+        assert uncalibrated_text(load_camera_profile(name)) == ""
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize("own", ["office", "home"])
+def test_an_own_profile_is_found_from_every_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, own: str
+) -> None:
+    """A service starts capture in another folder, where another profile may have the same name."""
+    profile = load_camera_profile("sim-fisheye")
+    (tmp_path / "office" / "session").mkdir(parents=True)
+    (tmp_path / "home").mkdir()
+    save_profile(tmp_path / "office" / "mine.toml", profile)
+    (tmp_path / "office" / "room.rad").touch()
+    if own == "home":
+        other = replace(profile, scale=replace(profile.scale, k=2.0))
+        save_profile(tmp_path / "home" / "mine.toml", other)
+    site = Site("office", 4.7, -74.1, "America/Bogota")
+    setup = SiteFile(site, CameraSetup("mine.toml"), Room(kind="radiance", file="room.rad"))
+    monkeypatch.chdir(tmp_path / "home")
+    found = with_paths_from(setup, Path("../office/session"))
+    assert load_camera_profile(found.camera.profile) == profile
+    assert found.room and Path(found.room.file).is_file()
+    monkeypatch.chdir(tmp_path / "office")
+    assert with_paths_from(setup, Path("session")) == setup
 
 
 @pytest.mark.contract

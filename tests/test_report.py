@@ -283,6 +283,21 @@ def test_the_page_for_an_assessor_has_requirements_evidence_and_what_is_missing(
     assert not (tmp_path / "index.html").exists()
 
 
+@pytest.mark.slow
+@pytest.mark.contract
+@pytest.mark.parametrize("for_assessor", [False, True])
+def test_a_camera_that_is_not_calibrated_is_named_above_the_findings(
+    session: Session, tmp_path: Path, for_assessor: bool
+) -> None:
+    copy = Session(tmp_path / "office")
+    shutil.copytree(session.root, copy.root)
+    text = copy.toml.read_text("utf-8")
+    profile = 'profile = "canon-eos-8mm-uncalibrated"'
+    copy.toml.write_text(re.sub('profile = ".*"', profile, text, count=1), encoding="utf-8")
+    page = report.run(copy, for_assessor=for_assessor).read_text("utf-8")
+    assert "scale 50 %" in page.split("<nav")[0]
+
+
 @pytest.mark.analytic
 def test_shares_of_the_year_with_enough_melanopic_light() -> None:
     """Two days of hours: one of 300 lx with u of 10 %, one of 300 lx with u of 1 lx."""

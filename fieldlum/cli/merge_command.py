@@ -16,7 +16,7 @@ from fieldlum.cli.options import (
     picture_height,
     scheduler_of,
 )
-from fieldlum.cli.terminal import print_answer, progress, say
+from fieldlum.cli.terminal import notes, print_answer, progress, say
 from fieldlum.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ def command(
           only]
     """
     from fieldlum import merge
-    from fieldlum.optics.profiles import load_camera_profile
+    from fieldlum.optics.profiles import load_camera_profile, uncalibrated_text
     from fieldlum.optics.raw import frame_files
     from fieldlum.session import open_session
 
@@ -71,6 +71,7 @@ def command(
         size = size or (DEFAULT_SIZE if is_panorama else DEFAULT_FISHEYE_SIZE)
         options = merge.MergeOptions(picture_height(size, 1 + is_panorama), projection, fit)
         files, profile = frame_files(source, *more), load_camera_profile(camera)
+        notes(filter(None, [uncalibrated_text(profile)]))
         with progress("Merge"):
             result, facts = merge.files_to_picture(
                 files, profile, out, options, heading_deg=heading
@@ -81,6 +82,8 @@ def command(
     if source.is_file() or more or camera or out or projection != "equirect" or heading != 180.0:
         raise click.UsageError("files, --camera, --out, --projection, --heading need --frames")
     session = open_session(source)
+    profile = load_camera_profile(session.site_file().camera.profile)
+    notes(filter(None, [uncalibrated_text(profile)]))
     options = merge.MergeOptions(picture_height(size or _present_size(session)), fit=fit)
     scheduler = scheduler_of(scheduler_text)
     with progress("Merge"):

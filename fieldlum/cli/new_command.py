@@ -6,7 +6,7 @@ import json
 import re
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeVar
 
@@ -173,23 +173,31 @@ def _site(dialogue: Dialogue) -> Site:
     from fieldlum.session.site_toml import site_from_table, wrong_sign_text
 
     name = dialogue.ask("Name of the site", _name)
-    latitude = dialogue.ask("Latitude in degrees (like 47.61, 47.61 N)", _angle(90.0, "NS"))
-    longitude = dialogue.ask("Longitude in degrees (like -122.33, 122.33 W)", _angle(180.0, "EW"))
     zones = available_timezones()
 
-    def zone(text: str) -> Site:
+    def zone(text: str) -> str:
         if text not in zones:
             near = "".join(f"; is it {match}?" for match in get_close_matches(text, zones, n=1))
             raise ValueError(f"unknown time zone '{text}'{near}")
-        place = {"name": name, "latitude_deg": latitude, "longitude_deg": longitude}
-        site = site_from_table({"site": {**place, "timezone": text}}, "this place").site
-        if wrong := wrong_sign_text(site):
-            raise ValueError(f"{wrong}; north and east are positive")
-        return site
+        return text
 
-    site = dialogue.ask("Time zone, IANA name (like Europe/Rome)", zone)
-    altitude = dialogue.ask("Altitude above the sea in m", _number(-500.0, 9000.0), "0")
-    return Site(name, latitude, longitude, site.timezone, altitude)
+    while True:
+        latitude = dialogue.ask("Latitude in degrees (like 47.61, 47.61 N)", _angle(90.0, "NS"))
+        question = "Longitude in degrees (like -122.33, 122.33 W)"
+        longitude = dialogue.ask(question, _angle(180.0, "EW"))
+        timezone = dialogue.ask("Time zone, IANA name (like Europe/Rome)", zone)
+        site = Site(name, latitude, longitude, timezone)
+        try:
+            site_from_table({"site": asdict(site)}, "this place")
+            wrong = wrong_sign_text(site)
+        except InputError as error:
+            wrong = str(error)
+        if not wrong:
+            break
+        click.echo(f"Error: {wrong}; north and east are positive; press Enter to keep an answer")
+    # Without a default: a wrong one changes the DNI that is derived from global irradiance.
+    altitude = dialogue.ask("Altitude above the sea in m", _number(-500.0, 9000.0))
+    return replace(site, altitude_m=altitude)
 
 
 def _camera(dialogue: Dialogue) -> CameraSetup:

@@ -137,17 +137,21 @@ def _progress_lines(label: str) -> Progress:
     started, due_s = time.monotonic(), FIRST_LINE_S
     before = -1.0
     repeats = False  # work of several parts, such as a model after another, whose count is unknown
+    first: tuple[int, float] | None = None  # finished first, and when: the start-up is not repeated
 
     def show(finished: int, total: int, text: str) -> None:
-        nonlocal due_s, before, repeats
+        nonlocal due_s, before, repeats, first
         spent_s, share = time.monotonic() - started, finished / max(total, 1)
         repeats, before = repeats or share < before, share
+        if finished > 0 and first is None:
+            first = finished, spent_s
         if spent_s < due_s or total <= 0:
             return
         due_s = spent_s + LINE_EVERY_S
-        more = f" ({text})"
-        if finished > 0 and not repeats:
-            more = f", about {spent_s * (total - finished) / finished / 60:.1f} min left"
+        more = f" ({text})" if text else ""
+        if first is not None and finished > first[0] and not repeats:
+            each_s = (spent_s - first[1]) / (finished - first[0])
+            more = f", about {each_s * (total - finished) / 60:.1f} min left"
         say(f"{label}: {finished} of {total}{more}")
 
     return show

@@ -17,6 +17,7 @@ _SETTINGS: dict[Any, Any] = {
     "font.size": 10,
     "axes.edgecolor": PALE,
     "axes.labelcolor": INK,
+    "axes.formatter.useoffset": False,  # each tick shows its value
     "axes.spines.top": False,
     "axes.spines.right": False,
     "xtick.color": INK,

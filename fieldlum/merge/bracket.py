@@ -149,7 +149,9 @@ def verdict(report: MergeReport) -> str:
 
 
 def _exposure_notes(report: MergeReport) -> Iterator[str]:
-    if report.residual_percent is None:
+    if len(report.frames) == 1:
+        yield "a single frame: nothing confirms its exposure; take a bracket"
+    elif report.residual_percent is None:
         yield "no two frames have common well-exposed pixels: plan smaller steps of exposure"
     elif report.residual_percent > 3.0:
         yield (
@@ -190,7 +192,10 @@ def _camera_notes(report: MergeReport) -> Iterator[str]:
 
 def _view_notes(report: MergeReport) -> Iterator[str]:
     if clipped := report.clipped_percent:
-        yield f"clipped in every frame: {clipped:.3g} % of the view: add shorter exposures"
+        yield (
+            f"clipped in every frame: {clipped:.3g} % of the view: add shorter exposures, unless "
+            "it is the sun"
+        )
     if (motion := report.motion_percent or 0.0) > 2.0:
         yield (
             f"motion in {motion:.1f} % of the view: people, leaves or clouds moved between frames: "

@@ -16,6 +16,8 @@ from fieldlum.optics.projection import LensGeometry, angle_of_radius, judged_tex
 
 _Side = Annotated[int, Meta(gt=0, le=100_000)]  # px
 _OfColours = Annotated[tuple[float, ...], Meta(min_length=4, max_length=4)]  # R, G1, G2, B
+# The shipped starts have 0.15 (vignetting), 0.2 and 0.5; the worst calibrated one has 0.05.
+_U_NOT_CALIBRATED = 0.1
 
 # ----------------------------------------------------------------------------------------------
 # the tables of a profile
@@ -356,16 +358,21 @@ def turning_text(setup: CameraSetup) -> str:
 
 
 def uncalibrated_text(profile: CameraProfile) -> str:
-    """Return one sentence on what a profile without a date of calibration costs; "" with a date."""
-    if profile.camera.date:
-        return ""
+    """Return one sentence on the parts of a profile that are not calibrated; "" if all are.
+
+    A part is not calibrated without a date of calibration, or while it has the uncertainty of a
+    start (`_U_NOT_CALIBRATED`): `calibrate` sets the date with the first part that it fits.
+    """
     vignetting = max((v.u_rel for lens in profile.lens for v in lens.vignetting), default=0.0)
-    parts = (("scale", profile.scale.u_rel), ("colour", profile.colour.u_rel))
-    shares = [f"{name} {100 * u:.0f} %" for name, u in (*parts, ("vignetting", vignetting)) if u]
-    return (
-        f"{profile.camera.name} has no date of calibration: standard uncertainties are "
-        f"{', '.join(shares)}, and directions may be wrong by some degrees (fieldlum calibrate -h)"
-    )
+    parts = {"scale": profile.scale.u_rel, "colour": profile.colour.u_rel, "vignetting": vignetting}
+    least = _U_NOT_CALIBRATED if profile.camera.date else 0.0
+    shares = [f"{name} {100 * u:.0f} %" for name, u in parts.items() if u > least]
+    texts = f"standard uncertainties are {', '.join(shares)}"
+    if not profile.camera.date:
+        why = f"no date of calibration: {texts}, and directions may be wrong by some degrees"
+    else:
+        why = f"parts that are not calibrated: {texts}" if shares else ""
+    return f"{profile.camera.name} has {why} (fieldlum calibrate -h)" if why else ""
 
 
 def find_camera_profile(name: str) -> Path:

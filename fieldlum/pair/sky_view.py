@@ -187,6 +187,7 @@ def draw(path: Path, view: SkyView, panorama: Panorama, suns: Floats) -> None:
         axes.set(xlim=(left - 5.0, right + 5.0), ylim=(bottom - 5.0, min(top + 5.0, 90.0)))
         axes.set_xlabel("azimuth, clockwise from true north, as the heading states it (degrees)")
         axes.set_ylabel("altitude (degrees)")
+        axes.xaxis.set_major_formatter(lambda azimuth, _: f"{azimuth % 360.0:g}")
         axes.set_title(
             f"Sky view of {view.captures} captures: blue is sky (by openness), yellow no lens saw"
             + (", red circles are captured discs of the sun" if len(suns) else "")

@@ -3,9 +3,10 @@
 Results that do not exist yet are left out.
 """
 
+from contextlib import suppress
 from pathlib import Path
 
-from fieldlum.core.errors import NotEnoughDataError
+from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Site, slot_id
 from fieldlum.core.strict_csv import read_table
 from fieldlum.report import assessor
@@ -99,16 +100,19 @@ def _facts(
 
 
 def _warnings(session: Session, year: Annual | None) -> list[str]:
-    """Return warnings of assumed settings of the site, of training, and of the weather."""
-    from fieldlum.optics.profiles import assumed_texts
+    """Return warnings of assumed settings, of the camera, of training, and of the weather."""
+    from fieldlum.optics.profiles import assumed_texts, load_camera_profile, uncalibrated_text
 
-    texts = assumed_texts(session.site_file().camera)
+    camera = session.site_file().camera
+    texts = assumed_texts(camera)
+    with suppress(InputError):  # the profile can be missing where only the report is written again
+        texts += filter(None, [uncalibrated_text(load_camera_profile(camera.profile))])
     if year is not None:
         weather, of_model = year.summary.weather, year.summary.model_warnings
         texts += [f"From training: {text.removeprefix('WARNING: ')}" for text in of_model]
         if weather.synthetic:
             texts.append("The weather is synthetic: do not judge this place by it.")
-        texts += [f"Weather repaired: {text}" for text in weather.repairs]
+        texts += [f"Weather: {text}" for text in weather.repairs]
     return [sentence(text) for text in texts]
 
 
@@ -127,7 +131,10 @@ def run(session: Session, out: Path | None = None, *, for_assessor: bool = False
     folder, year = out or session.report, newest_annual(session)
     remove_scraps(folder)
     page = folder / ("assessor.html" if for_assessor else "index.html")
-    text = assessor.page(session, year) if for_assessor else _page(session, year)
+    if for_assessor:
+        text = assessor.page(session, year, _warnings(session, year))
+    else:
+        text = _page(session, year)
     with replacing(page, "w", encoding="utf-8") as file:
         file.write(text)
     return page

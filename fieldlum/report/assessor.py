@@ -5,6 +5,7 @@ It certifies nothing. Figures are those of the predicted year; an interval that 
 """
 
 import tomllib
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -19,7 +20,7 @@ from fieldlum.version import __version__
 from fieldlum.year.predict import Annual
 
 METHOD = (
-    "A camera of known calibration captured luminance maps of the room under many suns and skies, "
+    "A camera captured luminance maps of the room under many suns and skies, "
     "while irradiance was measured outside. A model learned how the room responds to sky and sun. "
     "It was tested on days that it had not seen, and predicted each daylight hour of the weather "
     "year. DGP, vertical illuminance and melanopic EDI were computed from the predicted maps at "
@@ -103,8 +104,11 @@ def _camera_rows(profile: CameraProfile) -> list[tuple[str, str]]:
     ]
 
 
-def page(session: Session, annual: Annual | None) -> str:
-    """Return the page as HTML. Raises InputError if `annual`, the predicted year, is None."""
+def page(session: Session, annual: Annual | None, warnings: Sequence[str]) -> str:
+    """Return the page as HTML, with `warnings` above all findings.
+
+    Raises InputError if `annual`, the predicted year, is None.
+    """
     if annual is None:
         remedy = "run fieldlum predict first"
         raise InputError(session.root, "no predicted year", "a year of figures", remedy)
@@ -137,4 +141,4 @@ def page(session: Session, annual: Annual | None) -> str:
         ("occupied hours", f"{occupancy.hours}"),
     )
     title = f"{site.name}: glare and daylight for an assessor"
-    return render(Page(title, *_ABOUT, facts, shown))
+    return render(Page(title, *_ABOUT, facts, shown, warnings))

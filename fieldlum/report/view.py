@@ -131,6 +131,7 @@ def read_measured_picture(path: Path, part: str = "") -> MeasuredPicture:
     if (u := row["u_melanopic_edi_lx"]) is not None:
         texts.append(f"m-EDI {row['melanopic_edi_lx']:.0f} ± {u:.0f} lx")
     texts.append("" if row["dgp"] is None else f"DGP {row['dgp']:.3f}")
+    texts += [f"facing {azimuth % 360.0:.0f}°" for azimuth in azimuths_deg if any(texts)]
     solid_sr = picture_directions(picture)[1].astype(np.float32)
     outlines = [] if picture.view is None else _outlines(sources, luminance.shape)
     shown = "; ".join(filter(None, texts)), outlines, answer["warnings"]

@@ -19,7 +19,7 @@ from fieldlum.core.records import SiteFile, Slot
 from fieldlum.session.codec import convert
 from fieldlum.session.plan_file import PLAN_COLUMNS, read_plan, write_plan
 from fieldlum.session.safe_paths import is_plain, refuse_links
-from fieldlum.session.site_toml import site_from_table, site_table
+from fieldlum.session.site_toml import site_from_table, site_table, with_paths_from
 from fieldlum.session.writing import replacing, sha256
 from fieldlum.version import __version__
 
@@ -203,9 +203,11 @@ class Session:
     def site_file(self) -> SiteFile:
         """Return site, camera, room and pyranometer, as recorded when the session was planned.
 
-        Raises InputError if the table [setup] of session.toml is wrong.
+        Paths count from the session's folder or one above it (`with_paths_from`). Raises InputError
+        if the table [setup] of session.toml is wrong.
         """
-        return site_from_table(self.table().get("setup", {}), str(self.toml))
+        setup = site_from_table(self.table().get("setup", {}), str(self.toml))
+        return with_paths_from(setup, self.root)
 
     def slots(self) -> list[Slot]:
         """Return the planned slots in the order of plan.csv.

@@ -2,6 +2,7 @@
 
 import math
 import re
+from dataclasses import replace
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -81,6 +82,24 @@ def wrong_sign_text(site: Site) -> str:
     return f"{found}, and with {how} {near:.0f} km"
 
 
+def with_paths_from(setup: SiteFile, folder: Path) -> SiteFile:
+    """Return a site whose camera profile and room file are found from any current folder.
+
+    They are searched in `folder`, then in the folders above it, so that a file of the same name in
+    the current folder is not used instead. A file that is in none of them keeps its name.
+    """
+
+    def nearest(name: str) -> str:
+        paths = (above / name for above in (folder, *folder.absolute().parents))
+        path = next((path for path in paths if path.is_file()), None) if name else None
+        is_here = path is None or (Path(name).is_file() and path.samefile(name))
+        return name if is_here else str(path)
+
+    camera = replace(setup.camera, profile=nearest(setup.camera.profile))
+    room = setup.room and replace(setup.room, file=nearest(setup.room.file))
+    return replace(setup, camera=camera, room=room)
+
+
 def site_table(setup: SiteFile) -> TomlTable:
     """Return a site as the nested tables of a SITE.toml; the inverse of `site_from_table`."""
     return plain(setup)
@@ -107,4 +126,4 @@ def load_site(path: Path) -> SiteFile:
     if wrong := wrong_sign_text(setup.site):
         remedy = "correct the sign (north and east are positive), or state a nearer time zone"
         raise InputError(path, wrong, "a place near its time zone", remedy)
-    return setup
+    return with_paths_from(setup, path.parent)
