@@ -331,7 +331,7 @@ def _picture_texts(picture: pictures.Picture, seen_mask: Mask | None) -> Iterato
     if clipped:
         yield (
             f"clipped in every frame: {counted(clipped, 'pixel')}; the true luminance there, and "
-            "DGP, may be higher; capture shorter exposures as well"
+            "DGP, may be higher; capture shorter exposures as well, unless it is the sun's disc"
         )
 
 
