@@ -19,12 +19,7 @@ from fieldlum.core import strict_csv
 from fieldlum.core.arrays import Floats, Floats32, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Exposure, Flag, Panorama
-from fieldlum.core.statistics import (
-    held_out_masks,
-    is_no_worse,
-    robust_sigma,
-    standard_error,
-)
+from fieldlum.core.statistics import held_out_masks, is_no_worse, robust_sigma, standard_error
 from fieldlum.optics import linear_light
 from fieldlum.optics.images import calibration_mark
 from fieldlum.optics.photometry import saturation_plateau, vignetting_at

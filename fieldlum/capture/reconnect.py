@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Callable
+from concurrent.futures import Future, wait
 from contextlib import suppress
 from dataclasses import asdict
 from typing import Any, Generic, TypeVar
@@ -143,20 +144,15 @@ def guarded(work: Callable[[], R], seconds: float, what: str) -> R:
     Raises DeviceError, naming `what`, if it does not return within `seconds`; the thread is then
     abandoned.
     """
-    result: list[Any] = []
+    answer = Future[R]()
 
     def job() -> None:
         try:
-            result.append((True, work()))
+            answer.set_result(work())
         except BaseException as error:
-            result.append((False, error))
+            answer.set_exception(error)
 
-    thread = threading.Thread(target=job, daemon=True)
-    thread.start()
-    thread.join(seconds)
-    if not result:
+    threading.Thread(target=job, daemon=True).start()
+    if not wait([answer], seconds).done:
         raise DeviceError(f"{what}: no answer within {seconds:g} s; check cable and power")
-    fine, value = result[0]
-    if not fine:
-        raise value
-    return value
+    return answer.result()

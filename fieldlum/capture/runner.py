@@ -296,7 +296,7 @@ class _Runner:
 
     def _next_to_do(self) -> Slot | None:
         """Return the next slot without an outcome; the plan may have changed during the capture."""
-        if self._plan_changed():
+        if self._stamp() != self._plan_stamp:
             self._plan_stamp = self._stamp()
             with suppress(InputError, OSError):
                 slots = self.session.slots()
@@ -305,9 +305,6 @@ class _Runner:
                 if {slot.id for slot in self.slots} <= {slot.id for slot in slots}:
                     self.slots = slots
         return next(iter(slots_to_do(self.slots, self.states)), None)
-
-    def _plan_changed(self) -> bool:
-        return self._stamp() != self._plan_stamp
 
     def _stamp(self) -> int:
         try:
@@ -361,7 +358,7 @@ class _Runner:
         return self._sleep_until(t_utc)
 
     def _sleep_until(self, t_utc: datetime, *, log: bool = True) -> bool:
-        while not self._plan_changed():
+        while self._stamp() == self._plan_stamp:  # until the plan changes
             self.recorder.tell_all(self.clock.check())
             wait_s = (t_utc - self.clock.now()).total_seconds()
             if wait_s <= 0:

@@ -2,7 +2,6 @@
 
 import ctypes
 import ctypes.util
-import sys
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -23,13 +22,11 @@ def synchronised() -> bool | None:
 
     It is the state that `timedatectl` shows as NTPSynchronized.
     """
-    if not sys.platform.startswith("linux"):
-        return None
     # struct timex, all zero: with modes 0 the call only reads
     timex = ctypes.create_string_buffer(512)
     try:
         state = ctypes.CDLL(ctypes.util.find_library("c"), use_errno=True).adjtimex(timex)
-    except (OSError, AttributeError):
+    except (OSError, AttributeError, TypeError):  # TypeError on Windows
         return None
     return None if state < 0 else state != 5  # TIME_ERROR: not synchronised, <sys/timex.h>
 

@@ -16,13 +16,7 @@ import click
 
 from fieldlum.cli.declared import InOrder
 from fieldlum.cli.terminal import printable, say
-from fieldlum.core.errors import (
-    ChangedFileWarning,
-    FieldlumError,
-    InputError,
-    install_text,
-    reason_of,
-)
+from fieldlum.core import errors
 from fieldlum.version import __version__
 
 # In the order of the work. Each name is a module of this folder with a click command `command`.
@@ -66,31 +60,31 @@ class _CommandGroup(InOrder):
     def invoke(self, ctx: click.Context) -> object:
         """Run the command; print expected errors as one line and exit with their code."""
         _hold_standard_files()
+        code = errors.InputError.exit_code
         try:
             with _warnings_as_notes(), _children_import_nothing_here():
                 return super().invoke(ctx)
-        except FieldlumError as error:
-            _complain(ctx, str(error))
-            sys.exit(error.exit_code)
+        except errors.FieldlumError as error:
+            text, code = str(error), error.exit_code
         except OSError as error:
             if error.errno not in DISK_TROUBLE:
                 raise
             place = f"{error.filename}: " if error.filename else ""
-            _complain(ctx, f"{place}{error.strerror or error}, {DISK_TROUBLE[error.errno]}")
-            sys.exit(InputError.exit_code)
+            text = f"{place}{error.strerror or error}, {DISK_TROUBLE[error.errno]}"
         except ModuleNotFoundError as error:
             if error.name not in COMPUTE_PACKAGES:
                 raise
             missing = f"the package {error.name} is not installed"
             only = "this fieldlum was installed for captures only"
-            _complain(ctx, f"{missing}: {only}; {install_text('compute')}")
-            sys.exit(InputError.exit_code)
+            text = f"{missing}: {only}; {errors.install_text('compute')}"
         except MemoryError as error:
-            _complain(ctx, f"{reason_of(error)}: look for a file of excessive size")
-            sys.exit(InputError.exit_code)
+            text = f"{errors.reason_of(error)}: look for a file of excessive size"
         except KeyboardInterrupt:
-            _complain(ctx, "interrupted; start it again to continue")
-            sys.exit(INTERRUPTED)
+            text, code = "interrupted; start it again to continue", INTERRUPTED
+        # One line, without control codes that file names may contain.
+        line = printable(text.replace("\n", " "))
+        click.echo(f"fieldlum {ctx.invoked_subcommand}: {line}", err=True)
+        sys.exit(code)
 
 
 @contextmanager
@@ -111,19 +105,13 @@ def _warnings_as_notes() -> Iterator[None]:
         show = warnings.showwarning
 
         def note(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
-            if issubclass(category, ChangedFileWarning):
+            if issubclass(category, errors.ChangedFileWarning):
                 say(f"WARNING: {message}")
             else:
                 show(printable(str(message)), category, *place, **more)
 
         warnings.showwarning = note
         yield
-
-
-def _complain(ctx: click.Context, text: str) -> None:
-    """Print an error as one line, without control codes that file names may contain."""
-    line = printable(text.replace("\n", " "))
-    click.echo(f"fieldlum {ctx.invoked_subcommand}: {line}", err=True)
 
 
 def _hold_standard_files() -> None:

@@ -55,13 +55,7 @@ def command(
       --camera PROFILE: Write an own camera profile instead, which starts from this one.
       --photo FRAME: With --camera: frame with size and camera.
     """
-    from fieldlum.optics.profiles import (
-        assumed_texts,
-        coverage_text,
-        load_camera_profile,
-        turning_text,
-        uncalibrated_text,
-    )
+    from fieldlum.optics import profiles
     from fieldlum.session.site_toml import load_site
 
     if site_file.exists():
@@ -74,10 +68,13 @@ def command(
     site_file.parent.mkdir(parents=True, exist_ok=True)
     dialogue = Dialogue(site_file)
     setup = SiteFile(_site(dialogue), _camera(dialogue))
-    profile = load_camera_profile(setup.camera.profile)
-    blind = coverage_text(profile, setup.camera)
-    notes = uncalibrated_text(profile), blind, turning_text(setup.camera)
-    for note in filter(None, (*assumed_texts(setup.camera), *notes)):
+    profile = profiles.load_camera_profile(setup.camera.profile)
+    assumed, blind = (
+        profiles.assumed_texts(setup.camera),
+        profiles.coverage_text(profile, setup.camera),
+    )
+    notes = profiles.uncalibrated_text(profile), blind, profiles.turning_text(setup.camera)
+    for note in filter(None, (*assumed, *notes)):
         click.echo(f"note: {note}")
     site_file.write_text(site_text(setup), encoding="utf-8")
     load_site(site_file)

@@ -76,11 +76,9 @@ def command(
     print_answer(as_json, answer, _lines(answer))
     for note in () if as_json else answer["notes"]:
         say(note)
-    unchanged = "captures and options have not changed, so nothing was trained"
-    is_kept = answer.get("kept")
-    say(
-        f"{folder}: {unchanged} (--force trains again)" if is_kept else f"model written to {folder}"
-    )
+    unchanged = f"{folder}: captures and options have not changed, so nothing was trained"
+    kept = f"{unchanged} (--force trains again)"
+    say(kept if answer.get("kept") else f"model written to {folder}")
 
 
 def _lines(answer: TrainAnswer) -> list[str]:

@@ -46,9 +46,7 @@ class FastClock(Clock):
         """Return simulated seconds since the start."""
         return self._boot_s
 
-    def boottime(self) -> float:
-        """Return simulated seconds since the start."""
-        return self._boot_s
+    boottime = monotonic
 
     def sleep(self, seconds: float) -> None:
         """Advance the time by `seconds`; not at all for a negative number."""

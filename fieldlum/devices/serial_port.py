@@ -122,7 +122,7 @@ class SerialPort:
         with device_errors(self.name):
             return self.port.read(count)
 
-    def read_until(self, end: bytes, limit: int = 4096) -> bytes:
+    def read_until(self, end: bytes, limit: int) -> bytes:
         """Return all bytes up to and including `end`. Raises DeviceError if the port fails.
 
         After the timeout, or after `limit` bytes, `end` may be missing: the caller must check.

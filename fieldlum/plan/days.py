@@ -190,10 +190,8 @@ def sun_band_percent(hours: DaylightHours, site: Site) -> float:
 
 def near_planned(directions: Floats, hours: DaylightHours) -> Mask:
     """Return which directions [n, 3] are within 10 deg of the sun of a planned hour, [n]."""
-    if not len(hours):
-        return np.zeros(len(directions), bool)
     planned = sun.direction(hours.altitude_deg, hours.azimuth_deg)
-    return (directions @ planned.T).max(axis=1) >= np.cos(np.radians(NEAR_DEG))
+    return (directions @ planned.T).max(axis=1, initial=-1.0) >= np.cos(np.radians(NEAR_DEG))
 
 
 # ----------------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ import json
 import math
 import warnings
 import zipfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from functools import cache
@@ -27,7 +27,7 @@ from numpy.lib.npyio import NpzFile
 from fieldlum.core.arrays import Array
 from fieldlum.core.errors import ChangedFileWarning, InputError, input_errors
 from fieldlum.core.records import JsonTable, parse_utc, utc_text
-from fieldlum.core.strict_csv import plain_rows, read_table
+from fieldlum.core.strict_csv import plain_rows
 from fieldlum.core.strict_toml import convert
 from fieldlum.session.writing import replacing, sha256
 
@@ -220,18 +220,6 @@ def _plain(value: Any) -> Any:
 
 # ----------------------------------------------------------------------------------------------
 # csv
-
-
-def read_rows(
-    kind: type[T], path: Path, expected: str, remedy: str, needed: Sequence[str] = ()
-) -> list[T]:
-    """Return the records in the lines of a csv, see `read_row`; warn if the file changed.
-
-    expected, remedy: for the InputError of a missing file, or one without the columns `needed`.
-    """
-    table = read_table(path, expected, remedy, needed=needed)
-    change_of(path)
-    return [read_row(kind, f"{path}: line {n}", cells, remedy) for n, cells in table.dicts()]
 
 
 def read_row(kind: type[T], where: str, cells: Mapping[str, str], remedy: str) -> T:

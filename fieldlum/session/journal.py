@@ -13,17 +13,11 @@ from typing import Any, Required, TypedDict
 from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.records import counted, listed, parse_utc, utc_text
 from fieldlum.core.room_states import USAGE, merged_state
+from fieldlum.session import writing
 from fieldlum.session.codec import convert
 from fieldlum.session.files.capture_json import frame_from
 from fieldlum.session.folder import Session
 from fieldlum.session.safe_paths import open_inside
-from fieldlum.session.writing import (
-    append_complete,
-    cut_torn_tail,
-    decode_line,
-    encode_line,
-    exclusive,
-)
 
 EventFields = dict[str, Any]
 """What an event states besides its kind and time; see `JournalEvent`."""
@@ -75,17 +69,19 @@ class Journal:
         self._lock = threading.Lock()
         self._handle = open_inside(session.root, self._path, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
         self._lock_path = self._path.with_name(".journal.lock")
-        with exclusive(self._lock_path):  # another process may be writing a line
-            self.cut_bytes = cut_torn_tail(self._path, lambda line: decode_line(line) is not None)
+        with writing.exclusive(self._lock_path):  # another process may be writing a line
+            self.cut_bytes = writing.cut_torn_tail(
+                self._path, lambda line: writing.decode_line(line) is not None
+            )
 
     def append(self, event: str, t_utc: datetime, **fields: Any) -> None:
         """Append an event; with `flush` it is on the disk when this returns.
 
         Raises OSError on a full disk, after removing a partly written line.
         """
-        data = encode_line({"event": event, "t_utc": utc_text(t_utc), **fields})
-        with self._lock, exclusive(self._lock_path):
-            append_complete(self._handle, data, flush=self._flush)
+        data = writing.encode_line({"event": event, "t_utc": utc_text(t_utc), **fields})
+        with self._lock, writing.exclusive(self._lock_path):
+            writing.append_complete(self._handle, data, flush=self._flush)
 
     def close(self) -> None:
         """Close the file."""
@@ -127,7 +123,7 @@ def _lines(session: Session) -> Iterator[tuple[int, JournalEvent | None]]:
 
 def decode_event(line: bytes) -> JournalEvent | None:
     """Return the event in a journal line; None for a damaged line or a value of a wrong type."""
-    row = decode_line(line)
+    row = writing.decode_line(line)
     try:
         convert(row, JournalEvent, strict=True)
         if not 1970 <= parse_utc(row["t_utc"]).year < 3000:

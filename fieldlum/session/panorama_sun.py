@@ -8,8 +8,9 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
 from fieldlum.core.records import CLIPPED_SUN, Panorama, SunSource
+from fieldlum.core.strict_csv import read_table
 from fieldlum.optics.images import read_panorama
-from fieldlum.session.codec import check_format, read_rows, sealed, write_csv
+from fieldlum.session.codec import change_of, check_format, read_row, sealed, write_csv
 from fieldlum.session.files.sidecar import warn_if_changed
 
 FORMAT = 1  # of suns.csv; docs/file-formats.md
@@ -68,7 +69,10 @@ def read_suns(path: Path) -> dict[str, SunRow]:
     """
     if not path.is_file():
         return {}
-    rows = read_rows(SunRow, path, "a suns.csv written by pair", "run fieldlum pair again")
+    remedy = "run fieldlum pair again"
+    table = read_table(path, "a suns.csv written by pair", remedy)
+    change_of(path)
+    rows = [read_row(SunRow, f"{path}: line {n}", cells, remedy) for n, cells in table.dicts()]
     check_format(path, max((row.format for row in rows), default=FORMAT), FORMAT)
     return {row.panorama: row for row in rows}
 

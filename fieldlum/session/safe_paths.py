@@ -29,25 +29,22 @@ def is_plain(name: object) -> bool:
         return False
 
 
-def inside(root: Path, name: str, source: Path | str, folder: str = "") -> Path:
-    """Return the path of a name that a session states, such as panoramas/SLOT.exr.
+def refuse_outside(root: Path, name: str, source: str, folder: str) -> None:
+    """Raise InputError for a name that is no plain path below `root`, and for a link on its way.
 
-    root: of the session; source: of the name, for errors; folder: below the root, to which the
-    name is relative, and which it may leave by `..`. Raises InputError for a name that is not a
-    plain path below the root, and for a link on its way.
+    root: of the session; name: that it states, such as panoramas/SLOT.exr; source: of the name, for
+    errors; folder: below the root, to which the name is relative, and which it may leave by `..`.
     """
-    parts = list(PurePosixPath(name).parts) if isinstance(name, str) else []
+    parts = list(PurePosixPath(name).parts)
     base = list(PurePosixPath(folder).parts)
     while base and parts[:1] == [".."]:
         base.pop()
         parts.pop(0)
-    path = root.joinpath(*base, *parts)
     if not parts or not all(map(is_plain, parts)):
         expected = "the plain name of a file in this session"
         remedy = "correct the name, or restore the file from a copy"
         raise InputError(source, f"the file name {name!r}", expected, remedy)
-    refuse_link(root, path)
-    return path
+    refuse_link(root, root.joinpath(*base, *parts))
 
 
 def link_on_the_way(root: Path, path: Path) -> Path | None:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, fields
 from datetime import UTC, datetime, timedelta
 from functools import cache, lru_cache
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -48,18 +48,6 @@ class DetailedPanorama(Panorama):
 def detail_of(panorama: Panorama) -> SkyPicture | None:
     """Return the finer part of a panorama, None without one."""
     return panorama.detail if isinstance(panorama, DetailedPanorama) else None
-
-
-class World(Protocol):
-    """A simulated place: its picture and its irradiance at any time."""
-
-    def scene(self, t_utc: datetime) -> Panorama:
-        """Return the luminance panorama at a time."""
-        ...
-
-    def irradiance(self, t_utc: datetime) -> SimulatedLight:
-        """Return the irradiance at a time."""
-        ...
 
 
 class TruthWorld:
@@ -178,6 +166,10 @@ class Office:
         luminance = _LM_PER_W * (lit * light.ghi_wm2 + sky * light.dhi_wm2) + 1e-3
         heading_deg = self.setup.camera.heading_deg
         return Panorama(luminance.reshape(_HEIGHT, -1).astype(np.float32), heading_deg, t_utc=t_utc)
+
+
+World = TruthWorld | Office
+"""A simulated place: its picture and its irradiance at any time."""
 
 
 def open_world(session: Session | None, seed: int) -> World:

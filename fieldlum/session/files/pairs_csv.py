@@ -15,7 +15,7 @@ from fieldlum.core.records import parse_utc
 from fieldlum.core.strict_csv import IRRADIANCE_LIMITS_WM2, read_table
 from fieldlum.session.codec import change_of, check_format, read_row, sealed, write_csv
 from fieldlum.session.folder import Session
-from fieldlum.session.safe_paths import inside, refuse_link
+from fieldlum.session.safe_paths import refuse_link, refuse_outside
 
 FORMAT = 1  # of the file; docs/file-formats.md
 NO_TIME = datetime(1, 1, 1, tzinfo=UTC)  # time of a row with ok = 0 whose own time is unreadable
@@ -104,27 +104,22 @@ class PairsFile:
             write_csv(self.path, (asdict(row) for row in self.rows), PAIR_COLUMNS)
 
 
-def _session_around(path: Path) -> Path | None:
-    """Return the folder of the session that contains a file; None for a file outside sessions."""
-    folder = path.parent.resolve()
-    folders = (folder, *folder.parents)
-    return next((place for place in folders if (place / "session.toml").is_file()), None)
-
-
 def _refuse_foreign_pictures(path: Path, rows: Iterable[PairRow]) -> None:
     """Raise InputError for a picture outside the session that contains the csv.
 
     A csv that is in no session may name pictures anywhere: its user named it on the command line.
     """
-    root = _session_around(path)
+    folder = path.parent.resolve()
+    folders = (folder, *folder.parents)
+    root = next((place for place in folders if (place / "session.toml").is_file()), None)
     if root is None:
         return
-    folder = path.parent.resolve()
     refuse_link(root, folder / path.name)
     for row in rows:
         for name in (row.panorama, row.sunpatch):
             if name:
-                inside(root, name, f"{path}: line {row.line}", folder.relative_to(root).as_posix())
+                where = f"{path}: line {row.line}"
+                refuse_outside(root, name, where, folder.relative_to(root).as_posix())
 
 
 def _row(path: Path, line: int, cells: dict[str, str]) -> PairRow:
