@@ -211,7 +211,7 @@ def _residuals(solution: Floats, levels: Levels, rows: Mask, of: Mask) -> Floats
     off = light - np.log(levels.seconds + solution[0])[:, None]
     weight = np.where(np.isfinite(levels.share), levels.weight, 0.0)[rows]
     total = weight.sum(axis=0)
-    mean = np.nansum(np.nan_to_num(off[rows]) * weight, axis=0)
+    mean = (np.nan_to_num(off[rows]) * weight).sum(axis=0)
     return (off - np.divide(mean, total, out=np.full(len(total), np.nan), where=total > 0))[of]
 
 

@@ -1,6 +1,5 @@
 """`fieldlum bench`: compare the models' speed and accuracy on any pairs."""
 
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -50,12 +49,11 @@ def command(
     from fieldlum.bench.rows import load
 
     with progress("reading pictures"):
-        read = partial(load, pairs, models.split(","), test=test, site=site)
-        loaded = read(scene=scene, sky_view=sky_view)
+        names = models.split(",")
+        loaded = load(pairs, names, test=test, site=site, scene=scene, sky_view=sky_view)
     for note in loaded.data.notes:
         say(note)
     with progress("benchmark"):
-        judge = partial(run, loaded, out=out, budget_min=budget)
-        answer = judge(with_stress=stress, render_hours=render)
+        answer = run(loaded, out=out, budget_min=budget, with_stress=stress, render_hours=render)
     print_answer(as_json, answer, [(out / "bench.md").read_text(encoding="utf-8")])
     say(f"tables and charts in {out}")
