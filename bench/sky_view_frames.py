@@ -34,7 +34,7 @@ from fieldlum.optics.projection import direction
 from fieldlum.room import simulate
 from fieldlum.room.scene import build, disc_visibility
 from fieldlum.room.simulate.fine_windows import fine_windows
-from fieldlum.room.simulate.troubles import CloudyLight
+from fieldlum.room.simulate.troubles import Trouble, Troubles, true_light
 from fieldlum.sky.daylight import Light, light_at
 from fieldlum.sky.sky_view.disc import disc_of_hours, drawn_shares
 from fieldlum.sky.sky_view.estimate import Captured, estimate
@@ -157,8 +157,9 @@ def take(made: Case, profile: CameraProfile, folder: Path, stated: dict[str, Cam
     truth = simulate.lit_room(made.setup, height=HEIGHT, quality="draft")
     fine = fine_windows(truth, sensor_pitch_deg(profile))
     assert fine is not None
-    cloudy = CloudyLight.of(made.light[made.captured], 0.2, 9)
     site, heading = made.setup.site, made.setup.camera.heading_deg
+    clouds = Troubles(clouds=Trouble(0.2, 9))
+    cloudy = true_light(made.light[made.captured], clouds, site)
     frames = folder / f"frames-{profile.camera.width_px}"
     for k in range(len(cloudy)):
         rendering = truth.render(cloudy[[k]])

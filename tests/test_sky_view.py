@@ -271,6 +271,24 @@ def test_captures_that_contradict_the_view_correct_it() -> None:
 
 
 @pytest.mark.analytic
+def test_a_blind_that_nobody_marked_does_not_shut_the_sky() -> None:
+    """One capture through a lowered blind is dark where the others show the sky: it is named."""
+    pictures = _pictures(np.ones((32, 32)))
+    row, column = GRID.pixels(LIGHT.apparent_sun_direction)
+    inside = (row > 4) & (row < 28) & (column > 4) & (column < 28) & (LIGHT.direct_lx > 1e3)
+    k = int(np.flatnonzero(inside)[0])
+    pictures[k] *= 0.1
+    shares = np.full(len(LIGHT), np.nan)
+    shares[k] = 0.0
+    view = _view(pictures, shares)
+    assert disc_of_hours(view, LIGHT[[k]]).best_lx[0] > 0.6 * LIGHT.direct_lx[k]
+    assert any(
+        "blind" in note and f"{LIGHT.t_utc[k]:%Y-%m-%d %H:%M}" in note for note in view.notes
+    )
+    assert not any("contradict" in note for note in view.notes)
+
+
+@pytest.mark.analytic
 def test_few_captures_give_bounds_and_say_what_to_capture() -> None:
     light, pictures = LIGHT[[0, 5, 9]], _pictures(np.ones((32, 32)))[[0, 5, 9]]
     clipped = np.zeros((32, 32), bool)

@@ -45,6 +45,9 @@ _PANE_SHARE, _SCATTER_SHARE, _BRIGHT_SHARE = 0.05, 0.15, 0.3
 # What scatters is brighter by this logarithm with the sun behind it: a curtain by 1.1, a facade by
 # less than 0.6.
 _FORWARD_SCATTER = 0.6
+# Luminance over the expected sky's at the sun's place, below which something hides the sky there:
+# real skies are within 40 % of Perez's, a white blind has 0.2 at most. Chosen.
+_SHADED = 0.33
 MIN_CAPTURES = 6  # fewer do not separate the sky from other light; chosen
 _MAX_VALUES = 60_000_000  # captures times directions in memory: 240 MB; chosen
 
@@ -323,6 +326,7 @@ def _checked(decided: _Decided, captured: Captured) -> SkyView:
     view, share, direct_lx = decided.view, captured.disc_share, captured.light.direct_lx
     strong = np.flatnonzero((direct_lx > BEAM_LX) & ~np.isnan(share))
     light, measured = captured.light[strong], share[strong]
+    shaded = _shaded(view, captured.take(strong.tolist()))
     suns = view.pose.in_pictures(light.apparent_sun_direction)
     without = _panes_without_disc(view, decided.scatters, suns, measured)
     names = ("openness", "transmittance", "low", "high")
@@ -338,14 +342,38 @@ def _checked(decided: _Decided, captured: Captured) -> SkyView:
         gain = np.quantile(ratio, 0.5, weights=beam_lx, method="inverted_cdf")
         for name in names[1:]:
             arrays[name] = np.minimum(arrays[name] * np.clip(gain, 0.5, 1.5), 1.0, dtype=np.float32)
-    wrong = _correct(arrays, view, suns, measured)
-    named = [f"{light.t_utc[k]:%Y-%m-%d %H:%M} UTC ({what} captured)" for k, what in wrong]
-    note = (
-        f"{len(named)} captures contradict the sky view, which was corrected there: "
-        f"{listed(named, 3)}; check the heading and the clock",
-    )
+    when = [f"{t:%Y-%m-%d %H:%M} UTC" for t in light.t_utc]
+    wrong = _correct(arrays, view, suns, np.where(shaded, np.nan, measured))
     notes = _notes(replace(decided, scatters=decided.scatters & ~without)) + view.pose.notes
-    return replace(view, **arrays, notes=notes + (note if named else ()))
+    if wrong:
+        named = [f"{when[k]} ({what} captured)" for k, what in wrong]
+        notes += (
+            f"{len(named)} captures contradict the sky view, which was corrected there: "
+            f"{listed(named, 3)}; check the heading and the clock",
+        )
+    if shaded.any():
+        named = [when[k] for k in np.flatnonzero(shaded)]
+        notes += (
+            f"{len(named)} captures are dark at the sun, where others show the sky: "
+            f"{listed(named, 3)}; a blind was probably down: mark it (fieldlum status --mark)",
+        )
+    return replace(view, **arrays, notes=notes)
+
+
+def _shaded(view: SkyView, captured: Captured) -> Mask:
+    """Return the captures without a disc that are dark at the sun's place, where the view is open.
+
+    What hides the disc there is not permanent, as a blind that nobody marked: [n].
+    """
+    shaded = captured.disc_share < _SHUT
+    shaded &= disc_of_hours(view, captured.light).low_lx > _SHUT * captured.light.direct_lx
+    for k in np.flatnonzero(shaded).tolist():
+        sun = captured.light[[k]].apparent_sun_direction
+        row, column = (int(at[0]) for at in view.grid.pixels(view.pose.in_pictures(sun)))
+        shown = np.nan_to_num(_placed(captured.read(k), view.grid)[row, column])  # NaN: too dark
+        sky_cdm2 = captured.light[[k]].sky_at(sun)[0, 0]
+        shaded[k] = shown < _SHADED * view.transmittance[row, column] * sky_cdm2
+    return shaded
 
 
 def _correct(
