@@ -13,9 +13,20 @@ from places import SEATTLE
 
 from fieldlum import plan
 from fieldlum.cli import main
+from fieldlum.core.arrays import Array
 from fieldlum.core.errors import InputError
 from fieldlum.core.plot_style import svg_of
-from fieldlum.core.records import CameraSetup, Exposure, Room, Site, SiteFile, Window
+from fieldlum.core.records import (
+    CameraSetup,
+    Exposure,
+    Room,
+    Site,
+    SiteFile,
+    Window,
+    slot_id,
+    utc_text,
+)
+from fieldlum.learn.models import stored
 from fieldlum.optics.profiles import save_profile
 from fieldlum.plan import choose, coming, makeup
 from fieldlum.plan import sheet as calendar
@@ -30,6 +41,7 @@ from fieldlum.plan.days import (
 from fieldlum.session import Journal, create_session, open_session
 from fieldlum.session.site_toml import site_table
 from fieldlum.sky import sun
+from fieldlum.sky.daylight_kernel import Facades, Kernel
 from fieldlum.weather import Weather, synthetic_weather
 
 ROOM = Room(window=(Window("south", 0.5, 5.0, 0.9, 3.1),))
@@ -294,6 +306,21 @@ def test_coming_hours_prefer_what_was_not_seen(tmp_path: Path, weather: Weather)
     assert drops == sorted(drops, reverse=True)
 
 
+@pytest.mark.contract
+def test_a_paired_capture_counts_once(tmp_path: Path, weather: Weather) -> None:
+    """The time of a pair is the middle of its bracket, some seconds after the slot."""
+    hours = daylight_hours([date(2027, 4, 1)], SEATTLE)
+    session = open_session(_session(tmp_path, hours, len(hours)))
+    rows = [
+        f"{utc_text(t + timedelta(seconds=6))},panoramas/{slot_id(t)}.exr,500,100"
+        for t in hours.t_utc
+    ]
+    head = "t_utc,panorama,dni_wm2,dhi_wm2"
+    session.pairs.write_text("\n".join([head, *rows[1:], ""]), encoding="utf-8")
+    captured = coming.captured_features(session, choose.learning(SEATTLE, None, weather))
+    assert len(captured) == len(hours)
+
+
 @pytest.mark.slow
 @pytest.mark.contract
 def test_coming_hours_use_a_trained_kernel(tmp_path: Path, weather: Weather) -> None:
@@ -302,10 +329,12 @@ def test_coming_hours_use_a_trained_kernel(tmp_path: Path, weather: Weather) -> 
     session = open_session(_session(tmp_path, hours, len(hours)))
     folder = session.models / "north"
     folder.mkdir(parents=True)
+    arrays: dict[str, Array] = {}
+    kernel = stored(Kernel(Facades(np.array([0.0]), np.ones(1)), beam_width=0.3), "array", arrays)
     (folder / "config.json").write_text(
-        json.dumps({"model": "transport", "transport": {"kernel": {"beam_width": 0.3}}})
+        json.dumps({"model": "transport", "transport": {"kernel": kernel}})
     )
-    np.savez(folder / "weights.npz", facade_azimuths=np.array([0.0]), facade_weights=np.ones(1))
+    np.savez(folder / "weights.npz", **arrays)
     found = coming.trained_kernel(session)
     assert found is not None and found[1] == "north" and found[0].beam_width == 0.3
     assert coming.run(session, weather, datetime(2027, 4, 12, tzinfo=UTC))["model"] == "north"

@@ -5,6 +5,7 @@ The ranking also shows whether more captures pay.
 
 from datetime import UTC, datetime, timedelta
 from functools import partial
+from pathlib import Path
 from zoneinfo import ZoneInfo
 
 import numpy as np
@@ -44,8 +45,10 @@ def trained_kernel(session: Session) -> tuple[Kernel, str] | None:
         remedy = "train the model again (fieldlum train)"
         with input_errors(folder, "a transport model", remedy, *NPZ_ERRORS, TypeError):
             arrays = read_arrays(folder / "weights.npz")
-            facades = Facades(*(arrays[f"facade_{n}"] for n in ("azimuths", "weights")))
-            return Kernel(facades, **config.state["transport"]["kernel"]), folder.name
+            table = config.state["transport"]["kernel"]
+            names, weights = table["facades"], {k: v for k, v in table.items() if k != "facades"}
+            facades = Facades(*(arrays[names[n]] for n in ("azimuths_deg", "weights")))
+            return Kernel(facades, **weights), folder.name
     return None
 
 
@@ -57,7 +60,8 @@ def captured_features(session: Session, task: choose.Learning) -> Features:
     """
     pairs = PairsFile.find(session.pairs).usable
     times, dni, dhi = ([getattr(p, n) for p in pairs] for n in ("t_utc", "dni_wm2", "dhi_wm2"))
-    unpaired = captured_ids(session) - {slot_id(t) for t in times}
+    paired = {slot_id(t) for t in times} | {Path(p.panorama).stem for p in pairs if p.panorama}
+    unpaired = captured_ids(session) - paired  # the time of a pair is the middle of its bracket
     others = [slot.t_utc for slot in session.slots() if slot.id in unpaired]
     typical, times = task.weather.at(others), [*times, *others]
     dni, dhi = np.r_[dni, typical.dni_wm2], np.r_[dhi, typical.dhi_wm2]
