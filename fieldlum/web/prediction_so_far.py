@@ -110,13 +110,10 @@ class Worker:
                 self._merged_at = now.captured
             if not good:
                 return
-        due = now.captured != self._answered_at and now.captured >= MIN_CAPTURES
-        if due and self._is_old():
-            self._answer(now.captured)
-
-    def _is_old(self) -> bool:
-        last = read_answer(self.session)
-        return last is None or datetime.now(UTC) - parse_utc(last["t_utc"]) >= ANSWER_EVERY
+        if now.captured != self._answered_at and now.captured >= MIN_CAPTURES:
+            last = read_answer(self.session)
+            if last is None or datetime.now(UTC) - parse_utc(last["t_utc"]) >= ANSWER_EVERY:
+                self._answer(now.captured)
 
     def _answer(self, captured: int) -> None:
         model, annual, root = self.folder / "model", self.folder / "annual", str(self.session.root)

@@ -27,10 +27,11 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from fieldlum.core.errors import DeviceError, InputError
+from fieldlum.core.false_colour import colour_table, png_of
 from fieldlum.core.records import parse_utc, slot_id
 from fieldlum.session import Session
 from fieldlum.web.prediction_so_far import Worker, answer_table
-from fieldlum.web.snapshot import Snapshots, picture_png, scale_png
+from fieldlum.web.snapshot import Snapshots, picture_png
 
 
 async def json_body(request: Request, max_bytes: int) -> Mapping[str, Any]:
@@ -182,7 +183,8 @@ def picture_routes(session: Session) -> list[Route]:
         return Response(data, media_type="image/png", headers=_CACHED)
 
     def scale(request: Request) -> Response:
-        return Response(scale_png(), media_type="image/png", headers=_CACHED)
+        """Answer with the colours of the scale from low to high, 256 x 1 pixels."""
+        return Response(png_of(colour_table()[None]), media_type="image/png", headers=_CACHED)
 
     return [Route("/picture/{slot}.png", picture), Route("/scale.png", scale)]
 

@@ -25,7 +25,7 @@ from fieldlum.capture import doctor
 from fieldlum.capture.steady_clock import boot_id
 from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError
-from fieldlum.core.false_colour import colour_table, coloured, luminance_ends, png_of, shared_scale
+from fieldlum.core.false_colour import coloured, luminance_ends, png_of, shared_scale
 from fieldlum.core.records import JsonTable, Site, Slot, parse_utc, utc_text
 from fieldlum.optics.images import read_panorama
 from fieldlum.session import Session
@@ -188,11 +188,6 @@ def _png(path: Path, stamp: int, width: int, low: float, high: float) -> bytes:
         shrunk = cv2.resize(values, (width, height), interpolation=cv2.INTER_AREA)
         values = np.asarray(shrunk, np.float32)
     return png_of(coloured(values, low, high))
-
-
-def scale_png() -> bytes:
-    """Return the colours of the scale from low to high as a PNG of 256 x 1 pixels."""
-    return png_of(colour_table()[None])
 
 
 # ----------------------------------------------------------------------------------------------

@@ -105,14 +105,9 @@ def trace(
     """
     import pyradiance
 
-    rays = (
-        np.concatenate((np.broadcast_to(origins, directions.shape), directions), axis=1)
-        .astype("<f4")
-        .tobytes()
-    )
-    answer = pyradiance.rtrace(
-        rays, octree_path, header=False, inform="f", outform="f", params=[*_TRACE, *extra]
-    )
+    rays = np.concatenate((np.broadcast_to(origins, directions.shape), directions), axis=1)
+    how = {"header": False, "inform": "f", "outform": "f", "params": [*_TRACE, *extra]}
+    answer = pyradiance.rtrace(rays.astype("<f4").tobytes(), octree_path, **how)
     return np.frombuffer(answer, "<f4").reshape(-1, 3) @ np.array(RADIANCE_Y)
 
 
@@ -153,9 +148,8 @@ def _room_octree(room: Room) -> Iterator[Path]:
             out.write_bytes(pyradiance.oconv(path.resolve(), warning=False, frozen=True))
         except RuntimeError as error:
             reason = str(error).splitlines()[-1]
-            raise InputError(
-                path, reason, "a scene that oconv accepts", f"correct it; check with: oconv {path}"
-            ) from None
+            expected, remedy = "a scene that oconv accepts", f"correct it; check with: oconv {path}"
+            raise InputError(path, reason, expected, remedy) from None
         yield out
 
 

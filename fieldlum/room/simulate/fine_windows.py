@@ -138,9 +138,8 @@ def _grid_of(near: Mask, parts: int, heading_deg: float) -> tuple[SkyGrid, Mask]
     coarse = 180.0 / height
     start = (first + height) % (2 * height) - height
     shape = (parts * len(cut), parts * span)
-    grid = SkyGrid(
-        float(90.0 - rows[0] * coarse), start * coarse - 180.0, coarse / parts, heading_deg, *shape
-    )
+    corner = float(90.0 - rows[0] * coarse), start * coarse - 180.0
+    grid = SkyGrid(*corner, coarse / parts, heading_deg, *shape)
     return grid, cut.repeat(parts, axis=0).repeat(parts, axis=1)
 
 

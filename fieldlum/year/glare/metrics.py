@@ -365,9 +365,8 @@ def unseen_dgp_bounds(
     for share in np.linspace(0.0, 1.0, 12):
         level = np.maximum(max_cdm2, 1.0)[:, None] ** share  # [n, 1], 1 cd/m2 up to the brightest
         power = np.where(level > SOURCE_CDM2, level, 0.0) ** 2
-        value = dgp(
-            ev_lx + level * coverage.unseen_illuminance, contrast + power * coverage.unseen_sources
-        )
+        of_sources = contrast + power * coverage.unseen_sources
+        value = dgp(ev_lx + level * coverage.unseen_illuminance, of_sources)
         low, high = np.minimum(low, value), np.maximum(high, value)
     return low, high
 

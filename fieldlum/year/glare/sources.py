@@ -77,9 +77,8 @@ def position_index(right_rad: ArrayLike, up_rad: ArrayLike) -> Floats:
     linear = (35.2 - 0.31889 * tau - 1.22 * np.exp(-2.0 * tau / 9.0)) / 1000.0
     square = (21.0 + 0.26667 * tau - 0.002963 * tau**2) / 100_000.0
     above = np.exp(linear * sigma + square * sigma**2)
-    slope = np.tan(np.minimum(angle, np.pi / 2 - 1e-6)) * np.sqrt(
-        1.0 + 0.3225 * np.cos(np.radians(tau)) ** 2
-    )
+    wider = np.sqrt(1.0 + 0.3225 * np.cos(np.radians(tau)) ** 2)
+    slope = np.tan(np.minimum(angle, np.pi / 2 - 1e-6)) * wider
     beta = np.degrees(np.arctan(slope))
     below = np.exp(6.49e-3 * beta + 21e-5 * beta**2)
     return np.minimum(np.where(up < 0.0, below, above), MAX_POSITION_INDEX)

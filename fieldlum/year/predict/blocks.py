@@ -169,9 +169,8 @@ def blocks(
             found = f"predicted maps of {maps.shape[2]} x {maps.shape[1]} pixels"
             raise InputError("the model", found, expected, "train the model again")
         if not np.isfinite(maps).all():
-            raise FloatingPointError(
-                f"hours {rows.start} to {rows.stop - 1}: predicted values that are not finite"
-            )
+            hours = f"hours {rows.start} to {rows.stop - 1}"
+            raise FloatingPointError(f"{hours}: predicted values that are not finite")
         images = tuple(mirror.images(part, room.heading_deg) for mirror in room.mirrors)
         yield HourBlock(rows, part, prediction, disc[rows], images)
 

@@ -55,9 +55,8 @@ class Occupancy:
 
 def default_occupancy() -> Occupancy:
     """Return 08:00 to 18:00 local clock time on every day, as EN 17037's annex is usually read."""
-    return Occupancy(
-        "08:00 to 18:00 every day", tuple((day, time(8), time(18)) for day in range(7))
-    )
+    periods = tuple((day, time(8), time(18)) for day in range(7))
+    return Occupancy("08:00 to 18:00 every day", periods)
 
 
 def read_occupancy(path: Path) -> Occupancy:
