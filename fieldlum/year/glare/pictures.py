@@ -241,10 +241,8 @@ def picture_rays(view: PictureView, x: ArrayLike, y: ArrayLike) -> tuple[Floats,
     it had the same everywhere; 0 where the mapping has no direction.
     """
     reach = [_reach(view.kind, angle) for angle in (view.horizontal_deg, view.vertical_deg)]
-    right = (np.asarray(x, float) + view.shift) * 2.0 * reach[0]
-    across, upwards = np.broadcast_arrays(
-        right, (np.asarray(y, float) + view.lift) * 2.0 * reach[1]
-    )
+    right, up = np.asarray(x, float) + view.shift, np.asarray(y, float) + view.lift
+    across, upwards = np.broadcast_arrays(right * 2.0 * reach[0], up * 2.0 * reach[1])
     square = across**2 + upwards**2
     if view.kind == "a":
         angle = np.sqrt(square)
