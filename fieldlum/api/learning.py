@@ -95,8 +95,10 @@ class RoomModel:
         )
 
     def glare(self, light: Light, views: int = 10) -> xr.Dataset:
-        """Return all metrics of glare over (time, azimuth), with the sun's disc.
+        """Return figures of the hours, and of glare over (time, azimuth), with the sun's disc.
 
+        Variables: `HOUR_COLUMNS` and `VIEW_COLUMNS` of `fieldlum.session.files.hourly_csv`, among
+        them dgp and ev_lx, with units as attributes; the azimuth is clockwise from true north.
         dgp_low and dgp_high are the 95 % interval, as the command has it: by the model's error, by
         unseen parts of the view, and by what the sky view leaves open about the disc; u_dgp is its
         standard uncertainty. views: number of view directions, evenly around from the model's

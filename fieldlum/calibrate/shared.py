@@ -359,9 +359,10 @@ def read_panoramas(
 def pixels_within(
     picture: Panorama, azimuth_deg: float, altitude_deg: float, radius_deg: float
 ) -> Mask:
-    """Return a mask [h, w] of the pixels within an angle of a direction, clockwise from north.
+    """Return a mask [h, w], True for pixels within `radius_deg` of a direction.
 
-    The disc is at least a few pixels wide.
+    azimuth_deg: clockwise from north; altitude_deg: above the horizon. The disc is at least a few
+    pixels wide.
     """
     height, width = picture.luminance_cdm2.shape
     rays = equirect_rays(height, width, picture.heading_deg)
@@ -393,10 +394,10 @@ def save_calibration(
     """
     hashes, before = sorted({sha256(path) for path in frames}), profile.provenance
     provenance = Provenance(
-        before.source,
-        f"fieldlum {__version__} calibrate",
-        tuple(dict.fromkeys((*before.frames_sha256, *hashes))),
-        (*before.log, *(f"{today.isoformat()} {line}" for line in lines)),
+        source=before.source,
+        fitted_by=f"fieldlum {__version__} calibrate",
+        frames_sha256=tuple(dict.fromkeys((*before.frames_sha256, *hashes))),
+        log=(*before.log, *(f"{today.isoformat()} {line}" for line in lines)),
     )
     camera = replace(profile.camera, date=today.isoformat())
     new = replace(profile, camera=camera, provenance=provenance, **changed)

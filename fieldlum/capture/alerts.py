@@ -169,11 +169,11 @@ def open_alerts(
     outbox = Outbox(post, say) if post is not None else None
     heartbeat = Heartbeat(heartbeat_address) if heartbeat_address else None
     alerts = Alerts(
-        site.name,
-        site.timezone,
-        outbox.put if outbox else lambda message: None,
-        heartbeat.beat if heartbeat else lambda: None,
-        (lambda: _latest_contact_sheet(session)) if with_picture else lambda: None,
+        name=site.name,
+        timezone=site.timezone,
+        send=outbox.put if outbox else lambda message: None,
+        beat=heartbeat.beat if heartbeat else lambda: None,
+        contact_sheet=(lambda: _latest_contact_sheet(session)) if with_picture else lambda: None,
     )
     try:
         yield alerts

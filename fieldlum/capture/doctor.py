@@ -94,7 +94,7 @@ def run(
 ) -> list[Finding]:
     """Run all checks and return their findings; a check that raises an error is a failure.
 
-    An empty URI means that the device is not used. only: names of the checks to run.
+    An empty URI means that the device is not used. only: names of the checks to run, of `EVERY`.
     """
     checks: dict[str, Callable[[], Iterable[Finding]]] = {
         "plan": lambda: check_plan(session, now_utc),

@@ -54,8 +54,9 @@ def _short(value: Any) -> str:
 
 
 def describe(path: Path, part: str = "") -> Facts:
-    """Return what `fieldlum info` prints about a file or folder, without its path.
+    """Return what `fieldlum info` prints about a file or folder, by name, without its path.
 
+    Which names there are depends on the kind of file (docs/cli.md).
     part: name of the part, layer or stereo view of an .exr; "" for the only one. Raises InputError
     if the file is missing, invalid or of an unknown kind.
     """

@@ -69,7 +69,12 @@ def fit(
 
 
 def answer_of(scene: Scene) -> JsonTable:
-    """Return the object that `scene fit --json` prints."""
+    """Return the object that `scene fit --json` prints.
+
+    The names of `Scene`: north_deg, clock_min, u, chosen, verdict, trusted, expected_log10_mse,
+    trusted_share, hours, notes. misfit_before, misfit_after, misfit_none: of the stated room, the
+    fitted room and no patch; camera_m: x, y, z; window: wall, left_m, width_m, sill_m, height_m.
+    """
     room = scene.room
     names = ("wall", "left_m", "width_m", "sill_m", "height_m")
     same = ("north_deg", "clock_min", "u", "chosen", "verdict", "trusted", "expected_log10_mse")

@@ -41,7 +41,10 @@ def robust_sigma(values: ArrayLike, centre: float | None = None) -> float:
 
 
 def cauchy_weights(residual: Floats, half: float) -> Floats:
-    """Return 1 / (1 + (residual / half)^2): a half at `half`, and hardly any for gross errors."""
+    """Return robust weights 1 / (1 + (residual / half)^2), 1 to 0, in the shape of `residual`.
+
+    half: the residual, in the same unit, whose weight is a half.
+    """
     return 1.0 / (1.0 + (residual / half) ** 2)
 
 

@@ -177,7 +177,7 @@ class Pyranometer(Device, ABC):
 
 @dataclass(frozen=True, slots=True)
 class IlluminanceReading:
-    """One reading of an illuminance meter."""
+    """One reading of an illuminance meter; low_battery: whether the meter reports one."""
 
     illuminance_lx: float
     low_battery: bool = False

@@ -257,15 +257,15 @@ def load_raw(
     per_colour = [per * (sensor.white_dn - b) / f for b, f in factors]
     gain = gain_e_per_dn(shot.exposure.iso, profile)
     return RawSignal(
-        counts,
-        _cell_pattern(mosaic.cfa, black, crop.width),
-        _cell_pattern(mosaic.cfa, full, crop.width),
-        _cell_pattern(mosaic.cfa, per_colour, crop.width),
-        gain,
-        (sensor.read_noise_e / gain) ** 2 + 1 / 12,
-        bool(shot.exposure.nd),
-        sensor.linearity,
-        float(sensor.white_dn - np.mean(black)),
+        counts=counts,
+        black=_cell_pattern(mosaic.cfa, black, crop.width),
+        saturation=_cell_pattern(mosaic.cfa, full, crop.width),
+        per_cdm2=_cell_pattern(mosaic.cfa, per_colour, crop.width),
+        gain_e_per_dn=gain,
+        noise_dn2=(sensor.read_noise_e / gain) ** 2 + 1 / 12,
+        through_nd=bool(shot.exposure.nd),
+        linearity=sensor.linearity,
+        scale_dn=float(sensor.white_dn - np.mean(black)),
     )
 
 

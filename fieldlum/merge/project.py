@@ -345,15 +345,15 @@ def blend(views: Sequence[LensView]) -> ProjectedImage:
     for view, of_lens in zip(views, share * u_vignetting, strict=True):
         by_lens[view.lens] = by_lens.get(view.lens, 0.0) + of_lens
     return ProjectedImage(
-        (share * luminance).sum(0),
-        (share**2 * variance).sum(0),
-        coverage.max(0),
-        edge.max(0),
-        np.sqrt(sum(u**2 for u in by_lens.values())),
-        (share * u_ratio).sum(0),  # linearly, because all lenses share one shutter
-        blended,
-        (share[..., None] * np.stack([view.rgb for view in views])).sum(0),
-        (share * u_stray).sum(0),  # linearly, because all lenses share one kernel
+        luminance=(share * luminance).sum(0),
+        variance=(share**2 * variance).sum(0),
+        coverage=coverage.max(0),
+        edge=edge.max(0),
+        u_vignetting=np.sqrt(sum(u**2 for u in by_lens.values())),
+        u_ratio=(share * u_ratio).sum(0),  # linearly, because all lenses share one shutter
+        flags=blended,
+        rgb=(share[..., None] * np.stack([view.rgb for view in views])).sum(0),
+        u_stray=(share * u_stray).sum(0),  # linearly, because all lenses share one kernel
     )
 
 
@@ -399,14 +399,14 @@ def finish(
         weights = np.array(p.colour.melanopic_from_rgb)
         attributes[MELANOPIC] = melanopic_text(weights, matrix, p.colour.melanopic_u_rel)
     return Panorama(
-        light.reshape(shape).astype(np.float32),
-        heading_deg,
-        u.reshape(shape).astype(np.float32),
-        flags.reshape(shape),
-        t_utc,
-        None,
-        None if rgb is None else rgb.reshape(*shape, 3),
-        attributes,
+        luminance_cdm2=light.reshape(shape).astype(np.float32),
+        heading_deg=heading_deg,
+        u_cdm2=u.reshape(shape).astype(np.float32),
+        flags=flags.reshape(shape),
+        t_utc=t_utc,
+        sun=None,
+        rgb=None if rgb is None else rgb.reshape(*shape, 3),
+        attributes=attributes,
     )
 
 

@@ -204,10 +204,10 @@ def _write(session: Session, job: _MergeJob, result: MergeResult, recipe: JsonTa
         bound, lx = sun.origin == CLIPPED_SUN, sun.normal_illuminance_lx
         sidecar_sun = SidecarSun(*place, lx, u_percent, sun.origin, bound, result.sun)
     Sidecar(
-        job.slot,
-        result.panorama.t_utc,
-        result.verdict,
-        result.report,
+        slot=job.slot,
+        t_utc=result.panorama.t_utc,
+        verdict=result.verdict,
+        report=result.report,
         sun=sidecar_sun,
         factors={
             "k": p.scale.k,

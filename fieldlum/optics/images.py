@@ -218,15 +218,15 @@ def _read_header(file: BinaryIO, path: Path) -> RadianceHeader:
     axes, counts = _resolution(file.readline(200), path)
     marks = [line for line in lines if line.startswith(PANORAMA_LINE)]
     return RadianceHeader(
-        axes,
-        counts,
-        kind == _XYZE,
-        _product(lines, "EXPOSURE=", 1, path) * _product(lines, "COLORCORR=", 3, path),
-        _chromaticities(lines, path),
-        _views(lines),
-        _views([line.lstrip("\t ") for line in lines if line[:1] in "\t "]),
-        _heading(marks[-1], path) if marks else None,
-        float(_product(lines, "PIXASPECT=", 1, path)[0]),
+        axes=axes,
+        counts=counts,
+        xyze=kind == _XYZE,
+        exposure=_product(lines, "EXPOSURE=", 1, path) * _product(lines, "COLORCORR=", 3, path),
+        chromaticities=_chromaticities(lines, path),
+        views=_views(lines),
+        inherited_views=_views([line.lstrip("\t ") for line in lines if line[:1] in "\t "]),
+        heading_deg=_heading(marks[-1], path) if marks else None,
+        pixel_aspect=float(_product(lines, "PIXASPECT=", 1, path)[0]),
     )
 
 
@@ -501,7 +501,7 @@ class _OwnOutput(io.StringIO):
 
 @contextmanager
 def opened_exr(path: Path, **how: bool) -> Iterator[Any]:
-    """Yield a file that OpenEXR has read, `how` it reads it.
+    """Yield the OpenEXR.File of a path; how: keyword arguments of its constructor.
 
     Raises ValueError for a file that is no EXR, and with the cause for one that is broken. OpenEXR
     would print the cause, in the middle of what a command prints.

@@ -104,7 +104,11 @@ def _slot_time(path: Path) -> datetime:
 def judge(
     bracket: BracketInterval, light: BracketIrradiance, altitude_deg: float, azimuth_deg: float
 ) -> PairRow:
-    """Return the row of pairs.csv for a bracket; `why` has the reason not to use it, or doubts."""
+    """Return the row of pairs.csv for a bracket.
+
+    altitude_deg (true), azimuth_deg (clockwise from north): of the sun at its middle. `ok` is False
+    if the row must not be used; `why` has the reason, or doubts about a usable row.
+    """
     why = light.why
     top_wm2 = sun.extraterrestrial_wm2([bracket.t_utc])[0]
     if bracket.double_of:
@@ -281,8 +285,9 @@ def trace_patches(
 ) -> None:
     """Write the sun patches of one unit of work; the room is that of session.toml.
 
-    argument : slots and digests of what a patch depends on, their light, and height [px] and
-    heading [deg] of the panoramas. Raises InputError for an impossible room.
+    root : of the session. argument : (slot id, digest of what its patch depends on) of n slots,
+    their light, and (height [px], heading [deg clockwise from north]) of the panoramas. Raises
+    InputError for an impossible room.
     """
     job, light, (height, heading_deg) = argument
     session = Session(root)

@@ -275,8 +275,9 @@ class Plan:
     """The slots of a set, their cost and coverage, and the warnings.
 
     days: all days of the set, also those without slots; variance_left: share of the prior variance
-    over the year that the captures leave, None without weather; months: comparison with the other
-    months, only for the set `month` with weather.
+    over the year that the captures leave, None without weather; months: only for the set
+    `month` with weather, else None: expected squared error over that of the best month; best: name
+    of that month; times_best: of the planned month; by_month: of each month, January first [12].
     """
 
     slots: tuple[Slot, ...]
@@ -348,7 +349,9 @@ def summary(session: Session, plan: Plan) -> JsonTable:
 
     slots, days: numbers of slots, and of days with slots; first, last: ids of slots; solar_noon:
     local time on the first day, which reveals a longitude with a wrong sign, "" if unknown; frames,
-    megabytes: of all slots, at every heading; tags: number of slots with each tag.
+    megabytes: of all slots, at every heading; seconds_per_slot; size_is_known: whether SITE.toml
+    names the camera profile; tags: number of slots with each tag; coverage: fields of `Coverage`;
+    variance_left_percent, month, warnings: as in `Plan`, None if unknown.
     """
     slots, setup = plan.slots, session.site_file()
     site, turns = setup.site, max(len(setup.camera.headings), 1)

@@ -100,7 +100,7 @@ def learning(
 def features_at(
     hours: DaylightHours, task: Learning, sky: sun.Irradiance | None = None
 ) -> tuple[Indices, Features]:
-    """Return the hours with daylight (DHI above 0) and their light features.
+    """Return the hours with daylight (DHI above 0), and the k light features of these.
 
     The hours are indices [k] into `hours`, ascending. sky: at the n hours, None for the weather's.
     """

@@ -45,7 +45,7 @@ def class_name(row: DirectionYear) -> str:
 def chip(row: DirectionYear, more: str = "") -> dict[str, str]:
     """Return a table cell with the glare class of a direction in its colour, then the text `more`.
 
-    It is grey while the class is not certain.
+    The cell is {"kind", "text"}; kind is the class, or "open" (grey) while it is not certain.
     """
     return {"kind": row.glare_class if row.certain else "open", "text": class_name(row) + more}
 
@@ -116,9 +116,10 @@ def heat_map(
 ) -> JsonTable:
     """Return the heat map for the template: days by hours, for each layer [n, d] of n hours.
 
-    day: of the year, from 1, and hour, 0 to 23, of each, [n]; year: for the dates. Further entries
-    for the template: directions: names [d]; start: index of the direction shown first; used: hours
-    of the day at which lines are drawn; alt: text instead of the picture.
+    day: of the year, from 1, and hour, 0 to 23, of each, [n]; year: for the dates. Keys: json, the
+    data for the script; quantities, names of the layers; and those of `about`, for the template:
+    directions: names [d]; start: index of the direction shown first; used: hours of the day at
+    which lines are drawn; alt: text instead of the picture.
     """
     days = max(365, int(day.max()))
     quantities = []

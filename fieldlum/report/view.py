@@ -32,7 +32,7 @@ class Region(NamedTuple):
     """A region of a picture; `text` is as the user wrote it.
 
     values by kind, in pixels from the top left corner: rect left, top, width, height; circle x, y,
-    radius; in deg: cone azimuth, altitude, radius (half its width).
+    radius; in deg: cone azimuth (clockwise from true north), altitude, radius (half its width).
     """
 
     kind: str
@@ -73,7 +73,7 @@ def region_mask(region: Region, picture: MeasuredPicture) -> Mask:
 
 
 def region_statistics(region: Region, picture: MeasuredPicture) -> dict[str, float | str | None]:
-    """Return the row of `COLUMNS` of a region; `pixels` is the number of pixels that count.
+    """Return a region's row: a value for each of `COLUMNS`; pixels: number of pixels that count.
 
     Mean and standard deviation are weighted by solid angle, the median by pixels. Pixels that no
     lens saw do not count. Without a pixel the other figures are None.

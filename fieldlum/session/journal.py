@@ -29,8 +29,8 @@ class JournalEvent(TypedDict, total=False):
     The other keys depend on the kind, and only those that readers use are declared. slot: id; why:
     reason; attempt: of the bracket, from 1; frame: fields of `Frame`; by_s: how late a bracket
     began [s]; state: of the room, as ``lamp=on``; text: a remark; device: its name; after_s: how
-    long it was away; seconds: of a sleep; boot_id, boottime_s: of the computer; pid: of the
-    process.
+    long it was away; seconds: length of a sleep, or of a step of the clock; boot_id, boottime_s: of
+    the computer; pid: of the process.
     """
 
     event: Required[str]

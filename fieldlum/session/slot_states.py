@@ -18,9 +18,9 @@ SETTLED = ("done", "missed", "aborted")  # outcomes after which a slot needs no 
 class SlotState:
     """The state of one slot, from the journal.
 
-    outcome: "" before any bracket began; attempt: number of the last one, from 1; frames: of that
-    attempt, in the order of writing; why: reason of the outcome, or ""; illuminance_lx: readings of
-    a meter at the lens, during the bracket.
+    outcome: "" before any bracket began, "started", or final: "done", "missed", "aborted"; attempt:
+    number of the last one, from 1; frames: of that attempt, in the order of writing; why: reason of
+    the outcome, or ""; illuminance_lx: readings of a meter at the lens, during the bracket.
     """
 
     outcome: Outcome = ""

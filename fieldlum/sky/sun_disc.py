@@ -148,8 +148,8 @@ def add_disc(
 ) -> Floats32:
     """Return maps [n, H, W] with each disc's energy added to the pixel of the sun.
 
-    disc_lx [n] : illuminance on a plane normal to the sun; light : has the sun's positions;
-    heading_deg : azimuth of the maps' centre.
+    disc_lx [n] : illuminance on a plane normal to the sun; light : its apparent sun positions
+    count; heading_deg : azimuth of the maps' centre.
     """
     place = light.apparent_altitude_deg, light.sun_azimuth_deg
     return add_source(luminance_cdm2, place, disc_lx, heading_deg)

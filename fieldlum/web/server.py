@@ -164,7 +164,7 @@ def static_route(path: str, name: str) -> Route:
 
 
 def picture_routes(session: Session) -> list[Route]:
-    """Return the web routes of a session's panoramas in false colour, and of their scale."""
+    """Return the routes of a session's panoramas in false colour (PNG), and of their scale."""
 
     def picture(request: Request) -> Response:
         slot = request.path_params["slot"]

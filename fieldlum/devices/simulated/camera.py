@@ -140,9 +140,9 @@ def jpeg_codes(
 class SimulatedCamera(Camera):
     """A simulated camera.
 
-    heading_deg : its view direction unless `expose` states another; clock_offset_s : its clock
-    minus the computer's; overhead_s : time of a frame in addition to its shutter time
-    [s] (None: the profile's).
+    heading_deg : azimuth of its view, clockwise from true north, unless `expose` states another;
+    clock_offset_s : its clock minus the computer's; overhead_s : time of a frame in addition to its
+    shutter time [s] (None: the profile's).
     """
 
     def __init__(

@@ -143,7 +143,7 @@ class Fitted(Protocol):
 
     @property
     def held_out_mse(self) -> Floats | None:
-        """Log10 MSE of each training map, weighted by solid angle, predicted without its day."""
+        """Log10 MSE of each training map [n], predicted without its day; None if not computed."""
         ...
 
     def predict(self, light: Light, patch_cdm2: Floats32 | None = None) -> Prediction:

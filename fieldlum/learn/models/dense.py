@@ -346,11 +346,11 @@ def pixels_of(data: Dataset, pixels: Inputs, patch: Patch, device: torch.device)
     weight = np.broadcast_to(data.weights[data.seen], target.shape)
     weight = weight if data.counts is None else weight * data.counts[:, data.seen]
     return PixelSampler(
-        pixels.at(data.light),
-        target,
-        torch.zeros_like(target) if patches is None else flat(patches),
-        torch.from_numpy(weight.astype(np.float32)).to(device),
-        torch.from_numpy(np.flatnonzero(data.seen)).to(device),
+        inputs=pixels.at(data.light),
+        target=target,
+        patch=torch.zeros_like(target) if patches is None else flat(patches),
+        weight=torch.from_numpy(weight.astype(np.float32)).to(device),
+        seen=torch.from_numpy(np.flatnonzero(data.seen)).to(device),
     )
 
 

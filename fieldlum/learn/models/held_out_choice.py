@@ -168,7 +168,7 @@ def light_variance(data: Dataset) -> Array:
 
 
 def weight_of_variance(variance: Floats) -> Floats:
-    """Return 1 / (1 + variance / 0.01), the weight of values by their relative variance."""
+    """Return 1 / (1 + variance / 0.01), weights 1 to 0 for relative variances [n]."""
     return 1.0 / (1.0 + variance / UNSURE)
 
 

@@ -61,7 +61,11 @@ _DISTORTED, _NEXT_MIRROR = 2.0, 3.0
 
 @dataclass(frozen=True, slots=True)
 class SunImage:
-    """A bright spot of capture `row` that may be an image of the sun, with its direction [3]."""
+    """A bright spot of a map that may be an image of the sun.
+
+    row: index of the capture; towards: unit vector to it, x east, y north, z up [3]; spot: its
+    place, pixels and illuminance.
+    """
 
     row: int
     towards: Floats
@@ -110,12 +114,12 @@ def glass_reflectance(cosine: ArrayLike) -> Floats:
 
 
 def tolerance_rad(height: int) -> float:
-    """Return how far an image may be from its computed place in maps with `height` rows."""
+    """Return how far an image may be from its computed place in maps with `height` rows [rad]."""
     return float(np.radians(_POINTING_DEG) + _WITHIN_PIXEL * np.pi / height)
 
 
 def near_sun_rad(height: int) -> float:
-    """Return the angle around the sun in which no image is searched."""
+    """Return the angle [rad] around the sun in which maps of `height` rows show no image."""
     return float(max(np.radians(_NEAR_SUN_DEG), 3.0 * np.pi / height))
 
 
@@ -322,10 +326,10 @@ class Mirror:
         ahead = (cosine > 0.0) & (light.direct_lx > 0.0) & (suns[:, 2] > 0.0)
         share = np.minimum(self.factor * glass_reflectance(cosine), 1.0)
         return MirroredSun(
-            towards,
-            share * light.direct_lx,
-            np.where(ahead, chances.mean(axis=0, dtype=float), 0.0),
-            ahead & (chances[0] > 0.5) & self.predicted,
+            towards=towards,
+            normal_lx=share * light.direct_lx,
+            chance=np.where(ahead, chances.mean(axis=0, dtype=float), 0.0),
+            shown=ahead & (chances[0] > 0.5) & self.predicted,
         )
 
     @property

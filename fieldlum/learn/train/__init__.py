@@ -170,7 +170,7 @@ def choose_model(trials: Sequence[Trial]) -> ModelSelection:
 
 
 def is_baseline(trial: Trial) -> bool:
-    """Return whether a trial, named NAME, NAME:PATCH or NAME (folder), is of a baseline."""
+    """Return whether a trial (named NAME, NAME:PATCH or NAME (folder)) is of mean or nearest."""
     return MODELS[trial.name.replace(":", " ").split()[0]].baseline
 
 

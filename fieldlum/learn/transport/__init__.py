@@ -266,10 +266,12 @@ class MeanTransport:
         assert fitted.log10_sd is not None and stated.log10_sd is not None
         sd = np.sqrt(self.agreement) * (share * fitted.log10_sd + rest * stated.log10_sd)
         return Prediction(
-            (fitted.luminance_cdm2**share * stated.luminance_cdm2**rest).astype(np.float32),
-            sd.astype(np.float32),
-            self.agreement * root**2,
-            fitted.trusted,
+            luminance_cdm2=(fitted.luminance_cdm2**share * stated.luminance_cdm2**rest).astype(
+                np.float32
+            ),
+            log10_sd=sd.astype(np.float32),
+            expected_mse=self.agreement * root**2,
+            trusted=fitted.trusted,
         )
 
     def _stated_patches(self, light: Light) -> Floats32 | None:
@@ -500,20 +502,20 @@ def _fit(chosen: _Chosen) -> tuple[Transport, Array]:
     sample, residual = arrays[of.drawn], pixels.noise[of.drawn]
     uncertainty, errors = calibrate(sample, basis, inputs.covariance, noise, residual, careful)
     fitted = Transport(
-        of.data.seen,
-        of.data.heading_deg,
-        noise,
-        of.kernel,
-        arrays.features,
-        basis.projector,
-        arrays.states,
-        arrays.open_sky,
-        pixels,
-        uncertainty,
-        of.scale,
-        of.physics,
-        inputs.sky_sd,
-        of.patch_light,
+        seen=of.data.seen,
+        heading_deg=of.data.heading_deg,
+        noise=noise,
+        kernel=of.kernel,
+        captured=arrays.features,
+        projector=basis.projector,
+        states=arrays.states,
+        open_sky=arrays.open_sky,
+        pixels=pixels,
+        uncertainty=uncertainty,
+        patch_scale=of.scale,
+        physics=of.physics,
+        sky_sd=inputs.sky_sd,
+        patch_light=of.patch_light,
     )
     return fitted, errors
 
@@ -715,14 +717,14 @@ def calibrate(
     guess = np.concatenate([(share * square).sum(axis=1) for square in squares])
     error = np.concatenate([(test.held.error**2).mean(axis=1) for test in tests])
     out = Uncertainty(
-        inverse,
-        second,
-        float(tests[0].variance.max()),
-        patch,
-        1.0,
-        np.tile(np.arange(len(covariance)), len(tests)),
-        error,
-        guess,
+        inverse=inverse,
+        second=second,
+        novelty=float(tests[0].variance.max()),
+        patch=patch,
+        band=1.0,
+        tested=np.tile(np.arange(len(covariance)), len(tests)),
+        error_of=error,
+        guess_of=guess,
         careful=careful,
     )
     features, rows = arrays.features, out.tested

@@ -268,19 +268,19 @@ def training_arrays_of(data: Dataset, *, with_patch: bool) -> TrainingArrays:
         trust = trust * edge_weights(patches, data.seen, luminance, light.total_lx)
     states = StateColumns.of(light)
     return TrainingArrays(
-        light,
-        states.features(light),
-        luminance,
-        patch,
-        sky,
-        filled,
-        trust,
-        data.weights[data.seen],
-        data.days,
-        unsure,
-        open_sky,
-        facades_of(data.setup.room),
-        states,
+        light=light,
+        features=states.features(light),
+        luminance=luminance,
+        patch=patch,
+        sky=sky,
+        filled=filled,
+        trust=trust,
+        weights=data.weights[data.seen],
+        days=data.days,
+        unsure=unsure,
+        open_sky=open_sky,
+        facades=facades_of(data.setup.room),
+        states=states,
     )
 
 

@@ -167,14 +167,14 @@ def _physics_of(setup: SiteFile) -> Physics:
     # number of patterns of reflected sunlight that compare hours
     comparison = (vectors * np.sqrt(np.maximum(values, 0.0)))[:, ::-1][:, :48]
     physics = Physics(
-        setup.room,
-        modes.T.copy(),
-        comparison.astype(np.float32),
-        pieces.position.astype(np.float32),
-        pieces.axis[pieces.piece],
-        pieces.sign[pieces.piece],
-        pieces.share.astype(np.float32),
-        pieces.piece.astype(np.int32),
+        room=setup.room,
+        modes=modes.T.copy(),
+        comparison=comparison.astype(np.float32),
+        position=pieces.position.astype(np.float32),
+        axis=pieces.axis[pieces.piece],
+        sign=pieces.sign[pieces.piece],
+        share=pieces.share.astype(np.float32),
+        piece=pieces.piece.astype(np.int32),
         sun_light=sun_light,
         sky_modes=sky_modes,
         sky_light=lit.pixels_cdm2(lit.columns(sky_modes.T)).T.astype(np.float32),

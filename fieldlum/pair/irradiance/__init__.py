@@ -61,7 +61,10 @@ UNUSABLE = Mark.IMPOSSIBLE | Mark.STATUS | Mark.STUCK
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """Irradiance rows as arrays [n] in order of time, in W/m2 (NaN: unknown), with marks."""
+    """Irradiance rows as arrays [n] in order of time, in W/m2 (NaN: unknown).
+
+    marks: the `Mark` bits of each row.
+    """
 
     t_unix_s: Floats
     ghi_wm2: Floats
@@ -79,7 +82,7 @@ def poll_period_s(t_unix_s: Floats) -> float:
 
 
 def local_period_s(t_unix_s: Floats) -> Floats:
-    """Return the usual time between two rows around each row [n] s.
+    """Return the median time [s] between two rows around each row, [n].
 
     It varies because one session can have several loggers.
     """

@@ -250,18 +250,18 @@ def gather(
     rays, pixel = _rays_of(data, chosen, sub)
     seen = np.maximum(data.luminance_cdm2.reshape(len(data), -1)[:, chosen], MIN_CDM2)
     evidence = SceneEvidence(
-        np.log(seen[rows]),
-        seen[rows],
-        data.light.direct_lx[rows],
-        (weights / weights.sum()).astype(np.float32),
-        rays,
-        pixel,
-        data.days[rows],
-        _clock_table(data, rows),
-        rows,
-        chosen,
-        data.shape,
-        sub,
+        log_seen=np.log(seen[rows]),
+        below=seen[rows],
+        direct_lx=data.light.direct_lx[rows],
+        weights=(weights / weights.sum()).astype(np.float32),
+        rays=rays,
+        pixel=pixel,
+        days=data.days[rows],
+        clock=_clock_table(data, rows),
+        rows=rows,
+        pixels=chosen,
+        shape=data.shape,
+        sub=sub,
     )
     return evidence.relit(data, np.zeros_like(evidence.below))
 
@@ -415,10 +415,10 @@ def levelled(below: Array, seen: Array, patch: Array, directions: Array, weights
     """Return the light below patches, corrected for each hour by a smooth factor, [n, m] cd/m2.
 
     below: luminance estimated without direct sun; seen: captured; patch: of known sun patches; each
-    [n, m] cd/m2; directions [m, 3] unit vectors; weights [m]. The features behind `below` do not
-    determine how bright the room is under a sun that no other hour has. Therefore each hour
-    corrects the logarithm by nine smooth functions of the direction, in rounds that reduce the
-    weight of pixels brighter than the fit.
+    [n, m] cd/m2; directions: unit vectors to the pixels [m, 3]; weights: of the pixels, sum 1 [m].
+    The features behind `below` do not determine how bright the room is under a sun that no other
+    hour has. Therefore each hour corrects the logarithm by nine smooth functions of the direction,
+    in rounds that reduce the weight of pixels brighter than the fit.
     """
     x, y, z = directions.T
     terms = np.stack([np.ones_like(x), x, y, z, x * y, x * z, y * z, x * x, z * z], axis=1)

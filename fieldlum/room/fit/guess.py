@@ -177,13 +177,13 @@ def guess_of(room: Room, axis_deg: float = 180.0) -> Guess:
         for o in room.obstruction
     )
     return Guess(
-        (room.width_m, room.depth_m, room.height_m),
-        (room.camera_x_m, room.camera_y_m, room.camera_z_m),
-        room.wall_azimuth_deg,
-        room.wall_thickness_m,
-        tuple(windows),
-        tuple(bars),
-        solids,
+        size_m=(room.width_m, room.depth_m, room.height_m),
+        camera_m=(room.camera_x_m, room.camera_y_m, room.camera_z_m),
+        wall_azimuth_deg=room.wall_azimuth_deg,
+        thickness_m=room.wall_thickness_m,
+        windows=tuple(windows),
+        bars=tuple(bars),
+        solids=solids,
         tilt_deg=room.camera_tilt_deg,
         roll_deg=room.camera_roll_deg,
         axis_deg=axis_deg,

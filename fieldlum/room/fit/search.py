@@ -141,7 +141,7 @@ def search(
 
 
 def moved(guess: Guess, parameters: Sequence[Parameter], steps: Floats) -> Guess:
-    """Return the guess with each parameter changed by some of its steps [k]."""
+    """Return the guess with each of k parameters changed by steps [k] times `Parameter.step`."""
     for p, count in zip(parameters, steps.tolist(), strict=True):
         guess = p.change(guess, count * p.step)
     return thickened(guess)

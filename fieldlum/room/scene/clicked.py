@@ -51,7 +51,7 @@ class Click:
 
 @dataclass(frozen=True, slots=True)
 class ClickGrid:
-    """Size and heading of the panorama on which the clicks are."""
+    """Size of the panorama with the clicks, and azimuth of its middle, clockwise from north."""
 
     height_px: int
     width_px: int
@@ -63,11 +63,11 @@ class ClickGrid:
         return 90.0 - y_px / self.height_px * 180.0, azimuth % 360.0
 
     def ray(self, click: Click) -> Floats:
-        """Return the direction of a click, a unit vector in world axes [3]."""
+        """Return the direction of a click, a unit vector [3]: x east, y north, z up."""
         return direction(*self.angles(click.x_px, click.y_px))
 
     def pixels(self, points: Floats) -> Floats:
-        """Return pixel positions (x, y) of directions [n, 3] in world axes, [n, 2]."""
+        """Return pixel positions (x, y) [n, 2] of directions [n, 3] (x east, y north, z up)."""
         angles = altitude_azimuth_deg(points / np.linalg.norm(points, axis=1, keepdims=True))
         row, column = equirect_pixel(*angles, self.height_px, self.width_px, self.heading_deg)
         return np.stack([column, row], axis=1)

@@ -456,12 +456,12 @@ def sun_points(
         rows = np.flatnonzero(chosen)
         rows = rows[np.argsort(np.asarray(target)[rows], kind="stable")]  # neighbours together
         return _Group(
-            raised[rows].astype(np.float32),
-            face[rows],
-            weight[rows].astype(float),
-            np.asarray(target)[rows].astype(np.intp),
-            np.array([box.low for box in boxes], float).reshape(-1, 3),
-            np.array([box.high for box in boxes], float).reshape(-1, 3),
+            position=raised[rows].astype(np.float32),
+            face=face[rows],
+            weight=weight[rows].astype(float),
+            target=np.asarray(target)[rows].astype(np.intp),
+            low=np.array([box.low for box in boxes], float).reshape(-1, 3),
+            high=np.array([box.high for box in boxes], float).reshape(-1, 3),
         )
 
     panes = [

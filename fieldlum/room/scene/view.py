@@ -67,7 +67,10 @@ class SceneView:
 
 
 def surface_points(scene: BoxScene, s: SurfaceSamples, pixels: int) -> SunPoints:
-    """Return samples of `pixels` pixels as points whose sums are luminances."""
+    """Return samples as points whose sum in a pixel is its luminance per lx of normal sun.
+
+    s: samples [m]; pixels: number of pixels, to which the indices `s.pixel` belong.
+    """
     weight = s.weight * scene.reflectance[s.box] / np.pi
     return sun_points(scene, s.position, s.axis, s.sign, weight, s.pixel, pixels)
 

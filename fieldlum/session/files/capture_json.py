@@ -56,7 +56,8 @@ class CaptureFile(JsonFile, frozen=True):
 
     t_open_utc: first request to the camera; t_close_utc: when the last file was on the disk;
     complete: whether all planned frames were taken; profile: name of the camera profile;
-    heading_deg: clockwise from north; camera: what it reports; illuminance_lx: mean reading of a
+    heading_deg: clockwise from north; camera: fields of `CameraInfo` that are known;
+    illuminance_lx: mean reading of a
     meter at the lens, or None.
     """
 

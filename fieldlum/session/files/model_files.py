@@ -140,11 +140,11 @@ MAX_MAPS = 150  # most maps in the file, spread evenly: 4 MB at 116 x 58; chosen
 class HeldOutMaps:
     """Hours that were held out of the fit which predicted them, in the order of the folds.
 
-    slots: ids [n]; sun_altitude_deg, sun_azimuth_deg: [n] deg; log10_mse: weighted by solid angle
-    [n]; dgp_measured, dgp_predicted: in ten view directions, both with the measured sun disc [n,
-    10]; contrast_measured, contrast_predicted: mean local contrast of each level of a picture
-    pyramid [n, 5] cd/m2; measured_log10, predicted_log10: log10 of cd/m2 [n, h, w], float16 (to 0.2
-    %), reduced to fewer pixels, without the disc.
+    slots: ids [n]; sun_altitude_deg (true), sun_azimuth_deg (clockwise from north): [n]; log10_mse:
+    weighted by solid angle [n]; dgp_measured, dgp_predicted: in ten view directions, both with the
+    measured sun disc [n, 10]; contrast_measured, contrast_predicted: mean local contrast of each
+    level of a picture pyramid [n, 5] cd/m2; measured_log10, predicted_log10: log10 of cd/m2 [n, h,
+    w], float16 (to 0.2 %), reduced to fewer pixels, without the disc.
     """
 
     slots: NDArray[np.str_]

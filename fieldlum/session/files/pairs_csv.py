@@ -27,7 +27,8 @@ class PairRow:
     """One panorama and its light: the mean irradiances during its bracket.
 
     panorama, sunpatch: paths relative to the csv. An empty text means that there is none; NaN means
-    unknown. sun_altitude_deg: true, without refraction; steadiness: range of the global irradiance
+    unknown. source: of the irradiance; sun_altitude_deg: true, without refraction;
+    sun_azimuth_deg: clockwise from true north; steadiness: range of the global irradiance
     over its mean; sun_in_map: whether the pictures contain the disc; refraction: False for a
     rendering that shows the sun at its true altitude; ok: whether the row may be
     used; why: the reason if not; state: of the room, such as lamp=on; line: number of the line in

@@ -50,10 +50,10 @@ def disc_of_hours(view: SkyView, light: Light) -> DiscOfHours:
     best, low, high = _over_disc(view, suns)  # [n] each
     best_lx = np.nan_to_num(best) * light.direct_lx
     return DiscOfHours(
-        np.where(best_lx < _MIN_LX, 0.0, best_lx),
-        np.nan_to_num(low) * light.direct_lx,
-        np.nan_to_num(high) * light.direct_lx,
-        np.isnan(best) & (light.direct_lx > 0.0),
+        best_lx=np.where(best_lx < _MIN_LX, 0.0, best_lx),
+        low_lx=np.nan_to_num(low) * light.direct_lx,
+        high_lx=np.nan_to_num(high) * light.direct_lx,
+        not_seen=np.isnan(best) & (light.direct_lx > 0.0),
     )
 
 
@@ -173,7 +173,11 @@ def _turned(light: Light, azimuth_deg: float, altitude_deg: float) -> Floats:
 
 
 def room_shares(room: Room | None, suns: Floats) -> Floats:
-    """Return the share of the beam that reaches the camera in a stated room, [m]; 0 without one."""
+    """Return the share of the beam (0 to 1) that reaches the camera in a room, [m]; 0 without one.
+
+    suns: unit vectors to the apparent sun, x east, y north, z up [m, 3]. Raises InputError for an
+    impossible room.
+    """
     if room is None:
         return np.zeros(len(suns))
     if room.kind == "box":

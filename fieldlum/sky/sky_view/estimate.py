@@ -65,7 +65,7 @@ class Captured:
     disc_share: Floats
 
     def take(self, rows: Sequence[int]) -> Captured:
-        """Return some of the captures, by index."""
+        """Return the captures with the indices `rows`, from 0, in that order."""
         index = np.array(rows, int)
         return Captured(self.light[index], lambda k: self.read(index[k]), self.disc_share[index])
 

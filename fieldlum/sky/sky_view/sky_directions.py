@@ -62,7 +62,7 @@ class SkyReference:
     brightest: float
 
     def sky(self, light: Light, rays: Floats) -> Floats32:
-        """Return the sky's luminance in directions [p, 3], corrected by the reference, [n, p]."""
+        """Return the sky's corrected luminance [n, p] cd/m2 in directions [p, 3]."""
         perez = np.maximum(light.sky_at(rays), 1e-3).astype(np.float32)
         if not len(self.rays):
             return perez
@@ -140,7 +140,10 @@ def sky_share(luminance: Floats32, sky: Floats32, front: Floats32) -> tuple[Floa
 
 
 def usable_log(luminance: Floats32, light: Light, rays: Floats) -> Floats32:
-    """Return the logarithm of luminance [n, p]; NaN near the sun, and where luminance is NaN."""
+    """Return ln of luminance in cd/m2 [n, p]; NaN near the sun, and where luminance is NaN.
+
+    light: of the n captures; rays: directions of the pixels, x east, y north, z up [p, 3].
+    """
     near = light.apparent_sun_direction @ rays.T > np.cos(np.radians(_NEAR_SUN_DEG))
     near &= (light.direct_lx > BEAM_LX)[:, None]
     return np.where(near, np.nan, np.log(np.maximum(luminance, 0.01))).astype(np.float32)

@@ -65,7 +65,7 @@ class Budget:
 
     @property
     def u(self) -> float:
-        """Return the combined standard uncertainty, in `unit` (GUM 5.1.2)."""
+        """The combined standard uncertainty, in `unit` (GUM 5.1.2)."""
         return float(np.sqrt(sum(source.contribution**2 for source in self.sources)))
 
 

@@ -40,7 +40,7 @@ def unit_of(name: str) -> str:
 
 
 def time_coordinate(t_utc: Sequence[datetime]) -> tuple[str, Any, dict[str, str]]:
-    """Return the coordinate `time` of an xarray.Dataset, which has no time zone: UTC."""
+    """Return (dimension, values [n], attributes) of a coordinate `time` of xarray: UTC, no zone."""
     times = np.array([t.astimezone(UTC).replace(tzinfo=None) for t in t_utc], "datetime64[ns]")
     return "time", times, {"long_name": "UTC"}
 

@@ -185,7 +185,11 @@ MAPS = "luminance_cdm2"
 def map_coordinates(
     t_utc: Sequence[datetime], height: int, heading_deg: float
 ) -> dict[str, tuple[str, Any, dict[str, str]]]:
-    """Return the coordinates time, y (altitude) and x (azimuth) of maps [n, height, 2 height]."""
+    """Return xarray coordinates of maps [n, height, 2 height].
+
+    Keys: time (UTC), y (altitude of each row, deg), x (azimuth of each column, deg clockwise from
+    true north); values: (dimension, array, attributes). heading_deg: azimuth of the centre column.
+    """
     azimuths = column_azimuths_deg(2 * height, heading_deg)
     return {
         "time": time_coordinate(t_utc),
