@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from fieldlum.calibrate import colour
-from fieldlum.calibrate.pictures import Place
+from fieldlum.calibrate.fit_charts import Place
 from fieldlum.core.arrays import Floats
 from fieldlum.optics import melanopic
 from fieldlum.optics.profiles import load_camera_profile

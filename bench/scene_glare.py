@@ -29,7 +29,7 @@ from scene_rooms import with_box
 from fieldlum.learn.models import fit
 from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.scores import evaluate, summary, truth
-from fieldlum.room.fit.apply import with_scene
+from fieldlum.room.fit.apply_scene import with_scene
 from fieldlum.room.fit.evidence import PIXELS
 from fieldlum.room.fit.fit import fit_scene
 from fieldlum.room.fit.stage import judged_scene

@@ -29,12 +29,12 @@ from fieldlum.learn.models import trusted_hours
 from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.transport import fit
 from fieldlum.optics.projection import equirect_solid_angles
-from fieldlum.room.fit.apply import earlier, with_patches, with_scene
+from fieldlum.room.fit.apply_scene import earlier, with_patches, with_scene
+from fieldlum.room.fit.draw_scene import draw as draw_scene
 from fieldlum.room.fit.evidence import PIXELS, gather
 from fieldlum.room.fit.fit import SceneFit, fit_scene, scene_of
 from fieldlum.room.fit.guess import guess_of, room_of
 from fieldlum.room.fit.parameters import room_parameters
-from fieldlum.room.fit.pictures import draw as draw_scene
 from fieldlum.room.fit.scene_file import Scene
 from fieldlum.room.fit.stage import judged_scene
 from fieldlum.room.fit.sunny_hours import sunny_hours

@@ -31,7 +31,7 @@ from fieldlum.core.records import CameraSetup, Room, Site, SiteFile, Slot, Windo
 from fieldlum.learn.models.data import Dataset
 from fieldlum.optics.projection import rotation
 from fieldlum.room import simulate
-from fieldlum.room.fit.apply import with_patches
+from fieldlum.room.fit.apply_scene import with_patches
 from fieldlum.room.scene.geometry import glass_optics
 from fieldlum.room.scene.radiance import octree
 from fieldlum.room.scene.view import pixel_rays

@@ -13,7 +13,7 @@ import argparse
 
 import numpy as np
 
-from fieldlum.merge.sky import mosaic_u_rel
+from fieldlum.merge.sun_and_sky import mosaic_u_rel
 
 SHARES = np.array([0.405, 0.543, 0.052])  # of R, G, B in the luminance
 FINE = 16  # points along a pixel

@@ -19,7 +19,7 @@ from typing import Any, Literal
 import numpy as np
 
 from fieldlum.bench import _colour, machine, markdown, store
-from fieldlum.bench.rows import ERRORS, Spec, parse_specs
+from fieldlum.bench.score_rows import ERRORS, Spec, parse_specs
 from fieldlum.core.arrays import Mask
 from fieldlum.core.plot_style import GRID, open_axes
 from fieldlum.core.progress import progress

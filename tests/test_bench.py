@@ -11,7 +11,7 @@ from json_answers import KEPT, keys_of
 from learning_room import dataset, write_pairs
 
 from fieldlum.bench import markdown, pareto, stress
-from fieldlum.bench.rows import parse_specs, without_training_hours
+from fieldlum.bench.score_rows import parse_specs, without_training_hours
 from fieldlum.cli import main
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.learn import models

@@ -8,7 +8,7 @@ import pytest
 from calibration_frames import CHART_SRGB, LENS, PROFILE, SIZE, TRUE_V, raw_frame, relative_angles
 
 from fieldlum.calibrate import colour, shared
-from fieldlum.calibrate.pictures import Place
+from fieldlum.calibrate.fit_charts import Place
 from fieldlum.calibrate.shared import LinearFrame, linear_frame, transmission
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Exposure

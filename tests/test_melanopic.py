@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from places import SEATTLE
 
 from fieldlum.calibrate import colour
-from fieldlum.calibrate.pictures import Place
+from fieldlum.calibrate.fit_charts import Place
 from fieldlum.cli import main
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure, Panorama, SunSource

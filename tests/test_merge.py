@@ -24,7 +24,7 @@ from fieldlum.merge.estimator import Merged, merge_signals
 from fieldlum.merge.frames import JpegSignal, RawSignal, lens_crop, load_raw
 from fieldlum.merge.project import LensView, blend
 from fieldlum.merge.shots import sorted_shots
-from fieldlum.merge.sky import disc_px, mosaic_u_rel, take_out_disc
+from fieldlum.merge.sun_and_sky import disc_px, mosaic_u_rel, take_out_disc
 from fieldlum.optics.linear_light import vignetting_of
 from fieldlum.optics.photometry import vertical_illuminance_lx
 from fieldlum.optics.profiles import (

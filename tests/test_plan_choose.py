@@ -30,7 +30,7 @@ from fieldlum.learn.models import stored
 from fieldlum.optics.profiles import save_profile
 from fieldlum.plan import choose, coming, makeup
 from fieldlum.plan import sheet as calendar
-from fieldlum.plan.days import (
+from fieldlum.plan.capture_days import (
     DaylightHours,
     band_directions,
     coverage,

@@ -10,11 +10,11 @@ from matplotlib.text import Annotation
 from test_scene_search import HEIGHT, ROOM, captures
 
 from fieldlum.core.records import Obstruction, Room
+from fieldlum.room.fit.draw_scene import plan_of
 from fieldlum.room.fit.elements import BARS, FURNITURE, KINDS, SHADES, Kind
 from fieldlum.room.fit.evidence import PIXELS
 from fieldlum.room.fit.fit import SceneSearch
 from fieldlum.room.fit.guess import Guess, Solid, guess_of, is_outside, is_possible
-from fieldlum.room.fit.pictures import plan_of
 from fieldlum.room.fit.search import PRIOR_HOURS, PRIOR_SHARE, prior_unit
 
 HIDDEN_ELEVATION_DEG = 22.0

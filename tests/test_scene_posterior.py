@@ -16,7 +16,7 @@ from fieldlum.core.records import CameraSetup, Room, SiteFile, Window
 from fieldlum.learn import models
 from fieldlum.learn.models.baselines import fit_mean
 from fieldlum.learn.models.data import Dataset
-from fieldlum.room.fit.apply import in_scene
+from fieldlum.room.fit.apply_scene import in_scene
 from fieldlum.room.fit.scene_file import Scene, read_scene, write_scene
 from fieldlum.year.predict.blocks import room_of
 

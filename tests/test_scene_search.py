@@ -19,7 +19,7 @@ from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Obstruction, Room, Site
 from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.train.outliers import find_changes
-from fieldlum.room.fit.apply import in_scene, with_scene
+from fieldlum.room.fit.apply_scene import in_scene, with_scene
 from fieldlum.room.fit.evidence import SceneEvidence, gather, levelled
 from fieldlum.room.fit.fit import fit_scene, scene_of
 from fieldlum.room.fit.guess import Bar, Solid, WindowRect, guess_of, room_of

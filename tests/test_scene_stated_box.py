@@ -12,7 +12,7 @@ from scene_captures import ROOM, window_captures
 from fieldlum.bench import rows
 from fieldlum.core.records import Room, Site
 from fieldlum.learn.models.data import Dataset
-from fieldlum.room.fit.apply import with_patches
+from fieldlum.room.fit.apply_scene import with_patches
 from fieldlum.room.fit.stated_box import judge_box, with_judged_box, with_same_box
 
 HEIGHT = 24

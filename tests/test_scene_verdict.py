@@ -17,7 +17,7 @@ from fieldlum.learn.models.scores import YearExpectation, light_of_year
 from fieldlum.learn.transport import MAX_SHARE, MeanTransport, fit
 from fieldlum.room import scene
 from fieldlum.room.fit import stage
-from fieldlum.room.fit.apply import with_patches
+from fieldlum.room.fit.apply_scene import with_patches
 from fieldlum.room.fit.evidence import gather
 from fieldlum.room.fit.fit import SceneFit
 from fieldlum.room.fit.guess import guess_of

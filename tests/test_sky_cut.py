@@ -14,7 +14,7 @@ from fieldlum.devices.simulated.camera import SimulatedCamera
 from fieldlum.devices.simulated.world import DetailedPanorama, SimulatedLight
 from fieldlum.merge import MergeOptions, Shot, merge_shots
 from fieldlum.merge.project import resampler
-from fieldlum.merge.sky import sun_tiles
+from fieldlum.merge.sun_and_sky import sun_tiles
 from fieldlum.optics.linear_light import sensor_pitch_deg
 from fieldlum.optics.profiles import bracket_exposures, load_camera_profile
 from fieldlum.optics.projection import Equirect, LensGeometry, smallest_arc

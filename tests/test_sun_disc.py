@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from learning_room import dataset
 
 from fieldlum.core.records import Flag, Panorama, SunSource
-from fieldlum.merge.sky import take_out_disc
+from fieldlum.merge.sun_and_sky import take_out_disc
 from fieldlum.optics.images import write_panorama
 from fieldlum.optics.projection import (
     direction,

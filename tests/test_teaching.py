@@ -16,7 +16,7 @@ from fieldlum.learn.transport import fit
 from fieldlum.learn.transport.arrays import edge_weights, training_arrays_of
 from fieldlum.learn.transport.solve import basis_of, fit_pixels, patch_scale
 from fieldlum.optics.images import read_panorama, write_panorama
-from fieldlum.room.fit.apply import with_patches
+from fieldlum.room.fit.apply_scene import with_patches
 from fieldlum.room.scene.view import look
 from fieldlum.sky.daylight_kernel import Kernel
 

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.bench.rows import load
+from fieldlum.bench.score_rows import load
 from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.scores import Truth, truth
 from fieldlum.learn.train import fit_timed, patch_mode

@@ -26,7 +26,7 @@ from fieldlum.learn.models.data import Dataset, load_pairs
 from fieldlum.learn.transport import MeanTransport, fit
 from fieldlum.optics.projection import equirect_solid_angles
 from fieldlum.room.fit import evidence
-from fieldlum.room.fit.apply import with_patches, with_scene
+from fieldlum.room.fit.apply_scene import with_patches, with_scene
 from fieldlum.room.fit.fit import fit_scene, scene_of
 
 PIXELS = 400  # of the score, drawn by solid angle

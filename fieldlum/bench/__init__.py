@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from fieldlum.bench import stress
-from fieldlum.bench.rows import BenchData, radiance_row, score_row
+from fieldlum.bench.score_rows import BenchData, radiance_row, score_row
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.plot_style import GRID, new_figure, open_axes
 from fieldlum.core.records import JsonTable, counted

@@ -17,14 +17,14 @@ from datetime import timedelta
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.bench.rows import Spec
+from fieldlum.bench.score_rows import Spec
 from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.progress import progress
 from fieldlum.core.records import JsonTable
 from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.scores import Scores, evaluate, truth
 from fieldlum.learn.train import fit_timed, held_out_warnings, patch_mode
-from fieldlum.room.fit.apply import with_patches
+from fieldlum.room.fit.apply_scene import with_patches
 from fieldlum.room.fit.misplaced_patches import scan, settle
 from fieldlum.sky import sun
 from fieldlum.sky.daylight import Light
@@ -96,7 +96,7 @@ def _noise(shape: tuple[int, ...], share: float, seed: int) -> Floats:
 
 
 def noisy_pixels(data: Dataset, share: float, seed: int) -> Dataset:
-    """Return the data with log-normal noise; share: standard deviation of a pixel's ln L."""
+    """Return the data with log-normal noise of maps; share: standard deviation of ln L; seed."""
     factor = _noise(data.luminance_cdm2.shape, share, seed).astype(np.float32)
     return replace(data, luminance_cdm2=data.luminance_cdm2 * factor)
 

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fieldlum.calibrate import shared
-from fieldlum.calibrate.pictures import Chart, Place
+from fieldlum.calibrate.fit_charts import Chart, Place
 from fieldlum.core.arrays import Array, Floats, Mask
 from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.strict_csv import read_text
@@ -422,7 +422,7 @@ def find_chart(frame: shared.LinearFrame) -> Floats:
 
 
 def chart(colours: Colours, fit: ColourFit) -> Chart:
-    """Show the readings of the patches, and the fitted luminance."""
+    """Return a chart of the readings of the patches, and the fitted luminance."""
     new = colours.rgb @ np.array(fit.y_from_rgb) * fit.scale
     title = f"colour to luminance; held-out rms {100 * fit.u_rel:.2g} %"
     x, y = ("patch", np.arange(1, len(new) + 1)), ("reading, or chart [%]", colours.y)

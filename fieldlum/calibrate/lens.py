@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.calibrate import shared
-from fieldlum.calibrate.pictures import Chart, Place, grey_picture
+from fieldlum.calibrate.fit_charts import Chart, Place, grey_picture
 from fieldlum.core.arrays import Array, Mask
 from fieldlum.core.errors import InputError
 from fieldlum.core.statistics import robust_sigma
@@ -427,7 +427,7 @@ def _edge_points(picture: NDArray[np.uint8], around: Array, reach: float) -> tup
 
 
 def chart(targets: Targets, fit: LensFit) -> Chart:
-    """Show the targets' distances from the centre over their angles from the axis."""
+    """Return a chart of the targets' distances from the centre over their angles from the axis."""
     level = fit.lens if not targets.pose_known else level_lens(fit.lens)
     x, y, angle_rad = lens_pixels(level, targets.rays)
     at, fitted = (
@@ -440,7 +440,7 @@ def chart(targets: Targets, fit: LensFit) -> Chart:
 
 
 def circle_chart(found: Circle, source: Path) -> Chart:
-    """Show the edge of the image circle around the centre, and over the picture `source`."""
+    """Return a chart of the image circle's edge around its centre, and over the picture `source`."""
     (x, y), radius = found.centre_px, found.radius_px
     right, down = found.edge - np.array([[x], [y]])
     turn, away = np.degrees(np.arctan2(down, right)), np.hypot(right, down)

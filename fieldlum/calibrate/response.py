@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.calibrate.pictures import Chart
+from fieldlum.calibrate.fit_charts import Chart
 from fieldlum.calibrate.shared import OrderSelection, fit_and_choose, require
 from fieldlum.core.arrays import Floats, Indices, Mask
 from fieldlum.core.errors import InputError
@@ -315,7 +315,7 @@ def fit(places: Places) -> ResponseFit:
 
 
 def chart(places: Places, fit: ResponseFit) -> Chart:
-    """Show the light of the sampled places over their codes, in all colours.
+    """Return a chart of the light of the sampled places over their codes, in all colours.
 
     A residual is the light of a place by one frame less the mean by all frames.
     """

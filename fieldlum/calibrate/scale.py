@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldlum.calibrate import shared
-from fieldlum.calibrate.pictures import Chart, Place
+from fieldlum.calibrate.fit_charts import Chart, Place
 from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.records import Flag, Panorama, listed
@@ -217,7 +217,7 @@ def check_level(scale_fit: ScaleFit, profile: CameraProfile, path: Path) -> str:
 
 
 def chart(readings: list[LuminanceReading], fit: ScaleFit) -> Chart:
-    """Show the meter's readings, and the corrected values of the picture."""
+    """Return a chart of the meter's readings, and the corrected values of the picture."""
     meter, image = np.array([(r.meter, r.image * fit.factor) for r in readings]).T
     title = f"scale: k times {fit.factor:.4f}, u {100 * fit.u_rel:.1f} %"
     places = [r.place for r in readings if r.place]

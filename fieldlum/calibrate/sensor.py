@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldlum.calibrate import shared
-from fieldlum.calibrate.pictures import Chart, Place
+from fieldlum.calibrate.fit_charts import Chart, Place
 from fieldlum.core.arrays import Floats, Indices, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.optics.linear_light import black_dn, full_dn, gain_e_per_dn, true_shutter_s
@@ -96,7 +96,7 @@ def _deviating(path: Path, profile: CameraProfile) -> Indices:
 
 
 def pixel_chart(defects: PixelDefects) -> Chart:
-    """Show the bad pixels over a dark frame."""
+    """Return a chart of the bad pixels over a dark frame."""
     places = [Place(defects.frames[0], x + 0.5, y + 0.5) for x, y in defects.bad_px]
     return Chart(f"{len(places)} bad pixels", np.zeros(len(places)), places)
 
@@ -251,7 +251,7 @@ def _held_out(levels: Levels, solution: Floats, held: Mask) -> Floats:
 
 
 def chart(levels: Levels, fit: LinearityFit) -> Chart:
-    """Show light divided by exposure time of each frame and block, recorded and corrected (blue).
+    """Return a chart of light over exposure time of each frame and block, and corrected (blue).
 
     Values are relative to the block's mean, over the share of the full scale.
     """

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldlum.calibrate.pictures import Chart
+from fieldlum.calibrate.fit_charts import Chart
 from fieldlum.calibrate.shared import choose, folds, require, require_raw
 from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError, NotEnoughDataError
@@ -298,7 +298,7 @@ def with_times(profile: CameraProfile, shutter_fit: ShutterFit) -> tuple[Shutter
 
 
 def chart(fit: ShutterFit) -> Chart:
-    """Show the fitted times over the nominal ones, and the times that were assumed (blue)."""
+    """Return a chart of fitted times over nominal ones, and of the assumed times (blue)."""
     nominal, true = np.array([(t.nominal_s, t.true_s) for t in fit.times]).T
     assumed, label = np.array(fit.assumed_s), "true over nominal time"
     title = f"shutter: {len(fit.times)} times from {max(fit.brackets)} brackets"

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldlum.calibrate import shared
-from fieldlum.calibrate.pictures import Chart, Place
+from fieldlum.calibrate.fit_charts import Chart, Place
 from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Flag, Panorama
@@ -173,7 +173,7 @@ def total_share(nodes_deg: Sequence[float], values_per_sr: Floats) -> float:
 
 
 def chart(readings: Sequence[StrayReading], fit: StrayFit) -> Chart:
-    """Show the recorded stray light of each reading, and that of the kernel."""
+    """Return a chart of the recorded stray light of each reading, and that of the kernel."""
     recorded = np.array([r.stray_cdm2 for r in readings])
     title = f"Stray light: {100 * fit.total_share:.2g} % of a source's light is spread"
     off, places = recorded / fit.predicted_cdm2 - 1.0, [r.place for r in readings]

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldlum.calibrate import shared
-from fieldlum.calibrate.pictures import Chart, Place
+from fieldlum.calibrate.fit_charts import Chart, Place
 from fieldlum.core.arrays import Array, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.statistics import median_standard_error, robust_sigma
@@ -269,7 +269,7 @@ def with_curve(lens: Lens, f_number: float, vignetting: VignettingFit) -> Lens:
 
 
 def chart(samples: Samples, fit: VignettingFit, half_angle_deg: float) -> Chart:
-    """Show the transmission over the angle from the axis; half_angle_deg : of the lens."""
+    """Return a chart of transmission over angle from the axis; half_angle_deg : of the lens."""
     angle = "angle from the optical axis [deg]", samples.r * half_angle_deg
     value = "transmission relative to the axis", samples.value / fit.level
     title = f"vignetting at f/{samples.f_number:g}; held-out rms {100 * fit.u_rel:.2g} %"

@@ -46,7 +46,7 @@ def command(
       --out: Folder of tables and charts to write.
     """
     from fieldlum.bench import run
-    from fieldlum.bench.rows import load
+    from fieldlum.bench.score_rows import load
 
     with progress("reading pictures"):
         names = models.split(",")

@@ -17,7 +17,7 @@ from fieldlum.cli.declared import EXISTING_PATH, InOrder, declare, numbers
 from fieldlum.cli.options import SHARED
 
 if TYPE_CHECKING:
-    from fieldlum.calibrate.pictures import Chart
+    from fieldlum.calibrate.fit_charts import Chart
     from fieldlum.optics.profiles import CameraProfile, Lens
 
 LensNumber = Annotated[int, click.IntRange(min=1)]
@@ -97,7 +97,7 @@ def _run(
 ) -> None:
     """Fit one part, draw it, print what it found, and write the profile."""
     from fieldlum.calibrate import save_calibration
-    from fieldlum.calibrate.pictures import draw
+    from fieldlum.calibrate.fit_charts import draw
     from fieldlum.core.strict_toml import plain
     from fieldlum.optics.profiles import load_camera_profile
 

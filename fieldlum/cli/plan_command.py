@@ -130,7 +130,7 @@ def _permit_room(setup: SiteFile) -> None:
 
 
 def _coming(session: Session, weather: Weather | None) -> tuple[dict, list[str]]:
-    from fieldlum.plan import coming
+    from fieldlum.plan import next_hours
     from fieldlum.weather import synthetic_weather
 
     site = session.site_file().site
@@ -138,8 +138,8 @@ def _coming(session: Session, weather: Weather | None) -> tuple[dict, list[str]]
         weather = synthetic_weather(site)
         terminal.say("note: no --weather: clear skies with random clouds are used")
     with terminal.progress("ranking hours"):
-        answer = coming.run(session, weather, datetime.now(UTC))
-    return answer, coming.sentences(answer, site)
+        answer = next_hours.run(session, weather, datetime.now(UTC))
+    return answer, next_hours.sentences(answer, site)
 
 
 def _replanned(session: Session, weather: Weather | None) -> tuple[dict, list[str]]:

@@ -16,7 +16,10 @@ _SHOW: ContextVar[Progress] = ContextVar("show", default=quiet)
 
 
 def progress(finished: int, total: int, text: str) -> None:
-    """Report how far some work is that takes over two seconds, to the innermost `shown_by`."""
+    """Report how far work is that takes over two seconds, to the innermost `shown_by`.
+
+    finished, total: number of finished and of all steps; text: what is done, such as "pictures".
+    """
     _SHOW.get()(finished, total, text)
 
 

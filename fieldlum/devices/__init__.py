@@ -122,7 +122,7 @@ class Camera(Device, ABC):
 
 
 def not_offered(camera: Camera, exposures: Iterable[Exposure]) -> list[str]:
-    """Return why the camera cannot take some of these exposures, each reason once."""
+    """Return why the camera cannot take some exposures, each reason once; empty if it can."""
     reasons: dict[str, None] = {}
     for exposure in exposures:
         try:

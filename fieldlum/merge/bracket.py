@@ -16,7 +16,7 @@ from fieldlum.merge.project import blend, finish, view_through
 from fieldlum.merge.ratios import Exposures, any_beyond_prior
 from fieldlum.merge.sensor import Findings, SensorImage, merge_sensor
 from fieldlum.merge.shots import Shot, middle_of, shots_of_files, sorted_shots
-from fieldlum.merge.sky import MEASURED, sky_cut, sun_on_sensor, take_out_disc
+from fieldlum.merge.sun_and_sky import MEASURED, sky_cut, sun_on_sensor, take_out_disc
 from fieldlum.optics.images import write_panorama, write_radiance_hdr
 from fieldlum.optics.photometry import vertical_illuminance_lx
 from fieldlum.optics.profiles import CameraProfile

@@ -89,7 +89,7 @@ class Saturation:
     black_off_dn: float = 0.0
 
     def measured(self, mosaic: Mosaic, profile: CameraProfile) -> Plateau:
-        """Return the plateau of a frame's ISO, measured in this frame if it is the first one."""
+        """Return counts at which R, G1, G2, B saturate at the frame's ISO, by its first frame."""
         iso, black = mosaic.exposure.iso, profile.sensor.black_dn
         if iso not in self.plateau_dn:
             step = 2 * max(1, mosaic.counts.size // 6_000_000)  # limits the time

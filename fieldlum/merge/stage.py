@@ -18,7 +18,7 @@ from fieldlum.core.false_colour import RANGE_CDM2, UNSEEN_RGB, coloured, png_of
 from fieldlum.core.records import CLIPPED_SUN, JsonTable, Site, SunSource, counted
 from fieldlum.merge.bracket import MergeOptions, MergeResult, merge_shots
 from fieldlum.merge.shots import Shot, middle_of, shots_of_slot, verified
-from fieldlum.merge.sky import disc_px, expected_sun_deg, mosaic_u_rel
+from fieldlum.merge.sun_and_sky import disc_px, expected_sun_deg, mosaic_u_rel
 from fieldlum.optics.images import read_panorama, write_panorama
 from fieldlum.optics.photometry import vertical_illuminance_lx
 from fieldlum.optics.profiles import CameraProfile, find_camera_profile, load_camera_profile

@@ -361,9 +361,9 @@ NO_UNIT = "the EXR states no unit (no whiteLuminance): its values are taken as c
 
 
 def calibration_mark(profile: CameraProfile) -> dict[str, str]:
-    """Return the attributes that a merged picture stores about its calibration.
+    """Return the attributes that a merged picture stores about its calibration, as texts.
 
-    These are the camera's name, the scale factor k, and a digest of the profile's lenses, sensor,
+    camera: its name; k: the scale factor; calibration: digest of the profile's lenses, sensor,
     shutter times, response, colour, filters and stray light. `calibrate scale` needs the old k: it
     multiplies k by the ratio of the meters to the picture.
     """

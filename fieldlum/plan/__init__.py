@@ -17,7 +17,7 @@ from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Exposure, JsonTable, Room, Site, SiteFile, Slot, counted
 from fieldlum.optics import profiles
 from fieldlum.plan import choose
-from fieldlum.plan.days import (
+from fieldlum.plan.capture_days import (
     Coverage,
     DaylightHours,
     coverage,

@@ -7,7 +7,7 @@ import numpy as np
 
 from fieldlum.core.arrays import Floats, Indices
 from fieldlum.core.records import Room, Site
-from fieldlum.plan.days import DaylightHours
+from fieldlum.plan.capture_days import DaylightHours
 from fieldlum.sky import sun
 from fieldlum.sky.daylight import light_at
 from fieldlum.sky.daylight_kernel import Features, Kernel, facades_of, greedy_hours, light_features

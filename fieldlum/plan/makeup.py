@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from fieldlum.core.records import JsonTable, Site, SiteFile, Slot, listed, parse_utc, slot_id
-from fieldlum.plan.days import hours_of, span, sun_band_percent
+from fieldlum.plan.capture_days import hours_of, span, sun_band_percent
 from fieldlum.session import Session, replacing, sha256, update_session, write_plan
 from fieldlum.session.folder import PlanTable
 from fieldlum.session.slot_states import MAKEUP, made_up_for, read_slot_states

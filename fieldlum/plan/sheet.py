@@ -20,7 +20,7 @@ from fieldlum.core.plot_style import AMBER, BLUE, GRID, INK, PALE, RED, SAND
 from fieldlum.core.records import Site, SiteFile, Slot, utc_text
 from fieldlum.optics.profiles import assumed_texts
 from fieldlum.optics.projection import altitude_azimuth_deg
-from fieldlum.plan import days
+from fieldlum.plan import capture_days as days
 from fieldlum.room.scene.drawing import room_svg
 from fieldlum.session import exposure_text
 from fieldlum.sky import sun

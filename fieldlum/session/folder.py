@@ -197,7 +197,7 @@ class Session:
     # session.toml and plan.csv
 
     def table(self) -> SessionTable:
-        """Return the content of session.toml."""
+        """Return the content of session.toml. Raises InputError if it cannot be read."""
         return cast(SessionTable, tomllib.loads(self.toml.read_text(encoding="utf-8")))
 
     def site_file(self) -> SiteFile:

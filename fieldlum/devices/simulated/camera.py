@@ -53,7 +53,11 @@ def camera_from_scene(profile: CameraProfile) -> Floats:
 
 
 def camera_channels(scene: Floats32, profile: CameraProfile) -> Floats32:
-    """Return camera channels [h, w, 3] of a scene [h, w, 3] or grey [h, w, 1], in cd/m2."""
+    """Return camera channels [h, w, 3] in cd/m2 of a scene.
+
+    scene: R, G, B of `simulated.optics.channels` [h, w, 3], or luminance of a grey scene [h, w, 1],
+    cd/m2; the profile's colour converts it.
+    """
     matrix = camera_from_scene(profile).astype(np.float32)
     return scene * matrix.sum(axis=1) if scene.shape[-1] == 1 else scene @ matrix.T
 

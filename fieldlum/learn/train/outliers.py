@@ -39,8 +39,9 @@ class Process:
 
     y [n, P]: luminance over the total light and over the pixel's usual luminance, so about 1;
     covariance [n, n]: without noise; spread [n]: factor on a capture's noise; judged [n]: whether a
-    picture has enough light and, without computed sun patches, hardly any sun; days, hours [n]:
-    date and local standard time; lamp [n]: share of a lamp in the light.
+    picture has enough light and, without computed sun patches, hardly any sun; days [n]: dates;
+    hours [n]: local standard time [h]; lamp [n]: 1 000 lx over the total light outside, to
+    which the light of a lamp is proportional.
     """
 
     y: Array
@@ -271,7 +272,7 @@ class RoomChanges:
 
 
 def find_changes(data: Dataset, *, with_patch: bool) -> RoomChanges | None:
-    """Return the captures of a changed room; None if there is no change, or under four days.
+    """Return the captures of a changed room; None if there are none, or under four days.
 
     with_patch: use the sun patches of `data`.
     """

@@ -17,7 +17,7 @@ from fieldlum.core.arrays import Floats, Indices
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.progress import progress
 from fieldlum.core.records import Room
-from fieldlum.room.fit.apply import corrected, with_patches
+from fieldlum.room.fit.apply_scene import corrected, with_patches
 from fieldlum.room.fit.elements import KINDS, Kind
 from fieldlum.room.fit.evidence import PIXELS, SceneEvidence, gather
 from fieldlum.room.fit.guess import Guess, guess_of, room_of

@@ -18,7 +18,7 @@ from fieldlum.core.records import SiteFile
 from fieldlum.learn.models import Fitted, Patch
 from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.transport import MeanTransport, Transport
-from fieldlum.room.fit.apply import earlier, with_patches
+from fieldlum.room.fit.apply_scene import earlier, with_patches
 from fieldlum.room.fit.checks import reversed_compass_note, turned_windows_note
 from fieldlum.room.fit.evidence import SceneEvidence, gather
 from fieldlum.room.fit.guess import Guess, guess_of

@@ -13,12 +13,12 @@ from fieldlum.core.records import Room
 from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.scores import YearExpectation, expect
 from fieldlum.optics.projection import equirect_solid_angles
-from fieldlum.room.fit.apply import with_scene
+from fieldlum.room.fit.apply_scene import with_scene
 from fieldlum.room.fit.checks import check_captures, reversed_compass_note
+from fieldlum.room.fit.draw_scene import draw
 from fieldlum.room.fit.evidence import gather
 from fieldlum.room.fit.fit import SceneFit, fit_scene, scene_of
 from fieldlum.room.fit.parameters import CLOCK_SD_MIN
-from fieldlum.room.fit.pictures import draw
 from fieldlum.room.fit.pose_prior import pose_note, pose_of, prior_of
 from fieldlum.room.fit.scene_file import Chosen, Scene, write_scene
 from fieldlum.room.fit.sunny_hours import sunny_hours

@@ -11,7 +11,7 @@ import numpy as np
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.records import Room
 from fieldlum.learn.models.data import Dataset
-from fieldlum.room.fit.apply import in_scene, with_patches, with_scene
+from fieldlum.room.fit.apply_scene import in_scene, with_patches, with_scene
 from fieldlum.room.fit.evidence import gather
 from fieldlum.room.fit.guess import guess_of
 from fieldlum.room.fit.parameters import stated_albedo

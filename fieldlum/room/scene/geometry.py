@@ -110,7 +110,7 @@ class Opening:
         return 1 - self.axis
 
     def contains(self, u_m: Floats, z_m: Floats) -> Mask:
-        """Return whether points [n] of a plane along the wall are inside the opening, [n]."""
+        """Return a mask [n], True for points in the opening: u_m along the wall, z_m height."""
         (left, right), (bottom, top) = self.u_m, self.z_m
         return (u_m > left) & (u_m < right) & (z_m > bottom) & (z_m < top)
 

@@ -151,7 +151,7 @@ def drawn_discs_lx(
 
 
 def disc_source(view: SkyView | None, setup: SiteFile, file: str = "") -> str:
-    """Return how the visibility of the sun's disc is known, as predict.json states it.
+    """Return a text on how the visibility of the sun's disc is known: by sky view, room or not.
 
     file: name of a sky view from elsewhere, or "".
     """

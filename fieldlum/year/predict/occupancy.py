@@ -121,8 +121,9 @@ def occupied_hours(
     """Return the number of occupied hours on the days of a weather file, and the number of days.
 
     times_utc: middles of the hours with weather; days are dates in local standard time. Occupied
-    hours in the dark count. An hour with the sun up but without weather does not count, because it
-    would look like an hour without glare. Raises NotEnoughDataError if no hour counts.
+    hours in the dark count; site: for its time zone and sun. An hour with the sun up but without
+    weather does not count, because it would look like an hour without glare. Raises
+    NotEnoughDataError if no hour counts.
     """
     zone = site.timezone
     days = sorted({standard_date(t, zone) for t in times_utc})

@@ -13,7 +13,7 @@ import numpy as np
 from fieldlum.core.errors import NotEnoughDataError, input_errors
 from fieldlum.core.records import JsonTable, Site, parse_utc, slot_id, utc_text
 from fieldlum.plan import choose
-from fieldlum.plan.days import DaylightHours, daylight_hours, span
+from fieldlum.plan.capture_days import DaylightHours, daylight_hours, span
 from fieldlum.plan.makeup import captured_ids
 from fieldlum.session import Session
 from fieldlum.session.codec import NPZ_ERRORS, read_arrays

@@ -189,7 +189,7 @@ def sun_band_percent(hours: DaylightHours, site: Site) -> float:
 
 
 def near_planned(directions: Floats, hours: DaylightHours) -> Mask:
-    """Return which directions [n, 3] are within 10 deg of the sun of a planned hour, [n]."""
+    """Return a mask [n], True for directions [n, 3] within 10 deg of the sun of an hour."""
     planned = sun.direction(hours.altitude_deg, hours.azimuth_deg)
     return (directions @ planned.T).max(axis=1, initial=-1.0) >= np.cos(np.radians(NEAR_DEG))
 

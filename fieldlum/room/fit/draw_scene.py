@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fieldlum.core.arrays import Indices
-from fieldlum.room.fit.apply import with_patches, with_scene
+from fieldlum.room.fit.apply_scene import with_patches, with_scene
 from fieldlum.room.fit.evidence import SceneEvidence
 from fieldlum.room.fit.fit import SceneFit, scene_of
 from fieldlum.room.fit.guess import Guess, Solid

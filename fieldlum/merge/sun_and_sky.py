@@ -258,7 +258,8 @@ def _coarse_pixels(part: Equirect, target: Equirect) -> Indices:
 def sun_tiles(heading_deg: float, latitude_deg: float) -> Mask:
     """Return the tiles of a panorama in which the sun's disc can be within a year, [90, 180].
 
-    They are above -2 degrees of altitude. A heading may be wrong by 5 degrees.
+    True if the sun can be there; tiles of 2 degrees, row 0 at the zenith. They are above -2 degrees
+    of altitude. heading_deg: azimuth of the middle, which may be wrong by 5 degrees.
     """
     rows = 180 // _TILE_DEG
     pole = celestial_pole(latitude_deg)

@@ -19,7 +19,7 @@ from fieldlum.learn.models.data import Dataset, load_pairs, with_sky_view
 from fieldlum.learn.models.scores import Truth, evaluate, summary
 from fieldlum.learn.train import Spent, Trial, day_folds, evaluate_folds, fit_timed, patch_mode
 from fieldlum.optics.projection import equirect_rays
-from fieldlum.room.fit.apply import in_scene
+from fieldlum.room.fit.apply_scene import in_scene
 from fieldlum.room.fit.stated_box import training_captures, with_same_box
 from fieldlum.room.scene.geometry import build
 from fieldlum.room.scene.radiance import octree, rad_text, sun_text, trace
