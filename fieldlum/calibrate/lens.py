@@ -440,7 +440,7 @@ def chart(targets: Targets, fit: LensFit) -> Chart:
 
 
 def circle_chart(found: Circle, source: Path) -> Chart:
-    """Return a chart of the image circle's edge around its centre, and over the picture `source`."""
+    """Return a chart of the image circle's edge around its centre, and over `source`."""
     (x, y), radius = found.centre_px, found.radius_px
     right, down = found.edge - np.array([[x], [y]])
     turn, away = np.degrees(np.arctan2(down, right)), np.hypot(right, down)
