@@ -22,7 +22,7 @@ from fieldlum.room.fit.evidence import gather
 from fieldlum.room.fit.fit import SceneFit
 from fieldlum.room.fit.guess import guess_of
 from fieldlum.room.fit.parameters import stated_albedo
-from fieldlum.room.fit.stage import choose_geometry, expected_year, sun_blocks
+from fieldlum.room.fit.stage import choose_geometry, directions_apart, expected_year
 from fieldlum.room.fit.sunny_hours import direct_on_windows_lx, sunny_hours
 from fieldlum.session.site_toml import site_table
 from fieldlum.sky import sun
@@ -85,10 +85,18 @@ CAPTURES = _captures(((3, 19), (3, 20), (3, 21), (12, 20), (12, 21)))
 
 
 @pytest.mark.analytic
-def test_suns_of_neighbouring_days_are_one_block() -> None:
-    suns = CAPTURES.light.sun_direction
-    blocks = sun_blocks(suns[:24])  # three days at the equinox, eight hours each
-    assert (blocks[:8] == blocks[8:16]).all() and len(np.unique(blocks)) == 8
+def test_suns_of_neighbouring_days_are_one_direction() -> None:
+    suns = CAPTURES.light.sun_direction[:24]  # three days at the equinox, eight hours each
+    assert directions_apart(suns) == 8
+
+
+@pytest.mark.analytic
+def test_a_dense_series_has_as_many_directions_as_a_sparse_one() -> None:
+    """Suns of ten-minute steps, each near the next, were counted as one direction."""
+    turn = np.radians(np.arange(0.0, 90.5, 2.5))
+    suns = np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], 1)
+    assert directions_apart(suns[::4]) == directions_apart(suns) == 10
+    assert directions_apart(suns[:0]) == 0
 
 
 def _under(dni_wm2: np.ndarray) -> Dataset:

@@ -150,7 +150,9 @@ def write_room(
     )
     site = site_toml(place, place.heading_deg)
     rng = np.random.default_rng(place.seed + 2)
-    tape = site_toml(place, round(place.heading_deg + rng.choice([-1, 1]) * 0.9, 1))
+    tape = site_toml(
+        place, round(place.heading_deg + rng.choice([-1, 1]) * place.north_error_deg, 1)
+    )
     text = [
         f"# {place.about} Rendered by Mitsuba 3; CIE skies with clouds.",
         f'npz = "{name}.npz"',

@@ -26,7 +26,10 @@ from geometry import (
 
 @dataclass
 class Place:
-    """Where a room stands and how a camera stands in it. ground_m: height of the ground."""
+    """Where a room stands and how a camera stands in it. ground_m: height of the ground.
+
+    glazing: glass that is not in a window; north_error_deg: of the stated heading, either way.
+    """
 
     about: str
     latitude: float
@@ -43,10 +46,12 @@ class Place:
     altitude_m: float = 50.0
     seed: int = 0
     groups: dict[str, Group] = field(default_factory=dict)
+    glazing: list[Pane] = field(default_factory=list)
+    north_error_deg: float = 0.9
 
     @property
     def panes(self) -> list[Pane]:
-        return [pane_of(w, self.size, self.thickness) for w in self.windows]
+        return [pane_of(w, self.size, self.thickness) for w in self.windows] + self.glazing
 
 
 def shell(
@@ -383,6 +388,136 @@ def _attic() -> Place:
     return place
 
 
+def _chair(place: Place, x: float, y: float) -> None:
+    """Add a chair that faces the wall named south."""
+    seat = place.groups.setdefault("seat", Group(0.2))
+    seat.quads += [
+        box((x, y, 0.43), (x + 0.4, y + 0.4, 0.46)),
+        box((x, y + 0.37, 0.5), (x + 0.4, y + 0.4, 0.85)),
+    ]
+    seat.round += [
+        cylinder((x + a, y + b, 0.0), (x + a, y + b, 0.43), 0.015)
+        for a in (0.04, 0.36)
+        for b in (0.04, 0.36)
+    ]
+
+
+def _classroom() -> Place:
+    place = Place(
+        "Classroom: two wide windows, rows of tables and chairs, a glossy board.",
+        50.9, 7.0, 1, "Europe/Berlin", 126.0, 130.0, (9.0, 7.2, 3.2), (4.2, 3.6, 1.2),
+        [Window("south", 0.9, 3.0, 0.95, 1.75, panes=2, mullions=(1.0, 2.0), transoms=(1.25,)),
+         Window("south", 5.1, 3.0, 0.95, 1.75, panes=2, mullions=(1.0, 2.0), transoms=(1.25,))],
+        ground_m=-3.6, seed=31, north_error_deg=2.0,
+    )  # fmt: skip
+    shell(place, walls=0.65, floor=0.28)
+    for y in (0.9, 2.4, 4.3, 5.8):
+        for x in (0.8, 2.4, 4.9, 6.5):
+            table(place, x, y, 1.3, 0.5, 0.72)
+            _chair(place, x + 0.1, y + 0.55)
+            _chair(place, x + 0.8, y + 0.55)
+    place.groups["board"] = Group(0.75, gloss=0.1, quads=[box((0.0, 1.8, 0.9), (0.03, 5.4, 2.2))])
+    place.groups["cupboard"] = Group(0.45, quads=[box((6.0, 6.75, 0.0), (8.6, 7.2, 1.9))])
+    building(place, (-12, -48), (16, -34), 6.0, 0.42)
+    tree(place, 1.8, -9.5, 0.2, 2.3, 2200, 31)
+    return place
+
+
+def _nordic() -> Place:
+    place = Place(
+        "Flat at 60 N with low sun in winter; timber floor, round sofa, lamp shade, wooded ridge.",
+        60.4, 5.3, 1, "Europe/Oslo", 168.0, 176.0, (5.0, 6.2, 2.5), (2.3, 2.4, 1.2),
+        [Window("south", 0.5, 2.6, 0.45, 1.75, panes=2, mullions=(1.7,)),
+         Window("east", 1.4, 1.2, 0.8, 1.3, panes=2)],
+        ground_m=-7.5, seed=32, north_error_deg=3.0,
+    )  # fmt: skip
+    shell(place, walls=0.72, floor=0.42, floor_texture=(0.3, 0.12), ground=0.2)
+    _round(place, 3.6, 4.2, 0.8)
+    table(place, 0.2, 1.0, 0.9, 1.4, 0.5)
+    shade = place.groups.setdefault("shade", Group(0.5, transmittance=0.2))
+    shade.round.append(sphere((1.2, 4.6, 1.9), 0.22))
+    place.groups["bookcase"] = Group(
+        0.25, texture=(0.5, 0.1), quads=[box((0.0, 3.4, 0.0), (0.32, 5.6, 2.1))]
+    )
+    for k, height in enumerate((2.0, 6.0, 4.0, 0.0, 5.0)):
+        building(place, (-150 + 60 * k, -140), (-92 + 60 * k, -120), height, 0.12, name="ridge")
+    tree(place, 4.3, -11.0, -1.0, 2.0, 2000, 32)
+    return place
+
+
+def _balcony() -> Place:
+    place = Place(
+        "Flat under a balcony; railing with bars, a light shelf at one window, glossy table.",
+        43.6, 1.4, 1, "Europe/Paris", 197.0, 196.0, (6.4, 4.8, 2.7), (3.4, 2.2, 1.25),
+        [Window("south", 0.6, 2.4, 0.05, 2.25, panes=2, mullions=(1.2,)),
+         Window("south", 3.9, 2.0, 0.9, 1.5, panes=2, transoms=(0.95,))],
+        ground_m=-6.2, seed=33, north_error_deg=1.5,
+    )  # fmt: skip
+    shell(place, floor=0.35, ground=0.15)
+    slab = place.groups.setdefault("slab", Group(0.5))
+    slab.quads += [
+        box((-1.5, -1.7, 2.75), (7.9, -0.3, 2.95)),
+        box((-1.5, -1.7, -0.25), (7.9, -0.3, -0.05)),
+    ]
+    rail = place.groups.setdefault("rail", Group(0.25))
+    rail.quads.append(box((-1.5, -1.7, 0.98), (7.9, -1.64, 1.02)))
+    rail.quads += [
+        box((x, -1.68, -0.05), (x + 0.02, -1.66, 0.98)) for x in np.arange(-1.5, 7.9, 0.12)
+    ]
+    place.groups["light_shelf"] = Group(0.8, quads=[box((3.9, 0.0, 1.84), (5.9, 0.6, 1.88))])
+    place.groups["lacquer"] = Group(0.15, gloss=0.1, quads=[box((4.4, 1.4, 0.7), (5.8, 2.4, 0.74))])
+    place.groups["wardrobe"] = Group(0.5, quads=[box((0.0, 3.3, 0.0), (0.6, 4.8, 2.2))])
+    building(place, (-26, -40), (-2, -26), 3.0, 0.5)
+    return place
+
+
+def _openplan() -> Place:
+    place = Place(
+        "L-shaped office; a glass partition across it, windows in two walls, low cabinets.",
+        40.7, -74.0, -5, "America/New_York", 209.0, 205.0, (9.6, 7.4, 2.9), (3.6, 3.0, 1.25),
+        [Window("south", 0.7, 4.4, 0.8, 1.8, panes=2, mullions=(1.1, 2.2, 3.3)),
+         Window("south", 6.6, 2.4, 0.8, 1.8, panes=2, mullions=(1.2,)),
+         Window("west", 1.2, 2.2, 0.8, 1.8, panes=2, mullions=(1.1,))],
+        ground_m=-22.0, seed=34, north_error_deg=4.0,
+    )  # fmt: skip
+    shell(place, walls=0.62, floor=0.15)
+    place.groups["core"] = Group(0.6, quads=[box((5.8, 4.4, 0.0), (9.6, 7.4, 2.9))])
+    place.glazing.append(Pane(0, 6.0, (0.0, 0.0), (4.4, 2.9), 0.95, 1))
+    posts = place.groups.setdefault("post", Group(0.15))
+    posts.quads += [box((5.97, y, 0.0), (6.03, y + 0.05, 2.9)) for y in (0.0, 1.45, 2.9, 4.35)]
+    for x, y in ((0.5, 1.0), (1.0, 4.6), (3.6, 4.8), (7.2, 1.4)):
+        table(place, x, y, 1.6, 0.8)
+        _chair(place, x + 0.5, y + 0.9)
+    place.groups["cabinet"] = Group(0.5, quads=[box((2.6, 1.2, 0.0), (4.6, 1.6, 1.1))])
+    building(place, (-22, -40), (4, -26), 14.0, 0.3)
+    building(place, (8, -55), (26, -38), 30.0, 0.4)
+    return place
+
+
+def _gallery() -> Place:
+    place = Place(
+        "Museum room: a clerestory and one low window, polished floor, a free wall, statues.",
+        52.5, 13.4, 1, "Europe/Berlin", 183.0, 190.0, (11.0, 8.0, 4.9), (5.2, 3.8, 1.5),
+        [Window("south", 0.8, 9.4, 3.3, 1.1, panes=2, mullions=(1.88, 3.76, 5.64, 7.52)),
+         Window("west", 1.0, 2.0, 0.3, 2.3, panes=2, transmittance=0.6)],
+        thickness=0.45, seed=35, north_error_deg=2.0,
+    )  # fmt: skip
+    shell(place, walls=0.75, floor=0.3, floor_gloss=0.06)
+    place.groups["free_wall"] = Group(0.75, quads=[box((6.8, 5.2, 0.0), (10.0, 5.4, 3.0))])
+    stone = place.groups.setdefault("statue", Group(0.55))
+    stone.quads += [box((2.0, 5.0, 0.0), (2.7, 5.7, 1.0)), box((7.2, 2.0, 0.0), (7.8, 2.6, 1.1))]
+    stone.round += [
+        sphere((2.35, 5.35, 1.35), 0.35),
+        cylinder((7.5, 2.3, 1.1), (7.5, 2.3, 1.9), 0.18),
+    ]
+    place.groups["painting"] = Group(
+        0.1, texture=(0.4, 0.3), quads=[box((3.5, 7.96, 1.0), (6.0, 8.0, 2.6))]
+    )
+    building(place, (-20, -45), (20, -30), 9.0, 0.35)
+    tree(place, -6.0, 3.0, 3.0, 2.4, 2400, 35)
+    return place
+
+
 SKY_VIEW: dict[str, Callable[[], Place]] = {
     "office": _office,
     "blind": _blind,
@@ -401,6 +536,11 @@ FULL_LIGHT: dict[str, Callable[[], Place]] = {
     "deep": _deep,
     "tropical": _tropical,
     "attic": _attic,
+    "classroom": _classroom,
+    "nordic": _nordic,
+    "balcony": _balcony,
+    "openplan": _openplan,
+    "gallery": _gallery,
 }
 UNSEEN = ("corner", "deep", "tropical", "attic")  # not looked at before the end
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fieldlum.core.arrays import Floats, Indices, Mask
+from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Room
 from fieldlum.learn.models.data import Dataset
@@ -98,10 +98,10 @@ def judged_scene(data: Dataset, fit: SceneFit) -> Scene:
         return scene
     stated = replace(data, setup=replace(data.setup, room=fit.stated))
     year = expected_year(with_scene(stated, scene))
-    share = 100.0 * year.trusted_share
+    trusts = f"the model trusts {100.0 * year.trusted_share:.0f} % of a year's hours"
     return replace(
         scene,
-        verdict=f"{reason}; the model trusts {share:.0f} % of a year's hours",
+        verdict=f"{reason}; {trusts} under the captures' skies",
         trusted=scene.trusted and year.trusted_share >= MIN_TRUSTED_SHARE,
         expected_log10_mse=year.expected_log10_mse,
         trusted_share=year.trusted_share,
@@ -121,16 +121,16 @@ MAX_UNEXPLAINED = 0.5
 MIN_TRUSTED_SHARE = 0.5  # chosen: of a year's hours; with less, most of the year is a guess
 
 
-def sun_blocks(suns: Floats) -> Indices:
-    """Return a block number from 0 for each sun, [n]; suns closer than BLOCK_DEG share one.
+def directions_apart(suns: Floats) -> int:
+    """Return how many suns are at least BLOCK_DEG from each other, taken in their order.
 
-    suns: unit vectors [n, 3]. A chain of such neighbours is one block.
+    suns: unit vectors [n, 3].
     """
-    from scipy.sparse import csr_matrix
-    from scipy.sparse.csgraph import connected_components
-
-    near = suns @ suns.T > np.cos(np.radians(BLOCK_DEG))
-    return connected_components(csr_matrix(near), directed=False)[1].astype(np.intp)
+    apart = suns[:1]
+    for sun in suns[1:]:
+        if (apart @ sun).max() < np.cos(np.radians(BLOCK_DEG)):
+            apart = np.vstack([apart, sun])
+    return len(apart)
 
 
 def why_untrusted(data: Dataset, room: Room, hours: int) -> str:
@@ -140,7 +140,7 @@ def why_untrusted(data: Dataset, room: Room, hours: int) -> str:
     used.
     """
     sunny = sunny_hours(data, room)
-    directions = len(np.unique(sun_blocks(data.light.sun_direction[sunny])))
+    directions = directions_apart(data.light.sun_direction[sunny])
     if directions < MIN_DIRECTIONS:
         return (
             f"{int(sunny.sum())} sunny hours with only {directions} different directions of the "
