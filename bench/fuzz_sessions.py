@@ -27,6 +27,7 @@ from fieldlum.capture.runner import Options, run
 from fieldlum.cli import DISK_TROUBLE, main
 from fieldlum.cli.options import device_uris
 from fieldlum.core.errors import FieldlumError, InputError
+from fieldlum.core.files import decode_line
 from fieldlum.core.records import CameraSetup, Exposure, Site, SiteFile, Slot, slot_id
 from fieldlum.devices import Camera, CameraInfo, open_camera, open_meter, open_pyranometer
 from fieldlum.devices.clock import FastClock
@@ -40,7 +41,6 @@ from fieldlum.session import Session, create_session, open_session
 from fieldlum.session.files.capture_json import CaptureFile, Frame, frame_fields
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.session.journal import Journal
-from fieldlum.session.writing import decode_line
 
 KINDS = ("journal", "capture.json", "session.toml", "pairs.csv")
 START = datetime(2027, 3, 20, 15, 30, tzinfo=UTC)

@@ -5,6 +5,7 @@ import warnings
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +15,9 @@ from fieldlum.cli import main
 from fieldlum.core.errors import ChangedFileWarning
 from fieldlum.core.records import Panorama
 from fieldlum.optics.images import write_panorama
+from fieldlum.report import _budget_section
 from fieldlum.session import sha256
+from fieldlum.session.codec import sealed, write_csv
 from fieldlum.session.files.hourly_csv import HOUR_COLUMNS, VIEW_COLUMNS, HourlyFile
 from fieldlum.session.files.irradiance_csv import CleanIrradiance
 from fieldlum.session.files.model_files import ScoresFile
@@ -27,6 +30,7 @@ from fieldlum.session.panorama_sun import (
     read_suns,
     write_suns,
 )
+from fieldlum.year.glare.budget import COLUMNS
 
 NOON = datetime(2027, 6, 21, 12, tzinfo=UTC)
 
@@ -66,6 +70,14 @@ def suns(folder: Path) -> Path:
     return folder / "suns.csv"
 
 
+def budget(folder: Path) -> Path:
+    row = ("", "DGP", "180", ".3", "", "k", "", "", ".231", "", "1", ".02", "100", "")
+    path = folder / "budget.csv"
+    with sealed(path):
+        write_csv(path, [dict(zip(COLUMNS, row, strict=True))])
+    return path
+
+
 READERS: dict[Callable[[Path], Path], Callable[[Path], object]] = {
     pairs: PairsFile.read,
     clean: CleanIrradiance.read,
@@ -73,6 +85,7 @@ READERS: dict[Callable[[Path], Path], Callable[[Path], object]] = {
     predict: lambda path: PredictFile.read(path.parent),
     scores: lambda path: ScoresFile.read(path.parent),
     suns: read_suns,
+    budget: lambda path: _budget_section(SimpleNamespace(folder=path.parent)),  # type: ignore[arg-type]
 }
 
 

@@ -8,6 +8,8 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
@@ -23,8 +25,14 @@ from fieldlum.capture.notify import Message
 from fieldlum.cli import main
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import CameraSetup, Exposure, Room, SiteFile, slot_id
+from fieldlum.core.strict_csv import read_text
+from fieldlum.core.strict_toml import read_toml
 from fieldlum.devices.address_permission import permission_subject, require_permitted
 from fieldlum.merge.shots import shots_of_slot
+from fieldlum.optics.images import read_panorama, read_radiance_hdr
+from fieldlum.optics.raw import opened
+from fieldlum.optics.raw.exif import tags_of
+from fieldlum.room.scene.embedded_commands import what_runs
 from fieldlum.session import (
     Journal,
     Session,
@@ -33,14 +41,17 @@ from fieldlum.session import (
     remove_scraps,
     replacing,
     replacing_path,
+    sha256,
     update_session,
 )
-from fieldlum.session.codec import write_object
+from fieldlum.session.codec import read_arrays, read_object, write_object
+from fieldlum.session.day_files import read_day
 from fieldlum.session.files.capture_json import Frame, frame_fields, frame_from
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.session.folder import _checked_stems
 from fieldlum.session.journal import damaged_lines
 from fieldlum.session.permits import computer, config_folder, is_permitted, permit, subject
+from fieldlum.web.snapshot import LineTail
 
 pytestmark = [
     pytest.mark.contract,
@@ -289,19 +300,51 @@ def test_a_person_who_plans_with_a_room_file_pairs_it_later_without_a_question(
     assert replace(setup).room == Session(tmp_path / "s").site_file().room
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["session.toml", "pairs.csv"])
+@pytest.mark.parametrize(
+    "name", ["session.toml", "plan.csv", "journal.jsonl", "irradiance/2027-03-20.csv"]
+)
 def test_a_huge_file_is_refused_in_one_line(tmp_path: Path, name: str) -> None:
-    """A sparse file of a terabyte needs no disk."""
+    """A sparse file of 8 GB needs no disk."""
     session = make_session(tmp_path / "s")
+    session.irradiance.mkdir()
     with (session.root / name).open("wb") as file:
         try:
-            file.truncate(1 << 40)
+            file.truncate(1 << 33)
         except OSError:
             pytest.skip("no sparse files here")
-    result = run_cli("status", session.root)
-    assert result.returncode == InputError.exit_code and result.stderr.count("\n") == 1
-    assert "more data than the memory of this computer holds" in result.stderr
+    result = CliRunner().invoke(main, ["status", str(session.root)])
+    assert result.exit_code == InputError.exit_code and result.stderr.count("\n") == 1
+    assert f"{name}: 8.0 GiB, more than the limit of 1 GiB" in result.stderr
+
+
+READERS = [
+    sha256,
+    read_day,
+    read_arrays,
+    read_panorama,
+    read_radiance_hdr,
+    read_toml,
+    opened,
+    tags_of,
+    lambda path: read_object(path, "", ""),
+    lambda path: read_text(path, ""),
+    lambda path: LineTail(path).update(),
+    what_runs,
+]
+
+
+@pytest.mark.parametrize("read", READERS)
+def test_no_reader_waits_for_a_pipe_or_reads_a_huge_file(
+    tmp_path: Path, read: Callable[[Path], object]
+) -> None:
+    """Somebody may exchange a file after the session was checked."""
+    pipe, huge = tmp_path / "pipe.exr", tmp_path / "huge.exr"
+    os.mkfifo(pipe)
+    with huge.open("wb") as file:
+        file.truncate(1 << 33)
+    for path in (pipe, huge):
+        with suppress(InputError, OSError):
+            read(path)
 
 
 # ----------------------------------------------------------------------------------------------

@@ -11,9 +11,10 @@ from test_merge_stage import SMALL, START, profile, take
 
 from fieldlum import merge
 from fieldlum.cli import main
+from fieldlum.core.errors import ChangedFileWarning
 from fieldlum.core.records import CameraSetup, Exposure, Site, SiteFile, Slot
 from fieldlum.optics.profiles import save_profile
-from fieldlum.session import Session, create_session, sha256
+from fieldlum.session import Session, create_session, sha256, update_session
 
 
 def recorded(session: Session, number: int) -> Path:
@@ -84,6 +85,43 @@ def test_a_frame_that_changes_after_the_merge_is_noticed(
     assert session.panorama(folder.name).exists(), "the earlier panorama has the right frames"
     one_bit(folder / "1.dng")
     assert states(session) == ["kept", "kept"]
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize("key", ["shutter_s", "f_number", "iso"])
+def test_an_exposure_that_changes_after_the_merge_is_merged_again(
+    folders: tuple[Session, Path, Path], key: str
+) -> None:
+    session, folder, _ = folders
+    assert states(session) == ["merged", "merged"]
+    path = folder / "capture.json"
+    note = json.loads(path.read_text())
+    for frame in note["frames"]:
+        frame["exposure"][key] = 1.05 * frame["exposure"].get(key, 100.0)
+    path.write_text(json.dumps(note), encoding="utf-8")
+    assert states(session)[0] != "kept"
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize("key, value", [("latitude_deg", 51.6), ("longitude_deg", 1.0)])
+def test_another_place_of_the_site_is_merged_again(
+    folders: tuple[Session, Path, Path], key: str, value: float
+) -> None:
+    session, _, _ = folders
+    states(session)
+    setup = session.table().get("setup", {})
+    update_session(session, {"setup": {**setup, "site": {**setup["site"], key: value}}})
+    assert states(session) == ["merged", "merged"]
+    assert states(session) == ["kept", "kept"]
+
+
+@pytest.mark.contract
+def test_a_changed_summary_is_reported(folders: tuple[Session, Path, Path]) -> None:
+    session, _, _ = folders
+    states(session)
+    session.quality.write_text(session.quality.read_text().replace(",3,", ",4,"))
+    with pytest.warns(ChangedFileWarning, match=r"quality\.csv: the content changed after"):
+        states(session)
 
 
 @pytest.mark.slow

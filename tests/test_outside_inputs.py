@@ -598,6 +598,66 @@ def test_a_netcdf_file_of_arm_has_the_values_and_times_of_scipy(tmp_path: Path) 
             read_logger_file(path)
 
 
+def arm_file(path: Path, unit: str, kind: str, times: list[float]) -> Path:
+    """Write global irradiance along the time as scipy does."""
+    with netcdf_file(path, "w") as file:
+        file.createDimension("time", len(times))
+        time = file.createVariable("time", kind, ("time",))
+        time.units, time[:] = f"{unit} since 2019-01-01 00:00:00 0:00", times
+        values = file.createVariable("ghi_wm2", "f", ("time",))
+        values.units, values[:] = "W/m^2", 500.0
+    return path
+
+
+@pytest.mark.analytic
+@pytest.mark.parametrize(
+    ("unit", "times", "step_s"),
+    [
+        ("days", [200.5, 200.50069], 1.3),
+        ("hours", [7300.0, 7300.01667], 1.8),
+        ("seconds", [31e6, 31e6 + 60.0], 2.0),
+        ("minutes", [520000.0, 520001.0], 1.9),
+    ],
+)
+def test_times_with_too_few_digits_are_refused(
+    tmp_path: Path, unit: str, times: list[float], step_s: float
+) -> None:
+    """A single has 24 bits: of 200.5 days the last one is 1.3 s."""
+    path = tmp_path / "a.cdf"
+    with pytest.raises(InputError, match=f"times with 32 bits, enough for steps of {step_s:g} s;"):
+        read_logger_file(arm_file(path, unit, "f", times))
+    first, second = read_logger_file(arm_file(path, unit, "d", times)).samples
+    assert abs((second.t_utc - first.t_utc).total_seconds() - 60.0) < 0.5
+    if unit == "seconds":
+        assert len(read_logger_file(arm_file(path, unit, "i", times)).samples) == 2
+
+
+@pytest.mark.analytic
+def test_times_of_a_day_in_single_precision_are_exact(tmp_path: Path) -> None:
+    times = [30.0 * k for k in range(2880)]
+    read = read_logger_file(arm_file(tmp_path / "a.cdf", "seconds", "f", times))
+    assert read.samples[-1].t_utc == datetime(2019, 1, 1, 23, 59, 30, tzinfo=UTC)
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize(
+    "row", ["1,023.4,210.2,20.1", "612.0,-1,210.2,20.1", "1,023.4,1,210.2,20.1"]
+)
+def test_thousands_separators_refuse_the_file(tmp_path: Path, row: str) -> None:
+    """Left out row by row, exactly the brightest minutes would be missing."""
+    lines = ["t_utc,ghi_wm2,dhi_wm2,temperature_c"]
+    for minute in range(60):
+        values = row if minute in (3, 41) else "812.4,210.2,20.1"
+        lines.append(f"2027-03-20T11:{minute:02}:00Z,{values}")
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(lines))
+    with pytest.raises(InputError, match="2 of 60 rows have thousands separators: line 5"):
+        read_logger_file(path)
+    path.write_text("\n".join(lines[:30]))
+    (left_out,) = read_logger_file(path).left_out
+    assert left_out.endswith("because numbers have commas between thousands")
+
+
 @pytest.mark.contract
 @pytest.mark.parametrize(
     ("names", "used", "unused"),

@@ -203,6 +203,21 @@ def test_exposures_are_stated_beside_frames_without_exif(tmp_path: Path) -> None
 
 
 @pytest.mark.contract
+def test_exposures_are_found_by_names_in_other_capitals(tmp_path: Path) -> None:
+    """They are not if the folder has a file of that very name, or if two names are possible."""
+    table = tmp_path / "exposures.csv"
+    table.write_text("file,shutter_s,f_number,iso\nIMG_1.JPG,1/60,8,100\n")
+    assert read_jpeg(jpeg(tmp_path / "img_1.jpg")).exposure.f_number == 8
+    jpeg(tmp_path / "IMG_1.JPG")
+    with pytest.raises(InputError, match="no exposure time"):
+        read_jpeg(tmp_path / "img_1.jpg")
+    (tmp_path / "IMG_1.JPG").unlink()
+    table.write_text("file,shutter_s,f_number,iso\nIMG_1.JPG,1,8,100\nImg_1.jpg,2,8,100\n")
+    with pytest.raises(InputError, match="no exposure time"):
+        read_jpeg(tmp_path / "img_1.jpg")
+
+
+@pytest.mark.contract
 @pytest.mark.parametrize(
     ("text", "found"),
     [

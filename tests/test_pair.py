@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -15,7 +16,7 @@ import pytest
 from places import SEATTLE
 
 from fieldlum import pair
-from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.core.errors import ChangedFileWarning, InputError, NotEnoughDataError
 from fieldlum.core.records import (
     CLIPPED_SUN,
     CameraSetup,
@@ -39,6 +40,7 @@ from fieldlum.session import DayFiles, Session, create_session
 from fieldlum.session.files.capture_json import Frame, frame_fields
 from fieldlum.session.files.irradiance_csv import CleanIrradiance
 from fieldlum.session.files.pairs_csv import PAIR_COLUMNS, PairRow, PairsFile, write_simulated_pairs
+from fieldlum.session.files.sidecar import warn_if_changed
 from fieldlum.session.panorama_sun import SunRow, read_panorama_with_sun
 from fieldlum.sky import sun
 from fieldlum.year.glare.single import picture_glare
@@ -283,6 +285,11 @@ def test_stage_writes_rows_suns_and_patches(tmp_path: Path, room: Room | None) -
         assert (session.root / rows[0]["sunpatch"]).stat().st_mtime_ns == stamp, (
             "made once from the same inputs"
         )
+        shutil.copy(session.panorama_files()[0], session.root / rows[0]["sunpatch"])
+        with pytest.warns(ChangedFileWarning, match="changed after pair wrote it.*fieldlum pair"):
+            warn_if_changed(session.root / rows[0]["sunpatch"], "pair")
+        pair.run(session)
+        warn_if_changed(session.root / rows[0]["sunpatch"], "pair")
 
 
 @pytest.mark.contract

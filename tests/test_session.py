@@ -14,6 +14,7 @@ from places import SEATTLE
 from fieldlum.capture.doctor import check_journal
 from fieldlum.cli import main
 from fieldlum.core.errors import InputError
+from fieldlum.core.files import cut_torn_tail, decode_line, encode_line
 from fieldlum.core.records import Exposure, IrradianceSample, SiteFile, Slot
 from fieldlum.session import (
     PLAN_COLUMNS,
@@ -36,7 +37,6 @@ from fieldlum.session.day_files import decode_sample
 from fieldlum.session.journal import JournalEvent, damaged_lines, decode_event
 from fieldlum.session.plan_file import parse_exposure
 from fieldlum.session.slot_states import fold
-from fieldlum.session.writing import cut_torn_tail, decode_line, encode_line
 
 NOON = datetime(2027, 3, 20, 15, 30, tzinfo=UTC)
 SETUP = SiteFile(SEATTLE)

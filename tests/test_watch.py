@@ -29,12 +29,12 @@ from test_session import WRONG_EVENTS
 from tiny_field import LADDER, T0, Field, make_session
 
 from fieldlum.cli import watch_command
+from fieldlum.core.files import encode_line
 from fieldlum.core.records import IrradianceSample, Panorama, SiteFile, Slot, utc_text
 from fieldlum.devices.clock import FastClock
 from fieldlum.optics.images import write_panorama
 from fieldlum.session import DayFiles, Journal, Session, create_session, read_journal
 from fieldlum.session.files.sidecar import Sidecar
-from fieldlum.session.writing import encode_line
 from fieldlum.web.prediction_so_far import Moment, Worker, answer_table
 from fieldlum.web.server import Guard, qr_lines
 from fieldlum.web.snapshot import DayBins, JournalFollower, Snapshots

@@ -4,6 +4,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from fieldlum.core.errors import InputError
+from fieldlum.core.files import read_bytes
 from fieldlum.core.records import JsonTable, Slot, utc_text
 from fieldlum.session import Session, day_files
 from fieldlum.session.files.model_files import ModelConfig
@@ -95,7 +96,7 @@ def _capture(session: Session, slots: list[Slot], recorded: SlotStates) -> JsonT
 
 def _irradiance(session: Session) -> JsonTable:
     files = day_files(session)
-    rows = sum(path.read_bytes().count(b"\n") - 1 for path in files)
+    rows = sum(read_bytes(path).count(b"\n") - 1 for path in files)
     return {
         "days": len(files),
         "rows": max(rows, 0),

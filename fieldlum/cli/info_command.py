@@ -6,6 +6,7 @@ from typing import Any
 from fieldlum.cli.options import command_of
 from fieldlum.cli.terminal import emit_json, say, tell
 from fieldlum.core.errors import InputError
+from fieldlum.core.files import read_bytes
 
 Facts = dict[str, Any]  # facts about a file by name, as --json prints them
 
@@ -153,7 +154,7 @@ def _flat(table: Facts, prefix: str = "") -> Facts:
 def _csv(path: Path) -> Facts:
     from fieldlum.session import PLAN_COLUMNS, read_plan
 
-    lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    lines = read_bytes(path).decode(errors="replace").splitlines()
     head, *rows = [line for line in lines if not line.startswith("#")] or [""]
     if tuple(head.split(",")) != PLAN_COLUMNS:
         return {"kind": "table", "rows": len(rows), "columns": head}

@@ -12,9 +12,11 @@ from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from itertools import pairwise
 from pathlib import Path
 
 from fieldlum.core.errors import InputError, input_errors, kind_of
+from fieldlum.core.files import read_bytes
 from fieldlum.core.records import parse_time
 
 Line = tuple[int, str]
@@ -26,7 +28,9 @@ _MAX_ZERO_BYTES = 0.25
 # W/m2, cloud edges add to it, and a thermopile's night offset is a few W/m2 below zero.
 IRRADIANCE_LIMITS_WM2 = (-10.0, 1600.0)
 COMMAS = ", because numbers have decimal commas"
+THOUSANDS = ", because numbers have commas between thousands"
 _INTEGER = re.compile(r"[+-]?\d+")
+_GROUP, _THREE = re.compile(r"[+-]?[1-9]\d{0,2}"), re.compile(r"\d{3}(\.\d*)?")
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?")
 # Texts of a missing value in loggers, spreadsheets and databases, without minus signs and case.
 _NO_VALUE = {"", "nan", "na", "n/a", "#n/a", "null", "none", "inf"}
@@ -52,7 +56,7 @@ def read_text(path: Path, expected: str, remedy: str = "check the path") -> str:
     files, with their kind.
     """
     with input_errors(path, expected, remedy, OSError, MemoryError):
-        data = path.read_bytes()
+        data = read_bytes(path)
     if kind := kind_of(data):
         raise InputError(path, kind, expected, "name the right file, or export it as csv")
     utf16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
@@ -157,10 +161,10 @@ def split_rows(
     if wrong:
         line, cells = wrong[0]
         others = f" (and {len(wrong) - 1} more such lines)" if len(wrong) > 1 else ""
-        commas = decimal_commas(cells, count, [cells for _, cells in rows if len(cells) == count])
-        found = f"line {line}: {len(cells)} cells{COMMAS if commas else ''}{others}"
+        cause = surplus_cause(cells, count, [cells for _, cells in rows if len(cells) == count])
+        found = f"line {line}: {len(cells)} cells{cause}{others}"
         remedy = "correct that line, or write the file again"
-        remedy = "write decimals with a point" if commas else remedy
+        remedy = "write numbers with a point and without commas" if cause else remedy
         raise InputError(path, found, f"{count} cells, one for each column", remedy)
     return rows
 
@@ -180,12 +184,20 @@ def plain_rows(path: Path, expected: str, remedy: str) -> str:
     return "\n".join(line for _, line in lines)
 
 
-def decimal_commas(cells: Sequence[str], count: int, right: Sequence[Sequence[str]] = ()) -> bool:
-    """Return whether a row has more than `count` cells because commas separate its decimals.
+def surplus_cause(cells: Sequence[str], count: int, right: Sequence[Sequence[str]] = ()) -> str:
+    """Return why a row has more than `count` cells; "" if neither commas in numbers explain it.
 
-    It is True if the row has at least one pair of integers for each surplus cell, and fewer decimal
-    points than the rows with `count` cells (`right`), or if no row has a decimal point.
+    Commas separate decimals if the row has at least one pair of integers for each surplus cell, and
+    fewer decimal points than the rows with `count` cells (`right`), or if no row has a decimal
+    point. Else they separate thousands if there is a pair such as 1 and 234.5 for each.
     """
+    if _decimal_commas(cells, count, right):
+        return COMMAS
+    pairs = sum(bool(_GROUP.fullmatch(a) and _THREE.fullmatch(b)) for a, b in pairwise(cells))
+    return THOUSANDS if 0 < len(cells) - count <= pairs else ""
+
+
+def _decimal_commas(cells: Sequence[str], count: int, right: Sequence[Sequence[str]]) -> bool:
     surplus, pairs, k = len(cells) - count, 0, 0
     while k + 1 < len(cells):
         pair = _INTEGER.fullmatch(cells[k]) and cells[k + 1].isdecimal()

@@ -16,6 +16,7 @@ import msgspec
 from msgspec import Meta
 
 from fieldlum.core.errors import InputError, input_errors, kind_of
+from fieldlum.core.files import open_to_read
 
 T = TypeVar("T")
 TomlTable = dict[str, Any]
@@ -130,7 +131,7 @@ def read_toml(path: Path) -> TomlTable:
     """
     with (
         input_errors(path, "a readable TOML file", "check the path of the file", OSError),
-        path.open("rb") as file,
+        open_to_read(path) as file,
     ):
         data = file.read(_MAX_BYTES + 1)
     if len(data) > _MAX_BYTES:

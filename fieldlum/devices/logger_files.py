@@ -15,12 +15,23 @@ from pathlib import Path
 
 from fieldlum.core import strict_csv
 from fieldlum.core.errors import InputError, input_errors
+from fieldlum.core.files import open_to_read
 from fieldlum.core.records import IrradianceSample
-from fieldlum.core.strict_csv import COMMAS, Line, is_wm2, microvolts, read_time, split_row
+from fieldlum.core.strict_csv import (
+    COMMAS,
+    THOUSANDS,
+    Line,
+    is_wm2,
+    microvolts,
+    read_time,
+    split_row,
+)
 from fieldlum.devices.ascii_lines import sample_of
 from fieldlum.devices.modbus import MAX_WM2, MIN_WM2
 from fieldlum.session import DAY_COLUMNS, read_day
 
+# of a netCDF file; in single precision those of days and of hours can be seconds. Chosen.
+_MAX_TIME_STEP_S = 1.0
 _NETCDF = b"CDF"  # first bytes of a classic netCDF file (its format's specification)
 QUANTITIES = ("ghi_wm2", "dhi_wm2", "dni_wm2", "temperature_c")
 # Names of columns of times, without spaces: in UTC, and others.
@@ -99,7 +110,7 @@ def read_logger_file(
     for dates whose day and month cannot be distinguished.
     """
     start = b""
-    with suppress(OSError), path.open("rb") as file:
+    with suppress(OSError), open_to_read(path) as file:
         start = file.read(len(_NETCDF))
     request = utc_offset, columns or {}, sensitivities or {}
     if start == _NETCDF:
@@ -126,9 +137,11 @@ def read_logger_file(
 def _check_readable(path: Path, logger_file: LoggerFile) -> None:
     """Raise InputError for decimal commas, and for fewer readable than damaged rows."""
     count, left_out = len(logger_file.samples), logger_file.left_out
-    commas = [text for text in left_out if COMMAS in text or _COMMA.search(text)]
+    marks = COMMAS, THOUSANDS
+    commas = [t for t in left_out if t.endswith(marks) or _COMMA.search(t)]
     if len(commas) > 1:
-        found = f"{len(commas)} of {count + len(left_out)} rows have decimal commas: {commas[0]}"
+        kind = "thousands separators" if commas[0].endswith(THOUSANDS) else "decimal commas"
+        found = f"{len(commas)} of {count + len(left_out)} rows have {kind}: {commas[0]}"
         raise InputError(path, found, "numbers with a decimal point", _SAVE_AGAIN)
     if len(left_out) > count or not count:
         first = left_out[0] if left_out else "it has no rows"
@@ -202,15 +215,27 @@ def _csv(path: Path, text: str) -> _Table:
 
 
 def _netcdf(path: Path) -> _Table:
-    """Return the variables along the time of a classic netCDF file, such as those of ARM."""
+    """Return the variables along the time of a classic netCDF file, such as those of ARM.
+
+    Raises InputError for times that have too few digits for steps of a second.
+    """
+    import numpy as np
+    import pandas as pd
     import xarray as xr
 
     expected = "a netCDF file with a variable of times and irradiance along it"
     with input_errors(path, expected, "export it as csv", Exception):  # scipy raises any
-        with xr.open_dataset(path, engine="scipy") as opened:
-            frame = opened.load()
+        with xr.open_dataset(path, engine="scipy", decode_cf=False) as opened:
+            stored = opened.load()
+        frame = xr.decode_cf(stored)
         if frame["time"].dtype.kind != "M":
             raise ValueError("times without a unit such as 'seconds since 2019-07-05'")
+        unit = pd.Timedelta(1, str(stored["time"].attrs["units"]).split()[0])
+        numbers = stored["time"].to_numpy()
+        step_s = float(np.spacing(np.abs(numbers).max())) * unit.total_seconds()
+        if step_s > _MAX_TIME_STEP_S:
+            digits = f"{8 * numbers.dtype.itemsize} bits, enough for steps of {step_s:.2g} s"
+            raise ValueError(f"times with {digits}")
         times = frame["time"].to_numpy().astype("M8[us]").tolist()
     along = {str(name): v for name, v in frame.items() if v.dims == ("time",)}
     names = ["t_utc", *along]
@@ -248,7 +273,7 @@ def _read(
         try:
             row = split_row(line, padded=not table.is_logger)
             if len(row) != len(names):
-                why = COMMAS if strict_csv.decimal_commas(row, len(names), right[-50:]) else ""
+                why = strict_csv.surplus_cause(row, len(names), right[-50:])
                 raise ValueError(f"{len(row)} values, expected {len(names)}{why}")
             values = {q: _number(row[i], q, factor.get(q, 1.0)) for q, i in at.items()}
             raw = ",".join(row[i] for i in sorted(at.values()))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fieldlum.core import scheduler as work
 from fieldlum.core.errors import FieldlumError, InputError, NotEnoughDataError
 from fieldlum.core.false_colour import RANGE_CDM2, UNSEEN_RGB, coloured, png_of
-from fieldlum.core.records import CLIPPED_SUN, JsonTable, Site, SunSource, counted
+from fieldlum.core.records import CLIPPED_SUN, JsonTable, Site, SunSource, counted, utc_text
 from fieldlum.merge.bracket import MergeOptions, MergeResult, merge_shots
 from fieldlum.merge.shots import Shot, middle_of, shots_of_slot, verified
 from fieldlum.merge.sun_and_sky import disc_px, expected_sun_deg, mosaic_u_rel
@@ -31,14 +31,14 @@ from fieldlum.session import (
     replacing_path,
     sha256,
 )
-from fieldlum.session.codec import current_note, digest, write_csv
+from fieldlum.session.codec import change_of, current_note, digest, sealed, to_json, write_csv
 from fieldlum.session.files.capture_json import CaptureFile
 from fieldlum.session.files.sidecar import MergeReport, Sidecar, SidecarSun, readable_sidecars
 from fieldlum.sky.sky_view.picture import write_sky_picture
 from fieldlum.version import __version__
 
 # Increase it when the arithmetic changes: earlier panoramas are then merged again.
-_RECIPE = 7
+_RECIPE = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,17 +77,19 @@ class _MergeJob:
     force: bool
 
 
-def _recipe(job: _MergeJob, shots: list[Shot]) -> JsonTable:
+def _recipe(job: _MergeJob, shots: list[Shot], t_utc: datetime, complete: bool) -> JsonTable:
     """Return everything that a panorama depends on; equal recipes give equal pictures."""
-    frames = [
-        {"file": s.path.name, "sha256": s.sha256, "heading_deg": s.heading_deg} for s in shots
-    ]
+    own = ("sha256", "heading_deg", "exposure")
+    frames = [{"file": s.path.name} | {k: to_json(getattr(s, k)) for k in own} for s in shots]
     inputs = {
         "recipe": _RECIPE,
         "frames": frames,
         "profile_sha256": job.profile_sha256,
         "height": job.options.height,
         "heading_deg": job.heading_deg,
+        "t_utc": utc_text(t_utc),
+        "complete": complete,
+        "place_deg": [job.site.latitude_deg, job.site.longitude_deg],
         "fit": job.options.fit,
     }
     return {**inputs, "digest": digest(inputs)}
@@ -128,17 +130,17 @@ def merge_slot(root: Path, job: _MergeJob) -> Verdict:
         shots = shots_of_slot(session.capture_file(job.slot).parent)
         untouched = not job.force and _untouched(shots, session.sidecar(job.slot))
         shots = shots if untouched else verified(shots)
-        recipe = _recipe(job, shots)
+        capture = CaptureFile.find(session.capture_file(job.slot))
+        t_of_frames = capture.t_mid_utc if capture is not None else middle_of(shots)
+        t_utc = t_of_frames or datetime.fromisoformat(job.slot)  # else the planned time
+        complete = capture is None or capture.complete
+        recipe = _recipe(job, shots, t_utc, complete)
         before = None if job.force else _merged_before(session, job.slot, recipe)
         if before is not None:
             return Verdict(job.slot, "kept", before.verdict, before.report)
         shots = verified(shots) if untouched else shots
-        capture = CaptureFile.find(session.capture_file(job.slot))
-        t_of_frames = capture.t_mid_utc if capture is not None else middle_of(shots)
-        t_utc = t_of_frames or datetime.fromisoformat(job.slot)  # else the planned time
         result, lost = _merge_readable(job, shots, expected_sun_deg(t_utc, job.site))
         result = replace(result, panorama=replace(result.panorama, t_utc=t_utc))
-        complete = capture is None or capture.complete
         result = _with_session_facts(result, job.profile, complete, lost)
         # Without a digest the slot is merged again once the missing frames are back.
         _write(session, job, result, {**recipe, "digest": ""} if lost else recipe)
@@ -293,6 +295,8 @@ def run(
     verdicts.sort(key=lambda v: v.slot)
     if summary_due(session):
         write_summary(session)
+    elif session.quality.is_file():
+        change_of(session.quality)
     if all(v.state == "failed" for v in verdicts):
         count, first = counted(len(verdicts), "bracket"), verdicts[0]
         found = f"0 of {count} could be merged; {first.slot}: {first.text}"
@@ -367,7 +371,8 @@ def write_summary(session: Session) -> None:
     """
     sidecars = [note for note in readable_sidecars(session.sidecar_files()) if note.report.frames]
     write_contact_sheets(session, sidecars)
-    write_csv(session.quality, map(_row, sidecars), QUALITY_COLUMNS, digits=4)
+    with sealed(session.quality):
+        write_csv(session.quality, map(_row, sidecars), QUALITY_COLUMNS, digits=4)
 
 
 def summary_due(session: Session) -> bool:

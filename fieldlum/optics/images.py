@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Array, Floats, Floats32
 from fieldlum.core.errors import InputError, input_errors, kind_of
+from fieldlum.core.files import open_to_read
 from fieldlum.core.records import MAX_PIXELS, Flag, Panorama, SunSource, parse_utc, utc_text
 from fieldlum.core.strict_toml import plain
 from fieldlum.optics.profiles import CameraProfile
@@ -165,7 +166,7 @@ def read_radiance_hdr(path: Path) -> RadianceImage:
     with input_errors(path, "a readable file", remedy, OSError):
         if path.exists() and not path.is_file():
             raise InputError(path, "no regular file", "a Radiance .hdr picture", remedy)
-        with path.open("rb") as file:
+        with open_to_read(path) as file:
             header = _read_header(file, path)
             values = header.upright(_decoded(file, header, path))  # [H, W, 3]
     luminance = values @ header.cdm2_per_unit.astype(np.float32)
@@ -508,7 +509,7 @@ def opened_exr(path: Path, **how: bool) -> Iterator[Any]:
     """
     import OpenEXR
 
-    with path.open("rb") as file:
+    with open_to_read(path) as file:
         if file.read(4) != b"\x76\x2f\x31\x01":
             raise ValueError("not an OpenEXR file")
     try:

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 from msgspec import Meta
 
 from fieldlum.core.errors import InputError
+from fieldlum.core.files import replacing
 from fieldlum.core.records import CameraSetup, Exposure, Slot
 from fieldlum.core.strict_toml import NotNegative, Positive, Share, build, plain, read_toml
 from fieldlum.optics.photometry import rises
@@ -405,10 +406,8 @@ def save_profile(path: Path, profile: CameraProfile) -> None:
     """Write a profile as TOML, over an existing file; the file appears complete or not at all."""
     import tomli_w
 
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.tmp")
-    temporary.write_text(tomli_w.dumps(plain(profile)), encoding="utf-8")
-    temporary.replace(path)
+    with replacing(path) as file:
+        file.write(tomli_w.dumps(plain(profile)).encode())
 
 
 def bracket_exposures(bracket: Bracket, filter_name: str = "") -> tuple[Exposure, ...]:

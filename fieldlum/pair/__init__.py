@@ -21,7 +21,7 @@ from fieldlum.pair.sky_view import Shown, shares_of_beam, write_sky_view
 from fieldlum.pair.sun_strength import DNI, SKY_VIEW, completed_sun, is_measured, measured_sun
 from fieldlum.room.scene import sun_patches
 from fieldlum.room.scene.view import patch_rays
-from fieldlum.session import Session, marks, remove_scraps, replacing_path
+from fieldlum.session import Session, marks, remove_scraps, replacing_path, sha256
 from fieldlum.session.codec import current_note, digest, write_object
 from fieldlum.session.files.capture_json import CaptureFile
 from fieldlum.session.files.irradiance_csv import CleanIrradiance
@@ -267,7 +267,8 @@ def write_patches(
         recipe = digest([*common, round(float(altitude), 4), round(float(azimuth), 4), f"{lx:.5g}"])
         recipes.append((bracket.slot, recipe))
         files = session.sunpatch_sidecar(bracket.slot), session.sunpatch(bracket.slot)
-        if force or current_note(files[0], recipe, files[1:]) is None:
+        note = None if force else current_note(files[0], recipe, files[1:])
+        if note is None or note.get("sha256", "") not in ("", sha256(files[1])):
             missing.append(k)
     units = []
     for first_k in range(0, len(missing), SLOTS_A_UNIT):
@@ -299,4 +300,5 @@ def trace_patches(
         with replacing_path(session.sunpatch(slot)) as path:
             write_panorama(path, Panorama(picture, heading_deg, t_utc=t_utc))
         note = {"slot": slot, "t_utc": utc_text(t_utc), "inputs": recipe}
+        note["sha256"] = sha256(session.sunpatch(slot))
         write_object(session.sunpatch_sidecar(slot), note)

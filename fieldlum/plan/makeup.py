@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fieldlum.core.files import read_bytes
 from fieldlum.core.records import JsonTable, Site, SiteFile, Slot, listed, parse_utc, slot_id
 from fieldlum.plan.capture_days import hours_of, span, sun_band_percent
 from fieldlum.session import Session, replacing, sha256, update_session, write_plan
@@ -102,7 +103,7 @@ def run(session: Session, now_utc: datetime) -> JsonTable:
     added, pairs, lost = make_up(due, slots, setup, now_utc)
     if added:
         with replacing(_older_plan(session, about)) as file:
-            file.write(session.plan.read_bytes())
+            file.write(read_bytes(session.plan))
         ordered = sorted([*slots, *added], key=lambda slot: slot.t_utc)
         write_plan(session.plan, ordered, setup.site.timezone)
         about = _record(session, about)

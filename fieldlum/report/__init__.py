@@ -18,6 +18,7 @@ from fieldlum.optics import profiles
 from fieldlum.report import sections
 from fieldlum.report.page import Page, Section, Table, class_name, named, render, sentence
 from fieldlum.session import Session, remove_scraps, replacing, sha256
+from fieldlum.session.codec import change_of
 from fieldlum.session.files.model_files import HeldOutMaps, ScoresFile
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.version import __version__
@@ -37,6 +38,7 @@ def _budget_section(year: Annual) -> list[Section]:
     if not path.is_file():
         return []
     table = read_table(path, "an uncertainty budget", "predict the year again: fieldlum predict")
+    change_of(path)
     parts: dict[str, dict[str, str]] = {}
     for _, cells in table.dicts():
         figure = f"{float(cells['contribution']):.4f}"

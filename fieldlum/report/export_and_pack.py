@@ -22,6 +22,7 @@ import tomli_w
 
 from fieldlum.core.errors import InputError
 from fieldlum.core.false_colour import png_of
+from fieldlum.core.files import read_bytes
 from fieldlum.core.progress import progress
 from fieldlum.core.records import Flag, Room, counted, listed
 from fieldlum.optics.images import read_panorama, write_radiance_hdr
@@ -125,7 +126,7 @@ def _room(session: Session, out: Path, azimuths_deg: Sequence[float]) -> list[Pa
         return []
     path, model = out / "room.rad", out / "room.hbjson"
     for file, mark in ((path, _NORTH), (model, MODEL_NAME)):
-        if file.is_file() and mark.encode() not in file.read_bytes()[:_MARK_BYTES]:
+        if file.is_file() and mark.encode() not in read_bytes(file)[:_MARK_BYTES]:
             found = "a file that export did not write"
             raise InputError(file, found, "another folder", "choose another --out")
     north = f"{_NORTH} {(room.wall_azimuth_deg + 180) % 360:g} deg from true north\n"
@@ -228,7 +229,7 @@ def pack(session: Session, out: Path, statement: Statement) -> list[str]:
             add(name, text.encode())
         for number, path in enumerate(files):
             progress(number, len(files), "files")
-            add(path.relative_to(session.root).as_posix(), path.read_bytes())
+            add(path.relative_to(session.root).as_posix(), read_bytes(path))
         manifest = "".join(f"{digest}  {name}\n" for name, digest in sorted(digests))
         archive.writestr(f"{top}/MANIFEST.sha256", manifest)
     return notes
@@ -267,7 +268,7 @@ def _private_exif(path: Path) -> str | None:
 
 
 def _session_toml(session: Session) -> str:
-    table: dict[str, Any] = tomllib.loads(session.toml.read_text(encoding="utf-8"))
+    table: dict[str, Any] = tomllib.loads(read_bytes(session.toml).decode())
     table = {name: part for name, part in table.items() if name not in _HOME_TABLES}
     table.get("devices", {}).pop("uris", None)  # addresses
     return tomli_w.dumps(table)
@@ -284,7 +285,7 @@ def _notes(session: Session) -> list[str]:
     if moved:
         notes.append(f"something moved, perhaps people: look at the frames of {listed(moved)}")
     texts = [session.root / name for name in _FILES if (session.root / name).is_file()]
-    if named := [path.name for path in texts if _HOME_PATH.search(path.read_bytes())]:
+    if named := [path.name for path in texts if _HOME_PATH.search(read_bytes(path))]:
         notes.append(f"folders of this computer are named in {', '.join(named)}")
     place = "latitude and longitude in session.toml, and the suns in the tables, give the place"
     people = "look at every contact sheet for people, screens and papers before you publish"

@@ -26,10 +26,10 @@ from numpy.lib.npyio import NpzFile
 
 from fieldlum.core.arrays import Array
 from fieldlum.core.errors import ChangedFileWarning, InputError, input_errors
+from fieldlum.core.files import open_to_read, read_bytes, replacing, sha256
 from fieldlum.core.records import JsonTable, parse_utc, utc_text
 from fieldlum.core.strict_csv import plain_rows
 from fieldlum.core.strict_toml import convert
-from fieldlum.session.writing import replacing, sha256
 
 T = TypeVar("T")
 Utc = Annotated[datetime, msgspec.Meta(tz=True)]
@@ -64,7 +64,7 @@ def change_of(path: Path) -> str:
     """
     note = _checksum_file(path)
     try:
-        recorded = note.read_text(encoding="utf-8", errors="replace").split()
+        recorded = read_bytes(note).decode(errors="replace").split()
     except OSError:
         return ""
     if recorded[:1] == [sha256(path)]:
@@ -93,7 +93,7 @@ def current_note(note: Path, inputs: object, outputs: Iterable[Path] = ()) -> Js
     result's files. A damaged note counts as missing, so that the result is computed again.
     """
     try:
-        table = json.loads(note.read_text(encoding="utf-8"))
+        table = json.loads(read_bytes(note))
         recorded = table.get("inputs", table)
     except (OSError, ValueError, AttributeError, RecursionError):
         return None
@@ -194,7 +194,7 @@ def read_object(path: Path, expected: str, remedy: str) -> JsonTable:
     Raises InputError, with the texts `expected` and `remedy`, for a missing file or other content.
     """
     with input_errors(path, expected, remedy, OSError, ValueError, RecursionError, MemoryError):
-        table = json.loads(path.read_text(encoding="utf-8"))
+        table = json.loads(read_bytes(path))
     if not isinstance(table, dict):
         raise InputError(path, f"JSON of type {type(table).__name__}", expected, remedy)
     change_of(path)
@@ -321,7 +321,7 @@ def open_arrays(path: Path, expected: str, remedy: str, newest: int = 1) -> Iter
     """
     with (
         input_errors(path, expected, remedy, *NPZ_ERRORS),
-        path.open("rb") as file,
+        open_to_read(path) as file,
         np.load(file, allow_pickle=False) as stored,
     ):
         check_format(path, int(stored["format"]) if "format" in stored else 1, newest)
@@ -334,12 +334,15 @@ def read_arrays(path: Path) -> dict[str, Array]:
     Raises one of `NPZ_ERRORS` for a missing or damaged file, for objects, for compressed arrays
     over 16 MiB, and for values that are not finite.
     """
-    with zipfile.ZipFile(path) as archive:
-        size = sum(member.file_size for member in archive.infolist())
-    if size > path.stat().st_size + MAX_COMPRESSED_BYTES:
-        raise ValueError(f"it is compressed and would fill {size} bytes; expected no compression")
-    with np.load(path, allow_pickle=False) as stored:
-        arrays = {name: stored[name] for name in stored.files}
+    with open_to_read(path) as file:
+        with zipfile.ZipFile(file) as archive:
+            size = sum(member.file_size for member in archive.infolist())
+        if size > path.stat().st_size + MAX_COMPRESSED_BYTES:
+            found = f"it is compressed and would fill {size} bytes; expected no compression"
+            raise ValueError(found)
+        file.seek(0)
+        with np.load(file, allow_pickle=False) as stored:
+            arrays = {name: stored[name] for name in stored.files}
     for name, values in arrays.items():
         if not isinstance(values, np.ndarray):  # bytes, of a member in another format
             raise ValueError(f"{name} is no array")

@@ -9,10 +9,10 @@ from datetime import UTC
 from pathlib import Path
 
 from fieldlum.core.errors import InputError
+from fieldlum.core.files import append_complete, cut_torn_tail, open_to_read, sync_folder
 from fieldlum.core.records import IrradianceSample, parse_utc, utc_text
 from fieldlum.session.folder import Session
 from fieldlum.session.safe_paths import open_inside, refuse_link
-from fieldlum.session.writing import append_complete, cut_torn_tail, sync_folder
 
 DAY_COLUMNS = ("t_utc", "ghi_wm2", "dhi_wm2", "dni_wm2", "temperature_c", "status", "raw", "crc")
 _DAY_HEADER = (",".join(DAY_COLUMNS) + "\n").encode()
@@ -109,7 +109,7 @@ def read_day(path: Path) -> tuple[list[IrradianceSample], int]:
     """Return the samples of one day file, in its order, and the number of damaged lines skipped."""
     samples: list[IrradianceSample] = []
     damaged = 0
-    with path.open("rb") as file:
+    with open_to_read(path) as file:
         for line in file:
             sample = decode_sample(line)
             if sample is not None:

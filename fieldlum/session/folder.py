@@ -15,12 +15,12 @@ from filelock import FileLock, Timeout
 from msgspec import Meta
 
 from fieldlum.core.errors import InputError, input_errors
+from fieldlum.core.files import read_bytes, replacing, sha256
 from fieldlum.core.records import SiteFile, Slot
 from fieldlum.session.codec import convert
 from fieldlum.session.plan_file import PLAN_COLUMNS, read_plan, write_plan
 from fieldlum.session.safe_paths import is_plain, refuse_links
 from fieldlum.session.site_toml import site_from_table, site_table, with_paths_from
-from fieldlum.session.writing import replacing, sha256
 from fieldlum.version import __version__
 
 # the sun moves by 1.3 degrees in this time; chosen, `capture --grace` sets another
@@ -198,7 +198,7 @@ class Session:
 
     def table(self) -> SessionTable:
         """Return the content of session.toml. Raises InputError if it cannot be read."""
-        return cast(SessionTable, tomllib.loads(self.toml.read_text(encoding="utf-8")))
+        return cast(SessionTable, tomllib.loads(read_bytes(self.toml).decode()))
 
     def site_file(self) -> SiteFile:
         """Return site, camera, room and pyranometer, as recorded when the session was planned.
@@ -272,7 +272,7 @@ def create_session(
         found, remedy = f"a folder inside the session {outer}", "choose another --out"
         raise InputError(root, found, "a folder outside of other sessions", remedy)
     head, plan = ",".join(PLAN_COLUMNS).encode(), session.plan
-    if plan.is_file() and not plan.read_bytes().startswith(head):
+    if plan.is_file() and not read_bytes(plan).startswith(head):
         found = "a plan.csv of another program"
         raise InputError(plan, found, "a new folder", "choose another --out")
     write_plan(plan, slots, setup.site.timezone)

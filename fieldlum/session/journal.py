@@ -11,6 +11,9 @@ from datetime import UTC, datetime
 from typing import Any, Required, TypedDict
 
 from fieldlum.core.errors import InputError, input_errors
+from fieldlum.core.files import (
+    open_to_read,
+)
 from fieldlum.core.records import counted, listed, parse_utc, utc_text
 from fieldlum.core.room_states import USAGE, merged_state
 from fieldlum.session import writing
@@ -115,7 +118,7 @@ def _lines(session: Session) -> Iterator[tuple[int, JournalEvent | None]]:
     """Yield the number and the event, None if damaged, of each complete line of the journal."""
     if not session.journal.is_file():
         return
-    with session.journal.open("rb") as file:
+    with open_to_read(session.journal) as file:
         for number, line in enumerate(file, start=1):
             if line.endswith(b"\n"):
                 yield number, decode_event(line)

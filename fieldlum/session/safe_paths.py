@@ -11,8 +11,8 @@ from collections.abc import Container
 from pathlib import Path, PurePosixPath
 
 from fieldlum.core.errors import InputError
+from fieldlum.core.files import open_file
 from fieldlum.session.permits import Subject, is_permitted, subject
-from fieldlum.session.writing import open_file
 
 _MAX_NAME = 255  # bytes of a name in all usual file systems; NAME_MAX in Linux
 # Separators (the colon separates drives and streams on Windows) and control characters.

@@ -20,6 +20,7 @@ from typing import NamedTuple
 import psutil
 
 from fieldlum.core.errors import InputError
+from fieldlum.core.files import read_bytes
 from fieldlum.core.records import JsonTable, parse_utc, utc_text
 from fieldlum.session import Session, replacing
 from fieldlum.session.codec import to_json
@@ -133,7 +134,7 @@ class Worker:
         year = PredictFile.read(annual)
         hours: list[JsonTable] = []
         with suppress(OSError, ValueError, KeyError):
-            hours = json.loads((self.folder / "useful hours.out").read_text("utf-8"))["hours"]
+            hours = json.loads(read_bytes(self.folder / "useful hours.out"))["hours"]
         answer = {
             "t_utc": utc_text(datetime.now(UTC)),
             "captures": captured,
@@ -209,7 +210,7 @@ def read_answer(session: Session) -> JsonTable | None:
     `DirectionYear` for each view direction; useful: at most eight of the `hours` of `plan --next`.
     """
     try:
-        answer = json.loads((session.root / "watch" / "answer.json").read_text(encoding="utf-8"))
+        answer = json.loads(read_bytes(session.root / "watch" / "answer.json"))
         parse_utc(answer["t_utc"])
     except (OSError, ValueError, TypeError, KeyError, RecursionError):
         return None

@@ -26,6 +26,7 @@ from fieldlum.capture.steady_clock import boot_id
 from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError
 from fieldlum.core.false_colour import coloured, luminance_ends, png_of, shared_scale
+from fieldlum.core.files import open_to_read
 from fieldlum.core.records import JsonTable, Site, Slot, parse_utc, utc_text
 from fieldlum.optics.images import read_panorama
 from fieldlum.session import Session
@@ -58,7 +59,7 @@ class LineTail:
 
         A missing or unreadable file changes nothing: it may be on a share that is away.
         """
-        with suppress(OSError), self._path.open("rb") as file:
+        with suppress(OSError), open_to_read(self._path) as file:
             about = os.fstat(file.fileno())
             if about.st_ino != self._inode or about.st_size < self._offset:
                 self._offset, self._inode = 0, about.st_ino

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Array, Floats, Floats32, Mask
 from fieldlum.core.errors import InputError
+from fieldlum.core.files import open_to_read
 from fieldlum.learn.model_kinds import MODELS
 from fieldlum.session import replacing
 from fieldlum.session.codec import NPZ_ERRORS, read_arrays, write_object
@@ -219,7 +220,7 @@ def seen_of(folder: Path) -> Mask | None:
     None if weights.npz does not contain it (models of 0.1.0) or cannot be read.
     """
     try:
-        with (folder / "weights.npz").open("rb") as file:
+        with open_to_read(folder / "weights.npz") as file:
             stored = np.load(file, allow_pickle=False)
             return stored["seen"].astype(bool) if "seen" in stored.files else None
     except NPZ_ERRORS:

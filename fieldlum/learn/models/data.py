@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Array, Floats, Floats32, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError, input_errors
+from fieldlum.core.files import open_to_read
 from fieldlum.core.progress import progress
 from fieldlum.core.records import CLIPPED_SUN, Flag, Panorama, Site, SiteFile, counted, slot_id
 from fieldlum.core.room_states import USAGE, merged_state
@@ -32,6 +33,7 @@ from fieldlum.session import Session, marks, open_session
 from fieldlum.session.codec import data_digest
 from fieldlum.session.files.model_files import UsedScene
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
+from fieldlum.session.files.sidecar import warn_if_changed
 from fieldlum.session.panorama_sun import read_panorama_with_sun, suns_of
 from fieldlum.session.site_toml import load_site, site_table
 from fieldlum.sky import sun
@@ -421,6 +423,7 @@ def read_pictures(
         disc[k] = panorama.sun.normal_illuminance_lx if panorama.sun else 0.0
         if patches is not None:
             source = path.parent / row.sunpatch
+            warn_if_changed(source, "pair")
             patch = _checked(read_panorama(source), source, alike, setup)
             patches[k] = np.maximum(np.nan_to_num(patch.luminance_cdm2), 0.0)
             if patch.sun and not panorama.sun and not row.sun_in_map:
@@ -456,7 +459,7 @@ def _heading(panorama: Panorama, path: Path, setup: SiteFile) -> float:
     """Return the heading of the picture (.exr, or a .hdr with a heading line), else the site's."""
     if path.suffix.lower() == ".exr":
         return panorama.heading_deg
-    with path.open("rb") as file:
+    with open_to_read(path) as file:
         stated = PANORAMA_LINE.encode() in file.read(4096).partition(b"\n\n")[0]
     return panorama.heading_deg if stated else setup.camera.heading_deg
 

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats, Indices
 from fieldlum.core.errors import InputError, kind_of
+from fieldlum.core.files import open_to_read
 from fieldlum.core.records import MAX_PIXELS
 from fieldlum.optics.raw.exif import (
     TIFF_VARIANTS,
@@ -120,7 +121,7 @@ def _check_strips(path: Path) -> None:
     import tifffile
 
     logging.getLogger("tifffile").setLevel(logging.CRITICAL)
-    with path.open("rb") as file:
+    with open_to_read(path) as file:
         head = file.read(4)
         if head not in (*TIFF_VARIANTS, *TIFF_VARIANTS.values()):
             return
@@ -173,7 +174,7 @@ def opened(path: Path) -> Any:
     """
     import rawpy
 
-    with path.open("rb") as file:
+    with open_to_read(path) as file:
         kind = kind_of(file.read(16))
     if kind == "a JPEG picture":
         named = path.suffix.lower() in (".jpg", ".jpeg")
@@ -378,7 +379,7 @@ def _codes(path: Path, max_pixels: int) -> NDArray[np.uint8]:
     """
     from PIL.JpegImagePlugin import JpegImageFile
 
-    with path.open("rb") as file:
+    with open_to_read(path) as file:
         is_jpeg = file.read(3) == b"\xff\xd8\xff"
     try:
         with warnings.catch_warnings():

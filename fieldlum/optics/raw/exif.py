@@ -13,6 +13,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from fieldlum.core.errors import InputError, input_errors
+from fieldlum.core.files import open_to_read
 from fieldlum.core.records import Exposure
 from fieldlum.core.strict_csv import read_number, read_table
 from fieldlum.optics.photometry import SAME_SETTING_EV
@@ -77,7 +78,12 @@ def stated_exposure(path: Path) -> tuple[float, float, float]:
     Raises InputError for an invalid one.
     """
     table = path.parent / EXPOSURES_CSV
-    return _rows(table).get(path.name, _NO_EXPOSURE) if table.is_file() else _NO_EXPOSURE
+    if not table.is_file():
+        return _NO_EXPOSURE
+    stated, files = _rows(table), {file.name for file in path.parent.iterdir()}
+    # A card written on Windows can have other capitals in its names than a table.
+    others = [name for name in stated if name.lower() == path.name.lower() and name not in files]
+    return stated.get(path.name) or stated.get(others[0] if len(others) == 1 else "", _NO_EXPOSURE)
 
 
 def _rows(path: Path) -> dict[str, tuple[float, float, float]]:
@@ -118,7 +124,7 @@ def tags_of(path: Path) -> dict[int, Any]:
 
     tags: dict[int, Any] = {}
     remedy = "check the path and its permissions"
-    with input_errors(path, "a readable file", remedy, OSError), path.open("rb") as file:
+    with input_errors(path, "a readable file", remedy, OSError), open_to_read(path) as file:
         if not (head := file.read(4)):
             again = "copy it from the card again"
             raise InputError(path, "the file is empty", "a frame of a camera", again)

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from fieldlum.core.errors import InputError
+from fieldlum.core.files import read_bytes
 from fieldlum.core.records import Room
 from fieldlum.core.strict_toml import build, plain
 from fieldlum.session import replacing
@@ -71,7 +72,7 @@ def read_scene(folder: Path) -> Scene:
     """
     path = folder / SCENE_TOML
     try:
-        table: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
+        table: dict[str, Any] = tomllib.loads(read_bytes(path).decode())
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         finding = getattr(error, "strerror", None) or str(error)
         raise InputError(

@@ -9,6 +9,7 @@ import shlex
 from pathlib import Path
 
 from fieldlum.core.errors import InputError
+from fieldlum.core.files import read_bytes
 from fieldlum.session.permits import Subject, is_permitted, subject
 
 _COMMAND = re.compile(rb"!((?:[^\\\n\r]|\\.)*)", re.DOTALL)  # a backslash continues the line
@@ -41,7 +42,7 @@ def _files(path: Path) -> list[bytes]:
         file = waiting.pop(0)
         if file in contents:
             continue
-        data = contents[file] = file.read_bytes()
+        data = contents[file] = read_bytes(file)
         if not _runs(data, file.suffix) or file.suffix.lower() == ".oct":
             continue
         texts = [*_COMMAND.findall(data), *_LOADED.findall(data)]
@@ -65,7 +66,7 @@ def what_runs(path: Path) -> Subject | None:
 
     Its digest covers the file and the files that its commands name.
     """
-    if not path.is_file() or not _runs(path.read_bytes(), path.suffix):
+    if not path.is_file() or not _runs(read_bytes(path), path.suffix):
         return None
     return subject("room", str(path.resolve()), *_files(path))
 

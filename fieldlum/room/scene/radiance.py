@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats, Floats32
 from fieldlum.core.errors import InputError
+from fieldlum.core.files import open_to_read
 from fieldlum.core.progress import progress
 from fieldlum.core.records import Room
 from fieldlum.optics.images import RADIANCE_LM_PER_W, RADIANCE_Y
@@ -117,7 +118,7 @@ def trace(
 
 def _require_octree(path: Path) -> None:
     """Raise InputError if a file does not begin with the header of a Radiance octree."""
-    with path.open("rb") as file:
+    with open_to_read(path) as file:
         header = file.read(_HEADER_BYTES)
     if _OCTREE_FORMAT not in header:
         finding, expected = "no header of a Radiance octree", "an octree, as oconv writes it"

@@ -12,9 +12,9 @@ from msgspec import Struct, field
 from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats, evenly_spread
+from fieldlum.core.files import replacing
 from fieldlum.core.records import JsonTable
 from fieldlum.session.codec import JsonFile, open_arrays
-from fieldlum.session.writing import replacing
 
 # Ten times the rows that glare by EN 17037 needs; a model with more pixels is not from this tool.
 MAX_HEIGHT = 4096

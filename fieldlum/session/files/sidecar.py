@@ -13,12 +13,12 @@ from typing import Annotated, Any, Self
 from msgspec import Meta, Struct, field
 
 from fieldlum.core.errors import ChangedFileWarning, InputError
+from fieldlum.core.files import sha256
 from fieldlum.core.records import Exposure, JsonTable
 from fieldlum.optics.photometry import ShutterLaw
-from fieldlum.session.codec import JsonFile, Utc, convert, to_json
+from fieldlum.session.codec import JsonFile, Utc, convert, read_object, to_json
 from fieldlum.session.folder import Session
 from fieldlum.session.plan_file import exposure_text, parse_exposure
-from fieldlum.session.writing import sha256
 
 # ----------------------------------------------------------------------------------------------
 # the key `quality`, which `merge --json` prints too; its keys are a contract: keys are only added
@@ -213,13 +213,13 @@ class Sidecar(JsonFile, frozen=True):
         return {**to_json(self), "quality": self.report.table()}
 
 
-def warn_if_changed(panorama: Path) -> None:
-    """Warn with ChangedFileWarning if a panorama changed after merge wrote it."""
+def warn_if_changed(picture: Path, stage: str = "merge") -> None:
+    """Warn with ChangedFileWarning if a picture changed after its stage wrote it."""
     with suppress(InputError):
-        sidecar = Sidecar.find(panorama.with_suffix(".json"))
-        if sidecar is not None and not sidecar.fits(panorama):
-            text = f"{panorama}: the content changed after merge wrote it; expected the sha256 in "
-            text += f"{panorama.stem}.json; merge it again: fieldlum merge"
+        note = read_object(picture.with_suffix(".json"), "", "")
+        if note.get("sha256", "") not in ("", sha256(picture)):
+            text = f"{picture}: the content changed after {stage} wrote it; expected the sha256 in "
+            text += f"{picture.stem}.json; write it again: fieldlum {stage}"
             warnings.warn(text, ChangedFileWarning, stacklevel=2)
 
 

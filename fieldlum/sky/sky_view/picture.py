@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fieldlum.core.arrays import Floats, Floats32, Mask
+from fieldlum.core.files import replacing
 from fieldlum.core.records import Flag, Panorama
 from fieldlum.optics.projection import altitude_azimuth_deg, direction
 from fieldlum.session.codec import open_arrays
-from fieldlum.session.writing import replacing
 
 FORMAT = 1  # of the file; docs/file-formats.md
 SUFFIX = ".sky.npz"

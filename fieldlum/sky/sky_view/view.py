@@ -17,9 +17,9 @@ import numpy as np
 
 from fieldlum.core.arrays import Floats, Floats32
 from fieldlum.core.errors import InputError, reason_of
+from fieldlum.core.files import replacing_path
 from fieldlum.core.records import JsonTable
 from fieldlum.optics.images import opened_exr
-from fieldlum.session.writing import replacing_path
 from fieldlum.sky.sky_view.picture import SkyGrid
 from fieldlum.sky.sky_view.pose import CameraPose
 

@@ -27,6 +27,7 @@ from numpy.typing import ArrayLike
 
 from fieldlum.core.arrays import Floats, Floats32, Mask
 from fieldlum.core.errors import FieldlumError, InputError, input_errors
+from fieldlum.core.files import open_to_read
 from fieldlum.core.records import Panorama, SunSource
 from fieldlum.optics import images
 from fieldlum.optics.projection import (
@@ -74,7 +75,7 @@ def read_picture(path: Path, view_options: str = "", part: str = "") -> Picture:
     """
     if not path.is_file():
         raise InputError(path, "no such file", "a picture .hdr or .exr", "check the path")
-    with path.open("rb") as file:
+    with open_to_read(path) as file:
         is_exr = file.read(4) == _EXR_MAGIC or path.suffix.lower() == ".exr"
     if part and not is_exr:
         found = "a Radiance picture, which has no parts"

@@ -19,7 +19,7 @@ from fieldlum.learn.models import POOR_WORDS, Fitted, load, read_config
 from fieldlum.optics import projection
 from fieldlum.optics.images import read_panorama
 from fieldlum.session import Session, check_writable, open_session, sha256
-from fieldlum.session.codec import current_note
+from fieldlum.session.codec import current_note, sealed
 from fieldlum.session.files.hourly_csv import COLOUR_COLUMNS, VIEW_COLUMNS
 from fieldlum.session.files.model_files import ModelConfig, UsedScene
 from fieldlum.session.files.predict_json import (
@@ -197,7 +197,8 @@ def _write(annual: Annual, budgets: list[Budget], pictures: Pictures, zone: str)
     folder = annual.folder
     annual.write(folder, zone)
     write_pictures(folder / "pictures.npz", pictures)
-    write_budgets(folder / BUDGET_FILE, ((folder.name, budget) for budget in budgets))
+    with sealed(folder / BUDGET_FILE):
+        write_budgets(folder / BUDGET_FILE, ((folder.name, budget) for budget in budgets))
     annual.summary.write(folder)  # the last file, so that a folder with it is complete
 
 

@@ -1,4 +1,4 @@
-"""Write complete files or nothing, and append lines with a CRC, flushed to disk."""
+"""Read bounded files; write complete files or nothing; append lines with a CRC, flushed to disk."""
 
 import errno
 import hashlib
@@ -11,6 +11,7 @@ import uuid
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from io import BufferedReader
 from pathlib import Path
 from typing import IO, Any
 
@@ -19,6 +20,39 @@ from filelock import FileLock
 from fieldlum.core.errors import InputError, input_errors
 
 _RUN = uuid.uuid4().hex[:12]  # another one in each process, on any computer
+
+
+# The largest files, EXR pictures with as many values as the reader accepts, are smaller; a sparse
+# file of a terabyte needs no disk. [bytes]
+MAX_FILE_BYTES = 2**30
+
+
+def open_to_read(path: Path) -> BufferedReader:
+    """Open a file for reading, and never wait for another program.
+
+    Raises OSError for a missing file, a pipe or device, and a file over 1 GiB.
+    """
+    wait = getattr(os, "O_NONBLOCK", 0)  # absent on Windows; without an effect on files
+    file = open(path, "rb", opener=lambda name, flags: os.open(name, flags | wait))  # noqa: SIM115
+    about = os.fstat(file.fileno())
+    if not stat.S_ISREG(about.st_mode):
+        file.close()
+        raise OSError(errno.ENXIO, "a pipe or a device, which is no file", str(path))
+    if about.st_size > MAX_FILE_BYTES:
+        file.close()
+        found = f"{about.st_size / 2**30:.1f} GiB, more than the limit of 1 GiB"
+        raise OSError(errno.EOVERFLOW, found, str(path))
+    return file
+
+
+def read_bytes(path: Path) -> bytes:
+    """Return the content of a file. Raises the errors of `open_to_read`."""
+    with open_to_read(path) as file:
+        return file.read()
+
+
+# ----------------------------------------------------------------------------------------------
+# writing
 
 
 @contextmanager
@@ -106,8 +140,8 @@ def disk_is_full(error: BaseException) -> bool:
 
 
 def sha256(path: Path) -> str:
-    """Return the SHA-256 of a file, in hex."""
-    with path.open("rb") as file:
+    """Return the SHA-256 of a file, in hex. Raises the errors of `open_to_read`."""
+    with open_to_read(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
