@@ -10,13 +10,10 @@ from contextlib import closing
 from datetime import UTC, datetime
 from typing import Any, Required, TypedDict
 
+from fieldlum.core import files
 from fieldlum.core.errors import InputError, input_errors
-from fieldlum.core.files import (
-    open_to_read,
-)
 from fieldlum.core.records import counted, listed, parse_utc, utc_text
 from fieldlum.core.room_states import USAGE, merged_state
-from fieldlum.session import writing
 from fieldlum.session.codec import convert
 from fieldlum.session.files.capture_json import frame_from
 from fieldlum.session.folder import Session
@@ -72,9 +69,9 @@ class Journal:
         self._lock = threading.Lock()
         self._handle = open_inside(session.root, self._path, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
         self._lock_path = self._path.with_name(".journal.lock")
-        with writing.exclusive(self._lock_path):  # another process may be writing a line
-            self.cut_bytes = writing.cut_torn_tail(
-                self._path, lambda line: writing.decode_line(line) is not None
+        with files.exclusive(self._lock_path):  # another process may be writing a line
+            self.cut_bytes = files.cut_torn_tail(
+                self._path, lambda line: files.decode_line(line) is not None
             )
 
     def append(self, event: str, t_utc: datetime, **fields: Any) -> None:
@@ -82,9 +79,9 @@ class Journal:
 
         Raises OSError on a full disk, after removing a partly written line.
         """
-        data = writing.encode_line({"event": event, "t_utc": utc_text(t_utc), **fields})
-        with self._lock, writing.exclusive(self._lock_path):
-            writing.append_complete(self._handle, data, flush=self._flush)
+        data = files.encode_line({"event": event, "t_utc": utc_text(t_utc), **fields})
+        with self._lock, files.exclusive(self._lock_path):
+            files.append_complete(self._handle, data, flush=self._flush)
 
     def close(self) -> None:
         """Close the file."""
@@ -118,7 +115,7 @@ def _lines(session: Session) -> Iterator[tuple[int, JournalEvent | None]]:
     """Yield the number and the event, None if damaged, of each complete line of the journal."""
     if not session.journal.is_file():
         return
-    with open_to_read(session.journal) as file:
+    with files.open_to_read(session.journal) as file:
         for number, line in enumerate(file, start=1):
             if line.endswith(b"\n"):
                 yield number, decode_event(line)
@@ -126,7 +123,7 @@ def _lines(session: Session) -> Iterator[tuple[int, JournalEvent | None]]:
 
 def decode_event(line: bytes) -> JournalEvent | None:
     """Return the event in a journal line; None for a damaged line or a value of a wrong type."""
-    row = writing.decode_line(line)
+    row = files.decode_line(line)
     try:
         convert(row, JournalEvent, strict=True)
         if not 1970 <= parse_utc(row["t_utc"]).year < 3000:
