@@ -289,6 +289,28 @@ def test_a_blind_that_nobody_marked_does_not_shut_the_sky() -> None:
 
 
 @pytest.mark.analytic
+def test_leaves_of_summer_give_bounds_over_the_year() -> None:
+    """Captures of all seasons show that leaves come and go: a disc there has bounds."""
+    texture = np.random.default_rng(1).random((32, 32))
+    leaves = np.zeros((32, 32), bool)
+    leaves[6:26, 4:28] = True
+    summer = np.where(leaves & (texture < 0.85), 0.0, 1.0)
+    winter = np.where(leaves & (texture < 0.15), 0.0, 1.0)
+    is_summer = np.array([5 <= t.month <= 10 for t in LIGHT.t_utc])
+    view = _view(_pictures(np.where(is_summer[:, None, None], summer, winter)))
+    for openness in (summer, winter):
+        through = 0.8 * openness[leaves]
+        held = (through >= view.low[leaves] - 0.02) & (through <= view.high[leaves] + 0.02)
+        assert held.mean() > 0.95
+        sure = (view.low[leaves] > 0.02) | (view.high[leaves] < 0.02)
+        shown = view.through[leaves] > 0.02
+        assert (shown == (through > 0.02))[sure].mean() > 0.97
+    assert any("open in one season" in note for note in view.notes)
+    steady = _view(_pictures(np.broadcast_to(winter, (len(LIGHT), 32, 32))))
+    assert not any("season" in note for note in steady.notes)
+
+
+@pytest.mark.analytic
 def test_few_captures_give_bounds_and_say_what_to_capture() -> None:
     light, pictures = LIGHT[[0, 5, 9]], _pictures(np.ones((32, 32)))[[0, 5, 9]]
     clipped = np.zeros((32, 32), bool)

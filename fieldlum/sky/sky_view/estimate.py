@@ -110,7 +110,7 @@ def estimate(
     turned = _turned(stack, decided.view)
     if turned is not decided.view.pose:
         decided = _decided(stack, turned, latitude_deg)
-    return _checked(decided, captured)
+    return _checked(_over_seasons(decided, stack), captured)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -182,13 +182,15 @@ def _placed(picture: SkyPicture, grid: SkyGrid) -> Floats32:
 class _Decided:
     """A sky view before the discs in captures, and directions that it does not decide [h, w].
 
-    sky: follows the sky; bright: follows neither the sky nor other light; scatters: a curtain.
+    sky: follows the sky; bright: follows neither the sky nor other light; scatters: a curtain;
+    changes: open in one season and shut in another, None before seasons are compared.
     """
 
     view: SkyView
     sky: Mask
     bright: Mask
     scatters: Mask
+    changes: Mask | None = None
 
 
 def _decided(stack: _Stack, pose: CameraPose, latitude_deg: float | None) -> _Decided:
@@ -224,6 +226,35 @@ def _decided(stack: _Stack, pose: CameraPose, latitude_deg: float | None) -> _De
     arrays = (np.where(blind, np.nan, values).astype(np.float32) for values in channels)
     view = SkyView(stack.grid, *arrays, captures=len(light), pose=pose)
     return _Decided(view, sky, bright, scatters)
+
+
+def _over_seasons(decided: _Decided, stack: _Stack) -> _Decided:
+    """Return the view with wider bounds where sky of one season is dark in another, as by leaves.
+
+    No capture shows when leaves come and fall: bounds there are from no disc to that of open sky.
+    """
+    view, light = decided.view, stack.light
+    # four parts of the year, centred on solstices (0 is 21 December) and equinoxes
+    season = np.array([round((t.timetuple().tm_yday + 10) / 91.3) % 4 for t in light.t_utc])
+    parts = [np.flatnonzero(season == k) for k in np.unique(season)]
+    parts = [rows for rows in parts if len(rows) >= MIN_CAPTURES]
+    if len(parts) < 2 or not decided.sky.any():
+        return decided
+    rays = view.pose.true_directions(stack.grid.rays()[stack.kept])
+    ratios, of_sky = [], []
+    for rows in parts:
+        luminance, of_part = stack.luminance_cdm2[rows], light[rows]
+        seen = follow(luminance, of_part, rays, sky_reference(luminance, of_part, rays))
+        ratios.append(seen.ratio)
+        of_sky.append(np.where(seen.spread < _FOLLOWS, seen.ratio, 0.0))
+    sky = stack.placed(np.max(of_sky, axis=0))
+    # real skies of a season are within 40 % of Perez's; indoors is darker than half of a pane's sky
+    changes = stack.placed(np.min(ratios, axis=0)) < 0.5 * sky
+    changes &= sky > 0.5 * np.median(view.through[decided.sky])
+    low = np.where(changes, np.float32(0.0), view.low)
+    high = np.where(changes, np.clip((1.0 + 2.0 * _SCALE_SD) * sky, view.high, 1.0), view.high)
+    view = replace(view, low=low, high=high.astype(np.float32))
+    return replace(decided, view=view, changes=changes)
 
 
 def _sun_passes(rays: Floats, latitude_deg: float | None, pose: CameraPose) -> Mask:
@@ -314,6 +345,14 @@ def _notes(decided: _Decided) -> tuple[str, ...]:
             "the disc passes is between 0 and its brightness; a capture with the sun behind it "
             "settles it"
         )
+    if decided.changes is not None:
+        share = (decided.changes * weight).sum() / max((sky * weight).sum(), 1e-9)
+        if share > 0.02:
+            notes.append(
+                f"{100 * share:.0f} % of the sky in view is open in one season and hidden in "
+                "another (leaves): the sun's disc has bounds there; captures when the leaves come "
+                "and fall would show since when"
+            )
     return tuple(notes)
 
 
