@@ -5,6 +5,7 @@ import sys
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 from hypothesis import HealthCheck, given, settings
@@ -16,12 +17,14 @@ from fieldlum.cli import main
 from fieldlum.core.errors import InputError
 from fieldlum.core.files import cut_torn_tail, decode_line, encode_line
 from fieldlum.core.records import Exposure, IrradianceSample, SiteFile, Slot
+from fieldlum.learn.models import seen_of
 from fieldlum.session import (
     PLAN_COLUMNS,
     DayFiles,
     Journal,
     Session,
     check_writable,
+    codec,
     create_session,
     day_files,
     encode_sample,
@@ -316,3 +319,21 @@ def test_the_ledger_keeps_the_last_start_of_a_capture() -> None:
         for minute, kind in enumerate(("open", "close", "open", "note"))
     ]
     assert fold(events).last_open == events[2] and fold(events[3:]).last_open is None
+
+
+@pytest.mark.contract
+def test_arrays_that_expand_without_limit_are_not_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "weights.npz"
+    np.savez_compressed(path, seen=np.zeros(2**21, np.uint8))
+    with codec.open_arrays(path, "a mask", "train again") as stored:
+        assert stored["seen"].size == 2**21
+    assert seen_of(tmp_path) is not None
+    monkeypatch.setattr(codec, "MAX_FILE_BYTES", 2**20)
+    with (
+        pytest.raises(InputError, match="would fill 2097"),
+        codec.open_arrays(path, "a mask", "train again"),
+    ):
+        pass
+    assert seen_of(tmp_path) is None

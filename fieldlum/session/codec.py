@@ -26,7 +26,7 @@ from numpy.lib.npyio import NpzFile
 
 from fieldlum.core.arrays import Array
 from fieldlum.core.errors import ChangedFileWarning, InputError, input_errors
-from fieldlum.core.files import open_to_read, read_bytes, replacing, sha256
+from fieldlum.core.files import MAX_FILE_BYTES, open_to_read, read_bytes, replacing, sha256
 from fieldlum.core.records import JsonTable, parse_utc, utc_text
 from fieldlum.core.strict_csv import plain_rows
 from fieldlum.core.strict_toml import convert
@@ -319,13 +319,23 @@ def open_arrays(path: Path, expected: str, remedy: str, newest: int = 1) -> Iter
 
     newest: format version. Raises InputError for a missing file, a newer one, and other content.
     """
-    with (
-        input_errors(path, expected, remedy, *NPZ_ERRORS),
-        open_to_read(path) as file,
-        np.load(file, allow_pickle=False) as stored,
-    ):
+    with input_errors(path, expected, remedy, *NPZ_ERRORS), _stored(path, MAX_FILE_BYTES) as stored:
         check_format(path, int(stored["format"]) if "format" in stored else 1, newest)
         yield stored
+
+
+@contextmanager
+def _stored(path: Path, maximum_bytes: int) -> Iterator[NpzFile]:
+    """Yield the arrays of a file. Raises ValueError if they would fill over `maximum_bytes`."""
+    with open_to_read(path) as file:
+        with zipfile.ZipFile(file) as archive:
+            size = sum(member.file_size for member in archive.infolist())
+        if size > maximum_bytes:
+            found = f"it is compressed and would fill {size} bytes; expected no compression"
+            raise ValueError(found)
+        file.seek(0)
+        with np.load(file, allow_pickle=False) as stored:
+            yield stored
 
 
 def read_arrays(path: Path) -> dict[str, Array]:
@@ -334,15 +344,8 @@ def read_arrays(path: Path) -> dict[str, Array]:
     Raises one of `NPZ_ERRORS` for a missing or damaged file, for objects, for compressed arrays
     over 16 MiB, and for values that are not finite.
     """
-    with open_to_read(path) as file:
-        with zipfile.ZipFile(file) as archive:
-            size = sum(member.file_size for member in archive.infolist())
-        if size > path.stat().st_size + MAX_COMPRESSED_BYTES:
-            found = f"it is compressed and would fill {size} bytes; expected no compression"
-            raise ValueError(found)
-        file.seek(0)
-        with np.load(file, allow_pickle=False) as stored:
-            arrays = {name: stored[name] for name in stored.files}
+    with _stored(path, path.stat().st_size + MAX_COMPRESSED_BYTES) as stored:
+        arrays = {name: stored[name] for name in stored.files}
     for name, values in arrays.items():
         if not isinstance(values, np.ndarray):  # bytes, of a member in another format
             raise ValueError(f"{name} is no array")

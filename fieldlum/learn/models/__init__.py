@@ -11,6 +11,7 @@ from __future__ import annotations
 import importlib
 import zipfile
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeVar
@@ -21,10 +22,9 @@ from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Array, Floats, Floats32, Mask
 from fieldlum.core.errors import InputError
-from fieldlum.core.files import open_to_read
 from fieldlum.learn.model_kinds import MODELS
 from fieldlum.session import replacing
-from fieldlum.session.codec import NPZ_ERRORS, read_arrays, write_object
+from fieldlum.session.codec import NPZ_ERRORS, open_arrays, read_arrays, write_object
 from fieldlum.session.files.model_files import ModelConfig
 from fieldlum.sky.sky_view.view import NAME as SKY_VIEW
 from fieldlum.version import __version__
@@ -219,12 +219,10 @@ def seen_of(folder: Path) -> Mask | None:
 
     None if weights.npz does not contain it (models of 0.1.0) or cannot be read.
     """
-    try:
-        with open_to_read(folder / "weights.npz") as file:
-            stored = np.load(file, allow_pickle=False)
-            return stored["seen"].astype(bool) if "seen" in stored.files else None
-    except NPZ_ERRORS:
-        return None  # `load` reports the fault
+    path = folder / "weights.npz"
+    with suppress(InputError), open_arrays(path, "weights", "train again") as stored:
+        return stored["seen"].astype(bool) if "seen" in stored.files else None
+    return None  # `load` reports the fault
 
 
 def load(folder: Path) -> Fitted:
