@@ -12,7 +12,7 @@ from test_scene_search import HEIGHT, ROOM, captures
 from fieldlum.core.records import Obstruction, Room
 from fieldlum.room.fit.draw_scene import plan_of
 from fieldlum.room.fit.elements import BARS, FURNITURE, KINDS, SHADES, Kind
-from fieldlum.room.fit.evidence import PIXELS
+from fieldlum.room.fit.evidence import PIXELS, gather
 from fieldlum.room.fit.fit import SceneSearch
 from fieldlum.room.fit.guess import Guess, Solid, guess_of, is_outside, is_possible
 from fieldlum.room.fit.search import PRIOR_HOURS, PRIOR_SHARE, prior_unit
@@ -46,6 +46,23 @@ def test_a_facade_opposite_is_found_by_the_suns_that_it_hides() -> None:
     rise = solid.high_m[2] - float(np.mean(shaded.windows[0].z_m))
     elevation_deg = float(np.degrees(np.arctan2(rise, -solid.high_m[1])))
     assert elevation_deg == pytest.approx(HIDDEN_ELEVATION_DEG, abs=3.0)
+
+
+@pytest.mark.slow
+@pytest.mark.analytic
+def test_a_building_is_found_between_suns_that_pass_it() -> None:
+    """It hides the noon of December, and no other hour; a facade as wide as a wall hides more."""
+    search, shaded = _one(SHADES, Obstruction(-1.5, -26.0, 0.0, 8.0, 6.0, 9.0))
+    assert search.cost()(shaded) < 0.6 * search.cost()(search.start)
+
+
+@pytest.mark.analytic
+def test_a_patch_brighter_than_the_capture_does_not_change_the_light_below() -> None:
+    data = captures(ROOM)
+    evidence = gather(data, ROOM, pixels=300)
+    false = np.zeros_like(evidence.below)
+    false[4] = 3.0 * np.exp(evidence.log_seen[4])
+    np.testing.assert_array_equal(evidence.relit(data, false).below, evidence.below)
 
 
 @pytest.mark.slow

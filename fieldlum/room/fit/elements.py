@@ -23,6 +23,10 @@ from fieldlum.room.scene.geometry import WALLS
 FACADE_DISTANCES_M = (2.0, 5.0, 12.0, 30.0)
 FACADE_ELEVATIONS_DEG = (6.0, 10.0, 14.0, 18.0, 24.0, 30.0, 40.0)
 FACADE_THICKNESS_M, REACH_M = 2.0, 40.0
+# Buildings of 20 degrees width, seen from the middle of a window: bearings from its normal,
+# elevations of their tops, extent outwards. Chosen.
+BUILDING_BEARINGS_DEG, BUILDING_HALF_WIDTH_DEG = range(-60, 61, 12), 10.0
+BUILDING_ELEVATIONS_DEG, BUILDING_M = (10.0, 18.0, 30.0), (20.0, 28.0)
 CANOPY_GAPS_M, CANOPY_DEPTHS_M = (0.05, 0.3), (0.4, 0.8, 1.3, 2.0)
 CANOPY_THICKNESS_M, CANOPY_OVERHANG_M = 0.1, 1.5
 SCREEN_SHARES = (0.25, 0.5, 0.75)
@@ -77,7 +81,7 @@ def _place(guess: Guess) -> Floats:
 
 
 def _shades(guess: Guess) -> Iterator[Guess]:
-    """Yield guesses with a facade opposite, a screen in or a canopy above one of the windows."""
+    """Yield guesses with a facade, building, screen or canopy at one of the windows."""
     for rect in guess.windows:
         middle_u, middle_z = (float(np.mean(span)) for span in (rect.u_m, rect.z_m))
         low, high = middle_u - REACH_M, middle_u + REACH_M
@@ -85,6 +89,12 @@ def _shades(guess: Guess) -> Iterator[Guess]:
         for out, tilt, along in product(FACADE_DISTANCES_M, FACADE_ELEVATIONS_DEG, sides):
             top = middle_z + out * float(np.tan(np.radians(tilt)))
             yield with_box_outside(guess, rect, along, (out, out + FACADE_THICKNESS_M), (0.0, top))
+        for bearing, tilt in product(BUILDING_BEARINGS_DEG, BUILDING_ELEVATIONS_DEG):
+            ends = np.array([bearing - BUILDING_HALF_WIDTH_DEG, bearing + BUILDING_HALF_WIDTH_DEG])
+            left, right = (middle_u + BUILDING_M[0] * np.tan(np.radians(ends))).tolist()
+            away = BUILDING_M[0] / float(np.cos(np.radians(bearing)))
+            top = middle_z + away * float(np.tan(np.radians(tilt)))
+            yield with_box_outside(guess, rect, (left, right), BUILDING_M, (0.0, top))
         along = (rect.u_m[0] - CANOPY_OVERHANG_M, rect.u_m[1] + CANOPY_OVERHANG_M)
         within = (0.3 * guess.thickness_m, 0.7 * guess.thickness_m)
         for share in SCREEN_SHARES:

@@ -154,9 +154,13 @@ class SceneEvidence:
         """Return the evidence with `below`, the light without direct sun, estimated again.
 
         data: all captures; patch: luminance of sun patches, which is subtracted, cd/m2 [n, m].
+        Where a patch is brighter than the capture, it is not there, and nothing is subtracted.
+        Otherwise nothing could be found that hides the sun in only one or two hours: without the
+        patch, the light of these hours would be taken from sunny ones.
         """
         flat = data.luminance_cdm2.reshape(len(data), -1)[:, self.pixels]
         seen = np.maximum(flat, MIN_CDM2)
+        patch = np.where(patch > seen[self.rows], np.float32(0.0), patch)
         direct = np.zeros_like(seen)
         direct[self.rows] = patch
         below = LightBelowPatches(data)(seen, direct)[self.rows]
