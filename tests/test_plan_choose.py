@@ -28,7 +28,7 @@ from fieldlum.core.records import (
 )
 from fieldlum.learn.models import stored
 from fieldlum.optics.profiles import save_profile
-from fieldlum.plan import choose, coming, makeup
+from fieldlum.plan import choose, makeup, next_hours
 from fieldlum.plan import sheet as calendar
 from fieldlum.plan.capture_days import (
     DaylightHours,
@@ -298,7 +298,7 @@ def test_coming_hours_prefer_what_was_not_seen(tmp_path: Path, weather: Weather)
     hours = daylight_hours(span(date(2027, 4, 1), 10), SEATTLE)
     mornings = hours[np.flatnonzero(hours.azimuth_deg < 180)]
     session = open_session(_session(tmp_path, mornings, len(mornings)))
-    answer = coming.run(session, weather, datetime(2027, 4, 12, tzinfo=UTC))
+    answer = next_hours.run(session, weather, datetime(2027, 4, 12, tzinfo=UTC))
     assert answer["captured"] == len(mornings) and answer["next_batch"]["pays"]
     afternoon = [hour["sun_azimuth_deg"] > 180 for hour in answer["hours"]]
     assert all(afternoon[:3]) and sum(afternoon) >= 8
@@ -317,7 +317,7 @@ def test_a_paired_capture_counts_once(tmp_path: Path, weather: Weather) -> None:
     ]
     head = "t_utc,panorama,dni_wm2,dhi_wm2"
     session.pairs.write_text("\n".join([head, *rows[1:], ""]), encoding="utf-8")
-    captured = coming.captured_features(session, choose.learning(SEATTLE, None, weather))
+    captured = next_hours.captured_features(session, choose.learning(SEATTLE, None, weather))
     assert len(captured) == len(hours)
 
 
@@ -335,18 +335,18 @@ def test_coming_hours_use_a_trained_kernel(tmp_path: Path, weather: Weather) -> 
         json.dumps({"model": "transport", "transport": {"kernel": kernel}})
     )
     np.savez(folder / "weights.npz", **arrays)
-    found = coming.trained_kernel(session)
+    found = next_hours.trained_kernel(session)
     assert found is not None and found[1] == "north" and found[0].beam_width == 0.3
-    assert coming.run(session, weather, datetime(2027, 4, 12, tzinfo=UTC))["model"] == "north"
+    assert next_hours.run(session, weather, datetime(2027, 4, 12, tzinfo=UTC))["model"] == "north"
     elsewhere = {
         "model": "transport",
         "setup": {"site": {"latitude_deg": -33.9, "longitude_deg": 151.2}},
     }
     (folder / "config.json").write_text(json.dumps(elsewhere))
-    assert coming.trained_kernel(session) is None
+    assert next_hours.trained_kernel(session) is None
     (folder / "config.json").write_text(json.dumps({"model": "transport"}))
     with pytest.raises(InputError, match="train the model again"):
-        coming.trained_kernel(session)
+        next_hours.trained_kernel(session)
 
 
 @pytest.mark.slow

@@ -110,6 +110,13 @@ def test_a_guess_and_its_room_are_inverse() -> None:
     assert again.camera_x_m == room.camera_x_m
 
 
+@pytest.mark.contract
+def test_a_window_without_width_is_left_out() -> None:
+    u_m = (1.0, 3.0), (0.0, 1e-20)
+    rects = tuple(WindowRect("south", u, (1.0, 2.0), 0.8) for u in u_m)
+    assert len(room_of(replace(guess_of(ROOM), windows=rects), ROOM).window) == 1
+
+
 @pytest.mark.property
 @given(data=st.data())
 def test_fitted_windows_always_form_a_room(data: st.DataObject) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scene_captures import ROOM, window_captures
 
-from fieldlum.bench import rows
+from fieldlum.bench import score_rows
 from fieldlum.core.records import Room, Site
 from fieldlum.learn.models.data import Dataset
 from fieldlum.room.fit.apply_scene import with_patches
@@ -83,9 +83,9 @@ def test_bench_uses_the_choice_of_train_for_all_its_captures(
 ) -> None:
     given = _stated(captures, room)
     trained, _ = with_judged_box(given, "absolute")
-    monkeypatch.setattr(rows, "load_pairs", lambda *_, **__: given)
-    monkeypatch.setattr(rows, "without_training_hours", lambda test, *_: test)
-    loaded = rows.load(tmp_path / "pairs.csv", ["mean"], test=tmp_path / "test.csv")
+    monkeypatch.setattr(score_rows, "load_pairs", lambda *_, **__: given)
+    monkeypatch.setattr(score_rows, "without_training_hours", lambda test, *_: test)
+    loaded = score_rows.load(tmp_path / "pairs.csv", ["mean"], test=tmp_path / "test.csv")
     assert loaded.test is not None and loaded.data.scene is not None
     assert loaded.data.scene["chosen"] == chosen and loaded.data.notes[-1] == trained.notes[-1]
     for data in (loaded.data, loaded.test):

@@ -254,7 +254,7 @@ def _fitting(guess: Guess) -> list[WindowRect]:
             width, height = across[1] - across[0], up[1] - up[0]
             if width > 0.0 and height > 0.0:
                 u, z = (_without(u, across), z) if width <= height else (u, _without(z, up))
-        if u[1] > u[0] and z[1] > z[0]:
+        if min(u[1] - u[0], z[1] - z[0]) > 1e-3:  # a millimetre
             kept.append(replace(rect, u_m=u, z_m=z))
     return kept
 
