@@ -16,6 +16,7 @@ from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.progress import progress
 from fieldlum.core.records import Site, listed
 from fieldlum.core.room_states import parse_state
+from fieldlum.core.statistics import nan_percentiles
 from fieldlum.sky.daylight import Light
 from fieldlum.sky.sky_view.disc import disc_of_hours
 from fieldlum.sky.sky_view.measured_discs import MeasuredDiscs
@@ -241,16 +242,21 @@ def _over_seasons(decided: _Decided, stack: _Stack) -> _Decided:
     if len(parts) < 2 or not decided.sky.any():
         return decided
     rays = view.pose.true_directions(stack.grid.rays()[stack.kept])
-    ratios, of_sky = [], []
-    for rows in parts:
-        luminance, of_part = stack.luminance_cdm2[rows], light[rows]
-        seen = follow(luminance, of_part, rays, sky_reference(luminance, of_part, rays))
-        ratios.append(seen.ratio)
-        of_sky.append(np.where(seen.spread < _FOLLOWS, seen.ratio, 0.0))
-    sky = stack.placed(np.max(of_sky, axis=0))
     # real skies of a season are within 40 % of Perez's; indoors is darker than half of a pane's sky
-    changes = stack.placed(np.min(ratios, axis=0)) < 0.5 * sky
-    changes &= sky > 0.5 * np.median(view.through[decided.sky])
+    pane_sky = 0.5 * np.median(view.through[decided.sky])
+    by_perez = stack.luminance_cdm2 / np.maximum(light.sky_at(rays), 1e-3)
+    quick = np.array([nan_percentiles(by_perez[rows], (50.0,))[0] for rows in parts])
+    likely = (quick.min(axis=0) < 0.7 * quick.max(axis=0)) & (quick.max(axis=0) > 0.7 * pane_sky)
+    sky, darkest = np.zeros(len(rays)), np.full(len(rays), np.inf)
+    for rows in parts if likely.any() else ():
+        luminance, of_part = stack.luminance_cdm2[rows], light[rows]
+        reference = sky_reference(luminance, of_part, rays)
+        seen = follow(luminance[:, likely], of_part, rays[likely], reference)
+        follows = np.where(seen.spread < _FOLLOWS, seen.ratio, 0.0)
+        sky[likely] = np.maximum(sky[likely], follows)
+        darkest[likely] = np.minimum(darkest[likely], seen.ratio)
+    changes = stack.placed((darkest < 0.5 * sky) & (sky > pane_sky)) > 0.0
+    sky = stack.placed(sky)
     low = np.where(changes, np.float32(0.0), view.low)
     high = np.where(changes, np.clip((1.0 + 2.0 * _SCALE_SD) * sky, view.high, 1.0), view.high)
     view = replace(view, low=low, high=high.astype(np.float32))
