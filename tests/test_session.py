@@ -330,7 +330,7 @@ def test_arrays_that_expand_without_limit_are_not_read(
     with codec.open_arrays(path, "a mask", "train again") as stored:
         assert stored["seen"].size == 2**21
     assert seen_of(tmp_path) is not None
-    monkeypatch.setattr(codec, "MAX_FILE_BYTES", 2**20)
+    monkeypatch.setattr(codec, "MAX_PICTURES_BYTES", 2**20)
     with (
         pytest.raises(InputError, match="would fill 2097"),
         codec.open_arrays(path, "a mask", "train again"),

@@ -81,14 +81,17 @@ def fit_and_choose(
     groups: NDArray[np.integer],
     solve: Callable[[Model, Mask], Parameters],
     errors: Callable[[Model, Parameters, Mask], Floats],
-    **how: Any,
+    *,
+    unit: str = "%",
+    scale: float = 100.0,
+    negligible: float = 0.0,
 ) -> tuple[Model, Parameters, OrderSelection]:
     """Return the model that held-out data choose, its parameters by all data, and the choice.
 
     models : each with its name and size, as in `choose`. groups [n] : of the data, see `folds`.
     solve : fits a model to the data of a mask. errors : squared errors of the data of a mask by a
-    model's parameters, NaN for a datum that cannot be predicted. what, how (unit, scale,
-    negligible) : as in `choose`.
+    model's parameters, NaN for a datum that cannot be predicted. what, unit, scale, negligible : as
+    in `choose`.
     """
     candidates = []
     for name, size, model in models:
@@ -96,7 +99,7 @@ def fit_and_choose(
         for held in folds(groups):
             squares[held] = errors(model, solve(model, ~held), held)
         candidates.append((name, size, squares[np.isfinite(squares)]))
-    choice = choose(what, candidates, **how)
+    choice = choose(what, candidates, unit, scale, negligible)
     chosen = models[choice.index][2]
     return chosen, solve(chosen, np.ones(len(groups), bool)), choice
 

@@ -22,15 +22,15 @@ from fieldlum.core.errors import InputError, input_errors
 _RUN = uuid.uuid4().hex[:12]  # another one in each process, on any computer
 
 
-# The largest files, EXR pictures with as many values as the reader accepts, are smaller; a sparse
-# file of a terabyte needs no disk. [bytes]
-MAX_FILE_BYTES = 2**30
+# A sparse file of a terabyte needs no disk. EXR pictures with as many values as the reader accepts
+# have less than a GiB; the arrays of a model of 2 200 captures can have more. [bytes]
+MAX_FILE_BYTES, MAX_ARRAY_BYTES = 2**30, 2**32
 
 
-def open_to_read(path: Path) -> BufferedReader:
+def open_to_read(path: Path, maximum_bytes: int = MAX_FILE_BYTES) -> BufferedReader:
     """Open a file for reading, and never wait for another program.
 
-    Raises OSError for a missing file, a pipe or device, and a file over 1 GiB.
+    Raises OSError for a missing file, a pipe or device, and a file over `maximum_bytes`.
     """
     wait = getattr(os, "O_NONBLOCK", 0)  # absent on Windows; without an effect on files
     file = open(path, "rb", opener=lambda name, flags: os.open(name, flags | wait))  # noqa: SIM115
@@ -38,9 +38,10 @@ def open_to_read(path: Path) -> BufferedReader:
     if not stat.S_ISREG(about.st_mode):
         file.close()
         raise OSError(errno.ENXIO, "a pipe or a device, which is no file", str(path))
-    if about.st_size > MAX_FILE_BYTES:
+    if about.st_size > maximum_bytes:
         file.close()
-        found = f"{about.st_size / 2**30:.1f} GiB, more than the limit of 1 GiB"
+        limit = f"the limit of {maximum_bytes / 2**30:g} GiB"
+        found = f"{about.st_size / 2**30:.1f} GiB, more than {limit}"
         raise OSError(errno.EOVERFLOW, found, str(path))
     return file
 
@@ -140,8 +141,8 @@ def disk_is_full(error: BaseException) -> bool:
 
 
 def sha256(path: Path) -> str:
-    """Return the SHA-256 of a file, in hex. Raises the errors of `open_to_read`."""
-    with open_to_read(path) as file:
+    """Return the SHA-256 of a file up to 4 GiB, in hex. Raises the errors of `open_to_read`."""
+    with open_to_read(path, MAX_ARRAY_BYTES) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 

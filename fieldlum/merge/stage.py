@@ -158,9 +158,14 @@ def _merge_readable(
 
     Raises InputError if less than half of the frames, or fewer than two, are readable.
     """
-    camera = {"profile": job.profile, "options": job.options, "heading_deg": job.heading_deg}
-    sky = {"sun_deg": sun_deg, "latitude_deg": job.site.latitude_deg}
-    merged = partial(merge_shots, **camera, **sky)
+    merged = partial(
+        merge_shots,
+        profile=job.profile,
+        options=job.options,
+        heading_deg=job.heading_deg,
+        sun_deg=sun_deg,
+        latitude_deg=job.site.latitude_deg,
+    )
     try:
         return merged(shots), []
     except InputError:

@@ -164,8 +164,6 @@ def read_radiance_hdr(path: Path) -> RadianceImage:
     """Read a Radiance picture. Raises InputError for any other file, or damaged pixels."""
     remedy = "check the path and the permissions of the picture"
     with input_errors(path, "a readable file", remedy, OSError):
-        if path.exists() and not path.is_file():
-            raise InputError(path, "no regular file", "a Radiance .hdr picture", remedy)
         with open_to_read(path) as file:
             header = _read_header(file, path)
             values = header.upright(_decoded(file, header, path))  # [H, W, 3]

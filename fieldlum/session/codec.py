@@ -26,7 +26,7 @@ from numpy.lib.npyio import NpzFile
 
 from fieldlum.core.arrays import Array
 from fieldlum.core.errors import ChangedFileWarning, InputError, input_errors
-from fieldlum.core.files import MAX_FILE_BYTES, open_to_read, read_bytes, replacing, sha256
+from fieldlum.core.files import MAX_ARRAY_BYTES, open_to_read, read_bytes, replacing, sha256
 from fieldlum.core.records import JsonTable, parse_utc, utc_text
 from fieldlum.core.strict_csv import plain_rows
 from fieldlum.core.strict_toml import convert
@@ -306,9 +306,9 @@ def write_columns(path: Path, columns: Mapping[str, Any], digits: int = 7) -> No
 # ----------------------------------------------------------------------------------------------
 # npz
 
-# What a compressed file may expand to besides its own size: models of 0.1.0 compress their mask of
-# seen pixels, and 16 MiB are one of 2 900 x 5 800 pixels.
-MAX_COMPRESSED_BYTES = 16 * 2**20
+# What a compressed file may expand to besides its own size. Of a model: 0.1.0 compressed its mask
+# of seen pixels, and 16 MiB are one of 2 900 x 5 800 pixels. Of pictures: chosen.
+MAX_COMPRESSED_BYTES, MAX_PICTURES_BYTES = 16 * 2**20, 2**30
 # What reading a damaged or missing file can raise; MemoryError for an impossible shape.
 NPZ_ERRORS = (OSError, ValueError, KeyError, EOFError, MemoryError, zipfile.BadZipFile)
 
@@ -319,18 +319,22 @@ def open_arrays(path: Path, expected: str, remedy: str, newest: int = 1) -> Iter
 
     newest: format version. Raises InputError for a missing file, a newer one, and other content.
     """
-    with input_errors(path, expected, remedy, *NPZ_ERRORS), _stored(path, MAX_FILE_BYTES) as stored:
+    errors = input_errors(path, expected, remedy, *NPZ_ERRORS)
+    with errors, _stored(path, MAX_PICTURES_BYTES) as stored:
         check_format(path, int(stored["format"]) if "format" in stored else 1, newest)
         yield stored
 
 
 @contextmanager
-def _stored(path: Path, maximum_bytes: int) -> Iterator[NpzFile]:
-    """Yield the arrays of a file. Raises ValueError if they would fill over `maximum_bytes`."""
-    with open_to_read(path) as file:
+def _stored(path: Path, more_bytes: int) -> Iterator[NpzFile]:
+    """Yield the arrays of a file.
+
+    Raises ValueError if they would fill over `more_bytes` more than the file itself.
+    """
+    with open_to_read(path, MAX_ARRAY_BYTES) as file:
         with zipfile.ZipFile(file) as archive:
             size = sum(member.file_size for member in archive.infolist())
-        if size > maximum_bytes:
+        if size > path.stat().st_size + more_bytes:
             found = f"it is compressed and would fill {size} bytes; expected no compression"
             raise ValueError(found)
         file.seek(0)
@@ -344,7 +348,7 @@ def read_arrays(path: Path) -> dict[str, Array]:
     Raises one of `NPZ_ERRORS` for a missing or damaged file, for objects, for compressed arrays
     over 16 MiB, and for values that are not finite.
     """
-    with _stored(path, path.stat().st_size + MAX_COMPRESSED_BYTES) as stored:
+    with _stored(path, MAX_COMPRESSED_BYTES) as stored:
         arrays = {name: stored[name] for name in stored.files}
     for name, values in arrays.items():
         if not isinstance(values, np.ndarray):  # bytes, of a member in another format

@@ -203,8 +203,8 @@ class Session:
     def site_file(self) -> SiteFile:
         """Return site, camera, room and pyranometer, as recorded when the session was planned.
 
-        Paths count from the session's folder or one above it (`with_paths_from`). Raises InputError
-        if the table [setup] of session.toml is wrong.
+        Its files are searched from the session's folder upwards (`with_paths_from`). Raises
+        InputError if the table [setup] of session.toml is wrong.
         """
         setup = site_from_table(self.table().get("setup", {}), str(self.toml))
         return with_paths_from(setup, self.root)

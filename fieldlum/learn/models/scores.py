@@ -245,10 +245,18 @@ def _glare_errors(
         np.log10(np.maximum(m.thin(58).luminance_cdm2, FLOOR_CDM2)).astype(np.float16)
         for m in (judged, replace(judged, luminance_cdm2=maps))
     )
-    at = judged.light.sun_altitude_deg, judged.light.sun_azimuth_deg
-    errors, dgp = scores.mse_weighted[with_glare], (true_dgp, glare["dgp"])
-    maps = true_contrast, contrast, measured, predicted
-    scores.maps = HeldOutMaps(np.array(judged.slots), *at, errors, *dgp, *maps)
+    scores.maps = HeldOutMaps(
+        slots=np.array(judged.slots),
+        sun_altitude_deg=judged.light.sun_altitude_deg,
+        sun_azimuth_deg=judged.light.sun_azimuth_deg,
+        log10_mse=scores.mse_weighted[with_glare],
+        dgp_measured=true_dgp,
+        dgp_predicted=glare["dgp"],
+        contrast_measured=true_contrast,
+        contrast_predicted=contrast,
+        measured_log10=measured,
+        predicted_log10=predicted,
+    )
 
 
 # ----------------------------------------------------------------------------------------------

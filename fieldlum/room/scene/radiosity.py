@@ -520,5 +520,14 @@ def lit_room(
     smooth = near_light((s.position, faces), (s.position, faces), _SHARED, reach_m)
     luminance = (s.weight * scene.reflectance[s.box] / np.pi).astype(np.float32)
     to_pixels = csr_matrix((luminance, (s.pixel, np.arange(m))), (2 * height**2, m))
-    coefficients = point_coefficients, smooth, to_pixels, (spread @ gathered).tocsr()
-    return LitRoom(setup, view, pieces, s, faces, *coefficients)
+    return LitRoom(
+        setup,
+        view,
+        pieces,
+        s,
+        faces,
+        point_coefficients=point_coefficients,
+        smooth=smooth,
+        to_pixels=to_pixels,
+        piece_coefficients=(spread @ gathered).tocsr(),
+    )

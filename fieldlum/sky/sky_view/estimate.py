@@ -356,8 +356,7 @@ def _notes(decided: _Decided) -> tuple[str, ...]:
         if share > 0.02:
             notes.append(
                 f"{100 * share:.0f} % of the sky in view is open in one season and hidden in "
-                "another (leaves): the sun's disc has bounds there; captures when the leaves come "
-                "and fall would show since when"
+                "another (leaves): whether the sun's disc is seen there is not known, all year"
             )
     return tuple(notes)
 
