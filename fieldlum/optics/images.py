@@ -163,10 +163,9 @@ def radiance_program(name: str) -> str:
 def read_radiance_hdr(path: Path) -> RadianceImage:
     """Read a Radiance picture. Raises InputError for any other file, or damaged pixels."""
     remedy = "check the path and the permissions of the picture"
-    with input_errors(path, "a readable file", remedy, OSError):
-        with open_to_read(path) as file:
-            header = _read_header(file, path)
-            values = header.upright(_decoded(file, header, path))  # [H, W, 3]
+    with input_errors(path, "a readable file", remedy, OSError), open_to_read(path) as file:
+        header = _read_header(file, path)
+        values = header.upright(_decoded(file, header, path))  # [H, W, 3]
     luminance = values @ header.cdm2_per_unit.astype(np.float32)
     rgb = np.divide(values, header.exposure, out=np.empty_like(values), casting="same_kind")
     if header.xyze:
