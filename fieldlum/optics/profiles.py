@@ -366,8 +366,8 @@ def uncalibrated_text(profile: CameraProfile) -> str:
     """
     vignetting = max((v.u_rel for lens in profile.lens for v in lens.vignetting), default=0.0)
     parts = {"scale": profile.scale.u_rel, "colour": profile.colour.u_rel, "vignetting": vignetting}
-    least = _U_NOT_CALIBRATED if profile.camera.date else 0.0
-    shares = [f"{name} {100 * u:.0f} %" for name, u in parts.items() if u > least]
+    limit = _U_NOT_CALIBRATED if profile.camera.date else 0.0
+    shares = [f"{name} {100 * u:.0f} %" for name, u in parts.items() if u > limit]
     texts = f"standard uncertainties are {', '.join(shares)}"
     if not profile.camera.date:
         why = f"no date of calibration: {texts}, and directions may be wrong by some degrees"

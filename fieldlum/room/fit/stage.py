@@ -122,9 +122,9 @@ MIN_TRUSTED_SHARE = 0.5  # chosen: of a year's hours; with less, most of the yea
 
 
 def directions_apart(suns: Floats) -> int:
-    """Return how many suns are at least BLOCK_DEG from each other, taken in their order.
+    """Return the number of suns that are at least BLOCK_DEG from each one counted before.
 
-    suns: unit vectors [n, 3].
+    suns: unit vectors [n, 3], counted in their order.
     """
     apart = suns[:1]
     for sun in suns[1:]:

@@ -398,7 +398,7 @@ def _checked(decided: _Decided, captured: Captured) -> SkyView:
     if shaded.any():
         named = [when[k] for k in np.flatnonzero(shaded)]
         notes += (
-            f"{len(named)} captures are dark at the sun, where others show the sky: "
+            f"{len(named)} captures are dark at the sun's place, where others show sky: "
             f"{listed(named, 3)}; a blind was probably down: mark it (fieldlum status --mark)",
         )
     return replace(view, **arrays, notes=notes)

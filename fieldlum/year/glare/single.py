@@ -38,7 +38,10 @@ MAX_EV_LX = 200_000.0
 # DGP was derived from rooms with at least this vertical illuminance (Wienold 2009); evalglare warns
 # at the same limit.
 MIN_DGP_EV_LX = 380.0
-_SCALE = "scale the picture with --calibrate-ev LX, the vertical illuminance measured at the lens"
+_SCALE = (
+    "scale the picture by the vertical illuminance measured at the lens (fieldlum glare "
+    "--calibrate-ev LX)"
+)
 
 
 def picture_glare(
