@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from datetime import date
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -27,11 +27,9 @@ from fieldlum.learn.models.data import Dataset, load_pairs
 from fieldlum.learn.models.scores import evaluate, summary, truth
 from fieldlum.learn.train import fit_timed, patch_mode
 from fieldlum.session.files.model_files import ScoreFigures
-from fieldlum.sky.daylight_kernel import Kernel, facades_of, greedy_hours, light_features
 
 CURVE = {
     "name": "model",
-    "way": "chosen",
     "captures": "captures",
     "log10_mse_weighted": "log10 MSE",
     "rer_weighted": "RER",
@@ -66,37 +64,24 @@ def is_year(data: Dataset) -> bool:
     return len(data) >= YEAR_HOURS and len(np.unique(months)) >= YEAR_MONTHS
 
 
-def most_informative(data: Dataset) -> np.ndarray:
-    """Return all row indices [n], each next capture lowering the predictive variance most."""
-    features = light_features(data.light)
-    kernel = Kernel(facades_of(data.setup.room))
-    return greedy_hours(kernel, features, features, len(data)).rows
-
-
 def learning_curve(
     spec: Spec,
     data: Dataset,
     test: Dataset,
-    way: Literal["random", "greedy"],
 ) -> list[dict[str, object]]:
-    """Return rows with the error on `test` of models trained on 25, 50 ... captures of `data`.
-
-    way: captures are drawn at random, or each is the most useful of those left (greedy).
-    """
+    """Return rows with the error on `test` of models trained on 25, 50 ... captures of `data`."""
     patch, asked = patch_mode(data, spec.patch), truth(test, glare=False)
     counts = curve_counts(len(data))
-    drawn = np.random.default_rng(0).permutation(len(data))
-    order = drawn if way == "random" else most_informative(data)
+    order = np.random.default_rng(0).permutation(len(data))
     rows: list[dict[str, object]] = []
     for k, count in enumerate(counts):
-        progress(k, len(counts), f"{way} {count}")
+        progress(k, len(counts), f"{count} captures")
         fitted, spent = fit_timed(
             spec.name, data.take(np.sort(order[:count])), patch=patch, seed=0, budget_s=None
         )
         scores = summary(evaluate(fitted, asked))
         rows.append(
-            {"name": spec.label, "way": way, "captures": count, "fit_cpu_s": spent.cpu_s}
-            | _figures(scores)
+            {"name": spec.label, "captures": count, "fit_cpu_s": spent.cpu_s} | _figures(scores)
         )
     return rows
 
@@ -193,19 +178,18 @@ def _figure(width: float, height: float) -> tuple[Any, Any]:
 
 
 def learning_curves(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Draw the error over the number of captures, random and greedy, for each model."""
+    """Draw the error over the number of captures, for each model."""
     figure, axis = _figure(6.5, 4.5)
     for name in dict.fromkeys(row["name"] for row in rows):
-        for way, style in (("random", "o--"), ("greedy", "o-")):
-            mine = [row for row in rows if row["name"] == name and row["way"] == way]
-            axis.plot(
-                [r["captures"] for r in mine],
-                [r["log10_mse_weighted"] for r in mine],
-                style,
-                color=_colour(name),
-                markersize=5,
-                label=f"{name}, {way}",
-            )
+        mine = [row for row in rows if row["name"] == name]
+        axis.plot(
+            [r["captures"] for r in mine],
+            [r["log10_mse_weighted"] for r in mine],
+            "o-",
+            color=_colour(name),
+            markersize=5,
+            label=name,
+        )
     axis.set(
         xscale="log", yscale="log", xlabel="captures", ylabel="log10 MSE, solid-angle weighted"
     )
@@ -254,8 +238,7 @@ def main() -> None:
         data.take(np.sort(order[:TEST_HOURS])),
         data.take(np.sort(order[TEST_HOURS:])),
     )
-    rows = learning_curve(spec, pool, test, "random")
-    rows += learning_curve(spec, pool, test, "greedy")
+    rows = learning_curve(spec, pool, test)
     store(asked.out, "learning_curve", rows, partial(learning_curves, rows=rows))
     print(markdown(rows, CURVE), flush=True)
 

@@ -1,11 +1,9 @@
-"""Light features, their kernel and the greedy choice of hours."""
+"""Light features and their kernel."""
 
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from learning_room import scaled
 from places import SEATTLE
 
@@ -16,7 +14,6 @@ from fieldlum.sky.daylight_kernel import (
     Kernel,
     facades_of,
     facades_unknown,
-    greedy_hours,
     light_features,
 )
 
@@ -102,49 +99,6 @@ def test_sun_behind_the_facade_teaches_little() -> None:
 def f_azimuth(f: object) -> float:
     x, y, _ = f.direction[0]  # pyright: ignore
     return float(np.degrees(np.arctan2(x, y)))
-
-
-@pytest.mark.property
-def test_greedy_equals_brute_force() -> None:
-    f = light_features(LIGHT)
-    kernel, noise = KERNELS[0], 3e-3
-    chosen = greedy_hours(kernel, f, f[:15], 4, noise=noise)
-    prior = kernel.diagonal(f)
-
-    def left(index: list[int]) -> float:
-        known = kernel(f[index], f[index]) + noise * np.eye(len(index))
-        cross = kernel(f, f[index])
-        return float(
-            (prior - np.einsum("ij,ij->i", cross, np.linalg.solve(known, cross.T).T)).sum()
-            / prior.sum()
-        )
-
-    taken: list[int] = []
-    for k in range(4):
-        scores = {i: left([*taken, i]) for i in range(15) if i not in taken}
-        best = min(scores, key=lambda i: scores[i])
-        assert scores[int(chosen.rows[k])] == pytest.approx(scores[best], abs=1e-6)
-        assert chosen.variance[k + 1] == pytest.approx(scores[int(chosen.rows[k])], abs=1e-5)
-        taken.append(int(chosen.rows[k]))
-
-
-@pytest.mark.property
-def test_greedy_goes_on_from_what_is_taken() -> None:
-    f = light_features(LIGHT)
-    once = greedy_hours(KERNELS[0], f, f, 8)
-    again = greedy_hours(KERNELS[0], f, f, 4, taken=f[once.rows[:4]])
-    assert np.allclose(again.variance, once.variance[4:], atol=1e-4)
-    assert len(set(once.rows.tolist())) == 8
-
-
-@pytest.mark.property
-@settings(deadline=None, max_examples=10)
-@given(st.integers(1, 40))
-def test_greedy_never_repeats_and_never_worsens(count: int) -> None:
-    f = light_features(LIGHT)
-    chosen = greedy_hours(KERNELS[1], f, f, count)
-    assert len(set(chosen.rows.tolist())) == count
-    assert np.all(np.diff(chosen.variance) <= 1e-9)
 
 
 @pytest.mark.contract

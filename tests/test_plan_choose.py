@@ -1,4 +1,4 @@
-"""Choosing, coverage, calendar, sheets, make-ups and coming hours."""
+"""Choosing, coverage, calendar, sheets and make-ups."""
 
 import json
 from datetime import UTC, date, datetime, timedelta
@@ -13,8 +13,6 @@ from places import SEATTLE
 
 from fieldlum import plan
 from fieldlum.cli import main
-from fieldlum.core.arrays import Array
-from fieldlum.core.errors import InputError
 from fieldlum.core.plot_style import svg_of
 from fieldlum.core.records import (
     CameraSetup,
@@ -23,12 +21,9 @@ from fieldlum.core.records import (
     Site,
     SiteFile,
     Window,
-    slot_id,
-    utc_text,
 )
-from fieldlum.learn.models import stored
 from fieldlum.optics.profiles import save_profile
-from fieldlum.plan import choose, makeup, next_hours
+from fieldlum.plan import choose, makeup
 from fieldlum.plan import sheet as calendar
 from fieldlum.plan.capture_days import (
     DaylightHours,
@@ -41,7 +36,6 @@ from fieldlum.plan.capture_days import (
 from fieldlum.session import Journal, create_session, open_session
 from fieldlum.session.site_toml import site_table
 from fieldlum.sky import sun
-from fieldlum.sky.daylight_kernel import Facades, Kernel
 from fieldlum.weather import Weather, synthetic_weather
 
 ROOM = Room(window=(Window("south", 0.5, 5.0, 0.9, 3.1),))
@@ -84,29 +78,12 @@ def test_medoids_find_clusters() -> None:
     assert sorted(choose.medoids(cloud, 4, rng) // 25) == [0, 1, 2, 3]
 
 
-@pytest.mark.slow
 @pytest.mark.property
-def test_best_beats_even_beats_a_lopsided_choice(weather: Weather, year: DaylightHours) -> None:
-    task = choose.learning(SEATTLE, ROOM, weather)
-    rng = np.random.default_rng(1)
-    left = {
-        name: choose.variance_left(task, choose.features_at(year[index], task)[1])
-        for name, index in (
-            ("best", choose.best(year, task, 40)),
-            ("even", choose.even(year, weather, 40, rng)),
-            ("january", np.arange(40)),
-        )
-    }
-    assert left["best"] < left["even"] < 0.3 * left["january"]
-
-
-@pytest.mark.slow
-@pytest.mark.property
-def test_march_teaches_more_than_december(weather: Weather) -> None:
-    task = choose.learning(SEATTLE, ROOM, weather)
-    months = plan._months(task, 1.0, 31, 2027)
-    assert months["best"] in ("March", "April", "August", "September", "October")
-    assert months["by_month"][11] > 2 * min(months["by_month"]) == 2.0
+def test_even_hours_reach_more_skies_than_a_month(weather: Weather, year: DaylightHours) -> None:
+    chosen = year[choose.even(year, weather, 40, np.random.default_rng(1))]
+    even, january = (coverage(some, SEATTLE, weather) for some in (chosen, year[range(40)]))
+    assert even.both_percent is not None and january.both_percent is not None
+    assert even.both_percent > 2 * january.both_percent
 
 
 # ----------------------------------------------------------------------------------------------
@@ -198,7 +175,7 @@ def test_a_sheet_under_the_midnight_sun_names_the_next_day() -> None:
 
 
 # ----------------------------------------------------------------------------------------------
-# make-ups, coming hours
+# make-ups
 
 
 def _session(folder: Path, hours: DaylightHours, done: int) -> Path:
@@ -292,66 +269,8 @@ def test_nothing_missed_is_nothing_to_do(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.property
-def test_coming_hours_prefer_what_was_not_seen(tmp_path: Path, weather: Weather) -> None:
-    """All mornings captured: the afternoon sun, which was never seen, ranks first."""
-    hours = daylight_hours(span(date(2027, 4, 1), 10), SEATTLE)
-    mornings = hours[np.flatnonzero(hours.azimuth_deg < 180)]
-    session = open_session(_session(tmp_path, mornings, len(mornings)))
-    answer = next_hours.run(session, weather, datetime(2027, 4, 12, tzinfo=UTC))
-    assert answer["captured"] == len(mornings) and answer["next_batch"]["pays"]
-    afternoon = [hour["sun_azimuth_deg"] > 180 for hour in answer["hours"]]
-    assert all(afternoon[:3]) and sum(afternoon) >= 8
-    drops = [hour["reduction_percent"] for hour in answer["hours"]]
-    assert drops == sorted(drops, reverse=True)
-
-
 @pytest.mark.contract
-def test_a_paired_capture_counts_once(tmp_path: Path, weather: Weather) -> None:
-    """The time of a pair is the middle of its bracket, some seconds after the slot."""
-    hours = daylight_hours([date(2027, 4, 1)], SEATTLE)
-    session = open_session(_session(tmp_path, hours, len(hours)))
-    rows = [
-        f"{utc_text(t + timedelta(seconds=6))},panoramas/{slot_id(t)}.exr,500,100"
-        for t in hours.t_utc
-    ]
-    head = "t_utc,panorama,dni_wm2,dhi_wm2"
-    session.pairs.write_text("\n".join([head, *rows[1:], ""]), encoding="utf-8")
-    captured = next_hours.captured_features(session, choose.learning(SEATTLE, None, weather))
-    assert len(captured) == len(hours)
-
-
-@pytest.mark.slow
-@pytest.mark.contract
-def test_coming_hours_use_a_trained_kernel(tmp_path: Path, weather: Weather) -> None:
-    """A model that says its light comes from the north finds other hours worth taking."""
-    hours = daylight_hours(span(date(2027, 4, 1), 2), SEATTLE)
-    session = open_session(_session(tmp_path, hours, len(hours)))
-    folder = session.models / "north"
-    folder.mkdir(parents=True)
-    arrays: dict[str, Array] = {}
-    kernel = stored(Kernel(Facades(np.array([0.0]), np.ones(1)), beam_width=0.3), "array", arrays)
-    (folder / "config.json").write_text(
-        json.dumps({"model": "transport", "transport": {"kernel": kernel}})
-    )
-    np.savez(folder / "weights.npz", **arrays)
-    found = next_hours.trained_kernel(session)
-    assert found is not None and found[1] == "north" and found[0].beam_width == 0.3
-    assert next_hours.run(session, weather, datetime(2027, 4, 12, tzinfo=UTC))["model"] == "north"
-    elsewhere = {
-        "model": "transport",
-        "setup": {"site": {"latitude_deg": -33.9, "longitude_deg": 151.2}},
-    }
-    (folder / "config.json").write_text(json.dumps(elsewhere))
-    assert next_hours.trained_kernel(session) is None
-    (folder / "config.json").write_text(json.dumps({"model": "transport"}))
-    with pytest.raises(InputError, match="train the model again"):
-        next_hours.trained_kernel(session)
-
-
-@pytest.mark.slow
-@pytest.mark.contract
-def test_command_best_next_and_replan(tmp_path: Path, weather: Weather) -> None:
+def test_command_even_and_replan(tmp_path: Path, weather: Weather) -> None:
     import tomli_w
 
     from fieldlum.optics.profiles import Bracket, CameraBody, CameraProfile, Lens
@@ -382,13 +301,8 @@ def test_command_best_next_and_replan(tmp_path: Path, weather: Weather) -> None:
         return json.loads(found.stdout)
 
     base = ("--year", "2027", "--weather", file)
-    made = call(site, "--set", "best", "--count", "5", *base, "--out", out)
-    assert made["slots"] == 5 and made["variance_left_percent"] < 50
+    made = call(site, "--set", "even", "--count", "5", *base, "--out", out)
+    assert made["slots"] == 5 and made["coverage"]["both_percent"] > 0
     assert (out / "plan.ics").exists() and (out / "plan.html").exists()
     past = call(site, "--set", "month", "--start", start, "--days", "1", "--out", tmp_path / "p")
     assert call(tmp_path / "p", "--replan")["missed"] == past["slots"]
-    assert len(call(tmp_path / "p", "--next", "--weather", file)["hours"]) == 12
-    wrong = CliRunner().invoke(
-        main, ["plan", str(site), "--set", "best", "--out", str(tmp_path / "x")]
-    )
-    assert wrong.exit_code == 2 and "--weather" in wrong.stderr

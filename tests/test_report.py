@@ -21,7 +21,6 @@ from fieldlum import report
 from fieldlum.cli import main
 from fieldlum.core.records import Exposure, Slot
 from fieldlum.learn import models, train
-from fieldlum.plan import next_hours
 from fieldlum.report import sections as annual_page
 from fieldlum.report.page import NOTHING, Quantity, heat_map
 from fieldlum.report.sections import melanopic_section, melanopic_shares
@@ -239,14 +238,6 @@ def test_what_training_doubts_is_on_the_first_screen(session: Session, tmp_path:
             assert (predict.read_annual(year.folder).hours["trusted"] == trusted).all()
         first_screen = report._warnings(session, year)
         assert any(f"From training: {warning[9:40]}" in text for text in first_screen)
-
-
-@pytest.mark.slow
-@pytest.mark.contract
-def test_coming_hours_are_ranked_by_the_kernel_as_train_stores_it(session: Session) -> None:
-    trained = next_hours.trained_kernel(session)
-    assert trained is not None and trained[1] == "transport"
-    assert trained[0].facades.weights.sum() > 0
 
 
 @pytest.mark.slow

@@ -446,7 +446,6 @@ def _answer(dgp: float, captures: int) -> dict[str, Any]:
         }
         for az, certain, value in ((0.0, True, dgp), (180.0, False, 0.41), (270.0, False, None))
     ]
-    hour = {"t_utc": "2027-03-24T15:30:00Z", "reduction_percent": 2.5, "planned": False}
     return {
         "t_utc": "2027-03-21T02:00:00Z",
         "captures": captures,
@@ -454,7 +453,6 @@ def _answer(dgp: float, captures: int) -> dict[str, Any]:
         "synthetic": True,
         "warnings": [HOSTILE],
         "protection": rows,
-        "useful": [hour],
     }
 
 

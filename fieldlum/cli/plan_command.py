@@ -29,65 +29,59 @@ def command(
     weather_file: Path | None = None,
     label_shift_min: float = 0.0,
     out: Path | None = None,
-    next_: bool = False,
     replan: bool = False,
     as_json: bool = False,
 ) -> None:
     """Choose the hours to capture and write the session.
 
     Writes plan.csv, a calendar (plan.ics) and one printable sheet per day (plan.html). With a
-    session, --next lists what to capture next, and --replan adds make-up slots for missed hours.
+    session, --replan adds make-up slots for missed hours.
 
     \b
     Example:
       fieldlum plan office.toml --set 9-day --out office-2027
-      fieldlum plan office-2027 --next --weather seattle.epw
       fieldlum plan office-2027 --replan
 
     Options:
-      --set: Which hours of the year to capture; best needs --weather.
+      --set: Which hours of the year to capture.
       --start YYYY-MM-DD: First day, local date. [default: the next possible one]
       --year: Plan the events of this year, in place of --start.
-      --days: Number of days of a month (31), or of the period for even and best (365).
-      --count: Number of hours, for even (200) and best (50).
+      --days: Number of days of a month (31), or of the period for even (365).
+      --count: Number of hours, for even (200).
       --weather: Weather year (EPW, TMY3 or CSV), for skies and coverage.
       --out: The session folder to write.
-      --next: Rank the hours of the next two weeks by how much they would improve the model.
       --replan: Add make-up slots for the missed ones.
     """
     from fieldlum.session import open_session
     from fieldlum.session.site_toml import load_site
     from fieldlum.weather import read_weather
 
-    of_session, day = next_ or replan, start.date() if start else None
-    dates, sets = (out, day, year, days, count), ("month", "even", "best")
+    day = start.date() if start else None
+    dates = out, day, year, days, count
     example = "for example: fieldlum plan SITE.toml --set 9-day --out my-session"
-    no_weather = not weather_file
-    climate = "the best hours depend on the climate: name a weather year with --weather FILE"
     wrong = {
-        "--next and --replan exclude each other": next_ and replan,
-        "--next and --replan work on a session, with its dates: omit --set, --out, --start, "
-        "--year, --days and --count": of_session and (set_ or any(dates)),
-        f"{target} is a folder: a new plan needs a SITE.toml; a session takes --next or --replan": (
-            target.is_dir() and not of_session
+        "--replan works on a session, with its dates: omit --set, --out, --start, --year, --days "
+        "and --count": replan and (set_ or any(dates)),
+        f"{target} is a folder: a new plan needs a SITE.toml; a session takes --replan": (
+            target.is_dir() and not replan
         ),
-        "--label-shift needs a weather file: name one with --weather": label_shift_min
-        and no_weather,
-        f"name --set and --out, {example}": not of_session and not (set_ and out),
-        climate: set_ == "best" and no_weather,
+        "--label-shift needs a weather file: name one with --weather": (
+            label_shift_min and not weather_file
+        ),
+        f"name --set and --out, {example}": not replan and not (set_ and out),
         "--start: expected a year from 1950 to 2100": day and not 1950 <= day.year <= 2100,
         "--start and --year exclude each other: use one of them": day and year,
-        "--count needs --set even or best": count and set_ not in sets[1:],
-        "--days needs --set month, even or best": days and set_ not in sets,
+        "--count needs --set even": count and set_ != "even",
+        "--days needs --set month or even": days and set_ not in ("month", "even"),
     }
     if text := next((text for text, is_wrong in wrong.items() if is_wrong), ""):
         raise click.UsageError(text)
-    session = open_session(target) if of_session else None
+    session = open_session(target) if replan else None
     setup = load_site(target) if session is None else session.site_file()
     site, shift = setup.site, label_shift_min
     weather = weather_file and read_weather(weather_file, site, label_shift_min=shift)
     if session is not None:
-        answer, sentences = (_coming if next_ else _replanned)(session, weather)
+        answer, sentences = _replanned(session, weather)
     else:
         assert out is not None
         answer, sentences = _planned(setup, (set_, day, year, days, count), weather, out)
@@ -127,19 +121,6 @@ def _permit_room(setup: SiteFile) -> None:
         permit(wanted)
     except OSError as error:
         terminal.say(f"note: could not store the permission ({error}): fieldlum permit {path}")
-
-
-def _coming(session: Session, weather: Weather | None) -> tuple[dict, list[str]]:
-    from fieldlum.plan import next_hours
-    from fieldlum.weather import synthetic_weather
-
-    site = session.site_file().site
-    if weather is None:
-        weather = synthetic_weather(site)
-        terminal.say("note: no --weather: clear skies with random clouds are used")
-    with terminal.progress("ranking hours"):
-        answer = next_hours.run(session, weather, datetime.now(UTC))
-    return answer, next_hours.sentences(answer, site)
 
 
 def _replanned(session: Session, weather: Weather | None) -> tuple[dict, list[str]]:

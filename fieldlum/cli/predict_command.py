@@ -73,6 +73,4 @@ def command(
     for row in summary.protection:
         azimuth = row.azimuth_deg
         lines.append(f"  {compass_name(azimuth):3} {azimuth:5.1f}°  {row.sentence}")
-    if any(not row.certain and row.low is not None for row in summary.protection):
-        lines.append("Hours whose capture helps to settle a class: fieldlum plan SESSION --next")
     print_answer(as_json, {"folder": str(annual.folder), "new": new, **annual.about}, lines)

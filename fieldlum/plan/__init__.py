@@ -76,11 +76,9 @@ _NO_WINDOW = (
 def make_plan(setup: SiteFile, request: Request, weather: Weather | None = None) -> Plan:
     """Return the plan of a set: slots, cost, coverage and warnings; write nothing.
 
-    weather: a year of the place, needed by `best`; it adds the coverage of its daylight, and the
-    uncertainty that the captures would leave. None: without these. Raises NotEnoughDataError if no
-    hour of the set has the sun above the horizon, if `best` has no weather, or if `even` or `best`
-    has weather without daylight on the days of the set; InputError for a profile or room that
-    cannot be used.
+    weather: a year of the place, which adds the coverage of its daylight; None: without. Raises
+    NotEnoughDataError if no hour of the set has the sun above the horizon, or if `even` has weather
+    without daylight on the days of the set; InputError for a profile or room that cannot be used.
     """
     site, room = setup.site, setup.room
     days = set_days(request.set, site, request.today, request.start, request.year, request.days)
@@ -88,22 +86,21 @@ def make_plan(setup: SiteFile, request: Request, weather: Weather | None = None)
     night = f"polar night: the sun does not rise at {site.name} ({site.latitude_deg:g} deg)"
     hours = daylight_hours(days, site)
     _refuse_empty(hours, f"{night} {from_to}", "choose another --start or --set")
-    task = choose.learning(site, room, weather) if weather is not None else None
-    chosen = _chosen(request, hours, weather, task)
+    if request.set == "even":
+        rng = np.random.default_rng(request.seed)
+        hours = hours[choose.even(hours, weather, request.count or 200, rng)]
     remedy = "choose its dates with --start or --year, or another weather file"
-    _refuse_empty(chosen, f"the weather file has no daylight {from_to}", remedy)
+    _refuse_empty(hours, f"the weather file has no daylight {from_to}", remedy)
     profile = profiles.load_camera_profile(setup.camera.profile)
     exposures = profiles.planned_exposures(profile, setup.camera)
-    slots = make_slots(chosen, setup, exposures)
-    remaining = _variance_left(task, chosen) if task else None
-    to_compare = (task, remaining) if task and remaining and request.set == "month" else None
+    slots = make_slots(hours, setup, exposures)
     warnings = (
         *profiles.assumed_texts(setup.camera),
         profiles.uncalibrated_text(profile),
         profiles.coverage_text(profile, setup.camera),
         profiles.turning_text(setup.camera),
         profiles.sun_text(slots),
-        *plan_warnings(days, chosen, site, request),
+        *plan_warnings(days, hours, site, request),
         _NO_WINDOW if room and room.kind == "box" and not room.window else "",
         *(weather.repairs if weather else ()),
     )
@@ -111,9 +108,7 @@ def make_plan(setup: SiteFile, request: Request, weather: Weather | None = None)
         slots,
         tuple(days),
         *_cost_of(profile.bracket, exposures, setup),
-        coverage(chosen, site, weather),
-        remaining,
-        _months(*to_compare, len(days), days[0].year) if to_compare else None,
+        coverage(hours, site, weather),
         tuple(text for text in warnings if text),
     )
 
@@ -122,39 +117,6 @@ def _refuse_empty(hours: DaylightHours, finding: str, remedy: str) -> None:
     """Raise NotEnoughDataError if there are no hours."""
     if not len(hours):
         raise NotEnoughDataError(f"{finding}, so the plan would be empty; {remedy}")
-
-
-def _chosen(
-    request: Request, hours: DaylightHours, weather: Weather | None, task: choose.Learning | None
-) -> DaylightHours:
-    if request.set == "even":
-        rng, count = np.random.default_rng(request.seed), request.count or 200
-        return hours[choose.even(hours, weather, count, rng)]
-    if request.set != "best":
-        return hours
-    if task is None:
-        raise NotEnoughDataError(
-            "the best hours depend on the climate; state a weather year with --weather FILE"
-        )
-    return hours[choose.best(hours, task, request.count or 50)]
-
-
-def _variance_left(task: choose.Learning, hours: DaylightHours) -> float:
-    return choose.variance_left(task, choose.features_at(hours, task)[1])
-
-
-def _months(task: choose.Learning, variance_left: float, days: int, year: int) -> JsonTable:
-    """Return the expected squared error of a capture month over that of the best month.
-
-    It is the variance that the month's captures leave. best: name of the calendar month with the
-    least; times_best: of the planned month, 1 or more; by_month: of `days` days around the 16th of
-    each calendar month, January first.
-    """
-    middles = [date(year, month, 16) - timedelta(days=days // 2) for month in range(1, 13)]
-    months = [_variance_left(task, daylight_hours(span(d, days), task.site)) for d in middles]
-    best, minimum = f"{date(year, int(np.argmin(months)) + 1, 1):%B}", min(*months, variance_left)
-    by_month = [value / minimum for value in months]
-    return {"best": best, "times_best": variance_left / minimum, "by_month": by_month}
 
 
 # ----------------------------------------------------------------------------------------------
@@ -255,10 +217,9 @@ def _planned_cost(session: Session) -> tuple[float, float, int]:
 class Request:
     """The options of the command `plan`.
 
-    set: 4-day, 9-day, 12-day, month, even or best; today: the local date; start: first date; year:
-    of the equinoxes and solstices, or of a first date on 1 January; days: number for month, even
-    and best; count: of hours, for even (200, as Liu, Colburn and Inanici 2020)
-    and best (50); seed: for even.
+    set: 4-day, 9-day, 12-day, month or even; today: the local date; start: first date; year:
+    of the equinoxes and solstices, or of a first date on 1 January; days: number for month
+    and even; count: of hours, for even (200, as Liu, Colburn and Inanici 2020); seed: for even.
     """
 
     set: str
@@ -274,10 +235,7 @@ class Request:
 class Plan:
     """The slots of a set, their cost and coverage, and the warnings.
 
-    days: all days of the set, also those without slots; variance_left: share of the prior variance
-    over the year that the captures leave, None without weather; months: only for the set
-    `month` with weather, else None: expected squared error over that of the best month; best: name
-    of that month; times_best: of the planned month; by_month: of each month, January first [12].
+    days: all days of the set, also those without slots.
     """
 
     slots: tuple[Slot, ...]
@@ -285,8 +243,6 @@ class Plan:
     seconds_per_slot: float
     megabytes_per_slot: float
     coverage: Coverage
-    variance_left: float | None
-    months: JsonTable | None
     warnings: tuple[str, ...]
 
     def about(self, request: Request) -> PlanTable:
@@ -315,7 +271,7 @@ def plan_warnings(
     """
     texts: list[str] = []
     count, zone = Counter(sun.standard_date(t, site.timezone) for t in hours.t_utc), site.timezone
-    if request.set not in ("even", "best"):
+    if request.set != "even":
         dark, light = (sum(count[d] == n for d in days) for n in (0, 24))
         if dark:
             texts.append(f"polar night: no slot on {dark} of {len(days)} days")
@@ -351,7 +307,7 @@ def summary(session: Session, plan: Plan) -> JsonTable:
     local time on the first day, which reveals a longitude with a wrong sign, "" if unknown; frames,
     megabytes: of all slots, at every heading; seconds_per_slot; size_is_known: whether SITE.toml
     names the camera profile; tags: number of slots with each tag; coverage: fields of `Coverage`;
-    variance_left_percent, month, warnings: as in `Plan`, None if unknown.
+    warnings: as in `Plan`.
     """
     slots, setup = plan.slots, session.site_file()
     site, turns = setup.site, max(len(setup.camera.headings), 1)
@@ -370,8 +326,6 @@ def summary(session: Session, plan: Plan) -> JsonTable:
         "size_is_known": "profile" not in setup.camera.assumed,
         "tags": dict(sorted(Counter(tag for slot in slots for tag in slot.tags).items())),
         "coverage": asdict(plan.coverage),
-        "variance_left_percent": None if plan.variance_left is None else 100 * plan.variance_left,
-        "month": plan.months,
         "warnings": plan.warnings,
     }
 
@@ -402,16 +356,5 @@ def sentences(summary: JsonTable) -> list[str]:
         texts.append(
             f"if the sky is clear, the sun shines through a window in {tags['sun-enters']} slots, "
             f"and the camera sees the sun itself in {tags.get('sun-in-view', 0)} slots"
-        )
-    if (percent := summary["variance_left_percent"]) is not None:
-        texts.append(
-            f"after these captures {percent:.2g} % of the model's variance over the year is left "
-            f"({10 * percent**0.5:.2g} % of its standard uncertainty), if skies are as in the "
-            "weather file"
-        )
-    if (month := summary["month"]) is not None:
-        texts.append(
-            f"the expected squared error of a model from this month is {month['times_best']:.2f} "
-            f"times that of the best month, {month['best']}"
         )
     return texts

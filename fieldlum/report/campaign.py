@@ -176,7 +176,7 @@ def _table(rooms: Sequence[RoomOverview]) -> Section:
     text = (
         "The room with the most glare first. A class in grey is not certain yet: the captures do "
         "not decide it. Failed slots were missed, aborted, or rejected by fieldlum pair: fieldlum "
-        "status lists them, and fieldlum plan SESSION --next ranks coming hours."
+        "status lists them."
     )
     counts = ("room", "captured", "to do", "failed")
     glare = ("worst direction", "class", "DGP in 5 %", f"hours above {_GLARE_DGP}")

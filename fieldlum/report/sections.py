@@ -136,8 +136,6 @@ def directions_section(annual: Annual) -> Section:
     head = ("view direction", "class", "settled", "DGP in 5 %", "95 % interval")
     notes = " ".join(map(sentence, annual.summary.notes[1:]))
     text = f"Occupied hours: {annual.summary.occupancy.text}. {notes}"
-    if any(not row.certain and row.low is not None for row in summary):
-        text += " Hours whose capture helps to settle a class: fieldlum plan SESSION --next."
     text += (
         " GA (glare autonomy, honeybee): occupied hours with DGP of at most 0.40. sDG "
         "(ClimateStudio): whether DGP exceeds 0.38 in over 5 % of them."

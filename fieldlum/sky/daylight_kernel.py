@@ -1,22 +1,19 @@
-"""Compare hours by their light: facades, features of an hour, a kernel, and the choice of hours.
+"""Compare hours by their light: facades, features of an hour, and a kernel.
 
 A room responds linearly to the sky's patches and to the sun. Its response varies smoothly with the
 sun's direction, except for the sharp sun patch, which is known from geometry or has its own model.
 The kernel is the covariance that follows: linear in the sky vector, linear in the sun's share and
-smooth in its direction; a sun behind all facades adds little. `plan` uses it before any picture
-exists, `learn.transport` to learn from pictures.
+smooth in its direction; a sun behind all facades adds little.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
-from fieldlum.core.arrays import Array, Floats, Floats32, Indices
-from fieldlum.core.progress import progress
+from fieldlum.core.arrays import Array, Floats, Floats32
 from fieldlum.core.records import Room
 from fieldlum.sky import sun
 from fieldlum.sky.daylight import Light
@@ -171,61 +168,3 @@ def _facade(a: Features, facades: Facades) -> Floats:
     """Return the sun's share on each facade, [n, f]."""
     on = BEHIND + np.maximum(a.direction @ facades.normals.T, 0.0)
     return a.beam[:, None] * on / FACING * np.sqrt(facades.weights)
-
-
-# ----------------------------------------------------------------------------------------------
-# choosing hours
-
-
-class GreedySelection(NamedTuple):
-    """The k hours that `greedy_hours` chose.
-
-    rows [k]: in the pool, in the order of choice; variance [k + 1]: predictive
-    variance of the year divided by its prior variance (1: nothing known, 0: everything); the first
-    value is before any choice, then one after each choice.
-    """
-
-    rows: Indices
-    variance: Floats
-
-
-def greedy_hours(
-    kernel: Kernel,
-    year: Features,
-    pool: Features,
-    count: int,
-    *,
-    taken: Features | None = None,
-    noise: float = 3e-3,
-) -> GreedySelection:
-    """Choose `count` hours of `pool`, each time the one that most reduces the variance over `year`.
-
-    year, pool: features of the hours to predict and of the hours that can be chosen; no picture is
-    needed. All of `pool` is chosen if it has fewer than `count` hours. taken: features of hours
-    already captured, which reduce the variance first; None for none. noise: variance
-    of one capture, in units of the kernel (docs/decisions.md). Cost: O((len(year) + len(pool))
-    len(pool) count).
-    """
-    cross, own, prior = kernel(year, pool), kernel(pool, pool), kernel.diagonal(year)
-    total = remaining = float(prior.sum())
-    if taken is not None and len(taken):
-        covariance = kernel(taken, taken) + noise * np.eye(len(taken))
-        year_taken, pool_taken = kernel(year, taken), kernel(pool, taken)
-        towards = np.linalg.solve(covariance, np.concatenate((pool_taken, year_taken)).T)
-        cross = cross - year_taken @ towards[:, : len(pool)]
-        own = own - pool_taken @ towards[:, : len(pool)]
-        remaining -= float(np.einsum("ij,ji->", year_taken, towards[:, len(pool) :]))
-    index, variance = [], [remaining / total]
-    free = np.ones(len(pool), bool)
-    for step in range(min(count, len(pool))):
-        variances = np.maximum(np.diagonal(own), 0.0) + noise
-        gain = np.where(free, (cross**2).sum(axis=0) / variances, -1.0)
-        best = int(np.argmax(gain))
-        index.append(best)
-        free[best] = False
-        variance.append(max(variance[-1] - float(gain[best]) / total, 0.0))
-        row = own[best] / variances[best]
-        cross = cross - np.outer(cross[:, best], row)
-        own = own - np.outer(own[:, best], row)
-        progress(step + 1, count, "hours chosen")
-    return GreedySelection(np.array(index, np.intp), np.array(variance))

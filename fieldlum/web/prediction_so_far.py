@@ -122,8 +122,6 @@ class Worker:
         year = ("predict", str(model), "--weather", self.weather, "--out", str(annual))
         good = self._run("train", *fitting) and self._run("predict", *year)
         if good:
-            option = () if self.weather == "synthetic" else ("--weather", self.weather)
-            self._run("useful hours", "plan", root, "--next", "--json", *option)
             with suppress(OSError, ValueError, KeyError, InputError):
                 self._keep(captured, annual)
         if not self._stop.is_set():
@@ -132,9 +130,6 @@ class Worker:
     def _keep(self, captured: int, annual: Path) -> None:
         """Write the classes into answer.json."""
         year = PredictFile.read(annual)
-        hours: list[JsonTable] = []
-        with suppress(OSError, ValueError, KeyError):
-            hours = json.loads(read_bytes(self.folder / "useful hours.out"))["hours"]
         answer = {
             "t_utc": utc_text(datetime.now(UTC)),
             "captures": captured,
@@ -142,7 +137,6 @@ class Worker:
             "synthetic": year.weather.synthetic,
             "warnings": [*year.model_warnings, *year.notes],
             "protection": to_json(year.protection),
-            "useful": hours[:8],
         }
         with replacing(self.folder / "answer.json", "w", encoding="utf-8") as file:
             json.dump(answer, file)
@@ -207,7 +201,7 @@ def read_answer(session: Session) -> JsonTable | None:
 
     It is the result of one run of `Worker`. t_utc: its time; captures: number of captured slots;
     weather: its name; synthetic: whether it is a synthetic year; warnings: texts; protection: a
-    `DirectionYear` for each view direction; useful: at most eight of the `hours` of `plan --next`.
+    `DirectionYear` for each view direction.
     """
     try:
         answer = json.loads(read_bytes(session.root / "watch" / "answer.json"))

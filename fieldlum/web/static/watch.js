@@ -472,11 +472,6 @@ function drawAnswer(a) {
   );
   const next = [];
   if (last) {
-    for (const hour of last.useful.slice(0, 4))
-      next.push(
-        `Useful coming hour: ${local(hour.t_utc)}${hour.planned ? ", planned" : ", not planned"} ` +
-          `(${number(hour.reduction_percent, 1)} % of the model's remaining variance).`,
-      );
     for (const text of last.warnings.slice(0, 4)) next.push(`Doubt: ${text}`);
   }
   byId("answer-next").replaceChildren(...next.map(text => put("li", {}, text)));
