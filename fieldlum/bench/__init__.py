@@ -54,7 +54,10 @@ def markdown(rows: Sequence[Mapping[str, object]], columns: Mapping[str, str] | 
 def store(
     out: Path, name: str, rows: Sequence[Mapping[str, object]], draw: Callable[[Path], None]
 ) -> None:
-    """Write rows to out/NAME.csv, and the chart that `draw(path)` writes to out/NAME.png."""
+    """Write rows to out/NAME.csv, and the chart that `draw(path)` writes to out/NAME.png.
+
+    name: NAME; rows: with the same keys.
+    """
     write_csv(out / f"{name}.csv", rows)
     with replacing_path(out / f"{name}.png") as path:
         draw(path)
@@ -145,7 +148,10 @@ def pareto(points: Sequence[tuple[float, float]]) -> list[int]:
 
 
 def speed_accuracy(path: Path, rows: Sequence[Mapping[str, Any]], machine: str) -> None:
-    """Draw each model's log10 MSE (paper mode) over its CPU seconds of training and of one map."""
+    """Draw each model's log10 MSE (paper mode) over its CPU seconds of training and of one map.
+
+    rows: results of `score_row`; machine: text on the computer, for the title.
+    """
     figure = new_figure(11.0, 4.8, dpi=150)
     labels = {"fit_cpu_s": "training", "predict_cpu_s_per_map": "one map"}
     for axis, (key, label) in zip(figure.subplots(1, 2), labels.items(), strict=True):

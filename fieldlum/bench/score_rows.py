@@ -99,12 +99,12 @@ def load(
 ) -> BenchData:
     """Read the pairs with their sun patches or their scene, as `train` learns them.
 
-    pairs, test: sessions or csv files with the hours to train on and to test on. models: names, or
-    folders of trained models. scene: "", "none" or the folder of a scene. sky_view: a sky_view.exr,
-    None for that of the pairs. Without a scene, pairs with few clear hours choose between the
-    stated box and no patch (`training_captures`), also for `test`. Test hours that a model was
-    trained on are omitted. Raises InputError for files that cannot be used, NotEnoughDataError if
-    no test hour is left.
+    pairs, test: sessions or csv files with the hours to train on and to test on; site: SITE.toml,
+    None for that of the pairs. models: names, or folders of trained models. scene: "", "none" or
+    the folder of a scene. sky_view: a sky_view.exr, None for that of the pairs. Without a scene,
+    pairs with few clear hours choose between the stated box and no patch (`training_captures`),
+    also for `test`. Test hours that a model was trained on are omitted. Raises InputError for files
+    that cannot be used, NotEnoughDataError if no test hour is left.
     """
     specs = parse_specs(models)
     data = with_sky_view(load_pairs(pairs, site), sky_view)
@@ -139,10 +139,10 @@ def score_row(
 ) -> tuple[JsonTable, Trial]:
     """Fit one model with one seed on `data`; return its score row and the trial.
 
-    The row has name (label), fit_s, fit_cpu_s [s], n_train, seed, patch and `scores.summary`.
-    budget_s: time limit of the training [s]. The test is `test`, or held-out days of `data` if
-    None. A trained model is not fitted again. Raises InputError for a trained model without test
-    hours.
+    Keys of the row: name (label), fit_s, fit_cpu_s [s], n_train, seed, patch and those of
+    `scores.summary`. budget_s: time limit of the training [s]. The test is `test`, or held-out days
+    of `data` if None. A trained model is not fitted again. Raises InputError for a trained model
+    without test hours.
     """
     patch = patch_mode(data, spec.patch)
     if test is None:
@@ -185,9 +185,10 @@ PAPER_OPTIONS = ("-ab", "4", "-aa", ".1", "-ar", "512", "-ad", "2048", "-as", "1
 def radiance_row(data: Dataset, hours: int) -> dict[str, object] | None:
     """Return a row of the score table with the seconds that rtrace needs for one map.
 
-    predict_s_per_map, predict_cpu_s_per_map: mean of `hours` bright hours of `data`, at its map
-    size, on one core, with the paper's options. The room is the box of [room]. Its sky is uniform
-    with the hour's illuminance, which costs as much as a Perez sky. Return None without a box room.
+    Keys predict_s_per_map, predict_cpu_s_per_map: mean of `hours` bright hours of `data`, at its
+    map size, on one core, with the paper's options. The room is the box of [room]. Its sky is
+    uniform with the hour's illuminance, which costs as much as a Perez sky. Return None without a
+    box room.
     """
     room = data.setup.room
     if room is None or room.kind != "box" or hours < 1:

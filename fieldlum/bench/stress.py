@@ -115,9 +115,10 @@ def disagreeing(data: Dataset, share: float, seed: int) -> Dataset:
 
 
 def from_global(data: Dataset) -> Dataset:
-    """Return the data with DNI and DHI derived from global horizontal irradiance by Erbs's model.
+    """Return the data with DNI and DHI derived from global horizontal irradiance by a model.
 
-    DIRINT cannot be used, because it needs a series and the hours are isolated.
+    It is that of Erbs, Klein and Duffie (Solar Energy 28, 1982). DIRINT cannot be used, because it
+    needs a series and the hours are isolated. The maps do not change.
     """
     from pvlib.irradiance import erbs
 

@@ -285,10 +285,11 @@ def fit_boards(
 ) -> tuple[LensFit, Targets]:
     """Fit a lens and the poses of n chessboards to their corners; return also the corners' targets.
 
-    corners : results of `chessboard_corners`, one for each picture with a board; columns, rows : as
-    there. The fit starts from `lens`, and the result has its pose (azimuth, tilt, roll), because
-    boards do not determine it; its rms_px is the residual of the corners. Raises NotEnoughDataError
-    for fewer than four boards, InputError for corners that no lens explains.
+    corners : results of `chessboard_corners` [rows * columns, 2] px, one for each picture with a
+    board; columns, rows : as there. The fit starts from `lens`, and the result has its pose
+    (azimuth, tilt, roll), because boards do not determine it; its rms_px is the residual of the
+    corners. Raises NotEnoughDataError for fewer than four boards, InputError for corners that no
+    lens explains.
     """
     from scipy.spatial.transform import Rotation
 

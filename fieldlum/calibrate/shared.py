@@ -56,12 +56,12 @@ def choose(
 ) -> OrderSelection:
     """Return the smallest candidate within one standard error of the best, with a line of text.
 
-    A candidate has a name, a size (number of free parameters, or a rank in their order), and the
-    squared errors [n] of held-out data, which are the same for every candidate. The best has the
-    smallest mean of them; the smallest has the lowest size. what : name of the fit; unit, scale :
-    unit of the rms in that line, and the factor that converts it to that unit. negligible : a
-    candidate whose rms is larger by at most this (in the unit of the errors' root) counts as equal
-    to the best.
+    candidates : of each the name, the size (number of free parameters, or a rank in their order),
+    and the squared errors [n] of held-out data, which are the same for every candidate. The best
+    has the smallest mean of them; the smallest has the lowest size. what : name of the fit; unit,
+    scale : unit of the rms in that line, and the factor that converts it to that unit. negligible :
+    a candidate whose rms is larger by at most this (in the unit of the errors' root) counts as
+    equal to the best.
     """
     names, sizes, errors = zip(*candidates, strict=True)
     rms = np.sqrt([e.mean() for e in errors])
@@ -135,13 +135,16 @@ CsvRow = dict[str, Any]
 
 
 def require(count: int, minimum: int, what: str, remedy: str) -> None:
-    """Raise NotEnoughDataError if `count` of something is below `minimum`."""
+    """Raise NotEnoughDataError if `count` of something is below `minimum`.
+
+    what : its plural; remedy : what the user can do.
+    """
     if count < minimum:
         raise NotEnoughDataError(f"{what}: {count}; expected at least {minimum}; {remedy}")
 
 
 def require_raw(profile: CameraProfile, remedy: str) -> None:
-    """Raise InputError for a profile of a JPEG camera."""
+    """Raise InputError, with the `remedy`, for a profile of a JPEG camera."""
     if profile.camera.kind != "raw":
         raise InputError(profile.camera.name, "a JPEG camera", "a raw camera", remedy)
 
@@ -328,8 +331,9 @@ def relative_angle(lens: Lens, x_px: float, y_px: float) -> float:
 def transmission(profile: CameraProfile, f_number: float, x_px: float, y_px: float) -> float:
     """Return the transmission relative to the axis of the nearest lens, at a place on the sensor.
 
-    A value divided by it is corrected for vignetting. It is 1 if the lens has no curve. Raises
-    InputError if the lens only has curves for other apertures.
+    f_number : of the frame; x_px, y_px : on the sensor. A value divided by it is corrected for
+    vignetting. It is 1 if the lens has no curve. Raises InputError if the lens only has curves for
+    other apertures.
     """
     lens = profile.lens[nearest_lens(profile, x_px, y_px)]
     coefficients, _ = linear_light.vignetting_of(lens, f_number)
@@ -374,7 +378,7 @@ def pixels_within(
 
 
 def is_flagged(picture: Panorama, inside: Mask, flag: Flag) -> bool:
-    """Return whether a pixel of a mask has a flag."""
+    """Return whether any pixel of the mask `inside` [H, W] has the flag; False without flags."""
     return picture.flags is not None and bool((picture.flags[inside] & flag).any())
 
 

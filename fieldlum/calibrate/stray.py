@@ -80,7 +80,8 @@ def from_table(path: Path, profile: CameraProfile) -> list[StrayReading]:
 def reading(picture: Panorama, profile: CameraProfile, row: shared.CsvRow) -> StrayReading:
     """Return the stray light at a dark place of a picture, and the light that may cause it.
 
-    row : of the csv. Only the field of the lens whose axis is nearest to the place counts.
+    row : of the csv. Only the field of the lens whose axis is nearest to the place counts. Raises
+    InputError for a place that is clipped, outside the lens or not brighter than in reality.
     """
     height, width = picture.luminance_cdm2.shape
     at_deg, true_cdm2 = (row["azimuth_deg"], row["altitude_deg"]), row["luminance_cdm2"]

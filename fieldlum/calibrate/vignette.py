@@ -261,7 +261,10 @@ def _refuse_rising(r: Array, value: Array, u_rel: Array, source: Path) -> None:
 
 
 def with_curve(lens: Lens, f_number: float, vignetting: VignettingFit) -> Lens:
-    """Return the lens with the fitted curve added; an older curve of this aperture is replaced."""
+    """Return the lens with the fitted curve added for the aperture f_number.
+
+    An older curve of this aperture is replaced.
+    """
     others = tuple(v for v in lens.vignetting if abs(v.f_number - f_number) > 1e-6)
     rounded = tuple(round(c, 6) for c in vignetting.coefficients)
     curve = Vignetting(f_number, rounded, round(vignetting.u_rel, 5))

@@ -44,17 +44,17 @@ class Finding:
 
 
 def ok(what: str, text: str) -> Finding:
-    """Return a finding without a fault."""
+    """Return a finding without a fault; what: the check or device, text: a sentence."""
     return Finding(what, "ok", text)
 
 
 def warn(what: str, text: str) -> Finding:
-    """Return a warning."""
+    """Return a warning; what: the check or device, text: a sentence with the remedy."""
     return Finding(what, "warn", text)
 
 
 def fail(what: str, text: str, exit_code: int = 4) -> Finding:
-    """Return a failure; exit_code: 3 for a file."""
+    """Return a failure; what, text: as of `warn`; exit_code: 4 for a device, 3 for a file."""
     return Finding(what, "fail", text, exit_code)
 
 
@@ -71,7 +71,10 @@ def iso_date(text: str, source: str = "camera profile") -> date | None:
 
 
 def age_text(calibrated: date | None, today: date) -> str:
-    """Return a sentence on a calibration over two years old; "" for a newer one or no date."""
+    """Return a sentence on a calibration over two years old; "" for a newer one.
+
+    calibrated: its date, None if unknown, which also gives "".
+    """
     if calibrated is None or (today - calibrated).days <= _CALIBRATION_YEARS * 365.25:
         return ""
     years = f"over {_CALIBRATION_YEARS:g} years ago"
@@ -94,7 +97,8 @@ def run(
 ) -> list[Finding]:
     """Run all checks and return their findings; a check that raises an error is a failure.
 
-    An empty URI means that the device is not used. only: names of the checks to run, of `EVERY`.
+    camera_uri, pyranometer_uri, meter_uri: as for the openers of `fieldlum.devices`; "" means that
+    the device is not used. only: names of the checks to run, of `EVERY`.
     """
     checks: dict[str, Callable[[], Iterable[Finding]]] = {
         "plan": lambda: check_plan(session, now_utc),
@@ -200,7 +204,8 @@ def judge_age(profile: CameraProfile, today: date) -> Finding:
 def judge_calibration(profile: CameraProfile, slots: Sequence[Slot]) -> Iterator[Finding]:
     """Yield a failed finding for apertures without a scale, and one for unknown filters.
 
-    slots: with the planned exposures.
+    The scale is the profile's factor k of each calibrated aperture. slots: whose planned exposures
+    are judged. Nothing is yielded without such a fault.
     """
     planned = {exposure for slot in slots for exposure in slot.exposures}
     name, scaled = profile.camera.name, set(profile.scale.f_numbers)
@@ -236,9 +241,9 @@ def _joined(*parts: str) -> str:
 def check_camera(session: Session, uri: str, now_utc: datetime) -> Iterator[Finding]:
     """Check that the camera opens, has the planned exposures, and is that of the profile.
 
-    The findings also report its name, its clock and the free space of its card. An empty URI is a
-    warning. Raises DeviceError if the camera does not open, InputError for a file of the session or
-    the profile.
+    uri: of the camera; "" gives a warning. The findings also report its name, its clock and the
+    free space of its card. Raises DeviceError if the camera does not open, InputError for a file of
+    the session or the profile.
     """
     if not uri:
         yield warn("camera", "no camera stated: add --camera URI, or import its card afterwards")
@@ -283,8 +288,9 @@ def judge_model(info: CameraInfo, profile: CameraProfile) -> Iterator[Finding]:
 def judge_camera(info: CameraInfo, uri: str, frames: int) -> Iterator[Finding]:
     """Yield the findings about a camera's name, clock and card.
 
-    frames: number that is planned. The clock warns over 5 s from the computer's and fails over 300
-    s; an unknown time is a warning, and so is a card with less space than planned.
+    uri: of the camera, for the text; frames: number that is planned. The clock warns over 5 s from
+    the computer's and fails over 300 s; an unknown time is a warning, and so is a card with less
+    space than planned.
     """
     make = "" if info.model.startswith(info.make) else info.make  # "Canon", "Canon EOS 5D"
     who = _joined(make, info.model, info.serial) or info.kind
@@ -315,7 +321,7 @@ def _clock_of(offset_s: float | None) -> Finding:
 def check_pyranometer(session: Session, uri: str) -> Iterator[Finding]:
     """Check that the instrument opens, gives a plausible reading, and is calibrated.
 
-    An empty URI is a warning. Raises DeviceError if it does not open or answer.
+    uri: of the instrument; "" gives a warning. Raises DeviceError if it does not open or answer.
     """
     if not uri:
         text = "no pyranometer stated: add --pyranometer URI, or import a logger's file"
@@ -327,9 +333,9 @@ def check_pyranometer(session: Session, uri: str) -> Iterator[Finding]:
 
 
 def check_meter(uri: str) -> Iterator[Finding]:
-    """Check that the illuminance meter next to the lens answers; nothing for an empty URI.
+    """Check that the illuminance meter next to the lens answers.
 
-    Raises DeviceError if it does not answer.
+    uri: of the meter; "" yields nothing. Raises DeviceError if it does not answer.
     """
     if not uri:
         return

@@ -207,10 +207,11 @@ def _adopt(session: Session, setup: CameraSetup, journal: Journal, match: Match)
 def planned_frame(
     group: Group, index: int, slot: Slot, setup: CameraSetup
 ) -> tuple[Exposure, float | None]:
-    """Return the planned exposure and heading of frame `index` of a card's bracket.
+    """Return the planned exposure and heading [deg] of frame `index`, from 0, of a card's bracket.
 
-    EXIF has neither filter nor heading, so they follow from the order of the frames. A frame that
-    is not in the plan keeps its EXIF exposure, at the first heading.
+    The heading is None for a camera with one. EXIF has neither filter nor heading, so they follow
+    from the order of the frames. A frame that is not in the plan keeps its EXIF exposure, at the
+    first heading.
     """
     exposure = group.frames[index].exposure
     before = sum(same_exposure(f.exposure, exposure) for f in group.frames[:index])

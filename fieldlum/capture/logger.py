@@ -131,9 +131,9 @@ def log(
 ) -> int:
     """Log irradiance without a camera until `rows` are written or the process is stopped.
 
-    rows: None for no limit; every_s: time between readings [s]; say: called with notes for the
-    user. Return the number of rows written. Raises the error of opening the instrument at the
-    start, InputError if another process logs into this session.
+    uri: of the pyranometer; rows: None for no limit; every_s: time between readings [s]; say:
+    called with notes for the user. Return the number of rows written. Raises the error of opening
+    the instrument at the start, InputError if another process logs into this session.
     """
     steady = SteadyClock(clock)
     opener = partial(open_pyranometer, uri, clock=clock, session=session)

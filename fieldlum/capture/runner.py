@@ -120,15 +120,15 @@ def run(
 ) -> SlotStates:
     """Take all brackets that are due; return when every slot of the plan has an outcome.
 
-    Return the state of all slots. pyranometer_uri, meter_uri: "" for none. `watch` is called with
-    the state of the capture, `listen` with each journal event; both must return at once. checks: of
-    new frames. trusted: returns whether a time server controls the clock, None if unknown.
-    `open_cam`, `open_pyr` and `open_met` replace what the URIs open. Raises DeviceError if the
-    camera cannot be set to a planned exposure, or the clock is before the last journal entry; the
-    error of opening a device at the start, unless it is an instrument that an earlier capture of
-    the session used; InputError if another process captures, imports or, with a pyranometer, logs
-    in the session; NotEnoughDataError if every slot is past and none was begun, or if no slot has
-    an exposure.
+    Return the state of all slots. camera_uri, pyranometer_uri, meter_uri: as for the openers of
+    `fieldlum.devices`; the last two "" for none. `watch` is called with the state of the capture,
+    `listen` with each journal event; both must return at once. checks: of new frames. trusted:
+    returns whether a time server controls the clock, None if unknown. `open_cam`, `open_pyr` and
+    `open_met` replace what the URIs open. Raises DeviceError if the camera cannot be set to a
+    planned exposure, or the clock is before the last journal entry; the error of opening a device
+    at the start, unless it is an instrument that an earlier capture of the session used; InputError
+    if another process captures, imports or, with a pyranometer, logs in the session;
+    NotEnoughDataError if every slot is past and none was begun, or if no slot has an exposure.
     """
     if pyranometer_uri and open_pyr is None:
         open_pyr = partial(devices.open_pyranometer, pyranometer_uri, clock=clock, session=session)

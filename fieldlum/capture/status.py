@@ -14,7 +14,7 @@ from fieldlum.session.slot_states import SlotStates, read_slot_states, slots_to_
 
 
 def status(session: Session) -> JsonTable:
-    """Return what each stage of a session has done and still has to do, as `status --json`.
+    """Return what each stage of a session has done and must still do; keys of `status --json`.
 
     session, name: folder and site. plan: set, slots, first_utc and last_utc. capture: numbers of
     slots done, missed, aborted and owed (still to do), frames; next: id of a slot or None;

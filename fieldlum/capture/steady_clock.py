@@ -70,7 +70,7 @@ class SteadyClock(Clock):
         return self._clock.boottime()
 
     def sleep(self, seconds: float) -> None:
-        """Sleep for a time [s]."""
+        """Sleep for a number of seconds; not at all for a negative one."""
         self._clock.sleep(seconds)
 
     def mark(self) -> EventFields:

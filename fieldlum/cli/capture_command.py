@@ -147,7 +147,7 @@ def _post(option: str) -> Post | None:
 
 
 def panel(live: Live, site: Site) -> RenderableType:
-    """Return the state of a capture as a panel that rich can print."""
+    """Return the state of a capture as a panel that rich can print, in local time of `site`."""
     from rich.panel import Panel
     from rich.text import Text
 

@@ -49,7 +49,10 @@ class _LocalPath(click.Path):
 
 
 def numbers(count: int, mark: str) -> Callable[[str], tuple[float, ...]]:
-    """Return the type of an option of `count` numbers with a mark between, such as 9x6."""
+    """Return the type of an option of `count` numbers with a `mark` between, such as 9x6.
+
+    It converts the text to a tuple, and fails with click's error of usage for another text.
+    """
 
     def read(text: str) -> tuple[float, ...]:
         with suppress(ValueError):

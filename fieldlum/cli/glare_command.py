@@ -114,7 +114,7 @@ def command(
 
 
 def csv_rows(answer: JsonTable) -> list[dict[str, object]]:
-    """Return one row of --csv for each view direction of a `glare` answer."""
+    """Return one row of --csv, by column, for each view direction of a `glare` answer."""
     of_picture = {**answer, "warnings": "; ".join(answer["warnings"])}
     rows = []
     for view in answer["views"]:

@@ -100,7 +100,8 @@ class Dialogue:
     def ask(self, question: str, reader: Callable[[str], T], default: str | None = None) -> T:
         """Ask a question until `reader` accepts the answer; return what `reader` returns.
 
-        Raises InputError if the input ends before the answer.
+        default: answer of an empty line; None if there is none. Raises InputError if the input ends
+        before the answer.
         """
 
         def checked(text: str) -> T:

@@ -82,7 +82,10 @@ SHARED = {str(parameter.name): parameter for parameter in declare(_shared, "shar
 def command_of(
     name: str, group: click.Group | None = None
 ) -> Callable[[Callable[..., Any]], click.Command]:
-    """Return a decorator that makes a command of a function, as `declared` describes."""
+    """Return a decorator that makes a command of a function, as `declared` describes.
+
+    name: of the command; group: of its commands, None for `fieldlum` itself.
+    """
 
     def decorate(function: Callable[..., Any]) -> click.Command:
         created = declare(function, name, SHARED)
@@ -129,7 +132,10 @@ def _permit_device(uri: str) -> None:
 
 
 def new_file(path: Path | None, force: bool) -> None:
-    """Raise InputError if a file to write exists already, unless `force`; None is no file."""
+    """Raise InputError if the file `path` to write exists already, unless `force`.
+
+    path: None is no file, and accepted.
+    """
     from fieldlum.core.errors import InputError
 
     if path is not None and path.exists() and not force:

@@ -36,7 +36,10 @@ def emit_json(answer: Any) -> None:
 
 
 def print_answer(as_json: bool, answer: Any, lines: Iterable[str]) -> None:
-    """Print the answer of a command on stdout: one JSON object, or lines of text."""
+    """Print the answer of a command on stdout: one JSON object, or lines of text.
+
+    as_json: whether it is the JSON object of `answer`; else the texts `lines` are printed.
+    """
     if as_json:
         emit_json(answer)
         return
@@ -72,12 +75,12 @@ def printable(text: str) -> str:
 
 
 def say(text: str) -> None:
-    """Print a sentence for the user on stderr."""
+    """Print a sentence, `text`, for the user on stderr."""
     click.echo(printable(text), err=True)
 
 
 def tell(text: str) -> None:
-    """Print a line of a command's answer on stdout."""
+    """Print a line, `text`, of a command's answer on stdout."""
     click.echo(printable(text))
 
 
@@ -94,7 +97,7 @@ def is_terminal() -> bool:
 
 @contextmanager
 def unattended() -> Iterator[None]:
-    """Let a command that runs for weeks survive a closed terminal, inside the block.
+    """Let a command that runs for weeks survive a closed terminal, in a `with` block.
 
     The command and the processes that it starts ignore SIGHUP. SIGTERM ends it like Ctrl-C.
     """
@@ -111,7 +114,7 @@ def unattended() -> Iterator[None]:
 
 @contextmanager
 def web_library() -> Iterator[None]:
-    """Guard imports inside the block; raise InputError if the optional web server is missing."""
+    """Guard imports in a `with` block: InputError if the optional web server is missing."""
     try:
         yield
     except ModuleNotFoundError as error:
@@ -123,7 +126,7 @@ def web_library() -> Iterator[None]:
 
 @contextmanager
 def awake() -> Iterator[None]:
-    """Keep the computer awake inside the block; print a note if that is not possible."""
+    """Keep the computer awake in a `with` block; print a note if that is not possible."""
     from fieldlum.devices.awake import kept_awake
 
     with kept_awake() as what:

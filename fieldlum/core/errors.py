@@ -104,7 +104,10 @@ def kind_of(data: bytes) -> str:
 def input_errors(
     source: Path | str, expected: str, remedy: str, *kinds: type[Exception]
 ) -> Iterator[None]:
-    """Turn errors of some kinds within the `with` block into InputError with the same reason."""
+    """Turn errors of some kinds in a `with` block into InputError with the same reason.
+
+    source: the file; expected, remedy: texts of the InputError; kinds: the errors that are caught.
+    """
     try:
         yield
     except kinds as error:

@@ -36,7 +36,7 @@ def coloured(
 
 
 def png_of(rgb: NDArray[np.uint8]) -> bytes:
-    """Return an image [H, W, 3] as PNG bytes."""
+    """Return an image [H, W, 3] as PNG bytes. Raises ValueError for one that cannot be coded."""
     import cv2
 
     good, data = cv2.imencode(".png", np.ascontiguousarray(rgb[..., ::-1]))
@@ -46,7 +46,10 @@ def png_of(rgb: NDArray[np.uint8]) -> bytes:
 
 
 def luminance_ends(luminance_cdm2: Floats | Floats32) -> tuple[float, float] | None:
-    """Return the 1 % and 99.9 % percentiles of the luminances above 0; None without any."""
+    """Return the 1 % and 99.9 % percentiles of the luminances above 0 [cd/m2]; None without any.
+
+    luminance_cdm2: [...]; values that are not finite do not count.
+    """
     values = luminance_cdm2.ravel()[:: max(1, luminance_cdm2.size // 200_000)]
     values = values[np.isfinite(values) & (values > 0)]
     if not len(values):

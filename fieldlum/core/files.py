@@ -184,7 +184,7 @@ def decode_line(line: bytes) -> Any:
 
 @contextmanager
 def exclusive(path: Path) -> Iterator[None]:
-    """Hold a lock file inside the block, against other processes that append.
+    """Hold the lock file `path` in a `with` block, against other processes that append.
 
     Continue without it on a file system that has no locks or is full, or if another process has it
     for more than 0.25 s: a capture must not wait for a stopped program.
@@ -228,7 +228,7 @@ def cut_torn_tail(path: Path, is_valid: Callable[[bytes], bool]) -> int:
 def append_complete(handle: int, data: bytes, *, flush: bool) -> None:
     """Append all of `data` to a file opened with O_APPEND; with `flush`, wait for the disk.
 
-    On failure the file gets its earlier length, and the OSError is raised.
+    handle: of os.open. On failure the file gets its earlier length, and the OSError is raised.
     """
     before = os.fstat(handle).st_size
     try:

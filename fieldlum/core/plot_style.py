@@ -40,7 +40,10 @@ def styled() -> AbstractContextManager[None]:
 
 
 def new_figure(width_in: float, height_in: float, **settings: Any) -> Figure:
-    """Return an empty figure, without pyplot; its parts do not overlap."""
+    """Return an empty figure, without pyplot; its parts do not overlap.
+
+    width_in, height_in: in inches; settings: of matplotlib's Figure.
+    """
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width_in, height_in), layout="constrained", **settings)

@@ -9,7 +9,7 @@ Progress = Callable[[int, int, str], None]
 
 
 def quiet(finished: int, total: int, text: str) -> None:
-    """Show nothing."""
+    """Show nothing; the arguments are those of `progress`."""
 
 
 _SHOW: ContextVar[Progress] = ContextVar("show", default=quiet)
@@ -25,7 +25,7 @@ def progress(finished: int, total: int, text: str) -> None:
 
 @contextmanager
 def shown_by(show: Progress) -> Iterator[None]:
-    """Show the progress of work inside the block by `show`; with `quiet` it is not shown."""
+    """Show the progress of work in a `with` block by `show`; with `quiet` it is not shown."""
     token = _SHOW.set(show)
     try:
         yield
@@ -35,7 +35,10 @@ def shown_by(show: Progress) -> Iterator[None]:
 
 @contextmanager
 def part_of_progress(number: int, count: int) -> Iterator[None]:
-    """Show the progress in the block as that of part `number`, from 0, of `count` equal parts."""
+    """Show the progress in a `with` block as that of part `number` of `count` equal parts.
+
+    number: from 0.
+    """
     show = _SHOW.get()
     with shown_by(lambda done, total, text: show(number * total + done, count * total, text)):
         yield

@@ -238,7 +238,7 @@ JsonTable = dict[str, Any]
 
 
 def counted(count: int, noun: str) -> str:
-    """Return a number with its noun, such as "1 room" or "3 rooms"."""
+    """Return a count with its noun, in the plural unless it is 1, such as "3 rooms"."""
     return f"{count} {noun}{'' if count == 1 else 's'}"
 
 

@@ -340,7 +340,7 @@ def _perform_here(task: Task) -> tuple[str, Any, str]:
 
 @cache
 def software() -> dict[str, str]:
-    """Return the versions of Python and numeric packages, and digests of fieldlum's files."""
+    """Return versions and digests by name: Python, numeric packages, and fieldlum's files."""
     facts = {"python": f"{sys.version_info[0]}.{sys.version_info[1]}"}
     for name in ("fieldlum", "numpy", "scipy", "opencv-contrib-python-headless", "torch", "pvlib"):
         facts[name] = "none"

@@ -41,7 +41,7 @@ def robust_sigma(values: ArrayLike, centre: float | None = None) -> float:
 
 
 def cauchy_weights(residual: Floats, half: float) -> Floats:
-    """Return robust weights 1 / (1 + (residual / half)^2), 1 to 0, in the shape of `residual`.
+    """Return robust weights 1 / (1 + (residual / half)^2), 1 to 0, for residuals [...].
 
     half: the residual, in the same unit, whose weight is a half.
     """
@@ -69,9 +69,9 @@ def nan_percentiles(values: Floats, percent: tuple[float, ...]) -> Array:
 
 
 def median_standard_error(sigma: float, count: int) -> float:
-    """Return the standard error of the median of `count` normal values.
+    """Return the standard error of the median of `count` normal values, in the unit of `sigma`.
 
-    sigma: standard deviation of one value; the result has its unit.
+    sigma: standard deviation of one value.
     """
     return float(_MEDIAN_OVER_MEAN_ERROR * sigma / np.sqrt(count))
 

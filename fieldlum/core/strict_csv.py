@@ -173,7 +173,8 @@ def plain_rows(path: Path, expected: str, remedy: str) -> str:
     """Return the lines of a csv as long as its first one, without comments (#) and empty lines.
 
     It is as strict as `split_rows`, and fast, for tables of a million rows without quotation marks.
-    Raises InputError, with the line, for another number of cells and for a quotation mark.
+    Raises InputError, with the line and the texts `expected` and `remedy`, for another number of
+    cells and for a quotation mark.
     """
     lines = numbered(lines_of(read_text(path, expected, remedy)))
     commas = lines[0][1].count(",") if lines else 0
@@ -249,7 +250,7 @@ def check_names(path: Path, names: Sequence[str]) -> None:
 
 
 def read_number(text: str, *, has_codes: bool = True) -> float:
-    """Return the number in a cell; NaN for an empty cell and other texts of a missing value.
+    """Return the number in a cell, in the column's unit; NaN for texts of a missing value.
 
     has_codes: numbers such as -9999 are codes of a missing value too, which voltages have not.
     Raises ValueError for another text.
@@ -311,5 +312,5 @@ def is_wm2(unit: str) -> bool:
 
 
 def microvolts(unit: str) -> float | None:
-    """Return the microvolts in a unit of voltage; None for another unit."""
+    """Return how many microvolts a unit of voltage has; None for another unit."""
     return _MICROVOLTS.get(unit.strip().lower())

@@ -86,7 +86,7 @@ class Device:
     """A camera or an instrument that was opened by its URI."""
 
     def close(self) -> None:
-        """Release it."""
+        """Release the device for other programs."""
 
 
 class Camera(Device, ABC):
@@ -220,7 +220,10 @@ class DeviceUri:
 
 
 def parse_uri(text: str) -> DeviceUri:
-    """Parse a URI. Raises DeviceError without a scheme, for a repeated option or one without =."""
+    """Parse a device URI, such as ``modbus:/dev/ttyUSB0?kind=smp``.
+
+    Raises DeviceError without a scheme, for a repeated option or one without =.
+    """
     scheme, colon, rest = text.partition(":")
     if not colon or not re.fullmatch(r"[a-z][a-z0-9+]*", scheme):
         example = "sim:office or serial:/dev/ttyUSB0?kind=spn1"
@@ -254,10 +257,10 @@ def _open(text: str, table: dict[str, str], what: str, **arguments: Any) -> Any:
 def open_camera(uri: str, *, clock: Clock, session: Session | None = None) -> Camera:
     """Open the camera that a device URI names, such as ``gphoto:``, by the driver of its scheme.
 
-    session : the simulator reads its SITE.toml and its rendered panoramas, rpicam its planned
-    aperture; other drivers ignore it. Raises DeviceError for a malformed URI, an unknown scheme or
-    option, or a missing camera; InputError for a file of the session or a camera profile that
-    cannot be used.
+    uri, clock : of the capture. session : the simulator reads its SITE.toml and its rendered
+    panoramas, rpicam its planned aperture; other drivers ignore it. Raises DeviceError for a
+    malformed URI, an unknown scheme or option, or a missing camera; InputError for a file of the
+    session or a camera profile that cannot be used.
     """
     return _open(uri, CAMERAS, "camera", clock=clock, session=session)
 
@@ -265,9 +268,10 @@ def open_camera(uri: str, *, clock: Clock, session: Session | None = None) -> Ca
 def open_pyranometer(uri: str, *, clock: Clock, session: Session | None = None) -> Pyranometer:
     """Open the pyranometer that a device URI names, such as ``modbus:/dev/ttyUSB0?kind=smp``.
 
-    session : the simulator reads its SITE.toml and simulated irradiance; other drivers ignore it.
-    Raises DeviceError for a malformed URI, an unknown scheme or option, or a missing instrument;
-    InputError for a file of the session or an instrument profile that cannot be used.
+    clock : gives the times of readings. session : the simulator reads its SITE.toml and simulated
+    irradiance; other drivers ignore it. Raises DeviceError for a malformed URI, an unknown scheme
+    or option, or a missing instrument; InputError for a file of the session or an instrument
+    profile that cannot be used.
     """
     return _open(uri, PYRANOMETERS, "pyranometer", clock=clock, session=session)
 

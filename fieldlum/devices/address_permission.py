@@ -64,8 +64,8 @@ def _state(value: str) -> str:
 def require_permitted(text: str, source: Path, option: str) -> None:
     """Raise InputError for an address of a session that names more than a device.
 
-    source: the session.toml; option: such as --camera. It is accepted if the user of this computer
-    named the address before.
+    text: the address; source: the session.toml; option: such as --camera. It is accepted if the
+    user of this computer named the address before.
     """
     try:
         wanted = permission_subject(text)

@@ -121,10 +121,10 @@ def _bad(text: str | bytes, why: str) -> DeviceError:
 
 
 def parse_line(profile: AsciiProfile, line: bytes) -> dict[str, float]:
-    """Return the quantities in one line, which ends in a line feed, by name such as ``ghi_wm2``.
+    """Return the quantities in one line, in the units of names such as ``ghi_wm2``, by these names.
 
-    Raises DeviceError for a line that is damaged or does not fit the profile, and for a quantity
-    outside its limits.
+    line: with its line feed. Raises DeviceError for a line that is damaged or does not fit the
+    profile, and for a quantity outside its limits.
     """
     text = body_of(profile, line)
     words = _WORDS[profile.form](profile, text)

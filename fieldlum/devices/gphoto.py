@@ -47,7 +47,7 @@ Serve = Callable[[Connection], None]
 
 
 def setting_value(text: str) -> float | None:
-    """Return the number in a camera's text: 1/250, 0.0040s, 1.3, f/5.6, ISO 100.
+    """Return the number in a camera's text, in s or without unit: 1/250, 0.0040s, f/5.6, ISO 100.
 
     Return None for Bulb, Auto and other words.
     """
@@ -91,9 +91,9 @@ class GphotoCamera(Camera):
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
         """Set what the camera lets a computer set, take the frame and copy it; return the file.
 
-        The EXIF of the frame is not checked: a manual lens or a fixed setting cannot be set. Raises
-        DeviceError for a heading, or if the camera fails, does not offer the exposure or shows
-        another setting, and OSError if the disk is full.
+        heading_deg must be None. The EXIF of the frame is not checked: a manual lens or a fixed
+        setting cannot be set. Raises DeviceError for a heading, or if the camera fails, does not
+        offer the exposure or shows another setting, and OSError if the disk is full.
         """
         self.refuse_turning(heading_deg)
         for widget, text in self._chosen(exposure).items():

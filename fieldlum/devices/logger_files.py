@@ -159,7 +159,8 @@ def parse_table(
 ) -> LoggerFile:
     """Return the rows of a TOA5 or csv table, also if they are few.
 
-    text: content of the file; path: for errors. Other arguments and errors: `read_logger_file`.
+    text: content of the file; path: for errors; utc_offset: None if the times state a zone.
+    columns, sensitivities and errors: as for `read_logger_file`.
     """
     table = _toa5(path, text) if text.startswith(('"TOA5",', "TOA5,")) else _csv(path, text)
     return _read(path, table, utc_offset, columns, sensitivities)

@@ -172,15 +172,16 @@ def load_register_profile(kind: str) -> RegisterProfile:
 
 
 def raw_value(kind: str, words: Sequence[int]) -> float:
-    """Return the number in `words`, 16-bit registers with the high word first.
+    """Return the number in registers, without its scale or unit.
 
-    kind : u16, s16, u32, s32, f32 or date.
+    kind : u16, s16, u32, s32, f32 or date; words : 16-bit registers with the high word first, as
+    many as the kind has.
     """
     return float(struct.unpack(_CODES[kind], struct.pack(f">{len(words)}H", *words))[0])
 
 
 def date_text(number: float) -> str:
-    """Return 20260115 as 2026-01-15; "" unless it is a date of the years 1990 to 2100."""
+    """Return a date number 20260115 as 2026-01-15; "" unless it is of the years 1990 to 2100."""
     with suppress(ValueError):
         day = date.fromisoformat(f"{number:08.0f}")
         return day.isoformat() if 1990 <= day.year <= 2100 else ""
@@ -345,9 +346,9 @@ def open_pyranometer(
 ) -> ModbusPyranometer:
     """Open the Modbus pyranometer, or the several of one kind, that a URI names.
 
-    Raises DeviceError for unknown options or kinds, a missing or repeated unit number, a missing
-    port, or an instrument that does not answer or gives an impossible value; InputError for a
-    broken profile.
+    session: not used. Raises DeviceError for unknown options or kinds, a missing or repeated unit
+    number, a missing port, or an instrument that does not answer or gives an impossible value;
+    InputError for a broken profile.
     """
     options = uri.read(_Options)
     if not uri.place or not options.kind:

@@ -78,7 +78,8 @@ class ReplayCamera(Camera):
 def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None) -> ReplayCamera:
     """Open the folder in a URI ``replay:FOLDER`` as a camera that returns its frames.
 
-    Raises DeviceError for any option, for a missing folder, or one without frames.
+    session: not used. Raises DeviceError for any option, for a missing folder, or one without
+    frames.
     """
     uri.read(Struct)
     folder = Path(uri.place)

@@ -76,7 +76,10 @@ def parse_metadata(text: str) -> FrameMetadata:
 
 
 def parse_cameras(text: str) -> dict[int, str]:
-    """Return {number: sensor} of the cameras in the output of --list-cameras."""
+    """Return the sensor's name by camera number, from the text that --list-cameras prints.
+
+    Empty without a camera.
+    """
     return {int(m[1]): m[2] for m in _CAMERA_LINE.finditer(text)}
 
 
@@ -103,9 +106,9 @@ class RpicamCamera(Camera):
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
         """Take one raw frame and return its file, `target` plus .dng.
 
-        Its shutter time may differ from the requested one: see `exposure_taken`. Raises DeviceError
-        for a heading, or if the module or the program fails or cannot take this exposure, and
-        OSError if the disk is full.
+        heading_deg must be None. Its shutter time may differ from the requested one: see
+        `exposure_taken`. Raises DeviceError for a heading, or if the module or the program fails or
+        cannot take this exposure, and OSError if the disk is full.
         """
         self.refuse_turning(heading_deg)
         self.check_offered(exposure)

@@ -17,7 +17,7 @@ except ImportError:  # Windows
 
 @contextmanager
 def device_errors(port: str) -> Iterator[None]:
-    """Turn errors of a serial port inside the block into DeviceError, with the port's name."""
+    """Turn errors of the serial port `port` in a `with` block into DeviceError with its name."""
     try:
         yield
     except (OSError, _TermiosError) as error:
@@ -28,7 +28,7 @@ def device_errors(port: str) -> Iterator[None]:
 
 @contextmanager
 def closed_on_error(device: Device) -> Iterator[None]:
-    """Close a device if it raises DeviceError inside the block, which talks to it at first."""
+    """Close a device if the `with` block, in which it is first used, raises DeviceError."""
     try:
         yield
     except DeviceError:

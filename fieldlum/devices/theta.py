@@ -73,9 +73,9 @@ class ThetaCamera(Camera):
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
         """Set the exposure, check the setting, take the frame and fetch it; return the file.
 
-        The EXIF of the frame is not checked. Raises DeviceError for a heading, or if the camera
-        fails, does not offer the exposure or shows another setting, and OSError if the disk is
-        full.
+        heading_deg must be None. The EXIF of the frame is not checked. Raises DeviceError for a
+        heading, or if the camera fails, does not offer the exposure or shows another setting, and
+        OSError if the disk is full.
         """
         self.refuse_turning(heading_deg)
         wanted = self._chosen(exposure)
@@ -199,8 +199,8 @@ class _Options(Struct):
 def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None) -> ThetaCamera:
     """Open the Theta at the URI's address (default: http://192.168.1.1).
 
-    Raises DeviceError for an unknown option, an address that is not http, no answer, or an error
-    that the camera reports.
+    session: not used. Raises DeviceError for an unknown option, an address that is not http, no
+    answer, or an error that the camera reports.
     """
     options = uri.read(_Options)
     address = uri.place or ADDRESS

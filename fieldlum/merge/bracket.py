@@ -244,7 +244,7 @@ class MergeResult:
 
     @property
     def quality(self) -> JsonTable:
-        """Return the report as the object `quality` of `merge --json`."""
+        """Return the report with the keys of `quality` in `merge --json` (docs/merge.md)."""
         return self.report.table()
 
 

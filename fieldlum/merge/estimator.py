@@ -31,7 +31,7 @@ class Rows(NamedTuple):
     full: Mask | None
 
     def usable(self) -> Mask:
-        """Return a mask, True for counts that are used to predict the luminance."""
+        """Return a mask in the shape of `counts` [...], True for counts that are usable."""
         usable = self.signal.usable(self.counts)
         return usable if self.full is None else usable & ~self.full
 

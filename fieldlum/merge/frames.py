@@ -89,7 +89,11 @@ class Saturation:
     black_off_dn: float = 0.0
 
     def measured(self, mosaic: Mosaic, profile: CameraProfile) -> Plateau:
-        """Return counts at which R, G1, G2, B saturate at the frame's ISO, by its first frame."""
+        """Return counts at which R, G1, G2, B saturate at the frame's ISO, by its first frame.
+
+        A count is None for a colour without a visible plateau. The first frame of an ISO is
+        remembered.
+        """
         iso, black = mosaic.exposure.iso, profile.sensor.black_dn
         if iso not in self.plateau_dn:
             step = 2 * max(1, mosaic.counts.size // 6_000_000)  # limits the time
@@ -130,9 +134,10 @@ class RawSignal:
 
     @cached_property
     def usable_limit(self) -> Floats32:
-        """Counts above black below which a pixel is used, corrected for linearity.
+        """Counts above black, corrected for linearity, below which a pixel is used.
 
-        The smaller of 97 % of saturation, and saturation less 4 standard deviations of noise.
+        The smaller of 97 % of saturation, and saturation less 4 standard deviations of noise; it
+        broadcasts to [h, 2, w].
         """
         sigma = np.sqrt(self.saturation / self.gain_e_per_dn + self.noise_dn2)
         limit = np.minimum(0.97 * self.saturation, self.saturation - 4 * sigma)
@@ -148,10 +153,10 @@ class RawSignal:
         return float(np.min(_FULL * self.saturation + self.black))
 
     def strip(self, first: int, last: int) -> tuple[Floats32, Mask | None]:
-        """Return counts above black of rows first to last - 1, and a mask of the same shape.
+        """Return counts above black of rows first to last - 1, [rows, 2, w], and a mask.
 
-        The counts are corrected for linearity. The mask is True at saturated pixels and within two
-        pixels of them; None if nothing is saturated.
+        The counts are corrected for linearity. The mask [rows, 2, w] is True at saturated pixels
+        and within two pixels of them; None if nothing is saturated.
         """
         part = self.counts[first:last]
         above = part.astype(np.float32)
@@ -173,10 +178,10 @@ class RawSignal:
         return np.reshape(wide, full.shape)[first - a : last - a].view(np.bool_)
 
     def weight(self, predicted_cdm2: Floats32) -> Floats32:
-        """Return the weight in the merge: per_cdm2 over photon and read variance, in its shape.
+        """Return the weight in the merge: per_cdm2 over photon and read variance, [...].
 
-        predicted_cdm2: luminance by all frames, from which the variance follows. The weight is 0
-        where it exceeds `max_cdm2`.
+        predicted_cdm2: luminance by all frames [...], from which the variance follows. The weight
+        is 0 where it exceeds `max_cdm2`.
         """
         w = predicted_cdm2 * np.asarray(self.per_cdm2 / self.gain_e_per_dn, np.float32)
         w += np.float32(self.noise_dn2)

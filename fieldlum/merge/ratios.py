@@ -58,10 +58,11 @@ def pair_ratio(
     """Return the measured exposure ratio of two frames over the assumed ratio, as a logarithm.
 
     None with under 50 pixels, so that one object does not decide it, or if the measured ratio is
-    not positive. Arrays are [n]; assumed_ratio: short over long exposure. short_variance must be
-    the variance of the signal predicted from the long frame (y_long * assumed_ratio), not of the
-    noisy value. Huber weights at 2.5 sigma reduce the weight of motion and hot pixels. frames:
-    numbers of the long and of the short frame, only copied to the result.
+    not positive. y_long, y_short: linear signals [n], with their variances; assumed_ratio: short
+    over long exposure. short_variance must be the variance of the signal predicted from the long
+    frame (y_long * assumed_ratio), not of the noisy value; long_variance that of y_long. Huber
+    weights at 2.5 sigma reduce the weight of motion and hot pixels. frames: numbers of the long and
+    of the short frame, only copied to the result.
     """
     if y_long.size < 50:
         return None
@@ -95,7 +96,7 @@ class RatioCurve:
     u_rel: Floats
 
     def at(self, value_cdm2: Floats) -> Floats:
-        """Return the relative uncertainty of luminances in cd/m2, by interpolation, in their shape.
+        """Return the relative uncertainty of luminances [...] in cd/m2, by interpolation, [...].
 
         Outside the curve it is that of the nearest end.
         """
@@ -298,7 +299,10 @@ class Exposures:
 
 
 def any_beyond_prior(log_deviation: Floats, u_prior: Floats) -> bool:
-    """Return whether a log exposure [frames] deviates by over 2 % and by over three u_prior."""
+    """Return whether a log exposure deviates by over 2 % and by over three u_prior.
+
+    log_deviation, u_prior: [frames], natural logarithms.
+    """
     return bool((np.abs(log_deviation) > np.maximum(0.02, 3.0 * u_prior)).any())
 
 

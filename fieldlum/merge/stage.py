@@ -56,7 +56,7 @@ class Verdict:
     report: MergeReport | None = None
 
     def table(self) -> JsonTable:
-        """Return slot, state, text and quality (`MergeReport.table`, {} if the merge failed)."""
+        """Return keys slot, state, text, quality: `MergeReport.table`, {} if the merge failed."""
         quality = self.report.table() if self.report else {}
         return {"slot": self.slot, "state": self.state, "text": self.text, "quality": quality}
 

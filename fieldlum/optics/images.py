@@ -143,8 +143,8 @@ def rgb_to_xyz(chromaticities: Sequence[float]) -> Floats:
 def luminance_weights(chromaticities: Sequence[float]) -> Floats:
     """Return the shares of R, G and B in luminance, with sum 1, [3].
 
-    The share of a primary that is no real colour may be negative. Raises the errors of
-    `rgb_to_xyz`.
+    chromaticities : as for `rgb_to_xyz`, whose errors it raises. The share of a primary that is no
+    real colour may be negative.
     """
     return rgb_to_xyz(chromaticities)[1]
 
@@ -154,7 +154,7 @@ def luminance_weights(chromaticities: Sequence[float]) -> Floats:
 
 
 def radiance_program(name: str) -> str:
-    """Return the path of a program of Radiance in the wheel of pyradiance, such as ``pvalue``."""
+    """Return the path of a program of Radiance in pyradiance's wheel; name : such as pvalue."""
     from pyradiance.anci import BINPATH
 
     return str(Path(BINPATH) / name)
@@ -378,7 +378,7 @@ def write_panorama(path: Path, panorama: Panorama, *, view: str = "equirect") ->
     """Write a float32 EXR with the channel Y and, if present, u, flags, R, G and B.
 
     Attributes: view, heading_deg, t_utc, sun and `Panorama.attributes`. view : Radiance's view
-    options, for a picture that is not a panorama.
+    options, for a picture that is not a panorama. Raises OSError if the file cannot be written.
     """
     import OpenEXR
 

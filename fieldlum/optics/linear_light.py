@@ -98,7 +98,10 @@ def curve_u_rel(profile: CameraProfile) -> float:
 
 
 def gain_e_per_dn(iso: float, profile: CameraProfile) -> float:
-    """Return the sensor's gain at an ISO, in electrons per count."""
+    """Return the sensor's gain at an ISO, in electrons per count (DN).
+
+    iso : of the exposure; the profile states the gain at another one.
+    """
     return profile.sensor.gain_e_per_dn * profile.sensor.iso / iso
 
 
@@ -136,7 +139,7 @@ def frame_z_per_cdm2(exposure: Exposure, profile: CameraProfile) -> float:
 
 
 def nd_factors(name: str, profile: CameraProfile) -> tuple[float, float, float]:
-    """Return the light without a filter over the light through it, for R, G, B.
+    """Return the light without a filter over the light through it, at least 1, for R, G, B.
 
     name : of the filter; "" for none, which gives (1, 1, 1). Raises InputError for a filter that
     the profile does not have.
@@ -152,10 +155,10 @@ def nd_factors(name: str, profile: CameraProfile) -> tuple[float, float, float]:
 def vignetting_of(lens: Lens, f_number: float) -> tuple[tuple[float, ...], float]:
     """Return a lens's vignetting at an aperture: coefficients of V, and relative u at the edge.
 
-    V is the transmission relative to the axis, in powers of the angle over half of the full angle,
-    from power 0. An aperture without a curve uses the nearest curve, at most 0.4 stops away; a lens
-    without any curve has V = 1 and no uncertainty. Raises InputError for other apertures and for an
-    impossible curve.
+    f_number : of the aperture. V is the transmission relative to the axis, in powers of the angle
+    over half of the full angle, from power 0. An aperture without a curve uses the nearest curve,
+    at most 0.4 stops away; a lens without any curve has V = 1 and no uncertainty. Raises InputError
+    for other apertures and for an impossible curve.
     """
     if not lens.vignetting:
         return (1.0,), 0.0

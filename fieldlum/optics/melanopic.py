@@ -32,7 +32,8 @@ ATTRIBUTE = "melanopic"  # of a picture: weights of R, G and B, and the ratio's 
 def attribute_text(melanopic_from_rgb: Floats, rgb_to_radiance: Floats, u_rel: float) -> str:
     """Return the attribute of a picture whose R, G, B are the camera's times a matrix.
 
-    melanopic_from_rgb [3] : weights of the camera's colours; rgb_to_radiance [3, 3].
+    melanopic_from_rgb [3] : weights of the camera's colours; rgb_to_radiance [3, 3] : that matrix;
+    u_rel : relative standard uncertainty under daylight. `melanopic_ratio` reads the text.
     """
     weights = np.asarray(melanopic_from_rgb) @ np.linalg.inv(rgb_to_radiance)
     return " ".join(f"{value:.6g}" for value in (*weights, u_rel))
@@ -87,10 +88,10 @@ def melanopic_edi(
 
 
 def sun_melanopic_ratio(altitude_deg: Floats | float) -> Floats:
-    """Return the melanopic over the photopic illuminance of direct sunlight, without glazing.
+    """Return melanopic over photopic illuminance of direct sunlight, without glazing, [...].
 
-    altitude_deg : apparent, of any shape, which is that of the result; below 0 it counts as 0. The
-    relative air mass is that of Kasten and Young 1989.
+    altitude_deg : apparent [...]; below 0 it counts as 0. The relative air mass is that of Kasten
+    and Young 1989.
     """
     return np.asarray(_SUN_RATIO * np.exp(-_SUN_RATIO_DECAY * _air_mass(altitude_deg)))
 
@@ -101,7 +102,7 @@ def _air_mass(altitude_deg: Floats | float) -> Floats:
 
 
 def ratio_u_rel(ratio: Floats, u_rel: float, *, lamps: bool = False) -> Floats:
-    """Return the relative standard uncertainty of ratios of any shape.
+    """Return the relative standard uncertainty of melanopic ratios [...], in their shape.
 
     u_rel : under daylight. lamps : electric light is known to be on. Light with a low ratio may be
     a lamp's, whose spectrum does not follow from its colour.
@@ -127,7 +128,10 @@ _SUN_X, _SUN_Z, _SUN_MAX_MASS = (0.000287, 0.007412, -0.049279), (-0.1163, 0.032
 
 
 def daylight_xy(cct_k: ArrayLike) -> tuple[Floats, Floats]:
-    """Return x and y of CIE daylight of correlated colour temperatures of 4000 to 25 000 K."""
+    """Return x and y of CIE daylight, [...] each.
+
+    cct_k : correlated colour temperature [...], 4000 to 25 000 K. Source: CIE 15.
+    """
     inverse = 1.0 / np.asarray(cct_k, float)
     low = np.asarray(cct_k) <= 7000.0
     x = np.where(low, np.polyval(_X_LOW, inverse), np.polyval(_X_HIGH, inverse))

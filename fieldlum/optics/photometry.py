@@ -50,7 +50,7 @@ def same_exposure(a: Exposure, b: Exposure) -> bool:
 def z_per_cdm2(shutter_s: float, f_number: float, iso: float, k: float = 1.0) -> float:
     """Return the linear signal z (1 at full scale) per cd/m2, by L = k 87 N^2 / (t S) z.
 
-    t: shutter time [s]; N: f-number; S: ISO; k: factor of the scale calibration.
+    shutter_s : t; f_number : N; iso : S; k : factor of the scale calibration.
     """
     return shutter_s * iso / (STONITS * f_number**2 * k)
 
@@ -194,10 +194,10 @@ def law_of_frames(
 
 
 def linearity_factor(share: NDArray[T], coefficients: Sequence[float]) -> NDArray[T]:
-    """Return the factor that makes counts proportional to light: 1 + a1 x + a2 x^2 + ...
+    """Return the factor that makes counts proportional to light: 1 + a1 x + a2 x^2 + ..., [...].
 
-    coefficients: a1 first; empty gives 1. share: x, counts above black over those of the
-    full scale, any shape, limited to 0 to 1. The factor at x = 0 and below is 1.
+    coefficients: a1 first; empty gives 1. share: x, counts above black over those of the full scale
+    [...], limited to 0 to 1. The factor at x = 0 and below is 1.
     """
     x = np.clip(share, 0.0, 1.0)
     factor: NDArray[T] = np.zeros_like(x)
@@ -216,10 +216,10 @@ def rises(coefficients: Sequence[float]) -> bool:
 
 
 def vignetting_at(coefficients: tuple[float, ...], radius: ArrayLike) -> Floats:
-    """Return the vignetting V = sum c_k radius^k, in the shape of `radius`.
+    """Return the vignetting V = sum c_k radius^k, [...].
 
-    coefficients : c_0 first; none give 1. radius : angle from the axis over half of the full angle,
-    limited to 0 to 1.
+    coefficients : c_0 first; none give 1. radius : angle from the axis over half of the full angle
+    [...], limited to 0 to 1.
     """
     r = np.clip(np.asarray(radius, float), 0.0, 1.0)
     return np.asarray(polyval(r, coefficients or (1.0,)), np.float64)
@@ -228,8 +228,9 @@ def vignetting_at(coefficients: tuple[float, ...], radius: ArrayLike) -> Floats:
 def check_vignetting(coefficients: tuple[float, ...]) -> str:
     """Return what is wrong with a vignetting curve V(r), or "".
 
-    V must be finite, V(0) within 0.01 of 1, 0 < V <= 1.05, and V at most 1 at the edge. A curve
-    that rises towards the edge is a common error of sign: it darkens where it should brighten.
+    coefficients : of V, c_0 first. V must be finite, V(0) within 0.01 of 1, 0 < V <= 1.05, and V at
+    most 1 at the edge. A curve that rises towards the edge is a common error of sign: it darkens
+    where it should brighten.
     """
     v = vignetting_at(coefficients, np.linspace(0, 1, 201))
     if not np.isfinite(v).all() or abs(v[0] - 1) > 0.01:

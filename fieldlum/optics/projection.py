@@ -25,26 +25,29 @@ from fieldlum.core.strict_toml import Positive
 
 
 def row_solid_angles(height: int, width: int) -> Floats:
-    """Return the solid angle of one pixel of each row, in sr, [H]; all pixels sum to 4 pi."""
+    """Return the solid angle of one pixel of each row of a panorama, in sr, [H].
+
+    height, width : H, W in pixels; all pixels sum to 4 pi.
+    """
     edges = np.cos(np.linspace(0.0, np.pi, height + 1))
     return (edges[:-1] - edges[1:]) * 2.0 * np.pi / width
 
 
 def equirect_solid_angles(height: int, width: int) -> Floats:
-    """Return the solid angle of each pixel of a panorama, in sr, [H, W]."""
+    """Return the solid angle of each pixel of a panorama, in sr, [height, width]."""
     return np.repeat(row_solid_angles(height, width)[:, None], width, axis=1)
 
 
 def column_azimuths_deg(width: int, heading_deg: float) -> Floats:
     """Return the azimuth of each column's centre, clockwise from north, in [0, 360) deg, [W].
 
-    heading_deg : azimuth of the panorama's middle.
+    width : W; heading_deg : azimuth of the panorama's middle.
     """
     return (heading_deg + ((np.arange(width) + 0.5) / width - 0.5) * 360.0) % 360.0
 
 
 def row_altitudes_deg(height: int) -> Floats:
-    """Return the altitude of each row's centre, from the zenith down, in deg, [H]."""
+    """Return the altitude of each row's centre, from the zenith down, in deg, [height]."""
     return 90.0 - (np.arange(height) + 0.5) / height * 180.0
 
 
@@ -95,7 +98,8 @@ def altitude_azimuth_deg(rays: Array) -> tuple[Floats, Floats]:
 def equirect_rays(height: int, width: int, heading_deg: float) -> Floats:
     """Return the unit vector (x east, y north, z up) of each panorama pixel's centre, [H, W, 3].
 
-    Row 0 is at the zenith; heading_deg : azimuth of the middle, clockwise from north.
+    height, width : H, W; row 0 is at the zenith; heading_deg : azimuth of the middle, clockwise
+    from north.
     """
     return direction(
         row_altitudes_deg(height)[:, None], column_azimuths_deg(width, heading_deg)[None, :]
@@ -105,10 +109,11 @@ def equirect_rays(height: int, width: int, heading_deg: float) -> Floats:
 def equirect_pixel(
     altitude_deg: ArrayLike, azimuth_deg: ArrayLike, height: int, width: int, heading_deg: float
 ) -> tuple[Floats, Floats]:
-    """Return the continuous (row, column) of directions in deg, [...] each.
+    """Return the continuous (row, column) of directions in a panorama, [...] each.
 
-    Pixel (i, j) covers [i, i + 1) x [j, j + 1); row 0 is the zenith, column W / 2 the heading.
-    Columns wrap into [0, W).
+    altitude_deg, azimuth_deg : of the directions [...]; height, width : in pixels; heading_deg :
+    azimuth of the middle. Pixel (i, j) covers [i, i + 1) x [j, j + 1); row 0 is the zenith, column
+    W / 2 the heading. Columns wrap into [0, W).
     """
     row = (90.0 - np.asarray(altitude_deg, float)) / 180.0 * height
     turn = (np.asarray(azimuth_deg, float) - heading_deg) / 360.0 + 0.5
@@ -191,15 +196,18 @@ class LensGeometry:
 
 
 def relative_radius(lens: LensGeometry, x_px: ArrayLike, y_px: ArrayLike) -> Floats:
-    """Return the distance of sensor points [...] from the image centre over radius_px, [...]."""
+    """Return the distance of sensor points from the image centre over radius_px, [...].
+
+    x_px, y_px : on the sensor [...].
+    """
     dx, dy = np.subtract(x_px, lens.centre_px[0]), np.subtract(y_px, lens.centre_px[1])
     return np.hypot(dx, dy) / lens.radius_px
 
 
 def radius_of_angle(lens: LensGeometry, angle_rad: ArrayLike) -> Floats:
-    """Return the distance from the image centre over radius_px, in the shape of the angles.
+    """Return the distance from the image centre over radius_px, [...].
 
-    angle_rad : from the optical axis. The result is 1 at half of the full angle.
+    angle_rad : from the optical axis [...]. The result is 1 at half of the full angle.
     """
     angle = np.asarray(angle_rad, float)
     half = lens.half_angle_rad
@@ -227,10 +235,10 @@ def _inverse_table(lens: LensGeometry) -> tuple[Floats, Floats]:
 
 
 def angle_of_radius(lens: LensGeometry, radius: ArrayLike) -> Floats:
-    """Return the angle of radii, in rad: the inverse of `radius_of_angle`, in the same shape.
+    """Return the angle from the axis [rad] of radii: the inverse of `radius_of_angle`, [...].
 
-    radius : distance from the image centre over radius_px. Beyond the reach of a polynomial or
-    equisolid mapping the largest angle is returned. Raises ValueError for a polynomial that does
+    radius : distance from the image centre over radius_px [...]. Beyond the reach of a polynomial
+    or equisolid mapping the largest angle is returned. Raises ValueError for a polynomial that does
     not rise up to half of the full angle.
     """
     r = np.asarray(radius, float)
@@ -254,10 +262,10 @@ def lens_pixels(lens: LensGeometry, rays: Floats) -> tuple[Floats, Floats, Float
 
 
 def lens_rays(lens: LensGeometry, x_px: ArrayLike, y_px: ArrayLike) -> Floats:
-    """Return the unit vectors [..., 3] of sensor coordinates [...]; the inverse of `lens_pixels`.
+    """Return the unit vectors [..., 3] of sensor points; the inverse of `lens_pixels`.
 
-    The vectors have y along the panorama's heading and z up. Raises ValueError as
-    `angle_of_radius` does.
+    x_px, y_px : on the sensor [...]. The vectors have y along the panorama's heading and z up.
+    Raises ValueError as `angle_of_radius` does.
     """
     dx = np.asarray(x_px, float) - lens.centre_px[0]
     dy = lens.centre_px[1] - np.asarray(y_px, float)
@@ -334,7 +342,7 @@ class Fisheye:
 
     @classmethod
     def of_size(cls, size: int, lens: LensGeometry) -> Fisheye:
-        """Return a picture with the full angle and the pose of a lens."""
+        """Return a picture of size x size pixels with the full angle and the pose of a lens."""
         half, own = size / 2, (lens.azimuth_deg, lens.tilt_deg, lens.roll_deg)
         plain = LensGeometry((half, half), half, lens.full_angle_deg, "equidistant", (), *own)
         return cls(size, plain)

@@ -23,7 +23,10 @@ class Contrasts:
     group: Indices
 
     def removed(self, column: Floats, weights: Floats) -> Floats:
-        """Return a column [m] without its weighted regression on the values of each group."""
+        """Return a column [m] without its weighted regression on the values of each group.
+
+        weights: [m], at least 0.
+        """
         along = np.bincount(self.group, weights * self.values * column)
         norm = np.bincount(self.group, weights * self.values**2)
         return column - self.values * (along / np.maximum(norm, 1e-12))[self.group]

@@ -50,7 +50,7 @@ class Shown:
 
     @property
     def measured_lx(self) -> float:
-        """Illuminance of the disc normal to the sun: 0 without one, NaN if it is not measured."""
+        """Illuminance of the disc normal to the sun [lx]: 0 without one, NaN if not measured."""
         if self.sun is None:
             return 0.0
         return self.sun.normal_illuminance_lx if is_measured(self.sun) else math.nan

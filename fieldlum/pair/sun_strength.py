@@ -45,10 +45,11 @@ def is_measured(sun: SunSource) -> bool:
 def completed_sun(
     sun: SunSource, full_normal_lx: float, share: float, origin: str
 ) -> tuple[SunSource, str]:
-    """Return a sun that was not measured, with its illuminance by DNI, and a caution.
+    """Return a sun that was not measured, with its illuminance by DNI, and a caution or "".
 
-    share: of the beam that arrives at the lens; NaN if it is not known. If DNI gives less than the
-    clipped picture shows, the sun is returned unchanged.
+    full_normal_lx: as for `measured_sun`. share: of the beam that arrives at the lens, 0 to 1; NaN
+    if it is not known. origin: how the share is known, for `SunSource.origin`. If DNI gives less
+    than the clipped picture shows, the sun is returned unchanged.
     """
     unknown = math.isnan(share)
     expected_lx = full_normal_lx * (1.0 if unknown else share)
@@ -60,7 +61,7 @@ def completed_sun(
 
 
 def bound_lx(sun: SunSource) -> float:
-    """Return the least illuminance of a sun by its picture; 0 unless it is clipped."""
+    """Return the least illuminance of a sun by its picture [lx]; 0 unless it is clipped."""
     return sun.normal_illuminance_lx if sun.origin == CLIPPED_SUN else 0.0
 
 

@@ -301,7 +301,7 @@ def plan_warnings(
 
 
 def summary(session: Session, plan: Plan) -> JsonTable:
-    """Return counts, dates, cost, coverage and warnings of a plan, as `plan --json` prints.
+    """Return counts, dates, cost, coverage and warnings of a plan, with the keys of `plan --json`.
 
     slots, days: numbers of slots, and of days with slots; first, last: ids of slots; solar_noon:
     local time on the first day, which reveals a longitude with a wrong sign, "" if unknown; frames,

@@ -69,7 +69,7 @@ def span(first: date, count: int) -> list[date]:
 
 
 def season_date(year: int, which: int, site: Site) -> date:
-    """Return the local standard date of an equinox or solstice.
+    """Return the local standard date of an equinox or solstice of the calendar `year`.
 
     which: 0 March equinox, 1 June solstice, 2 September equinox, 3 December solstice.
     """
@@ -94,9 +94,9 @@ def set_days(
 ) -> list[date]:
     """Return the local standard dates of a capture set, in time order.
 
-    4-day: equinoxes and solstices; 12-day: also the days before and after; 9-day: the 12-day set
-    without September. Each is of `year`, or else the next whose days are not before `start` (or
-    `today`).
+    name: of `--set`; start, year, days: None if the user states none. 4-day: equinoxes and
+    solstices; 12-day: also the days before and after; 9-day: the 12-day set without September. Each
+    is of `year`, or else the next whose days are not before `start` (or `today`).
 
     month: `days` (default 31) from `start`; or centred on the March equinox of `year`, or on the
     next March or September equinox for which no day is before `today`. Other sets: `days` (default

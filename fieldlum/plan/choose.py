@@ -39,7 +39,7 @@ def medoids(points: Floats, count: int, rng: np.random.Generator) -> Indices:
 def even(
     hours: DaylightHours, weather: Weather | None, count: int, rng: np.random.Generator
 ) -> Indices:
-    """Return ascending indices of at most `count` hours whose suns and skies are spread evenly.
+    """Return ascending indices [k] of at most `count` hours whose suns and skies are spread evenly.
 
     They are k-means medoids over sun direction, DNI and DHI (Liu, Colburn and Inanici 2020); hours
     without weather are not chosen. If `weather` is None: over sun direction alone.

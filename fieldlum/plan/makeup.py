@@ -33,7 +33,7 @@ def make_up(
 ) -> tuple[list[Slot], list[JsonTable], list[str]]:
     """Return make-up slots, their pairs, and the ids of missed slots without one.
 
-    A pair is {"missed", "slot", "sun_off_deg"}: both ids, and the angle between the two suns.
+    A pair has the keys missed and slot (ids), and sun_off_deg, the angle between the two suns.
 
     A make-up is at the same hour of standard time, on the earliest of the 370 days from tomorrow
     that has the missed day's declination within 0.2 deg (also on the other side of the solstice),

@@ -33,7 +33,7 @@ def named(azimuth_deg: float) -> str:
 
 
 def sentence(text: str) -> str:
-    """Return a note as a sentence: a capital at its beginning, a full stop at its end."""
+    """Return a note, any `text`, as a sentence: first a capital, a full stop at its end."""
     return f"{text[0].upper()}{text[1:].rstrip('.')}.".replace("+-", "±")
 
 
@@ -43,9 +43,9 @@ def class_name(row: DirectionYear) -> str:
 
 
 def chip(row: DirectionYear, more: str = "") -> dict[str, str]:
-    """Return a table cell with the glare class of a direction in its colour, then the text `more`.
+    """Return a table cell with a direction's glare class in its colour; keys: kind and text.
 
-    The cell is {"kind", "text"}; kind is the class, or "open" (grey) while it is not certain.
+    kind is the class, or "open" (grey) while it is not certain; text the class, then `more`.
     """
     return {"kind": row.glare_class if row.certain else "open", "text": class_name(row) + more}
 
@@ -190,10 +190,10 @@ def picture_grid(
 ) -> tuple[Drawing, list[Axes]]:
     """Draw luminance pictures [H, W] in cd/m2 in false colour, with titles and one colour bar.
 
-    width_in: of one picture in inches; scale_cdm2: ends of the colour scale, at which values are
-    cut off. NaN is white. ratios: the maps of the last column are binary logarithms of ratios,
-    drawn from blue (1/2) to red (2) with their own bar. Return the figure and the axes of each map,
-    in pixels from its top left.
+    columns: pictures in a row; width_in: of one picture in inches; scale_cdm2: ends of the colour
+    scale, at which values are cut off. NaN is white. ratios: the maps of the last column are binary
+    logarithms of ratios, drawn from blue (1/2) to red (2) with their own bar. Return the figure and
+    the axes of each map, in pixels from its top left.
     """
     rows, columns = -(-len(maps) // columns), min(columns, len(maps))
     height_in = width_in * max(image.shape[0] / image.shape[1] for image in maps) + 0.4
@@ -266,8 +266,9 @@ def captured_svg(
 def polar_svg(azimuths_deg: Floats, dgp_exceeded: Floats, low: Floats, high: Floats) -> str:
     """Plot the DGP exceeded in 5 % of the occupied hours by view direction, over the class limits.
 
-    All arrays: [d]. Directions run clockwise from north; low and high bound the 95 % interval. A
-    NaN is a direction that was not seen, or an unknown interval: there is a gap. Return SVG text.
+    azimuths_deg, dgp_exceeded, low, high: [d]. Directions run clockwise from north; low and high
+    bound the 95 % interval. A NaN is a direction that was not seen, or an unknown interval: there
+    is a gap. Return SVG text.
     """
     order = np.argsort(azimuths_deg)
     around = np.append(order, order[0])

@@ -187,7 +187,7 @@ def when_section(annual: Annual, zone: str) -> Section:
 
 
 def looks_section(annual: Annual, pictures: Pictures, zone: str) -> Section:
-    """Return the section with predicted pictures of typical and worst hours."""
+    """Return the section with predicted pictures of typical and worst hours; zone: IANA name."""
     turned, titles, rows = [], [], []
     for k, kind in enumerate(pictures.kinds):
         if " view " not in kind:  # earlier versions have a clear day too
@@ -283,7 +283,7 @@ def _days_with(bright: Mask, hour: Floats, day: Floats) -> Floats:
 
 
 def melanopic_section(annual: Annual, zone: str) -> Section:
-    """Return the section with the shares of hours and days by view direction."""
+    """Return the section with the shares of hours and days by view direction; zone: IANA name."""
     shares = zip(annual.azimuths_deg, annual.judged, melanopic_shares(annual, zone), strict=True)
     rows = [
         (named(azimuth), hours.text(), *(share.text() for share in days))

@@ -113,7 +113,7 @@ class MeasuredPicture:
 
     @property
     def shown_cdm2(self) -> Floats32:
-        """The luminance, NaN also where the picture has no direction."""
+        """The luminance [H, W], NaN also where the picture has no direction."""
         return np.where(self.solid_angle_sr > 0, self.luminance_cdm2, np.float32(np.nan))
 
 

@@ -45,7 +45,7 @@ _WRONG = (KeyError, TypeError, ValueError, AttributeError, ArithmeticError)
 
 @contextmanager
 def sealed(path: Path) -> Iterator[None]:
-    """Write NAME.sha256 next to a file that is written within the `with` block.
+    """Write NAME.sha256 next to the file `path`, which is written within the `with` block.
 
     An interruption leaves a file without checksum file, which is not checked.
     """
@@ -160,7 +160,10 @@ class JsonFile(msgspec.Struct, frozen=True):
 
     @classmethod
     def upgraded(cls, table: JsonTable, path: Path) -> JsonTable:
-        """Return the content of a file in the form of the present version."""
+        """Return the JSON object of a file of any version with the keys of the present version.
+
+        path: of the file, for classes that need its name.
+        """
         return table
 
     def table(self) -> JsonTable:
@@ -189,9 +192,10 @@ def to_json(value: object) -> Any:
 
 
 def read_object(path: Path, expected: str, remedy: str) -> JsonTable:
-    """Return the JSON object of a file; warn if it changed after it was written with a digest.
+    """Return the JSON object of a file, by its keys; warn if it changed after it was written.
 
-    Raises InputError, with the texts `expected` and `remedy`, for a missing file or other content.
+    Only a file with a digest is checked for changes. Raises InputError, with the texts `expected`
+    and `remedy`, for a missing file or other content.
     """
     with input_errors(path, expected, remedy, OSError, ValueError, RecursionError, MemoryError):
         table = json.loads(read_bytes(path))
@@ -225,8 +229,8 @@ def _plain(value: Any) -> Any:
 def read_row(kind: type[T], where: str, cells: Mapping[str, str], remedy: str) -> T:
     """Build a dataclass from the cells of one csv line, by column name.
 
-    Empty cells get the field's default. where: file and line, for the InputError that is raised for
-    a wrong or missing value and for a number that is not finite.
+    Empty cells get the field's default. where: file and line, remedy: what to do, for the
+    InputError that is raised for a wrong or missing value and for a number that is not finite.
     """
     with input_errors(where, "", remedy, ValueError):
         values: dict[str, object] = {}
@@ -247,10 +251,11 @@ _FLAGS = {"yes": True, "1.0": True, "no": False, "0.0": False}  # besides 1, tru
 
 
 def read_columns(path: Path, expected: str, remedy: str) -> dict[str, Array]:
-    """Return the columns of a large csv without quotation marks, by name; warn if it changed.
+    """Return the columns [n] of a large csv without quotation marks, by name; warn if it changed.
 
-    Texts of t_utc become Unix times [s]. An empty cell is NaN. Raises InputError for a missing
-    file, another number of cells in a line, and a time that cannot be read.
+    Texts of t_utc become Unix times [s]. An empty cell is NaN. Raises InputError, with the texts
+    `expected` and `remedy`, for a missing file, another number of cells in a line, and a time that
+    cannot be read.
     """
     import pandas as pd
 
@@ -317,7 +322,8 @@ NPZ_ERRORS = (OSError, ValueError, KeyError, EOFError, MemoryError, zipfile.BadZ
 def open_arrays(path: Path, expected: str, remedy: str, newest: int = 1) -> Iterator[NpzFile]:
     """Yield the arrays of a file that fieldlum wrote, which are read when used, never unpickled.
 
-    newest: format version. Raises InputError for a missing file, a newer one, and other content.
+    newest: format version. Raises InputError, with the texts `expected` and `remedy`, for a missing
+    file, a newer one, and other content.
     """
     errors = input_errors(path, expected, remedy, *NPZ_ERRORS)
     with errors, _stored(path, MAX_PICTURES_BYTES) as stored:
@@ -343,7 +349,7 @@ def _stored(path: Path, more_bytes: int) -> Iterator[NpzFile]:
 
 
 def read_arrays(path: Path) -> dict[str, Array]:
-    """Return the arrays by name, of any shape; nothing is unpickled.
+    """Return the arrays [...] by name; nothing is unpickled.
 
     Raises one of `NPZ_ERRORS` for a missing or damaged file, for objects, for compressed arrays
     over 16 MiB, and for values that are not finite.

@@ -303,11 +303,11 @@ _LOCKED = {"capture": "captures or imports into", "log": "logs irradiance into"}
 
 @contextmanager
 def sole_user(session: Session, purpose: Literal["capture", "log"]) -> Iterator[None]:
-    """Let only one process at a time add to a session's captures or to its irradiance.
+    """Let only one process at a time add to a session, in the `with` block.
 
-    purpose: "capture" (of `capture` and `import`) or "log". The lock ends with the process, even
-    after a crash. Raises InputError if another process has the lock, OSError if the folder's file
-    system has no locks.
+    purpose: "capture" (captures, also of `import`) or "log" (irradiance). The lock ends with the
+    process, even after a crash. Raises InputError if another process has the lock, OSError if the
+    folder's file system has no locks.
     """
     path = session.root / f".{purpose}.lock"
     lock = FileLock(path, timeout=0)

@@ -110,5 +110,8 @@ def read_panorama_with_sun(
 
 
 def suns_of(panorama: Path) -> dict[str, SunRow]:
-    """Return the rows of suns.csv in the folder above a panorama's folder, as `read_suns`."""
+    """Return the rows of suns.csv in the folder above a panorama's folder, by panorama.
+
+    Keys and errors: `read_suns`.
+    """
     return read_suns(panorama.absolute().parent.parent / "suns.csv")

@@ -40,7 +40,10 @@ class Subject:
 
 
 def subject(kind: str, name: str, *parts: str | bytes) -> Subject:
-    """Return a subject whose digest covers its kind and `parts`."""
+    """Return a subject whose digest covers its kind and `parts`.
+
+    kind: what could happen, such as a program that runs; name: as the user reads it.
+    """
     total = hashlib.sha256(kind.encode())
     for part in parts:
         data = part.encode("utf-8", "surrogateescape") if isinstance(part, str) else part

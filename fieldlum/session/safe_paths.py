@@ -100,7 +100,10 @@ def _refuse_in(entry: os.DirEntry[str], *, is_deep: bool = True) -> None:
 
 
 def open_inside(root: Path, path: Path, flags: int) -> int:
-    """Open a file of a session as `open_file` does, if no folder on its way is a link either."""
+    """Open a file of a session as `open_file` does, if no folder on its way is a link either.
+
+    root: of the session; flags: of os.open. Returns the handle. Raises OSError for a link.
+    """
     if (link := link_on_the_way(root, path.parent)) is not None:
         raise OSError(errno.ELOOP, "a symbolic link in place of a folder", str(link))
     return open_file(path, flags)

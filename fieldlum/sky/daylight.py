@@ -112,10 +112,10 @@ class Light:
         return np.maximum(self.diffuse_lx + self.direct_lx, MIN_LX)
 
     def sky_features(self, sky_cdm2: Floats32) -> Floats32:
-        """Return `Features.sky` of these hours for the luminance of their sky patches, [n, 2305].
+        """Return `Features.sky` of these hours, [n, 2305].
 
-        Luminances are multiplied by the root of the patch's solid angle, so that products of two
-        hours are integrals over the sky.
+        sky_cdm2: luminance of their sky patches [n, 2305]. It is multiplied by the root of the
+        patch's solid angle, so that products of two hours are integrals over the sky.
         """
         root_solid_angle = np.sqrt(reinhart_patches().solid_angles_sr).astype(np.float32)
         return sky_cdm2 * root_solid_angle / self.total_lx.astype(np.float32)[:, None]

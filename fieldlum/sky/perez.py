@@ -205,9 +205,9 @@ def perez_coefficients(
     """Return skies from direct normal and diffuse horizontal irradiance, as gendaylit -W does.
 
     dni_wm2, dhi_wm2, sun_altitude_deg (true, without refraction) : [n]; when : day of the year [n]
-    or UTC times. The sun's altitude is limited to 0 to 87 degrees, as in
-    gendaylit. A sky outside the model (with a positive coefficient b) is levelled towards the
-    horizon; gendaylit gives a black sky. Negative irradiance counts as 0.
+    or UTC times. The sun's altitude is limited to 0 to 87 degrees, as in gendaylit. A sky outside
+    the model (with a positive coefficient b) is levelled towards the horizon; gendaylit gives a
+    black sky. Negative irradiance counts as 0. Source: Perez, Seals and Michalsky 1993.
     """
     items = np.atleast_1d(np.asarray(when))
     if items.dtype == object:

@@ -104,7 +104,8 @@ def apparent_altitude_deg(altitude_deg: ArrayLike) -> Floats:
 def standard_offset(timezone: str, year: int) -> timedelta:
     """Return the UTC offset of local standard time: the smallest on the 15th of the year's months.
 
-    The "dst" field of the time zone data is not used: for Ireland it marks winter as the exception.
+    timezone: IANA name. The "dst" field of the time zone data is not used: for Ireland it marks
+    winter as the exception.
     """
     zone = ZoneInfo(timezone)
     middles = (datetime(year, month, 15, 12, tzinfo=zone) for month in range(1, 13))
@@ -125,7 +126,7 @@ def zone_off_sun_h(site: Site) -> float:
 def standard_time(t_utc: datetime, timezone: str) -> datetime:
     """Return a moment as local standard time, without summer time, naive, for labels and dates.
 
-    Raises ValueError for a naive time.
+    timezone: IANA name. Raises ValueError for a naive time.
     """
     if t_utc.tzinfo is None:
         raise ValueError(f"naive time {t_utc}: add a time zone")
@@ -134,14 +135,17 @@ def standard_time(t_utc: datetime, timezone: str) -> datetime:
 
 
 def standard_date(t_utc: datetime, timezone: str) -> date:
-    """Return the date of a moment in local standard time. Raises ValueError for a naive time."""
+    """Return the date of a moment in local standard time of an IANA zone.
+
+    Raises ValueError for a naive time.
+    """
     return standard_time(t_utc, timezone).date()
 
 
 def hour_of_year(t_utc: datetime, timezone: str) -> int:
     """Return the hour, from 0, of a year of 365 days in which a moment is, in local standard time.
 
-    29 February counts as the 28th.
+    timezone: IANA name. 29 February counts as the 28th. Raises ValueError for a naive time.
     """
     local = standard_time(t_utc, timezone)
     day = min(local.day, 28) if local.month == 2 else local.day
@@ -149,15 +153,15 @@ def hour_of_year(t_utc: datetime, timezone: str) -> int:
 
 
 def standard_midnight(day: date, timezone: str) -> datetime:
-    """Return the start of a local standard day, in UTC."""
+    """Return the start of a local standard day, in UTC; timezone: IANA name."""
     return datetime.combine(day, time(), tzinfo=UTC) - standard_offset(timezone, day.year)
 
 
 def clock_changes(first: date, last: date, timezone: str) -> list[tuple[datetime, timedelta]]:
     """Return the clock changes from standard midnight at the start of `first` to the end of `last`.
 
-    Each is (moment in UTC, new minus old UTC offset), in order; found to the half hour, on which
-    every change of the last fifty years was.
+    timezone: IANA name. Each is (moment in UTC, new minus old UTC offset), in order; found to the
+    half hour, on which every change of the last fifty years was. Empty without any.
     """
     start, half_hours = standard_midnight(first, timezone), 48 * ((last - first).days + 1)
     moments = [start + timedelta(minutes=30 * k) for k in range(half_hours + 1)]
@@ -183,9 +187,9 @@ def _ecliptic_longitude_deg(moment: datetime) -> float:
 def season(year: int, which: int) -> datetime:
     """Return the moment at which the sun's apparent longitude is ``90 deg * which``.
 
-    which : 0 March equinox, 1 June solstice, 2 September equinox, 3 December solstice; named by
-    month, because "spring" is another season south of the equator. To the second in UTC; within a
-    minute of the almanac's tables from 1950 to 2050.
+    year : of the calendar; which : 0 March equinox, 1 June solstice, 2 September equinox, 3
+    December solstice; named by month, because "spring" is another season south of the equator. To
+    the second in UTC; within a minute of the almanac's tables from 1950 to 2050.
     """
     month, target = (3, 6, 9, 12)[which], 90.0 * which
     moment = datetime(year, month, 21, tzinfo=UTC)
@@ -328,14 +332,17 @@ def dirint_dni(ghi_wm2: ArrayLike, times_utc: Sequence[datetime], site: Site) ->
 
 
 def horizontal_beam(normal: ArrayLike, altitude_deg: ArrayLike) -> Floats:
-    """Return what direct normal light gives on the horizontal, in its unit, [n]; 0 after sunset."""
+    """Return what direct normal light gives on the horizontal, in its unit; 0 after sunset, [n].
+
+    normal : on a plane normal to the sun [n]; altitude_deg : true, of the sun [n].
+    """
     return np.asarray(normal, float) * np.maximum(np.sin(np.radians(altitude_deg)), 0.0)
 
 
 def dhi_by_closure(ghi_wm2: ArrayLike, dni_wm2: ArrayLike, altitude_deg: ArrayLike) -> Floats:
     """Return diffuse = global - DNI sin(altitude), never negative, [n], in W/m2.
 
-    With the sun below the horizon it is the global.
+    ghi_wm2, dni_wm2, altitude_deg : [n] each. With the sun below the horizon it is the global.
     """
     return np.maximum(np.asarray(ghi_wm2, float) - horizontal_beam(dni_wm2, altitude_deg), 0.0)
 
@@ -343,8 +350,8 @@ def dhi_by_closure(ghi_wm2: ArrayLike, dni_wm2: ArrayLike, altitude_deg: ArrayLi
 def dni_by_closure(ghi_wm2: ArrayLike, dhi_wm2: ArrayLike, altitude_deg: ArrayLike) -> Floats:
     """Return DNI = (global - diffuse) / sin(altitude), [n], in W/m2.
 
-    Noise can make it negative: values are not clipped, so that a mean has no bias. Zero at
-    altitudes up to 2 degrees, where it cannot be determined.
+    ghi_wm2, dhi_wm2, altitude_deg : [n] each. Noise can make it negative: values are not clipped,
+    so that a mean has no bias. Zero at altitudes up to 2 degrees, where it cannot be determined.
     """
     altitude = np.asarray(altitude_deg, float)
     sine = np.sin(np.radians(np.maximum(altitude, 2.0)))
@@ -385,8 +392,9 @@ def bsrn_limits(
 def too_weak(ghi_wm2: ArrayLike, altitude_deg: ArrayLike, extraterrestrial: ArrayLike) -> Mask:
     """Return True where global is under 0.5 % of extraterrestrial sin(altitude), [n].
 
-    False for a sun up to 10 degrees. Where True, the instrument is covered or dead, or the unit is
-    kW/m2: the darkest storm transmits ten times as much, a file in kW a seventh.
+    ghi_wm2, altitude_deg, extraterrestrial [W/m2] : [n] each. False for a sun up to 10 degrees.
+    Where True, the instrument is covered or dead, or the unit is kW/m2: the darkest storm transmits
+    ten times as much, a file in kW a seventh.
     """
     altitude = np.asarray(altitude_deg, float)
     top = np.asarray(extraterrestrial, float) * np.sin(np.radians(np.maximum(altitude, 0.0)))
@@ -398,7 +406,8 @@ def closure_ratio(
 ) -> Floats:
     """Return global over (diffuse + DNI sin altitude), [n].
 
-    NaN (not testable) where that sum is not over 50 W/m2. Irradiances in W/m2.
+    All arguments : [n], irradiances in W/m2, true altitude. NaN (not testable) where that sum is
+    not over 50 W/m2.
     """
     total = np.asarray(dhi_wm2, float) + horizontal_beam(dni_wm2, altitude_deg)
     return np.divide(ghi_wm2, total, out=np.full(total.shape, np.nan), where=total > 50.0)

@@ -148,8 +148,8 @@ def add_disc(
 ) -> Floats32:
     """Return maps [n, H, W] with each disc's energy added to the pixel of the sun.
 
-    disc_lx [n] : illuminance on a plane normal to the sun; light : its apparent sun positions
-    count; heading_deg : azimuth of the maps' centre.
+    luminance_cdm2 [n, H, W] : without discs; disc_lx [n] : illuminance on a plane normal to the
+    sun; light : its apparent sun positions count; heading_deg : azimuth of the maps' centre.
     """
     place = light.apparent_altitude_deg, light.sun_azimuth_deg
     return add_source(luminance_cdm2, place, disc_lx, heading_deg)
@@ -163,9 +163,9 @@ def add_source(
 ) -> Floats32:
     """Return maps [n, H, W] with a source of one pixel added to each.
 
-    place_deg : altitudes and azimuths [n] of the sources, clockwise from true north.
-    normal_lx [n] : illuminance on a plane normal to their directions; heading_deg : azimuth of the
-    maps' centre.
+    luminance_cdm2 [n, H, W] : without the sources. place_deg : altitudes and azimuths [n] of the
+    sources, clockwise from true north. normal_lx [n] : illuminance on a plane normal to their
+    directions; heading_deg : azimuth of the maps' centre.
     """
     height, width = luminance_cdm2.shape[1:]
     row, column = equirect_pixel(*place_deg, height, width, heading_deg)

@@ -281,9 +281,10 @@ def _against(
 def contradictions(light: Floats, before_deg: Floats, after_deg: Floats) -> int:
     """Count the spans of time that contradict the sun's altitudes at their two ends, [n] each.
 
-    A span contradicts if it has over 3 W/m2 of DNI + DHI [n] with the sun below -0.5 deg at both
-    ends, or under 1 W/m2 with the sun above 1.5 deg at both: around the -0.8 deg of sunrise, and
-    above the rounding of files.
+    light : mean DNI + DHI of each span [n] W/m2; before_deg, after_deg : altitude at its ends [n].
+    A span contradicts if it has over 3 W/m2 with the sun below -0.5 deg at both ends, or under 1
+    W/m2 with the sun above 1.5 deg at both: around the -0.8 deg of sunrise, and above the rounding
+    of files.
     """
     lit_at_night = (light > 3.0) & (np.maximum(before_deg, after_deg) < -0.5)
     dark_by_day = (light < 1.0) & (np.minimum(before_deg, after_deg) > 1.5)

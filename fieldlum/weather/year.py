@@ -83,10 +83,10 @@ class Weather:
 def synthetic_weather(site: Site, seed: int = 1) -> Weather:
     """Return a plausible year for a place without a weather file; never judge the place by it.
 
-    The clear sky of pvlib times a random cloudiness: an hourly AR(1) series (correlation 0.85)
-    around a slower daily one (0.6), mapped to a share of the beam and to a factor on the diffuse
-    (thin clouds double it, thick ones halve it). All coefficients are chosen so that the hours look
-    like weather; not fitted to measurements.
+    seed : of the random draws. The clear sky of pvlib times a random cloudiness: an hourly AR(1)
+    series (correlation 0.85) around a slower daily one (0.6), mapped to a share of the beam and to
+    a factor on the diffuse (thin clouds double it, thick ones halve it). All coefficients are
+    chosen so that the hours look like weather; not fitted to measurements.
     """
     start = sun.standard_midnight(date(TYPICAL_YEAR, 1, 1), site.timezone)
     times = tuple(start + _HOUR * k + timedelta(minutes=30) for k in range(8760))

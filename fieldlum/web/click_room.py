@@ -62,7 +62,7 @@ class ClickedPicture:
 
 
 def clicked_table(clicked: ClickedRoom) -> JsonTable:
-    """Return a clicked room as JSON for the page.
+    """Return a clicked room with the keys of the page's JSON.
 
     rows: {"name", "value", "u"} for each length [m] and angle [deg] of `Room`, windows as
     window.NUMBER.left_m from 0; faces: compass direction of the south wall; walls: of each window;

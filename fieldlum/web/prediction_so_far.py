@@ -197,7 +197,7 @@ def _each(process: psutil.Popen, act: str) -> None:
 
 
 def read_answer(session: Session) -> JsonTable | None:
-    """Return the stored answer (watch/answer.json); None for a missing or damaged file.
+    """Return the stored answer (watch/answer.json) by its keys; None for a missing or damaged file.
 
     It is the result of one run of `Worker`. t_utc: its time; captures: number of captured slots;
     weather: its name; synthetic: whether it is a synthetic year; warnings: texts; protection: a
@@ -212,7 +212,7 @@ def read_answer(session: Session) -> JsonTable | None:
 
 
 def answer_table(session: Session, worker: Worker | None) -> JsonTable:
-    """Return the last answer and what is computed now, as JSON for the page.
+    """Return the last answer and what is computed now, with the keys of the page's JSON.
 
     last: `read_answer`, or None; computes: whether this process has a worker; step: what it
     computes now, ""; problem: error of its last step, ""; least_captures: needed for an answer.

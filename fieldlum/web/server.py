@@ -289,7 +289,7 @@ def _lan_address() -> str:
 
 
 def qr_lines(text: str) -> list[str]:
-    """Return a QR code as lines of half blocks, with the required margin.
+    """Return a QR code of `text` as lines of half blocks, with the required margin.
 
     Light modules are drawn: print the lines in white on black.
     """

@@ -426,7 +426,7 @@ class Snapshots:
             return {"days": [{"date": day, "slots": rows} for day, rows in sorted(days.items())]}
 
     def day(self, day: date) -> JsonTable:
-        """Return {"date", "slots", "scale", "irradiance"} of a local day.
+        """Return a local day as JSON for the page; keys: date, slots, scale and irradiance.
 
         slots: as in `calendar`, with `verdict`; scale: `scale_of` all pictures of the day;
         irradiance: `day_curve`.

@@ -33,7 +33,7 @@ class SimulatedSpn1(Pyranometer):
         self.info = InstrumentInfo("spn1", "Delta-T SPN1", serial, gives=gives, guard="asked twice")
 
     def read(self) -> IrradianceSample:
-        """Return a reading on which two answers agree."""
+        """Return a reading on which two answers agree; raises as `agreed_sample`."""
         return agreed_sample(self._clock.now(), self.answer)
 
     def answer(self) -> bytes:

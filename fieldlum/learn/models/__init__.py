@@ -105,7 +105,10 @@ def state_of(model: Any, with_patch: bool) -> ModelState:
 
 
 def stored(part: Any, prefix: str, arrays: dict[str, Array]) -> dict[str, Any]:
-    """Return a dataclass as plain values; add its arrays to `arrays`, as PREFIX and a number."""
+    """Return a dataclass as plain values for config.json, by field name, for `rebuilt`.
+
+    Arrays of any shape are added to `arrays`; their field has the name PREFIX followed by a number.
+    """
 
     def of_array(value: Array) -> str:
         arrays[name := f"{prefix}{len(arrays)}"] = value
@@ -117,8 +120,8 @@ def stored(part: Any, prefix: str, arrays: dict[str, Array]) -> dict[str, Any]:
 def rebuilt(kind: type[_Part], table: Any, arrays: Mapping[str, Array]) -> _Part:
     """Return the dataclass of type `kind` that `stored` described.
 
-    table: result of `stored`; arrays: those that it added, by name. Raises KeyError, TypeError or
-    ValueError for missing or wrong content.
+    table: result of `stored`; arrays: those that it added, by name, of any shape [...]. Raises
+    KeyError, TypeError or ValueError for missing or wrong content.
     """
     if table.get("format", FORMAT) != FORMAT:
         raise ValueError("a model of an earlier version")
@@ -148,10 +151,10 @@ class Fitted(Protocol):
         ...
 
     def predict(self, light: Light, patch_cdm2: Floats32 | None = None) -> Prediction:
-        """Predict maps of the n hours of `light`.
+        """Predict maps of the n hours of `light`, [n, H, W] cd/m2.
 
-        patch_cdm2: luminance of direct sun only [n, H, W], for models that require it. Memory grows
-        with the number of hours, so predict in chunks.
+        patch_cdm2: luminance of direct sun only [n, H, W] cd/m2, for models that require it; None
+        for others. Memory grows with the number of hours, so predict in chunks.
         """
         ...
 

@@ -34,7 +34,7 @@ class Domain:
 
 
 def domain_of(light: Light) -> Domain:
-    """Return the domain of the captures whose light is `light`."""
+    """Return the domain of the captures whose light is `light`, without its overcast hours."""
     return Domain(light.sun_direction[light.dni_wm2 >= 60.0])
 
 

@@ -89,7 +89,7 @@ class Dataset:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Height and width of the maps [px]."""
+        """Height H and width W of the maps [px]."""
         return self.luminance_cdm2.shape[1], self.luminance_cdm2.shape[2]
 
     @property

@@ -63,7 +63,7 @@ class Shape:
 
 
 def encode(luminance_cdm2: Array) -> Floats32:
-    """Return luminance encoded for the network, in the same shape: (log10 L / 9.2)^(1/1.5).
+    """Return luminance [...] encoded for the network, in the same shape: (log10 L / 9.2)^(1/1.5).
 
     Luminance below 1 cd/m2 counts as 1. Larger luminances than 1.6e9 cd/m2 give values above 1.
     """
@@ -71,7 +71,7 @@ def encode(luminance_cdm2: Array) -> Floats32:
 
 
 def decode(encoded: Array) -> Floats32:
-    """Return the luminance [cd/m2] of encoded values; they are clipped to [0, 1] first.
+    """Return the luminance [cd/m2] of encoded values [...], clipped to 0 to 1, in the same shape.
 
     That bounds every prediction: the least result is 1, the largest 1.6e9 cd/m2.
     """
@@ -293,7 +293,10 @@ def total(tensor: Tensor) -> Tensor:
 
 
 def agreed(value: float, device: torch.device) -> float:
-    """Return in every process the value of the process with rank 0, so that all end together."""
+    """Return in every process the value (such as the elapsed seconds) of the process with rank 0.
+
+    So all processes decide equally when training ends. device: of this process.
+    """
     shared = torch.tensor([value if rank() == 0 else 0.0], dtype=torch.float64, device=device)
     return float(total(shared).item())
 
@@ -389,9 +392,10 @@ class Trainer:
         return torch.stack([(weight * v.square()).sum() for v in (error, target)] + [count])
 
     def step(self, numbers: Tensor, rate: float) -> float:
-        """Update the weights once by the exact gradient of the batch's loss; return the loss.
+        """Update the weights once by the exact gradient of the batch's loss; return that loss.
 
-        rate: learning rate. If the loss is NaN, the weights did not change.
+        numbers: indices of the batch's pairs; rate: learning rate; loss: `loss_value`. If the loss
+        is NaN, the weights did not change.
         """
         self.optimiser.param_groups[0]["lr"] = rate
         self.optimiser.zero_grad()
@@ -425,7 +429,7 @@ class Trainer:
         return 3 * len(numbers) / max(time.monotonic() - start_s, 1e-6)
 
     def weights(self) -> dict[str, Tensor]:
-        """Return a copy of the network's weights."""
+        """Return a copy of the network's weights, by the names of torch's state_dict."""
         return {name: value.clone() for name, value in self.net.state_dict().items()}
 
 
@@ -592,7 +596,7 @@ def _epoch(
 
 
 def restore(path: Path, trainer: Trainer, mark: str) -> tuple[Run, dict[str, Tensor]]:
-    """Load a checkpoint into the trainer; return its run and its best weights.
+    """Load a checkpoint into the trainer; return its run and its best weights by name.
 
     mark: digest of training data, patch mode, seed and shape. Raises InputError if it differs, and
     for a file that cannot be read or contains other objects than tensors, numbers and texts.

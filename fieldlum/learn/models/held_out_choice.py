@@ -45,7 +45,10 @@ class HeldOutErrors:
     trim: float = TRIM
 
     def figure(self, name: str) -> float:
-        """Return the trimmed weighted mean of one of `CRITERIA`; NaN if no hour has it."""
+        """Return the trimmed weighted mean of one error; NaN if no hour has it.
+
+        name: one of `CRITERIA`, whose unit the result has.
+        """
         values = getattr(self, name)
         rows = np.isfinite(values) & (self.weight > 0.0)
         return trimmed_mean(values[rows], self.weight[rows], self.trim)
@@ -80,9 +83,9 @@ def trimmed_mean(values: Floats, weight: Floats, trim: float = TRIM) -> float:
 def difference(candidate: HeldOutErrors, other: HeldOutErrors, name: str) -> tuple[float, float]:
     """Return how much larger an error is than that of another candidate, and its standard error.
 
-    name: of one of `CRITERIA`. Both candidates have the same hours. The standard error is that of
-    the trimmed mean, by winsorised differences (Tukey and McLaughlin 1963), where only days are
-    independent; it is 0 with one day. Both are NaN if no hour has the errors of both.
+    name: one of `CRITERIA`, whose unit both have. Both candidates have the same hours. The standard
+    error is that of the trimmed mean, by winsorised differences (Tukey and McLaughlin 1963), where
+    only days are independent; it is 0 with one day. Both are NaN if no hour has the errors of both.
     """
     a, b = getattr(candidate, name), getattr(other, name)
     rows = np.isfinite(a) & np.isfinite(b) & (candidate.weight > 0.0)

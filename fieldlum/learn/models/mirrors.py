@@ -126,11 +126,12 @@ def near_sun_rad(height: int) -> float:
 def bright_spots(
     luminance_cdm2: Floats, heading_deg: float, sun: Floats, dni_wm2: float, row: int
 ) -> list[SunImage]:
-    """Return the compact spots of a map [H, W] that no surface in the sun can be as bright as.
+    """Return the compact spots of a map that no surface in the sun can be as bright as.
 
-    Each has the brightness and the energy that `find_disc` requires. heading_deg: azimuth of the
-    map's centre; sun [3]: its surroundings are not searched; dni_wm2: of the capture; row: its
-    index, stored in the spots.
+    Each has the brightness and the energy that `find_disc` requires. luminance_cdm2: map [H, W];
+    heading_deg: azimuth of its centre; sun: unit vector [3] to the sun, whose surroundings are not
+    searched; dni_wm2: of the capture; row: its index, stored in the spots. The list is empty
+    without spots.
     """
     light = np.nan_to_num(np.asarray(luminance_cdm2, np.float32), posinf=0.0, neginf=0.0)
     height, width = light.shape

@@ -161,7 +161,10 @@ def _contrast(maps: Floats32, data: Dataset) -> Floats:
 
 
 def evaluate(fitted: Fitted, test: Truth) -> Scores:
-    """Predict the hours of a test set and return the scores against the true maps."""
+    """Predict the hours of a test set and return the scores against the true maps.
+
+    Raises FloatingPointError for a predicted value that is not finite.
+    """
     parts = []
     for rows in _chunks(np.arange(len(test.data))):
         progress(int(rows[0]), len(test.data), f"{fitted.name}: test")

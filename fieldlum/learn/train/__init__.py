@@ -107,7 +107,8 @@ def fit_timed(
 ) -> tuple[Fitted, Spent]:
     """Fit the model `name` of `MODELS` to `data`; return the model and the time of the fit.
 
-    budget_s: time limit [s]; checkpoint: file to continue from. Only slow models use these two.
+    patch, seed: as for `fit_and_score`. budget_s: time limit [s], None for no limit; checkpoint:
+    file to continue from, None for none. Only slow models use these two.
     """
     wall, cpu = monotonic(), process_time()
     slow = {"budget_s": budget_s, "checkpoint": checkpoint} if MODELS[name].slow else {}
@@ -126,6 +127,7 @@ def evaluate_folds(
 ) -> Trial:
     """Fit without the captures of each of `day_folds`, compare with these, and join the scores.
 
+    name: of the model; folds: masks [n] of held-out captures; patch, seed: as for `fit_and_score`;
     budget_s: for all folds of a slow model together [s], None for no limit.
     """
     parts: list[Scores] = []
@@ -213,7 +215,10 @@ class Result:
     mirrors: tuple[Mirror, ...]
 
     def table(self, seed: int) -> list[ScoreRow]:
-        """Return a row for each trial, as in `train --json` (docs/design.md, Command line)."""
+        """Return a row for each trial, as in `train --json` (docs/design.md, Command line).
+
+        seed: of the training, which each row repeats.
+        """
         own = ("name", "fit_s", "fit_cpu_s", "n_train", "folds")
         more = {"seed": seed, "not_judged_because": None}
         return [{k: getattr(t, k) for k in own} | summary(t.scores) | more for t in self.trials]
@@ -313,8 +318,8 @@ def run(
 
     If captures and options have not changed since the same version trained the model, nothing is
     trained (unless `force`) and the answer's `kept` is True. An interrupted dense training
-    continues from its checkpoint in `out`. budget_min: minutes for the network. Other arguments:
-    `fit_and_score`.
+    continues from its checkpoint in `out`. budget_min: minutes for the network. Other arguments and
+    errors: `fit_and_score`.
     """
     mode = patch_mode(data, patch)
     inputs = {
@@ -374,7 +379,10 @@ def _model_sha256(folder: Path) -> str:
 
 
 def model_notes(fitted: Fitted, data: Dataset, patch: Patch) -> list[str]:
-    """Return notes on the skies of a light transport model's fit, and on an unused stated room."""
+    """Return notes on the skies of a light transport model's fit, and on an unused stated room.
+
+    They are sentences for the user; the list is empty without such facts and for other models.
+    """
     sd, notes = getattr(fitted, "sky_sd", None), []
     if sd is not None:
         notes.append(

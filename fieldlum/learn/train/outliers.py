@@ -141,10 +141,11 @@ class Evidence:
         return float(likelihoods[k]) - self.usual, float(np.median(along[k])) / norms[k]
 
     def level_change(self, captures: Indices) -> tuple[float, float]:
-        """Return the gain of a factor on the light of captures, and the factor.
+        """Return the gain in log likelihood of one factor on the light of captures, and the factor.
 
-        A factor under 1.2 either way, or 1.5 of a single capture, is weather, and gains nothing:
-        where Perez's classes of sky meet, 2 W/m2 of DNI change the light in a room by 1.3.
+        captures: indices [k]. A factor under 1.2 either way, or 1.5 of a single capture, is
+        weather, and gains nothing: where Perez's classes of sky meet, 2 W/m2 of DNI change the
+        light in a room by 1.3.
         """
         gain, size = self.change(captures, self.level)
         factor = 1.0 / max(1.0 - size, 1e-3)
@@ -181,7 +182,7 @@ def _days_and_pairs(process: Process, rows: Indices) -> list[Indices]:
 
 
 def find_lamp(process: Process, rows: Indices) -> Indices:
-    """Return those of the captures `rows` in which a lamp was on, as indices; empty if none.
+    """Return those of the captures `rows` [k] in which a lamp was on, as indices; empty if none.
 
     A lamp is searched in mornings or evenings, and needs at least three captures.
     """
@@ -237,7 +238,7 @@ def _other_level(found: Evidence) -> Indices:
 
 
 def find_unexplained(process: Process) -> Indices:
-    """Return the indices of captures whose light contradicts the others; empty if none.
+    """Return the indices [k] of captures whose light contradicts the others; empty if none.
 
     These are groups with another level, and single captures. They are removed one after the other,
     at most half of all, as long as four days remain.

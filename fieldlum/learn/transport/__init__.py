@@ -254,11 +254,15 @@ class MeanTransport:
 
     @property
     def sky_sd(self) -> float | None:
-        """How the skies in the windows differed from Perez's; see `Transport`."""
+        """Standard deviation of ln of the skies over Perez's (`SeenSky`); None if not estimated."""
         return self.fitted.sky_sd
 
     def predict(self, light: Light, patch_cdm2: Floats32 | None = None) -> Prediction:
-        """Predict luminance maps, as `Transport.predict`."""
+        """Predict luminance maps [n, H, W] cd/m2 of the n hours of `light`.
+
+        patch_cdm2 and errors: as for `Transport.predict`, of the fitted scene; the patches of the
+        stated room are computed.
+        """
         fitted = self.fitted.predict(light, patch_cdm2)
         stated = self.stated.predict(light, self._stated_patches(light))
         share, rest = self.share, 1.0 - self.share

@@ -137,7 +137,11 @@ class PatchLight:
 
     @classmethod
     def of(cls, patch: Floats, light: Light, window: Mask) -> PatchLight:
-        """Return the divisors for captures; arguments as for `features`."""
+        """Return the divisors for the n captures of `light`.
+
+        patch: luminance of sun patches [n, H, W] cd/m2; window: mask [H, W], True at window pixels.
+        They are 1 if no sunny capture has a patch.
+        """
         cells = _patch_cells(patch, window)
         # Less direct light than 20 lx is not visible in a room.
         sunny = light.direct_lx > 20.0
@@ -247,9 +251,10 @@ class TrainingArrays:
 
 
 def training_arrays_of(data: Dataset, *, with_patch: bool) -> TrainingArrays:
-    """Return captures as arrays for the solver, with window pixels detected from the captures.
+    """Return n captures at P seen pixels as arrays for the solver, with detected window pixels.
 
-    with_patch: use the sun patches of `data`, if it has any; otherwise `patch` is None.
+    Arrays have the shapes of `TrainingArrays`. with_patch: use the sun patches of `data`, if it has
+    any; otherwise `patch` is None.
     """
     rays = equirect_rays(*data.shape, data.heading_deg)[data.seen]
     luminance, light = data.luminance_cdm2[:, data.seen], data.light
@@ -346,10 +351,10 @@ def edge_weights(patch: Floats, seen: Mask, luminance: Floats, total_lx: Floats)
 def pixel_scale(arrays: TrainingArrays, per: Floats | None = None) -> Array:
     """Return each pixel's usual luminance, without sky and sun patch, per lx of total light, [P].
 
-    It is a geometric mean over the hours in which at most half of the pixel's luminance is window
-    sky and at most 30 % is sun patch. per: luminance [n, P] cd/m2 to divide by instead of the total
-    light, None for the total light. A pixel with one or two such hours is limited to the range of
-    the other pixels; a pixel without such hours gets their median.
+    arrays: of n captures. The result is a geometric mean over the hours in which at most half of
+    the pixel's luminance is window sky and at most 30 % is sun patch. per: luminance [n, P] cd/m2
+    to divide by instead of the total light, None for the total light. A pixel with one or two such
+    hours is limited to the range of the other pixels; a pixel without such hours gets their median.
     """
     total = arrays.light.total_lx[:, None] if per is None else per
     luminance = np.maximum(arrays.luminance, MIN_CDM2)
@@ -405,12 +410,12 @@ class SeenSky:
     sd: float
 
     def features(self, arrays: TrainingArrays) -> Features:
-        """Return the features of `arrays`, with these skies instead of Perez's."""
+        """Return the features of n captures, with these skies [n, 2305] instead of Perez's."""
         return replace(arrays.features, sky=arrays.light.sky_features(self.luminance_cdm2))
 
 
 def seen_sky(arrays: TrainingArrays) -> SeenSky | None:
-    """Return the sky of each capture, estimated from its window pixels.
+    """Return the sky of each of n captures, estimated from its window pixels, [n, 2305] cd/m2.
 
     Return None without window pixels, or if the skies differ from Perez's by under 5 % (rms). A
     window pixel's median ratio to Perez's sky over the captures counts as the transmittance of the

@@ -71,7 +71,8 @@ class Physics:
     def features(self, light: Light, sunlight: Floats32) -> Floats32:
         """Return what a kernel compares, about 1 with the sun in the room, [n, j].
 
-        Inner products are those of the pictures of reflected sunlight, per total light.
+        light: of n hours; sunlight: result of `sunlight` for them [n, k]. Inner products of rows
+        are those of the pictures of reflected sunlight, per total light.
         """
         return sunlight @ self.comparison / light.total_lx.astype(np.float32)[:, None]
 

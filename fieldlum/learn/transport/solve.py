@@ -81,7 +81,11 @@ class Columns:
 
     @classmethod
     def of(cls, arrays: TrainingArrays, unit: Array, computed: Floats32 | None) -> Columns:
-        """Return the covariates; unit (total light times pixel scale), computed: [n, P] cd/m2."""
+        """Return the covariates of `arrays`.
+
+        unit: total light times pixel scale [n, P] cd/m2; computed: luminance of the room's model
+        [n, P] cd/m2, None without a room.
+        """
         parts = [(arrays.sky, SKY_VARIANCE)]
         if arrays.patch is not None:
             parts.insert(0, (arrays.patch, PATCH_VARIANCE))
@@ -91,14 +95,17 @@ class Columns:
         return cls(values, np.array([v for _, v in parts]), int(computed is not None))
 
     def surfaces(self, features_light: Array, gains: Array) -> Array:
-        """Return the light of surfaces [n, P]: F b (`features_light`) plus the computed light."""
+        """Return the light of surfaces [n, P]: F b plus the computed light.
+
+        features_light: F b [n, P]; gains: of the covariates [P, k].
+        """
         count = self.surface
         return features_light + np.einsum("knp,pk->np", self.values[:count], gains[:, :count])
 
     def direct(self, gains: Array) -> Array:
         """Return the light of sun patch and window sky, in the unit of `values`, [n, P].
 
-        Negative gains count as 0.
+        gains: of the covariates [P, k]; negative ones count as 0.
         """
         direct = slice(self.surface, None)
         return np.einsum("knp,pk->np", self.values[direct], np.maximum(gains[:, direct], 0.0))
@@ -189,7 +196,9 @@ def solve(
 ) -> tuple[Array, Array]:
     """Return the coefficients b [P, r] and the gains [P, k] of every pixel.
 
-    They minimise the sum at the top of this module; arguments as for `normal_equations`.
+    They minimise the sum at the top of this module. features: shared by all pixels [n, r]; target,
+    weights: [n, P]; noise: variance of a target of weight 1; products: result of
+    `pair_products(features)`.
     """
     r = features.shape[1]
     matrix, right = normal_equations(features, columns, target, weights, noise, products)
@@ -268,7 +277,7 @@ def _near(target: Array, basis: Basis, b: Array, columns: Columns, gains: Array)
 def fit_pixels(
     arrays: TrainingArrays, basis: Basis, noise: float, tick: Callable[[int, int], None]
 ) -> PixelFit:
-    """Fit all pixels of `arrays`, in chunks that limit the memory.
+    """Fit all P pixels of `arrays`, in chunks that limit the memory; return coefficients by pixel.
 
     noise: variance of a target of weight 1. tick: called after each chunk with the number of
     finished pixels and the number of all pixels.
@@ -305,9 +314,9 @@ def fit_pixels(
 def patch_scale(arrays: TrainingArrays) -> float:
     """Return the factor by which all sun patches must be multiplied to match the captures.
 
-    It is the median of (L - q E) / s over values with a clear patch, with luminance L, total light
-    E, patch s and the median q of L / E in the pixel's other hours, of pixels that are lit in half
-    of the hours at most; 1 without such values.
+    It is the median of (L - q E) / s over values [n, P] with a clear patch, with luminance L, total
+    light E, patch s and the median q of L / E in the pixel's other hours, of pixels that are lit in
+    half of the hours at most; 1 without such values.
     """
     assert arrays.patch is not None
     if not (arrays.patch > 0.0).any():
@@ -368,10 +377,11 @@ class HeldOutFit:
 
 
 def hold_out(arrays: TrainingArrays, basis: Basis, noise: float) -> HeldOutFit:
-    """Predict each captured hour from the captures of all other days (`arrays.days`).
+    """Predict each captured hour [n] from the captures of all other days (`arrays.days`).
 
-    No fit is repeated: features, robust weights and pixel scales are those of the fit to all days.
-    Hours are predicted under Perez's skies, as a year is.
+    noise: of the fit, variance of a target of weight 1. No fit is repeated: features, robust
+    weights and pixel scales are those of the fit to all days. Hours are predicted under Perez's
+    skies, as a year is.
     """
     scale, products = pixel_scale(arrays), pair_products(basis.values)
     predicted, target = (np.empty(arrays.luminance.shape) for _ in range(2))

@@ -115,7 +115,7 @@ def _positive(cell: str, path: Path, line: int) -> float:
 
 
 def tags_of(path: Path) -> dict[int, Any]:
-    """Return the EXIF tags of a frame: those of its Exif directory, and those of the main one.
+    """Return the EXIF tags of a frame by number: of its Exif directory, and of the main one.
 
     The GPS directory is a dict of its own tags. There are none in a file that is neither a JPEG nor
     like a TIFF. Raises InputError for a file that is missing, empty or unreadable.
@@ -169,7 +169,7 @@ def numbers(tags: Tags, *numbers_of_tags: int) -> list[float]:
 
 
 def text_of(tags: Tags, number: int) -> str:
-    """Return the text of a tag without blanks around it; "" without one."""
+    """Return the text of the tag `number` without blanks around it; "" without one."""
     value = tags.get(number, "")
     text = value.decode("ascii", "replace") if isinstance(value, bytes) else value
     return text.strip("\0 ") if isinstance(text, str) else ""
@@ -264,7 +264,7 @@ def white_balance_is_fixed(path: Path) -> bool:
 
 
 def same_model(model: str, wanted: str) -> bool:
-    """Return whether two camera names are equal, or one is a sequence of words in the other.
+    """Return whether `model` and `wanted` are equal, or one is a sequence of words in the other.
 
     Case and spaces do not count; an empty name equals no other. The second rule exists because a
     frame may state the maker's name in front of the model.

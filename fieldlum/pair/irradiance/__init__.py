@@ -204,7 +204,7 @@ def _stuck(t_unix_s: Floats, ghi: Floats, altitude: Floats) -> Mask:
 def suspicions(series: Series, altitude: Floats, top: Floats, site: Site) -> NDArray[np.int64]:
     """Return marks [n] of rows with impossible k-indices or a shaded horizon; values stay.
 
-    altitude, top [n]: from `sky_geometry`.
+    altitude [n] deg, top [n] W/m2: from `sky_geometry`.
     """
     complete = (series.marks & Mark.DERIVED) == 0
     ghi, dni = (np.where(complete, v, np.nan) for v in (series.ghi_wm2, series.dni_wm2))
@@ -220,11 +220,11 @@ def suspicions(series: Series, altitude: Floats, top: Floats, site: Site) -> NDA
 def spikes(t_unix_s: Floats, value: Floats) -> Mask:
     """Return a mask [n] of single rows that are far above or far below both neighbours.
 
-    Far is over 20 W/m2, over eight times the difference of the two neighbours, and over three times
-    the usual step, which is the ninth largest of the other steps within 120 rows on each side.
-    Where the light changes often, as under broken clouds, no row is a spike: these limits find
-    spikes and few false alarms (bench/damaged_series.py). Rows next to a gap, and series of fewer
-    than 243 rows, are not judged.
+    t_unix_s [n], ascending; value [n] W/m2. Far is over 20 W/m2, over eight times the difference of
+    the two neighbours, and over three times the usual step, which is the ninth largest of the other
+    steps within 120 rows on each side. Where the light changes often, as under broken clouds, no
+    row is a spike: these limits find spikes and few false alarms (bench/damaged_series.py). Rows
+    next to a gap, and series of fewer than 243 rows, are not judged.
     """
     if len(value) < 3 + 2 * _SPIKE_ROWS:
         return np.zeros(len(value), bool)
@@ -247,8 +247,9 @@ def spikes(t_unix_s: Floats, value: Floats) -> Mask:
 def minute_means(t_unix_s: Floats, value: Floats) -> tuple[Floats, Floats, NDArray[np.integer]]:
     """Return means of `value` over UTC minutes: centres [m] (unix s), means [m], indices [n].
 
-    The indices give each row's minute. In a gap of more than half an hour one minute without a
-    value is inserted, so that adjacent minutes of the result are also adjacent in time.
+    t_unix_s, value: [n], ascending times. The indices give each row's minute. In a gap of more than
+    half an hour one minute without a value is inserted, so that adjacent minutes of the result are
+    also adjacent in time.
     """
     minute = np.floor(t_unix_s / 60.0).astype(np.int64)
     present, row_minute = np.unique(minute, return_inverse=True)
@@ -326,8 +327,8 @@ def health(
 ) -> Health:
     """Return figures and warnings about an instrument and its logger, from its rows.
 
-    raw, clean: the same rows before and after the checks. altitude, top [n]: from `sky_geometry`.
-    damaged: number of damaged lines.
+    raw, clean: the same rows before and after the checks. altitude [n] deg, top [n] W/m2: from
+    `sky_geometry`. damaged: number of damaged lines.
     """
     night = raw.ghi_wm2[(altitude < NIGHT_SUN_DEG) & np.isfinite(raw.ghi_wm2)]
     offset = float(np.median(night)) if len(night) >= 10 else None

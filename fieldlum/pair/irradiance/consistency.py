@@ -19,7 +19,8 @@ _MIN_WM2 = 50.0  # irradiance from which k-indices and shares of a clear sky are
 def persistent(t_unix_s: Floats, marked: Mask, window_s: float, tested: Mask) -> Mask:
     """Return a mask [n] of marked rows around which at least half of the tested rows are marked.
 
-    marked, tested: masks [n]; window_s: length of the window around a row. t_unix_s must ascend.
+    marked, tested: masks [n]; window_s: length of the window around a row. t_unix_s [n] must
+    ascend.
     """
     first = np.searchsorted(t_unix_s, t_unix_s - window_s / 2)
     last = np.searchsorted(t_unix_s, t_unix_s + window_s / 2, "right")
@@ -33,11 +34,11 @@ def closure_fails(
     """Return a mask [n] of the rows that contradict global = diffuse + direct, by QCRad's test.
 
     The ratio of global to diffuse + direct may differ from 1 by 8 % if the sun is higher than 15
-    degrees, and by 15 % if it is lower. ghi, dhi, dni [n] in W/m2. A row is only in the mask if at
-    least half of the testable rows in the half hour around it differ by more: under broken clouds,
-    instruments with some distance differ by over 8 % in 4 % of the sunny minutes of a good station.
-    Rows below 50 W/m2, or with only two components, are not testable. altitude: of the sun, true
-    [n] deg.
+    degrees, and by 15 % if it is lower. t_unix_s [n], ascending; ghi, dhi, dni [n] in W/m2. A row
+    is only in the mask if at least half of the testable rows in the half hour around it differ by
+    more: under broken clouds, instruments with some distance differ by over 8 % in 4 % of the sunny
+    minutes of a good station. Rows below 50 W/m2, or with only two components, are not testable.
+    altitude: of the sun, true [n] deg.
     """
     ratio = sun.closure_ratio(ghi, dhi, dni, altitude)
     testable = np.isfinite(ratio) & (altitude > -3.0)
@@ -51,9 +52,9 @@ def k_index_fails(
     """Return a mask [n] of rows with impossible k-indices for at least half of 15 minutes.
 
     The k-indices are clearness, diffuse share and beam transmittance; a cloud's edge passes two
-    instruments one after the other, but a fault lasts. ghi, dhi, dni [n] W/m2; altitude: of the
-    sun, true [n] deg; top: irradiance above the atmosphere on a
-    plane normal to the sun [n] W/m2. The test cannot decide which component is wrong.
+    instruments one after the other, but a fault lasts. t_unix_s [n], ascending; ghi, dhi, dni [n]
+    W/m2; altitude: of the sun, true [n] deg; top: irradiance above the atmosphere on a plane normal
+    to the sun [n] W/m2. The test cannot decide which component is wrong.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         kt = ghi / (top * np.maximum(np.sin(np.radians(altitude)), 1e-3))
@@ -72,8 +73,8 @@ def shaded_horizon(
 
     A sector is 4 x 1 degrees, below 20 degrees of altitude. The sun must be hidden there on at
     least four days on which it is free within 45 minutes: clouds at one place of the horizon on
-    four such days are rare. dni, and clear_dni of a cloudless sky [n] W/m2; altitude (true),
-    azimuth of the sun (clockwise from north) [n] deg. Limits were chosen.
+    four such days are rare. t_unix_s [n]; dni, and clear_dni of a cloudless sky [n] W/m2; altitude
+    (true), azimuth of the sun (clockwise from north) [n] deg. Limits were chosen.
     """
     out = np.zeros(len(t_unix_s), bool)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -95,7 +96,10 @@ def shaded_horizon(
 
 
 def clear_sky(t_unix_s: Floats, site: Site) -> tuple[Floats, Floats]:
-    """Return the sun's azimuth [n] deg and DNI of a clear sky [n] W/m2, from a five-minute grid."""
+    """Return the sun's azimuth [n] deg and DNI of a clear sky [n] W/m2, from a five-minute grid.
+
+    t_unix_s: [n].
+    """
     step = np.floor(t_unix_s / 300.0)
     grid = 300.0 * np.unique(np.r_[step, step + 1.0])
     times = [datetime.fromtimestamp(t, UTC) for t in grid]

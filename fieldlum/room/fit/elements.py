@@ -56,7 +56,10 @@ class Kind:
     apart_m: float
 
     def best(self, proposals: list[Guess], costs: Floats, count: int) -> list[Guess]:
-        """Return the proposals of the lowest costs, at most `count`, that are different."""
+        """Return at most `count` proposals of the lowest costs, `apart_m` or more from each other.
+
+        costs: of the proposals [n], as `SceneCost` returns them.
+        """
         chosen: list[Guess] = []
         for k in np.argsort(costs):
             place = _place(proposals[k])

@@ -135,7 +135,10 @@ class SceneEvidence:
         return (world @ guess.turn.T).astype(np.float32)
 
     def unit(self, guess: Guess) -> tuple[NDArray[np.float32], Surfaces]:
-        """Return pixels' irradiance per lx of normal sun [n, m], and where their rays end."""
+        """Return pixels' irradiance per lx of normal sun [n, m], and where their rays end.
+
+        The hours are those of the evidence; the sun follows the guess's north and clock.
+        """
         ends = surfaces(guess, self.rays, self.spread)
         suns = self.suns_room(guess)
         return unit_patches(guess, ends, suns, self.pixel, self.sub), ends

@@ -270,7 +270,10 @@ class SceneSearch:
         return np.concatenate([self.albedo[:SHELL], [s.albedo for s in self.guess.solids]])
 
     def misfit(self) -> dict[str, float]:
-        """Return the mean misfit with three geometries; the stated box gets its own albedos."""
+        """Return the mean misfit, 0 to 1, of three geometries; keys: none, stated and fitted.
+
+        The stated box gets its own albedos.
+        """
         of_fitted = self.evidence.patches(self.guess, self.albedo_with_solids())
         albedo = self.evidence.albedos(self.start, stated_albedo(self.room))
         patches = {
@@ -281,7 +284,7 @@ class SceneSearch:
         return {name: float(self.evidence.misfit(p).mean()) for name, p in patches.items()}
 
     def uncertainties(self) -> dict[str, float]:
-        """Return standard uncertainties by parameter, after `run`."""
+        """Return standard uncertainties after `run`, by `Parameter.name`, in parameters' units."""
         own = np.sqrt(np.diag(covariance(self.cost(), self.guess, self.parameters)))
         stated = np.array([p.sd / p.step for p in self.parameters])
         wider = own * np.clip(stated / own, 1.0, MODEL_ERROR)

@@ -40,14 +40,14 @@ class Parameter:
     maximum: float = np.inf
 
     def read(self, guess: Guess) -> float:
-        """Return the number's value in a guess."""
+        """Return the parameter's value in a guess, in its unit (m, degrees, minutes or none)."""
         value: Any = guess
         for key in self.path:
             value = value[key] if isinstance(key, int) else getattr(value, key)
         return value
 
     def measured(self, guess: Guess) -> float:
-        """Return the value as a tape measures it.
+        """Return the value as a tape measures it, in the parameter's unit.
 
         The ends of windows in south and east walls count from the left end, as seen from inside.
         """

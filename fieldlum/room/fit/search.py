@@ -68,9 +68,9 @@ class SceneCost:
         return self.evidence.misfit(patch) + float(prior @ prior)
 
     def residuals(self, guess: Guess) -> Floats32 | None:
-        """Return numbers whose squares add up to the cost; None for an impossible guess.
+        """Return numbers [q] whose squares add up to the cost; None for an impossible guess.
 
-        First are those of each hour and pixel.
+        First are those of each hour and pixel, then the priors, then the windows' view.
         """
         if not is_possible(guess):
             return None
@@ -88,7 +88,7 @@ class SceneCost:
         return np.concatenate([self.albedo[:SHELL], [solid.albedo for solid in guess.solids]])
 
     def prior(self, guess: Guess) -> Floats:
-        """Return deviations from the stated numbers, whose squares are their cost.
+        """Return deviations [q] from the stated numbers, whose squares are their cost.
 
         If sun discs determined a pose, north, tilt, roll and clock are compared with that pose
         instead: they count by their squared Mahalanobis distance from it.
@@ -110,7 +110,7 @@ def search(
     parameters: Sequence[Parameter],
     levels: Sequence[float] = LEVELS,
 ) -> tuple[Guess, float]:
-    """Search the guess of the smallest cost from a start; return it and its cost.
+    """Search the guess of the smallest cost from a start; return it and its cost (no unit).
 
     Levenberg-Marquardt: derivatives are differences over shares of the parameters' steps, which
     `levels` lists. A finer level follows when a round gains less than 0.1 % of the cost.

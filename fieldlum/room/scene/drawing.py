@@ -97,10 +97,10 @@ def _draw_arrows(axes: Axes, room: Room, heading_deg: float) -> None:
 
 
 def outline_pixels(room: Room, grid: ClickGrid) -> dict[str, list[list[float]]]:
-    """Return the edges of the box ("box") and of its windows ("window") as lines on a panorama.
+    """Return the edges of the box and of its windows as lines on a panorama; keys: box, window.
 
-    Each line is a list of pixel positions x, y, x, y ... It is split where it leaves the picture at
-    one side and continues at the other.
+    Each line is a list of pixel positions x, y, x, y ... [px]. It is split where it leaves the
+    picture at one side and continues at the other. Raises InputError for an impossible room.
     """
     scene, lines = build(room), {"box": [], "window": []}
     size = (room.width_m, room.depth_m, room.height_m)

@@ -21,7 +21,10 @@ _MAX_SHOWN = 80  # characters of a command in a message
 
 
 def commands(path: Path) -> list[str]:
-    """Return the command lines of a room file and of the files that they name, as text."""
+    """Return the command lines of a room file and of the files that they name, as text.
+
+    Empty for mere geometry. Raises OSError for a file that cannot be read.
+    """
     found = (line for data in _files(path) for line in _COMMAND.findall(data))
     return [line.decode("ascii", "replace").strip() for line in found]
 

@@ -52,9 +52,10 @@ def transmissivity(transmittance: float) -> float:
 
 
 def glass_optics(transmittance: float, cosine: ArrayLike) -> tuple[Floats, Floats]:
-    """Return transmittance and reflectance of a pane, 0 to 1, in the shape of `cosine`.
+    """Return transmittance and reflectance of a pane, 0 to 1, [...] each.
 
-    cosine : of the angle of incidence. Source: Radiance's m_glass.c.
+    transmittance : at normal incidence. cosine : of the angle of incidence [...]. Source:
+    Radiance's m_glass.c.
     """
     cos1 = np.maximum(np.abs(np.asarray(cosine, float)), 1e-6)
     cos2 = np.sqrt((1 - 1 / INDEX**2) + (cos1 / INDEX) ** 2)
@@ -308,7 +309,11 @@ def upright(
     reflectance: float,
     kind: str,
 ) -> Box:
-    """Return a box by its extent across the wall, along it, and in height."""
+    """Return a box by its extent across the wall, along it, and in height, (from, to) each [m].
+
+    axis : index of the axis n across the wall, 0 x or 1 y; u : along the wall; z : height.
+    reflectance : 0 to 1; kind : as in `Box`, such as "wall" or "frame".
+    """
     if axis == 1:
         return Box((u[0], n[0], z[0]), (u[1], n[1], z[1]), reflectance, kind)
     return Box((n[0], u[0], z[0]), (n[1], u[1], z[1]), reflectance, kind)

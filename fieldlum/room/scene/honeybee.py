@@ -20,9 +20,10 @@ _SHADES = ("frame", "obstruction", "ground")
 def honeybee_model(room: Room, azimuths_deg: Sequence[float]) -> dict[str, Any]:
     """Return a box room as a Model of honeybee-schema: x east, y true north, z up, in m.
 
-    azimuths_deg: clockwise from true north; each is a sensor at the camera. The faces are the
-    inside of the room, with the panes in them; reveals, frames, obstructions and the ground are
-    shades. It has no thermal properties.
+    The keys are those of the schema's Model. azimuths_deg: clockwise from true north; each is a
+    sensor at the camera. The faces are the inside of the room, with the panes in them; reveals,
+    frames, obstructions and the ground are shades. It has no thermal properties. Raises InputError
+    for an impossible room.
     """
     scene = build(room)
     inside = Box((0.0, 0.0, 0.0), (room.width_m, room.depth_m, room.height_m), 0.0, "room")

@@ -112,7 +112,11 @@ class Pieces:
         return len(self.axis)
 
     def at(self, face: Indices, position: Floats) -> Indices:
-        """Return the pieces that hold points [n, 3] on faces [n]."""
+        """Return the indices [n] of the pieces that hold points on faces.
+
+        face: index of each point's face [n]; position: of the points on the faces [n, 3] m, in room
+        axes.
+        """
         inside = np.take_along_axis(position, _OTHERS[face // 2 % 3], 1) - self.low[face]
         place = (inside / self.size[face] * self.counts[face]).astype(np.intp)
         a, b = np.clip(place, 0, self.counts[face] - 1).T
@@ -229,8 +233,8 @@ def _gather(
 def joined(s: SurfaceSamples) -> tuple[SurfaceSamples, NDArray[np.int64]]:
     """Join the samples of one face in a pixel to the middle one, with the sum of their weights.
 
-    Return the samples, and a number for the face of each; those of faces that face the same way are
-    near each other.
+    s: m samples. Return the k joined ones, and a number for the face of each [k]; those of faces
+    that face the same way are near each other.
     """
     side = s.axis.astype(np.int64) * 2 + (s.sign > 0)
     code = (side * 10_000 + s.box) * 2 + s.mirrored

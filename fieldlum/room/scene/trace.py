@@ -79,7 +79,7 @@ class Ends(NamedTuple):
 def ends(scene: BoxScene, origins: Floats, rays: Floats) -> tuple[Ends, Ends]:
     """Return where rays end straight on, and where after a reflection in the first pane they cross.
 
-    origins, rays: [n, 3]. A box that contains the ray's origin is ignored.
+    origins, rays: [n, 3], in room axes [m]. A box that contains the ray's origin is ignored.
     """
     origins, rays = np.ascontiguousarray(origins), np.ascontiguousarray(rays)
     distance, box, axis, sign = nearest_box(scene.low, scene.high, origins, rays)
@@ -442,10 +442,10 @@ def sun_points(
     target: NDArray[np.integer],
     targets: int,
 ) -> SunPoints:
-    """Return surface points as `SunPoints`.
+    """Return surface points prepared for shadow tests: `SunPoints.direct` sums their sunlight.
 
-    position : [m, 3] in room axes; axis, sign : of the surface's normal [m]; weight : factor on a
-    point's light [m]; target : index of the sum, below `targets`, to which a point adds [m].
+    position : [m, 3] in room axes [m]; axis, sign : of the surface's normal [m]; weight : factor on
+    a point's light [m]; target : index of the sum, below `targets`, to which a point adds [m].
     """
     inside = _inside(scene, position)
     raised = position.copy()

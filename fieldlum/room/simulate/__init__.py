@@ -74,8 +74,8 @@ def sample_slots(
     """Draw `count` daylight hours of a weather year at random; return them as slots in time order.
 
     Daylight: sun above the horizon, and DNI or DHI above 0. The slots have the times of the
-    weather's rows, no exposures and no tags. without : exact times of rows that are not drawn.
-    Raises NotEnoughDataError if the year has fewer other hours.
+    weather's rows, no exposures and no tags. seed : of the draw; without : exact times of rows that
+    are not drawn. Raises NotEnoughDataError if the year has fewer other hours.
     """
     day = weather.daylight()
     excluded = set(without)
@@ -129,9 +129,10 @@ def run(
 ) -> Simulated:
     """Render the truth of every slot of a session's plan and write its pairs.
 
-    Slots that were rendered before in the same way are kept, unless `force`. troubles :
-    differences from the stated session; coloured : sky, sun and surfaces have colours; workers :
-    threads of each process. Raises InputError for a room that cannot be rendered.
+    Slots that were rendered before in the same way are kept, unless `force`. height : rows of the
+    panoramas; quality : a key of `QUALITIES`; troubles : differences from the stated session, None
+    for none; coloured : sky, sun and surfaces have colours; workers : threads of each process.
+    Raises InputError for a room that cannot be rendered.
     """
     setup, slots = session.site_file(), session.slots()
     for folder in (session.root, session.truth, session.truth / "sunpatches"):

@@ -222,10 +222,10 @@ def troubled_pictures(
     timezone: str,
     troubles: Troubles,
 ) -> Floats32:
-    """Return the pictures of `slots` with the troubles of room and camera, [n, H, W].
+    """Return the pictures of `slots` with the troubles of room and camera, [n, H, W] cd/m2.
 
     luminance_cdm2: without troubles, [n, H, W]; window: pixels that see the sky, [H, W]; all_slots:
-    times of the complete plan, by which days are counted.
+    times of the complete plan, by which days are counted; timezone: IANA name.
     """
     maps = luminance_cdm2.copy()
     for k, t in enumerate(slots):
@@ -247,7 +247,10 @@ def _day_of(t_utc: datetime, all_slots: Sequence[datetime], timezone: str) -> tu
 def knocked_camera(
     t_utc: datetime, all_slots: Sequence[datetime], timezone: str, troubles: Troubles
 ) -> bool:
-    """Return whether the camera is turned by a knock at a slot of the plan `all_slots`."""
+    """Return whether the camera is turned by a knock at a slot of the plan `all_slots`.
+
+    timezone: IANA name, for the days of the plan.
+    """
     day, _ = _day_of(t_utc, all_slots, timezone)
     return troubles.knock is not None and _KNOCKED_DAYS[0] <= day < _KNOCKED_DAYS[1]
 

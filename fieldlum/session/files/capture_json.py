@@ -35,7 +35,7 @@ class Frame:
 
 
 def frame_fields(frame: Frame) -> JsonTable:
-    """Return a frame as the journal and capture.json store it, without empty texts."""
+    """Return a frame with the keys of the journal and capture.json, without empty texts."""
     return {key: value for key, value in to_json(frame).items() if value != ""}
 
 
@@ -81,7 +81,10 @@ class CaptureFile(JsonFile, frozen=True):
 
     @classmethod
     def upgraded(cls, table: JsonTable, path: Path) -> JsonTable:
-        """Return a file's JSON object with frames, and times and slot, which old files lack."""
+        """Return the JSON object with the keys of the present version, such as frames and slot.
+
+        Old files lack times and slot; the slot is then the name of the folder of `path`.
+        """
         rows = enumerate(table.get("frames", ()))
         frames = tuple(frame_from({"index": number, **row}) for number, row in rows)
         if "t_open_utc" not in table:
@@ -90,7 +93,7 @@ class CaptureFile(JsonFile, frozen=True):
         return {"slot": path.parent.name, **table, "frames": frames}
 
     def table(self) -> JsonTable:
-        """Return the JSON object, with the middle of the two times as t_mid_utc."""
+        """Return the JSON object by its keys, with the middle of the two times as t_mid_utc."""
         frames = [frame_fields(frame) for frame in self.frames]
         return {**to_json(self), "t_mid_utc": to_json(self.t_mid_utc), "frames": frames}
 

@@ -64,10 +64,10 @@ class HourlyFile:
 
     @classmethod
     def read(cls, folder: Path, azimuths_deg: Floats, count: int) -> HourlyFile:
-        """Read hourly.csv of a folder, with `count` rows and the view directions `azimuths_deg`.
+        """Read hourly.csv of a folder, with `count` rows and d view directions.
 
-        Warns of a file that changed after `write`. Raises InputError for a missing file, another
-        number of rows or other content.
+        azimuths_deg: of the directions [d]. Warns of a file that changed after `write`. Raises
+        InputError for a missing file, another number of rows or other content.
         """
         path, remedy = folder / NAME, "run fieldlum predict again"
         expected = f"{count} hours that fieldlum predict wrote"

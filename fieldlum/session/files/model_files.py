@@ -121,9 +121,9 @@ class ScoresFile(JsonFile, frozen=True):
 
     @property
     def judged_row(self) -> dict[str, Any] | None:
-        """Row of the chosen model; None without such a row or without its held-out error.
+        """Row of the chosen model, with the keys of `train --json`; None without its error.
 
-        The error is missing for example because the time limit ended before.
+        The row or its held-out error is missing for example because the time limit ended before.
         """
         row = next((row for row in self.models if row.get("name") == self.chosen), None)
         return row if row is not None and row.get("median") is not None else None

@@ -45,7 +45,10 @@ class FrameQuality(Struct, frozen=True):
 
     @classmethod
     def of(cls, file: str, exposure: Exposure, correction: float, **more: Any) -> Self:
-        """Return the quality of a frame with an exposure; more: the other fields."""
+        """Return the quality of a frame with an exposure.
+
+        file: name of the frame; correction: fitted over assumed exposure; more: the other fields.
+        """
         return cls(file, exposure_text(exposure), **asdict(exposure), correction=correction, **more)
 
     @property
@@ -204,7 +207,10 @@ class Sidecar(JsonFile, frozen=True):
 
     @classmethod
     def upgraded(cls, table: JsonTable, path: Path) -> JsonTable:
-        """Return a file's JSON object with its slot, from the file's name, and a `MergeReport`."""
+        """Return the JSON object with the keys of the present version.
+
+        The slot follows from the name of `path`; the key report is a `MergeReport`.
+        """
         report = MergeReport.from_table(table.get("quality") or {})
         return {"slot": path.stem, **table, "quality": report}
 

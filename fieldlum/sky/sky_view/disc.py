@@ -45,7 +45,7 @@ class DiscOfHours:
 
 
 def disc_of_hours(view: SkyView, light: Light) -> DiscOfHours:
-    """Return the disc of the n hours of `light` by the sky view."""
+    """Return the disc of the n hours of `light` by the sky view; 0 lx where no lens saw."""
     suns = view.pose.in_pictures(light.apparent_sun_direction)
     best, low, high = _over_disc(view, suns)  # [n] each
     best_lx = np.nan_to_num(best) * light.direct_lx

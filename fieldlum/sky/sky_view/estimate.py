@@ -78,10 +78,11 @@ def sky_view_of(
     heading_deg: float,
     seen: Callable[[Floats], Mask] | None = None,
 ) -> SkyView:
-    """Return the sky view of captures. Those with blinds or snow are not used, unless all are so.
+    """Return the sky view of n captures, on the grid [h, w] of the sky.
 
-    discs: that merge measured; heading_deg: stated azimuth of the pictures' centre column; seen:
-    as of `estimate`. Raises NotEnoughDataError without a capture by daylight.
+    Captures with blinds or snow are not used, unless all are so. discs: that merge measured;
+    heading_deg: stated azimuth of the pictures' centre column; seen: as of `estimate`. Raises
+    NotEnoughDataError without a capture by daylight.
     """
     marks = [parse_state(state) for state in captured.light.states or ()]
     usual = [k for k, parts in enumerate(marks) if all(p.startswith("lamp=") for p in parts)]

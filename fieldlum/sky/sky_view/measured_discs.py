@@ -99,7 +99,10 @@ class PoseFit:
 
     @property
     def u(self) -> dict[str, float]:
-        """Return standard uncertainties by the names of `NAMES`; lens_scale has no unit."""
+        """Return standard uncertainties by the names of `NAMES`; lens_scale has no unit.
+
+        The others have the unit at the end of the name.
+        """
         return dict(zip(NAMES, map(float, np.sqrt(np.diag(self.covariance))), strict=True))
 
     def __getitem__(self, name: str) -> float:

@@ -70,7 +70,10 @@ class CameraPose:
         return rng.multivariate_normal(self.values, covariance, count, method="eigh")
 
     def moved(self, values: Floats, covariance: Floats, discs: int, *notes: str) -> CameraPose:
-        """Return the pose with other values [4] and covariance [4, 4], and more notes."""
+        """Return the pose with other values [4] and covariance [4, 4], and more notes.
+
+        discs: number of discs that determine it.
+        """
         rows = tuple(tuple(map(float, row)) for row in covariance)
         heading, tilt, roll, scale = map(float, values)
         notes = (*self.notes, *notes)
@@ -107,16 +110,21 @@ class CameraPose:
         return self.moved(self.values + gain * by_deg, after, self.discs)
 
     def in_pictures(self, suns: Floats, values: Floats | None = None) -> Floats:
-        """Return where the pictures show true directions [n, 3], in the stated pose, [n, 3].
+        """Return where the pictures show true directions, in the stated pose, [n, 3].
 
-        values: another pose's four values, such as a draw; None for this pose's.
+        suns: unit vectors [n, 3] (x east, y north, z up). values: another pose's four values, such
+        as a draw; None for this pose's.
         """
         heading, tilt, roll, scale = self.values if values is None else values
         turned = suns @ rotation(heading, tilt, roll, self.axis_deg)  # inverse: the transpose
         return scaled(turned, 1.0 / (1.0 + scale) - 1.0, self.axis_deg)
 
     def true_directions(self, shown: Floats) -> Floats:
-        """Return the true directions of what pictures show in stated directions [n, 3], [n, 3]."""
+        """Return the true directions of what the pictures show, [n, 3].
+
+        It is the inverse of `in_pictures`. shown: unit vectors by the stated pose [n, 3] (x east, y
+        north, z up), as the results.
+        """
         turn = rotation(self.heading_deg, self.tilt_deg, self.roll_deg, self.axis_deg)
         return scaled(shown, self.lens_scale, self.axis_deg) @ turn.T
 

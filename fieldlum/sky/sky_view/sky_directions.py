@@ -74,10 +74,10 @@ class SkyReference:
 
 
 def sky_reference(luminance: Floats32, light: Light, rays: Floats) -> SkyReference:
-    """Return those of the directions `rays` that show the sky, and the luminance that they show.
+    """Return those of p directions that show the sky, and the luminance that they show.
 
-    luminance, rays: as for `follow`. Those that follow Perez's sky better than other light and are
-    bright come first; what follows the sky that they show is added.
+    luminance [n, p], rays [p, 3]: as for `follow`. Those that follow Perez's sky better than other
+    light and are bright come first; what follows the sky that they show is added.
     """
     step = max(1, len(rays) // (10 * SOME))
     luminance, rays = luminance[:, ::step], rays[::step]

@@ -65,7 +65,7 @@ class Budget:
 
     @property
     def u(self) -> float:
-        """The combined standard uncertainty, in `unit` (GUM 5.1.2)."""
+        """The combined standard uncertainty, in the budget's `unit` (GUM 5.1.2)."""
         return float(np.sqrt(sum(source.contribution**2 for source in self.sources)))
 
 
@@ -156,9 +156,9 @@ def year_budget(
 ) -> list[Budget]:
     """Return the budget of the DGP that is exceeded in 5 % of the occupied hours, by direction.
 
-    dgp, ev_lx [n, d], uncertainty: of the n lit occupied hours.
-    u_scale: relative standard uncertainty of the camera's scale. Another year's weather, a blind
-    that moves and clouds that move within the hour are not in it.
+    dgp, ev_lx [n, d], uncertainty: of the n lit occupied hours; azimuths_deg: of the directions
+    [d]. u_scale: relative standard uncertainty of the camera's scale. Another year's weather, a
+    blind that moves and clouds that move within the hour are not in it.
     """
 
     def exceeded(values: Floats) -> Floats:

@@ -212,10 +212,10 @@ def source_terms(
 ) -> Floats:
     """Return three terms of each glare source, or sun, to sum over sources, [3, ...].
 
-    omega : solid angle, sr; right, up : coordinates [rad]; ev_lx : vertical illuminance by the
-    source; background : luminance [cd/m2]. Rows: L^2 omega / P^2 (`contrast`); Hopkinson's term
-    0.478 L^1.6 (omega / P^2)^0.8 / (Lb + 0.07 omega^0.5 L) for `dgi`; illuminance over the squared
-    angle from the line of sight [lx/deg2] for `veiling_cdm2`.
+    mean_cdm2 : mean luminance [...]; omega : solid angle, sr; right, up : coordinates [rad]; ev_lx
+    : vertical illuminance by the source; background : luminance [cd/m2]; all [...]. Rows: L^2 omega
+    / P^2 (`contrast`); Hopkinson's term 0.478 L^1.6 (omega / P^2)^0.8 / (Lb + 0.07 omega^0.5 L) for
+    `dgi`; illuminance over the squared angle from the line of sight [lx/deg2] for `veiling_cdm2`.
     """
     index = position_index(right, up)
     share = np.maximum(background + 0.07 * np.sqrt(omega) * mean_cdm2, 1e-12)
@@ -424,9 +424,11 @@ def rammg(luminance_cdm2: Floats) -> float:
 
 
 def region_weights(views: Views) -> tuple[Floats32, Floats32, Floats32]:
-    """Return the solid angles of hemisphere, task cone and band for `region_ratios`, [P, d] each.
+    """Return the solid angles of P pixels in three regions of d views: hemisphere, task cone, band.
 
-    Task and band are NaN in directions of which less than 90 % of them were seen.
+    The result is for `region_ratios`, [P, d] sr each. Task cone: 15 degrees around 30 degrees below
+    the line of sight (chosen); band: 20 degrees above and below the horizon (Van Den Wymelenberg
+    and Inanici 2014). Both are NaN in directions of which less than 90 % of them were seen.
     """
     rays, omega = views.rays()
     _, up, forward = np.moveaxis(rays, 1, 0)

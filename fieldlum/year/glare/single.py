@@ -80,8 +80,9 @@ def picture_glare(
 def panorama_glare(panorama: Panorama, azimuths_deg: Sequence[float] = ()) -> JsonTable:
     """Return the same as `picture_glare`, for a panorama in memory; the answer's `file` is "".
 
-    azimuths_deg : view directions, clockwise from north; ten if empty. Raises InputError for a map
-    that is not twice as wide as high, or has seen pixels that are not finite.
+    The keys are those of `judged`. azimuths_deg : view directions, clockwise from north; ten if
+    empty. Raises InputError for a map that is not twice as wide as high, or has seen pixels that
+    are not finite.
     """
     height, width = panorama.luminance_cdm2.shape
     if width != 2 * height:
@@ -301,7 +302,7 @@ def take_out_sun(
 
 
 def plain(value: float) -> float | None:
-    """Return `value` as a float, or None if it is NaN or infinite."""
+    """Return `value`, of any unit, as a float for JSON, or None if it is NaN or infinite."""
     return float(value) if np.isfinite(value) else None
 
 

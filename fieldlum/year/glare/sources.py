@@ -64,11 +64,11 @@ def angles_from_view(rays: Floats, frame: Floats) -> tuple[Floats, Floats, Float
 
 
 def position_index(right_rad: ArrayLike, up_rad: ArrayLike) -> Floats:
-    """Return the position index P of glare: 1 on the line of sight, greater off it, at most 16.
+    """Return the position index P [...]: 1 on the line of sight, greater off it, at most 16.
 
-    right_rad, up_rad : coordinates by `angles_from_view`; the result has their shape. Above the
-    line of sight it is Guth's (IES Lighting Handbook), below it that of Iwata and Osterhaus 2010 in
-    CIE coordinates. evalglare has used these forms since version 3.02.
+    right_rad, up_rad : coordinates by `angles_from_view` [...]. Above the line of sight it is
+    Guth's (IES Lighting Handbook), below it that of Iwata and Osterhaus 2010 in CIE coordinates.
+    evalglare has used these forms since version 3.02.
     """
     right, up = np.asarray(right_rad, float), np.asarray(up_rad, float)
     angle = np.hypot(right, up)

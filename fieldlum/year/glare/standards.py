@@ -42,9 +42,10 @@ def disturbed_share(dgp: Floats) -> Floats:
 
 
 def dgp_per_scale(dgp: Floats, ev_lx: Floats) -> Floats:
-    """Return the change of DGP for a relative change of all luminances, of the shape of `dgp`.
+    """Return the change of DGP for a relative change of all luminances, [...].
 
-    By DGP's own formula: Ev times (1 + e), and the contrast term's argument times (1 + e)^0.13.
+    dgp, ev_lx : [...] each. By DGP's own formula: Ev times (1 + e), and the contrast term's
+    argument times (1 + e)^0.13.
     """
     power = np.clip((dgp - DGP_EV * ev_lx - DGP_BASE) / DGP_CONTRAST, 0.0, None)
     share = 1.0 - 10.0**-power  # x / (1 + x) of log10(1 + x)
@@ -71,10 +72,10 @@ class DgpUncertainty(NamedTuple):
 
 
 def class_of(dgp_exceeded: float) -> str:
-    """Return the EN 17037 class of a DGP that is exceeded in 5 % of the occupied hours.
+    """Return the EN 17037 class of a DGP, 0 to 1, that is exceeded in 5 % of the occupied hours.
 
     At most 0.35 is "high" protection, at most 0.40 "medium", at most 0.45 "minimum", otherwise
-    "none".
+    "none"; "none" for NaN.
     """
     return next((name for name, limit in CLASSES if dgp_exceeded <= limit), NO_CLASS)
 

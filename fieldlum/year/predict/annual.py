@@ -40,7 +40,10 @@ def unit_of(name: str) -> str:
 
 
 def time_coordinate(t_utc: Sequence[datetime]) -> tuple[str, Any, dict[str, str]]:
-    """Return (dimension, values [n], attributes) of a coordinate `time` of xarray: UTC, no zone."""
+    """Return (dimension, values [n], attributes) of a coordinate `time` of xarray: UTC, no zone.
+
+    t_utc: aware times [n]. The attributes' key is long_name.
+    """
     times = np.array([t.astimezone(UTC).replace(tzinfo=None) for t in t_utc], "datetime64[ns]")
     return "time", times, {"long_name": "UTC"}
 
@@ -123,9 +126,9 @@ def write_pictures(path: Path, pictures: Pictures) -> None:
 
 
 def rounded(values: Floats32) -> Floats32:
-    """Return float32 values rounded to 12 bits of mantissa (0.01 %), which compress better.
+    """Return float32 values [...] rounded to 12 bits of mantissa (0.01 %), which compress better.
 
-    values: any shape. The bits that are lost are noise.
+    The bits that are lost are noise.
     """
     bits = np.ascontiguousarray(values, np.float32).view(np.uint32)
     return ((bits + np.uint32(1 << 10)) & np.uint32(0xFFFFF800)).view(np.float32)

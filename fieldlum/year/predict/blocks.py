@@ -199,10 +199,10 @@ def map_coordinates(
 
 
 def begin_maps(folder: Path, hours: int, room: ModelRoom) -> Path:
-    """Return a new store in `folder` with an array of maps of NaN.
+    """Return a new store in `folder` with an array of NaN maps, [hours, H, W] as the room's.
 
-    Units of work write maps in parallel into it with `write_maps`; `finish_maps` renames it to
-    maps.zarr.
+    hours: number of the year's hours. Units of work write maps in parallel into it with
+    `write_maps`; `finish_maps` renames it to maps.zarr.
     """
     import zarr
 
@@ -397,7 +397,10 @@ def _images(block: HourBlock, views: Views, count: int) -> list[metrics.DiscLigh
 def room_figures(
     fitted: Fitted, room: ModelRoom, light: Light, azimuths_deg: Floats
 ) -> HourFigures:
-    """Predict the n hours of `light` in this process, and return their figures in d directions."""
+    """Predict the n hours of `light` in this process, and return their figures in d directions.
+
+    azimuths_deg: of the directions [d], clockwise from north. Raises the errors of `blocks`.
+    """
     best_lx, discs_lx = discs_of(room, light, seed=0)
     judge, hours = HourJudge(room, azimuths_deg), blocks(fitted, room, light, best_lx)
     return joined([judge.figures(block, discs_lx[:, block.rows]) for block in hours])
@@ -448,9 +451,9 @@ def measure(
 ) -> HourFigures:
     """Predict every hour of `light`, and return the figures in d view directions.
 
-    store: of maps, None to write none; melanopic: colours by the captures, None without any; seed:
-    of random draws; scheduler: where hours are predicted. A unit of work has 64 hours; the last may
-    have fewer.
+    azimuths_deg: of the directions [d]; store: of maps, None to write none; melanopic: colours by
+    the captures, None without any; seed: of random draws; scheduler: where hours are predicted. A
+    unit of work has 64 hours; the last may have fewer. Raises the errors of `blocks`.
     """
     model = model_folder.resolve()
     folder = Path(os.path.commonpath([model, *([store.resolve()] if store else [])]))
