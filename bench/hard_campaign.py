@@ -1,7 +1,7 @@
 """What each trouble of a campaign costs, alone and together, and what the tool reported.
 
-    python bench/hard_campaign.py FOLDER [--site office.toml] [--troubles hard.toml] [--seeds 0,1,2]
-        [--names all,north,...]
+    python bench/hard_campaign.py FOLDER [--site office.toml] [--troubles troubles.toml]
+        [--seeds 0,1,2] [--names all,north,...]
 
 Simulates nine days of a room (the shipped office) with each trouble of the file alone, with all and
 with none, trains light transport on the pictures, and scores it on hours of the year that were
@@ -25,6 +25,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from predicted_glare import predicted_year
+from troubles import (
+    Troubles,
+    load_troubles,
+    measured_irradiance,
+    troubled_pictures,
+    true_light,
+)
 
 from fieldlum import plan
 from fieldlum.bench import markdown
@@ -35,18 +42,20 @@ from fieldlum.learn.models.data import Dataset, load_pairs
 from fieldlum.learn.models.scores import evaluate, summary, truth
 from fieldlum.learn.train import held_out_warnings, model_notes
 from fieldlum.learn.train.outliers import without_changes
+from fieldlum.optics.images import write_panorama
 from fieldlum.optics.profiles import shipped
 from fieldlum.room import simulate
 from fieldlum.room.fit.misplaced_patches import scan, settle, with_right_clock
-from fieldlum.room.simulate import Troubles, load_troubles
-from fieldlum.session import create_session, open_session
+from fieldlum.session import Session, create_session, open_session
+from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.site_toml import load_site
 from fieldlum.sky import sun
+from fieldlum.sky.daylight import light_at
 from fieldlum.sky.sky_view.disc import disc_lx
 from fieldlum.year.glare.metrics import glare_directions
 from fieldlum.year.glare.sources import panorama_views, view_azimuths_deg
 
-HARD = shipped("capture_plans") / "troubles" / "hard.toml"
+HARD = Path(__file__).with_name("troubles.toml")
 YEAR_STEP = 5  # every fifth day of the year is rendered
 COLUMNS = {
     "trouble": "trouble",
@@ -224,10 +233,35 @@ def _campaign(
         simulate.weather_for(setup),
         height=asked.height,
         quality="draft",
-        troubles=troubles,
         workers=1,
     )
+    if troubles is not None and not made:
+        _trouble(session, troubles, asked.height)
     return load_pairs(session)
+
+
+def _trouble(session: Session, troubles: Troubles, height: int) -> None:
+    """Render the pictures of a simulated session again, with troubles, and change its readings."""
+    setup, pairs = session.site_file(), PairsFile.read(session.pairs)
+    rows = pairs.usable
+    times = [row.t_utc for row in rows]
+    dni, dhi = np.array([(row.dni_wm2, row.dhi_wm2) for row in rows]).T
+    light = light_at(times, setup.site, dni, dhi)
+    room = simulate.lit_room(setup, height=height, quality="draft", workers=1)
+    shown = room.render(true_light(light, troubles, setup.site))
+    window, planned = room.view.sky > 0, [slot.t_utc for slot in session.slots()]
+    maps = troubled_pictures(
+        shown.luminance_cdm2, window, times, planned, setup.site.timezone, troubles
+    )
+    shown = replace(shown, luminance_cdm2=maps)
+    for k, row in enumerate(rows):
+        write_panorama(session.root / row.panorama, room.as_panorama(shown, k))
+    measured = measured_irradiance(times, dni, dhi, light.sun_altitude_deg, troubles)
+    new = (
+        replace(row, dni_wm2=float(a), dhi_wm2=float(b), ghi_wm2=np.nan)
+        for row, a, b in zip(rows, *measured, strict=True)
+    )
+    PairsFile(session.pairs, tuple(new)).write()
 
 
 # ----------------------------------------------------------------------------------------------

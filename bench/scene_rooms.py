@@ -1,7 +1,7 @@
 """Rooms that are no boxes of ours, and users who measured them badly.
 
     python bench/scene_rooms.py OUT [NAME ...] [--height 76] [--tests 150] [--set 9-day]
-        [--troubles capture_plans/troubles/hard.toml] [--seed 0]
+        [--troubles bench/troubles.toml] [--seed 0]
 
 writes OUT/NAME.npz: nine days (or a month) and random test hours of a synthetic year, by rays of
 Radiance and the radiosity of `scene_truth.py`, with the Perez sky and the sun; the sun patches by
@@ -25,6 +25,13 @@ from hard_campaign import seeded
 from numpy.typing import NDArray
 from scene_generators import GLASS, ROOMS
 from scene_truth import CameraRays, build_truth, cast, pictures, within
+from troubles import (
+    Troubles,
+    load_troubles,
+    measured_irradiance,
+    troubled_pictures,
+    true_light,
+)
 
 from fieldlum import plan
 from fieldlum.core.records import CameraSetup, Room, Site, SiteFile, Slot, Window, slot_id
@@ -35,13 +42,6 @@ from fieldlum.room.fit.apply_scene import with_patches
 from fieldlum.room.scene.geometry import glass_optics
 from fieldlum.room.scene.radiance import octree
 from fieldlum.room.scene.view import pixel_rays
-from fieldlum.room.simulate.troubles import (
-    Troubles,
-    load_troubles,
-    measured_irradiance,
-    troubled_pictures,
-    true_light,
-)
 from fieldlum.sky import sun
 from fieldlum.sky.daylight import Light, light_at
 from fieldlum.sky.sky_view.measured_discs import sun_earlier
@@ -269,7 +269,7 @@ def main() -> None:
     parser.add_argument("--height", type=int, default=76)
     parser.add_argument("--tests", type=int, default=150)
     parser.add_argument("--set", default="9-day", help="of capture days, as in fieldlum plan")
-    parser.add_argument("--troubles", type=Path, help="TOML file, as for fieldlum simulate")
+    parser.add_argument("--troubles", type=Path, help="TOML file, such as bench/troubles.toml")
     parser.add_argument("--seed", type=int, default=0, help="added to the seeds of the troubles")
     wanted = parser.parse_args()
     troubles = Troubles() if wanted.troubles is None else load_troubles(wanted.troubles)

@@ -20,6 +20,7 @@ from datetime import datetime
 from pathlib import Path
 
 import numpy as np
+from troubles import Trouble, Troubles, true_light
 
 from fieldlum.core.arrays import Floats, Indices, Mask
 from fieldlum.core.records import CameraSetup, Obstruction, Panorama, Room, Site, SiteFile, Window
@@ -34,7 +35,6 @@ from fieldlum.optics.projection import direction
 from fieldlum.room import simulate
 from fieldlum.room.scene import build, disc_visibility
 from fieldlum.room.simulate.fine_windows import fine_windows
-from fieldlum.room.simulate.troubles import Trouble, Troubles, true_light
 from fieldlum.sky.daylight import Light, light_at
 from fieldlum.sky.sky_view.disc import disc_of_hours, drawn_shares
 from fieldlum.sky.sky_view.estimate import Captured, estimate

@@ -5,6 +5,7 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
+from troubles import Trouble, Troubles, true_light
 
 from fieldlum.core.records import CameraSetup, Site, SiteFile, utc_text
 from fieldlum.learn.models.data import Dataset
@@ -13,7 +14,6 @@ from fieldlum.learn.train.outliers import find_lamp, process_of
 from fieldlum.learn.transport import fit, from_state
 from fieldlum.learn.transport.arrays import seen_sky, training_arrays_of
 from fieldlum.optics.projection import equirect_rays
-from fieldlum.room.simulate.troubles import Trouble, Troubles, true_light
 from fieldlum.sky import sun
 from fieldlum.sky.daylight import Light, light_at
 from fieldlum.sky.perez import reinhart_patches

@@ -202,7 +202,6 @@ CASES = [
     ("export @/session", "no merged map and no year", 3),
     ("bench @/sky.csv --site @/good.toml --out @/b", "no column panorama", 3),
     ("simulate @/body.toml --out @/s2", "a camera profile; expected a SITE.toml", 3),
-    ("simulate @/wall.toml --out @/s2 --troubles @/good.toml", "'up'|a SITE.toml", 3),
     ("campaign report @/body.toml", "a camera profile; expected a file with the tables", 3),
     ("info @/a.pdf", "a PDF; expected a raw file", 3),
     ("calibrate lens @/true.JPG --camera @/body.toml --out @/c.toml", "or --circle", 2),

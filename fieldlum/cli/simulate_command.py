@@ -31,7 +31,6 @@ def command(
     weather_file: Path | None = None,
     size: str = DEFAULT_SIZE,
     quality: Literal["draft", "quick", "paper"] | None = None,
-    troubles_file: Path | None = None,
     colour: bool = False,
     seed: int = 1,
     scheduler_text: str = "local",
@@ -58,8 +57,6 @@ def command(
       --weather: EPW, TMY3 or CSV of the place.
       --size WxH: Size of the panoramas.
       --quality: Quality of the rendering. [default: quick up to 230x115, paper above]
-      --troubles: TOML file of troubles: clouds, lamps, a knocked camera ...
-          (docs/simulation.md).
       --colour: Give sky, sun and surfaces their colours, for melanopic light.
       --seed: Seed of random hours and synthetic weather.
     """
@@ -73,7 +70,6 @@ def command(
     session = open_session(site) if site.is_dir() else None
     if session is None and out is None:
         raise click.UsageError("name --out, like: fieldlum simulate office.toml --out office-sim")
-    troubles = None if troubles_file is None else simulate.load_troubles(troubles_file)
     setup = session.site_file() if session is not None else load_site(site)
     box_room(setup)  # before a session is written
     weather = simulate.weather_for(setup, weather_file, seed)
@@ -86,8 +82,7 @@ def command(
     assert session is not None
     render = partial(simulate.run, session, weather, height=height, quality=chosen, force=force)
     with terminal.progress("simulating"):
-        render = partial(render, troubles=troubles, coloured=colour)
-        result = render(scheduler=scheduler_of(scheduler_text))
+        result = render(coloured=colour, scheduler=scheduler_of(scheduler_text))
     answer = {"session": str(session.root), "rendered": result.rendered, "kept": result.kept}
     answer |= {"dark": result.dark, "weather": result.weather, "size": size, "quality": chosen}
     dark = f", {result.dark} slots without light" if result.dark else ""

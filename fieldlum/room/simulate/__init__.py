@@ -24,14 +24,6 @@ from fieldlum.optics.profiles import load_camera_profile
 from fieldlum.room.scene import build
 from fieldlum.room.scene.radiosity import LitRoom, box_room, lit_room
 from fieldlum.room.simulate.fine_windows import FineWindows, fine_windows
-from fieldlum.room.simulate.troubles import (
-    Troubles,
-    knocked_camera,
-    load_troubles,
-    measured_irradiance,
-    troubled_pictures,
-    true_light,
-)
 from fieldlum.session import (
     Session,
     create_session,
@@ -96,10 +88,9 @@ def sample_slots(
 
 @dataclass(frozen=True, slots=True)
 class _Job:
-    """How to render, and some slots of it; `shining`: their true light, `light`: as stated.
+    """How to render, and some slots of it with their light.
 
-    key: sha256 of session.toml; planned_utc: of all slots, because troubles depend on them;
-    pitch_deg: of the pictures around windows.
+    key: sha256 of session.toml; pitch_deg: of the pictures around windows.
     """
 
     key: str
@@ -107,12 +98,9 @@ class _Job:
     quality: str
     pitch_deg: float
     workers: int | None
-    planned_utc: tuple[datetime, ...]
-    troubles: Troubles
     coloured: bool = False
     slots: tuple[Slot, ...] = ()
     light: Light | None = None
-    shining: Light | None = None
 
 
 def run(
@@ -121,7 +109,6 @@ def run(
     *,
     height: int = 230,
     quality: str = "paper",
-    troubles: Troubles | None = None,
     coloured: bool = False,
     force: bool = False,
     workers: int | None = None,
@@ -130,41 +117,33 @@ def run(
     """Render the truth of every slot of a session's plan and write its pairs.
 
     Slots that were rendered before in the same way are kept, unless `force`. height : rows of the
-    panoramas; quality : a key of `QUALITIES`; troubles : differences from the stated session, None
-    for none; coloured : sky, sun and surfaces have colours; workers : threads of each process.
-    Raises InputError for a room that cannot be rendered.
+    panoramas; quality : a key of `QUALITIES`; coloured : sky, sun and surfaces have colours;
+    workers : threads of each process. Raises InputError for a room that cannot be rendered.
     """
     setup, slots = session.site_file(), session.slots()
     for folder in (session.root, session.truth, session.truth / "sunpatches"):
         remove_scraps(folder)
     build(box_room(setup))
     light, lit = _light_of(setup, slots, weather)
-    wrong = troubles or Troubles()
-    shining = true_light(light, wrong, setup.site) if wrong.names else light
     pitch_deg = sensor_pitch_deg(load_camera_profile(setup.camera.profile))
-    planned = tuple(slot.t_utc for slot in slots)
-    key = sha256(session.toml)
-    how = _Job(key, height, quality, pitch_deg, workers, planned, wrong, coloured)
+    how = _Job(sha256(session.toml), height, quality, pitch_deg, workers, coloured)
     _forget_other(session, slots, weather, how)
     missing = [int(k) for k in np.flatnonzero(lit) if force or not _done(session, slots[k])]
     units = []
     for start in range(0, len(missing), _SLOTS_A_UNIT):
         rows = np.array(missing[start : start + _SLOTS_A_UNIT])
         job_slots = tuple(slots[k] for k in rows)
-        job = replace(how, slots=job_slots, light=light[rows], shining=shining[rows])
+        job = replace(how, slots=job_slots, light=light[rows])
         name, files = f"truth-{job_slots[0].id}", (session.toml.name,)
         units.append(WorkUnit(name, render_slots, session.root.resolve(), job, files=files))
     run_each(units, scheduler, UnitOutcome.result)
-    _write_irradiance(session, weather, slots, wrong)
-    outside = light.t_utc, light.dni_wm2, light.dhi_wm2, light.sun_altitude_deg
-    dni, dhi = measured_irradiance(*outside, wrong)
-    write_pairs(session, slots, replace(light, dni_wm2=dni, dhi_wm2=dhi), lit, weather)
+    _write_irradiance(session, weather, slots)
+    write_pairs(session, slots, light, lit, weather)
     about = {
         "weather": weather.name,
         "height": height,
         "quality": quality,
         "synthetic_weather": weather.synthetic,
-        **({"troubles": list(wrong.names)} if wrong.names else {}),
     }
     update_session(session, {"simulation": about})
     return Simulated(len(missing), int(lit.sum()) - len(missing), int((~lit).sum()), weather.name)
@@ -173,24 +152,16 @@ def run(
 def render_slots(folder: Path, job: _Job) -> None:
     """Render the slots of `job` in the session `folder`: a panorama and its sun patches for each.
 
-    Around the windows also write a picture as fine as the sensor, unless a knock turned the camera.
+    Around the windows also write a picture as fine as the sensor.
     """
-    session, wrong = Session(folder), job.troubles
-    assert job.light is not None and job.shining is not None
+    session = Session(folder)
+    assert job.light is not None
     room, fine = _traced(folder, job.key, job.height, job.quality, job.pitch_deg, job.workers)
-    truth = room.render(job.shining, coloured=job.coloured)
-    maps, zone = truth.luminance_cdm2, room.setup.site.timezone
-    if wrong.names:
-        # Patches are computed from what is stated, as `pair` does.
-        truth = replace(truth, patch_cdm2=room.render(job.light).patch_cdm2)
-        times = [slot.t_utc for slot in job.slots]
-        maps = troubled_pictures(maps, room.view.sky > 0, times, job.planned_utc, zone, wrong)
+    truth = room.render(job.light, coloured=job.coloured)
     for k, slot in enumerate(job.slots):
-        turned = knocked_camera(slot.t_utc, job.planned_utc, zone, wrong)
-        if fine is not None and not turned:
-            factor = maps[k] / np.maximum(truth.luminance_cdm2[k], 1e-9) if wrong.names else None
-            write_sky_picture(session.truth_sky_picture(slot.id), fine.picture(truth, k, factor))
-        seen = room.as_panorama(replace(truth, luminance_cdm2=maps), k)
+        if fine is not None:
+            write_sky_picture(session.truth_sky_picture(slot.id), fine.picture(truth, k))
+        seen = room.as_panorama(truth, k)
         patch = {"luminance_cdm2": truth.patch_cdm2[k], "attributes": {"direct": "only"}}
         direct = replace(seen, rgb=None, **patch)
         places = session.truth_panorama(slot.id), session.truth_sunpatch(slot.id)
@@ -228,7 +199,7 @@ def _light_of(setup: SiteFile, slots: Sequence[Slot], weather: Weather) -> tuple
 
 
 def _forget_other(session: Session, slots: Sequence[Slot], weather: Weather, how: _Job) -> None:
-    """Delete the slots' rendered pictures of another room, size, quality, weather or troubles.
+    """Delete the slots' rendered pictures of another room, size, quality or weather.
 
     Otherwise an interrupted run could leave a mixture.
     """
@@ -237,7 +208,7 @@ def _forget_other(session: Session, slots: Sequence[Slot], weather: Weather, how
     light = hashlib.sha256(both.tobytes()).hexdigest()
     room = [plain(setup.room), setup.camera.heading_deg, how.height, how.quality, _VERSION]
     now = {"room": digest(room), "weather": weather.name, "light_sha256": light}
-    now |= {"window_pitch_deg": f"{how.pitch_deg:.4f}", "troubles": how.troubles.key}
+    now |= {"window_pitch_deg": f"{how.pitch_deg:.4f}", "troubles": ""}
     now |= {"coloured": True} if how.coloured else {}
     if current_note(path, now) is not None:
         return
@@ -251,9 +222,7 @@ def _done(session: Session, slot: Slot) -> bool:
     return session.truth_panorama(slot.id).is_file() and session.truth_sunpatch(slot.id).is_file()
 
 
-def _write_irradiance(
-    session: Session, weather: Weather, slots: Sequence[Slot], troubles: Troubles
-) -> None:
+def _write_irradiance(session: Session, weather: Weather, slots: Sequence[Slot]) -> None:
     """Write truth/irradiance.csv over the planned days.
 
     Readers interpolate between its rows: a steady hour has two.
@@ -269,10 +238,6 @@ def _write_irradiance(
     ghi_wm2, dni_wm2, dhi_wm2 = (
         np.nan_to_num(v) for v in (light.ghi_wm2, light.dni_wm2, light.dhi_wm2)
     )
-    if troubles.names:
-        altitude = sun.position(times, weather.site).altitude_deg
-        dni_wm2, dhi_wm2 = measured_irradiance(times, dni_wm2, dhi_wm2, altitude, troubles)
-        ghi_wm2 = sun.horizontal_beam(dni_wm2, altitude) + dhi_wm2
     seconds = np.array([t.timestamp() for t in times])
     truth = CleanIrradiance(seconds, ghi_wm2, dhi_wm2, dni_wm2)
     truth.write(session.truth_irradiance)

@@ -47,11 +47,8 @@ class FineWindows:
     sun: SunPoints
     to_pixels: Any
 
-    def picture(self, rendering: Rendering, k: int, factor: Floats32 | None = None) -> SkyPicture:
-        """Return moment `k` (from 0) of a rendering, without the sun's disc.
-
-        factor: on the luminance of each of the panorama's pixels [H, W]; None for 1.
-        """
+    def picture(self, rendering: Rendering, k: int) -> SkyPicture:
+        """Return moment `k` (from 0) of a rendering, without the sun's disc."""
         light = rendering.light[[k]]
         value = np.asarray(self.to_pixels @ rendering.points_lx[:, k], np.float32)
         direct_lx = float(light.direct_lx[0])
@@ -61,21 +58,10 @@ class FineWindows:
         seen_sky = np.flatnonzero(self.sky)
         value[seen_sky] += light.sky_at(self.rays[seen_sky])[0] * self.sky[seen_sky]
         value += np.float32(light.sky.ground_cdm2[0]) * self.plain
-        if factor is not None:
-            value *= factor.ravel()[self._coarse_pixels(len(factor))]
         out = np.full(self.grid.height * self.grid.width, np.nan, np.float32)
         out[self.pixel] = value
         shape = (self.grid.height, self.grid.width)
         return SkyPicture(out.reshape(shape), np.zeros(shape, bool), self.grid)
-
-    def _coarse_pixels(self, height: int) -> Indices:
-        """Return the flat index of the panorama pixel that holds each fine pixel, [p]."""
-        grid, coarse = self.grid, 180.0 / height
-        row, column = np.divmod(self.pixel, grid.width)
-        down = 90.0 - grid.first_altitude_deg + (row + 0.5) * grid.step_deg
-        across = grid.first_azimuth_deg + 180.0 + (column + 0.5) * grid.step_deg
-        columns = np.floor(across / coarse).astype(np.intp) % (2 * height)
-        return np.floor(down / coarse).astype(np.intp) * 2 * height + columns
 
 
 def fine_windows(lit: LitRoom, pitch_deg: float) -> FineWindows | None:

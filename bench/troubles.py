@@ -1,25 +1,21 @@
-"""Troubles of a real campaign in a simulated one: each has a size and a seed, from a file.
+"""Troubles of a real campaign in a simulated one: each has a size and a seed, as in troubles.toml.
 
-A trouble changes the room (truth/<slot>.exr, the pictures that cameras take) or the instrument's
-readings (truth/irradiance.csv, pairs.csv). The stated session is unchanged: the site, the room, the
-times of the slots and the sun patches computed from them.
+A trouble changes the pictures or the instrument's readings. The stated session is unchanged: the
+site, the room, the times of the slots and the sun patches computed from them.
 """
 
 import zlib
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Annotated, get_type_hints
 
 import numpy as np
 
 from fieldlum.core.arrays import Array, Floats, Floats32, Mask
-from fieldlum.core.errors import InputError
 from fieldlum.core.records import Site
 from fieldlum.core.strict_toml import build, read_toml
 from fieldlum.optics.projection import altitude_azimuth_deg, equirect_rays, signed_angle_deg
-from fieldlum.session.codec import digest
 from fieldlum.sky import sun
 from fieldlum.sky.daylight import Light
 from fieldlum.sky.perez import reinhart_patches
@@ -49,7 +45,7 @@ class Trouble:
 
 @dataclass(frozen=True, slots=True)
 class Troubles:
-    """The troubles of a campaign, with the limits of their sizes; None: not present.
+    """The troubles of a campaign; None: not present.
 
     clouds : sd of ln luminance of a smooth field over the sky, another in each hour; DHI is kept.
     distant_instrument : distance of the instrument, m; its DNI is that of other clouds.
@@ -66,47 +62,32 @@ class Troubles:
     clipped : count of pictures without their shortest exposures.
     """
 
-    clouds: Annotated[Trouble | None, (0.0, 1.0)] = None
-    distant_instrument: Annotated[Trouble | None, (0.0, 5000.0)] = None
-    instrument_drift: Annotated[Trouble | None, (-0.5, 0.5)] = None
-    horizon: Annotated[Trouble | None, (0.0, 30.0)] = None
-    north: Annotated[Trouble | None, (-10.0, 10.0)] = None
-    clock_drift: Annotated[Trouble | None, (-60.0, 60.0)] = None
-    knock: Annotated[Trouble | None, (-10.0, 10.0)] = None
-    lamps: Annotated[Trouble | None, (0.0, 1000.0)] = None
-    blind: Annotated[Trouble | None, (0.0, 1.0)] = None
-    people: Annotated[Trouble | None, (0.0, 1.0)] = None
-    chair: Annotated[Trouble | None, (0.0, 1.0)] = None
-    exposures: Annotated[Trouble | None, (0.0, 1.0)] = None
-    clipped: Annotated[Trouble | None, (0.0, 1000.0)] = None
+    clouds: Trouble | None = None
+    distant_instrument: Trouble | None = None
+    instrument_drift: Trouble | None = None
+    horizon: Trouble | None = None
+    north: Trouble | None = None
+    clock_drift: Trouble | None = None
+    knock: Trouble | None = None
+    lamps: Trouble | None = None
+    blind: Trouble | None = None
+    people: Trouble | None = None
+    chair: Trouble | None = None
+    exposures: Trouble | None = None
+    clipped: Trouble | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the troubles that are present, in the order of the fields."""
         return tuple(f.name for f in fields(self) if getattr(self, f.name) is not None)
 
-    @property
-    def key(self) -> str:
-        """A hash of the size and seed of each trouble, which tells stored pictures of others apart.
-
-        "" without troubles.
-        """
-        return digest(asdict(self))[:16] if self.names else ""
-
 
 def load_troubles(path: Path) -> Troubles:
     """Read troubles from TOML: a table for each, with `size` and, if not 1, `seed`.
 
-    Raises InputError for a file that cannot be read, an unknown trouble or key, a value of another
-    type, and a size outside its limits.
+    Raises InputError for a file that cannot be read, and for an unknown trouble or key.
     """
-    troubles = build(Troubles, read_toml(path), str(path))
-    for name, kind in get_type_hints(Troubles, include_extras=True).items():
-        trouble, (smallest, largest) = getattr(troubles, name), kind.__metadata__[0]
-        if trouble is not None and not smallest <= trouble.size <= largest:
-            found = f"the trouble [{name}] with size = {trouble.size:g}"
-            raise InputError(path, found, f"{smallest:g} to {largest:g}", "correct the size")
-    return troubles
+    return build(Troubles, read_toml(path), str(path))
 
 
 # ----------------------------------------------------------------------------------------------
