@@ -21,7 +21,6 @@ from fieldlum.learn.models.held_out_choice import (
 )
 from fieldlum.learn.models.scores import Scores
 from fieldlum.learn.train import Trial, choose_model, held_out_warnings, notes_of
-from fieldlum.pair.bracket_irradiance import is_doubted
 
 DAYS = ("2027-03-19", "2027-03-20", "2027-03-21", "2027-06-20", "2027-06-21", "2027-06-22")
 DATA = dataset(DAYS, height=8)
@@ -137,10 +136,7 @@ def test_hours_of_a_doubted_beam_do_not_count_unless_they_are_needed() -> None:
 
 
 @pytest.mark.contract
-def test_the_marks_of_pair_are_recognised() -> None:
-    assert is_doubted("light changed by 20 %") and is_doubted("a; diffuse above global")
-    assert not is_doubted("sun under 5 degrees: DNI from horizontal readings is inaccurate")
-    assert not is_doubted("") and not is_doubted("2 frames are missing")
+def test_unmarked_captures_have_the_digest_of_earlier_versions() -> None:
     old = DATA.digest()
     assert replace(DATA, uncertain=None).digest() == old
     assert replace(DATA, uncertain=np.ones(len(DATA), bool)).digest() != old

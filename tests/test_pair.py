@@ -121,6 +121,17 @@ def test_unsteady_light_is_cautioned_then_refused() -> None:
             log(k, np.where(k < 3, 400.0, 400.0 * (1 + rise))), NOON, NOON + timedelta(seconds=30)
         )
         assert (light.why == "") is ok and "light changed" in light.caution + light.why
+        assert light.doubtful
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize(("flag", "doubtful"), [("", False), ("low-sun", False), ("spike", True)])
+def test_marks_make_light_doubtful_but_a_low_sun_does_not(flag: str, doubtful: bool) -> None:
+    steady = log(np.arange(-20.0, 20.0), np.full(40, 400.0))
+    marked = replace(steady, flags=np.array([flag] * 40, object))
+    light = irradiance_during(marked, NOON, NOON + timedelta(seconds=30))
+    row = pair.judge(pair.BracketInterval("x", Path("x.exr"), NOON, NOON), light, 30.0, 178.0)
+    assert (light.doubtful, row.ok, row.doubtful) == (doubtful, True, doubtful)
 
 
 @pytest.mark.contract

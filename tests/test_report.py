@@ -20,7 +20,7 @@ from learning_room import SETUP, dataset, write_pairs
 from fieldlum import report
 from fieldlum.cli import main
 from fieldlum.core.records import Exposure, Slot
-from fieldlum.learn import models, train
+from fieldlum.learn import train
 from fieldlum.report import sections as annual_page
 from fieldlum.report.page import NOTHING, Quantity, heat_map
 from fieldlum.report.sections import melanopic_section, melanopic_shares
@@ -219,14 +219,17 @@ def test_what_training_doubts_is_on_the_first_screen(session: Session, tmp_path:
     import json
 
     source = session.models / "transport"
-    for name, warning, trusted in (
-        ("lamp", "WARNING: something changed in the room", None),
-        ("poor", f"WARNING: held-out days are wrong; {models.POOR_WORDS}", 0.0),
+    earlier = "WARNING: do not trust single maps of this model"  # without the key `untrusted`
+    for name, warning, trusted, more in (
+        ("lamp", "WARNING: something changed in the room", None, {}),
+        ("poor", "WARNING: held-out days are wrong", 0.0, {"untrusted": True}),
+        ("earlier", earlier, 0.0, {}),
     ):
         folder = tmp_path / name
         shutil.copytree(source, folder)
         config = json.loads((folder / "config.json").read_text("utf-8"))
-        config["warnings"] = [warning]
+        config.pop("untrusted", None)
+        config |= {"warnings": [warning], **more}
         (folder / "config.json").write_text(json.dumps(config), encoding="utf-8")
         (folder / "config.json.sha256").unlink(missing_ok=True)
         year, _ = predict.run(folder, session.root / "w.csv", maps=trusted is not None)
@@ -236,7 +239,7 @@ def test_what_training_doubts_is_on_the_first_screen(session: Session, tmp_path:
                 xr.open_zarr(year.folder / "maps.zarr", consolidated=False)["trusted"] == trusted
             ).all()
             assert (predict.read_annual(year.folder).hours["trusted"] == trusted).all()
-        first_screen = report._warnings(session, year)
+        first_screen = annual_page.warnings_of(session, year)
         assert any(f"From training: {warning[9:40]}" in text for text in first_screen)
 
 

@@ -99,7 +99,17 @@ def test_another_capture_json_is_refused(tmp_path: Path, text: str, found: str) 
 def test_pairs_come_back_equal(tmp_path: Path) -> None:
     rows = (
         PairRow(
-            NOON, "panoramas/a.exr", 500.0, 60.0, 281.0, "measured", 18.0, 180.0, 0.01, "p.exr"
+            t_utc=NOON,
+            panorama="panoramas/a.exr",
+            dni_wm2=500.0,
+            dhi_wm2=60.0,
+            ghi_wm2=281.0,
+            source="measured",
+            sun_altitude_deg=18.0,
+            sun_azimuth_deg=180.0,
+            steadiness=0.01,
+            sunpatch="p.exr",
+            doubtful=True,
         ),
         PairRow(NOON, "panoramas/b.exr", math.nan, math.nan, ok=False, why="no irradiance"),
     )
@@ -107,6 +117,15 @@ def test_pairs_come_back_equal(tmp_path: Path) -> None:
     read = PairsFile.read(tmp_path / "pairs.csv")
     assert replace(read.usable[0], line=0) == rows[0]
     assert (read.refused[0].why, read.refused[0].line) == ("no irradiance", 3)
+
+
+@pytest.mark.contract
+def test_doubts_of_earlier_versions_are_read_from_their_words(tmp_path: Path) -> None:
+    path = tmp_path / "pairs.csv"
+    whys = ["light changed by 20 %", "a; diffuse above global", "sun under 5 degrees: DNI", ""]
+    lines = [f"2027-12-21T20:00:00Z,a.exr,1,2,{why}\n" for why in whys]
+    path.write_text("t_utc,panorama,dni_wm2,dhi_wm2,why\n" + "".join(lines))
+    assert [row.doubtful for row in PairsFile.read(path).rows] == [True, True, False, False]
 
 
 @pytest.mark.contract

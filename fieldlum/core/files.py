@@ -11,6 +11,7 @@ import uuid
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from functools import partial
 from io import BufferedReader
 from pathlib import Path
 from typing import IO, Any
@@ -27,21 +28,35 @@ _RUN = uuid.uuid4().hex[:12]  # another one in each process, on any computer
 MAX_FILE_BYTES, MAX_ARRAY_BYTES = 2**30, 2**32
 
 
+def open_file(path: Path | str, flags: int, *, follow_links: bool = False) -> int:
+    """Open a regular file by the flags of os.open, without waiting; return its handle.
+
+    Raises OSError for a folder, a pipe, a device, and a link that is not followed.
+    """
+    # Absent on Windows, where a link needs a right that users do not have. O_NONBLOCK is for a
+    # named pipe; it has no effect on files.
+    names = ("O_CLOEXEC", "O_NONBLOCK", *(() if follow_links else ("O_NOFOLLOW",)))
+    handle = os.open(path, flags | sum(getattr(os, name, 0) for name in names), 0o644)
+    mode = os.fstat(handle).st_mode
+    if stat.S_ISREG(mode):
+        return handle
+    os.close(handle)
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    raise OSError(errno.ENXIO, "a pipe or a device, which is no file", str(path))
+
+
 def open_to_read(path: Path, maximum_bytes: int = MAX_FILE_BYTES) -> BufferedReader:
     """Open a file for reading, and never wait for another program.
 
     Raises OSError for a missing file, a pipe or device, and a file over `maximum_bytes`.
     """
-    wait = getattr(os, "O_NONBLOCK", 0)  # absent on Windows; without an effect on files
-    file = open(path, "rb", opener=lambda name, flags: os.open(name, flags | wait))  # noqa: SIM115
-    about = os.fstat(file.fileno())
-    if not stat.S_ISREG(about.st_mode):
-        file.close()
-        raise OSError(errno.ENXIO, "a pipe or a device, which is no file", str(path))
-    if about.st_size > maximum_bytes:
+    file = open(path, "rb", opener=partial(open_file, follow_links=True))  # noqa: SIM115
+    size = os.fstat(file.fileno()).st_size
+    if size > maximum_bytes:
         file.close()
         limit = f"the limit of {maximum_bytes / 2**30:g} GiB"
-        found = f"{about.st_size / 2**30:.1f} GiB, more than {limit}"
+        found = f"{size / 2**30:.1f} GiB, more than {limit}"
         raise OSError(errno.EOVERFLOW, found, str(path))
     return file
 
@@ -148,22 +163,6 @@ def sha256(path: Path) -> str:
 
 # ----------------------------------------------------------------------------------------------
 # appending lines
-
-# Absent on Windows, where a link needs a right that users do not have. O_NONBLOCK is for a named
-# pipe; it has no effect on files.
-_SAFELY = [getattr(os, name, 0) for name in ("O_NOFOLLOW", "O_CLOEXEC", "O_NONBLOCK")]
-
-
-def open_file(path: Path, flags: int) -> int:
-    """Open a regular file by the flags of os.open, without following a link; return its handle.
-
-    Raises OSError for a link and for anything else that is no file.
-    """
-    handle = os.open(path, flags | sum(_SAFELY), 0o644)
-    if not stat.S_ISREG(os.fstat(handle).st_mode):
-        os.close(handle)
-        raise OSError(errno.ENXIO, "not a regular file", str(path))
-    return handle
 
 
 def encode_line(row: Mapping[str, object]) -> bytes:

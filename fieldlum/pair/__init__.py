@@ -126,10 +126,20 @@ def judge(
         text = "the sun covers few pixels: its illuminance is uncertain by"
         doubts.append(f"{text} {u_percent:.0f} %")
     name = f"{bracket.panorama.parent.name}/{bracket.panorama.name}"
-    of_sky = light.dni_wm2, light.dhi_wm2, light.ghi_wm2, light.source
-    of_sun = altitude_deg, azimuth_deg, light.steadiness
-    doubt = _joined(*doubts, light.caution)
-    return PairRow(bracket.t_utc, name, *of_sky, *of_sun, ok=not why, why=why or doubt)
+    return PairRow(
+        t_utc=bracket.t_utc,
+        panorama=name,
+        dni_wm2=light.dni_wm2,
+        dhi_wm2=light.dhi_wm2,
+        ghi_wm2=light.ghi_wm2,
+        source=light.source,
+        sun_altitude_deg=altitude_deg,
+        sun_azimuth_deg=azimuth_deg,
+        steadiness=light.steadiness,
+        ok=not why,
+        why=why or _joined(*doubts, light.caution),
+        doubtful=light.doubtful,
+    )
 
 
 def _joined(*texts: str) -> str:

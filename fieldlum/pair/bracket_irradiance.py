@@ -14,7 +14,8 @@ class BracketIrradiance:
     """Outdoor irradiance during a bracket; NaN is unknown.
 
     why: the reason that this irradiance must not be used, or ""; caution: a doubt about it, or
-    "". ghi_wm2, dhi_wm2, dni_wm2: means of global and diffuse horizontal and direct normal
+    ""; doubtful: whether it is too uncertain to judge pictures by.
+    ghi_wm2, dhi_wm2, dni_wm2: means of global and diffuse horizontal and direct normal
     irradiance. steadiness: (max - min) / mean of the global; 0 is perfectly steady. source:
     where the values come from. rows: number of irradiance rows in the interval.
     """
@@ -27,6 +28,7 @@ class BracketIrradiance:
     rows: int = 0
     why: str = ""
     caution: str = ""
+    doubtful: bool = False
 
 
 def irradiance_during(
@@ -87,16 +89,25 @@ def _statistics(log: CleanIrradiance, rows: Mask) -> BracketIrradiance:
     elif steadiness > 0.50 and spread > 10.0:
         why = f"light changed by {100 * steadiness:.0f} % during the bracket"
     elif steadiness > 0.10 and spread > 10.0:
-        caution.append(f"{_CHANGED} by {100 * steadiness:.0f} %")
+        caution.append(f"light changed by {100 * steadiness:.0f} %")
     words = {word for text in log.flags[rows] for word in str(text).split()}
     caution += [text for word, text in _CAUTIONS.items() if word in words]
     derived = [text for text in log.source[rows] if text != MEASURED]
     dhi_mean, dni_mean = (max(float(value.mean()), 0.0) for value in (dhi, dni))
-    light = mean, dhi_mean, dni_mean, steadiness, (*derived, MEASURED)[0]
-    return BracketIrradiance(*light, int(rows.sum()), why, "; ".join(caution))
+    return BracketIrradiance(
+        ghi_wm2=mean,
+        dhi_wm2=dhi_mean,
+        dni_wm2=dni_mean,
+        steadiness=steadiness,
+        source=(*derived, MEASURED)[0],
+        rows=int(rows.sum()),
+        why=why,
+        caution="; ".join(caution),
+        # A low sun is not counted: it matters only with a beam.
+        doubtful=bool(why) or any(text != _CAUTIONS["low-sun"] for text in caution),
+    )
 
 
-_CHANGED = "light changed"
 _CAUTIONS = {
     "low-sun": "sun under 5 degrees: DNI from horizontal readings is inaccurate",
     "closure": "global is not diffuse + direct",
@@ -104,12 +115,3 @@ _CAUTIONS = {
     "extreme": "irradiance outside BSRN's extremely rare limits",
     "spike": "one reading differs strongly from its neighbours",
 }
-
-
-def is_doubted(why: str) -> bool:
-    """Return whether the column `why` of a usable row marks its irradiance as doubtful.
-
-    A low sun is not counted: only with a beam does it matter.
-    """
-    marks = (_CHANGED, *(text for word, text in _CAUTIONS.items() if word != "low-sun"))
-    return any(text in why for text in marks)

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from typing import Any, NamedTuple
 from zoneinfo import ZoneInfo
@@ -9,7 +10,9 @@ from zoneinfo import ZoneInfo
 import numpy as np
 
 from fieldlum.core.arrays import Floats, Mask
+from fieldlum.core.errors import InputError
 from fieldlum.core.records import Site, SunSource, counted
+from fieldlum.optics import profiles
 from fieldlum.optics.projection import NOT_SEEN, PARTLY_SEEN
 from fieldlum.report import page
 from fieldlum.report.page import Figure, Section, Table, named, sentence
@@ -435,3 +438,22 @@ def _captures_text(session: Session, site: Site, pairs: PairsFile) -> str:
     parts = [f"{SUN_FROM.get(origin, origin)} in {n}" for origin, n in origins.most_common()]
     count = counted(origins.total(), "picture")
     return f"{text} {count} show the sun's disc, whose illuminance was {', '.join(parts)}."
+
+
+def warnings_of(session: Session, year: Annual | None) -> list[str]:
+    """Return warnings of assumed settings, of the camera, of training, and of the weather.
+
+    Each is a sentence. year: None without a predicted year; the last two are then missing.
+    """
+    camera = session.site_file().camera
+    texts = profiles.assumed_texts(camera)
+    with suppress(InputError):  # the profile can be missing where only the report is written again
+        profile = profiles.load_camera_profile(camera.profile)
+        texts += filter(None, [profiles.uncalibrated_text(profile)])
+    if year is not None:
+        weather, of_model = year.summary.weather, year.summary.model_warnings
+        texts += [f"From training: {text.removeprefix('WARNING: ')}" for text in of_model]
+        if weather.synthetic:
+            texts.append("The weather is synthetic: do not judge this place by it.")
+        texts += [f"Weather: {text}" for text in weather.repairs]
+    return [sentence(text) for text in texts]

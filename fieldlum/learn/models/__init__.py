@@ -77,10 +77,6 @@ TRUSTED_FACTOR = 1.2
 TRUSTED_MSE = float(np.log10(TRUSTED_FACTOR) ** 2)
 
 
-# Part of a warning of `train`: every hour of a model with this warning is untrusted.
-POOR_WORDS = "do not trust single maps of this model"
-
-
 def trusted_hours(prediction: Prediction) -> Mask:
     """Return a mask [n], True for trusted hours.
 

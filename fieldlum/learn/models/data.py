@@ -26,7 +26,6 @@ from fieldlum.learn.models.camera_turns import (
 from fieldlum.learn.models.held_out_choice import weight_of_variance
 from fieldlum.optics.images import PANORAMA_LINE, read_panorama
 from fieldlum.optics.projection import equirect_solid_angles, signed_angle_deg
-from fieldlum.pair.bracket_irradiance import is_doubted
 from fieldlum.pair.sky_view import is_outdated
 from fieldlum.room.scene.patches import sun_patches
 from fieldlum.session import Session, marks, open_session
@@ -434,7 +433,7 @@ def read_pictures(
         "bound; run fieldlum pair, and read its cautions"
     )
     days = [sun.standard_date(t, setup.site.timezone) for t in light.t_utc]
-    uncertain = np.array([is_doubted(row.why) for row in rows])
+    uncertain = np.array([row.doubtful for row in rows])
     data = Dataset(
         light=light,
         luminance_cdm2=maps,

@@ -13,6 +13,7 @@ from time import monotonic, process_time
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.errors import NotEnoughDataError
@@ -21,7 +22,7 @@ from fieldlum.core.records import counted, listed
 from fieldlum.core.statistics import held_out_masks
 from fieldlum.learn import models
 from fieldlum.learn.model_kinds import MODELS
-from fieldlum.learn.models import POOR_WORDS, TRUSTED_FACTOR, TRUSTED_MSE, Fitted, Patch
+from fieldlum.learn.models import TRUSTED_FACTOR, TRUSTED_MSE, Fitted, Patch
 from fieldlum.learn.models.data import Dataset, with_sky_view
 from fieldlum.learn.models.held_out_choice import (
     CRITERIA,
@@ -202,7 +203,7 @@ class Result:
     model and the reason; fit_s: time of the final fit, by the wall clock [s]; data: the captures of
     the training, without those of a changed room; notes: texts for the user, warnings included;
     year: error to expect over a year, None if unknown (`year_of`); mirrors: plane mirrors that show
-    the sun in captures.
+    the sun in captures; untrusted: whether no hour of the model is trusted (`is_untrusted`).
     """
 
     fitted: Fitted
@@ -213,6 +214,7 @@ class Result:
     notes: tuple[str, ...]
     year: YearExpectation | None
     mirrors: tuple[Mirror, ...]
+    untrusted: bool
 
     def table(self, seed: int) -> list[ScoreRow]:
         """Return a row for each trial, as in `train --json` (docs/design.md, Command line).
@@ -266,8 +268,17 @@ def fit_and_score(
     notes = [*notes_of(data, patch, model, trials), *left_out, *model_notes(fitted, data, patch)]
     notes += [f"WARNING: {m.captures} of {captures} captures {m.warning}" for m in mirrors]
     notes += [*changed, *late, *held_out_warnings(fitted, data), *moved]
-    year = year_of(fitted, data, patch, seed)
-    return Result(fitted, tuple(trials), choice, spent.wall_s, data, tuple(notes), year, mirrors)
+    return Result(
+        fitted=fitted,
+        trials=tuple(trials),
+        choice=choice,
+        fit_s=spent.wall_s,
+        data=data,
+        notes=tuple(notes),
+        year=year_of(fitted, data, patch, seed),
+        mirrors=mirrors,
+        untrusted=is_untrusted(fitted, data),
+    )
 
 
 def _trials(data: Dataset, model: str, options: dict[str, Any]) -> tuple[list[Trial], list[str]]:
@@ -359,6 +370,7 @@ def run(
         (out / ScoresFile.NAME).unlink(missing_ok=True)
         warned = [note for note in result.notes if note.startswith("WARNING")]
         more = {"patch": mode, "seed": seed, "chosen_because": choice.reason, "warnings": warned}
+        more["untrusted"] = result.untrusted
         models.save(out, fitted, result.data, mirrors=result.mirrors, **more)
         (out / "held_out.npz").unlink(missing_ok=True)
         chosen = (trial for trial in result.trials if trial.name == choice.name)
@@ -447,12 +459,10 @@ def held_out_warnings(fitted: Fitted, data: Dataset) -> list[str]:
     which hours are trusted. The list is empty if there are none, and for a model without held-out
     errors.
     """
-    if fitted.held_out_mse is None or len(fitted.held_out_mse) != len(data):
+    if not _has_held_out_errors(fitted, data):
         return []
-    weight = choice_weights(data)
-    judged = weight > 0.0
-    errors, weight = np.nan_to_num(fitted.held_out_mse, nan=np.inf)[judged], weight[judged]
-    day, texts = data.days[judged], []
+    errors, weight, day = _judged_errors(fitted, data)
+    texts = []
     days = np.unique(day)
     means = np.array([trimmed_mean(errors[day == d], weight[day == d]) for d in days])
     exceptions = days[(means > POOR_MSE) & (means > 4.0 * np.median(means))]
@@ -462,12 +472,12 @@ def held_out_warnings(fitted: Fitted, data: Dataset) -> list[str]:
             "the median day: a blind, a lamp or wrong irradiance; mark what was different (fieldlum"
             " status SESSION --mark SLOT blind=half), or set ok = 0 in pairs.csv, and train again"
         )
-    mean = trimmed_mean(errors, weight)
-    if np.median(errors) > POOR_MSE / 4 or mean > POOR_MSE:
+    if is_untrusted(fitted, data):
+        rms = 10.0 ** trimmed_mean(errors, weight) ** 0.5
         texts.append(
-            f"WARNING: predictions of held-out days are wrong by a factor of {10.0**mean**0.5:.2f} "
-            "(rms); likely causes are broken cloud, wrong irradiance, or a room that changed (a "
-            f"wrong north or clock has its own warning); {POOR_WORDS}"
+            f"WARNING: predictions of held-out days are wrong by a factor of {rms:.2f} (rms); "
+            "likely causes are broken cloud, wrong irradiance, or a room that changed (a wrong "
+            "north or clock has its own warning); do not trust single maps of this model"
         )
     share = float(np.average(errors > TRUSTED_MSE, weights=weight))
     # Clean sets have under 2 % of such captures, those with a lamp or a moved camera 20 to 60 %.
@@ -478,3 +488,26 @@ def held_out_warnings(fitted: Fitted, data: Dataset) -> list[str]:
             "hours with similar light are not trusted"
         )
     return texts
+
+
+def is_untrusted(fitted: Fitted, data: Dataset) -> bool:
+    """Return whether held-out errors of the captures `data` are too large to trust any hour.
+
+    False for a model without held-out errors.
+    """
+    if not _has_held_out_errors(fitted, data):
+        return False
+    errors, weight, _ = _judged_errors(fitted, data)
+    return bool(np.median(errors) > POOR_MSE / 4 or trimmed_mean(errors, weight) > POOR_MSE)
+
+
+def _has_held_out_errors(fitted: Fitted, data: Dataset) -> bool:
+    return fitted.held_out_mse is not None and len(fitted.held_out_mse) == len(data)
+
+
+def _judged_errors(fitted: Fitted, data: Dataset) -> tuple[Floats, Floats, NDArray]:
+    """Return log10 MSE, weight and day of the captures with weight, [k] each."""
+    weight = choice_weights(data)
+    judged = weight > 0.0
+    errors = np.nan_to_num(np.asarray(fitted.held_out_mse), nan=np.inf)
+    return errors[judged], weight[judged], data.days[judged]

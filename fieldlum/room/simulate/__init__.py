@@ -254,13 +254,23 @@ def write_pairs(
     columns = light.dni_wm2, light.dhi_wm2, ghi, light.sun_altitude_deg, light.sun_azimuth_deg
     rows = []
     for slot, ok, values in zip(slots, lit.tolist(), np.stack(columns, axis=1), strict=True):
-        dni, dhi, total, *sun_deg = values.tolist()
+        dni, dhi, total, altitude_deg, azimuth_deg = values.tolist()
         panorama, patch = (
             path.relative_to(session.root).as_posix() if ok else ""
             for path in (session.truth_panorama(slot.id), session.truth_sunpatch(slot.id))
         )
-        why = "" if ok else "no light in the weather"
-        more = {"sunpatch": patch, "ok": ok, "why": why}
-        row = PairRow(slot.t_utc, panorama, dni, dhi, total, "measured", *sun_deg, **more)
+        row = PairRow(
+            t_utc=slot.t_utc,
+            panorama=panorama,
+            dni_wm2=dni,
+            dhi_wm2=dhi,
+            ghi_wm2=total,
+            source="measured",
+            sun_altitude_deg=altitude_deg,
+            sun_azimuth_deg=azimuth_deg,
+            sunpatch=patch,
+            ok=ok,
+            why="" if ok else "no light in the weather",
+        )
         rows.append(row)
     write_simulated_pairs(session, tuple(rows))

@@ -41,7 +41,8 @@ class ModelConfig(JsonFile, frozen=True):
     """The content of one config.json.
 
     height, width: of its maps [px], 0 if not stated; heading_deg: azimuth of their centre column;
-    setup: SITE.toml as a table; state: all keys, from which `from_state` builds the model.
+    setup: SITE.toml as a table; untrusted: whether errors of held-out days are so large that no
+    hour is trusted; state: all keys, from which `from_state` builds the model.
     """
 
     NAME = "config.json"
@@ -55,6 +56,7 @@ class ModelConfig(JsonFile, frozen=True):
     seed: int = 0
     setup: dict[str, Any] = field(default_factory=dict)
     training: TrainingNote = TrainingNote()
+    untrusted: bool = False
     state: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -70,8 +72,10 @@ class ModelConfig(JsonFile, frozen=True):
 
     @classmethod
     def upgraded(cls, table: JsonTable, path: Path) -> JsonTable:
-        """Return a file's JSON object with all its keys as `state` too."""
-        return {**table, "state": table}
+        """Return a file's JSON object with the present keys, and with all its keys as `state`."""
+        # Earlier versions stated `untrusted` only as a sentence.
+        stated = any("do not trust single maps" in text for text in table.get("warnings", ()))
+        return {"untrusted": stated, **table, "state": table}
 
 
 # ----------------------------------------------------------------------------------------------

@@ -31,7 +31,8 @@ class PairRow:
     sun_azimuth_deg: clockwise from true north; steadiness: range of the global irradiance
     over its mean; sun_in_map: whether the pictures contain the disc; refraction: False for a
     rendering that shows the sun at its true altitude; ok: whether the row may be
-    used; why: the reason if not; state: of the room, such as lamp=on; line: number of the line in
+    used; why: the reason if not, or a caution; doubtful: whether a usable row's irradiance is too
+    uncertain to judge pictures by; state: of the room, such as lamp=on; line: number of the line in
     the csv, from 1, 0 if not read.
     """
 
@@ -48,6 +49,7 @@ class PairRow:
     sun_in_map: bool = False
     ok: bool = True
     why: str = ""
+    doubtful: bool = False
     format: int = FORMAT
     state: str = ""
     refraction: bool = True
@@ -131,7 +133,9 @@ def _row(path: Path, line: int, cells: dict[str, str]) -> PairRow:
             moment = parse_utc(cells["t_utc"])
         panorama, why = cells["panorama"], cells.get("why", "")
         return PairRow(moment, panorama, math.nan, math.nan, ok=False, why=why, line=line)
-    row = read_row(PairRow, where, {**cells, "line": str(line)}, _REMEDY)
+    row = read_row(
+        PairRow, where, {"doubtful": _was_doubted(cells), **cells, "line": str(line)}, _REMEDY
+    )
     check_format(path, row.format, FORMAT)
     if not row.panorama:
         raise InputError(where, "the cell of column panorama is empty", "a picture's path", _REMEDY)
@@ -141,6 +145,12 @@ def _row(path: Path, line: int, cells: dict[str, str]) -> PairRow:
             limits = f"{low:g} to {high:g} W/m2"
             raise InputError(where, f"{name} is {cells[name]!r}", limits, _REMEDY)
     return replace(row, dni_wm2=max(row.dni_wm2, 0.0), dhi_wm2=max(row.dhi_wm2, 0.0))
+
+
+def _was_doubted(cells: dict[str, str]) -> str:
+    """Return `doubtful` of a row of an earlier version, which stated it only in words."""
+    words = ("light changed", "global is not", "diffuse above", "irradiance outside", "one reading")
+    return str(int(any(text in cells.get("why", "") for text in words)))
 
 
 def write_simulated_pairs(session: Session, rows: tuple[PairRow, ...]) -> None:

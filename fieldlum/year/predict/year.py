@@ -15,7 +15,7 @@ from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import utc_text
 from fieldlum.core.room_states import OFF
 from fieldlum.core.scheduler import LOCAL, Scheduler
-from fieldlum.learn.models import POOR_WORDS, Fitted, load, read_config
+from fieldlum.learn.models import Fitted, load, read_config
 from fieldlum.optics import projection
 from fieldlum.optics.images import read_panorama
 from fieldlum.session import Session, check_writable, open_session, sha256
@@ -120,7 +120,7 @@ def run(
     found = blocks.measure(model_folder, room, light, azimuths, **how)
     found.hours["occupied"][:] = occupancy.at(light.t_utc, weather.site.timezone)
     about = _about(room, config, weather, light, azimuths)
-    found.hours["trusted"] *= not any(POOR_WORDS in text for text in about.model_warnings)
+    found.hours["trusted"] *= not config.untrusted
     summary = structs.replace(about, inputs=inputs, days=days)
     annual = Annual(light.t_utc, azimuths, found.hours, _columns(found), folder, summary)
     annual, budgets = _judged(annual, found.uncertainty, hours_used, room, session, seed)
