@@ -13,6 +13,7 @@ from places import SEATTLE
 
 from fieldlum import plan
 from fieldlum.cli import main
+from fieldlum.core.arrays import Indices
 from fieldlum.core.plot_style import svg_of
 from fieldlum.core.records import (
     CameraSetup,
@@ -36,6 +37,14 @@ from fieldlum.plan.capture_days import (
 from fieldlum.session import Journal, create_session, open_session
 from fieldlum.session.site_toml import site_table
 from fieldlum.sky import sun
+from fieldlum.sky.daylight import light_at
+from fieldlum.sky.daylight_kernel import (
+    CAPTURE_NOISE,
+    Features,
+    Kernel,
+    facades_of,
+    light_features,
+)
 from fieldlum.weather import Weather, synthetic_weather
 
 ROOM = Room(window=(Window("south", 0.5, 5.0, 0.9, 3.1),))
@@ -79,6 +88,32 @@ def test_medoids_find_clusters() -> None:
 
 
 @pytest.mark.property
+@pytest.mark.slow
+@pytest.mark.property
+def test_best_beats_even_beats_a_lopsided_choice(weather: Weather, year: DaylightHours) -> None:
+    """Compared is the variance of the year's light that 40 captures leave."""
+    kernel = Kernel(facades_of(ROOM))
+
+    def features(hours: DaylightHours) -> Features:
+        sky = weather.at(hours.t_utc)
+        return light_features(light_at(hours.t_utc, SEATTLE, sky.dni_wm2, sky.dhi_wm2))
+
+    lit = weather.daylight()[::20]
+    everything = light_features(light_at(lit.t_utc, SEATTLE, lit.dni_wm2, lit.dhi_wm2))
+
+    def left(rows: Indices) -> float:
+        captured = features(year[rows])
+        known = kernel(captured, captured) + CAPTURE_NOISE * np.eye(len(rows))
+        cross = kernel(everything, captured)
+        explained = np.einsum("ij,ij->i", cross, np.linalg.solve(known, cross.T).T)
+        return float(1.0 - explained.sum() / kernel.diagonal(everything).sum())
+
+    even = choose.even(year, weather, 40, np.random.default_rng(1))
+    best = choose.best(year, weather, SEATTLE, ROOM, 40)
+    daylit = np.flatnonzero(weather.at(year.t_utc).dhi_wm2 > 0)
+    assert left(best) < left(even) < 0.3 * left(daylit[:40])
+
+
 def test_even_hours_reach_more_skies_than_a_month(weather: Weather, year: DaylightHours) -> None:
     chosen = year[choose.even(year, weather, 40, np.random.default_rng(1))]
     even, january = (coverage(some, SEATTLE, weather) for some in (chosen, year[range(40)]))
@@ -270,7 +305,7 @@ def test_nothing_missed_is_nothing_to_do(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.contract
-def test_command_even_and_replan(tmp_path: Path, weather: Weather) -> None:
+def test_command_best_and_replan(tmp_path: Path, weather: Weather) -> None:
     import tomli_w
 
     from fieldlum.optics.profiles import Bracket, CameraBody, CameraProfile, Lens
@@ -301,7 +336,7 @@ def test_command_even_and_replan(tmp_path: Path, weather: Weather) -> None:
         return json.loads(found.stdout)
 
     base = ("--year", "2027", "--weather", file)
-    made = call(site, "--set", "even", "--count", "5", *base, "--out", out)
+    made = call(site, "--set", "best", "--count", "5", *base, "--out", out)
     assert made["slots"] == 5 and made["coverage"]["both_percent"] > 0
     assert (out / "plan.ics").exists() and (out / "plan.html").exists()
     past = call(site, "--set", "month", "--start", start, "--days", "1", "--out", tmp_path / "p")

@@ -79,7 +79,7 @@ CASES = [
     ("plan @/good.toml --set 9day --out @/s1", "9-day", 2),
     ("plan @/good.toml --set 9-day --out @/s1 --start 2027-13-01", "2027-13-01", 2),
     ("plan @/good.toml --set 9-day --out @/s1 --start tomorrow", "tomorrow.*does not match", 2),
-    ("plan @/good.toml --set best --out @/s1", "even", 2),
+    ("plan @/good.toml --set best --out @/s1", "--weather", 2),
     ("plan @/good.toml --set 9-day --count 5 --out @/s1", "--count needs", 2),
     ("plan @/good.toml --set 9-day --days 5 --out @/s1", "--days needs", 2),
     ("plan @/good.toml --set 9-day --year 2027 --start 2027-01-01 --out @/s1", "exclude", 2),

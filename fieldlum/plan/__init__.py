@@ -76,9 +76,10 @@ _NO_WINDOW = (
 def make_plan(setup: SiteFile, request: Request, weather: Weather | None = None) -> Plan:
     """Return the plan of a set: slots, cost, coverage and warnings; write nothing.
 
-    weather: a year of the place, which adds the coverage of its daylight; None: without. Raises
-    NotEnoughDataError if no hour of the set has the sun above the horizon, or if `even` has weather
-    without daylight on the days of the set; InputError for a profile or room that cannot be used.
+    weather: a year of the place, needed by `best`, which adds the coverage of its daylight; None:
+    without. Raises NotEnoughDataError if no hour of the set has the sun above the horizon, if
+    `best` has no weather, or if `even` or `best` has weather without daylight on the days of the
+    set; InputError for a profile or room that cannot be used.
     """
     site, room = setup.site, setup.room
     days = set_days(request.set, site, request.today, request.start, request.year, request.days)
@@ -89,6 +90,12 @@ def make_plan(setup: SiteFile, request: Request, weather: Weather | None = None)
     if request.set == "even":
         rng = np.random.default_rng(request.seed)
         hours = hours[choose.even(hours, weather, request.count or 200, rng)]
+    elif request.set == "best":
+        if weather is None:
+            raise NotEnoughDataError(
+                "the best hours depend on the climate; state a weather year with --weather FILE"
+            )
+        hours = hours[choose.best(hours, weather, site, room, request.count or 50)]
     remedy = "choose its dates with --start or --year, or another weather file"
     _refuse_empty(hours, f"the weather file has no daylight {from_to}", remedy)
     profile = profiles.load_camera_profile(setup.camera.profile)
@@ -217,9 +224,10 @@ def _planned_cost(session: Session) -> tuple[float, float, int]:
 class Request:
     """The options of the command `plan`.
 
-    set: 4-day, 9-day, 12-day, month or even; today: the local date; start: first date; year:
-    of the equinoxes and solstices, or of a first date on 1 January; days: number for month
-    and even; count: of hours, for even (200, as Liu, Colburn and Inanici 2020); seed: for even.
+    set: 4-day, 9-day, 12-day, month, even or best; today: the local date; start: first date; year:
+    of the equinoxes and solstices, or of a first date on 1 January; days: number for month, even
+    and best; count: of hours, for even (200, as Liu, Colburn and Inanici 2020) and best (50); seed:
+    for even.
     """
 
     set: str
@@ -271,7 +279,7 @@ def plan_warnings(
     """
     texts: list[str] = []
     count, zone = Counter(sun.standard_date(t, site.timezone) for t in hours.t_utc), site.timezone
-    if request.set != "even":
+    if request.set not in ("even", "best"):
         dark, light = (sum(count[d] == n for d in days) for n in (0, 24))
         if dark:
             texts.append(f"polar night: no slot on {dark} of {len(days)} days")

@@ -1,9 +1,10 @@
-"""Compare hours by their light: facades, features of an hour, and a kernel.
+"""Compare hours by their light: facades, features of an hour, a kernel, and the choice of hours.
 
 A room responds linearly to the sky's patches and to the sun. Its response varies smoothly with the
 sun's direction, except for the sharp sun patch, which is known from geometry or has its own model.
 The kernel is the covariance that follows: linear in the sky vector, linear in the sun's share and
-smooth in its direction; a sun behind all facades adds little.
+smooth in its direction; a sun behind all facades adds little. `plan` uses it before any picture
+exists, `learn.transport` to learn from pictures.
 """
 
 from __future__ import annotations
@@ -13,7 +14,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fieldlum.core.arrays import Array, Floats, Floats32
+from fieldlum.core.arrays import Array, Floats, Floats32, Indices
+from fieldlum.core.progress import progress
 from fieldlum.core.records import Room
 from fieldlum.sky import sun
 from fieldlum.sky.daylight import Light
@@ -24,6 +26,7 @@ BEHIND = 0.1
 # Typical cosine between facade and sun, so that the facade factor is about the beam's share.
 # Chosen.
 FACING = 0.8
+CAPTURE_NOISE = 3e-3  # variance of a capture in units of the kernel, 5 %; chosen
 LAMP_LX = 1000.0  # light outside [lx] at which a lamp's share is about one; chosen
 # Azimuths of the walls relative to the room's south wall.
 WALLS_DEG = {"south": 0.0, "west": 90.0, "north": 180.0, "east": 270.0}
@@ -168,3 +171,28 @@ def _facade(a: Features, facades: Facades) -> Floats:
     """Return the sun's share on each facade, [n, f]."""
     on = BEHIND + np.maximum(a.direction @ facades.normals.T, 0.0)
     return a.beam[:, None] * on / FACING * np.sqrt(facades.weights)
+
+
+# ----------------------------------------------------------------------------------------------
+# choosing hours
+
+
+def greedy_hours(kernel: Kernel, year: Features, pool: Features, count: int) -> Indices:
+    """Return `count` hours of `pool`, each of which most reduces the variance over `year`, [count].
+
+    The result is rows of the pool in the order of choice: all of them if it has fewer hours. year,
+    pool: features of the hours to predict and of the hours that can be chosen; no picture is
+    needed. Cost: O((len(year) + len(pool)) len(pool) count).
+    """
+    cross, own = kernel(year, pool), kernel(pool, pool)
+    free, chosen = np.ones(len(pool), bool), []
+    for step in range(min(count, len(pool))):
+        variances = np.maximum(np.diagonal(own), 0.0) + CAPTURE_NOISE
+        best = int(np.argmax(np.where(free, (cross**2).sum(axis=0) / variances, -1.0)))
+        free[best] = False
+        chosen.append(best)
+        row = own[best] / variances[best]
+        cross = cross - np.outer(cross[:, best], row)
+        own = own - np.outer(own[:, best], row)
+        progress(step + 1, count, "hours chosen")
+    return np.array(chosen, np.intp)
