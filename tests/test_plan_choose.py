@@ -114,6 +114,8 @@ def test_best_beats_even_beats_a_lopsided_choice(weather: Weather, year: Dayligh
     assert left(best) < left(even) < 0.3 * left(daylit[:40])
 
 
+@pytest.mark.slow
+@pytest.mark.property
 def test_even_hours_reach_more_skies_than_a_month(weather: Weather, year: DaylightHours) -> None:
     chosen = year[choose.even(year, weather, 40, np.random.default_rng(1))]
     even, january = (coverage(some, SEATTLE, weather) for some in (chosen, year[range(40)]))
