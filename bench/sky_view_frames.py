@@ -108,10 +108,9 @@ def wrong_profile(true: CameraProfile, tilt_deg: float, scale: float) -> CameraP
 
 
 class OneScene:
-    """A world that shows one panorama."""
+    """A world that shows one panorama, which can be exchanged."""
 
-    def __init__(self, panorama: Panorama) -> None:
-        self.panorama = panorama
+    panorama: Panorama
 
     def scene(self, t_utc: datetime) -> Panorama:
         """Return the panorama at any time."""
@@ -153,29 +152,35 @@ def case(setup: SiteFile, captures: int) -> Case:
 
 
 def take(made: Case, profile: CameraProfile, folder: Path, stated: dict[str, CameraProfile]):
-    """Yield, for each capture, its merges by the name of the stated pose."""
+    """Yield, for each capture, its merges by the name of the stated pose; `folder` keeps them."""
     truth = simulate.lit_room(made.setup, height=HEIGHT, quality="draft")
     fine = fine_windows(truth, sensor_pitch_deg(profile))
     assert fine is not None
     site, heading = made.setup.site, made.setup.camera.heading_deg
     clouds = Troubles(clouds=Trouble(0.2, 9))
     cloudy = true_light(made.light[made.captured], clouds, site)
-    frames = folder / f"frames-{profile.camera.width_px}"
+    frames = folder / "frames"
+    # one camera for all captures, because its map from scene to sensor takes most of the time
+    world, clock = OneScene(), FastClock(cloudy.t_utc[0])
+    taken = SimulatedCamera(world, profile, clock, heading_deg=heading)
     for k in range(len(cloudy)):
+        stored = folder / f"{k:02d}.pickle"
+        if stored.is_file():
+            yield pickle.loads(stored.read_bytes())
+            continue
         rendering = truth.render(cloudy[[k]])
         plain = truth.as_panorama(rendering, 0)
         values = {name: getattr(plain, name) for name in Panorama.__dataclass_fields__}
-        detailed = DetailedPanorama(**values, detail=fine.picture(rendering, 0))
+        world.panorama = DetailedPanorama(**values, detail=fine.picture(rendering, 0))
         shutil.rmtree(frames, ignore_errors=True)
         frames.mkdir(parents=True)
-        clock = FastClock(cloudy.t_utc[k])
-        taken = SimulatedCamera(OneScene(detailed), profile, clock, heading_deg=heading)
+        clock.true_utc = cloudy.t_utc[k]
         shots = [
             Shot(taken.expose(e, frames / f"{i:02d}"), e, None)
             for i, e in enumerate(bracket_exposures(profile.bracket, "nd5"))
         ]
         sun = float(cloudy.apparent_altitude_deg[k]), float(cloudy.sun_azimuth_deg[k])
-        yield {
+        merges = {
             name: merge_shots(
                 shots,
                 known,
@@ -186,6 +191,8 @@ def take(made: Case, profile: CameraProfile, folder: Path, stated: dict[str, Cam
             )
             for name, known in stated.items()
         }
+        stored.write_bytes(pickle.dumps(merges))
+        yield merges
 
 
 def judge(made: Case, merges: list[MergeResult], with_discs: bool, axis_deg: float) -> str:
@@ -262,12 +269,8 @@ def glare(made: Case, sunny: Indices, own: Floats) -> tuple[float, str]:
     return mse, f"{changed}/{classes[0].size}"
 
 
-CACHE = Path()
-
-
 def main() -> None:
     """Print one row for each room and stated pose."""
-    global CACHE
     parser = argparse.ArgumentParser()
     parser.add_argument("out", type=Path)
     parser.add_argument("rooms", nargs="*")
@@ -281,13 +284,10 @@ def main() -> None:
     for name, setup in rooms().items():
         if asked.rooms and name not in asked.rooms:
             continue
-        CACHE = asked.out / name
         made = case(setup, asked.captures)
-        stored = CACHE / f"merged-{asked.size}-{asked.captures}-{len(names)}.pickle"
-        if not stored.is_file():
-            CACHE.mkdir(parents=True, exist_ok=True)
-            stored.write_bytes(pickle.dumps(list(take(made, profile, CACHE, stated))))
-        captures = pickle.loads(stored.read_bytes())
+        folder = asked.out / name / f"{asked.size}-{asked.captures}-{len(names)}"
+        folder.mkdir(parents=True, exist_ok=True)
+        captures = list(take(made, profile, folder, stated))
         for pose in names:
             axis_deg = setup.camera.heading_deg + WRONG[pose][0]
             for discs in (True, False):

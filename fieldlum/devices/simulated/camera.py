@@ -247,11 +247,12 @@ class SimulatedCamera(Camera):
     def _shading_of(self, f_number: float) -> Floats32:
         """Return the vignetting on the sensor, [h, w] or [h, w, 1]."""
         out = np.ones(self._shape, np.float32)
-        rows, columns = np.mgrid[0.5 : self._shape[0], 0.5 : self._shape[1]]
+        columns = np.arange(self._shape[1]) + 0.5
         for lens in self._profile.lens:
-            distance = relative_radius(lens, columns, rows)
-            relative = optics.angle_of_radius(lens, np.minimum(distance, 1.0)) / lens.half_angle_rad
             curve, _ = linear_light.vignetting_of(lens, f_number)
-            inside = distance <= 1.0
-            out[inside] = vignetting_at(curve, relative)[inside]
+            for row, shading in enumerate(out):
+                distance = relative_radius(lens, columns, row + 0.5)
+                inside = distance <= 1.0
+                angle = optics.angle_of_radius(lens, distance[inside])
+                shading[inside] = vignetting_at(curve, angle / lens.half_angle_rad)
         return out[..., None] if self._is_jpeg else out

@@ -50,26 +50,29 @@ def look(
     part, whose pixels follow those of the panorama. Both are constant over each of their pixels. A
     sensor pixel averages 3 x 3 directions.
     """
-    from scipy.sparse import csr_array
+    from scipy.sparse import csr_array, vstack
 
     # the picture ends outside the circle, to include its edge
     (cx, cy), reach = lens.centre_px, lens.radius_px + 1.0
     top, bottom = max(int(cy - reach), 0), min(int(cy + reach) + 1, sensor[0])
     left, right = max(int(cx - reach), 0), min(int(cx + reach) + 1, sensor[1])
-    rows, columns = (a.ravel() for a in np.mgrid[top:bottom, left:right])
-    near = np.hypot(columns + 0.5 - cx, rows + 0.5 - cy) < reach
-    rows, columns = rows[near], columns[near]
-    targets, sources = [], []
-    for dy, dx in np.ndindex(_SUBSAMPLES, _SUBSAMPLES):
-        x, y = columns + (dx + 0.5) / _SUBSAMPLES, rows + (dy + 0.5) / _SUBSAMPLES
-        targets.append(np.arange(len(rows), dtype=np.int32))
-        sources.append(_source_pixels(lens_rays(lens, x, y), panorama, grid))
-    target, source = np.concatenate(targets), np.concatenate(sources)
-    share = np.full(len(target), 1.0 / _SUBSAMPLES**2, np.float32)
+    step = max(1, 500_000 // max(1, right - left))  # 300 MB at a time; limits memory only
+    inner = (np.arange(_SUBSAMPLES) + 0.5) / _SUBSAMPLES
     count = panorama[0] * panorama[1] + (grid.height * grid.width if grid else 0)
-    weights = csr_array((share, (target, source)), shape=(len(rows), count))
-    weights.sum_duplicates()
-    return LensSampling(lens, rows * sensor[1] + columns, weights)
+    pixels, blocks = [], []
+    for first in range(top, bottom, step):
+        rows, columns = np.mgrid[first : min(first + step, bottom), left:right]
+        near = np.hypot(columns + 0.5 - cx, rows + 0.5 - cy) < reach
+        rows, columns = rows[near], columns[near]
+        rays = lens_rays(lens, columns[:, None, None] + inner, rows[:, None, None] + inner[:, None])
+        source = _source_pixels(rays.reshape(-1, 3), panorama, grid)
+        share = np.full(len(source), 1.0 / _SUBSAMPLES**2, np.float32)
+        starts = np.arange(len(rows) + 1, dtype=np.int32) * _SUBSAMPLES**2
+        block = csr_array((share, source, starts), shape=(len(rows), count))
+        block.sum_duplicates()
+        blocks.append(block)
+        pixels.append((rows * sensor[1] + columns).astype(np.int32))
+    return LensSampling(lens, np.concatenate(pixels), csr_array(vstack(blocks)))
 
 
 def _source_pixels(

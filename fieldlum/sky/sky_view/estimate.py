@@ -152,9 +152,8 @@ def _stack(captured: Captured, seen: Callable[[Floats], Mask] | None) -> _Stack:
     kept = np.any([np.isfinite(_placed(picture, grid)) for picture in samples], axis=0)
     maximum = max(MIN_CAPTURES, _MAX_VALUES // max(int(kept.sum()), 1))
     rows = evenly_spread(count, maximum).tolist()
-    in_lens = np.zeros(kept.shape, bool)
-    if seen is not None:
-        in_lens = seen(grid.rays().reshape(-1, 3)).reshape(kept.shape)
+    lens = np.zeros(kept.size, bool) if seen is None else seen(grid.rays().reshape(-1, 3))
+    in_lens = lens.reshape(kept.shape)
     light = np.empty((len(rows), int(kept.sum())), np.float32)
     for n, k in enumerate(rows):
         progress(n, len(rows), "sky view")
@@ -245,8 +244,10 @@ def _over_seasons(decided: _Decided, stack: _Stack) -> _Decided:
     rays = view.pose.true_directions(stack.grid.rays()[stack.kept])
     # real skies of a season are within 40 % of Perez's; indoors is darker than half of a pane's sky
     pane_sky = 0.5 * np.median(view.through[decided.sky])
-    by_perez = stack.luminance_cdm2 / np.maximum(light.sky_at(rays), 1e-3)
-    quick = np.array([nan_percentiles(by_perez[rows], (50.0,))[0] for rows in parts])
+    by_perez = (
+        stack.luminance_cdm2[rows] / np.maximum(light[rows].sky_at(rays), 1e-3) for rows in parts
+    )
+    quick = np.array([nan_percentiles(ratio, (50.0,))[0] for ratio in by_perez])
     likely = (quick.min(axis=0) < 0.7 * quick.max(axis=0)) & (quick.max(axis=0) > 0.7 * pane_sky)
     sky, darkest = np.zeros(len(rays)), np.full(len(rays), np.inf)
     for rows in parts if likely.any() else ():
