@@ -45,7 +45,7 @@ from fieldlum.learn.train.outliers import without_changes
 from fieldlum.optics.images import write_panorama
 from fieldlum.optics.profiles import shipped
 from fieldlum.room import simulate
-from fieldlum.room.fit.misplaced_patches import scan, settle, with_right_clock
+from fieldlum.room.fit.misplaced_patches import scan, settle
 from fieldlum.session import Session, create_session, open_session
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.site_toml import load_site
@@ -76,7 +76,6 @@ COLUMNS = {
 NAMED_BY = {
     "clouds": "the skies in the windows differ",
     "north": "north is wrong",
-    "clock_drift": "clock of the pictures differs",
     "knock": "camera was turned",
     "lamps": "a lamp was on, but not marked",
     "blind": "a moved blind",
@@ -272,10 +271,9 @@ def _row(data: Dataset, tests: _Tests, troubles: Troubles | None, folder: Path) 
     read = data.notes
     data, changes = without_changes(data, with_patch=True)
     setting = scan(data, "absolute")
-    data, late = with_right_clock(data, setting)
     fitted = fit("transport", data, patch="absolute", seed=0)
     fitted, moved = settle(fitted, data, setting)
-    notes = [*read, *changes, *late, *model_notes(fitted, data, "absolute")]
+    notes = [*read, *changes, *model_notes(fitted, data, "absolute")]
     notes += [*held_out_warnings(fitted, data), *moved]
     scores = summary(evaluate(fitted, truth(tests.hours)))
     test = tests.hours

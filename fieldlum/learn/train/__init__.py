@@ -42,7 +42,7 @@ from fieldlum.learn.models.scores import (
     truth,
 )
 from fieldlum.learn.train.outliers import without_changes
-from fieldlum.room.fit.misplaced_patches import scan, settle, with_right_clock
+from fieldlum.room.fit.misplaced_patches import scan, settle
 from fieldlum.session import check_writable, sha256
 from fieldlum.session.codec import current_note, data_digest, digest
 from fieldlum.session.files.model_files import ScoreRow, ScoresFile, TrainAnswer
@@ -253,7 +253,6 @@ def fit_and_score(
     data, mirrors = split_images(with_sky_view(data))
     data, changed = without_changes(data, with_patch=patch != "none")
     setting = scan(data, patch)
-    data, late = with_right_clock(data, setting)
     if not day_folds(data):
         raise NotEnoughDataError(
             f"{data.source}: {counted(len(data), 'usable hour')}; at least 2 are needed to train "
@@ -267,7 +266,7 @@ def fit_and_score(
     fitted, moved = settle(fitted, data, setting)
     notes = [*notes_of(data, patch, model, trials), *left_out, *model_notes(fitted, data, patch)]
     notes += [f"WARNING: {m.captures} of {captures} captures {m.warning}" for m in mirrors]
-    notes += [*changed, *late, *held_out_warnings(fitted, data), *moved]
+    notes += [*changed, *held_out_warnings(fitted, data), *moved]
     return Result(
         fitted=fitted,
         trials=tuple(trials),

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Room
 from fieldlum.learn.models.data import Dataset
@@ -48,18 +47,17 @@ def with_patches(data: Dataset) -> Dataset:
     return replace(data, patch_cdm2=data.patches(data.light))
 
 
-def earlier(light: Light, minutes: float | Floats, data: Dataset) -> Light:
+def earlier(light: Light, minutes: float, data: Dataset) -> Light:
     """Return the light with times and sun `minutes` earlier (negative: later).
 
-    minutes: one number, or one for each time [n]. Irradiance does not change. Recorded sun angles
-    are not computed again, but shifted by the sun's motion in that time, because a rendering has
-    its own formula of the sun. data: the captures, only for their site.
+    Irradiance does not change. Recorded sun angles are not computed again, but shifted by the sun's
+    motion in that time, because a rendering has its own formula of the sun. data: the captures,
+    only for their site.
     """
-    late = np.broadcast_to(minutes, len(light))
-    if not late.any():
+    if not minutes:
         return light
     site = data.setup.site
-    times = tuple(t - timedelta(minutes=m) for t, m in zip(light.t_utc, late.tolist(), strict=True))
+    times = tuple(t - timedelta(minutes=minutes) for t in light.t_utc)
     stated, true = sun.position(light.t_utc, site), sun.position(times, site)
     altitude = light.sun_altitude_deg + true.altitude_deg - stated.altitude_deg
     turn = signed_angle_deg(np.asarray(true.azimuth_deg - stated.azimuth_deg))

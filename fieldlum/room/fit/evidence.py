@@ -87,11 +87,6 @@ class SceneEvidence:
         """The angle between neighbouring rays [rad]."""
         return np.pi / self.shape[0] / self.sub
 
-    def with_rays(self, data: Dataset, sub: int) -> SceneEvidence:
-        """Return the evidence of data with sub x sub rays in each pixel."""
-        rays, pixel = _rays_of(data, self.pixels, sub)
-        return replace(self, rays=rays, pixel=pixel, sub=sub)
-
     def hours(self, index: NDArray) -> SceneEvidence:
         """Return the evidence of the hours with the indices `index` [k]."""
         return replace(

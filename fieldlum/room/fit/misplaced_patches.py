@@ -6,22 +6,19 @@ a scene fit, on the same evidence and cost; a number is wrong if its correction 
 """
 
 from dataclasses import dataclass, field, replace
-from math import ceil
 from typing import cast
 
 import numpy as np
 
-from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.progress import progress
 from fieldlum.core.records import SiteFile
 from fieldlum.learn.models import Fitted, Patch
 from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.transport import MeanTransport, Transport
-from fieldlum.room.fit.apply_scene import earlier, with_patches
 from fieldlum.room.fit.checks import reversed_compass_note, turned_windows_note
-from fieldlum.room.fit.evidence import SceneEvidence, gather
-from fieldlum.room.fit.guess import Guess, guess_of
+from fieldlum.room.fit.evidence import gather
+from fieldlum.room.fit.guess import guess_of
 from fieldlum.room.fit.parameters import SUN_DEG_PER_MIN, room_parameters, stated_albedo
 from fieldlum.room.fit.search import LEVELS, SceneCost, covariance, prior_unit, search
 
@@ -31,16 +28,8 @@ SURE = 3.0  # smallest ratio of a correction to its standard uncertainty; chosen
 # Smallest corrections that are reported: a compass and a hand-set clock are no better. Chosen.
 MIN_OFF = {"north_deg": 0.5, "wall_azimuth_deg": 0.5, "clock_min": 1.0}
 TAPE_SDS = 3.0  # from which a length of the room counts as wrong, not as inaccurate; chosen
-# Share of the misfit that a setting must explain, and moved patches of another source. Chosen.
-MIN_GAIN, MIN_SHIFT_GAIN, MAX_SHIFT_PX = 0.02, 0.1, 3
+MIN_GAIN = 0.02  # share of the misfit that a setting must explain; chosen
 EDGE_AWAY_M = 3.0  # a length moves patches by this angle from the camera: length over 3 m; chosen
-# Offsets of a day's clock that are tried, min: a clock that is 5 min off on one day only was set.
-TRIED_MIN = np.array([-5.0, -4.0, -3.0, *np.arange(-2.0, 2.25, 0.5), 3.0, 4.0, 5.0])
-FINE_ROWS = 180  # rows of rays: 1 degree, the sun's way in 4 minutes; chosen
-FEWEST_DAYS = 3  # with three or more sunny captures each; chosen
-# Offsets of the clean office at 46 x 23 pixels have a standard deviation of 0.2 min, those of a
-# clock that drifts by 2 min in a week 0.6 min. Chosen between the two.
-MIN_SPREAD_MINUTES = 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,20 +37,16 @@ class Setting:
     """Which wrong settings would explain that sun patches are not where they are computed.
 
     off: by name of a number, how much must be added to the stated one, and the standard uncertainty
-    (deg, min, m; clock_min: stated times are later than the true ones); shift_px: by how many
-    pixels given patches must move right and down. gain: share of the misfit that this explains, in
-    `hours` sunny hours. slip_deg: displacement of the computed patches from the captured ones as
-    seen from the camera, about; 0 if nothing is certain. note: directions that are grossly wrong,
-    which leaves the rest untested. late_min: by day, stated less true time, if the clock differs
-    between days.
+    (deg, min, m; clock_min: stated times are later than the true ones). gain: share of the misfit
+    that this explains, in `hours` sunny hours. slip_deg: displacement of the computed patches from
+    the captured ones as seen from the camera, about; 0 if nothing is certain. note: directions that
+    are grossly wrong, which leaves the rest untested.
     """
 
     off: dict[str, tuple[float, float]] = field(default_factory=dict)
-    shift_px: tuple[int, int] = (0, 0)
     gain: float = 0.0
     hours: int = 0
     slip_deg: float = 0.0
-    late_min: dict[np.datetime64, float] = field(default_factory=dict)
     note: str = ""
 
 
@@ -113,14 +98,8 @@ def scan(data: Dataset, patch: Patch) -> Setting | None:
     off = {name: value for name, value in off.items() if name in MIN_OFF} or off
     gain = 1.0 - final / cost(start)
     if off and gain > MIN_GAIN:
-        return Setting(off, (0, 0), gain, len(evidence), _slip_deg(off))
-    shift, shift_gain = _shift_px(evidence, data)
-    if shift_gain > MIN_SHIFT_GAIN:
-        slip_deg = float(np.hypot(*shift)) * 360.0 / data.shape[1]
-        return Setting({}, shift, shift_gain, len(evidence), slip_deg)
-    progress(80, 100, "clock of each day")
-    fine = evidence.with_rays(data, ceil(FINE_ROWS / data.shape[0]))
-    return Setting(hours=len(evidence), late_min=_late_by_day(fine, start, albedo))
+        return Setting(off, gain, len(evidence), _slip_deg(off))
+    return Setting(hours=len(evidence))
 
 
 def _slip_deg(off: dict[str, tuple[float, float]]) -> float:
@@ -135,89 +114,6 @@ def _slip_deg(off: dict[str, tuple[float, float]]) -> float:
     return float(np.sqrt(np.sum(np.square(degrees))))
 
 
-def _shift_px(evidence: SceneEvidence, data: Dataset) -> tuple[tuple[int, int], float]:
-    """Return by how many pixels the captures' own patches must move right and down, and the gain.
-
-    They can be of another source than the room. The gain is the share of the misfit.
-    """
-    assert data.patch_cdm2 is not None
-    maps = data.patch_cdm2[evidence.rows]
-    steps = range(-MAX_SHIFT_PX, MAX_SHIFT_PX + 1)
-    misfits: dict[tuple[int, int], float] = {}
-    for right in steps:
-        for down in steps:
-            patch = np.roll(maps, (down, right), (1, 2)).reshape(len(maps), -1)[:, evidence.pixels]
-            misfits[right, down] = float(evidence.misfit(patch).mean())
-    best = min(misfits, key=lambda shift: misfits[shift])
-    return best, 1.0 - misfits[best] / misfits[0, 0]
-
-
-def _late_by_day(
-    evidence: SceneEvidence, guess: Guess, albedo: Floats
-) -> dict[np.datetime64, float]:
-    """Return stated less true time of each day, min; empty if it does not differ between days.
-
-    It must be right for other hours, too: the offset of a day's other hours must lower the misfit
-    of each, by over a standard error.
-    """
-    tried = [evidence.patches(replace(guess, clock_min=float(t)), albedo) for t in TRIED_MIN]
-    misfits = np.array([evidence.misfit(patch) for patch in tried])  # [offsets, n]
-    names, counts = np.unique(evidence.days, return_counts=True)
-    days = [np.flatnonzero(evidence.days == day) for day in names[counts >= MIN_HOURS]]
-    if len(days) < FEWEST_DAYS:
-        return {}
-    late = np.array([_minimum(misfits[:, rows]) for rows in days])
-    if late.std() < MIN_SPREAD_MINUTES:
-        return {}
-    common = _minimum(misfits)
-    gains = [
-        _at(misfits[:, [hour]], common)
-        - _at(misfits[:, [hour]], _minimum(misfits[:, rows[rows != hour]]))
-        for rows in days
-        for hour in rows
-    ]
-    gain = np.concatenate(gains)
-    if gain.mean() < gain.std(ddof=1) / np.sqrt(len(gain)):
-        return {}
-    return dict(zip(names[counts >= MIN_HOURS], late.tolist(), strict=True))
-
-
-def _minimum(misfits: Floats) -> float:
-    """Return the offset of the smallest misfit [offsets, n], by a parabola between those tried."""
-    total = misfits.sum(axis=1)
-    best = int(np.argmin(total))
-    if not 0 < best < len(total) - 1:
-        return float(TRIED_MIN[best])
-    x, y = TRIED_MIN[best - 1 : best + 2], total[best - 1 : best + 2]
-    square, slope, _ = np.polyfit(x - x[1], y, 2)
-    vertex = 0.0 if square <= 0.0 else -slope / (2.0 * square)
-    return float(np.clip(x[1] + vertex, x[0], x[2]))
-
-
-def _at(misfits: Floats, offset_min: float) -> Floats:
-    """Return the misfits [offsets, n] at an offset between those tried, [n]."""
-    return np.array([np.interp(offset_min, TRIED_MIN, column) for column in misfits.T])
-
-
-def with_right_clock(data: Dataset, setting: Setting | None) -> tuple[Dataset, list[str]]:
-    """Return the captures at corrected times, and a warning, if the clock differs between days.
-
-    setting: result of `scan`. Days without an offset of their own get the median offset. If the
-    clock does not differ, return the captures and an empty list.
-    """
-    if setting is None or not setting.late_min:
-        return data, []
-    middle = float(np.median(list(setting.late_min.values())))
-    late = np.array([setting.late_min.get(day, middle) for day in data.days])
-    days = ", ".join(f"{day} {-late:+.1f} min" for day, late in setting.late_min.items())
-    warning = (
-        f"WARNING: the clock of the pictures differs between days. Sun patches agree best after "
-        f"these corrections of the stated times: {days}. This training uses the corrections; set "
-        f"the camera's clock on every day of captures"
-    )
-    return with_patches(replace(data, light=earlier(data.light, late, data))), [warning]
-
-
 def settle(fitted: Fitted, data: Dataset, setting: Setting | None) -> tuple[Fitted, list[str]]:
     """Return the model with a larger uncertainty near sun patches, and warnings.
 
@@ -230,35 +126,29 @@ def settle(fitted: Fitted, data: Dataset, setting: Setting | None) -> tuple[Fitt
         return fitted, []
     if setting.slip_deg > 0.0 and isinstance(fitted, Transport | MeanTransport):
         fitted = cast("Fitted", fitted.with_displaced_patches(setting.slip_deg))
-    return fitted, warnings_of(setting, data.setup, 360.0 / data.shape[1])
+    return fitted, warnings_of(setting, data.setup)
 
 
-def warnings_of(setting: Setting, setup: SiteFile, pixel_deg: float) -> list[str]:
+def warnings_of(setting: Setting, setup: SiteFile) -> list[str]:
     """Return lines that warn of a wrong setting: what is wrong, then a remedy for each cause.
 
-    pixel_deg: width of a pixel of the maps. The list is empty if nothing is certain.
+    The list is empty if nothing is certain.
     """
     if setting.note:
         return [f"WARNING: {setting.note}"]
     if setting.slip_deg == 0.0:
         return []
     words = [_words(name, by, u) for name, (by, u) in setting.off.items()]
-    if setting.shift_px != (0, 0):
-        right, down = setting.shift_px
-        words = [f"they are {right:+d} pixels to the right of those and {down:+d} below"]
-    lines = [
+    remedies = (
+        f"to fix {name}: {_remedy(name, by, setup)}" for name, (by, _) in setting.off.items()
+    )
+    return [
         f"WARNING: captured sun patches are displaced from the computed ones ({setting.hours} "
         f"hours): {', '.join(words)}, which explains {setting.gain:.0%} of the misfit. Until this "
-        "is fixed, the transport model has a larger uncertainty in hours that depend on sun patches"
+        "is fixed, the transport model has a larger uncertainty in hours that depend on sun "
+        "patches",
+        *remedies,
     ]
-    lines += [f"to fix {name}: {_remedy(name, by, setup)}" for name, (by, _) in setting.off.items()]
-    if not setting.off:
-        heading = (setup.camera.heading_deg - setting.shift_px[0] * pixel_deg) % 360.0
-        lines.append(
-            "to fix this, check the camera's place and level; if only its heading is wrong, in "
-            f"SITE.toml [camera] heading_deg = {heading:.1f}, then merge, pair and train again"
-        )
-    return lines
 
 
 def _words(name: str, by: float, u: float) -> str:
