@@ -19,7 +19,7 @@ from places import SEATTLE
 from fieldlum.capture.status import next_step
 from fieldlum.cli import main
 from fieldlum.cli.new_command import site_text
-from fieldlum.core.records import CameraSetup, Exposure, Room, SiteFile, Window
+from fieldlum.core.records import CameraSetup, Exposure, Obstruction, Room, SiteFile, Window
 from fieldlum.optics.profiles import load_camera_profile
 from fieldlum.optics.raw.writing import write_jpeg
 from fieldlum.room.scene.drawing import room_svg, wind
@@ -121,7 +121,9 @@ def test_the_drawing_has_windows_camera_and_north_in_their_places() -> None:
     """The wall at the bottom looks to 215; a window 0.5 m from its left end seen from inside is
     0.5 m from the drawing's right wall. The scale follows from the wall's rectangle, 5 x 6 m.
     """
-    svg = room_svg(SiteFile(replace(SEATTLE, name="<b>"), CameraSetup("", 215.0), ROOM))
+    desk = Obstruction(2.0, 3.0, 0.0, 1.0, 0.5, 0.74)
+    room = replace(ROOM, obstruction=(desk,))
+    svg = room_svg(SiteFile(replace(SEATTLE, name="<b>"), CameraSetup("", 215.0), room))
     root = ET.fromstring(svg)
 
     def points(gid: str) -> np.ndarray:
@@ -136,6 +138,9 @@ def test_the_drawing_has_windows_camera_and_north_in_their_places() -> None:
     assert sorted((south[:, 0] - low[0]) / scale) == pytest.approx([1.5, 4.5], abs=0.01)
     assert south[:, 1] == pytest.approx(high[1], abs=0.01)
     assert east[:, 0] == pytest.approx(high[0], abs=0.01)
+    box = (points("box") - low) / scale
+    assert box.min(axis=0) == pytest.approx([2.0, 2.5], abs=0.01)
+    assert box.max(axis=0) == pytest.approx([3.0, 3.0], abs=0.01)
     arrow = (points("camera") - low) / scale
     # it points at the wall it faces, from 1 m and 2 m away from the lower left corner
     assert np.median(arrow[:, 0]) == pytest.approx(1.0, abs=0.05)

@@ -6,15 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from matplotlib.text import Annotation
 from test_scene_search import HEIGHT, ROOM, captures
 
 from fieldlum.core.records import Obstruction, Room
-from fieldlum.room.fit.draw_scene import plan_of
 from fieldlum.room.fit.elements import BARS, FURNITURE, KINDS, SHADES, Kind
 from fieldlum.room.fit.evidence import PIXELS, gather
 from fieldlum.room.fit.fit import SceneSearch
-from fieldlum.room.fit.guess import Guess, Solid, guess_of, is_outside, is_possible
+from fieldlum.room.fit.guess import Guess, guess_of, is_outside, is_possible
 from fieldlum.room.fit.search import PRIOR_HOURS, PRIOR_SHARE, prior_unit
 
 HIDDEN_ELEVATION_DEG = 22.0
@@ -104,36 +102,6 @@ def test_an_empty_room_gets_no_furniture() -> None:
     search = _search(ROOM, 230, PIXELS)
     search.run(lambda *_: None, ())
     assert search._with_more((FURNITURE,)) is search.guess
-
-
-@pytest.mark.analytic
-@pytest.mark.parametrize(
-    ("azimuth_deg", "right", "up"), [(180.0, 0, 1), (90.0, 1, 0), (0.0, 0, -1)]
-)
-def test_the_plan_shows_north(azimuth_deg: float, right: int, up: int) -> None:
-    """A wall that faces south is at the bottom, so that north is up."""
-    room = replace(ROOM, wall_azimuth_deg=azimuth_deg)
-    figure = plan_of(guess_of(room), room)
-    (label,) = (text for text in figure.axes[0].texts if text.get_text() == "N")
-    assert isinstance(label, Annotation)
-    camera = np.array(guess_of(room).camera_m[:2])
-    away = np.array(label.get_position()) - camera
-    np.testing.assert_allclose(away / np.linalg.norm(away), (right, up), atol=1e-9)
-    assert label.xy == pytest.approx(camera)
-    figure.canvas.draw()
-    assert label.arrow_patch is not None
-    drawn = np.asarray(label.arrow_patch.get_path().vertices, float)
-    along = drawn[0] - drawn[2] if np.ptp(drawn[:3], axis=0).any() else drawn[-1] - drawn[0]
-    np.testing.assert_allclose(
-        np.abs(along / np.linalg.norm(along)), np.abs((right, up)), atol=0.01
-    )
-
-
-@pytest.mark.analytic
-def test_the_plan_states_what_is_too_far_to_draw() -> None:
-    facade = Solid((-30.0, -14.0, 0.0), (30.0, -12.0, 3.1), 0.4)
-    figure = plan_of(replace(guess_of(ROOM), solids=(facade,)), ROOM)
-    assert 'outside: 3.1 m high, 12 m from the S wall ("south")' in figure.axes[0].get_title()
 
 
 @pytest.mark.property

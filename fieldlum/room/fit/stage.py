@@ -41,7 +41,7 @@ def run(
     clock_sd_min: float = CLOCK_SD_MIN,
     find_changes: Callable[..., Any] | None = None,
 ) -> SceneResult:
-    """Fit the scene of captures and write scene.toml, overlay.png and plan.png.
+    """Fit the scene of captures and write scene.toml, overlay.png and plan.svg.
 
     out: the folder, created if needed. Centres of the sun's disc that merge measured are used if
     there are at least three. find_changes: see `fit_scene`. clock_sd_min: standard uncertainty of

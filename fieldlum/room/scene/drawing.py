@@ -1,4 +1,4 @@
-"""Draw a box room from above, as SVG: walls, windows, camera and north.
+"""Draw a box room from above, as SVG: walls, windows, furniture, camera and north.
 
 A drawing reveals a wrong `left_m` or azimuth, which a table does not.
 """
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fieldlum.core.plot_style import BLUE, INK, RED, styled, svg_of
+from fieldlum.core.plot_style import BLUE, GRID, INK, PALE, RED, styled, svg_of
 from fieldlum.core.records import Room, SiteFile
 from fieldlum.optics.projection import compass_name
 from fieldlum.room.scene.clicked import ClickGrid
@@ -59,6 +59,8 @@ def _draw_plan(axes: Axes, room: Room) -> None:
 
     axes.set_axis_off()
     axes.set(aspect="equal", xlim=(0.0, room.width_m), ylim=(0.0, room.depth_m))
+    for o in room.obstruction:  # cut off at the walls
+        axes.add_patch(Rectangle((o.x_m, o.y_m), o.width_m, o.depth_m, fc=GRID, ec=PALE, gid="box"))
     wall = Rectangle((0.0, 0.0), room.width_m, room.depth_m, fill=False, ec=INK, lw=3, gid="walls")
     axes.add_patch(wall).set_clip_on(False)
     centred: dict[str, Any] = {"ha": "center", "va": "center", "textcoords": "offset points"}
