@@ -165,8 +165,16 @@ def _solve(
         if powers:
             terms[np.array(powers) - 1] = [1.0 - sum(extra), *extra]
         azimuth, tilt, roll = angles or _pose_of(start).values()
-        own = start.full_angle_deg, mapping, tuple(terms.tolist()), azimuth, tilt, roll
-        return Lens((x, y), radius, *own, start.name, start.vignetting)  # type: ignore[arg-type]
+        return replace(
+            start,
+            centre_px=(x, y),
+            radius_px=radius,
+            mapping=mapping,
+            coefficients=tuple(terms.tolist()),
+            azimuth_deg=azimuth,
+            tilt_deg=tilt,
+            roll_deg=roll,
+        )
 
     def misses(p: Array) -> Array:
         x, y, _ = lens_pixels(lens_of(p), rays_of(p[3 + posed + free :]))

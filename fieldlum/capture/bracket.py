@@ -244,8 +244,17 @@ class BracketCapture:
         if self.recorder.flush:
             sync_folder(final.parent)
         self.frame_bytes = max(self.frame_bytes, final.stat().st_size)
-        about = taken, shot.heading_deg, begun, round(seconds, 3), sha256(final), doubt, instead_of
-        return Frame(shot.index, final.name, *about)
+        return Frame(
+            index=shot.index,
+            file=final.name,
+            exposure=taken,
+            heading_deg=shot.heading_deg,
+            t_utc=begun,
+            seconds=round(seconds, 3),
+            sha256=sha256(final),
+            doubt=doubt,
+            instead_of=instead_of,
+        )
 
     def _wait_for_room(self, pause_s: float) -> bool:
         """Wait until a frame fits on the disk; return False at the deadline.
@@ -357,7 +366,16 @@ def write_capture(
     """
     frames = tuple(sorted(state.frames, key=lambda frame: frame.index))
     readings = state.illuminance_lx
-    mean_lx = sum(readings) / len(readings) if readings else None
-    about = complete, setup.profile, setup.heading_deg, camera, mean_lx
-    capture = CaptureFile(slot.id, frames, *interval_of(frames), *about)
+    opened, closed = interval_of(frames)
+    capture = CaptureFile(
+        slot=slot.id,
+        frames=frames,
+        t_open_utc=opened,
+        t_close_utc=closed,
+        complete=complete,
+        profile=setup.profile,
+        heading_deg=setup.heading_deg,
+        camera=camera,
+        illuminance_lx=sum(readings) / len(readings) if readings else None,
+    )
     capture.write(folder / "capture.json")

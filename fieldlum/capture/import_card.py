@@ -90,11 +90,17 @@ def _adopt_card(session: Session, folder: Path, utc_offset_s: float | None) -> R
     about = [{"camera_clock_minus_utc_s": round(o.seconds, 1), "how": o.how} for o in offsets]
     imported = session.table().get("imported", {})
     update_session(session, {"imported": {**imported, _text(folder): about}})
-    counts = len(new), sum(len(m.group.frames) for m in new), len(matches) - len(new)
-    late_s = tuple(m.late_s for m in matches)
-    texts = tuple(left_out), tuple(filter(None, notes))
-    slot_ids = tuple(m.slot.id for m in new)
-    return Report(*counts, offsets, late_s, *texts, slots=slot_ids, moved=moved)
+    return Report(
+        brackets=len(new),
+        frames=sum(len(m.group.frames) for m in new),
+        known=len(matches) - len(new),
+        offsets=offsets,
+        late_s=tuple(m.late_s for m in matches),
+        left_out=tuple(left_out),
+        notes=tuple(filter(None, notes)),
+        slots=tuple(m.slot.id for m in new),
+        moved=moved,
+    )
 
 
 def _brackets(
@@ -194,9 +200,16 @@ def _adopt(session: Session, setup: CameraSetup, journal: Journal, match: Match)
             name = f"{card.path.parent.name}_{name}"
         with replacing_path(folder / name) as copy:
             shutil.copyfile(card.path, copy)
-        planned = planned_frame(match.group, index, slot, setup)
-        taken = match_card.true_time(card.t_camera, match.offset), card.exposure.shutter_s
-        frame = Frame(index, name, *planned, *taken, sha256(folder / name))
+        exposure, heading_deg = planned_frame(match.group, index, slot, setup)
+        frame = Frame(
+            index,
+            name,
+            exposure,
+            heading_deg,
+            t_utc=match_card.true_time(card.t_camera, match.offset),
+            seconds=card.exposure.shutter_s,
+            sha256=sha256(folder / name),
+        )
         journal.append("frame", now, slot=slot.id, frame=frame_fields(frame))
         frames.append(frame)
     state = SlotState("done", 1, tuple(frames))

@@ -289,10 +289,20 @@ class _Runner:
         self._show()
 
     def _bracket(self, slot: Slot, state: SlotState) -> BracketCapture:
-        devices = self.session, self.setup.camera, self.camera, self.recorder, self.clock
-        calls = self.checks, self._between, self.meter
-        deadline = slot.t_utc + timedelta(seconds=self.options.grace_s)
-        return BracketCapture(*devices, *calls, self.frame_bytes, slot, state, deadline)
+        return BracketCapture(
+            session=self.session,
+            setup=self.setup.camera,
+            camera=self.camera,
+            recorder=self.recorder,
+            clock=self.clock,
+            checks=self.checks,
+            between=self._between,
+            meter=self.meter,
+            frame_bytes=self.frame_bytes,
+            slot=slot,
+            state=state,
+            deadline=slot.t_utc + timedelta(seconds=self.options.grace_s),
+        )
 
     def _next_to_do(self) -> Slot | None:
         """Return the next slot without an outcome; the plan may have changed during the capture."""

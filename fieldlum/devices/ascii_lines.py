@@ -296,8 +296,15 @@ class LineInstrument(Pyranometer):
         self._last_read_s = clock.boottime()
         quantities = (e.quantity.partition("_wm2") for e in p.entry)
         gives = tuple(name for name, is_light, _ in quantities if is_light)
-        about = p.model or p.name, p.serial, "", p.calibration_date, "", "", self._port.name
-        self.info = InstrumentInfo("ascii", *about, gives, _GUARD[p.checksum])
+        self.info = InstrumentInfo(
+            kind="ascii",
+            model=p.model or p.name,
+            serial=p.serial,
+            calibration_date=p.calibration_date,
+            port=self._port.name,
+            gives=gives,
+            guard=_GUARD[p.checksum],
+        )
 
     def read(self) -> IrradianceSample:
         """Return a reading; wait for a line if there is none.

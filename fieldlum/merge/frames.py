@@ -419,13 +419,14 @@ def load_jpeg(
     per, factors = frame_z_per_cdm2(shot.exposure, profile), nd_factors(shot.exposure.nd, profile)
     part = frame.codes[crop.top : crop.top + crop.height, crop.left : crop.left + crop.width]
     return JpegSignal(
-        np.ascontiguousarray(part),
-        response_tables(profile).astype(np.float32),
-        np.tile(np.asarray([per / f for f in factors], np.float32), (crop.width, 1)),
-        profile.response.low_code,
-        profile.response.high_code,
-        *ends,
-        bool(shot.exposure.nd),
+        codes=np.ascontiguousarray(part),
+        z_of_code=response_tables(profile).astype(np.float32),
+        per_cdm2=np.tile(np.asarray([per / f for f in factors], np.float32), (crop.width, 1)),
+        low_code=profile.response.low_code,
+        high_code=profile.response.high_code,
+        dark_end=ends[0],
+        bright_end=ends[1],
+        through_nd=bool(shot.exposure.nd),
     )
 
 

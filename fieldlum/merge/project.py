@@ -302,9 +302,20 @@ def view_through(
     if stray is not None:
         remaining, u_stray = np.maximum(light - stray, 0.0), profile.stray.u_rel * stray
         rgb = rgb * (remaining / np.maximum(light, 1e-12))[:, None]
-    variance = var @ weights**2
-    light = remaining, variance, coverage, edge, u_vignetting, u_ratio, flags, rgb, u_stray
-    return LensView(*light, lens, sensor, stray)
+    return LensView(
+        luminance=remaining,
+        variance=var @ weights**2,
+        coverage=coverage,
+        edge=edge,
+        u_vignetting=u_vignetting,
+        u_ratio=u_ratio,
+        flags=flags,
+        rgb=rgb,
+        u_stray=u_stray,
+        lens=lens,
+        sensor=sensor,
+        stray=stray,
+    )
 
 
 def _stray_of_lens(

@@ -358,12 +358,12 @@ def _with_uncertainty(
     return Exposures(
         law,
         fit,
-        tuple(residuals),
-        np.log(compared.correction),
-        np.hypot(np.sqrt(np.diag(prior)), u_response),
-        float(np.hypot(u_typical, u_extra)),
-        ratio_curve(samples, fit.covariance, u_extra),
+        neighbours=tuple(residuals),
+        log_deviation=np.log(compared.correction),
+        u_prior=np.hypot(np.sqrt(np.diag(prior)), u_response),
+        u_rel=float(np.hypot(u_typical, u_extra)),
+        u_curve=ratio_curve(samples, fit.covariance, u_extra),
         # At least the prior uncertainty of a mechanical shutter time. The error of a JPEG's
         # response makes frames differ without any motion.
-        max(0.003, 3.0 * disagreement, u_response),
+        tolerance=max(0.003, 3.0 * disagreement, u_response),
     )

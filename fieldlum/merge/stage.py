@@ -207,9 +207,15 @@ def _write(session: Session, job: _MergeJob, result: MergeResult, recipe: JsonTa
     p, sun = job.profile, result.panorama.sun
     sidecar_sun = None
     if sun is not None:
-        place, u_percent = (sun.altitude_deg, sun.azimuth_deg), round(100 * _sun_u_rel(p), 2)
-        bound, lx = sun.origin == CLIPPED_SUN, sun.normal_illuminance_lx
-        sidecar_sun = SidecarSun(*place, lx, u_percent, sun.origin, bound, result.sun)
+        sidecar_sun = SidecarSun(
+            altitude_deg=sun.altitude_deg,
+            azimuth_deg=sun.azimuth_deg,
+            normal_illuminance_lx=sun.normal_illuminance_lx,
+            u_mosaic_percent=round(100 * _sun_u_rel(p), 2),
+            origin=sun.origin,
+            lower_bound=sun.origin == CLIPPED_SUN,
+            measured=result.sun,
+        )
     Sidecar(
         slot=job.slot,
         t_utc=result.panorama.t_utc,

@@ -223,8 +223,14 @@ def sky_cut(
         light, marked = _block(views, part, target)
         into = np.s_[i * side : i * side + high, j * side : j * side + wide]
         out[into], clipped[into] = np.where(used, light, np.nan), used & marked
-    corner_deg = 90.0 - first * _TILE_DEG, left * _TILE_DEG - 180.0
-    grid = SkyGrid(*corner_deg, _TILE_DEG / side, heading_deg, *out.shape)
+    grid = SkyGrid(
+        first_altitude_deg=90.0 - first * _TILE_DEG,
+        first_azimuth_deg=left * _TILE_DEG - 180.0,
+        step_deg=_TILE_DEG / side,
+        heading_deg=heading_deg,
+        height=out.shape[0],
+        width=out.shape[1],
+    )
     return SkyPicture(out, clipped, grid, dark_cdm2=dark_cdm2)
 
 

@@ -343,8 +343,16 @@ class Fisheye:
     @classmethod
     def of_size(cls, size: int, lens: LensGeometry) -> Fisheye:
         """Return a picture of size x size pixels with the full angle and the pose of a lens."""
-        half, own = size / 2, (lens.azimuth_deg, lens.tilt_deg, lens.roll_deg)
-        plain = LensGeometry((half, half), half, lens.full_angle_deg, "equidistant", (), *own)
+        half = size / 2
+        plain = LensGeometry(
+            centre_px=(half, half),
+            radius_px=half,
+            full_angle_deg=lens.full_angle_deg,
+            mapping="equidistant",
+            azimuth_deg=lens.azimuth_deg,
+            tilt_deg=lens.tilt_deg,
+            roll_deg=lens.roll_deg,
+        )
         return cls(size, plain)
 
     @property

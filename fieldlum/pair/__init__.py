@@ -5,7 +5,7 @@ lens, `sky_view` where the camera sees the sky; this file runs the stage and tra
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -215,9 +215,7 @@ def _with_suns(
             source, more = completed_sun(source, beam_lx, share, origin)
             caution = _joined(caution, more)
         if source is not None:
-            at = source.altitude_deg, source.azimuth_deg, source.normal_illuminance_lx
-            own = source.visible_fraction, source.origin, picture.recorded_lx
-            suns.append(SunRow(row.panorama, *at, *own))
+            suns.append(SunRow(row.panorama, **asdict(source), bound_lx=picture.recorded_lx))
         completed.append(replace(row, sunpatch=patch, why=_joined(row.why, caution)))
     write_suns(session.suns, suns)
     return completed

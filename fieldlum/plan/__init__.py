@@ -111,12 +111,14 @@ def make_plan(setup: SiteFile, request: Request, weather: Weather | None = None)
         _NO_WINDOW if room and room.kind == "box" and not room.window else "",
         *(weather.repairs if weather else ()),
     )
+    seconds, megabytes = _cost_of(profile.bracket, exposures, setup)
     return Plan(
         slots,
-        tuple(days),
-        *_cost_of(profile.bracket, exposures, setup),
-        coverage(hours, site, weather),
-        tuple(text for text in warnings if text),
+        days=tuple(days),
+        seconds_per_slot=seconds,
+        megabytes_per_slot=megabytes,
+        coverage=coverage(hours, site, weather),
+        warnings=tuple(text for text in warnings if text),
     )
 
 

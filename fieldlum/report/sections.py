@@ -210,7 +210,7 @@ def looks_section(annual: Annual, pictures: Pictures, zone: str) -> Section:
         caption = "Predicted panoramas. The middle of each faces the direction that it is of."
         figure = Figure(page.png(page.picture_grid(turned, titles, 2, 6.0)[0]), alt, caption)
         rows.insert(0, (figure,))
-    return Section("looks", "What it looks like", "", rows)
+    return Section(id="looks", title="What it looks like", text="", rows=rows)
 
 
 def _fisheyes(annual: Annual, pictures: Pictures, k: int, when: str) -> Figure:
@@ -414,7 +414,9 @@ def captures_section(
     table = Table(("reason", "brackets"), tuple(refused.items()), "Brackets that are not used")
     some = [table] if refused else []
     text = _captures_text(session, site, pairs)
-    return Section("captured", "What was captured", text, ((path, irradiance),), some)
+    return Section(
+        id="captured", title="What was captured", text=text, rows=((path, irradiance),), tables=some
+    )
 
 
 def _columns(rows: Sequence[PairRow], names: Sequence[str]) -> list[Floats]:

@@ -132,10 +132,15 @@ def read_measured_picture(path: Path, part: str = "") -> MeasuredPicture:
         texts.append(f"m-EDI {row['melanopic_edi_lx']:.0f} ± {u:.0f} lx")
     texts.append("" if row["dgp"] is None else f"DGP {row['dgp']:.3f}")
     texts += [f"facing {azimuth % 360.0:.0f}°" for azimuth in azimuths_deg if any(texts)]
-    solid_sr = picture_directions(picture)[1].astype(np.float32)
-    outlines = [] if picture.view is None else _outlines(sources, luminance.shape)
-    shown = "; ".join(filter(None, texts)), outlines, answer["warnings"]
-    return MeasuredPicture(path.name, picture, luminance, solid_sr, *shown)
+    return MeasuredPicture(
+        path.name,
+        picture,
+        luminance,
+        solid_angle_sr=picture_directions(picture)[1].astype(np.float32),
+        figures="; ".join(filter(None, texts)),
+        outlines=[] if picture.view is None else _outlines(sources, luminance.shape),
+        notes=answer["warnings"],
+    )
 
 
 def _outlines(sources: Sources, shape: tuple[int, ...]) -> list[Any]:

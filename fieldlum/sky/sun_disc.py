@@ -195,8 +195,17 @@ def _band(
     solid_sr = np.repeat(row_solid_angles(height, width)[rows, None], width, axis=1)
     rays = direction(altitudes[rows, None], azimuths[None, :])
     clipped = np.zeros(light.shape, bool) if clipped is None else clipped
-    sizes = pixel_rad, reach_rad, ring_rad
-    return _Band(light.shape, rows, light[rows], solid_sr, rays, clipped[rows], *sizes)
+    return _Band(
+        light.shape,
+        rows,
+        light=light[rows],
+        solid_sr=solid_sr,
+        rays=rays,
+        clipped=clipped[rows],
+        pixel_rad=pixel_rad,
+        reach_rad=reach_rad,
+        ring_rad=ring_rad,
+    )
 
 
 def _measured_disc(band: _Band, search: Mask) -> SunDisc | None:
@@ -259,8 +268,15 @@ def _disc_at(
     pixels = np.zeros(band.shape, bool)
     pixels[band.rows] = inside
     altitude_deg, azimuth_deg = (float(angle) for angle in altitude_azimuth_deg(centre))
-    light = float(sigma), float(energy.sum()), surroundings
-    return SunDisc(altitude_deg, azimuth_deg % 360.0, *light, pixels, clipped)
+    return SunDisc(
+        altitude_deg,
+        azimuth_deg % 360.0,
+        sigma_deg=float(sigma),
+        normal_lx=float(energy.sum()),
+        surroundings_cdm2=surroundings,
+        pixels=pixels,
+        clipped=clipped,
+    )
 
 
 def _is_sun(disc: SunDisc, band: _Band, dni_wm2: float | None) -> bool:

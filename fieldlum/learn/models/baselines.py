@@ -67,7 +67,12 @@ class MeanFitted:
         """
         n = len(light)
         maps = np.repeat((10.0**self.log10_mean)[None].astype(np.float32), n, axis=0)
-        return Prediction(maps, None, np.full(n, np.nan), self.domain.holds(light))
+        return Prediction(
+            luminance_cdm2=maps,
+            log10_sd=None,
+            expected_mse=np.full(n, np.nan),
+            trusted=self.domain.holds(light),
+        )
 
     def state(self) -> ModelState:
         """Return what config.json and weights.npz must contain for `from_state` to rebuild it."""
@@ -129,7 +134,12 @@ class NearestFitted:
             if patch_cdm2 is None:
                 raise ValueError("this model was trained with sun patches: pass patch_cdm2")
             maps += patch_cdm2
-        return Prediction(maps, None, np.full(len(maps), np.nan), self.domain.holds(light))
+        return Prediction(
+            luminance_cdm2=maps,
+            log10_sd=None,
+            expected_mse=np.full(len(maps), np.nan),
+            trusted=self.domain.holds(light),
+        )
 
     def state(self) -> ModelState:
         """Return what config.json and weights.npz must contain for `from_state` to rebuild it."""

@@ -236,7 +236,12 @@ class DenseFitted:
                     for some in pixels.split(16384)
                 ]
                 out[k] = decode(torch.cat(parts).cpu().numpy()).reshape(out.shape[1:])
-        return Prediction(out, None, np.full(len(out), np.nan), self.domain.holds(light))
+        return Prediction(
+            luminance_cdm2=out,
+            log10_sd=None,
+            expected_mse=np.full(len(out), np.nan),
+            trusted=self.domain.holds(light),
+        )
 
     def state(self) -> ModelState:
         """Return what config.json and weights.npz must contain for `from_state` to rebuild it."""

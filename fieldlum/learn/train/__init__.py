@@ -141,7 +141,9 @@ def evaluate_folds(
         times.append(spent)
     count = round(len(data) - np.mean([held.sum() for held in folds]))
     wall_s, cpu_s = np.mean(times, axis=0).tolist()
-    return Trial(name, join(parts), wall_s, cpu_s, count, len(parts))
+    return Trial(
+        name, scores=join(parts), fit_s=wall_s, fit_cpu_s=cpu_s, n_train=count, folds=len(parts)
+    )
 
 
 # ----------------------------------------------------------------------------------------------

@@ -146,7 +146,7 @@ class Transport:
             maps[rows][:, self.seen] = part.luminance
             shown = None if patch is None else patch[rows]
             sd[rows][:, self.seen], expected[rows], trusted[rows] = self._belief(part, shown)
-        return Prediction(maps, sd, expected, trusted)
+        return Prediction(luminance_cdm2=maps, log10_sd=sd, expected_mse=expected, trusted=trusted)
 
     def _checked(self, light: Light, patch: Floats32 | None) -> Floats32 | None:
         """Return the patches, None if they are not used; raise InputError as `predict` does."""

@@ -289,7 +289,16 @@ def fit_pixels(
         for shape in ((len(arrays.light), count), (count, basis.values.shape[1]))
     )
     patch, sky, minimum, computed, sd = np.zeros((5, count), np.float32)  # filled below
-    out = PixelFit(scale.astype(np.float32), b, patch, sky, minimum, second, computed, sd)
+    out = PixelFit(
+        scale.astype(np.float32),
+        b,
+        patch_gain=patch,
+        sky_gain=sky,
+        minimum=minimum,
+        second=second,
+        computed_gain=computed,
+        noise=sd,
+    )
     inverse = second_inverse(arrays)
 
     def fit_part(part: slice) -> None:

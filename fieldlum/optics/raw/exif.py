@@ -223,7 +223,9 @@ def info_of(
     description = text_of(tags, 270)
     filter_name = description.removeprefix("ND=") if description.startswith("ND=") else ""
     exposure = Exposure(values[0], values[1], values[2], filter_name)
-    return FrameInfo(exposure, _camera_time(tags), text_of(tags, 271), text_of(tags, 272))
+    return FrameInfo(
+        exposure, t_camera=_camera_time(tags), make=text_of(tags, 271), model=text_of(tags, 272)
+    )
 
 
 def _check_value(path: Path, value: float, stated: float, quantity: _Quantity) -> None:

@@ -430,8 +430,9 @@ def clean_of(series: Series) -> CleanIrradiance:
     kinds, which = np.unique(series.marks, return_inverse=True)
     flags = np.array([mark_text(int(marks)) for marks in kinds], object)[which]
     source = np.where(series.marks & Mark.DERIVED, DERIVED, MEASURED).astype(object)
-    values = series.t_unix_s, series.ghi_wm2, series.dhi_wm2, series.dni_wm2
-    return CleanIrradiance(*values, source, flags)
+    return CleanIrradiance(
+        series.t_unix_s, series.ghi_wm2, series.dhi_wm2, series.dni_wm2, source=source, flags=flags
+    )
 
 
 def run(session: Session, *, force: bool = False) -> Health:

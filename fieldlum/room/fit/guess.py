@@ -275,7 +275,17 @@ def _window(guess: Guess, rect: WindowRect) -> Window:
     length = guess.size_m[0] if WALLS[rect.wall][0] == 1 else guess.size_m[1]
     (u0, u1), (z0, z1) = rect.u_m, rect.z_m
     left_m = length - u1 if rect.wall in ("south", "east") else u0
-    return Window(rect.wall, left_m, u1 - u0, z0, z1 - z0, rect.transmittance, 1, 0.0, 0.0)
+    return Window(
+        rect.wall,
+        left_m,
+        width_m=u1 - u0,
+        sill_m=z0,
+        height_m=z1 - z0,
+        transmittance=rect.transmittance,
+        panes=1,
+        frame_m=0.0,
+        transom_m=0.0,
+    )
 
 
 def _bar_obstruction(guess: Guess, bar: Bar, albedo: float) -> Obstruction:

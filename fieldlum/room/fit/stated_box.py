@@ -100,7 +100,15 @@ def with_judged_box(data: Dataset, patch: str) -> tuple[Dataset, str]:
     verdict = judge_box(data, room)
     if verdict is None or not _has_patches_of_room(data):
         return data, patch
-    scene = Scene(0.0, 0.0, room, verdict.chosen, verdict.reason, data.heading_deg, room)
+    scene = Scene(
+        north_deg=0.0,
+        clock_min=0.0,
+        room=room,
+        chosen=verdict.chosen,
+        verdict=verdict.reason,
+        stated_heading_deg=data.heading_deg,
+        stated_room=room,
+    )
     judged = with_scene(data, scene)
     judged = replace(judged, notes=(*judged.notes, verdict.reason))
     return judged, "none" if verdict.chosen == "none" else patch

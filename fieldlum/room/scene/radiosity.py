@@ -160,9 +160,19 @@ def cut(scene: BoxScene, piece_m: float) -> Pieces:
     total = np.stack([np.bincount(piece, position[:, k], len(of)) for k in range(3)], axis=1)
     with np.errstate(invalid="ignore"):
         middle = total / count[:, None]
-    faced = axis[of].astype(np.int8), sign[of].astype(np.int8), scene.reflectance[of // 6]
-    share = 1.0 / count[piece]
-    return Pieces(low, high - low, counts, first, *faced, middle, position, piece, share)
+    return Pieces(
+        low,
+        size=high - low,
+        counts=counts,
+        first=first,
+        axis=axis[of].astype(np.int8),
+        sign=sign[of].astype(np.int8),
+        reflectance=scene.reflectance[of // 6],
+        middle=middle,
+        position=position,
+        piece=piece,
+        share=1.0 / count[piece],
+    )
 
 
 def _is_free(
@@ -358,9 +368,15 @@ class LitRoom:
             colour = self._colour(light, outdoors, sunlit.T, shown, seen_cdm2)
             colour = colour.reshape(n, height, -1, 3)
         visible, through = trace.disc_visibility(self.view.scene, toward)
-        maps = out.reshape(n, height, -1), given.reshape(n, height, -1)
-        disc_lx = direct_lx * visible * through
-        return Rendering(*maps, disc_lx, visible, light, points_lx, colour)
+        return Rendering(
+            luminance_cdm2=out.reshape(n, height, -1),
+            patch_cdm2=given.reshape(n, height, -1),
+            disc_lx=direct_lx * visible * through,
+            visible_fraction=visible,
+            light=light,
+            points_lx=points_lx,
+            colour=colour,
+        )
 
     def _colour(
         self,
@@ -474,8 +490,13 @@ class LitRoom:
             glass = trace.disc_glass(scene, scene.to_room(light.apparent_sun_direction[k]))
             about[trace.DISC_RAYS] = "".join("1" if ray else "0" for ray in glass > 0)
         if rendering.disc_lx[k] > 0:
-            angles = float(light.apparent_altitude_deg[k]), float(light.sun_azimuth_deg[k])
-            sun = SunSource(*angles, float(rendering.disc_lx[k]), visible, "rendering")
+            sun = SunSource(
+                altitude_deg=float(light.apparent_altitude_deg[k]),
+                azimuth_deg=float(light.sun_azimuth_deg[k]),
+                normal_illuminance_lx=float(rendering.disc_lx[k]),
+                visible_fraction=visible,
+                origin="rendering",
+            )
         heading, t_utc, rgb = self.view.heading_deg, light.t_utc[k], None
         luminance = rendering.luminance_cdm2[k]
         if rendering.colour is not None:

@@ -222,10 +222,22 @@ def _decided(stack: _Stack, pose: CameraPose, latitude_deg: float | None) -> _De
     high = np.where(scatters | bright | few, np.clip(1.3 * ratio, high, 1.0), high)
     u = np.minimum(np.hypot(u, _SCALE_SD * openness), 1.0)
     count = np.where(stack.dark, len(light), stack.placed(seen.count))
-    channels = openness, u, count, np.where(stack.dark, 0.0, pane), low, high
     blind = np.isnan(ratio) & ~stack.dark
-    arrays = (np.where(blind, np.nan, values).astype(np.float32) for values in channels)
-    view = SkyView(stack.grid, *arrays, captures=len(light), pose=pose)
+
+    def channel(values: Floats) -> Floats32:
+        return np.where(blind, np.nan, values).astype(np.float32)
+
+    view = SkyView(
+        stack.grid,
+        openness=channel(openness),
+        u=channel(u),
+        count=channel(count),
+        transmittance=channel(np.where(stack.dark, 0.0, pane)),
+        low=channel(low),
+        high=channel(high),
+        captures=len(light),
+        pose=pose,
+    )
     return _Decided(view, sky, bright, scatters)
 
 

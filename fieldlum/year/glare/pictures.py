@@ -167,9 +167,15 @@ def picture_views(
         weights[~seen_mask] = 0.0
         ahead &= seen_mask
     flat, azimuths = weights.reshape(-1, 4, 1), np.array([view.azimuth_deg])
-    of_pixels = flat[:, 0], flat[:, 1:], ahead.reshape(-1, 1)
-    hemisphere = np.array([[np.pi], [2.0 * np.pi], [0.0], [0.0], [HEMISPHERE_SOURCES_SR]])
-    return Views(azimuths, view.frame[None], *of_pixels, hemisphere, is_panorama=False)
+    return Views(
+        azimuths,
+        frames=view.frame[None],
+        illuminance=flat[:, 0],
+        moments=flat[:, 1:],
+        ahead=ahead.reshape(-1, 1),
+        hemisphere=np.array([[np.pi], [2.0 * np.pi], [0.0], [0.0], [HEMISPHERE_SOURCES_SR]]),
+        is_panorama=False,
+    )
 
 
 def picture_centres(height: int, width: int, rows: slice = slice(None)) -> tuple[Floats, Floats]:
@@ -380,7 +386,13 @@ def panorama_to_fisheye(
     preserved. Pixels outside the circle are 0.
     """
     height, width = luminance_cdm2.shape
-    view = PictureView("a", direction(0.0, azimuth_deg), direction(90.0, 0.0), 180.0, 180.0)
+    view = PictureView(
+        kind="a",
+        forward=direction(0.0, azimuth_deg),
+        up=direction(90.0, 0.0),
+        horizontal_deg=180.0,
+        vertical_deg=180.0,
+    )
     samples = max(2, int(np.ceil(2.0 * height / size)))
     y, x = picture_centres(size * samples, size * samples)
     rays = picture_rays(view, x, y)[0]

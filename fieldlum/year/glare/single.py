@@ -297,7 +297,13 @@ def take_out_sun(
     disc = None if recorded else find_disc(luminance_cdm2, heading_deg)
     if disc is None:
         return luminance_cdm2, recorded
-    sun = SunSource(disc.altitude_deg, disc.azimuth_deg, disc.normal_lx, 1.0, "picture")
+    sun = SunSource(
+        disc.altitude_deg,
+        disc.azimuth_deg,
+        normal_illuminance_lx=disc.normal_lx,
+        visible_fraction=1.0,
+        origin="picture",
+    )
     return without_disc(luminance_cdm2, disc), sun
 
 

@@ -279,7 +279,9 @@ def glare_sources(luminance_cdm2: Floats, views: Views) -> Sources:
     power, area = np.maximum(total(bright * omega), 1e-30), total(omega)
     mean, ev_lx = power / np.maximum(area, 1e-30), total(bright * views.illuminance[chosen])
     right, up = (total(bright * moment) / power for moment in (right, up))
-    return Sources(mean, area, right, up, ev_lx, pixels)
+    return Sources(
+        mean, solid_angle_sr=area, right_rad=right, up_rad=up, ev_lx=ev_lx, pixels=pixels
+    )
 
 
 def sources_of(luminance_cdm2: Floats, views: Views | None = None) -> list[NDArray[np.int64]]:

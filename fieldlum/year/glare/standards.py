@@ -145,9 +145,16 @@ def protection(
         if judged[i]:
             low, high = (None, None) if ends is None else map(float, ends[i])
             certain = low is not None and high is not None and class_of(low) == class_of(high)
-            most_likely, value = class_of(exceeded[i]), float(exceeded[i])
-            judgement = most_likely, certain, word, value, low, high
-            row = DirectionYear(row.azimuth_deg, *judgement, hours_over=over)
+            row = DirectionYear(
+                row.azimuth_deg,
+                glare_class=class_of(exceeded[i]),
+                certain=certain,
+                seen=word,
+                dgp_exceeded=float(exceeded[i]),
+                low=low,
+                high=high,
+                hours_over=over,
+            )
         rows.append(structs.replace(row, sentence=_sentence(row)))
     return tuple(rows)
 

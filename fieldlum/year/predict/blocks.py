@@ -465,8 +465,17 @@ def measure(
     azimuths, units = tuple(float(a) for a in azimuths_deg), []
     for start in range(0, len(light), BLOCK):
         rows = slice(start, min(start + BLOCK, len(light)))
-        of_sun = best_lx[rows], discs_lx[:, rows]
-        job = _HoursJob(name, digest, start, light[rows], azimuths, *of_sun, place, melanopic)
+        job = _HoursJob(
+            model=name,
+            digest=digest,
+            start=start,
+            light=light[rows],
+            azimuths_deg=azimuths,
+            disc_lx=best_lx[rows],
+            discs_lx=discs_lx[:, rows],
+            store=place,
+            melanopic=melanopic,
+        )
         title, paths = f"hours-{start}-{rows.stop}", tuple(f"{name}/{file}" for file in files)
         units.append(WorkUnit(title, predict_hours, folder, job, files=paths))
     parts: dict[str, HourFigures] = {}
