@@ -16,9 +16,11 @@ import pytest
 import xarray as xr
 from click.testing import CliRunner
 from learning_room import SETUP, dataset, write_pairs
+from msgspec import structs
 
 from fieldlum import report
 from fieldlum.cli import main
+from fieldlum.core.arrays import Floats
 from fieldlum.core.records import Exposure, Slot
 from fieldlum.learn import train
 from fieldlum.report import sections as annual_page
@@ -27,7 +29,12 @@ from fieldlum.report.sections import melanopic_section, melanopic_shares
 from fieldlum.session import Session, create_session
 from fieldlum.session.files.model_files import HeldOutMaps, ScoresFile
 from fieldlum.session.files.pairs_csv import PairsFile
-from fieldlum.session.files.predict_json import PredictFile
+from fieldlum.session.files.predict_json import (
+    DirectionYear,
+    PredictFile,
+    YearOccupancy,
+    YearWeather,
+)
 from fieldlum.year import predict
 
 pytestmark = pytest.mark.contract
@@ -299,6 +306,39 @@ def test_a_camera_that_is_not_calibrated_is_named_above_the_findings(
     copy.toml.write_text(re.sub('profile = ".*"', profile, text, count=1), encoding="utf-8")
     page = report.run(copy, for_assessor=for_assessor).read_text("utf-8")
     assert "scale 50 %" in page.split("<nav")[0]
+
+
+@pytest.mark.analytic
+@pytest.mark.parametrize(
+    ("row", "synthetic", "lead"),
+    [
+        (DirectionYear(0.0, "high", True), False, "Sit facing N"),
+        (DirectionYear(0.0, "high", True), True, "In a synthetic year only, least glare facing N"),
+        (DirectionYear(0.0, "none", True), False, "Least glare facing N"),
+        (DirectionYear(0.0, "high", False, "partly seen"), False, "Least glare facing N"),
+    ],
+)
+def test_the_headline_advises_only_what_the_captures_and_the_weather_support(
+    row: DirectionYear, synthetic: bool, lead: str
+) -> None:
+    rows = (structs.replace(row, dgp_exceeded=0.3, low=0.2, high=0.5, hours_over={"0.40": 9}),)
+    summary = PredictFile(weather=YearWeather("w", synthetic), protection=rows)
+    headline, _ = annual_page.answer(predict.Annual((), np.zeros(1), {}, {}, Path("x"), summary))
+    assert headline.startswith(lead), headline
+
+
+@pytest.mark.analytic
+def test_the_camera_s_scale_is_in_the_shares_of_glare_hours() -> None:
+    """DGP of 0.42 with an Ev of 4000 lx: 20 % less light (1.96 of 10 %) is a DGP below 0.38."""
+    hours: dict[str, Floats] = {"occupied": np.ones(10), "trusted": np.ones(10)}
+    values = {"dgp": 0.42, "dgp_low": 0.42, "dgp_high": 0.42, "ev_lx": 4000.0}
+    views = {name: np.full((10, 1), value) for name, value in values.items()}
+    times = tuple(datetime(2027, 3, 1, h, 30, tzinfo=UTC) for h in range(10))
+    summary = PredictFile(occupancy=YearOccupancy(hours=10, lit=10))
+    sure = predict.Annual(times, np.zeros(1), hours, views, Path("x"), summary)
+    assert annual_page.disturbed(sure) == ["yes"]
+    unsure = replace(sure, summary=structs.replace(summary, u_scale_rel=0.1))
+    assert annual_page.disturbed(unsure) == ["cannot tell"]
 
 
 @pytest.mark.analytic

@@ -74,11 +74,11 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
 # Words of the command line, what the answer names, and the exit code. @ stands for the folder.
 CASES = [
     ("plan", "Missing argument", 2),
-    ("plan @/none.toml --set 9-day --out @/s1", "none.toml", 2),
+    ("plan @/none.toml --set 9-day --out @/s1", "no such file or folder; expected", 3),
     ("plan @/good.toml", "--set and --out", 2),
     ("plan @/good.toml --set 9day --out @/s1", "9-day", 2),
     ("plan @/good.toml --set 9-day --out @/s1 --start 2027-13-01", "2027-13-01", 2),
-    ("plan @/good.toml --set 9-day --out @/s1 --start tomorrow", "tomorrow.*does not match", 2),
+    ("plan @/good.toml --set 9-day --out @/s1 --start tomorrow", "tomorrow: expected a date", 2),
     ("plan @/good.toml --set best --out @/s1", "--weather", 2),
     ("plan @/good.toml --set 9-day --count 5 --out @/s1", "--count needs", 2),
     ("plan @/good.toml --set 9-day --days 5 --out @/s1", "--days needs", 2),
@@ -199,7 +199,7 @@ CASES = [
     ("view @/true.JPG", "a JPEG picture.*merge photos", 3),
     ("view @/session", "no panorama to view", 5),
     ("compare @/session @/good.exr", "an OpenEXR picture; expected an hourly table", 3),
-    ("export @/session", "no merged map and no year", 3),
+    ("export @/session", "no merged map and no year; run fieldlum merge", 5),
     ("bench @/sky.csv --site @/good.toml --out @/b", "no column panorama", 3),
     ("simulate @/body.toml --out @/s2", "a camera profile; expected a SITE.toml", 3),
     ("campaign report @/body.toml", "a camera profile; expected a file with the tables", 3),
@@ -217,7 +217,12 @@ CASES = [
     ("pack @/session @/o.zip", "--title", 2),
     ("scene click @/good.exr", "this is a file", 3),
     ("watch @/session --port 70000", "65535", 2),
-    ("permit @/none", "does not exist", 2),
+    ("permit @/none", "no such file or folder; expected", 3),
+    ("plan @/good.toml --set month --start 20-3-2027 --out @/x", "a date.*like 2027-03-20", 2),
+    ("plan @/good.toml --set month --start 2027-13-01 --out @/x", "a date.*like 2027-03-20", 2),
+    ("capture @/session --camera sim:office --grace 5min", "'5min' is not a valid number", 2),
+    ("simulate @/session --out @/s3 --year 2028", "a SESSION.*omit --out, --year", 2),
+    ("status @/none", "no such folder; expected a session folder", 3),
     ("mrege @/session", "merge", 2),
     ("merge @/session --hieght 100", "No such option", 2),
 ]
@@ -227,6 +232,35 @@ def test_a_picture_goes_into_a_new_folder(desk: Path) -> None:
     picture = desk / "new" / "v.png"
     shown = CliRunner().invoke(main, ["view", str(desk / "good.exr"), "--out", str(picture)])
     assert shown.exit_code == 0 and picture.is_file(), shown.output
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "merge",
+        "pair",
+        "scene fit",
+        "scene click",
+        "train",
+        "bench --out @/b",
+        "report",
+        "report --for assessor",
+        "export",
+        "glare",
+        "view",
+        "compare @/hours.csv",
+    ],
+)
+def test_a_stage_without_the_results_of_an_earlier_one_exits_with_5(desk: Path, words: str) -> None:
+    """Not enough data: nothing that the user named is wrong. The line names what to run."""
+    (desk / "hours.csv").write_text("hoy,dgp@0\n12,0.3\n13,0.3\n", encoding="utf-8")
+    stage, rest = words.partition(" -")[::2]
+    first, *more = stage.split(" @/")
+    more_words = [f"@/{m}" for m in more] + (f"-{rest}".split() if rest else [])
+    arguments = [*first.split(), "@/session", *more_words]
+    shown = CliRunner().invoke(main, [word.replace("@", str(desk)) for word in arguments])
+    assert shown.exit_code == 5, shown.output
+    assert "fieldlum " in shown.output.partition("; ")[2], shown.output
 
 
 @pytest.mark.parametrize(("words", "named", "code"), CASES, ids=[case[0] for case in CASES])

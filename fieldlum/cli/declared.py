@@ -26,13 +26,16 @@ from typing import Any, Literal, NamedTuple
 
 import click
 
+from fieldlum.core.errors import InputError
+
 _ENTRY = re.compile(r"(--[^\s:]+)(?: (.+?))?: (.+)")
 
 
 class _LocalPath(click.Path):
     """A path of the file system.
 
-    URLs are rejected, because one would become a folder named "s3:".
+    URLs are rejected, because one would become a folder named "s3:". A missing path that must exist
+    is an InputError, as for every missing file.
     """
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
@@ -45,6 +48,9 @@ class _LocalPath(click.Path):
                 param,
                 ctx,
             )
+        if self.exists and not Path(value).exists():
+            what = "a file or folder that exists"
+            raise InputError(value, "no such file or folder", what, "check the path")
         return super().convert(value, param, ctx)
 
 
@@ -136,6 +142,8 @@ def _parameter(parameter: inspect.Parameter, hint: Any, entry: _Entry | None) ->
         settings["type"] = PATH if base is Path else base
     for extra in filter(callable, extras):
         settings["type"] = extra
+        if isinstance(extra, click.FloatRange | click.IntRange):
+            extra.name = "number" if isinstance(extra, click.FloatRange) else "whole number"
     if entry is None:
         metavar = next((extra for extra in extras if isinstance(extra, str)), None)
         count = -1 if is_many else 1

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
+from datetime import date, datetime, time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -24,7 +26,12 @@ Port = Annotated[int, click.IntRange(0, 65535)]
 Year = Annotated[int | None, click.IntRange(1950, 2100)]
 
 
-DAY = click.DateTime(["%Y-%m-%d"])
+def calendar_day(text: str) -> datetime:
+    """Return the midnight that begins a date, without a time zone."""
+    with suppress(ValueError):
+        return datetime.combine(date.fromisoformat(text), time())
+    raise click.BadParameter(f"{text}: expected a date that exists, like 2027-03-20")
+
 
 DEVICES = ("camera", "pyranometer", "meter")
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import click
+from click.core import ParameterSource
 
 from fieldlum.cli import terminal
 from fieldlum.cli.declared import EXISTING_PATH
@@ -68,6 +69,12 @@ def command(
     from fieldlum.session.site_toml import load_site
 
     session = open_session(site) if site.is_dir() else None
+    given = click.get_current_context().get_parameter_source
+    of_plan = ("out", "set_", "year", "count")
+    of_plan = [name for name in of_plan if given(name) is not ParameterSource.DEFAULT]
+    if session is not None and of_plan:
+        named = ", ".join(f"--{name.strip('_')}" for name in of_plan)
+        raise click.UsageError(f"a SESSION is rendered in its folder, with its plan: omit {named}")
     if session is None and out is None:
         raise click.UsageError("name --out, like: fieldlum simulate office.toml --out office-sim")
     setup = session.site_file() if session is not None else load_site(site)

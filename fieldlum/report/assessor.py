@@ -7,8 +7,9 @@ honeybee (GA) and ClimateStudio (sDG). requirements.toml has the texts of the re
 import tomllib
 from datetime import UTC, datetime
 from pathlib import Path
+from zoneinfo import ZoneInfo
 
-from fieldlum.core.errors import InputError
+from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import SiteFile
 from fieldlum.optics import profiles
 from fieldlum.report import sections
@@ -68,7 +69,8 @@ def _instruments(session: Session, setup: SiteFile) -> Table:
         rows = [*_camera_rows(camera), ("profile, sha256", sha256(path))]
     except InputError as error:
         rows = [("camera", f"cannot tell: {error}")]
-    times = sorted(row.t_utc for row in PairsFile.find(session.pairs).usable)
+    zone = ZoneInfo(setup.site.timezone)
+    times = sorted(row.t_utc.astimezone(zone) for row in PairsFile.find(session.pairs).usable)
     span = f", {times[0]:%d %B %Y} to {times[-1]:%d %B %Y}" if times else ""
     rows += [
         ("pyranometer", f"{meter.kind or 'not stated'} {meter.profile}".strip()),
@@ -97,10 +99,9 @@ def _camera_rows(profile: profiles.CameraProfile) -> list[tuple[str, str]]:
 
 
 def assessor_page(session: Session, annual: Annual | None) -> str:
-    """Return the page as HTML. Raises InputError if `annual`, the predicted year, is None."""
+    """Return the page as HTML. `annual`: the predicted year; raises NotEnoughDataError without."""
     if annual is None:
-        remedy = "run fieldlum predict first"
-        raise InputError(session.root, "no predicted year", "a year of figures", remedy)
+        raise NotEnoughDataError(f"{session.root}: no predicted year; run fieldlum predict first")
     setup, summary = session.site_file(), annual.summary
     site, weather, occupancy = setup.site, summary.weather, summary.occupancy
     versions = [

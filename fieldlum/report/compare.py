@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from fieldlum.core.arrays import Array, Floats, Mask
-from fieldlum.core.errors import InputError, input_errors
+from fieldlum.core.errors import InputError, NotEnoughDataError, input_errors
 from fieldlum.core.plot_style import new_figure, styled
 from fieldlum.core.progress import progress
 from fieldlum.core.records import JsonTable, Panorama, Room
@@ -90,14 +90,15 @@ def compare(
 
     azimuths_deg: view directions of an hourly result that does not name them, in its order,
     clockwise from true north. annual: the predicted year; None: without one. Raises InputError for
-    a result that cannot be read, or that shares no picture and no hour with the session.
+    a result that cannot be read, or that shares no picture and no hour with the session,
+    NotEnoughDataError without a year for a table of hours.
     """
     if model.is_dir() and not (model / SUN_UP_HOURS).is_file():
         return _compare_pictures(session, model, out)
     hours = read_model_hours(model, azimuths_deg)
     if annual is None:
         remedy = "run fieldlum predict with the weather file of the model"
-        raise InputError(session.root, "no predicted year", "a year to compare with", remedy)
+        raise NotEnoughDataError(f"{session.root}: no predicted year; {remedy}")
     return _compare_hours(annual, hours, session.site_file().site.timezone, model, out)
 
 

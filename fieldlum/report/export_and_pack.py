@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import tomli_w
 
-from fieldlum.core.errors import InputError
+from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.false_colour import png_of
 from fieldlum.core.files import read_bytes
 from fieldlum.core.progress import progress
@@ -62,11 +62,13 @@ def export(session: Session, out: Path, azimuths_deg: Sequence[float] = ()) -> l
     beam_share: the share of the sun's beam that arrives from there, with its 95 % bounds low and
     high, empty where no lens saw; sky_view_mask.png: the same as a fisheye. room.rad: the fitted
     room, else the stated one, in room axes; room.hbjson: the same for honeybee, in true north.
-    pairs.nc, year.nc: netCDF 3 with units. Raises InputError for a damaged file.
+    pairs.nc, year.nc: netCDF 3 with units. Raises InputError for a damaged file, NotEnoughDataError
+    without any result.
     """
     panoramas = session.panorama_files()
     if not panoramas and not session.annual_folders():
-        raise InputError(session.root, "no merged map and no year", "results", "run fieldlum merge")
+        remedy = "run fieldlum merge"
+        raise NotEnoughDataError(f"{session.root}: no merged map and no year; {remedy}")
     out.mkdir(parents=True, exist_ok=True)
     seen_deg = azimuths_deg or (session.site_file().camera.heading_deg,)
     files = [*_sky(session, out), *_room(session, out, seen_deg)]

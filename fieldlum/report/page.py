@@ -73,7 +73,7 @@ class Table(NamedTuple):
 
 
 class Section(NamedTuple):
-    """One section of the page: text, rows of figures, tables and `heat_map`."""
+    """One section of the page: text (a paragraph a line), rows of figures, tables, `heat_map`."""
 
     id: str
     title: str

@@ -24,7 +24,7 @@ from fieldlum.session.panorama_sun import SUN_FROM, read_suns
 from fieldlum.sky import sun
 from fieldlum.sky.sun import apparent_altitude_deg, standard_time
 from fieldlum.year.glare.pictures import panorama_to_fisheye
-from fieldlum.year.glare.standards import EXCEEDED_SHARE
+from fieldlum.year.glare.standards import EXCEEDED_SHARE, dgp_per_scale
 from fieldlum.year.predict import Annual
 from fieldlum.year.predict.annual import Pictures
 from fieldlum.year.predict.year import best_and_worst
@@ -48,8 +48,13 @@ def answer(annual: Annual) -> tuple[str, str]:
     best, worst = ends
     blind = [named(row.azimuth_deg) for row in rows if row.glare_class == NOT_SEEN]
     unseen = f"No result for views to {', '.join(blind)}: the camera saw less than half of them. "
+    advice = f"facing {named(best.azimuth_deg)}: {_class_words(best)}."
+    doubtful = best.glare_class == "none" or (best.seen == PARTLY_SEEN and not best.certain)
+    lead = "Least glare" if doubtful or annual.summary.weather.synthetic else "Sit"
+    if annual.summary.weather.synthetic:
+        lead = f"In a synthetic year only, {lead.lower()}"
     return (
-        f"Sit facing {named(best.azimuth_deg)}: {_class_words(best)}.",
+        f"{lead} {advice}",
         f"Facing {named(worst.azimuth_deg)}, disturbing glare (DGP above 0.40) comes in "
         f"{worst.hours_over['0.40']} of {annual.summary.occupancy.hours} occupied hours of the "
         f"year; facing {named(best.azimuth_deg)} in {best.hours_over['0.40']}. "
@@ -107,10 +112,16 @@ class Share(NamedTuple):
 
 
 def _hours_over(annual: Annual, limit: float) -> list[Share]:
-    """Return the share of the occupied hours whose DGP exceeds a limit, for each direction."""
+    """Return the share of the occupied hours whose DGP exceeds a limit, for each direction.
+
+    Its interval includes the camera's scale, which the intervals of single hours leave out.
+    """
     used, count = annual.occupied, max(annual.summary.occupancy.hours, 1)
-    dgp, low, high = (annual.views[name][used] for name in ("dgp", "dgp_low", "dgp_high"))
+    names = "dgp", "dgp_low", "dgp_high", "ev_lx"
+    dgp, low, high, ev_lx = (annual.views[name][used] for name in names)
     low, high = np.where(np.isnan(low), dgp, low), np.where(np.isnan(high), dgp, high)
+    of_scale = 1.96 * annual.summary.u_scale_rel * dgp_per_scale(dgp, ev_lx)
+    low, high = dgp - np.hypot(dgp - low, of_scale), dgp + np.hypot(high - dgp, of_scale)
     shares = [100.0 * (values > limit).sum(axis=0) / count for values in (dgp, low, high)]
     return [Share(*map(float, row)) for row in zip(*shares, strict=True)]
 
@@ -137,10 +148,10 @@ def directions_section(annual: Annual) -> Section:
         figures = exceeded_text(row), interval, *hours, "–" if sdg == "–" else free, sdg
         rows.append((named(row.azimuth_deg), of_class, settled, *figures))
     head = ("view direction", "class", "settled", "DGP in 5 %", "95 % interval")
-    notes = " ".join(map(sentence, annual.summary.notes[1:]))
-    text = f"Occupied hours: {annual.summary.occupancy.text}. {notes}"
+    occupied = f"Occupied hours: {annual.summary.occupancy.text}."
+    text = "\n".join((occupied, *map(sentence, annual.summary.notes[1:])))
     text += (
-        " GA (glare autonomy, honeybee): occupied hours with DGP of at most 0.40. sDG "
+        "\nGA (glare autonomy, honeybee): occupied hours with DGP of at most 0.40. sDG "
         "(ClimateStudio): whether DGP exceeds 0.38 in over 5 % of them."
     )
     hours = ("h > .35", "h > .40", "h > .45")
@@ -455,7 +466,6 @@ def warnings_of(session: Session, year: Annual | None) -> list[str]:
     if year is not None:
         weather, of_model = year.summary.weather, year.summary.model_warnings
         texts += [f"From training: {text.removeprefix('WARNING: ')}" for text in of_model]
-        if weather.synthetic:
-            texts.append("The weather is synthetic: do not judge this place by it.")
-        texts += [f"Weather: {text}" for text in weather.repairs]
+        kind = "The weather is" if weather.synthetic else "Weather:"
+        texts += [f"{kind} {text}" for text in weather.repairs]
     return [sentence(text) for text in texts]

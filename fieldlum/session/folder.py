@@ -244,6 +244,7 @@ def open_session(root: Path) -> Session:
     session = Session(root)
     if not session.toml.is_file():
         found = "this is a file" if root.is_file() else "no session.toml in this folder"
+        found = found if root.exists() else "no such folder"
         remedy = "correct the path, or plan a session with: fieldlum plan SITE.toml"
         if root.name == "session.toml":
             remedy = f"name its folder: {root.parent}"

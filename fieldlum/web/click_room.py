@@ -15,7 +15,7 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
-from fieldlum.core.errors import InputError
+from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import JsonTable, Room, parse_utc
 from fieldlum.optics.images import read_panorama
 from fieldlum.optics.projection import direction
@@ -44,13 +44,13 @@ class ClickedPicture:
     def of(cls, session: Session, slot: str = "") -> ClickedPicture:
         """Return the panorama of a slot, or of "" the one with the highest sun.
 
-        Raises InputError if it does not exist.
+        Raises InputError if it does not exist, NotEnoughDataError if no slot is merged.
         """
         files = session.panorama_files()
         chosen = next((path for path in files if path.stem == slot), None) if slot else None
         if not files:
             remedy = f"run fieldlum merge {session.root}"
-            raise InputError(session.root, "no merged panorama", "a merged session", remedy)
+            raise NotEnoughDataError(f"{session.root}: no merged panorama; {remedy}")
         if slot and chosen is None:
             expected = f"a slot such as {files[-1].stem}"
             raise InputError(session.root, f"no panorama {slot}", expected, "see panoramas/")

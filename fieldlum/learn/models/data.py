@@ -255,14 +255,16 @@ def load_pairs(where: Path | Session, site: Path | None = None) -> Dataset:
     empty, it is computed.
 
     Raises InputError for a missing csv, site file or picture, an unreadable cell or picture,
-    pictures that differ in size or heading, or implausible rows; NotEnoughDataError if no row or no
-    pixel is usable.
+    pictures that differ in size or heading, or implausible rows; NotEnoughDataError for a session
+    without pairs.csv, or if no row or no pixel is usable.
     """
     path = where.pairs if isinstance(where, Session) else Path(where)
     if path.is_dir():
         path = open_session(path).pairs
     if not path.is_file():
         remedy = "write one with: fieldlum pair SESSION"
+        if isinstance(where, Session) or Path(where).is_dir():
+            raise NotEnoughDataError(f"{path}: no such file; {remedy}")
         raise InputError(path, "no such file", "a pairs.csv", remedy)
     setup = _find_setup(path, site)
     pairs = PairsFile.read(path)

@@ -59,7 +59,8 @@ class PredictFile(JsonFile, frozen=True):
     inputs: what the result depends on; setup: SITE.toml; height, width: of the maps [px];
     heading_deg: of their centre column; hours: number of rows of hourly.csv; first, last: their UTC
     times; disc_from: how the visibility of the sun's disc is known; seen_share: share of each view
-    direction that the lenses saw, empty if all of it; protection: glare by direction.
+    direction that the lenses saw, empty if all of it; u_scale_rel: relative standard uncertainty of
+    the captures' scale; protection: glare by direction.
     """
 
     NAME, SEALED = "predict.json", True
@@ -81,6 +82,7 @@ class PredictFile(JsonFile, frozen=True):
     occupancy: YearOccupancy = YearOccupancy()
     disc_from: str = ""
     seen_share: tuple[float, ...] = ()
+    u_scale_rel: float = 0.0
     model_warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     protection: tuple[DirectionYear, ...] = ()

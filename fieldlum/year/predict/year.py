@@ -187,6 +187,7 @@ def _judged(
         summary,
         occupancy=YearOccupancy(summary.inputs["occupancy"], hours_used, count, *unsure),
         seen_share=tuple(round(float(share), 3) for share in shares),
+        u_scale_rel=u_scale,
         notes=(*_notes(summary, room, untrusted, wide), *_unseen_notes(rows)),
         protection=rows,
     )
