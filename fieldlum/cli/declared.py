@@ -143,7 +143,7 @@ def _parameter(parameter: inspect.Parameter, hint: Any, entry: _Entry | None) ->
     for extra in filter(callable, extras):
         settings["type"] = extra
         if isinstance(extra, click.FloatRange | click.IntRange):
-            extra.name = "number" if isinstance(extra, click.FloatRange) else "whole number"
+            extra.name = "number" if isinstance(extra, click.FloatRange) else "integer"
     if entry is None:
         metavar = next((extra for extra in extras if isinstance(extra, str)), None)
         count = -1 if is_many else 1
