@@ -179,6 +179,34 @@ def test_edges_and_bars_of_coarse_pictures_are_where_openness_puts_them() -> Non
 
 
 @pytest.mark.analytic
+def test_a_bar_within_a_pixel_can_be_anywhere_in_it() -> None:
+    """In pixels of 3 degrees: a bar of 0.7 degrees in one column, and one between two columns."""
+    openness = np.ones((12, 12), np.float32)
+    openness[:, 3] = 0.77
+    openness[:, 7], openness[:, 8] = 0.88, 0.89
+    full, grid = np.ones_like(openness), SkyGrid(36.0, -18.0, 3.0, 180.0, 12, 12)
+    mixed = openness < 1.0
+    view = SkyView(grid, openness, 0 * full, full, full, np.where(mixed, 0.0, full), full)
+    fine = SkyGrid(36.0, -18.0, 0.125, 180.0, 288, 288)
+    _, low, high = view.shares(fine.rays())
+    assert (low[24:-24, 72:96] == 0.0).all() and (high[24:-24, 72:96] == 1.0).all()
+    assert (low[24:-24, 100:164] == 1.0).all() and (low[24:-24, 168:176] == 1.0).all()
+
+
+@pytest.mark.analytic
+def test_a_direction_that_few_captures_show_is_not_sky() -> None:
+    """Merge kept a wall of one capture: a single ratio has no spread, which shows nothing."""
+    openness = np.ones((32, 32))
+    openness[:, 20:] = 0.0
+    pictures = _pictures(openness)
+    pictures[1:, :, 24:] = np.nan
+    view = _view(pictures)
+    assert (view.openness[:, 25:] == 0.0).all() and (view.low[:, 25:] == 0.0).all()
+    assert (view.high[:, 25:] > 0.05).all()
+    assert np.median(view.openness[:, :18]) > 0.9
+
+
+@pytest.mark.analytic
 def test_a_slanted_bar_narrower_than_a_pixel_is_not_broken() -> None:
     """In pixels of 3 degrees: half a pixel wide, it rises by a pixel in three."""
     row, column = (np.mgrid[:288, :288] + 0.5) / 24.0

@@ -22,7 +22,14 @@ from fieldlum.sky.sky_view.disc import disc_of_hours
 from fieldlum.sky.sky_view.measured_discs import MeasuredDiscs
 from fieldlum.sky.sky_view.picture import SkyGrid, SkyPicture
 from fieldlum.sky.sky_view.pose import CameraPose, pose_of_discs
-from fieldlum.sky.sky_view.sky_directions import BEAM_LX, SOME, follow, sky_reference, sky_share
+from fieldlum.sky.sky_view.sky_directions import (
+    BEAM_LX,
+    MIN_CAPTURES,
+    SOME,
+    follow,
+    sky_reference,
+    sky_share,
+)
 from fieldlum.sky.sky_view.sky_heading import MIN_U_DEG, heading_by_sky
 from fieldlum.sky.sky_view.view import SkyView
 from fieldlum.sky.sun import OBLIQUITY_DEG, SUN_SOLID_ANGLE_SR, celestial_pole
@@ -49,7 +56,6 @@ _FORWARD_SCATTER = 0.6
 # Luminance over the expected sky's at the sun's place, below which something hides the sky there:
 # real skies are within 40 % of Perez's, a white blind has 0.2 at most. Chosen.
 _SHADED = 0.33
-MIN_CAPTURES = 6  # fewer do not separate the sky from other light; chosen
 _MAX_VALUES = 60_000_000  # captures times directions in memory: 240 MB; chosen
 
 
@@ -217,8 +223,8 @@ def _decided(stack: _Stack, pose: CameraPose, latitude_deg: float | None) -> _De
     scatters = apart & (stack.placed(seen.forward) > _FORWARD_SCATTER) & (relative > _SCATTER_SHARE)
     bright = apart & (relative > _BRIGHT_SHARE) & (spread < _FOLLOWS_NOT)
     bright |= np.isnan(relative) & (ratio > _BRIGHT_SHARE)
-    few = len(light) < MIN_CAPTURES
-    low = np.zeros_like(low) if few else low
+    few = stack.placed(seen.count) < MIN_CAPTURES
+    low = np.where(few, 0.0, low)
     high = np.where(scatters | bright | few, np.clip(1.3 * ratio, high, 1.0), high)
     u = np.minimum(np.hypot(u, _SCALE_SD * openness), 1.0)
     count = np.where(stack.dark, len(light), stack.placed(seen.count))

@@ -26,6 +26,7 @@ _MAX_SKY_SPREAD = 0.45
 # Relative spread of the reference; and its share of the brightest ratio, without tinted panes at
 # first. Chosen.
 _REFERENCE_FOLLOWS, _REFERENCE_SHARES = 0.8, (0.5, *5 * (0.15,))
+MIN_CAPTURES = 6  # fewer do not separate the sky from other light; chosen
 SOME = 500  # directions of the open sky are enough; only for speed
 # Clouds are alike within this angle; farther away the sky's mean deviation counts, with this weight
 # relative to one direction nearby. Chosen.
@@ -39,8 +40,9 @@ class Followed:
 
     ratio [p]: median over the captures of luminance over the sky's there; spread [p]: standard
     deviation of ln(luminance / sky) over the smaller of those of ln(luminance / E), E the diffuse
-    or the total illuminance; count [p]: captures; forward [p]: ln of the luminance's increase with
-    the sun in front of the camera, relative to the diffuse light.
+    or the total illuminance, infinite in pixels that under six captures show; count [p]: captures;
+    forward [p]: ln of the luminance's increase with the sun in front of the camera, relative to the
+    diffuse light.
     """
 
     ratio: Floats
@@ -118,7 +120,8 @@ def follow(luminance: Floats32, light: Light, rays: Floats, reference: SkyRefere
         level, spread = _level_spread(measured - np.log(reference.sky(light, rays[part])))
         rest = np.maximum(_rest_spread(measured, light), 1e-3)
         count = (~np.isnan(measured)).sum(axis=0)
-        out[:, part] = np.exp(level), spread / rest, count, _forward(measured, light, rays[part])
+        spread = np.where(count < min(MIN_CAPTURES, len(light)), np.inf, spread / rest)
+        out[:, part] = np.exp(level), spread, count, _forward(measured, light, rays[part])
     return Followed(*out)
 
 

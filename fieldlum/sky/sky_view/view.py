@@ -209,8 +209,13 @@ def _fine_edges(maps: Floats32, openness: Floats32, factor: int) -> Floats32:
     for fine, values, minimum in zip(out, maps, _DOUBT, strict=True):
         pane = maximum_filter(np.nan_to_num(values), size)  # value of the open neighbour
         fine[edge] = np.where(drawn >= minimum, _enlarged(pane, factor), 0.0)[edge]
-    if lens:  # slats of a pixel look like a blurred edge: the pixel's own bounds hold too
-        out[1], out[2] = np.minimum(out[1], own[1]), np.maximum(out[2], own[2])
+    # Slats of a lens's pixel look like a blurred edge, and a bar in a pixel between open ones can
+    # be anywhere in it: the pixel's own bounds hold too.
+    open_ = shown >= _OPEN_PIXEL
+    bars = [mixed & np.roll(open_, 1, axis) & np.roll(open_, -1, axis) for axis in (0, 1)]
+    doubted = _enlarged(bars[0] | bars[1] | lens, factor)
+    out[1] = np.where(doubted, np.minimum(out[1], own[1]), out[1])
+    out[2] = np.where(doubted, np.maximum(out[2], own[2]), out[2])
     return np.where(np.isnan(own), own, out)
 
 
