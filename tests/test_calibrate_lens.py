@@ -176,8 +176,9 @@ def test_a_picture_of_a_room_gives_no_circle() -> None:
         room[top : top + 60, left : left + 70] = rng.uniform(20, 250)
     room[np.hypot(x - 300, y - 200) > 190] = 2.0
     for start in (Lens((300.0, 200.0), 190.0, 186.0), Lens((310.0, 190.0), 180.0, 186.0)):
-        with pytest.raises(InputError, match=r"an evenly lit circle.*white paper"):
-            lens.circle(room.astype(np.uint8), start, "room.jpg")
+        for guessed in (False, True):
+            with pytest.raises(InputError, match=r"an evenly lit circle.*white paper"):
+                lens.circle(room.astype(np.uint8), start, "room.jpg", guessed=guessed)
 
 
 @pytest.mark.slow
@@ -191,3 +192,7 @@ def test_a_circle_that_contradicts_the_profile_is_refused(x_px: float, radius_px
     wrong = Lens((x_px, 200.0), radius_px, 186.0)
     with pytest.raises(InputError, match=r"the profile's circle at .*, 200 px.*white paper"):
         lens.circle(picture, wrong, "IMG_6955.JPG")
+    # A profile that was never measured may be of a sensor of another size.
+    other = lens.circle(picture, Lens((300.0, 200.0), 290.0, 186.0), guessed=True)
+    assert other.radius_px == pytest.approx(190.0, abs=0.5)
+    assert other.centre_px == pytest.approx((300.0, 200.0), abs=0.3)

@@ -34,6 +34,7 @@ MONTH = [
     for hour in range(-5, 7)
 ]
 PST_S, PDT_S = -8 * 3600.0, -7 * 3600.0
+ZONE = "America/Los_Angeles"
 
 
 def make_session(folder: Path, slots: list[Slot], profile: str = "") -> Session:
@@ -81,7 +82,7 @@ def test_a_clock_set_between_two_days_is_found(change: int, hours: int, missing:
     before = [i // 12 for i in taken if i < 12 * change and not 0 <= i % 12 - hours < 12]
     assume(len(after) > 3 and len(before) > 3 and change in after and change - 1 in before)
     groups = [bracket(MONTH[i], clock_s(i)) for i in taken]
-    parts = clock_parts(groups, MONTH)
+    parts = clock_parts(groups, MONTH, ZONE)
     assert [part[0] for part in parts] == [
         groups[0],
         next(g for i, g in _numbered(groups) if i >= 12 * change),
@@ -98,9 +99,9 @@ def _numbered(groups: list[Group]) -> list[tuple[int, Group]]:
 def test_a_clock_that_was_not_set_is_left_alone() -> None:
     by_hand = np.random.default_rng(1).uniform(0, 1100, len(MONTH))
     groups = [bracket(slot, PST_S + late) for slot, late in zip(MONTH, by_hand, strict=True)]
-    assert len(clock_parts(groups, MONTH)) == 1
+    assert len(clock_parts(groups, MONTH, ZONE)) == 1
     afternoons = [bracket(slot, PST_S) for i, slot in enumerate(MONTH) if i % 12 > 5]
-    assert len(clock_parts(afternoons, MONTH)) == 1
+    assert len(clock_parts(afternoons, MONTH, ZONE)) == 1
 
 
 @pytest.mark.slow
@@ -137,10 +138,28 @@ def test_a_camera_set_to_daylight_saving_time_within_the_month(tmp_path: Path) -
 
 
 @pytest.mark.contract
+@pytest.mark.parametrize("days_after", [0, 1])
+def test_one_bracket_shows_a_clock_set_near_a_change_of_civil_time(days_after: int) -> None:
+    """Wellington, two days before and after the end of daylight saving time on 4 April 2027: the
+    person sets the camera on that day or a day later.
+    """
+    zone, hour = "Pacific/Auckland", timedelta(hours=1)
+    first = datetime(2027, 4, 1, 19, 30, tzinfo=UTC)  # 2 April, 08:30 in New Zealand
+    starts = [first + 24 * hour * day + hour * k for day in range(4) for k in range(10)]
+    slots = [replace(MONTH[0], t_utc=start) for start in starts]
+    summer = 20 + 10 * days_after
+    groups = [bracket(s, 3600.0 * (13 if i < summer else 12)) for i, s in enumerate(slots)]
+    assert [len(part) for part in clock_parts(groups, slots, zone)] == [summer, 40 - summer]
+    assert len(clock_parts(groups, slots, "UTC")) == 1
+    kept = [bracket(slot, 3600.0 * 13) for slot in slots]
+    assert len(clock_parts(kept, slots, zone)) == 1
+
+
+@pytest.mark.contract
 def test_a_wrong_offset_is_doubted_by_the_plan() -> None:
     groups = [bracket(slot, PDT_S) for slot in MONTH[:60]]
-    assert doubt(groups, MONTH, Offset(PDT_S, "--utc-offset")) == ""
-    said = doubt(groups, MONTH[:60], Offset(PST_S, "--utc-offset"))
+    assert doubt(groups, MONTH, Offset(PDT_S, "--utc-offset"), ZONE) == ""
+    said = doubt(groups, MONTH[:60], Offset(PST_S, "--utc-offset"), ZONE)
     assert said.startswith(
         "with the offset of the camera's clock (--utc-offset), 55 of 60 brackets are near slots; "
         "with an offset changed by +1 h it would be 60"

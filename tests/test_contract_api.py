@@ -12,9 +12,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import fieldlum
 from fieldlum.core.errors import InputError
+from fieldlum.year.glare.sources import view_azimuths_deg
+from fieldlum.year.predict.annual import dataset_of
+from fieldlum.year.predict.blocks import map_coordinates
 
 pytestmark = pytest.mark.contract
 
@@ -155,6 +159,22 @@ def test_moments_are_datetimes_texts_or_a_pandas_index() -> None:
 
 
 @pytest.mark.contract
+@pytest.mark.parametrize("heading_deg", [180.0, 315.0, 0.0])
+def test_coordinates_ascend_so_that_plots_work_with_every_heading(heading_deg: float) -> None:
+    times = tuple(datetime(2027, 6, 21, hour, 30, tzinfo=UTC) for hour in (20, 21))
+    coordinates = map_coordinates(times, 8, heading_deg)
+    maps = xr.DataArray(np.ones((2, 8, 16)), dims=("time", "y", "x"), coords=coordinates)
+    x = maps["x"].to_numpy()
+    assert (np.diff(x) > 0).all() and x.mean() % 360.0 == pytest.approx(heading_deg)
+    maps.isel(time=0).plot()
+    azimuths = view_azimuths_deg(heading_deg, 10)
+    figures = {"dgp": np.stack([azimuths, azimuths]) / 360.0}
+    years = dataset_of(times, azimuths, {}, figures)
+    assert (years.dgp.sel(azimuth=azimuths).to_numpy() == figures["dgp"]).all()
+    years.dgp.plot()
+
+
+@pytest.mark.contract
 @pytest.mark.parametrize(
     ("call", "named"),
     [
@@ -171,6 +191,17 @@ def test_moments_are_datetimes_texts_or_a_pandas_index() -> None:
         (lambda: fieldlum.light_at("2027-01-01T20:30Z", OFFICE, [1.0, 2.0], 1.0), "dni_wm2"),
         (lambda: fieldlum.light_at("2027-01-01T20:30Z", OFFICE, -1.0, 1.0), "0 W/m2 or more"),
         (lambda: fieldlum.light_at("2027-01-01T20:30Z", 3, 1.0, 1.0), "a value of type int"),
+        (lambda: fieldlum.evaluate_glare("a.exr", ["north"]), "view_azimuths_deg"),
+        (lambda: fieldlum.evaluate_glare("a.exr", 180.0), "view_azimuths_deg"),
+        (lambda: fieldlum.plan_captures(OFFICE, "9day"), "'9day'; expected one of 9-day"),
+        (lambda: fieldlum.plan_captures(OFFICE, "month", start="2027-03-20"), "start"),
+        (lambda: fieldlum.plan_captures(3), "a value of type int"),
+        (lambda: fieldlum.fit("pairs.csv"), "fieldlum.load_pairs"),
+        (lambda: fieldlum.load_pairs(3), "a value of type int"),
+        (lambda: fieldlum.read_weather(3, OFFICE), "a value of type int"),
+        (lambda: fieldlum.merge_frames("a.dng", "sim-fisheye"), "a.dng"),
+        (lambda: fieldlum.merge_frames([3], "sim-fisheye"), "a value of type int"),
+        (lambda: fieldlum.write_panorama("a.exr", np.ones((4, 8))), "Panorama"),
     ],
 )
 def test_a_wrong_type_is_an_error_of_fieldlum(call: Callable[[], object], named: str) -> None:

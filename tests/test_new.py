@@ -261,6 +261,7 @@ def test_an_own_profile_has_the_size_and_camera_of_a_photo(tmp_path: Path) -> No
     start = "canon-5d2-8mm-f5.6"
     shown = CliRunner().invoke(main, ["new", str(out), "--camera", start, "--photo", str(photo)])
     assert shown.exit_code == 0 and "no date of calibration" in shown.output, shown.output
+    assert "wrong for a sensor of another size" in shown.output
     profile = load_camera_profile(out)
     assert profile.lens[0].radius_px == pytest.approx(1768.18 / 2)
     assert (profile.camera.model, profile.camera.width_px) == ("EOS X", 2808)

@@ -135,6 +135,18 @@ def test_marks_make_light_doubtful_but_a_low_sun_does_not(flag: str, doubtful: b
 
 
 @pytest.mark.contract
+def test_a_map_of_which_most_is_clipped_is_not_used() -> None:
+    """As of a bracket that a full disk ended after its longest frame."""
+    light = irradiance_during(
+        log(np.arange(-20.0, 20.0), np.full(40, 400.0)), NOON, NOON + timedelta(seconds=30)
+    )
+    window = pair.BracketInterval("x", Path("x.exr"), NOON, NOON, clipped_percent=12.0)
+    for bracket, used in ((window, True), (replace(window, clipped_percent=100.0), False)):
+        row = pair.judge(bracket, light, 30.0, 178.0)
+        assert row.ok is used and ("clipped in every frame" in row.why) is not used
+
+
+@pytest.mark.contract
 def test_each_bracket_goes_by_the_logger_of_its_own_time() -> None:
     """Days of a minute logger before weeks of a fast one are not refused as stale."""
     slow, fast = np.arange(-3000.0, 3000.0, 60.0), np.arange(86400.0, 96400.0, 5.0)

@@ -216,6 +216,8 @@ def fit(
     ------
     NotEnoughDataError
         Fewer than two usable hours.
+    InputError
+        `data` is not the result of `load_pairs`.
 
     Examples
     --------
@@ -224,7 +226,10 @@ def fit(
     'transport'
     """
     from fieldlum.learn import train
+    from fieldlum.learn.models.data import Dataset
 
+    if not isinstance(data, Dataset):
+        raise InputError("data", f"{data!r:.60}", "pairs from fieldlum.load_pairs", "call it first")
     with nullcontext(out) if out is not None else TemporaryDirectory() as where:
         folder = path_of(where, "out")
         with shown_by(progress):

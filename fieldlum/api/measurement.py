@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from datetime import UTC, date, datetime
 from pathlib import Path
 
-from fieldlum.core.errors import InputError
+from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.progress import Progress, quiet, shown_by
 from fieldlum.core.records import JsonTable, Panorama, Site, SiteFile
 from fieldlum.merge import MergeResult
@@ -179,6 +179,9 @@ def write_panorama(file: str | Path, panorama: Panorama) -> None:
             " or ".join(PANORAMA_SUFFIXES),
             "give the file one of these suffixes",
         )
+    if not isinstance(panorama, Panorama):
+        found = f"a value of type {type(panorama).__name__}"
+        raise InputError(path, found, "a Panorama", "pass fieldlum.Panorama(map, heading_deg)")
     height, width = panorama.luminance_cdm2.shape
     if width != 2 * height:
         raise InputError(
@@ -297,6 +300,9 @@ def plan_captures(
     """
     from fieldlum import plan
 
+    for name, day in (("start", start), ("today", today)):
+        if not isinstance(day, date | None):
+            raise InputError(name, repr(day), "a datetime.date", "pass date(2027, 3, 20)")
     setup = site if isinstance(site, SiteFile) else load_site(site)
     counted_from = today or plan.today_at(setup.site, datetime.now(UTC))
     request = plan.Request(capture_set, counted_from, start, year, days, count)
@@ -353,6 +359,7 @@ def merge_frames(
 
     if not isinstance(camera, CameraProfile):
         camera = load_camera_profile(camera)
+    files = [files] if isinstance(files, str | Path) else files
     shots = merge.shots_of_files([path_of(f) for f in files], camera.camera.fixed_f_number)
     options = merge.MergeOptions(height=height, fit=fit)
     with shown_by(progress):
@@ -391,6 +398,9 @@ def evaluate_glare(
     """
     from fieldlum.year.glare.single import panorama_glare, picture_glare
 
+    expected, remedy = "azimuths in degrees, such as [180.0]", "pass numbers"
+    with input_errors("view_azimuths_deg", expected, remedy, TypeError, ValueError):
+        azimuths = [float(azimuth) for azimuth in view_azimuths_deg]
     if isinstance(picture, Panorama):
-        return panorama_glare(picture, view_azimuths_deg)
-    return picture_glare(path_of(picture, "picture"), view_azimuths_deg)
+        return panorama_glare(picture, azimuths)
+    return picture_glare(path_of(picture, "picture"), azimuths)

@@ -365,18 +365,22 @@ class Circle(NamedTuple):
     edge: Array
 
 
-def circle(picture: NDArray[np.uint8], lens: Lens, source: Path | str = "circle") -> Circle:
+def circle(
+    picture: NDArray[np.uint8], lens: Lens, source: Path | str = "circle", *, guessed: bool = False
+) -> Circle:
     """Find the lens's image circle in a picture [h, w] of 8-bit grey of an evenly lit field.
 
     The search begins at the circle of `lens`, first widely, then closely. The edge is the place
     where linear light is half way between the light just inside the circle and the darkest place
-    outside, along 720 rays. source : the file, for errors. Raises InputError if over a tenth of the
-    rays have no edge on the circle (in a picture of a room, its edges look like the circle's), and
-    for a circle whose centre or radius differs from that of `lens` by over 15 % of the radius.
+    outside, along 720 rays. source : the file, for errors. guessed : the circle of `lens` was never
+    measured, and the search begins at the bright area instead. Raises InputError if over a tenth of
+    the rays have no edge on the circle (in a picture of a room, its edges look like the circle's),
+    and for a circle whose centre or radius differs from where the search began by over 15 % of the
+    radius.
     """
     from scipy.optimize import least_squares
 
-    start = np.array([*lens.centre_px, lens.radius_px])
+    start = _bright_area(picture) if guessed else np.array([*lens.centre_px, lens.radius_px])
     place, edge, on_circle, off = start, np.empty((2, 0)), 0.0, np.empty(0)
 
     def misses(p: Array) -> Array:
@@ -391,19 +395,28 @@ def circle(picture: NDArray[np.uint8], lens: Lens, source: Path | str = "circle"
         off = misses(place)
         # Evenly lit fields have a share of 1.0, six exposures of a real room at most 0.71.
         on_circle = (np.abs(off) < max(0.005 * place[2], 2.0)).sum() / rays
-    change = max(np.hypot(*(place - start)[:2]), abs(place[2] - start[2])) / lens.radius_px
+    change = max(np.hypot(*(place - start)[:2]), abs(place[2] - start[2])) / start[2]
     if on_circle < 0.9 or change > _MAX_CHANGE:
         x, y, radius = start
-        profile = f"the profile's circle at {x:.0f}, {y:.0f} px, radius {radius:.0f} px"
-        finding = f"{100 * on_circle:.0f} % of the edge of a circle, near {profile}"
-        near = f"within {100 * _MAX_CHANGE:.0f} % of the profile's"
+        whose = "the bright area" if guessed else "the profile's circle"
+        place_text = f"{whose} at {x:.0f}, {y:.0f} px, radius {radius:.0f} px"
+        finding = f"{100 * on_circle:.0f} % of the edge of a circle, near {place_text}"
+        near = f"within {100 * _MAX_CHANGE:.0f} % of {whose}"
         remedy = (
             "hold white paper in front of the lens for one frame without clipping that shows the "
-            "circle; if the profile's numbers are a guess, first write nearer ones into it"
+            "circle"
         )
         raise InputError(source, finding, f"an evenly lit circle on black, {near}", remedy)
     x, y, radius = place.tolist()
     return Circle((x, y), radius, float(np.hypot(robust_sigma(off, 0.0), 1.0)), edge)
+
+
+def _bright_area(picture: NDArray[np.uint8]) -> Array:
+    """Return centre x, y and radius [px] of a disc as large as the bright area."""
+    light = (picture / 255.0) ** 2.2
+    low, high = np.percentile(light, (1.0, 99.0))
+    rows, columns = np.nonzero(light >= (low + high) / 2)
+    return np.array([columns.mean() + 0.5, rows.mean() + 0.5, np.sqrt(len(rows) / np.pi)])
 
 
 def _edge_points(picture: NDArray[np.uint8], around: Array, reach: float) -> tuple[Array, int]:

@@ -65,7 +65,8 @@ def _adopt_card(session: Session, folder: Path, utc_offset_s: float | None) -> R
     clocks: list[tuple[list[Group], Offset]] = []
     notes: list[str] = []
     refused: list[InputError] = []
-    for part in _parts(groups, slots, utc_offset_s):
+    zone = setup.site.timezone
+    for part in _parts(groups, slots, utc_offset_s, zone):
         try:
             offset = match_card.clock_offset(part, slots, setup, utc_offset_s)
         # The error of one campaign: a wrong date, or brackets of another plan.
@@ -75,7 +76,8 @@ def _adopt_card(session: Session, folder: Path, utc_offset_s: float | None) -> R
             left_out.append(f"{whose}: {error.found}; {error.remedy}")
             continue
         clocks.append((part, offset))
-        notes += [match_card.exif_note(part, utc_offset_s), match_card.doubt(part, slots, offset)]
+        notes.append(match_card.exif_note(part, utc_offset_s))
+        notes.append(match_card.doubt(part, slots, offset, zone))
     matches, others = match_card.match_groups(clocks, slots)
     left_out += [f"{_range(group)}: {why}" for group, why in others]
     if not matches:
@@ -126,7 +128,7 @@ def _brackets(
 
 
 def _parts(
-    groups: Sequence[Group], slots: Sequence[Slot], utc_offset_s: float | None
+    groups: Sequence[Group], slots: Sequence[Slot], utc_offset_s: float | None, zone: str
 ) -> list[list[Group]]:
     """Return the brackets in parts between which the camera's clock was set.
 
@@ -137,7 +139,8 @@ def _parts(
         return parts
     pieces: list[list[Group]] = []
     for part in parts:
-        pieces += [part] if match_card.states_utc(part) else match_card.clock_parts(part, slots)
+        one = match_card.states_utc(part)
+        pieces += [part] if one else match_card.clock_parts(part, slots, zone)
     return pieces
 
 

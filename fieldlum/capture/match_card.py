@@ -17,6 +17,7 @@ import numpy as np
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure, SiteFile, Slot, utc_text
 from fieldlum.optics.photometry import same_exposure
+from fieldlum.sky import sun
 
 # Each limit is chosen between the two cases that it must separate.
 WITHIN_S = 1200.0  # a bracket started by hand further from its slot belongs to another hour
@@ -273,6 +274,9 @@ _HOURS = range(-26, 27)  # civil time zones span UTC-12 to UTC+14: two of them d
 # A change of the clock counts only if it brings this many more brackets to slots. Not measured: two
 # brackets can be early or late by chance.
 _EVIDENCE = 3
+# By as much as civil time, and near its change, people set clocks: one bracket is enough. Chosen.
+_CIVIL_EVIDENCE = 0.5
+_CIVIL_NEAR = timedelta(hours=36)  # a day, and half a day for a clock that may be UTC
 
 
 def clock_offset(
@@ -291,6 +295,11 @@ def clock_offset(
     else:
         start = find_offset(groups, slots, _expected_s(groups, slots, setup))
     if start is not None:
+        zone, days = setup.site.timezone, (groups[0].t_camera.date(), groups[-1].t_camera.date())
+        if start.how.startswith("assumed") and (changes := sun.clock_changes(*days, zone)):
+            when = f"{changes[0][0].astimezone(ZoneInfo(zone)):%Y-%m-%d}"
+            how = f"{start.how}; on {when} civil time changed: was the camera's clock set then?"
+            start = replace(start, how=how)
         return refine_offset(groups, slots, start)
     if fitting_offsets(groups, slots):
         found = "several UTC offsets of the camera's clock fit the plan equally well"
@@ -367,35 +376,50 @@ def _expected_s(groups: Sequence[Group], slots: Sequence[Slot], setup: SiteFile)
     return [offset.total_seconds() for offset in (*likely, timedelta())]
 
 
-def clock_parts(groups: Sequence[Group], slots: Sequence[Slot]) -> list[list[Group]]:
+def clock_parts(groups: Sequence[Group], slots: Sequence[Slot], zone: str) -> list[list[Group]]:
     """Split the brackets, in order of time, at days where the camera's clock was set by hours.
 
     An example is daylight saving time. With hourly slots such a change is hard to see: brackets
     that are an hour off match the neighbouring slots, except at the ends of a day. Return the
     fewest parts that the brackets support: each change must bring at least three more brackets near
-    slots. groups: not empty.
+    slots, or one if civil time in `zone` (IANA name) changed as much within 36 h. groups: not
+    empty.
     """
     days = split_at_gaps(groups, _NIGHT_S)
     # The minutes of the quarter of an hour that fits all brackets best, and each full hour.
     base = next(iter(fitting_offsets(groups, slots)), 0.0) % 3600.0
     hits = [[_near(day, slots, base + 3600.0 * hour) for hour in _HOURS] for day in days]
-    path = _steadiest(np.array(hits))
+    civil_h = [
+        _civil_h(after[0], zone, _CIVIL_NEAR) - _civil_h(before[-1], zone, -_CIVIL_NEAR)
+        for before, after in pairwise(days)
+    ]
+    path = _steadiest(np.array(hits), civil_h)
     starts = [k for k in range(len(days)) if k == 0 or path[k] != path[k - 1]]
     return [list(chain(*days[a:b])) for a, b in pairwise([*starts, len(days)])]
 
 
-def _steadiest(hits: np.ndarray) -> list[int]:
+def _civil_h(group: Group, zone: str, later: timedelta) -> int:
+    """Return civil time minus UTC, in full hours, at `later` after a bracket."""
+    moment = (group.t_camera + later).astimezone(ZoneInfo(zone))
+    return round((moment.utcoffset() or timedelta()) / timedelta(hours=1))
+
+
+def _steadiest(hits: np.ndarray, civil_h: Sequence[int]) -> list[int]:
     """Return the best offset of each day, as an index of hours.
 
     hits [days, hours]: numbers of brackets near slots. Their sum is maximised, minus `_EVIDENCE`
-    for each change between days.
+    for each change between days, or `_CIVIL_EVIDENCE` for one that equals `civil_h` [days - 1].
     """
     value, came = hits[0].astype(float), []
-    for day in hits[1:]:
+    stay = np.arange(len(value))
+    for day, civil in zip(hits[1:], civil_h, strict=True):
         best = int(np.argmax(value))
-        change = value[best] - _EVIDENCE >= value
-        came.append(np.where(change, best, np.arange(len(value))))
-        value = np.where(change, value[best] - _EVIDENCE, value) + day
+        origin = np.where(value[best] - _EVIDENCE >= value, best, stay)
+        reached = np.maximum(value[best] - _EVIDENCE, value)
+        before = np.clip(stay - civil, 0, len(value) - 1)
+        follows = (civil != 0) & (value[before] - _CIVIL_EVIDENCE > reached)
+        came.append(np.where(follows, before, origin))
+        value = np.where(follows, value[before] - _CIVIL_EVIDENCE, reached) + day
     path = [int(np.argmax(value))]
     for previous in reversed(came):
         path.append(int(previous[path[-1]]))
@@ -421,11 +445,11 @@ def clock_steps(clocks: Sequence[tuple[Sequence[Group], Offset]]) -> list[str]:
     ]
 
 
-def doubt(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset) -> str:
+def doubt(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset, zone: str) -> str:
     """Return why the plan contradicts a clock offset, or "".
 
     Two errors are detected: an offset that is wrong by full hours, up to 26 (time zone or date),
-    and a clock that was set between brackets. groups: in order of time.
+    and a clock that was set between brackets. groups: in order of time; zone: IANA name.
     """
     shifts = [3600.0 * hour for hour in _HOURS]
     hits = [_near(groups, slots, offset.seconds + s) for s in shifts]
@@ -436,7 +460,7 @@ def doubt(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset) -> str
             f"brackets are near slots; with an offset changed by {shifts[best] / 3600:+g} h it "
             f"would be {hits[best]}: check the camera's clock and date, and state --utc-offset"
         )
-    if len(parts := clock_parts(groups, slots)) == 1:
+    if len(parts := clock_parts(groups, slots, zone)) == 1:
         return ""
     last, first = parts[0][-1].frames[0].path, parts[1][0].frames[0].path
     return (

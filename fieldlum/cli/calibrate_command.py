@@ -186,7 +186,7 @@ def _by_circle(frame: Path, profile: CameraProfile, index: int) -> FittedPart:
     start = profile.lens[index]
     grey = lenses.grey_picture(frame)
     check_frame(frame, grey.shape, "", profile)
-    found = lenses.circle(grey, start, frame)
+    found = lenses.circle(grey, start, frame, guessed=not profile.camera.date)
     (x, y), radius_px = found.centre_px, found.radius_px
     new = replace(start, centre_px=(round(x, 2), round(y, 2)), radius_px=round(radius_px, 2))
     changed, chart = _with_lens(profile, index, new), lenses.circle_chart(found, frame)

@@ -261,6 +261,7 @@ def _write_own_camera(path: Path, start: str, photo: Path | None) -> None:
     from fieldlum.optics.profiles import load_camera_profile, save_profile, uncalibrated_text
 
     profile = started_profile(load_camera_profile(start), start)
+    before = profile.camera
     if photo is not None:
         profile = _of_photo(profile, photo)
     save_profile(path, profile)
@@ -270,6 +271,13 @@ def _write_own_camera(path: Path, start: str, photo: Path | None) -> None:
     click.echo(f"note: {uncalibrated_text(profile)}")
     if photo is None:
         click.echo("note: size and camera are those of the start: state a frame with --photo")
+    elif before.model != body.model:
+        circle = f"{', '.join(f'{lens.radius_px:.0f}' for lens in profile.lens)} px"
+        click.echo(
+            f"note: the image circle's radius of {circle} is that of a {before.model}, scaled by "
+            "the picture's height: wrong for a sensor of another size until fieldlum calibrate "
+            "lens --circle"
+        )
     click.echo(
         f'next: fieldlum calibrate lens -h, then profile = "{path}" under [camera] in SITE.toml'
     )

@@ -32,6 +32,8 @@ from fieldlum.sky import sun
 from fieldlum.sky.daylight import Light
 from fieldlum.sky.log_clock_offset import lit_at_night
 
+_CLIPPED_PERCENT = 50.0  # more of the view says little about the room; chosen
+
 
 @dataclass(frozen=True, slots=True)
 class BracketInterval:
@@ -41,7 +43,7 @@ class BracketInterval:
     meter_lx: reading of an illuminance meter, None without one. complete: whether no frame is
     missing or unreadable. frames: sha256 of each frame. double_of: id of another slot with the same
     frames, or "". sun_u_percent: uncertainty of the sun's illuminance because few pixels on the
-    disc are usable.
+    disc are usable. clipped_percent: share of the view that is clipped in every frame.
     """
 
     slot: str
@@ -53,6 +55,7 @@ class BracketInterval:
     frames: frozenset[str] = frozenset()
     double_of: str = ""
     sun_u_percent: float = 0.0
+    clipped_percent: float = 0.0
 
     @property
     def t_utc(self) -> datetime:
@@ -80,6 +83,7 @@ def _taken(session: Session, path: Path) -> BracketInterval:
     capture = CaptureFile.find(session.capture_file(slot))
     sidecar = Sidecar.find(session.sidecar(slot))
     sun_u_percent = sidecar.sun.u_mosaic_percent if sidecar and sidecar.sun else 0.0
+    clipped_percent = (sidecar.report.clipped_percent if sidecar else None) or 0.0
     complete = not (sidecar and sidecar.report.lost)
     if capture is None:
         middle = (sidecar.t_utc if sidecar else None) or _slot_time(path)
@@ -89,9 +93,8 @@ def _taken(session: Session, path: Path) -> BracketInterval:
         opened, closed, meter_lx = capture.t_open_utc, capture.t_close_utc, capture.illuminance_lx
         frames, complete = capture.frames, complete and capture.complete
     hashes = frozenset(frame.sha256 for frame in frames if frame.sha256)
-    return BracketInterval(
-        slot, path, opened, closed, meter_lx, complete, hashes, sun_u_percent=sun_u_percent
-    )
+    taken = BracketInterval(slot, path, opened, closed, meter_lx, complete, hashes)
+    return replace(taken, sun_u_percent=sun_u_percent, clipped_percent=clipped_percent)
 
 
 def _slot_time(path: Path) -> datetime:
@@ -117,6 +120,9 @@ def judge(
             "offsets; import it again with the right --utc-offset, which removes the wrong one, "
             "then merge and pair again"
         )
+    elif not why and bracket.clipped_percent > _CLIPPED_PERCENT:
+        clipped = f"{bracket.clipped_percent:.0f} % of the view are clipped in every frame"
+        why = f"{clipped}: frames are missing, or the shortest is too long"
     elif not why and altitude_deg < 0.0:
         why = "the sun is below the horizon"
     elif not why and sun.too_weak(light.ghi_wm2, altitude_deg, top_wm2):

@@ -13,11 +13,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fieldlum.core.arrays import Floats, Mask
+from fieldlum.core.errors import InputError
 from fieldlum.core.records import Site, Slot
 from fieldlum.sky import sun
 from fieldlum.weather import Weather
 
 # Days of docs/planning.md.
+DAY_SETS = ("even", "best")
 EVENT_SETS = {"9-day": ((0, 1, 3), 1), "12-day": ((0, 1, 2, 3), 1), "4-day": ((0, 1, 2, 3), 0)}
 "Set: (seasons, days before and after the event)."
 SEASON_TAGS = ("march-equinox", "june-solstice", "september-equinox", "december-solstice")
@@ -99,8 +101,9 @@ def set_days(
     is of `year`, or else the next whose days are not before `start` (or `today`).
 
     month: `days` (default 31) from `start`; or centred on the March equinox of `year`, or on the
-    next March or September equinox for which no day is before `today`. Other sets: `days` (default
-    365) from `start`, else from 1 January of `year`, else from `today`.
+    next March or September equinox for which no day is before `today`. even, best: `days` (default
+    365) from `start`, else from 1 January of `year`, else from `today`. Raises InputError for
+    another name.
     """
     if name in EVENT_SETS:
         seasons, margin = EVENT_SETS[name]
@@ -113,6 +116,9 @@ def set_days(
         equinoxes, half = (0,) if year is not None else (0, 2), count // 2
         middle = _event_dates(equinoxes, half, today, year, site)[0]
         return span(middle - timedelta(days=half), count)
+    if name not in DAY_SETS:
+        sets = ", ".join((*EVENT_SETS, "month", *DAY_SETS))
+        raise InputError("capture_set", repr(name), f"one of {sets}", "correct the name")
     first = start or (date(year, 1, 1) if year is not None else today)
     return span(first, days or 365)
 

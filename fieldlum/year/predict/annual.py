@@ -67,7 +67,8 @@ def dataset_of(
         for dimensions, table in (("time", hours), (("time", "azimuth"), views))
         for name, values in table.items()
     }
-    return xr.Dataset(figures, {"time": time_coordinate(t_utc), "azimuth": azimuth})
+    coordinates = {"time": time_coordinate(t_utc), "azimuth": azimuth}
+    return xr.Dataset(figures, coordinates).sortby("azimuth")  # as its plots need
 
 
 @dataclass(frozen=True, slots=True)

@@ -188,9 +188,10 @@ def map_coordinates(
     """Return xarray coordinates of maps [n, height, 2 height].
 
     Keys: time (UTC), y (altitude of each row, deg), x (azimuth of each column, deg clockwise from
-    true north); values: (dimension, array, attributes). heading_deg: azimuth of the centre column.
+    true north, from 360 on after it, so that they ascend as xarray's plots need); values:
+    (dimension, array, attributes). heading_deg: azimuth of the centre column.
     """
-    azimuths = column_azimuths_deg(2 * height, heading_deg)
+    azimuths = np.unwrap(column_azimuths_deg(2 * height, heading_deg), period=360.0)
     return {
         "time": time_coordinate(t_utc),
         "y": ("y", row_altitudes_deg(height), {"units": "degree", "long_name": "altitude"}),
