@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 
 from fieldlum.core.records import CameraSetup, Site, SiteFile
 from fieldlum.learn.models import trusted_hours
-from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.mirrors import split_images
+from fieldlum.learn.models.training_data import Dataset
 from fieldlum.learn.train import fit_timed
 from fieldlum.sky.sun_disc import add_disc
 from fieldlum.year.glare.metrics import glare_directions

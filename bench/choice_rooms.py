@@ -26,8 +26,8 @@ from scene_rooms import measured, with_box
 from fieldlum import plan
 from fieldlum.core.records import CameraSetup, Obstruction, Room, Site, SiteFile, Window
 from fieldlum.learn import models
-from fieldlum.learn.models.data import Dataset, load_pairs
 from fieldlum.learn.models.held_out_choice import CRITERIA, beam_is_uncertain
+from fieldlum.learn.models.training_data import Dataset, load_pairs
 from fieldlum.learn.train import choose_model, day_folds, evaluate_folds, notes_of
 from fieldlum.room import simulate
 from fieldlum.session import open_session

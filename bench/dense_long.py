@@ -15,7 +15,7 @@ from pathlib import Path
 
 from fieldlum.core.progress import shown_by
 from fieldlum.learn import models
-from fieldlum.learn.models.data import load_pairs
+from fieldlum.learn.models.training_data import load_pairs
 
 
 def main() -> None:

@@ -23,13 +23,13 @@ from pathlib import Path
 import numpy as np
 
 from fieldlum.learn import models
-from fieldlum.learn.models.data import load_pairs
+from fieldlum.learn.models.training_data import load_pairs
 from fieldlum.room.scene import sun_patches
 from fieldlum.sky.daylight import Light
 from fieldlum.weather import read_weather, shipped_seattle
 from fieldlum.year.glare.pictures import panorama_to_fisheye, reference_glare, reference_version
 from fieldlum.year.glare.sources import view_azimuths_deg
-from fieldlum.year.predict.blocks import HourJudge, ModelRoom, blocks
+from fieldlum.year.predict.hour_blocks import HourJudge, ModelRoom, blocks
 from fieldlum.year.predict.year import light_of
 
 

@@ -38,8 +38,8 @@ from fieldlum.bench import markdown
 from fieldlum.core.arrays import Floats
 from fieldlum.core.records import Slot
 from fieldlum.learn.models import fit
-from fieldlum.learn.models.data import Dataset, load_pairs
 from fieldlum.learn.models.scores import evaluate, summary, truth
+from fieldlum.learn.models.training_data import Dataset, load_pairs
 from fieldlum.learn.train import held_out_warnings, model_notes
 from fieldlum.learn.train.outliers import without_changes
 from fieldlum.optics.images import write_panorama
@@ -51,7 +51,7 @@ from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.site_toml import load_site
 from fieldlum.sky import sun
 from fieldlum.sky.daylight import light_at
-from fieldlum.sky.sky_view.disc import disc_lx
+from fieldlum.sky.sky_view.visible_disc import disc_lx
 from fieldlum.year.glare.metrics import glare_directions
 from fieldlum.year.glare.sources import panorama_views, view_azimuths_deg
 

@@ -15,7 +15,7 @@ import argparse
 import numpy as np
 
 from fieldlum.merge.estimator import merge_signals
-from fieldlum.merge.frames import RawSignal
+from fieldlum.merge.linear_frames import RawSignal
 from fieldlum.merge.ratios import bracket_pairs, fit_ratios, take_samples
 from fieldlum.optics.photometry import prior_u_log, true_times_s
 

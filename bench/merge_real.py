@@ -29,7 +29,7 @@ from fieldlum.calibrate.response import residuals
 from fieldlum.core.records import Flag
 from fieldlum.merge import MergeOptions, files_to_picture
 from fieldlum.merge.estimator import merge_signals
-from fieldlum.merge.frames import JpegSignal
+from fieldlum.merge.linear_frames import JpegSignal
 from fieldlum.merge.shift import shifts
 from fieldlum.optics.images import read_radiance_hdr
 from fieldlum.optics.photometry import dark_floor, fit_response, true_times_s

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from fieldlum.learn import models
-from fieldlum.learn.models.data import load_pairs
+from fieldlum.learn.models.training_data import load_pairs
 from fieldlum.sky.sun_disc import add_disc
 
 

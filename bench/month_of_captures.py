@@ -25,7 +25,7 @@ import numpy as np
 from fieldlum.core.records import Slot
 from fieldlum.learn import models, train
 from fieldlum.learn.models import camera_turns
-from fieldlum.learn.models.data import load_pairs
+from fieldlum.learn.models.training_data import load_pairs
 from fieldlum.optics.profiles import shipped
 from fieldlum.room import simulate
 from fieldlum.session.files.pairs_csv import PairsFile

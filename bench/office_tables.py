@@ -17,8 +17,8 @@ from typing import Any
 
 from fieldlum.bench import machine, markdown, speed_accuracy
 from fieldlum.bench.score_rows import parse_specs, score_row, without_training_hours
-from fieldlum.learn.models.data import load_pairs
 from fieldlum.learn.models.scores import truth
+from fieldlum.learn.models.training_data import load_pairs
 
 COLUMNS = (
     "set",

@@ -11,10 +11,10 @@ import numpy as np
 from fieldlum.core.arrays import Floats
 from fieldlum.learn import models
 from fieldlum.learn.models import Fitted
-from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.models.training_data import Dataset
 from fieldlum.year.glare.sources import view_azimuths_deg
 from fieldlum.year.glare.standards import class_of, exceeded_in_share, protection
-from fieldlum.year.predict.blocks import measure, room_of
+from fieldlum.year.predict.hour_blocks import measure, room_of
 from fieldlum.year.predict.occupancy import default_occupancy
 
 TOLERANCE = 1e-3  # of DGP: half a digit of what a report prints

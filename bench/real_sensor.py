@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from fieldlum.calibrate import sensor as linearity
 from fieldlum.core.records import Exposure
 from fieldlum.merge.estimator import Merged, merge_signals
-from fieldlum.merge.frames import Crop, RawSignal, Saturation, load_raw
+from fieldlum.merge.linear_frames import Crop, RawSignal, Saturation, load_raw
 from fieldlum.merge.shots import Shot
 from fieldlum.optics.linear_light import curve_u_rel
 from fieldlum.optics.profiles import Bracket, CameraBody, CameraProfile, Lens, Sensor

@@ -27,8 +27,8 @@ from scene_judge import fitted as with_fitted
 from scene_rooms import with_box
 
 from fieldlum.learn.models import fit
-from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.scores import evaluate, summary, truth
+from fieldlum.learn.models.training_data import Dataset
 from fieldlum.room.fit.apply_scene import with_scene
 from fieldlum.room.fit.evidence import PIXELS
 from fieldlum.room.fit.fit import fit_scene

@@ -26,7 +26,7 @@ from scene_rooms import load, measured, with_box
 from fieldlum.core.errors import FieldlumError
 from fieldlum.core.records import Room
 from fieldlum.learn.models import trusted_hours
-from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.models.training_data import Dataset
 from fieldlum.learn.transport import fit
 from fieldlum.optics.projection import equirect_solid_angles
 from fieldlum.room.fit.apply_scene import earlier, with_patches, with_scene

@@ -35,7 +35,7 @@ from troubles import (
 
 from fieldlum import plan
 from fieldlum.core.records import CameraSetup, Room, Site, SiteFile, Slot, Window, slot_id
-from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.models.training_data import Dataset
 from fieldlum.optics.projection import rotation
 from fieldlum.room import simulate
 from fieldlum.room.fit.apply_scene import with_patches

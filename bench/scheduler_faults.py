@@ -41,7 +41,7 @@ from fieldlum.core.scheduler import (
     run_units,
 )
 from fieldlum.learn import models
-from fieldlum.learn.models.data import load_pairs
+from fieldlum.learn.models.training_data import load_pairs
 from fieldlum.optics.profiles import save_profile, shipped
 from fieldlum.room import simulate
 from fieldlum.session import Session, create_session

@@ -36,10 +36,10 @@ from fieldlum.room import simulate
 from fieldlum.room.scene import build, disc_visibility
 from fieldlum.room.simulate.fine_windows import fine_windows
 from fieldlum.sky.daylight import Light, light_at
-from fieldlum.sky.sky_view.disc import disc_of_hours, drawn_shares
-from fieldlum.sky.sky_view.estimate import Captured, estimate
+from fieldlum.sky.sky_view.estimate_from_captures import Captured, estimate
 from fieldlum.sky.sky_view.measured_discs import MeasuredDiscs
 from fieldlum.sky.sky_view.pose import pose_of_discs
+from fieldlum.sky.sky_view.visible_disc import disc_of_hours, drawn_shares
 from fieldlum.year.glare.metrics import glare_directions
 from fieldlum.year.glare.sources import panorama_views
 

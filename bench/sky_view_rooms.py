@@ -20,9 +20,9 @@ from typing import Any
 
 import numpy as np
 
-from fieldlum.learn.models.data import Dataset, load_pairs, with_sky_view
-from fieldlum.sky.sky_view.disc import disc_of_hours, drawn_discs_lx
+from fieldlum.learn.models.training_data import Dataset, load_pairs, with_sky_view
 from fieldlum.sky.sky_view.view import SkyView
+from fieldlum.sky.sky_view.visible_disc import disc_of_hours, drawn_discs_lx
 from fieldlum.year.glare.metrics import glare_directions
 from fieldlum.year.glare.sources import panorama_views, view_azimuths_deg
 

@@ -23,7 +23,7 @@ from scene_judge import draw_pixels, exact_pair, user_of
 from scene_rooms import with_box
 
 from fieldlum.learn import transport
-from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.models.training_data import Dataset
 
 COUNTS = (2, 4, 9)
 SCORED = 300  # pixels

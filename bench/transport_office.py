@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.core.records import CameraSetup, Room, Site, SiteFile, Window, slot_id
-from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.models.training_data import Dataset
 from fieldlum.learn.transport import Transport, fit
 from fieldlum.optics.projection import equirect_solid_angles
 from fieldlum.room.scene import sun_patches

@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from fieldlum.core.records import Obstruction, Room, slot_id
-from fieldlum.learn.models.data import Dataset, load_pairs
+from fieldlum.learn.models.training_data import Dataset, load_pairs
 from fieldlum.learn.transport import fit
 from fieldlum.optics.projection import equirect_solid_angles
 from fieldlum.session.files.pairs_csv import PairsFile

@@ -23,8 +23,8 @@ from fieldlum.bench.score_rows import ERRORS, Spec, parse_specs
 from fieldlum.core.arrays import Mask
 from fieldlum.core.plot_style import GRID, open_axes
 from fieldlum.core.progress import progress
-from fieldlum.learn.models.data import Dataset, load_pairs
 from fieldlum.learn.models.scores import evaluate, summary, truth
+from fieldlum.learn.models.training_data import Dataset, load_pairs
 from fieldlum.learn.train import fit_timed, patch_mode
 from fieldlum.session.files.model_files import ScoreFigures
 

@@ -170,7 +170,7 @@ def run(
     """
     from fieldlum import merge, pair, report
     from fieldlum.learn import train
-    from fieldlum.learn.models.data import load_pairs
+    from fieldlum.learn.models.training_data import load_pairs
     from fieldlum.pair import irradiance
     from fieldlum.room import simulate
     from fieldlum.year import predict

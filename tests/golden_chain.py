@@ -22,7 +22,7 @@ import numpy as np
 
 from fieldlum import demo, merge, pair, plan
 from fieldlum.learn import models, train
-from fieldlum.learn.models.data import load_pairs
+from fieldlum.learn.models.training_data import load_pairs
 from fieldlum.optics.profiles import shipped
 from fieldlum.pair import irradiance
 from fieldlum.room import simulate

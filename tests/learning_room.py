@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from fieldlum.core.records import CameraSetup, Panorama, Site, SiteFile, utc_text
-from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.models.training_data import Dataset
 from fieldlum.optics.images import write_panorama
 from fieldlum.optics.projection import equirect_rays
 from fieldlum.sky import sun

@@ -9,7 +9,7 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 
 from fieldlum.core.records import CameraSetup, Room, Site, SiteFile, Window, slot_id
-from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.models.training_data import Dataset
 from fieldlum.room.fit.guess import Guess, guess_of
 from fieldlum.room.scene import sun_patches
 from fieldlum.room.scene.view import look

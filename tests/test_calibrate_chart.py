@@ -9,7 +9,7 @@ import pytest
 from calibration_frames import CHART_SRGB
 
 from fieldlum.calibrate import colour as chart
-from fieldlum.calibrate.shared import LinearFrame
+from fieldlum.calibrate.fit_steps import LinearFrame
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure
 from fieldlum.optics.photometry import response_table

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from calibration_frames import CHART_SRGB, LENS, PROFILE, SIZE, TRUE_V, raw_frame, relative_angles
 
-from fieldlum.calibrate import colour, shared
+from fieldlum.calibrate import colour, fit_steps
 from fieldlum.calibrate.fit_charts import Place
-from fieldlum.calibrate.shared import LinearFrame, linear_frame, transmission
+from fieldlum.calibrate.fit_steps import LinearFrame, linear_frame, transmission
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Exposure
 from fieldlum.optics.photometry import response_table, vignetting_at
@@ -138,7 +138,7 @@ def test_a_frame_with_several_readings_is_read_once(
         reads.append(path)
         return linear_frame(path, profile)
 
-    monkeypatch.setattr(shared, "linear_frame", counted)
+    monkeypatch.setattr(fit_steps, "linear_frame", counted)
     table = tmp_path / "spots.csv"
     middle = SIZE / 2
     rows = [f"a.dng,{middle},{middle + shift},300" for shift in (-20, 0, 20)]

@@ -13,7 +13,7 @@ from fieldlum.calibrate import sensor as linearity
 from fieldlum.cli.calibrate_command import linearity as command
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Exposure
-from fieldlum.merge.frames import Crop, load_raw
+from fieldlum.merge.linear_frames import Crop, load_raw
 from fieldlum.merge.shots import Shot
 from fieldlum.optics.linear_light import curve_u_rel, linear_counts, true_shutter_s
 from fieldlum.optics.photometry import linearity_factor

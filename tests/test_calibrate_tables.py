@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fieldlum.calibrate import (
+    fit_steps,
     save_calibration,
-    shared,
 )
-from fieldlum.calibrate.shared import read_table
+from fieldlum.calibrate.fit_steps import read_table
 from fieldlum.core.errors import InputError
 from fieldlum.optics.profiles import (
     Response,
@@ -26,7 +26,7 @@ from fieldlum.optics.profiles import (
 def test_the_smallest_of_equals_is_chosen() -> None:
     rng = np.random.default_rng(1)
     noise = rng.chisquare(1, 200)
-    same = shared.choose(
+    same = fit_steps.choose(
         "x",
         [
             ("small", 0, noise * 1.001),
@@ -34,7 +34,7 @@ def test_the_smallest_of_equals_is_chosen() -> None:
         ],
     )
     assert same.index == 0 or "large" in same.line
-    better = shared.choose(
+    better = fit_steps.choose(
         "x",
         [
             ("small", 0, noise * 2),
@@ -42,7 +42,7 @@ def test_the_smallest_of_equals_is_chosen() -> None:
         ],
     )
     assert better.index == 1
-    shuffled = shared.choose(
+    shuffled = fit_steps.choose(
         "x",
         [
             ("small", 0, rng.permutation(noise)),
@@ -57,7 +57,7 @@ def test_the_smallest_of_equals_is_chosen() -> None:
 @settings(deadline=None)
 @given(st.lists(st.integers(0, 60), min_size=2, max_size=80))
 def test_folds_hold_out_every_datum_once(groups: list[int]) -> None:
-    held = np.sum(list(shared.folds(np.array(groups))), axis=0)
+    held = np.sum(list(fit_steps.folds(np.array(groups))), axis=0)
     assert (held == 1).all()
 
 

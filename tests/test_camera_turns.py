@@ -14,7 +14,7 @@ from fieldlum.learn.models.camera_turns import (
     turned_back,
     turned_rays,
 )
-from fieldlum.learn.models.data import Dataset, load_pairs
+from fieldlum.learn.models.training_data import Dataset, load_pairs
 from fieldlum.optics.projection import equirect_rays
 
 HEIGHT, HEADING = 60, 180.0

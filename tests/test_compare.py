@@ -30,8 +30,8 @@ from fieldlum.room.scene.radiance import octree
 from fieldlum.session import Session, create_session
 from fieldlum.session.files.predict_json import PredictFile
 from fieldlum.sky.daylight import light_at
+from fieldlum.year.glare.picture_glare import panorama_glare, picture_glare
 from fieldlum.year.glare.pictures import panorama_to_fisheye
-from fieldlum.year.glare.single import panorama_glare, picture_glare
 from fieldlum.year.predict import Annual
 
 ROOM = Room(

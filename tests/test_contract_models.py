@@ -11,7 +11,7 @@ from fieldlum.cli import main
 from fieldlum.learn import models
 from fieldlum.learn.model_kinds import MODELS
 from fieldlum.session.files.model_files import ModelConfig
-from fieldlum.year.predict.blocks import wants_patch
+from fieldlum.year.predict.hour_blocks import wants_patch
 
 pytestmark = pytest.mark.contract
 

@@ -9,7 +9,7 @@ from learning_room import dataset, write_pairs
 
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Flag, Panorama
-from fieldlum.learn.models.data import _discs, load_pairs
+from fieldlum.learn.models.training_data import _discs, load_pairs
 from fieldlum.optics.images import write_panorama, write_radiance_hdr
 from fieldlum.optics.projection import equirect_rays
 

@@ -21,7 +21,7 @@ from fieldlum.optics.profiles import shipped
 from fieldlum.session import create_session, open_session
 from fieldlum.session.panorama_sun import read_panorama_with_sun
 from fieldlum.session.site_toml import load_site
-from fieldlum.year.glare.single import panorama_glare
+from fieldlum.year.glare.picture_glare import panorama_glare
 
 
 @contextmanager

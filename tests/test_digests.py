@@ -30,7 +30,7 @@ from fieldlum.session.panorama_sun import (
     read_suns,
     write_suns,
 )
-from fieldlum.year.glare.budget import COLUMNS
+from fieldlum.year.glare.uncertainty_budget import COLUMNS
 
 NOON = datetime(2027, 6, 21, 12, tzinfo=UTC)
 

@@ -11,13 +11,13 @@ import pytest
 
 from fieldlum.core.records import Room, SiteFile
 from fieldlum.learn.models import Prediction
-from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.scores import evaluate, summary, truth
+from fieldlum.learn.models.training_data import Dataset
 from fieldlum.optics.profiles import shipped
 from fieldlum.room.scene import build, disc_visibility
 from fieldlum.session.site_toml import load_site
 from fieldlum.sky.daylight import Light, light_at
-from fieldlum.sky.sky_view.disc import disc_lx, disc_source, drawn_discs_lx
+from fieldlum.sky.sky_view.visible_disc import disc_lx, disc_source, drawn_discs_lx
 from fieldlum.weather import shipped_seattle
 from fieldlum.year.glare.metrics import dgp_with_disc, glare_directions, sun_per_lx
 from fieldlum.year.glare.sources import panorama_views

@@ -14,6 +14,7 @@ from fieldlum.cli import main
 from fieldlum.core.records import SunSource
 from fieldlum.optics.images import write_radiance_hdr
 from fieldlum.year.glare.metrics import map_ev_lx, region_ratios, region_weights
+from fieldlum.year.glare.picture_glare import picture_glare
 from fieldlum.year.glare.pictures import (
     PictureView,
     disc_pixels,
@@ -22,7 +23,6 @@ from fieldlum.year.glare.pictures import (
     picture_views,
     reference_glare_of_file,
 )
-from fieldlum.year.glare.single import picture_glare
 
 LEVEL = "-vd 0 -1 0 -vu 0 0 1"
 

@@ -21,8 +21,8 @@ from fieldlum.year.glare.metrics import (
     region_ratios,
     region_weights,
 )
+from fieldlum.year.glare.picture_glare import panorama_glare, picture_glare
 from fieldlum.year.glare.pictures import FISHEYE_VIEW, panorama_to_fisheye, parse_view, read_picture
-from fieldlum.year.glare.single import panorama_glare, picture_glare
 from fieldlum.year.glare.sources import panorama_views
 
 SOUTH = "-vta -vd 0 -1 0 -vu 0 0 1 -vh 180 -vv 180"

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from learning_room import dataset
 
-from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.held_out_choice import (
     UNCERTAIN_WEIGHT,
     HeldOutChoice,
@@ -20,6 +19,7 @@ from fieldlum.learn.models.held_out_choice import (
     trimmed_mean,
 )
 from fieldlum.learn.models.scores import Scores
+from fieldlum.learn.models.training_data import Dataset
 from fieldlum.learn.train import Trial, choose_model, held_out_warnings, notes_of
 
 DAYS = ("2027-03-19", "2027-03-20", "2027-03-21", "2027-06-20", "2027-06-21", "2027-06-22")

@@ -15,7 +15,7 @@ from fieldlum.optics.melanopic import attribute_text
 from fieldlum.session.files.hourly_csv import HOUR_COLUMNS, VIEW_COLUMNS, HourlyFile
 from fieldlum.sky.daylight import Light, light_at
 from fieldlum.sky.daylight_kernel import facades_of
-from fieldlum.year.predict.blocks import measure, room_of
+from fieldlum.year.predict.hour_blocks import measure, room_of
 from fieldlum.year.predict.melanopic import (
     MelanopicYear,
     _parts,

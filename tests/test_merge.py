@@ -21,7 +21,7 @@ from fieldlum.devices.simulated.camera import SimulatedCamera
 from fieldlum.devices.simulated.world import SimulatedLight
 from fieldlum.merge import MergeOptions, MergeResult, Shot, merge_shots
 from fieldlum.merge.estimator import Merged, merge_signals
-from fieldlum.merge.frames import JpegSignal, RawSignal, lens_crop, load_raw
+from fieldlum.merge.linear_frames import JpegSignal, RawSignal, lens_crop, load_raw
 from fieldlum.merge.project import LensView, blend
 from fieldlum.merge.shots import sorted_shots
 from fieldlum.merge.sun_and_sky import disc_px, mosaic_u_rel, take_out_disc

@@ -13,7 +13,7 @@ import pytest
 
 from fieldlum.core.records import Exposure
 from fieldlum.merge.estimator import Rows
-from fieldlum.merge.frames import RawSignal
+from fieldlum.merge.linear_frames import RawSignal
 from fieldlum.merge.project import LensView, blend
 from fieldlum.merge.ratios import fit_ratios, ratio_curve, unexplained
 from fieldlum.merge.shots import U_REPEAT, exposure_covariance

@@ -8,7 +8,7 @@ import pytest
 from fieldlum.core.records import Exposure, Flag
 from fieldlum.merge import merge_sensor
 from fieldlum.merge.estimator import Rows, merge_signals
-from fieldlum.merge.frames import RawSignal
+from fieldlum.merge.linear_frames import RawSignal
 from fieldlum.merge.shots import Shot, sorted_shots
 from fieldlum.optics.photometry import response_table, z_per_cdm2
 from fieldlum.optics.profiles import Bracket, CameraBody, CameraProfile, Lens, Response

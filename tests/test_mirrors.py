@@ -16,7 +16,6 @@ from learning_room import dataset
 
 from fieldlum.core.errors import InputError
 from fieldlum.learn import models
-from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.mirrors import (
     Mirror,
     SunImage,
@@ -28,6 +27,7 @@ from fieldlum.learn.models.mirrors import (
     split_images,
     tolerance_rad,
 )
+from fieldlum.learn.models.training_data import Dataset
 from fieldlum.learn.train import fit_and_score, run
 from fieldlum.optics.projection import altitude_azimuth_deg, direction, equirect_rays
 from fieldlum.session.files.predict_json import PredictFile
@@ -37,7 +37,7 @@ from fieldlum.weather import read_weather
 from fieldlum.year.glare.metrics import glare_directions
 from fieldlum.year.glare.sources import panorama_views
 from fieldlum.year.predict import run as predict
-from fieldlum.year.predict.blocks import HourJudge, blocks, room_of
+from fieldlum.year.predict.hour_blocks import HourJudge, blocks, room_of
 from fieldlum.year.predict.year import light_of
 
 DAYS = ("2027-03-19", "2027-03-21", "2027-05-02", "2027-06-21", "2027-09-24", "2027-10-20")

@@ -14,9 +14,9 @@ from click.testing import CliRunner
 
 from fieldlum import pair
 from fieldlum.cli import main
-from fieldlum.learn.models.data import load_pairs
+from fieldlum.learn.models.training_data import load_pairs
 from fieldlum.session import Session, open_session
-from fieldlum.year.glare.single import picture_glare
+from fieldlum.year.glare.picture_glare import picture_glare
 
 pytestmark = pytest.mark.contract
 

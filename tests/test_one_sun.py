@@ -13,7 +13,7 @@ from learning_room import dataset, write_pairs
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Panorama, Slot, slot_id
 from fieldlum.core.scheduler import LOCAL
-from fieldlum.learn.models.data import load_pairs
+from fieldlum.learn.models.training_data import load_pairs
 from fieldlum.optics.images import read_panorama, write_panorama
 from fieldlum.optics.profiles import shipped
 from fieldlum.pair import BracketInterval, write_patches
@@ -22,7 +22,7 @@ from fieldlum.session import Session, create_session
 from fieldlum.session.site_toml import load_site
 from fieldlum.sky import sun
 from fieldlum.sky.daylight import Light, light_at
-from fieldlum.year.predict.blocks import ModelRoom, blocks
+from fieldlum.year.predict.hour_blocks import ModelRoom, blocks
 
 OFFICE = load_site(shipped("capture_plans") / "seattle-office.toml")
 LOW = datetime(2027, 12, 21, 23, 40, tzinfo=UTC)  # 40 minutes before sunset in Seattle

@@ -22,7 +22,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.io import netcdf_file
 
-from fieldlum.calibrate.shared import read_table as read_readings
+from fieldlum.calibrate.fit_steps import read_table as read_readings
 from fieldlum.capture.logger_import import adopt_rows
 from fieldlum.cli import main
 from fieldlum.core.errors import InputError

@@ -31,7 +31,7 @@ from fieldlum.core.records import (
     slot_id,
     utc_text,
 )
-from fieldlum.learn.models.data import load_pairs
+from fieldlum.learn.models.training_data import load_pairs
 from fieldlum.optics.images import read_panorama, write_panorama
 from fieldlum.pair import irradiance
 from fieldlum.pair.bracket_irradiance import irradiance_during
@@ -43,7 +43,7 @@ from fieldlum.session.files.pairs_csv import PAIR_COLUMNS, PairRow, PairsFile, w
 from fieldlum.session.files.sidecar import warn_if_changed
 from fieldlum.session.panorama_sun import SunRow, read_panorama_with_sun
 from fieldlum.sky import sun
-from fieldlum.year.glare.single import picture_glare
+from fieldlum.year.glare.picture_glare import picture_glare
 
 NOON = datetime(2027, 12, 21, 20, 0, tzinfo=UTC)
 SOUTH = SunSource(18.9, 178.0, 5000.0, 1.0, "clipped")

@@ -28,7 +28,7 @@ from fieldlum.weather import read_weather
 from fieldlum.year.glare import standards
 from fieldlum.year.predict import Annual, read_annual, read_pictures, run
 from fieldlum.year.predict.annual import rounded
-from fieldlum.year.predict.blocks import ModelRoom, blocks
+from fieldlum.year.predict.hour_blocks import ModelRoom, blocks
 from fieldlum.year.predict.occupancy import default_occupancy, occupied_hours, read_occupancy
 from fieldlum.year.predict.year import light_of
 
@@ -330,7 +330,7 @@ def test_the_disc_has_its_own_uncertainty(year: Annual) -> None:
     """A map known exactly leaves only the disc's share."""
     from fieldlum.learn.models import Prediction
     from fieldlum.year.glare.sources import panorama_views
-    from fieldlum.year.predict.blocks import U_DISC, HourBlock, relative_uncertainty
+    from fieldlum.year.predict.hour_blocks import U_DISC, HourBlock, relative_uncertainty
 
     light = DATA.light[[3]]
     maps = np.full((1, *DATA.shape), 50.0, np.float32)

@@ -8,8 +8,8 @@ import pytest
 from learning_room import dataset
 from test_transport import log_mse
 
-from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.held_out_choice import is_badly_measured
+from fieldlum.learn.models.training_data import Dataset
 from fieldlum.learn.train.outliers import (
     Evidence,
     find_changes,

@@ -18,7 +18,7 @@ from fieldlum.core.errors import InputError
 from fieldlum.core.records import Slot
 from fieldlum.core.room_states import merged_state, parse_state
 from fieldlum.learn import models
-from fieldlum.learn.models.data import Dataset, load_pairs
+from fieldlum.learn.models.training_data import Dataset, load_pairs
 from fieldlum.learn.transport import fit
 from fieldlum.session import Journal, Session, create_session, marks, read_journal
 

@@ -11,7 +11,7 @@ from scene_captures import ROOM, window_captures
 
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Site
-from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.models.training_data import Dataset
 from fieldlum.room.fit.checks import check_captures
 from fieldlum.room.fit.misplaced_patches import scan, warnings_of
 from fieldlum.room.fit.stage import run

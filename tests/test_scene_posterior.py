@@ -15,10 +15,10 @@ from fieldlum.core.errors import InputError
 from fieldlum.core.records import CameraSetup, Room, SiteFile, Window
 from fieldlum.learn import models
 from fieldlum.learn.models.baselines import fit_mean
-from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.models.training_data import Dataset
 from fieldlum.room.fit.apply_scene import in_scene
 from fieldlum.room.fit.scene_file import Scene, read_scene, write_scene
-from fieldlum.year.predict.blocks import room_of
+from fieldlum.year.predict.hour_blocks import room_of
 
 ROOM = Room(
     width_m=5.0,

@@ -17,7 +17,7 @@ from scene_captures import ROOM as ONE_PANE
 from fieldlum.cli import main
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Obstruction, Room, Site
-from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.models.training_data import Dataset
 from fieldlum.learn.train.outliers import find_changes
 from fieldlum.room.fit.apply_scene import in_scene, with_scene
 from fieldlum.room.fit.evidence import SceneEvidence, gather, levelled

@@ -11,7 +11,7 @@ from scene_captures import ROOM, window_captures
 
 from fieldlum.bench import score_rows
 from fieldlum.core.records import Room, Site
-from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.models.training_data import Dataset
 from fieldlum.room.fit.apply_scene import with_patches
 from fieldlum.room.fit.stated_box import judge_box, with_judged_box, with_same_box
 

@@ -12,8 +12,8 @@ from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.progress import shown_by
 from fieldlum.core.records import CameraSetup, Room, Site, SiteFile, Window, slot_id
 from fieldlum.learn.models import Prediction, load, save
-from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.scores import YearExpectation, light_of_year
+from fieldlum.learn.models.training_data import Dataset
 from fieldlum.learn.transport import MAX_SHARE, MeanTransport, fit
 from fieldlum.room import scene
 from fieldlum.room.fit import stage

@@ -22,7 +22,7 @@ from fieldlum.core.scheduler import (
     run_units,
 )
 from fieldlum.learn import models
-from fieldlum.learn.models.data import load_pairs
+from fieldlum.learn.models.training_data import load_pairs
 from fieldlum.optics.profiles import save_profile, shipped
 from fieldlum.pair import BracketInterval, write_patches
 from fieldlum.room import simulate

@@ -13,9 +13,9 @@ from places import SEATTLE
 
 from fieldlum.core.records import CameraSetup, Room, SiteFile, Window, slot_id
 from fieldlum.learn.models import Fitted
-from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.models.training_data import Dataset
 from fieldlum.learn.transport import fit
-from fieldlum.learn.transport.arrays import slip_variance
+from fieldlum.learn.transport.training_arrays import slip_variance
 from fieldlum.room.fit.misplaced_patches import Setting, scan, settle, warnings_of
 from fieldlum.room.scene import sun_patches
 from fieldlum.sky import sun

@@ -18,7 +18,7 @@ from fieldlum import weather
 from fieldlum.cli import main
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import CameraSetup, Room, Site, SiteFile, Window
-from fieldlum.learn.models.data import load_pairs
+from fieldlum.learn.models.training_data import load_pairs
 from fieldlum.optics.images import RADIANCE_Y, read_panorama
 from fieldlum.optics.melanopic import sky_xyz
 from fieldlum.optics.profiles import shipped

@@ -16,11 +16,11 @@ from fieldlum.core.errors import InputError
 from fieldlum.core.records import Room, Site, SiteFile, Window
 from fieldlum.optics.projection import rotation
 from fieldlum.sky.daylight import Light, light_at
-from fieldlum.sky.sky_view.disc import disc_lx, disc_of_hours, disc_source, drawn_shares
-from fieldlum.sky.sky_view.estimate import Captured, estimate
+from fieldlum.sky.sky_view.estimate_from_captures import Captured, estimate
 from fieldlum.sky.sky_view.picture import SkyGrid, SkyPicture
 from fieldlum.sky.sky_view.pose import CameraPose
 from fieldlum.sky.sky_view.view import CHANNELS, SkyView
+from fieldlum.sky.sky_view.visible_disc import disc_lx, disc_of_hours, disc_source, drawn_shares
 
 SITE = Site("place", 45.0, 8.0)
 GRID = SkyGrid(32.0, -16.0, 1.0, 180.0, 32, 32)  # 32 x 32 degrees around the south

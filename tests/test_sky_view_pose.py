@@ -13,7 +13,7 @@ from places import SEATTLE
 
 from fieldlum.core.arrays import Floats
 from fieldlum.core.records import Panorama
-from fieldlum.learn.models.data import take_disc_out as take_out_of_map
+from fieldlum.learn.models.training_data import take_disc_out as take_out_of_map
 from fieldlum.merge.sun_and_sky import take_out_disc
 from fieldlum.optics.projection import altitude_azimuth_deg, rotation
 from fieldlum.sky import sun

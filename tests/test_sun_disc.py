@@ -24,7 +24,7 @@ from fieldlum.optics.projection import (
 )
 from fieldlum.sky.sun import SUN_SOLID_ANGLE_SR
 from fieldlum.sky.sun_disc import MIN_DISC_CDM2, add_disc, find_disc, without_disc
-from fieldlum.year.glare.single import picture_glare
+from fieldlum.year.glare.picture_glare import picture_glare
 
 HEADING_DEG = 180.0
 WALL_CDM2, SKY_CDM2 = 60.0, 9000.0

@@ -10,11 +10,11 @@ from scene_captures import SEATTLE, window_captures
 from test_transport import TEST, TRAIN, log_mse, model_of_train
 
 from fieldlum.core.records import Flag, Panorama
-from fieldlum.learn.models.data import joined_counts, load_pairs, pixel_counts
 from fieldlum.learn.models.held_out_choice import light_variance
+from fieldlum.learn.models.training_data import joined_counts, load_pairs, pixel_counts
 from fieldlum.learn.transport import fit
-from fieldlum.learn.transport.arrays import edge_weights, training_arrays_of
 from fieldlum.learn.transport.solve import basis_of, fit_pixels, patch_scale
+from fieldlum.learn.transport.training_arrays import edge_weights, training_arrays_of
 from fieldlum.optics.images import read_panorama, write_panorama
 from fieldlum.room.fit.apply_scene import with_patches
 from fieldlum.room.scene.view import look

@@ -16,9 +16,9 @@ from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.progress import progress, shown_by
 from fieldlum.learn import models, train
 from fieldlum.learn.models import dense
-from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.dense import validation_split
 from fieldlum.learn.models.scores import expect, light_of_year
+from fieldlum.learn.models.training_data import Dataset
 from fieldlum.learn.train import (
     day_folds,
     evaluate_folds,

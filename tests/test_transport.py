@@ -13,10 +13,9 @@ from places import SEATTLE
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import CameraSetup, Room, SiteFile, Window, slot_id
 from fieldlum.learn import models
-from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.models.training_data import Dataset
 from fieldlum.learn.train import model_notes
 from fieldlum.learn.transport import Transport, fit, seasons
-from fieldlum.learn.transport.arrays import computed_light, training_arrays_of
 from fieldlum.learn.transport.physics import physics_of
 from fieldlum.learn.transport.solve import (
     SECOND_NOISE,
@@ -28,6 +27,7 @@ from fieldlum.learn.transport.solve import (
     second_covariance,
     solve,
 )
+from fieldlum.learn.transport.training_arrays import computed_light, training_arrays_of
 from fieldlum.optics.projection import equirect_rays
 from fieldlum.sky.daylight import light_at
 from fieldlum.sky.daylight_kernel import Kernel

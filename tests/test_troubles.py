@@ -11,8 +11,8 @@ from troubles import Trouble, Troubles, true_light
 from fieldlum import plan
 from fieldlum.core.records import slot_id
 from fieldlum.learn import models
-from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.scores import evaluate, summary, truth
+from fieldlum.learn.models.training_data import Dataset
 from fieldlum.learn.train import held_out_warnings
 from fieldlum.learn.transport import Transport
 from fieldlum.optics.profiles import shipped

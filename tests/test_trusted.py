@@ -10,8 +10,8 @@ from learning_room import dataset
 
 from fieldlum.learn import models
 from fieldlum.learn.models import TRUSTED_MSE, Prediction, trusted_hours
-from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.scores import evaluate, summary, truth
+from fieldlum.learn.models.training_data import Dataset
 from fieldlum.learn.train import held_out_warnings
 
 DAYS = ("2027-03-19", "2027-03-20", "2027-03-21", "2027-06-20", "2027-06-21", "2027-06-22")

@@ -13,10 +13,10 @@ from click.testing import CliRunner
 from fieldlum.cli import main
 from fieldlum.core.records import U_PERCENT, Panorama, SunSource
 from fieldlum.optics.images import write_panorama
-from fieldlum.year.glare.budget import Budget, picture_budget, year_budget
 from fieldlum.year.glare.metrics import dgp
-from fieldlum.year.glare.single import panorama_glare
+from fieldlum.year.glare.picture_glare import panorama_glare
 from fieldlum.year.glare.standards import DgpUncertainty, dgp_per_scale, exceeded_in_share
+from fieldlum.year.glare.uncertainty_budget import Budget, picture_budget, year_budget
 
 SCALE, COLOUR, NOISE = 0.03, 0.01, 0.05
 SIZE = (32, 64)

@@ -38,8 +38,8 @@ from fieldlum.year.glare.metrics import (
     unseen_dgp_bounds,
     view_coverage,
 )
+from fieldlum.year.glare.picture_glare import picture_glare
 from fieldlum.year.glare.pictures import parse_view, picture_views
-from fieldlum.year.glare.single import picture_glare
 from fieldlum.year.glare.sources import panorama_views
 from fieldlum.year.predict.year import report_hours
 

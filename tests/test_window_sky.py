@@ -8,11 +8,11 @@ import pytest
 from troubles import Trouble, Troubles, true_light
 
 from fieldlum.core.records import CameraSetup, Site, SiteFile, utc_text
-from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.models.training_data import Dataset
 from fieldlum.learn.train import model_notes
 from fieldlum.learn.train.outliers import find_lamp, process_of
 from fieldlum.learn.transport import fit, from_state
-from fieldlum.learn.transport.arrays import seen_sky, training_arrays_of
+from fieldlum.learn.transport.training_arrays import seen_sky, training_arrays_of
 from fieldlum.optics.projection import equirect_rays
 from fieldlum.sky import sun
 from fieldlum.sky.daylight import Light, light_at

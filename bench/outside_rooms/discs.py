@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.bench.score_rows import load
-from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.scores import Truth, truth
+from fieldlum.learn.models.training_data import Dataset
 from fieldlum.learn.train import fit_timed, patch_mode
 from fieldlum.year.glare.metrics import glare_directions
 

@@ -22,7 +22,7 @@ from make_case import write_case
 from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Mask
-from fieldlum.learn.models.data import Dataset, load_pairs
+from fieldlum.learn.models.training_data import Dataset, load_pairs
 from fieldlum.learn.transport import MeanTransport, fit
 from fieldlum.optics.projection import equirect_solid_angles
 from fieldlum.room.fit import evidence

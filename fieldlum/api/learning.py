@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from fieldlum.learn.models import Fitted, Patch
-    from fieldlum.learn.models.data import Dataset
+    from fieldlum.learn.models.training_data import Dataset
     from fieldlum.session import Session
     from fieldlum.sky.daylight import Light
     from fieldlum.year.predict import Annual
-    from fieldlum.year.predict.blocks import ModelRoom
+    from fieldlum.year.predict.hour_blocks import ModelRoom
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -68,7 +68,7 @@ class RoomModel:
         import xarray as xr
 
         from fieldlum.year.predict.annual import unit_of
-        from fieldlum.year.predict.blocks import blocks, map_coordinates
+        from fieldlum.year.predict.hour_blocks import blocks, map_coordinates
 
         parts = list(blocks(self.fitted, self.room, self._checked(light)))
         heading_deg = self.room.heading_deg
@@ -106,7 +106,7 @@ class RoomModel:
         """
         from fieldlum.year.glare.sources import view_azimuths_deg
         from fieldlum.year.predict.annual import dataset_of
-        from fieldlum.year.predict.blocks import room_figures
+        from fieldlum.year.predict.hour_blocks import room_figures
 
         azimuths_deg = view_azimuths_deg(self.room.heading_deg, views)
         found = room_figures(self.fitted, self.room, self._checked(light), azimuths_deg)
@@ -162,17 +162,17 @@ def load_pairs(
     Examples
     --------
     >>> data = fieldlum.load_pairs("office-2027")
-    >>> data.luminance_cdm2.shape
+    >>> training_data.luminance_cdm2.shape
     (108, 230, 460)
     """
-    from fieldlum.learn.models import data
+    from fieldlum.learn.models import training_data
     from fieldlum.room.fit.stated_box import training_captures
     from fieldlum.session import Session
 
     source = pairs.root if isinstance(pairs, Session) else path_of(pairs, "pairs")
     stated = None if site is None else path_of(site, "site")
     with shown_by(progress):
-        captures = data.with_sky_view(data.load_pairs(source, stated))
+        captures = training_data.with_sky_view(training_data.load_pairs(source, stated))
         return training_captures(captures, source, scene, "absolute")[0]
 
 
@@ -266,7 +266,7 @@ def load_model(folder: str | Path) -> RoomModel:
     0.31
     """
     from fieldlum.learn.models import load, read_config
-    from fieldlum.year.predict.blocks import room_of
+    from fieldlum.year.predict.hour_blocks import room_of
 
     path = path_of(folder, "folder")
     return RoomModel(load(path), room_of(read_config(path), path))

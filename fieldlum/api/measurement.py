@@ -396,7 +396,7 @@ def evaluate_glare(
     >>> glare["views"][0]["dgp"], glare["views"][0]["verdict"]
     (0.31, 'imperceptible')
     """
-    from fieldlum.year.glare.single import panorama_glare, picture_glare
+    from fieldlum.year.glare.picture_glare import panorama_glare, picture_glare
 
     expected, remedy = "azimuths in degrees, such as [180.0]", "pass numbers"
     with input_errors("view_azimuths_deg", expected, remedy, TypeError, ValueError):

@@ -15,8 +15,8 @@ from fieldlum.core.records import JsonTable
 from fieldlum.learn import models
 from fieldlum.learn.model_kinds import MODELS
 from fieldlum.learn.models import Patch
-from fieldlum.learn.models.data import Dataset, load_pairs, with_sky_view
 from fieldlum.learn.models.scores import Truth, evaluate, summary
+from fieldlum.learn.models.training_data import Dataset, load_pairs, with_sky_view
 from fieldlum.learn.train import Spent, Trial, day_folds, evaluate_folds, fit_timed, patch_mode
 from fieldlum.optics.projection import equirect_rays
 from fieldlum.room.fit.apply_scene import in_scene

@@ -21,8 +21,8 @@ from fieldlum.bench.score_rows import Spec
 from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.progress import progress
 from fieldlum.core.records import JsonTable
-from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.scores import Scores, evaluate, truth
+from fieldlum.learn.models.training_data import Dataset
 from fieldlum.learn.train import fit_timed, held_out_warnings, patch_mode
 from fieldlum.room.fit.apply_scene import with_patches
 from fieldlum.room.fit.misplaced_patches import scan, settle

@@ -4,4 +4,4 @@ A fit with several models takes the smallest whose held-out error is within one 
 the best. The profile stores a line about each fit.
 """
 
-from fieldlum.calibrate.shared import save_calibration
+from fieldlum.calibrate.fit_steps import save_calibration

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fieldlum.calibrate import shared
+from fieldlum.calibrate import fit_steps
 from fieldlum.calibrate.fit_charts import Chart, Place
 from fieldlum.core.arrays import Array, Floats, Mask
 from fieldlum.core.errors import InputError, input_errors
@@ -64,7 +64,7 @@ class ColourFit(NamedTuple):
     scale: float
     u_rel: float
     residual: Floats
-    choice: shared.OrderSelection
+    choice: fit_steps.OrderSelection
 
 
 # ----------------------------------------------------------------------------------------------
@@ -80,12 +80,12 @@ def from_table(path: Path, profile: CameraProfile) -> Colours:
     A column spectrum with files of a JETI spectrometer replaces both. Raises InputError for an
     invalid csv, an unreadable frame, or a place that is clipped or outside the picture.
     """
-    extra = [name for name in ("melanopic_cdm2", "spectrum") if name in shared.columns_of(path)]
+    extra = [name for name in ("melanopic_cdm2", "spectrum") if name in fit_steps.columns_of(path)]
     light = extra if "spectrum" in extra else ["luminance_cdm2", *extra]
     required = ("file", "x_px", "y_px", *light)
-    rows = shared.read_table(path, required, {"radius_px": 12.0, "u_rel": shared.READING_U})
+    rows = fit_steps.read_table(path, required, {"radius_px": 12.0, "u_rel": fit_steps.READING_U})
     files = dict.fromkeys(row["file"] for row in rows)
-    frames = {file: shared.linear_frame(file, profile) for file in files}
+    frames = {file: fit_steps.linear_frame(file, profile) for file in files}
     places = tuple(Place(row["file"], row["x_px"], row["y_px"]) for row in rows)
     patches = [
         _patch(frames[place.path], place, row["radius_px"], row["u_rel"], profile)
@@ -95,7 +95,7 @@ def from_table(path: Path, profile: CameraProfile) -> Colours:
     if "spectrum" in extra:
         figures = np.array([read_spectrum(row["spectrum"]) for row in rows]).T
     else:
-        figures = shared.columns(rows, *light)
+        figures = fit_steps.columns(rows, *light)
     y, *melanopic = figures
     matrix = next((f.colour_matrix for f in frames.values() if f.colour_matrix is not None), None)
     return Colours(rgb, y, u_rel, places, matrix, melanopic[0] if melanopic else None)
@@ -127,11 +127,15 @@ def read_spectrum(path: Path) -> tuple[float, float]:
 
 
 def _patch(
-    frame: shared.LinearFrame, at: Place, radius_px: float, u_rel: float, profile: CameraProfile
+    frame: fit_steps.LinearFrame,
+    at: Place,
+    radius_px: float,
+    u_rel: float,
+    profile: CameraProfile,
 ) -> tuple[Floats, float]:
     """Return the colour [3] of a patch without vignetting, and the relative u of its comparison."""
     rgb, u_patch = frame.patch(at.x, at.y, radius_px)
-    transmission = shared.transmission(profile, frame.exposure.f_number, at.x, at.y)
+    transmission = fit_steps.transmission(profile, frame.exposure.f_number, at.x, at.y)
     return rgb / transmission, float(np.hypot(u_rel, u_patch))
 
 
@@ -144,7 +148,7 @@ def from_chart(
     right, bottom right (black), bottom left; empty if OpenCV searches the chart. Raises InputError
     if no chart is detected, or if its patches are not in the order of a chart.
     """
-    frame = shared.linear_frame(path, profile)
+    frame = fit_steps.linear_frame(path, profile)
     corners = np.reshape(corners_px, (4, 2)) if len(corners_px) else find_chart(frame)
     centres, radius = patch_centres(corners)
     places = tuple(Place(path, x, y) for x, y in centres.tolist())
@@ -186,14 +190,14 @@ def fit(colours: Colours, profile: CameraProfile) -> ColourFit:
     NotEnoughDataError for fewer than four readings, InputError for readings that are not positive
     or do not fit the colours.
     """
-    shared.require(len(colours.y), MIN_READINGS, "readings", "add readings of other colours")
+    fit_steps.require(len(colours.y), MIN_READINGS, "readings", "add readings of other colours")
     source = colours.places[0].path
     if min(colours.y.min(), colours.rgb[:, 1].min()) <= 0:
         remedy = "remove its line from the csv, or use a frame with a longer exposure"
         raise InputError(source, "a reading or a patch of 0 or less", "values above 0", remedy)
     starts, every = _priors(colours, profile), colours
     colours, left_out = _without_outliers(colours, list(starts.values()))
-    (prior, _), raw, choice = shared.fit_and_choose(
+    (prior, _), raw, choice = fit_steps.fit_and_choose(
         "colour",
         [
             (f"{name}, weight {pull:g}", size, (start, pull))
@@ -224,7 +228,7 @@ def _without_outliers(colours: Colours, priors: Sequence[Floats]) -> tuple[Colou
     """
     offs = [np.log((colours.rgb @ prior) / colours.y) for prior in priors]
     off = min((o - np.median(o) for o in offs), key=lambda o: float(np.median(np.abs(o))))
-    far = shared.gross_errors(off, 0.5)  # ln of luminance: further away is a wrong factor
+    far = fit_steps.gross_errors(off, 0.5)  # ln of luminance: further away is a wrong factor
     if not far.any() or (~far).sum() < MIN_READINGS:
         return colours, ""
     notes = [
@@ -339,7 +343,10 @@ def with_melanopic(
         read = replace(colours, y=colours.melanopic, matrix=None)
         found = fit(read, replace(profile, colour=start))
         weights = np.array(found.y_from_rgb) * found.scale / scale
-        u_rel, line = max(found.u_rel, shared.READING_U), f"{line}, then {len(read.y)} readings"
+        u_rel, line = (
+            max(found.u_rel, fit_steps.READING_U),
+            f"{line}, then {len(read.y)} readings",
+        )
     table = replace(
         colour,
         rgb_to_radiance=tuple(np.round(np.linalg.inv(to_xyz) @ xyz, 6).ravel().tolist()),
@@ -385,7 +392,7 @@ def patch_centres(corners: Floats) -> tuple[Array, float]:
     return centres, 0.25 * float(min(gap))
 
 
-def find_chart(frame: shared.LinearFrame) -> Floats:
+def find_chart(frame: fit_steps.LinearFrame) -> Floats:
     """Return the corners of the chart that OpenCV detects, x and y [4, 2] px.
 
     Their order is that of the argument of `patch_centres`.

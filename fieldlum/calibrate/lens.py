@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.calibrate import shared
+from fieldlum.calibrate import fit_steps
 from fieldlum.calibrate.fit_charts import Chart, Place, grey_picture
 from fieldlum.core.arrays import Array, Mask
 from fieldlum.core.errors import InputError
@@ -62,7 +62,7 @@ class LensFit(NamedTuple):
     rms_px: float
     rms_deg: float
     widest_deg: float
-    choice: shared.OrderSelection
+    choice: fit_steps.OrderSelection
     warnings: tuple[str, ...] = ()
 
 
@@ -73,7 +73,7 @@ def from_table(path: Path) -> Targets:
     is to the right, y_px down. Raises InputError for an invalid csv.
     """
     names = ("x_px", "y_px", "azimuth_deg", "altitude_deg")
-    x, y, azimuth, altitude = shared.columns(shared.read_table(path, names), *names)
+    x, y, azimuth, altitude = fit_steps.columns(fit_steps.read_table(path, names), *names)
     return Targets(x, y, direction(altitude, azimuth), path)
 
 
@@ -92,7 +92,7 @@ def fit(targets: Targets, lens: Lens) -> LensFit:
     """
     n, pose = len(targets.x_px), not targets.pose_known
     # the parameters of a lens with one free term, and its pose
-    shared.require(n, 8, "targets for a lens", "add targets all over the circle to the csv")
+    fit_steps.require(n, 8, "targets for a lens", "add targets all over the circle to the csv")
     start = _posed(targets, lens) if pose else level_lens(lens)
     # three targets a parameter
     models = {name: m for name, m in MODELS.items() if not m[1] or n >= 3 * (len(m[1]) + 5)}
@@ -103,12 +103,12 @@ def fit(targets: Targets, lens: Lens) -> LensFit:
 
     every = [_misses(solved(model, np.ones(n, bool)), targets)[0] for model in models.values()]
     best = min(every, key=lambda missed: float(np.median(missed)))
-    inliers = np.flatnonzero(~shared.gross_errors(best, 2.0 * MAX_MISS * start.radius_px))
+    inliers = np.flatnonzero(~fit_steps.gross_errors(best, 2.0 * MAX_MISS * start.radius_px))
 
     def used(rows: Mask) -> Mask:
         return np.isin(np.arange(n), inliers[rows])
 
-    _, fitted, choice = shared.fit_and_choose(
+    _, fitted, choice = fit_steps.fit_and_choose(
         "lens",
         [(name, max(len(model[1]) - 1, 0), model) for name, model in models.items()],
         np.arange(len(inliers)),
@@ -201,7 +201,7 @@ def _check(lens: Lens, missed: Array, angle: Array, targets: Targets) -> None:
         remedy = "check the targets' signs and units, and the columns x_px and y_px"
         raise InputError(targets.source, finding, _WANTED, remedy)
     widest_deg, half_deg = np.degrees(angle.max()), lens.full_angle_deg / 2
-    if shared.beyond_lens(widest_deg / half_deg):
+    if fit_steps.beyond_lens(widest_deg / half_deg):
         finding = f"a target is {widest_deg:.0f} deg from the axis, the lens ends at {half_deg:.0f}"
         remedy = "correct the targets, or full_angle_deg in the profile"
         raise InputError(targets.source, finding, _WANTED, remedy)
@@ -302,7 +302,7 @@ def fit_boards(
     from scipy.spatial.transform import Rotation
 
     remedy = "check the corners after --chessboard; take sharp pictures, also at the circle's edge"
-    shared.require(len(corners), 4, "pictures in which the chessboard was detected", remedy)
+    fit_steps.require(len(corners), 4, "pictures in which the chessboard was detected", remedy)
     points = np.zeros((rows * columns, 3))
     points[:, :2] = np.mgrid[:columns, :rows].T.reshape(-1, 2)
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.calibrate.fit_charts import Chart
-from fieldlum.calibrate.shared import OrderSelection, fit_and_choose, require
+from fieldlum.calibrate.fit_steps import OrderSelection, fit_and_choose, require
 from fieldlum.core.arrays import Floats, Indices, Mask
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldlum.calibrate import shared
+from fieldlum.calibrate import fit_steps
 from fieldlum.calibrate.fit_charts import Chart, Place
 from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.errors import InputError, input_errors
@@ -64,9 +64,13 @@ def from_table(
     for the user (empty without any). Raises InputError for a line with both or neither reading, a
     place that is clipped or without light, and pictures of another calibration.
     """
-    optional = {"luminance_cdm2": None, "illuminance_lx": None, "u_rel": shared.READING_U}
-    rows = shared.read_table(path, ("panorama", "azimuth_deg", "altitude_deg"), optional)
-    pictures = shared.read_panoramas(rows, profile)
+    optional = {
+        "luminance_cdm2": None,
+        "illuminance_lx": None,
+        "u_rel": fit_steps.READING_U,
+    }
+    rows = fit_steps.read_table(path, ("panorama", "azimuth_deg", "altitude_deg"), optional)
+    pictures = fit_steps.read_panoramas(rows, profile)
     to_k = {file: _to_k(file, picture, profile) for file, picture in pictures.items()}
     read = [_reading(path, r, pictures[r["panorama"]], to_k[r["panorama"]]) for r in rows]
     unmarked = ", ".join(file.name for file, p in pictures.items() if "k" not in p.attributes)
@@ -81,7 +85,7 @@ def from_table(
 
 
 def _reading(
-    path: Path, row: shared.CsvRow, picture: Panorama, to_k: float
+    path: Path, row: fit_steps.CsvRow, picture: Panorama, to_k: float
 ) -> tuple[LuminanceReading, float]:
     """Return a line of the csv as a reading, and the relative u of the picture's value."""
     at = Place(row["panorama"], row["azimuth_deg"], row["altitude_deg"])
@@ -93,7 +97,7 @@ def _reading(
     if plane is None:
         image, u_image = spot_cdm2(picture, at.x, at.y, at.path)
     else:
-        front = shared.pixels_within(picture, at.x, at.y, 90.0)
+        front = fit_steps.pixels_within(picture, at.x, at.y, 90.0)
         place = f"in front of the plane at azimuth {at.x:g}, altitude {at.y:g} deg"
         _refuse_clipped(picture, front, at.path, place)
         light, heading_deg = picture.luminance_cdm2, picture.heading_deg
@@ -113,7 +117,7 @@ def _to_k(file: Path, picture: Panorama, profile: CameraProfile) -> float:
 
 
 def _refuse_clipped(picture: Panorama, inside: Mask, file: Path | str, place: str) -> None:
-    if shared.is_flagged(picture, inside, Flag.CLIPPED_HIGH):
+    if fit_steps.is_flagged(picture, inside, Flag.CLIPPED_HIGH):
         finding = f"the picture is clipped in every frame {place}"
         remedy = "remove this reading, or capture shorter exposures as well"
         raise InputError(file, finding, "light without clipping", remedy)
@@ -131,7 +135,7 @@ def spot_cdm2(
     from scipy.stats import trim_mean
 
     place = f"at azimuth {azimuth_deg:g}, altitude {altitude_deg:g} deg"
-    inside = shared.pixels_within(picture, azimuth_deg, altitude_deg, shared.SPOT_DEG)
+    inside = fit_steps.pixels_within(picture, azimuth_deg, altitude_deg, fit_steps.SPOT_DEG)
     _refuse_clipped(picture, inside, file, place)
     values = np.asarray(picture.luminance_cdm2, float)[inside]
     values = values[np.isfinite(values)]
@@ -144,7 +148,7 @@ def spot_cdm2(
 
 def fit(
     readings: list[LuminanceReading],
-    meter_u: float = shared.READING_U,
+    meter_u: float = fit_steps.READING_U,
     source: Path | str = "scale",
 ) -> ScaleFit:
     """Fit one factor on k by weighted least squares of ln(meter / picture) with Huber weights.
@@ -154,7 +158,7 @@ def fit(
     u_rel and by more than 10 %. Raises NotEnoughDataError without readings, InputError if a reading
     is not positive, or if more than a third of them are outliers.
     """
-    shared.require(len(readings), 1, f"{source}: readings", "add a line to the csv")
+    fit_steps.require(len(readings), 1, f"{source}: readings", "add a line to the csv")
     meter, image, u = np.array([(r.meter, r.image, r.u_rel) for r in readings], float).T
     bad = readings[int(np.argmin(np.minimum(meter, image)))]
     if min(bad.meter, bad.image) <= 0:

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldlum.calibrate import shared
+from fieldlum.calibrate import fit_steps
 from fieldlum.calibrate.fit_charts import Chart, Place
 from fieldlum.core.arrays import Floats, Indices, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
@@ -44,9 +44,9 @@ def find(sources: Sequence[Path], profile: CameraProfile) -> PixelDefects:
     this camera, and for a frame with light; NotEnoughDataError for fewer than two frames, or if too
     many pixels deviate.
     """
-    shared.require_raw(profile, "use the camera's raw files")
+    fit_steps.require_raw(profile, "use the camera's raw files")
     frames = tuple(frame_files(*sources))
-    shared.require(len(frames), 2, "bad pixels: dark frames", "take more with the cap on")
+    fit_steps.require(len(frames), 2, "bad pixels: dark frames", "take more with the cap on")
     deviating = [_deviating(path, profile) for path in frames]
     pixels, times = np.unique(np.concatenate(deviating), return_counts=True)
     bad = pixels[times == len(frames)]
@@ -76,7 +76,7 @@ def _deviating(path: Path, profile: CameraProfile) -> Indices:
 
     if is_jpeg(path):
         raise InputError(path, "a JPEG frame", "raw frames", "JPEG files blur bad pixels")
-    mosaic = shared.own_mosaic(path, profile)
+    mosaic = fit_steps.own_mosaic(path, profile)
     far = np.zeros(mosaic.counts.shape, bool)
     gain = gain_e_per_dn(mosaic.exposure.iso, profile)
     read_dn = profile.sensor.read_noise_e / gain
@@ -136,7 +136,7 @@ class LinearityFit(NamedTuple):
     offset_s: float
     u_offset_s: float
     u_rel: float
-    choice: shared.OrderSelection
+    choice: fit_steps.OrderSelection
 
 
 def read_levels(paths: Sequence[Path], profile: CameraProfile) -> Levels:
@@ -147,7 +147,7 @@ def read_levels(paths: Sequence[Path], profile: CameraProfile) -> Levels:
     """
     blocks, settings, seconds = [], [], []
     for path in paths:
-        mosaic = shared.own_mosaic(path, profile)
+        mosaic = fit_steps.own_mosaic(path, profile)
         settings.append(f"f/{mosaic.exposure.f_number:g} and ISO {mosaic.exposure.iso:g}")
         if settings[-1] != settings[0]:
             raise InputError(path, settings[-1], f"{settings[0]} as before", "leave it out")
@@ -168,7 +168,7 @@ def _blocks(mosaic: Mosaic, profile: CameraProfile) -> Floats:
         cut = blocks.transpose(0, 2, 1, 3).reshape(64, -1)
         mean = cut.mean(axis=1) - black
         error = np.hypot(cut.std(axis=1) / np.sqrt(cut.shape[1]), _BLACK_DN)
-        good = (cut.max(axis=1) < black + shared.FULL * (top - black)) & (mean > 25 * _BLACK_DN)
+        good = (cut.max(axis=1) < black + fit_steps.FULL * (top - black)) & (mean > 25 * _BLACK_DN)
         share = np.where(good, mean, np.nan) / (profile.sensor.white_dn - black)
         parts.append((share, 1.0 / (_REPEATS**2 + (error / np.maximum(mean, 25 * _BLACK_DN)) ** 2)))
     return np.concatenate(parts, axis=1)
@@ -188,7 +188,7 @@ def fit(levels: Levels) -> LinearityFit:
             f"expected at least {MIN_TIMES}, with under {100 * LOWEST:.0f} to over "
             f"{100 * HIGHEST:.0f} %; take more frames of a steady light"
         )
-    _, (solution, covariance), choice = shared.fit_and_choose(
+    _, (solution, covariance), choice = fit_steps.fit_and_choose(
         "linearity",
         [(f"order {order}", order, order) for order in ORDERS],
         np.searchsorted(times, levels.seconds),

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldlum.calibrate.fit_charts import Chart
-from fieldlum.calibrate.shared import choose, folds, require, require_raw
+from fieldlum.calibrate.fit_steps import choose, folds, require, require_raw
 from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import counted, shutter_text

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldlum.calibrate import shared
+from fieldlum.calibrate import fit_steps
 from fieldlum.calibrate.fit_charts import Chart, Place
 from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError
@@ -59,7 +59,7 @@ class StrayFit(NamedTuple):
     kernel: StrayLight
     predicted_cdm2: Floats
     total_share: float
-    choice: shared.OrderSelection
+    choice: fit_steps.OrderSelection
 
 
 def from_table(path: Path, profile: CameraProfile) -> list[StrayReading]:
@@ -70,14 +70,14 @@ def from_table(path: Path, profile: CameraProfile) -> list[StrayReading]:
     invalid line, for a place that is clipped, outside the lens or not brighter than in reality, and
     for a picture that was merged with another calibration or with a stray-light kernel.
     """
-    optional = {"luminance_cdm2": 0.0, "radius_deg": shared.SPOT_DEG}
-    rows = shared.read_table(path, ("panorama", "azimuth_deg", "altitude_deg"), optional)
+    optional = {"luminance_cdm2": 0.0, "radius_deg": fit_steps.SPOT_DEG}
+    rows = fit_steps.read_table(path, ("panorama", "azimuth_deg", "altitude_deg"), optional)
     plain = replace(profile, stray=StrayLight())
-    pictures = shared.read_panoramas(rows, plain, ", after removing [stray] from the profile")
+    pictures = fit_steps.read_panoramas(rows, plain, ", after removing [stray] from the profile")
     return [reading(pictures[row["panorama"]], profile, row) for row in rows]
 
 
-def reading(picture: Panorama, profile: CameraProfile, row: shared.CsvRow) -> StrayReading:
+def reading(picture: Panorama, profile: CameraProfile, row: fit_steps.CsvRow) -> StrayReading:
     """Return the stray light at a dark place of a picture, and the light that may cause it.
 
     row : of the csv. Only the field of the lens whose axis is nearest to the place counts. Raises
@@ -86,11 +86,11 @@ def reading(picture: Panorama, profile: CameraProfile, row: shared.CsvRow) -> St
     height, width = picture.luminance_cdm2.shape
     at_deg, true_cdm2 = (row["azimuth_deg"], row["altitude_deg"]), row["luminance_cdm2"]
     light = np.nan_to_num(np.asarray(picture.luminance_cdm2, float)).ravel()
-    disc = shared.pixels_within(picture, *at_deg, row["radius_deg"])
+    disc = fit_steps.pixels_within(picture, *at_deg, row["radius_deg"])
     stray = float(light[disc.ravel()].mean()) - true_cdm2
     wrong = {
-        "outside the lens's field": shared.is_flagged(picture, disc, Flag.OUTSIDE_LENS),
-        "clipped (too bright)": shared.is_flagged(picture, disc, Flag.CLIPPED_HIGH),
+        "outside the lens's field": fit_steps.is_flagged(picture, disc, Flag.OUTSIDE_LENS),
+        "clipped (too bright)": fit_steps.is_flagged(picture, disc, Flag.CLIPPED_HIGH),
         f"{stray + true_cdm2:.3g} cd/m2, not more than its true {true_cdm2:g} cd/m2": stray <= 0,
     }
     for what in (text for text, is_so in wrong.items() if is_so):
@@ -119,13 +119,13 @@ def fit(readings: Sequence[StrayReading], source: Path | str = "stray") -> Stray
     spreads over 30 % of a source's light.
     """
     remedy = "add dark places at other angles from the light"
-    shared.require(len(readings), 8, f"{source}: readings of dark places", remedy)
+    fit_steps.require(len(readings), 8, f"{source}: readings of dark places", remedy)
     stray = np.array([r.stray_cdm2 for r in readings])
     groups = np.unique([str(r.place.path) for r in readings], return_inverse=True)[1]
     if groups.max() < 3:  # with fewer pictures each reading is its own group
         groups = np.arange(len(readings))
     designs = {nodes: _design(readings, nodes) for nodes in NODE_SETS}
-    nodes, values, choice = shared.fit_and_choose(
+    nodes, values, choice = fit_steps.fit_and_choose(
         "stray light",
         [(f"{len(nodes)} angles", len(nodes), nodes) for nodes in NODE_SETS],
         groups,

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldlum.calibrate import shared
+from fieldlum.calibrate import fit_steps
 from fieldlum.calibrate.fit_charts import Chart, Place
 from fieldlum.core.arrays import Array, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
@@ -55,7 +55,7 @@ class VignettingFit(NamedTuple):
     level: float
     u_rel: float
     residual_rel: Array
-    choice: shared.OrderSelection
+    choice: fit_steps.OrderSelection
 
 
 # ----------------------------------------------------------------------------------------------
@@ -70,15 +70,15 @@ def from_table(path: Path, profile: CameraProfile, lens: int = 0) -> Samples:
     radius_px of the patch (default 12) in the second. lens : index for the first form; the second
     has the lens that shows the first patch. Raises InputError for other columns or values.
     """
-    if "angle_deg" not in shared.columns_of(path):
+    if "angle_deg" not in fit_steps.columns_of(path):
         return _from_patches(path, profile)
     optional = {"reference": 1.0, "u_rel": 0.005, "f_number": profile.bracket.f_number}
-    rows = shared.read_table(path, ("angle_deg", "value"), optional)
+    rows = fit_steps.read_table(path, ("angle_deg", "value"), optional)
     names = ("angle_deg", "value", "reference", "u_rel")
-    angle, value, reference, u_rel = shared.columns(rows, *names)
+    angle, value, reference, u_rel = fit_steps.columns(rows, *names)
     half = profile.lens[lens].full_angle_deg / 2
     r = np.abs(angle) / half
-    if shared.beyond_lens(r.max()):
+    if fit_steps.beyond_lens(r.max()):
         finding, expected = f"an angle_deg of {half * r.max():g} deg", f"at most {half:g} deg, "
         remedy = "check that angles are from the axis, or correct full_angle_deg in the profile"
         raise InputError(path, finding, expected + "half of full_angle_deg", remedy)
@@ -86,15 +86,20 @@ def from_table(path: Path, profile: CameraProfile, lens: int = 0) -> Samples:
 
 
 def _from_patches(path: Path, profile: CameraProfile) -> Samples:
-    rows = shared.read_table(path, ("file", "x_px", "y_px"), {"radius_px": 12.0, "reference": 1.0})
+    rows = fit_steps.read_table(
+        path, ("file", "x_px", "y_px"), {"radius_px": 12.0, "reference": 1.0}
+    )
     weights = np.array(profile.colour.y_from_rgb)
     places = tuple(Place(row["file"], row["x_px"], row["y_px"]) for row in rows)
-    lens = shared.nearest_lens(profile, places[0].x, places[0].y)
+    lens = fit_steps.nearest_lens(profile, places[0].x, places[0].y)
     readings, f_numbers = [], {}
     for row, at in zip(rows, places, strict=True):
-        frame = shared.linear_frame(at.path, profile)
+        frame = fit_steps.linear_frame(at.path, profile)
         rgb, u_patch = frame.patch(at.x, at.y, row["radius_px"])
-        value, r = float(rgb @ weights), shared.relative_angle(profile.lens[lens], at.x, at.y)
+        value, r = (
+            float(rgb @ weights),
+            fit_steps.relative_angle(profile.lens[lens], at.x, at.y),
+        )
         readings.append((r, value / row["reference"], float(np.hypot(u_patch, 0.002))))
         f_numbers[at.path] = frame.exposure.f_number
     f_number = _one_aperture(path, f_numbers, "write one table for each aperture")
@@ -121,7 +126,7 @@ def from_uniform(paths: Sequence[Path], profile: CameraProfile, lens: int = 0) -
     geometry, rings = profile.lens[lens], []
     weights, f_numbers = np.array(profile.colour.y_from_rgb), {}
     for path in paths:
-        frame = shared.linear_frame(path, profile)
+        frame = fit_steps.linear_frame(path, profile)
         h, w = frame.bad.shape
         y, x = (np.mgrid[:h, :w] + 0.5) * frame.step
         radius = relative_radius(geometry, x, y)
@@ -188,7 +193,7 @@ def fit(samples: Samples) -> VignettingFit:
     _refuse_rising(r, value, u, samples.frames[0])
     groups = np.unique(np.round(r, 3), return_inverse=True)[1]
     orders = [order for order in ORDERS if order // 2 + 1 <= max(len(np.unique(groups)) // 2, 1)]
-    _, theta, choice = shared.fit_and_choose(
+    _, theta, choice = fit_steps.fit_and_choose(
         f"vignetting f/{samples.f_number:g}",
         [(f"order {o}" if o else "no loss", o // 2, o) for o in orders],
         groups,
@@ -244,7 +249,7 @@ def _contradicting(samples: Samples) -> Mask:
     start = np.eye(design.shape[1])[0]
     solved = least_squares(lambda t: design @ t / scaled - 1.0, start, loss="cauchy", f_scale=0.01)
     off = scaled / (design @ solved.x) - 1.0
-    outliers = shared.gross_errors(off, MAX_ERROR)
+    outliers = fit_steps.gross_errors(off, MAX_ERROR)
     for i in np.flatnonzero(outliers):
         away = np.where(np.arange(len(r)) == i, np.inf, np.abs(r - r[i]))
         # Compare with readings at the same angle, or else with readings on both sides.

@@ -16,7 +16,7 @@ from fieldlum.cli.terminal import print_answer, say, table_lines
 from fieldlum.core.records import JsonTable
 
 if TYPE_CHECKING:
-    from fieldlum.year.glare.budget import Budget
+    from fieldlum.year.glare.uncertainty_budget import Budget
 
 _COLUMNS = {
     "azimuth_deg": ("view [°]", ".1f"),
@@ -79,8 +79,8 @@ def command(
     from fieldlum.core.errors import InputError, NotEnoughDataError
     from fieldlum.session import open_session
     from fieldlum.session.codec import write_csv
-    from fieldlum.year.glare.budget import budget_of_file, write_budgets
-    from fieldlum.year.glare.single import picture_glare
+    from fieldlum.year.glare.picture_glare import picture_glare
+    from fieldlum.year.glare.uncertainty_budget import budget_of_file, write_budgets
 
     folders = [open_session(path).panorama_files() if path.is_dir() else [path] for path in images]
     pictures = list(chain.from_iterable(folders))

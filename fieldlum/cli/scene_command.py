@@ -54,7 +54,7 @@ def fit(
       --clock-sd: Standard uncertainty of the captures' times in minutes; 0.1 for a clock
           set by NTP.
     """
-    from fieldlum.learn.models.data import load_pairs
+    from fieldlum.learn.models.training_data import load_pairs
     from fieldlum.learn.train.outliers import find_changes
     from fieldlum.room.fit.stage import run
 

@@ -62,7 +62,7 @@ def command(
       --seed: Seed of all random numbers in training.
       --out: Model folder to write. [default: models/MODEL in the folder of the pairs]
     """
-    from fieldlum.learn.models.data import load_pairs, with_sky_view
+    from fieldlum.learn.models.training_data import load_pairs, with_sky_view
     from fieldlum.learn.train import run
     from fieldlum.room.fit.stated_box import training_captures
 

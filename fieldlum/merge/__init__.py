@@ -6,6 +6,6 @@ from fieldlum.merge.bracket import (
     files_to_picture,
     merge_shots,
 )
-from fieldlum.merge.sensor import merge_sensor
+from fieldlum.merge.sensor_image import merge_sensor
 from fieldlum.merge.shots import Shot, shots_of_files
 from fieldlum.merge.stage import run

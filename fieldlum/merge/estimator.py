@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats32, Mask
 from fieldlum.core.records import Flag
-from fieldlum.merge.frames import Signal
+from fieldlum.merge.linear_frames import Signal
 
 
 class Rows(NamedTuple):

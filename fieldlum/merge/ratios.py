@@ -14,7 +14,7 @@ import numpy as np
 from fieldlum.core.arrays import Floats
 from fieldlum.core.statistics import MAD_TO_SIGMA, median, robust_sigma
 from fieldlum.merge.estimator import Rows
-from fieldlum.merge.frames import RawSignal, Signal, scaled
+from fieldlum.merge.linear_frames import RawSignal, Signal, scaled
 from fieldlum.merge.shots import Shot, exposure_covariance, times_by_law
 from fieldlum.optics.linear_light import U_FRAME_RATIO
 from fieldlum.optics.photometry import PairRatio, ShutterLaw, law_of_frames

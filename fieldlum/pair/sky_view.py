@@ -20,11 +20,11 @@ from fieldlum.pair.sun_strength import is_measured
 from fieldlum.session import Session, replacing_path, sha256
 from fieldlum.session.codec import data_digest
 from fieldlum.sky.daylight import Light
-from fieldlum.sky.sky_view.disc import disc_of_hours, room_shares
-from fieldlum.sky.sky_view.estimate import Captured, sky_view_of
+from fieldlum.sky.sky_view.estimate_from_captures import Captured, sky_view_of
 from fieldlum.sky.sky_view.measured_discs import read_discs
 from fieldlum.sky.sky_view.picture import SkyPicture, cut_panorama, read_sky_picture
 from fieldlum.sky.sky_view.view import SkyView
+from fieldlum.sky.sky_view.visible_disc import disc_of_hours, room_shares
 from fieldlum.version import __version__
 
 _SKY, _NOT_SEEN = (0.12, 0.37, 0.66), (0.93, 0.73, 0.36)  # colours, from 0 to 1

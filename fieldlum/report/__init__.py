@@ -16,7 +16,7 @@ from fieldlum.session import Session, remove_scraps, replacing
 from fieldlum.session.codec import change_of
 from fieldlum.session.files.model_files import HeldOutMaps, ScoresFile
 from fieldlum.session.files.pairs_csv import PairsFile
-from fieldlum.year.glare.budget import BUDGET_FILE
+from fieldlum.year.glare.uncertainty_budget import BUDGET_FILE
 from fieldlum.year.predict import Annual, newest_annual, read_pictures
 
 

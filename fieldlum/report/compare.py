@@ -37,8 +37,8 @@ from fieldlum.session import Session, replacing
 from fieldlum.session.codec import write_csv
 from fieldlum.session.panorama_sun import read_panorama_with_sun
 from fieldlum.sky.sun import hour_of_year
+from fieldlum.year.glare.picture_glare import seen_pixels, valid_pixels
 from fieldlum.year.glare.pictures import picture_directions, read_picture
-from fieldlum.year.glare.single import seen_pixels, valid_pixels
 from fieldlum.year.glare.standards import DISTURBING_DGP
 from fieldlum.year.predict import Annual
 

@@ -39,8 +39,8 @@ from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.panorama_sun import read_panorama_with_sun
 from fieldlum.sky.sky_view.view import SkyView
 from fieldlum.version import __version__
+from fieldlum.year.glare.picture_glare import valid_pixels
 from fieldlum.year.glare.pictures import FISHEYE_VIEW, panorama_to_fisheye, picture_centres
-from fieldlum.year.glare.single import valid_pixels
 from fieldlum.year.predict import newest_annual
 from fieldlum.year.predict.annual import time_coordinate, unit_of
 

@@ -18,8 +18,8 @@ from fieldlum.core.false_colour import colour_table, luminance_ends, shared_scal
 from fieldlum.core.records import JsonTable
 from fieldlum.optics.projection import direction
 from fieldlum.session import replacing
+from fieldlum.year.glare.picture_glare import judged
 from fieldlum.year.glare.pictures import Picture, picture_directions, read_picture
-from fieldlum.year.glare.single import judged
 from fieldlum.year.glare.sources import Sources
 
 _COUNTS = {"rect": 4, "circle": 3, "cone": 3}

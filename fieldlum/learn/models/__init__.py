@@ -30,8 +30,8 @@ from fieldlum.sky.sky_view.view import NAME as SKY_VIEW
 from fieldlum.version import __version__
 
 if TYPE_CHECKING:
-    from fieldlum.learn.models.data import Dataset
     from fieldlum.learn.models.mirrors import Mirror
+    from fieldlum.learn.models.training_data import Dataset
     from fieldlum.sky.daylight import Light
 
 _Part = TypeVar("_Part")

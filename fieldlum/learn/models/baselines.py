@@ -9,7 +9,7 @@ import numpy as np
 
 from fieldlum.core.arrays import Floats, Floats32, Mask
 from fieldlum.learn.models import ModelState, Patch, Prediction, rebuilt, state_of
-from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.models.training_data import Dataset
 from fieldlum.sky.daylight import Light
 from fieldlum.sky.sun import horizontal_beam
 

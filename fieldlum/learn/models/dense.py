@@ -35,7 +35,7 @@ from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.progress import progress
 from fieldlum.learn.models import ModelState, Patch, Prediction, rebuilt, stored
 from fieldlum.learn.models.baselines import Domain, domain_of
-from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.models.training_data import Dataset
 from fieldlum.optics.projection import equirect_rays, signed_angle_deg
 from fieldlum.session import replacing
 from fieldlum.session.codec import data_digest

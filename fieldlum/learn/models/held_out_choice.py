@@ -18,7 +18,7 @@ from fieldlum.core.statistics import standard_error
 from fieldlum.sky.sun import LOW_SUN_DEG, ZERO_OFFSET_WM2
 
 if TYPE_CHECKING:
-    from fieldlum.learn.models.data import Dataset
+    from fieldlum.learn.models.training_data import Dataset
     from fieldlum.sky.daylight import Light
 
 # Share of the weight of the hours with the largest errors that does not count: 1 hour of a day's

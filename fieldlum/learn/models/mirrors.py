@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from fieldlum.core.arrays import Floats, Floats32, Indices, Mask, evenly_spread
 from fieldlum.core.errors import input_errors
 from fieldlum.learn.models import rebuilt
-from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.models.training_data import Dataset
 from fieldlum.optics.projection import (
     altitude_azimuth_deg,
     direction,

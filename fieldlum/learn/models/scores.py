@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 from fieldlum.core.arrays import Array, Floats, Floats32, Mask, evenly_spread
 from fieldlum.core.progress import progress, quiet, shown_by
 from fieldlum.learn.models import Fitted, Prediction, trusted_hours
-from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.held_out_choice import HeldOutErrors, choice_weights
+from fieldlum.learn.models.training_data import Dataset
 from fieldlum.optics.projection import SEEN
 from fieldlum.session.files.model_files import HeldOutMaps, ScoreFigures
 from fieldlum.sky import sun
 from fieldlum.sky.daylight import Light, light_at
-from fieldlum.sky.sky_view.disc import disc_lx
+from fieldlum.sky.sky_view.visible_disc import disc_lx
 from fieldlum.sky.sun_disc import add_disc
 from fieldlum.year.glare import metrics
 from fieldlum.year.glare.sources import Views, panorama_views, view_azimuths_deg

@@ -23,7 +23,6 @@ from fieldlum.core.statistics import held_out_masks
 from fieldlum.learn import models
 from fieldlum.learn.model_kinds import MODELS
 from fieldlum.learn.models import TRUSTED_FACTOR, TRUSTED_MSE, Fitted, Patch
-from fieldlum.learn.models.data import Dataset, with_sky_view
 from fieldlum.learn.models.held_out_choice import (
     CRITERIA,
     beam_is_uncertain,
@@ -41,6 +40,7 @@ from fieldlum.learn.models.scores import (
     summary,
     truth,
 )
+from fieldlum.learn.models.training_data import Dataset, with_sky_view
 from fieldlum.learn.train.outliers import without_changes
 from fieldlum.room.fit.misplaced_patches import scan, settle
 from fieldlum.session import check_writable, sha256

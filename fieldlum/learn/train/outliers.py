@@ -14,9 +14,14 @@ from itertools import combinations
 import numpy as np
 
 from fieldlum.core.arrays import Array, Floats, Indices, Mask, evenly_spread
-from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.held_out_choice import UNSURE, is_badly_measured
-from fieldlum.learn.transport.arrays import MIN_CDM2, pixel_scale, seen_sky, training_arrays_of
+from fieldlum.learn.models.training_data import Dataset
+from fieldlum.learn.transport.training_arrays import (
+    MIN_CDM2,
+    pixel_scale,
+    seen_sky,
+    training_arrays_of,
+)
 from fieldlum.sky import sun
 from fieldlum.sky.daylight_kernel import LAMP_LX, Kernel
 

@@ -21,19 +21,8 @@ from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.progress import part_of_progress, progress, quiet, shown_by
 from fieldlum.core.records import counted
 from fieldlum.learn.models import ModelState, Patch, Prediction, rebuilt, state_of
-from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.held_out_choice import HeldOutErrors, choose, difference
-from fieldlum.learn.transport.arrays import (
-    MIN_CDM2,
-    OpenSky,
-    PatchLight,
-    StateColumns,
-    TrainingArrays,
-    computed_light,
-    seen_sky,
-    slip_variance,
-    training_arrays_of,
-)
+from fieldlum.learn.models.training_data import Dataset
 from fieldlum.learn.transport.physics import Physics, physics_of
 from fieldlum.learn.transport.solve import (
     SECOND_NOISE,
@@ -46,6 +35,17 @@ from fieldlum.learn.transport.solve import (
     patch_scale,
     second_covariance,
     second_inverse,
+)
+from fieldlum.learn.transport.training_arrays import (
+    MIN_CDM2,
+    OpenSky,
+    PatchLight,
+    StateColumns,
+    TrainingArrays,
+    computed_light,
+    seen_sky,
+    slip_variance,
+    training_arrays_of,
 )
 from fieldlum.optics.projection import equirect_solid_angles
 from fieldlum.room.scene.patches import sun_patches

@@ -20,7 +20,7 @@ from threadpoolctl import threadpool_limits
 from fieldlum.core.arrays import Array, Floats, Floats32, Indices
 from fieldlum.core.statistics import cauchy_weights, nan_percentiles
 from fieldlum.learn.models.held_out_choice import HeldOutErrors
-from fieldlum.learn.transport.arrays import MIN_CDM2, TrainingArrays, pixel_scale
+from fieldlum.learn.transport.training_arrays import MIN_CDM2, TrainingArrays, pixel_scale
 from fieldlum.sky.daylight_kernel import Features
 
 RANK = 100  # number of features; chosen, limits memory and time

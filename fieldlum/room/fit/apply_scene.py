@@ -8,7 +8,7 @@ import numpy as np
 
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Room
-from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.models.training_data import Dataset
 from fieldlum.optics.projection import signed_angle_deg
 from fieldlum.room.fit.scene_file import SCENE_TOML, Scene, read_scene
 from fieldlum.session.files.model_files import UsedScene

@@ -9,7 +9,7 @@ from scipy.optimize import nnls
 
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Room
-from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.models.training_data import Dataset
 from fieldlum.optics.projection import equirect_solid_angles, signed_angle_deg, turned
 from fieldlum.room.fit.evidence import require_box
 from fieldlum.room.fit.guess import guess_of

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from fieldlum.core.arrays import Indices
-from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.models.training_data import Dataset
 from fieldlum.room.fit.apply_scene import with_patches, with_scene
 from fieldlum.room.fit.evidence import SceneEvidence
 from fieldlum.room.fit.fit import SceneFit, scene_of, true_room

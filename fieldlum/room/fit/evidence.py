@@ -27,7 +27,7 @@ from fieldlum.sky import sun
 from fieldlum.sky.daylight_kernel import Kernel, facades_of, light_features
 
 if TYPE_CHECKING:
-    from fieldlum.learn.models.data import Dataset
+    from fieldlum.learn.models.training_data import Dataset
 
 Array = NDArray[np.floating]
 
@@ -335,7 +335,7 @@ def _rays_of(data: Dataset, chosen: Indices, sub: int) -> tuple[Floats32, Indice
 # the indirect component below the patches
 
 if TYPE_CHECKING:
-    from fieldlum.learn.models.data import Dataset
+    from fieldlum.learn.models.training_data import Dataset
 
 Array = NDArray[np.floating]
 

@@ -35,7 +35,7 @@ from fieldlum.room.fit.search import LEVELS, SceneCost, covariance, prior_unit, 
 from fieldlum.room.fit.window_view import window_view
 
 if TYPE_CHECKING:
-    from fieldlum.learn.models.data import Dataset
+    from fieldlum.learn.models.training_data import Dataset
     from fieldlum.room.fit.pose_prior import PosePrior
 
 # Fewer captures of a changed room hardly move a robust search, and imperfect patches, as of trees,

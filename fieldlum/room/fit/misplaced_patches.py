@@ -14,7 +14,7 @@ from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.progress import progress
 from fieldlum.core.records import SiteFile
 from fieldlum.learn.models import Fitted, Patch
-from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.models.training_data import Dataset
 from fieldlum.learn.transport import MeanTransport, Transport
 from fieldlum.room.fit.checks import reversed_compass_note, turned_windows_note
 from fieldlum.room.fit.evidence import gather

@@ -10,8 +10,8 @@ import numpy as np
 from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Room
-from fieldlum.learn.models.data import Dataset
 from fieldlum.learn.models.scores import YearExpectation, expect
+from fieldlum.learn.models.training_data import Dataset
 from fieldlum.optics.projection import equirect_solid_angles
 from fieldlum.room.fit.apply_scene import with_scene
 from fieldlum.room.fit.checks import check_captures, reversed_compass_note

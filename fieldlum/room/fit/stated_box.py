@@ -10,7 +10,7 @@ import numpy as np
 
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.records import Room
-from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.models.training_data import Dataset
 from fieldlum.room.fit.apply_scene import in_scene, with_patches, with_scene
 from fieldlum.room.fit.evidence import gather
 from fieldlum.room.fit.guess import guess_of

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.ndimage import binary_dilation, binary_erosion
 
 from fieldlum.core.arrays import Floats, Floats32
-from fieldlum.learn.models.data import Dataset
+from fieldlum.learn.models.training_data import Dataset
 from fieldlum.optics.projection import equirect_solid_angles
 from fieldlum.room.fit.guess import Guess
 from fieldlum.room.fit.renderer import SHELL, surfaces

@@ -25,15 +25,24 @@ SUN_RADIUS_DEG = 0.2665  # mean angular radius seen from the Earth: 959.6 arc se
 DISC_RAYS = "disc_rays"
 
 
-@compiled
-def nearest_box(
-    low: Floats, high: Floats, origins: Floats, directions: Floats
-) -> tuple[Floats, NDArray[np.int32], NDArray[np.int8], NDArray[np.int8]]:
-    """Return distance [m], box, and axis and sign of the face, [n] each, where n rays first hit.
+class BoxHits(NamedTuple):
+    """Where n rays first hit a box, [n] each.
 
-    low, high: corners of the boxes [b, 3] m; origins, directions: of the rays [n, 3]. Without a hit
-    the distance is inf and the box -1. axis: 0 to 2 of the face's normal; sign: 1 or -1, towards
-    the ray's origin. Boxes that contain the origin are ignored.
+    distance: inf without a hit [m]; box: its index, -1 without; axis: 0 to 2 of the face's normal;
+    sign: 1 or -1, towards the ray's origin.
+    """
+
+    distance: Floats
+    box: NDArray[np.int32]
+    axis: NDArray[np.int8]
+    sign: NDArray[np.int8]
+
+
+@compiled
+def nearest_box(low: Floats, high: Floats, origins: Floats, directions: Floats) -> BoxHits:
+    """Return where n rays first hit one of b boxes; boxes that contain the origin are ignored.
+
+    low, high: corners of the boxes [b, 3] m; origins, directions: of the rays [n, 3].
     """
     count = len(directions)
     distance, box = np.full(count, np.inf), np.full(count, -1, np.int32)
@@ -56,7 +65,7 @@ def nearest_box(
                 axis[ray] = 0 if near == in_x else (1 if near == in_y else 2)
         if box[ray] >= 0:
             sign[ray] = -1 if d[axis[ray]] > 0.0 else 1
-    return distance, box, axis, sign
+    return BoxHits(distance, box, axis, sign)
 
 
 class Ends(NamedTuple):
@@ -82,17 +91,17 @@ def ends(scene: BoxScene, origins: Floats, rays: Floats) -> tuple[Ends, Ends]:
     origins, rays: [n, 3], in room axes [m]. A box that contains the ray's origin is ignored.
     """
     origins, rays = np.ascontiguousarray(origins), np.ascontiguousarray(rays)
-    distance, box, axis, sign = nearest_box(scene.low, scene.high, origins, rays)
-    through, back, pane_m, normal = _panes(scene, origins, rays, distance)
-    at = origins + rays * np.where(box >= 0, distance, 0.0)[:, None]
-    straight = Ends(np.arange(len(rays)), rays, at, box, axis, sign, through)
+    hits = nearest_box(scene.low, scene.high, origins, rays)
+    through, back, pane_m, normal = _panes(scene, origins, rays, hits.distance)
+    at = origins + rays * np.where(hits.box >= 0, hits.distance, 0.0)[:, None]
+    straight = Ends(np.arange(len(rays)), rays, at, hits.box, hits.axis, hits.sign, through)
     rows = np.flatnonzero(back)
     turned = rays[rows].copy()
     turned[np.arange(len(rows)), normal[rows]] *= -1.0
     origin = origins[rows] + rays[rows] * pane_m[rows, None] + turned * 2 * EPSILON_M
-    distance, box, axis, sign = nearest_box(scene.low, scene.high, origin, turned)
-    at = origin + turned * np.where(box >= 0, distance, 0.0)[:, None]
-    return straight, Ends(rows, turned, at, box, axis, sign, back[rows])
+    hits = nearest_box(scene.low, scene.high, origin, turned)
+    at = origin + turned * np.where(hits.box >= 0, hits.distance, 0.0)[:, None]
+    return straight, Ends(rows, turned, at, hits.box, hits.axis, hits.sign, back[rows])
 
 
 def _panes(
@@ -131,7 +140,7 @@ def disc_glass(scene: BoxScene, toward: Floats) -> Floats:
     is_up = np.broadcast_to(np.asarray(toward)[..., None, 2] > 0, rays.shape[:-1]).ravel()
     rows = np.flatnonzero((through < 1.0) & is_up)  # other rays meet a wall
     out = np.zeros(len(flat))
-    free = rows[nearest_box(scene.low, scene.high, eye[rows].copy(), flat[rows])[1] < 0]
+    free = rows[nearest_box(scene.low, scene.high, eye[rows].copy(), flat[rows]).box < 0]
     out[free] = through[free]
     return out.reshape(rays.shape[:-1])
 

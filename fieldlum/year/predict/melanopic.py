@@ -28,7 +28,7 @@ from fieldlum.year.glare.metrics import map_ev_lx
 from fieldlum.year.glare.sources import panorama_views
 
 if TYPE_CHECKING:
-    from fieldlum.year.predict.blocks import ModelRoom
+    from fieldlum.year.predict.hour_blocks import ModelRoom
 
 # Where captures do not decide: the ratio of an overcast sky, what a clear sky adds, and the sun's
 # over `sun_melanopic_ratio` (fits to two simulated rooms with a coloured sky), with the weight of

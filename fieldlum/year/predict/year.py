@@ -35,13 +35,13 @@ from fieldlum.sky.sky_view.view import NAME as SKY_VIEW
 from fieldlum.sky.sky_view.view import SkyView
 from fieldlum.version import __version__
 from fieldlum.weather import SYNTHETIC, Weather, read_weather
-from fieldlum.year.glare.budget import BUDGET_FILE, Budget, write_budgets, year_budget
 from fieldlum.year.glare.metrics import METRICS
 from fieldlum.year.glare.sources import view_azimuths_deg
 from fieldlum.year.glare.standards import DgpUncertainty, dgp_per_scale, protection
-from fieldlum.year.predict import blocks
+from fieldlum.year.glare.uncertainty_budget import BUDGET_FILE, Budget, write_budgets, year_budget
+from fieldlum.year.predict import hour_blocks
 from fieldlum.year.predict.annual import Annual, Pictures, read_annual, write_pictures
-from fieldlum.year.predict.blocks import HourFigures, ModelRoom
+from fieldlum.year.predict.hour_blocks import HourFigures, ModelRoom
 from fieldlum.year.predict.melanopic import has_colour, year_of_captures
 from fieldlum.year.predict.occupancy import (
     Occupancy,
@@ -89,7 +89,7 @@ def run(
     occupied hours; FloatingPointError if a map is not finite.
     """
     config, session = read_config(model_folder), session_of(model_folder)
-    room = blocks.room_of(config, model_folder)
+    room = hour_blocks.room_of(config, model_folder)
     check_session(model_folder, room, config.scene)
     folder = out or default_folder(model_folder)
     occupancy = default_occupancy() if occupancy_path is None else read_occupancy(occupancy_path)
@@ -115,9 +115,9 @@ def run(
         colours = year_of_captures(coloured.pairs, room, azimuths, scale)
     _delete_earlier_year(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    store = blocks.begin_maps(folder, len(light), room) if maps else None
+    store = hour_blocks.begin_maps(folder, len(light), room) if maps else None
     how = {"store": store, "melanopic": colours, "seed": seed, "scheduler": scheduler}
-    found = blocks.measure(model_folder, room, light, azimuths, **how)
+    found = hour_blocks.measure(model_folder, room, light, azimuths, **how)
     found.hours["occupied"][:] = occupancy.at(light.t_utc, weather.site.timezone)
     about = _about(room, config, weather, light, azimuths)
     found.hours["trusted"] *= not config.untrusted
@@ -125,7 +125,7 @@ def run(
     annual = Annual(light.t_utc, azimuths, found.hours, _columns(found), folder, summary)
     annual, budgets = _judged(annual, found.uncertainty, hours_used, room, session, seed)
     if store:
-        blocks.finish_maps(folder, annual, room)
+        hour_blocks.finish_maps(folder, annual, room)
     pictures = report_pictures(load(model_folder), room, light, annual)
     _write(annual, budgets, pictures, weather.site.timezone)
     return PredictedYear(annual, new=True)
@@ -266,7 +266,7 @@ def report_pictures(fitted: Fitted, room: ModelRoom, light: Light, annual: Annua
     rows, at = np.unique(np.array(hours, np.int64), return_inverse=True)
     maps = np.zeros((0, room.height, room.width), np.float32)  # if no direction was seen
     disc_lx = annual.hours["disc_lx"][rows]
-    for block in blocks.blocks(fitted, room, light[rows], disc_lx):  # one or none
+    for block in hour_blocks.blocks(fitted, room, light[rows], disc_lx):  # one or none
         maps = block.pictures_cdm2(room.heading_deg)
     return Pictures(tuple(kinds), rows[at], maps[at], disc_lx[at], room.heading_deg)
 
@@ -367,7 +367,7 @@ def _already(folder: Path, inputs: Mapping[str, object]) -> Annual | None:
     table = table or (None if needs_maps else current_note(note, inputs, files))
     same = table is not None and table.get("software", {}).get("fieldlum") == __version__
     with suppress(InputError):
-        if same and ((folder / blocks.NAME).is_dir() or not needs_maps):
+        if same and ((folder / hour_blocks.NAME).is_dir() or not needs_maps):
             return read_annual(folder)
     return None
 
@@ -378,7 +378,7 @@ def _delete_earlier_year(folder: Path) -> None:
     Otherwise an interruption could leave the hours of one weather file with the classes of another.
     """
     (folder / "predict.json").unlink(missing_ok=True)
-    for name in (blocks.NAME, blocks.DRAFT):
+    for name in (hour_blocks.NAME, hour_blocks.DRAFT):
         shutil.rmtree(folder / name, ignore_errors=True)
 
 

@@ -18,7 +18,6 @@ from fieldlum.core.records import Site, listed
 from fieldlum.core.room_states import parse_state
 from fieldlum.core.statistics import nan_percentiles
 from fieldlum.sky.daylight import Light
-from fieldlum.sky.sky_view.disc import disc_of_hours
 from fieldlum.sky.sky_view.measured_discs import MeasuredDiscs
 from fieldlum.sky.sky_view.picture import SkyGrid, SkyPicture
 from fieldlum.sky.sky_view.pose import CameraPose, pose_of_discs
@@ -32,6 +31,7 @@ from fieldlum.sky.sky_view.sky_directions import (
 )
 from fieldlum.sky.sky_view.sky_heading import MIN_U_DEG, heading_by_sky
 from fieldlum.sky.sky_view.view import SkyView
+from fieldlum.sky.sky_view.visible_disc import disc_of_hours
 from fieldlum.sky.sun import OBLIQUITY_DEG, SUN_SOLID_ANGLE_SR, celestial_pole
 from fieldlum.sky.sun_disc import SUN_RADIUS_RAD
 

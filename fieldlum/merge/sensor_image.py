@@ -14,7 +14,7 @@ from fieldlum.core.arrays import Floats, Floats32, Indices, Mask
 from fieldlum.core.records import Flag
 from fieldlum.core.statistics import median, robust_sigma
 from fieldlum.merge.estimator import Merged, Rows, merge_signals
-from fieldlum.merge.frames import Crop, RawSignal, Saturation, Signal, lens_crop, read_frames
+from fieldlum.merge.linear_frames import Crop, RawSignal, Saturation, Signal, lens_crop, read_frames
 from fieldlum.merge.ratios import Exposures, RatioCurve, compare, exposures_of, take_samples
 from fieldlum.merge.shift import shifts
 from fieldlum.merge.shots import Shot, sorted_shots

@@ -27,14 +27,14 @@ from fieldlum.session.files.hourly_csv import HOUR_COLUMNS
 from fieldlum.session.files.model_files import ModelConfig
 from fieldlum.session.site_toml import site_from_table
 from fieldlum.sky.daylight import Light
-from fieldlum.sky.sky_view.disc import disc_lx, disc_source, drawn_discs_lx
 from fieldlum.sky.sky_view.view import NAME as SKY_VIEW
 from fieldlum.sky.sky_view.view import SkyView
+from fieldlum.sky.sky_view.visible_disc import disc_lx, disc_source, drawn_discs_lx
 from fieldlum.sky.sun_disc import add_source
 from fieldlum.year.glare import metrics
-from fieldlum.year.glare.budget import U_DISC
 from fieldlum.year.glare.sources import SOURCE_CDM2, Views, panorama_views
 from fieldlum.year.glare.standards import DgpUncertainty, dgp_uncertainty, disturbed_share
+from fieldlum.year.glare.uncertainty_budget import U_DISC
 from fieldlum.year.predict.annual import Annual, rounded, time_coordinate
 from fieldlum.year.predict.melanopic import MelanopicYear
 

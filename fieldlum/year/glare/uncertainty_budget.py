@@ -23,8 +23,8 @@ from fieldlum.sky.sky_view.pose import STATED_SD
 from fieldlum.sky.sky_view.view import SkyView
 from fieldlum.year.glare import standards
 from fieldlum.year.glare.metrics import glare_directions
+from fieldlum.year.glare.picture_glare import seen_pixels, take_out_sun, valid_pixels
 from fieldlum.year.glare.pictures import read_picture
-from fieldlum.year.glare.single import seen_pixels, take_out_sun, valid_pixels
 from fieldlum.year.glare.sources import panorama_views
 
 # relative u of a disc's illuminance by DNI: luminous efficacy and glass together; not measured

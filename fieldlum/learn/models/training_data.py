@@ -37,7 +37,7 @@ from fieldlum.session.panorama_sun import read_panorama_with_sun, suns_of
 from fieldlum.session.site_toml import load_site, site_table
 from fieldlum.sky import sun
 from fieldlum.sky.daylight import Light
-from fieldlum.sky.sky_view.estimate import Captured, sky_view_of
+from fieldlum.sky.sky_view.estimate_from_captures import Captured, sky_view_of
 from fieldlum.sky.sky_view.measured_discs import NO_DISCS, MeasuredDiscs
 from fieldlum.sky.sky_view.picture import SkyPicture, cut_panorama
 from fieldlum.sky.sky_view.view import NAME as SKY_VIEW

@@ -25,7 +25,7 @@ from fieldlum.sky.perez import reinhart_patches
 from fieldlum.sky.sun_disc import add_source
 
 if TYPE_CHECKING:
-    from fieldlum.learn.models.data import Dataset
+    from fieldlum.learn.models.training_data import Dataset
 
 MIN_CDM2 = 0.1  # in darker pixels relative errors have no meaning; not measured
 # Weights of the cells and of their sum beside the sun's light in a coarse model of the room, whose
