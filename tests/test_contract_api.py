@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
-from fieldlum.year.predict.blocks import map_coordinates
 
 import fieldlum
 from fieldlum.core.errors import InputError
 from fieldlum.year.glare.sources import view_azimuths_deg
 from fieldlum.year.predict.annual import dataset_of
+from fieldlum.year.predict.hour_blocks import map_coordinates
 
 pytestmark = pytest.mark.contract
 

@@ -226,7 +226,7 @@ def fit(
     'transport'
     """
     from fieldlum.learn import train
-    from fieldlum.learn.models.data import Dataset
+    from fieldlum.learn.models.training_data import Dataset
 
     if not isinstance(data, Dataset):
         raise InputError("data", f"{data!r:.60}", "pairs from fieldlum.load_pairs", "call it first")
