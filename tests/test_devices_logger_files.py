@@ -52,8 +52,8 @@ def test_toa5_and_csv_tell_the_same_moment(tmp_path: Path) -> None:
             "ghi_wm2 is '5,1', expected a number with a decimal point",
         ),
         (
-            "time,ghi_wm2\n20.3.2027 16:00,5.1\n",
-            r"time '20.3.2027 16:00', expected one like 2027-03-20T16:00:00Z",
+            "time,ghi_wm2\n20.3.27 16:00,5.1\n",
+            r"time '20.3.27 16:00', expected one like 2027-03-20T16:00:00Z",
         ),
         ("\0\0\0", "a binary file, or UTF-16 without its byte order mark"),
     ],

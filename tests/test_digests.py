@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from tiny_field import make_session
 
 from fieldlum.cli import main
 from fieldlum.core.errors import ChangedFileWarning
@@ -30,6 +31,8 @@ from fieldlum.session.panorama_sun import (
     read_suns,
     write_suns,
 )
+from fieldlum.sky.sky_view.picture import SkyGrid
+from fieldlum.sky.sky_view.view import CHANNELS, SkyView
 from fieldlum.year.glare.uncertainty_budget import COLUMNS
 
 NOON = datetime(2027, 6, 21, 12, tzinfo=UTC)
@@ -163,3 +166,25 @@ def test_a_panorama_that_decays_after_its_merge_is_reported(tmp_path: Path) -> N
         warn_if_changed(path)
     path.write_bytes(whole)
     warn_if_changed(path)
+
+
+@pytest.mark.contract
+def test_an_edited_plan_sidecar_or_sky_view_is_reported(tmp_path: Path) -> None:
+    session = make_session(tmp_path / "s")
+    session.plan.write_text(session.plan.read_text().replace(",10.000,", ",11.000,"))
+    with pytest.warns(ChangedFileWarning, match=r"plan\.csv: the content changed"):
+        session.slots()
+    sidecar = tmp_path / "20270621T120000Z.json"
+    Sidecar(sidecar.stem, verdict="check 231").write(sidecar)
+    Sidecar.read(sidecar)
+    sidecar.write_text(sidecar.read_text().replace("check 231", "good"))
+    with pytest.warns(ChangedFileWarning, match=sidecar.name):
+        Sidecar.read(sidecar)
+    share = np.zeros((16, 32), np.float32)
+    view = SkyView(SkyGrid(90.0, 0.0, 11.25, 180.0, 16, 32), **dict.fromkeys(CHANNELS, share))
+    view.write(tmp_path / "sky_view.exr")
+    SkyView.read(tmp_path / "sky_view.exr")
+    note = tmp_path / "sky_view.exr.sha256"
+    note.write_text("0" * 64 + note.read_text()[64:])
+    with pytest.warns(ChangedFileWarning, match=r"sky_view\.exr: the content changed"):
+        SkyView.read(tmp_path / "sky_view.exr")

@@ -6,6 +6,7 @@ import json
 import os
 import re
 import shutil
+import struct
 import subprocess
 import sys
 from collections.abc import Callable
@@ -14,11 +15,14 @@ from datetime import timedelta
 from pathlib import Path
 
 import numpy as np
+import OpenEXR
 import pytest
 from click.testing import CliRunner
+from outside_jpeg import GOOD, exif_segment, jpeg
 from places import SEATTLE
 from tiny_field import T0, Field, make_session
 
+from fieldlum.calibrate.fit_charts import grey_picture
 from fieldlum.capture.alerts import _latest_contact_sheet, open_alerts
 from fieldlum.capture.notify import Message
 from fieldlum.cli import main
@@ -27,10 +31,12 @@ from fieldlum.core.records import CameraSetup, Exposure, Room, SiteFile, slot_id
 from fieldlum.core.strict_csv import read_text
 from fieldlum.core.strict_toml import read_toml
 from fieldlum.devices.address_permission import permission_subject, require_permitted
+from fieldlum.devices.logger_files import read_logger_file
 from fieldlum.merge.shots import shots_of_slot
-from fieldlum.optics.images import read_panorama, read_radiance_hdr
-from fieldlum.optics.raw import opened
+from fieldlum.optics.images import read_exr, read_panorama, read_radiance_hdr
+from fieldlum.optics.raw import opened, read_jpeg
 from fieldlum.optics.raw.exif import tags_of
+from fieldlum.room.fit.scene_file import read_scene
 from fieldlum.room.scene.embedded_commands import what_runs
 from fieldlum.session import (
     Journal,
@@ -45,11 +51,12 @@ from fieldlum.session import (
 )
 from fieldlum.session.codec import read_arrays, read_object, write_object
 from fieldlum.session.day_files import read_day
-from fieldlum.session.files.capture_json import Frame, frame_fields, frame_from
+from fieldlum.session.files.capture_json import CaptureFile, Frame, frame_fields, frame_from
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.session.folder import _checked_stems
 from fieldlum.session.journal import damaged_lines
 from fieldlum.session.permits import computer, config_folder, is_permitted, permit, subject
+from fieldlum.sky.sky_view.view import SkyView
 from fieldlum.web.snapshot import LineTail
 
 pytestmark = [
@@ -348,6 +355,124 @@ def test_no_reader_waits_for_a_pipe_or_reads_a_huge_file(
             assert why in str(error)
         else:
             assert not answer
+
+
+# ----------------------------------------------------------------------------------------------
+# files that state or expand to more than they hold
+
+
+def _exr_of(path: Path, width: int, height: int, tiles: tuple[int, int, int] | None = None) -> Path:
+    """Write the header of an EXR of half RGB, without pixels, and 200 zeros."""
+
+    def attribute(name: str, kind: str, data: bytes) -> bytes:
+        size = struct.pack("<i", len(data))
+        return name.encode() + b"\0" + kind.encode() + b"\0" + size + data
+
+    box = struct.pack("<4i", 0, 0, width - 1, height - 1)
+    rgb = b"".join(c + b"\0" + struct.pack("<iB3xii", 1, 0, 1, 1) for c in (b"B", b"G", b"R"))
+    parts = [
+        attribute("channels", "chlist", rgb + b"\0"),
+        attribute("compression", "compression", b"\3"),
+        attribute("dataWindow", "box2i", box),
+        attribute("displayWindow", "box2i", box),
+        attribute("lineOrder", "lineOrder", b"\0"),
+        attribute("pixelAspectRatio", "float", struct.pack("<f", 1.0)),
+        attribute("screenWindowCenter", "v2f", struct.pack("<2f", 0.0, 0.0)),
+        attribute("screenWindowWidth", "float", struct.pack("<f", 1.0)),
+        *([attribute("tiles", "tiledesc", struct.pack("<iiB", *tiles))] if tiles else []),
+    ]
+    start = struct.pack("<ii", 20000630, 0x202 if tiles else 2)
+    path.write_bytes(start + b"".join(parts) + bytes(201))
+    return path
+
+
+EXR_BOMBS = {
+    "140 megapixels": (14_000, 10_000, None),
+    "one row": (100_000_000, 1, None),
+    "all of 31 bits": (2**31 - 2, 2**31 - 2, None),
+    "tiles of a pixel": (14_000, 10_000, (1, 1, 2)),
+    "huge tiles": (100, 100, (2**30, 2**30, 0)),
+    "no pixels": (64, 64, None),
+}
+
+
+@pytest.mark.parametrize("bomb", EXR_BOMBS)
+def test_an_exr_that_states_many_pixels_is_refused_in_one_line(tmp_path: Path, bomb: str) -> None:
+    """Within a second and 1 GiB of memory, and without lines of OpenEXR."""
+    path = _exr_of(tmp_path / "a.exr", *EXR_BOMBS[bomb])
+    limit = "import resource; resource.setrlimit(resource.RLIMIT_DATA, (2**30, 2**30)); "
+    line = f"{limit}from fieldlum.cli import main; main(['info', {str(path)!r}])"
+    command = [sys.executable, "-c", line]
+    shown = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert shown.returncode == InputError.exit_code, shown.stderr
+    assert shown.stderr.count("\n") == 1 and "a.exr: " in shown.stderr
+
+
+@pytest.mark.slow
+def test_an_exr_of_zeros_does_not_expand(tmp_path: Path) -> None:
+    """A complete file of 0.3 MB, for pictures and for sky views."""
+    black = np.zeros((5000, 4000), np.float16)
+    channels = dict.fromkeys(("R", "G", "B"), black)
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, channels).write(str(tmp_path / "a.exr"))
+    for read in (read_exr, SkyView.read):
+        with pytest.raises(InputError, match="4000 x 5000 pixels of 3 channels"):
+            read(tmp_path / "a.exr")
+
+
+@pytest.mark.parametrize("pixels", [0, 10**12])
+def test_no_profile_removes_the_limit_on_pixels(tmp_path: Path, pixels: int) -> None:
+    path = jpeg(tmp_path / "a.jpg", exif_segment(GOOD))
+    data = bytearray(path.read_bytes())
+    at = data.index(b"\xff\xc0") + 5
+    data[at : at + 4] = struct.pack(">HH", 65_000, 65_000)
+    path.write_bytes(data)
+    with pytest.raises(InputError, match="65000 x 65000 pixels; expected at most"):
+        read_jpeg(path, camera_pixels=pixels)
+    with pytest.raises(InputError, match="65000 x 65000 pixels; expected at most"):
+        grey_picture(path)
+
+
+def test_a_png_that_states_many_pixels_is_refused(tmp_path: Path) -> None:
+    head = b"\x89PNG\r\n\x1a\n" + struct.pack(">I4sII", 13, b"IHDR", 30_000, 30_000)
+    (tmp_path / "a.png").write_bytes(head + bytes(20))
+    with pytest.raises(InputError, match="30000 x 30000 pixels; expected at most"):
+        grey_picture(tmp_path / "a.png")
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["a = " + "[" * 9999, "a = " + "{b=" * 9999, f"[{'.'.join('a' * 5000)}]", "a = " + "9" * 9999],
+)
+@pytest.mark.parametrize("name", ["session.toml", "scene/scene.toml", "camera.toml"])
+def test_toml_nested_too_deeply_is_one_line(tmp_path: Path, name: str, text: str) -> None:
+    path = tmp_path / name
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(text, encoding="utf-8")
+    read = {"session.toml": open_session, "scene/scene.toml": read_scene}.get(name, read_toml)
+    with pytest.raises(InputError, match="toml: "):
+        read(path if name == "camera.toml" else path.parent)
+
+
+def test_a_table_of_too_many_rows_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fieldlum.devices.logger_files._MAX_ROWS", 2)
+    (tmp_path / "a.csv").write_text("t_utc,ghi_wm2\n" + "2027-03-20T06:00:00Z,1\n" * 3)
+    with pytest.raises(InputError, match="3 rows; expected at most 2 rows"):
+        read_logger_file(tmp_path / "a.csv")
+
+
+def test_two_frames_of_one_name_are_refused(tmp_path: Path) -> None:
+    """Names that differ in capitals only are one file on Windows and macOS."""
+    exposure = {"shutter_s": 1.0, "f_number": 4.0, "iso": 100.0}
+    row = {"exposure": exposure, "t_utc": "2027-03-20T15:30:00Z"}
+    rows = [row | {"file": name} for name in ("a.DNG", "A.dng")]
+    folder = tmp_path / "20270320T153000Z"
+    folder.mkdir()
+    (folder / "capture.json").write_text(json.dumps({"frames": rows}))
+    with pytest.raises(InputError, match="two frames with the same file name"):
+        CaptureFile.read(folder / "capture.json")
 
 
 # ----------------------------------------------------------------------------------------------

@@ -109,7 +109,7 @@ def test_an_endless_file_is_refused(tmp_path: Path) -> None:
         pytest.skip("no /dev/zero here")
     words = ["plan", str(endless), "--set", "9-day", "--out", str(tmp_path / "s")]
     shown = CliRunner().invoke(main, words)
-    assert shown.exit_code == 3 and "a pipe or a device" in shown.output
+    assert shown.exit_code == 3 and "a pipe, socket or device" in shown.output
 
 
 def test_a_black_picture_is_doubted(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
+from zoneinfo import ZoneInfo
 
 import numpy as np
 import pvlib
@@ -27,7 +28,14 @@ from fieldlum.capture.logger_import import adopt_rows
 from fieldlum.cli import main
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure, Site, SiteFile, Slot
-from fieldlum.core.strict_csv import is_wm2, lines_of, microvolts, split_heading, stated_unit
+from fieldlum.core.strict_csv import (
+    is_wm2,
+    lines_of,
+    microvolts,
+    read_time,
+    split_heading,
+    stated_unit,
+)
 from fieldlum.devices.logger_files import LoggerFile, read_logger_file
 from fieldlum.session import create_session, day_files, read_day
 from fieldlum.session.files.irradiance_csv import CleanIrradiance
@@ -1122,3 +1130,145 @@ def read_weather_rows(path: Path) -> list[tuple[Any, ...]]:
 
     rows = read_table(path, lines_of(read_text(path, "a file")), NORTH).rows
     return [tuple(map(repr, (r.when, r.dni, r.dhi, r.ghi))) for r in rows]
+
+
+# ----------------------------------------------------------------------------------------------
+# the clock and the columns of tables, as loggers in several countries write them
+
+FORMS = [  # of 20 March 2027 06:00 and 17:00
+    ("{d}.{m}.{y} {h:02d}:{i:02d}", "Germany"),
+    ("{y}/{m1}/{d} {h}:{i:02d}", "Japan"),
+    ("{d}/{m}/{y} {h:02d}:{i:02d}", "France"),
+    ("{m1}/{d}/{y} {half}", "United States"),
+    ("{y}-{m}-{d} {half}", "Onset HOBOware"),
+    ("{y}-{m}-{d} {h:02d}:{i:02d}:00 GMT", "a spreadsheet"),
+    ("{y}{m}{d}T{h:02d}{i:02d}00Z", "ISO 8601, basic"),
+]
+
+
+@pytest.mark.authority
+@pytest.mark.parametrize(("form", "country"), FORMS)
+def test_times_of_several_countries(tmp_path: Path, form: str, country: str) -> None:
+    """Expected: the same moments by strftime of Python."""
+    starts = [datetime(2027, 3, 20, h, 30, tzinfo=UTC) for h in range(24)]
+    texts = [
+        form.format(
+            y=t.year,
+            m=f"{t:%m}",
+            m1=t.month,
+            d=t.day,
+            h=t.hour,
+            i=t.minute,
+            half=f"{t:%I:%M:%S %p}",
+        )
+        for t in starts
+    ]
+    rows = [f"{text},{k + 40.5}" for k, text in enumerate(texts)]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(["time,GHI (W/㎡)", *rows]) + "\n", encoding="utf-8")
+    read = read_logger_file(path, timedelta(0))
+    assert [s.t_utc for s in read.samples] == starts and not read.left_out, country
+    assert [s.ghi_wm2 for s in read.samples] == [k + 40.5 for k in range(24)]
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize(
+    ("text", "t"),
+    [
+        ("2027-03-20 24:00", datetime(2027, 3, 21, tzinfo=UTC)),
+        ("2027-03-20 24:00:00", datetime(2027, 3, 21, tzinfo=UTC)),
+        ("2027-12-31T24:00", datetime(2028, 1, 1, tzinfo=UTC)),
+        ("2027-03-20 12:00 AM", datetime(2027, 3, 20, tzinfo=UTC)),
+        ("2027-03-20 12:15:00 p.m.", datetime(2027, 3, 20, 12, 15, tzinfo=UTC)),
+        ("2027/3/2 1:00p", datetime(2027, 3, 2, 13, tzinfo=UTC)),
+    ],
+)
+def test_ends_and_halves_of_days(text: str, t: datetime) -> None:
+    assert read_time(text, utc=True) == t
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize(
+    "text", ["2027-03-20 13:00 PM", "2027-03-20 0:30 AM", "2027-03-20 24:30", "20.03.2027"]
+)
+def test_times_that_no_clock_shows(text: str) -> None:
+    with pytest.raises(ValueError, match="expected one like"):
+        read_time(text)
+
+
+def _clock_file(path: Path, times: list[datetime], form: str) -> Path:
+    rows = [f"{t.strftime(form)},{k + 50}" for k, t in enumerate(times)]
+    path.write_text("\n".join(["time,ghi_wm2", *rows]) + "\n", encoding="utf-8")
+    return path
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize("minutes", [1, 10, 30])
+@pytest.mark.parametrize("zone", ["Europe/Berlin", "America/New_York", "Australia/Sydney"])
+def test_a_clock_that_leaves_summer_time_is_refused(
+    tmp_path: Path, zone: str, minutes: int
+) -> None:
+    """Expected: the civil times of tzdata; standard time of the same days is read."""
+    first = (
+        datetime(2027, 4, 3, tzinfo=UTC) if "Aus" in zone else datetime(2027, 10, 30, tzinfo=UTC)
+    )
+    first = datetime(2027, 11, 6, tzinfo=UTC) if "York" in zone else first
+    times = [first + k * timedelta(minutes=minutes) for k in range(2880 // minutes)]
+    civil = [t.astimezone(ZoneInfo(zone)).replace(tzinfo=None) for t in times]
+    path = _clock_file(tmp_path / "a.csv", civil, "%Y-%m-%d %H:%M")
+    with pytest.raises(InputError, match=r"clock goes back.*end of summer time.*standard time"):
+        read_logger_file(path, timedelta(hours=1))
+    standard = _clock_file(tmp_path / "b.csv", times, "%Y-%m-%d %H:%M")
+    assert len(read_logger_file(standard, timedelta(hours=1)).samples) == len(times)
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize("hours", [(6, 18), (0, 24)])
+def test_twelve_hours_without_am_and_pm_are_refused(tmp_path: Path, hours: tuple[int, int]) -> None:
+    start = datetime(2027, 3, 20, tzinfo=UTC)
+    times = [start + timedelta(minutes=10 * k) for k in range(6 * hours[0], 6 * hours[1])]
+    path = _clock_file(tmp_path / "a.csv", times, "%Y-%m-%d %I:%M")
+    with pytest.raises(InputError, match=r"no hour is above 12.*AM and PM"):
+        read_logger_file(path, timedelta(0))
+
+
+@pytest.mark.contract
+def test_parts_of_a_file_may_be_in_any_order(tmp_path: Path) -> None:
+    start = datetime(2027, 3, 20, tzinfo=UTC)
+    times = [start + timedelta(minutes=10 * k) for k in range(36, 72)]
+    for name, order in (("newest", times[::-1]), ("parts", times[18:] + times[:18])):
+        path = _clock_file(tmp_path / f"{name}.csv", order, "%Y-%m-%d %H:%M")
+        assert [s.t_utc for s in read_logger_file(path, timedelta(0)).samples] == times
+
+
+@pytest.mark.slow
+@pytest.mark.contract
+@pytest.mark.parametrize("site", [NORTH, WEST])
+def test_direct_irradiance_of_a_horizontal_plane_is_refused(tmp_path: Path, site: Site) -> None:
+    """A file without global irradiance, which would contradict it."""
+    starts = hours_of(site)
+    light = light_of(site, starts)
+    light[::2] = light[::2, 2:] * [0.0, 0.35, 0.35]  # every second hour is overcast
+    moments = [t - timedelta(hours=ZONE[site.timezone]) + HALF for t in starts]
+    altitude = np.radians(sun.position(moments, site).altitude_deg)
+    light[:, 0] = np.round(light[:, 0] * np.sin(np.maximum(altitude, 0.0)), 1)
+    with pytest.raises(InputError, match="DNI has direct irradiance on a horizontal plane"):
+        read_weather(write_epw(tmp_path / "a.epw", site, light), site)
+
+
+@pytest.mark.slow
+@pytest.mark.contract
+@pytest.mark.parametrize("hours", [slice(4000, 4300), slice(0, 8760, 9)])
+def test_missing_hours_that_are_zeros_are_named(tmp_path: Path, hours: slice) -> None:
+    light = light_of(NORTH, hours_of(NORTH))
+    light[hours] = 0.0
+    with pytest.raises(InputError, match="hours have no light while the sun is up"):
+        read_weather(write_epw(tmp_path / "a.epw", NORTH, light), NORTH)
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize(
+    "heading", ["_" * 200_000 + "x", "a" + " " * 200_000 + "(b", "(" * 200_000]
+)
+def test_a_heading_of_any_length_is_read_at_once(heading: str) -> None:
+    assert split_heading(heading)[1] == "" and stated_unit(heading) in ("", "b")

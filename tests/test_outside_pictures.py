@@ -541,3 +541,58 @@ def test_info_gives_a_picture_of_another_program_no_heading(tmp_path: Path) -> N
         facts = describe(path)
         assert (facts["kind"], facts["view"]) == ("EXR picture", shown)
         assert "heading_deg" not in facts and facts["median_cdm2"] == 7
+
+
+@pytest.mark.authority
+@pytest.mark.parametrize(
+    ("tags", "exposure"),
+    [
+        ({37377: (5907, 1000)}, (1 / 60, 5.6)),
+        ({37377: (5907, 1000), 33434: (0, 1)}, (1 / 60, 5.6)),
+        ({37378: (497, 100), 33434: (1, 60)}, (1 / 60, 5.6)),
+        ({37378: (497, 100), 33434: (1, 60), 33437: (0, 1)}, (1 / 60, 5.6)),
+    ],
+)
+def test_settings_that_only_apex_tags_state(
+    tmp_path: Path, tags: dict[int, Value], exposure: tuple[float, float]
+) -> None:
+    """Expected: EXIF 2.32, annex C: T = 2 ** -Tv, A = 2 ** (Av / 2)."""
+    rest = {k: v for k, v in GOOD.items() if k != (33437 if 37378 in tags else 33434)}
+    frame = read_exif(jpeg(tmp_path / "f.jpg", exif_segment(rest | tags)))
+    assert (frame.exposure.shutter_s, frame.exposure.f_number) == pytest.approx(exposure, rel=1e-3)
+
+
+@pytest.mark.contract
+def test_a_lens_without_electronics_has_no_aperture(tmp_path: Path) -> None:
+    path = jpeg(tmp_path / "f.jpg", exif_segment(GOOD | {33437: (0, 1), 37378: (0, 1)}))
+    with pytest.raises(InputError, match="no f-number in the EXIF"):
+        read_exif(path)
+
+
+@pytest.mark.contract
+def test_a_luminance_that_contradicts_the_colours_is_not_chosen_silently(tmp_path: Path) -> None:
+    rgb = np.random.default_rng(1).uniform(1.0, 9.0, (8, 8, 3)).astype(np.float32)
+    channels = {name: np.ascontiguousarray(rgb[..., k]) for k, name in enumerate("RGB")}
+    luminance = (rgb @ np.array([0.2126, 0.7152, 0.0722])).astype(np.float32)
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    for factor in (1.0, 3.0):
+        path = tmp_path / f"{factor}.exr"
+        OpenEXR.File(header, {**channels, "Y": luminance * np.float32(factor)}).write(str(path))
+    np.testing.assert_allclose(
+        read_exr(tmp_path / "1.0.exr")[0].luminance_cdm2, luminance, rtol=1e-3
+    )
+    with pytest.raises(InputError, match="Y is not the luminance of R, G and B"):
+        read_exr(tmp_path / "3.0.exr")
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize("aspect", [2.0, 0.5])
+def test_pixels_that_are_no_squares_are_refused(tmp_path: Path, aspect: float) -> None:
+    header = {
+        "compression": OpenEXR.ZIP_COMPRESSION,
+        "type": OpenEXR.scanlineimage,
+        "pixelAspectRatio": aspect,
+    }
+    OpenEXR.File(header, {"Y": np.ones((8, 8), np.float32)}).write(str(tmp_path / "a.exr"))
+    with pytest.raises(InputError, match="times as wide as high; expected square pixels"):
+        read_exr(tmp_path / "a.exr")

@@ -20,7 +20,7 @@ from fieldlum.capture.status import status
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure, SiteFile, Slot
 from fieldlum.plan import makeup
-from fieldlum.session import Session, create_session, store_grace
+from fieldlum.session import Session, create_session, sha256, store_grace, update_session
 from fieldlum.session.codec import NPZ_ERRORS, read_arrays
 from fieldlum.session.files.capture_json import CaptureFile, Frame
 from fieldlum.session.files.hourly_csv import HOUR_COLUMNS, VIEW_COLUMNS, HourlyFile
@@ -58,6 +58,7 @@ def test_the_grace_of_a_capture_is_known_to_doctor_and_replanning(session: Sessi
     assert doctor.slots_ahead(session, late) == []
     assert makeup.run(session, late)["missed"] == 1
     session.plan.write_bytes((session.root / "plan.0.csv").read_bytes())
+    update_session(session, {"plan": {**session.table()["plan"], "sha256": sha256(session.plan)}})
     store_grace(session, 900.0)
     assert [slot.id for slot in doctor.slots_ahead(session, late)] == [SLOT.id]
     assert prepare(session, fast=False)[1].grace_s == 900.0

@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Array
-from fieldlum.core.errors import InputError
+from fieldlum.core.errors import InputError, input_errors
+from fieldlum.core.files import read_bytes
 from fieldlum.core.plot_style import BLUE, INK, RED, new_figure, open_axes
 from fieldlum.optics.images import read_panorama
 from fieldlum.optics.projection import equirect_pixel
-from fieldlum.optics.raw import read_mosaic
+from fieldlum.optics.raw import MAX_CAMERA_PIXELS, jpeg_size, read_mosaic
 from fieldlum.session import replacing_path
 
 if TYPE_CHECKING:
@@ -115,12 +116,20 @@ def grey_picture(path: Path) -> NDArray[np.uint8]:
     """Read a raw, JPEG, PNG or TIFF file as grey codes 0 to 255 at sensor size, [h, w].
 
     A raw frame is stretched to its own brightness, so that its codes have no absolute meaning.
-    Raises InputError for a file that cannot be read.
+    Raises InputError for a file that cannot be read, or has over 500 million pixels.
     """
     import cv2
 
     if path.suffix.lower() in (".jpg", ".jpeg", ".png", ".tif", ".tiff"):
-        picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
+        with input_errors(path, "JPEG, PNG or raw", "check the path", OSError):
+            data = read_bytes(path)
+        stated = int.from_bytes(data[16:20]), int.from_bytes(data[20:24])  # of a PNG, in its IHDR
+        width, height = stated if data.startswith(b"\x89PNG") else jpeg_size(path)
+        if width * height > MAX_CAMERA_PIXELS:
+            expected = f"at most {MAX_CAMERA_PIXELS:,} pixels"
+            raise InputError(path, f"{width} x {height} pixels", expected, "reduce the picture")
+        how = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
+        picture = cv2.imdecode(np.frombuffer(data, np.uint8), how) if data else None
         if picture is None:
             remedy = "convert it to JPEG or PNG, or copy it from the card again"
             raise InputError(path, "no picture that OpenCV reads", "JPEG, PNG or raw", remedy)

@@ -199,7 +199,7 @@ def _adopt(session: Session, setup: CameraSetup, journal: Journal, match: Match)
     frames: list[Frame] = []
     for index, card in enumerate(match.group.frames):
         name = card.path.name
-        if any(frame.file == name for frame in frames):
+        if any(frame.file.casefold() == name.casefold() for frame in frames):
             name = f"{card.path.parent.name}_{name}"
         with replacing_path(folder / name) as copy:
             shutil.copyfile(card.path, copy)

@@ -14,6 +14,7 @@ from urllib.parse import urlsplit
 
 from fieldlum.capture.reconnect import Backoff
 from fieldlum.core.errors import InputError, input_errors, install_text
+from fieldlum.core.files import read_bytes
 
 FIRST_PAUSE_S, MAX_PAUSE_S = 30.0, 900.0  # for services that limit requests; a quarter of an hour
 
@@ -116,7 +117,7 @@ def read_targets(option: str, *, name: str = "--notify") -> tuple[tuple[str, ...
     path, expected = Path(option[1:]), "a UTF-8 file with one apprise address per line"
     kinds = OSError, UnicodeDecodeError
     with input_errors(path, expected, "check the path, its permissions and encoding", *kinds):
-        lines = [line.strip() for line in path.read_text(encoding="utf-8").splitlines()]
+        lines = [line.strip() for line in read_bytes(path).decode().splitlines()]
     addresses = tuple(line for line in lines if line and not line.startswith("#"))
     if not addresses:
         raise InputError(path, "no address in the file", expected, "write an address into it")

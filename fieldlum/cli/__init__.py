@@ -101,13 +101,15 @@ def _children_import_nothing_here() -> Iterator[None]:
 
 @contextmanager
 def _warnings_as_notes() -> Iterator[None]:
-    """Print warnings without control codes on stderr, that of a changed file as one line."""
+    """Print warnings without control codes on stderr, that of a changed file as one line, once."""
     with warnings.catch_warnings():
-        show = warnings.showwarning
+        show, changes = warnings.showwarning, set[str]()
 
         def note(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
             if issubclass(category, errors.ChangedFileWarning):
-                say(f"WARNING: {message}")
+                if str(message) not in changes:
+                    changes.add(str(message))
+                    say(f"WARNING: {message}")
             else:
                 show(printable(str(message)), category, *place, **more)
 

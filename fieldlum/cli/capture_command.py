@@ -67,12 +67,7 @@ def command(
     from fieldlum.capture.notify import read_address
     from fieldlum.capture.steady_clock import wait_for_clock
     from fieldlum.optics.raw import unreadable
-    from fieldlum.session import sha256
 
-    if session.table().get("plan", {}).get("sha256") != sha256(session.plan):
-        terminal.say(
-            "note: plan.csv was changed after session.toml was written: run fieldlum doctor"
-        )
     camera_uri, pyranometer_uri, meter_uri = device_uris(session, camera, pyranometer, meter)
     if not camera_uri:
         raise click.UsageError(

@@ -67,7 +67,7 @@ def describe(path: Path, part: str = "") -> Facts:
         path = find_camera_profile(str(path))
     if path.is_dir():
         return _folder(path)
-    if not path.is_file():
+    if not path.exists():
         raise InputError(path, "no such file or folder", remedy="check the path")
     suffix = path.suffix.lower()
     if suffix == ".exr":

@@ -14,6 +14,7 @@ import click
 
 from fieldlum.cli.options import command_of
 from fieldlum.core.errors import InputError
+from fieldlum.core.files import read_bytes
 from fieldlum.core.records import CameraSetup, Site, SiteFile
 
 if TYPE_CHECKING:
@@ -94,7 +95,7 @@ class Dialogue:
         self.site_file, self.path = site_file, site_file.with_name(f"{site_file.name}.answers")
         self.answers: dict[str, str] = {}
         with suppress(OSError, ValueError, TypeError):
-            self.answers = dict(json.loads(self.path.read_text(encoding="utf-8")))
+            self.answers = dict(json.loads(read_bytes(self.path)))
             click.echo(f"{self.path} has your answers so far: press Enter to keep one")
 
     def ask(self, question: str, reader: Callable[[str], T], default: str | None = None) -> T:

@@ -8,6 +8,10 @@ FieldlumError            exit 1   a defect
 Usage errors (exit 2) are click's own.
 """
 
+import os
+import sys
+import tempfile
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -66,6 +70,8 @@ def install_text(extra: str) -> str:
 
 def reason_of(error: BaseException) -> str:
     """Return what an exception reports, in words for a reader who does not know Python."""
+    if isinstance(error, InputError):
+        return error.found
     if isinstance(error, KeyError):
         return f"no entry {error}"
     if isinstance(error, OSError) and error.strerror:
@@ -98,6 +104,34 @@ _KINDS = {
 def kind_of(data: bytes) -> str:
     """Return the kind of a file by its first bytes; "" for a text and an unknown file."""
     return next((kind for start, kind in _KINDS.items() if data.startswith(start)), "")
+
+
+_STDERR = threading.Lock()
+
+
+@contextmanager
+def library_messages(*marks: str) -> Iterator[list[str]]:
+    """Collect the marks that occur in what a C library writes to stderr within the `with` block.
+
+    LibRaw and OpenEXR state damage only there, and continue. Lines without a mark are passed on.
+    """
+    messages: list[str] = []
+    with _STDERR, tempfile.TemporaryFile() as buffer:
+        sys.stderr.flush()
+        stderr = os.dup(2)
+        os.dup2(buffer.fileno(), 2)
+        try:
+            yield messages
+        finally:
+            sys.stderr.flush()
+            os.dup2(stderr, 2)
+            os.close(stderr)
+            buffer.seek(0)
+            for line in buffer.read().splitlines(keepends=True):
+                if mark := next((mark for mark in marks if mark.encode() in line), ""):
+                    messages.append(mark)
+                else:
+                    os.write(2, line)
 
 
 @contextmanager

@@ -36,14 +36,18 @@ def open_file(path: Path | str, flags: int, *, follow_links: bool = False) -> in
     # Absent on Windows, where a link needs a right that users do not have. O_NONBLOCK is for a
     # named pipe; it has no effect on files.
     names = ("O_CLOEXEC", "O_NONBLOCK", *(() if follow_links else ("O_NOFOLLOW",)))
-    handle = os.open(path, flags | sum(getattr(os, name, 0) for name in names), 0o644)
+    no_file = OSError(errno.ENXIO, "a pipe, socket or device, which is no file", str(path))
+    try:
+        handle = os.open(path, flags | sum(getattr(os, name, 0) for name in names), 0o644)
+    except OSError as error:
+        raise no_file if error.errno == errno.ENXIO else error from None
     mode = os.fstat(handle).st_mode
     if stat.S_ISREG(mode):
         return handle
     os.close(handle)
     if stat.S_ISDIR(mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
-    raise OSError(errno.ENXIO, "a pipe or a device, which is no file", str(path))
+    raise no_file
 
 
 def open_to_read(path: Path, maximum_bytes: int = MAX_FILE_BYTES) -> BufferedReader:

@@ -29,6 +29,7 @@ from urllib.parse import urlsplit
 from threadpoolctl import threadpool_limits
 
 from fieldlum.core.errors import InputError, NotEnoughDataError, input_errors, install_text
+from fieldlum.core.files import read_bytes
 from fieldlum.core.progress import progress, quiet, shown_by
 from fieldlum.optics.profiles import shipped
 from fieldlum.session import sha256
@@ -82,7 +83,7 @@ def parse_scheduler(text: str, say: Callable[[str], None] = _silent) -> Schedule
         remedy = "let dask scheduler --scheduler-file write the file"
         wrong = (OSError, ValueError, KeyError, TypeError)
         with input_errors(text, "a JSON file of a Dask scheduler", remedy, *wrong):
-            address = str(json.loads(Path(text).read_text(encoding="utf-8"))["address"])
+            address = str(json.loads(read_bytes(Path(text)))["address"])
     with suppress(ValueError):
         at = urlsplit(address)
         if at.scheme in ("tcp", "tls") and at.hostname and at.port and "@" not in at.netloc:

@@ -7,11 +7,12 @@ import codecs
 import csv
 import math
 import re
+import unicodedata
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from itertools import pairwise
 from pathlib import Path
 
@@ -39,8 +40,8 @@ _NO_VALUE = {"", "nan", "na", "n/a", "#n/a", "null", "none", "inf"}
 _MISSING = {s * m for s in (-1.0, 1.0) for m in (9999.0, 99999.0, 999999.0, 6999.0, 7999.0)} | {
     *(-9900.0, -9999.9, -999.9, -999.0, -99.99, -99.9, -99.0)
 }
-_YEAR_FIRST = re.compile(r"(\d{4})[/.](\d\d)[/.](\d\d)")
-_UNIT_AT_END = re.compile(r"(.*?)[\s_]*[(\[{]([^()\[\]{}]*)[)\]}\s]*")
+_YEAR_FIRST = re.compile(r"(\d{4})([/.-])(\d{1,2})\2(\d{1,2})(?=[ T]|$)")
+_HOUR = re.compile(r"(?<=\d[ T])(\d{1,2})((?::\d\d){1,2})(?: ?([AaPp])\.?(?:[Mm]\.?)?$)?")
 _WM2 = {"w/m2", "wm-2", "wm2", "w/m-2", "w/m\ufffd", "w/m?"}
 _MICROVOLTS = {"v": 1e6, "mv": 1e3, "uv": 1.0, "µv": 1.0, "μv": 1.0}
 
@@ -192,6 +193,8 @@ def surplus_cause(cells: Sequence[str], count: int, right: Sequence[Sequence[str
     fewer decimal points than the rows with `count` cells (`right`), or if no row has a decimal
     point. Else they separate thousands if there is a pair such as 1 and 234.5 for each.
     """
+    if len(cells) > 3 * count:  # a number of one cell has at most two commas more
+        return ""
     if _decimal_commas(cells, count, right):
         return COMMAS
     pairs = sum(bool(_GROUP.fullmatch(a) and _THREE.fullmatch(b)) for a, b in pairwise(cells))
@@ -266,23 +269,34 @@ def read_number(text: str, *, has_codes: bool = True) -> float:
 def read_time(text: str, *, utc: bool = False) -> datetime:
     """Return the time in an ISO text; without a zone in the text, it has one only with `utc`.
 
-    A date may have slashes or points (2027/03/20), and the zone may be the word UTC. Raises
-    ValueError for another text and for a date without a time of day.
+    A date may have slashes or points and no zeros (2027/3/20), an hour AM or PM, or 24:00 for the
+    end of the day, and the zone may be the word UTC or GMT. Raises ValueError for another text and
+    for a date without a time of day.
     """
+    stated = re.sub(" ?(UTC|GMT)$", "Z", text)
+    stated = _YEAR_FIRST.sub(lambda date: f"{date[1]}-{date[3]:0>2}-{date[4]:0>2}", stated)
+    plain = re.sub("(?<=[ T])24:00(:00)?$", "00:00", stated)
     try:
-        t = parse_time(_YEAR_FIRST.sub(r"\1-\2-\3", re.sub(" ?UTC$", "Z", text)))
-    except ValueError:
+        t = parse_time(_HOUR.sub(_iso_hour, plain)) + timedelta(days=plain != stated)
+    except (ValueError, OverflowError):
         raise ValueError(f"time {text[:30]!r}, expected one like 2027-03-20T16:00:00Z") from None
     if len(text) <= len("2027-03-20"):
         raise ValueError(f"{text!r} is a date without a time of day")
     return t.replace(tzinfo=UTC) if utc and t.tzinfo is None else t
 
 
+def _iso_hour(time: re.Match[str]) -> str:
+    """Return a time of day with an hour of 00 to 23; the text itself if AM or PM is wrong."""
+    hour, half = int(time[1]), (time[3] or "").lower()
+    if half and not 1 <= hour <= 12:
+        return time[0]
+    return f"{hour % 12 + 12 * (half == 'p') if half else hour:02d}{time[2]}"
+
+
 def split_heading(heading: str) -> tuple[str, str]:
     """Return the name and the unit of a column heading such as ``DNI (W/m^2)`` or ``dni_wm2``."""
-    match = _UNIT_AT_END.fullmatch(heading.strip())
-    if match and match[2].strip():
-        name, unit = match[1], match[2]
+    name, unit = _in_brackets(heading)
+    if unit:
         return (name, unit) if is_unit(unit) else (heading.strip(), "")
     words = re.split(r"[\s_]+", heading.strip())
     for k in range(max(len(words) - 4, 1), len(words)):  # "Watts per square meter" has four words
@@ -293,9 +307,17 @@ def split_heading(heading: str) -> tuple[str, str]:
 
 def stated_unit(heading: str) -> str:
     """Return the unit that a heading states, also one that is no irradiance; empty without one."""
-    match = _UNIT_AT_END.fullmatch(heading.strip())
-    stated = match[2].strip() if match else ""
+    stated = _in_brackets(heading)[1]
     return stated if "/" in stated else split_heading(heading)[1]
+
+
+def _in_brackets(heading: str) -> tuple[str, str]:
+    """Return the name and the text in brackets at the end of a heading; ("", "") without one."""
+    inner = heading.strip().rstrip(")]} \t")
+    start = max(inner.rfind(mark) for mark in "([{") + 1
+    unit = inner[start:].strip()
+    is_last = start > 0 and not set(")]}") & set(unit)
+    return (inner[: start - 1].rstrip(" _\t"), unit) if is_last else ("", "")
 
 
 def is_unit(text: str) -> bool:
@@ -305,7 +327,8 @@ def is_unit(text: str) -> bool:
 
 def is_wm2(unit: str) -> bool:
     """Return whether a unit is W/m2, in any of its spellings."""
-    text = unit.lower().replace("â", "").translate(str.maketrans("²⁻−–", "2---"))
+    text = unit.lower().translate(str.maketrans("²⁻−–", "2---"))
+    text = unicodedata.normalize("NFKC", text).replace("â", "")  # full width letters and ㎡
     text = re.sub(r"met(?:er|re)s?", "m", re.sub(r"watts?", "w", text))
     text = re.sub(r"(?:square|sq\.?)[\s._]*m", "m2", re.sub(r"\s*\bper\b\s*", "/", text))
     return re.sub(r"[\s^*._·⋅()]", "", text) in _WM2

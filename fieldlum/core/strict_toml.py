@@ -3,6 +3,7 @@
 An unknown key of a TOML table, a wrong type or a missing value is an error.
 """
 
+import json
 import math
 import re
 import tomllib
@@ -127,7 +128,7 @@ def _is_record(kind: Any) -> bool:
 def read_toml(path: Path) -> TomlTable:
     """Return the content of a TOML file as nested dicts.
 
-    Raises InputError if the file is missing, over 4 MB, not UTF-8, or not TOML.
+    Raises InputError if the file is missing, over 4 MB, not UTF-8, not TOML, or nested too deeply.
     """
     with (
         input_errors(path, "a readable TOML file", "check the path of the file", OSError),
@@ -139,14 +140,16 @@ def read_toml(path: Path) -> TomlTable:
         raise InputError(path, found, "a TOML file", "check the path of the file")
     try:
         # Editors of Windows write a byte order mark before the text.
-        return tomllib.loads(data.decode("utf-8-sig").replace("\r\n", "\n"))
+        table = tomllib.loads(data.decode("utf-8-sig").replace("\r\n", "\n"))
+        json.dumps(table, default=str)  # fails at a depth at which other readers fail too
+        return table
     except UnicodeDecodeError as error:
         if kind := kind_of(data):
             raise InputError(path, kind, "a TOML file", "check the path of the file") from None
         found = f"byte {error.object[error.start]:#04x}, which is not UTF-8"
         remedy = "save it again with the encoding UTF-8"
         raise InputError(path, found, "TOML in UTF-8", remedy) from None
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # ValueError: of numbers with 4300 digits too
         remedy = "correct that line: text in quotes, decimals with a point"
         raise InputError(path, str(error), "TOML", remedy) from None
 

@@ -32,14 +32,16 @@ from fieldlum.session import DAY_COLUMNS, read_day
 
 # of a netCDF file; in single precision those of days and of hours can be seconds. Chosen.
 _MAX_TIME_STEP_S = 1.0
+_MAX_ROWS = 5_000_000  # two months of seconds, in 3 GB of memory
 _NETCDF = b"CDF"  # first bytes of a classic netCDF file (its format's specification)
 QUANTITIES = ("ghi_wm2", "dhi_wm2", "dni_wm2", "temperature_c")
 # Names of columns of times, without spaces: in UTC, and others.
 _TIMES = tuple(
     map(re.compile, (r"((t|time|timestamp|date/?time)[_(]?)?utc\)?", r"timestamp|date/?time|time"))
 )
-_SLASHED = re.compile(r"(\d{1,2})/(\d{1,2})/(\d{4})[ T]+(\d{1,2})(:.+)")
+_DAY_OR_MONTH_FIRST = re.compile(r"(\d{1,2})([/.])(\d{1,2})\2(\d{4})[ T]+(.+)")
 _COMMA = re.compile(r" is '[+-]?[\d.]+,[\d,.]+'")
+_STANDARD_TIME = "write standard time in all rows"
 _SAVE_AGAIN = "save it as CSV with commas between and points in the numbers"
 # Usual column names in loggers' programs and in ARM's netCDF files, without "avg"; digits,
 # underscores and case are ignored in the comparison.
@@ -233,6 +235,8 @@ def _netcdf(path: Path) -> _Table:
             raise ValueError("times without a unit such as 'seconds since 2019-07-05'")
         unit = pd.Timedelta(1, str(stored["time"].attrs["units"]).split()[0])
         numbers = stored["time"].to_numpy()
+        if numbers.size > _MAX_ROWS:
+            raise ValueError(f"{numbers.size:,} times, more than {_MAX_ROWS:,}")
         step_s = float(np.spacing(np.abs(numbers).max())) * unit.total_seconds()
         if step_s > _MAX_TIME_STEP_S:
             digits = f"{8 * numbers.dtype.itemsize} bits, enough for steps of {step_s:.2g} s"
@@ -263,6 +267,9 @@ def _read(
 ) -> LoggerFile:
     """Return the samples of a table, and a text on each line that was not read."""
     names = table.names
+    if len(table.lines) > _MAX_ROWS:
+        expected = f"at most {_MAX_ROWS:,} rows"
+        raise InputError(path, f"{len(table.lines):,} rows", expected, "split the file by months")
     strict_csv.check_names(path, [name.lower() for name in names])
     at = _columns(path, table, asked)
     factor, notes = _factors(path, table, at, sensitivities)
@@ -381,6 +388,8 @@ class _Clock:
     def __init__(self, path: Path, table: _Table, utc_offset: timedelta | None) -> None:
         names = [name.lower().replace(" ", "") for name in table.names]
         self._path, self._utc_offset = path, utc_offset
+        self._before: datetime | None = None
+        self._is_twelve = True
         kinds = [[k for k, n in enumerate(names) if kind.fullmatch(n)] for kind in _TIMES]
         self._at = [*kinds[0], *kinds[1]][:1]
         if not self._at:
@@ -395,17 +404,38 @@ class _Clock:
     def utc(self, row: Sequence[str]) -> datetime:
         """Return the time of a row. Raises ValueError for a text that is no time."""
         text = " ".join(row[k] for k in self._at)
-        if part := _SLASHED.fullmatch(text):
-            date = "-".join(part[k].zfill(2) for k in self._order)
-            text = f"{date}T{part[4].zfill(2)}{part[5]}"
+        if part := _DAY_OR_MONTH_FIRST.fullmatch(text):
+            places = (4, 3, 1) if part[2] == "." else self._order  # with points the day is first
+            text = f"{'-'.join(part[k].zfill(2) for k in places)} {part[5]}"
         t = read_time(text, utc=self.is_utc)
         if t.tzinfo is None:
             if self._utc_offset is None:
                 expected = "the logger's offset from UTC"
                 remedy = "state it with --utc-offset +HH:MM"
                 raise InputError(self._path, "times without a time zone", expected, remedy)
+            self._check_step(t)
             t = t.replace(tzinfo=UTC) - self._utc_offset
         return t.astimezone(UTC)
+
+    def _check_step(self, t: datetime) -> None:
+        """Raise InputError for a step back from the time before, on a clock without a zone.
+
+        Only steps that the end of summer time or twelve hours without AM and PM cause. Rows may be
+        in any order otherwise.
+        """
+        before, self._before = self._before, t
+        self._is_twelve = self._is_twelve and t.hour <= 12
+        if before is None or t >= before:
+            return
+        back, remedy = before - t, f"{_STANDARD_TIME}, or remove rows that occur twice"
+        found = f"the clock goes back from {before:%Y-%m-%d %H:%M} to {t:%H:%M}"
+        if t.hour < 4 and timedelta(minutes=25) < back <= timedelta(hours=1):
+            cause = "as at the end of summer time"
+        elif self._is_twelve and t.date() == before.date() and back > timedelta(hours=10.5):
+            cause, remedy = "and no hour is above 12", "write hours of 0 to 23, or AM and PM"
+        else:
+            return
+        raise InputError(self._path, f"{found}, {cause}", "one clock in all rows", remedy)
 
     def _date_order(self, lines: Iterable[str]) -> tuple[int, int, int]:
         """Return the places of year, month and day in dates such as 13/12/2015, from 1."""
@@ -413,13 +443,13 @@ class _Clock:
         for line in lines:
             with suppress(ValueError, IndexError):
                 row = split_row(line)
-                if part := _SLASHED.fullmatch(" ".join(row[k] for k in self._at)):
+                if part := _DAY_OR_MONTH_FIRST.fullmatch(" ".join(row[k] for k in self._at)):
                     dates.append(part)
         day_first = any(int(part[1]) > 12 for part in dates)
-        if dates and day_first == any(int(part[2]) > 12 for part in dates):
+        if dates and day_first == any(int(part[3]) > 12 for part in dates):
             why = "whose day and month cannot be distinguished, because no number is above 12"
             why = "some with the day first and some with the month first" if day_first else why
             found = f"dates such as {dates[0][0].split()[0]}, {why}"
             remedy = "write the year first, or import the file together with a later day"
             raise InputError(self._path, found, "dates such as 2015-12-01", remedy)
-        return (3, 2, 1) if day_first else (3, 1, 2)
+        return (4, 3, 1) if day_first else (4, 1, 3)

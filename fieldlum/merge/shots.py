@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from fieldlum.core.arrays import Floats
-from fieldlum.core.errors import InputError
+from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.records import Exposure
 from fieldlum.optics.linear_light import SAME_LABEL, nd_factors, true_shutter_s
 from fieldlum.optics.photometry import LAWS, z_per_cdm2
@@ -74,7 +74,11 @@ def verified(shots: Sequence[Shot]) -> list[Shot]:
     A frame is read once for it; the merge, which follows, finds it in memory. Raises InputError,
     which names them all, for frames whose content is not the recorded one.
     """
-    now = [replace(shot, sha256=sha256(shot.path)) for shot in shots]
+    now = []
+    for shot in shots:
+        remedy = "permit that you read it, or copy it from the card again"
+        with input_errors(shot.path, "a readable frame", remedy, PermissionError):
+            now.append(replace(shot, sha256=sha256(shot.path)))
     changed = [b.path for a, b in zip(shots, now, strict=True) if a.sha256 not in ("", b.sha256)]
     if changed:
         finding = f"{', '.join(path.name for path in changed)} changed after capture or import"

@@ -11,6 +11,7 @@ from fieldlum.core.records import JsonTable, Site, SiteFile, Slot, listed, parse
 from fieldlum.plan.capture_days import hours_of, span, sun_band_percent
 from fieldlum.session import Session, replacing, sha256, update_session, write_plan
 from fieldlum.session.folder import PlanTable
+from fieldlum.session.plan_file import read_plan
 from fieldlum.session.slot_states import MAKEUP, made_up_for, read_slot_states
 from fieldlum.sky import sun
 
@@ -131,7 +132,7 @@ def _record(session: Session, about: PlanTable) -> PlanTable:
     new: PlanTable = {
         **about,
         "revision": about.get("revision", 0) + 1,
-        "slots": len(session.slots()),
+        "slots": len(read_plan(session.plan)),
         "sha256": sha256(session.plan),
         "older_sha256": older,
     }

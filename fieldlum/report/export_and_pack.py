@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-import tomllib
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import date
@@ -25,6 +24,7 @@ from fieldlum.core.false_colour import png_of
 from fieldlum.core.files import read_bytes
 from fieldlum.core.progress import progress
 from fieldlum.core.records import Flag, Room, counted, listed
+from fieldlum.core.strict_toml import read_toml
 from fieldlum.optics.images import read_panorama, write_radiance_hdr
 from fieldlum.optics.projection import direction
 from fieldlum.optics.raw import RAW_SUFFIXES
@@ -270,8 +270,8 @@ def _private_exif(path: Path) -> str | None:
 
 
 def _session_toml(session: Session) -> str:
-    table: dict[str, Any] = tomllib.loads(read_bytes(session.toml).decode())
-    table = {name: part for name, part in table.items() if name not in _HOME_TABLES}
+    stored = read_toml(session.toml)
+    table = {name: part for name, part in stored.items() if name not in _HOME_TABLES}
     table.get("devices", {}).pop("uris", None)  # addresses
     return tomli_w.dumps(table)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-import tomllib
+import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -14,9 +14,10 @@ from typing import Annotated, Any, Literal, Required, TypedDict, cast
 from filelock import FileLock, Timeout
 from msgspec import Meta
 
-from fieldlum.core.errors import InputError, input_errors
+from fieldlum.core.errors import ChangedFileWarning, InputError, input_errors
 from fieldlum.core.files import read_bytes, replacing, sha256
 from fieldlum.core.records import SiteFile, Slot
+from fieldlum.core.strict_toml import read_toml
 from fieldlum.session.codec import convert
 from fieldlum.session.plan_file import PLAN_COLUMNS, read_plan, write_plan
 from fieldlum.session.safe_paths import is_plain, refuse_links
@@ -198,7 +199,7 @@ class Session:
 
     def table(self) -> SessionTable:
         """Return the content of session.toml. Raises InputError if it cannot be read."""
-        return cast(SessionTable, tomllib.loads(read_bytes(self.toml).decode()))
+        return cast(SessionTable, read_toml(self.toml))
 
     def site_file(self) -> SiteFile:
         """Return site, camera, room and pyranometer, as recorded when the session was planned.
@@ -210,11 +211,16 @@ class Session:
         return with_paths_from(setup, self.root)
 
     def slots(self) -> list[Slot]:
-        """Return the planned slots in the order of plan.csv.
+        """Return the planned slots in the order of plan.csv; warn if it was changed by hand.
 
         Raises InputError for a wrong plan.csv.
         """
-        return read_plan(self.plan)
+        slots = read_plan(self.plan)
+        if self.table().get("plan", {}).get("sha256", "") not in ("", sha256(self.plan)):
+            text = f"{self.plan}: the content changed after fieldlum wrote it; expected the sha256 "
+            text += "in session.toml; restore it from a copy, or plan a new session"
+            warnings.warn(text, ChangedFileWarning, stacklevel=2)
+        return slots
 
     @property
     def grace(self) -> timedelta:

@@ -6,13 +6,9 @@ frame by its own maximum.
 
 import logging
 import mmap
-import os
 import sys
-import tempfile
-import threading
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats, Indices
-from fieldlum.core.errors import InputError, kind_of
+from fieldlum.core.errors import InputError, kind_of, library_messages
 from fieldlum.core.files import open_to_read
 from fieldlum.core.records import MAX_PIXELS
 from fieldlum.optics.raw.exif import (
@@ -40,8 +36,10 @@ RAW_SUFFIXES = tuple(
     ".dng .cr2 .cr3 .crw .nef .nrw .arw .raf .rw2 .orf .pef .srw .raw".split()  # noqa: SIM905
 )
 _DAMAGE = ("data corrupted", "Unexpected end of file")  # messages of LibRaw's data streams
-_STDERR = threading.Lock()
 _ACTIVE_AREA, _COLOUR_FILTER_ARRAY = 50829, 32803  # tag, and value of Photometric (DNG 1.7)
+# With the masked pixels at the edges, at most a tenth more.
+_MAX_RAW_PIXELS = 11 * MAX_PIXELS // 10
+MAX_CAMERA_PIXELS = 500_000_000  # by any profile; a sensor that merges shots gives 400 million
 _COLOUR_MATRICES = 50722, 50721  # tags ColorMatrix2 and 1
 
 
@@ -182,46 +180,24 @@ def opened(path: Path) -> Any:
         raise InputError(path, "the file's content is a JPEG", "a camera raw", remedy)
     _check_strips(path)
     try:
-        with _damage_messages() as damage:
+        with library_messages(*_DAMAGE) as damage:
             raw = rawpy.imread(str(path))
-            raw.unpack()
+            size = raw.sizes.raw_width, raw.sizes.raw_height
+            if is_small := 0 < size[0] * size[1] <= _MAX_RAW_PIXELS:
+                raw.unpack()
     except Exception as error:
         reason = error.args[0] if error.args else type(error).__name__
         text = reason.decode("ascii", "replace") if isinstance(reason, bytes) else str(reason)
         remedy = "leave the file out if it is no frame; else copy it again or convert it to DNG"
         expected = "a raw file that LibRaw supports"
         raise InputError(path, kind or f"LibRaw: {text}", expected, remedy) from None
-    if damage:
-        raw.close()
-        raise _damaged(path, f"LibRaw: {damage[0]}", "a complete file")
-    return raw
-
-
-@contextmanager
-def _damage_messages() -> Iterator[list[str]]:
-    """Collect the messages of LibRaw about damaged data, which it writes to stderr only.
-
-    LibRaw then continues as if the data were complete. All other text that is written to stderr
-    meanwhile is passed on.
-    """
-    messages: list[str] = []
-    with _STDERR, tempfile.TemporaryFile() as buffer:
-        sys.stderr.flush()
-        stderr = os.dup(2)
-        os.dup2(buffer.fileno(), 2)
-        try:
-            yield messages
-        finally:
-            sys.stderr.flush()
-            os.dup2(stderr, 2)
-            os.close(stderr)
-            buffer.seek(0)
-            for line in buffer.read().splitlines(keepends=True):
-                message = next((text for text in _DAMAGE if text.encode() in line), "")
-                if message:
-                    messages.append(message)
-                else:
-                    os.write(2, line)
+    if is_small and not damage:
+        return raw
+    raw.close()
+    if not is_small:
+        finding = f"a mosaic of {size[0]} x {size[1]} pixels"
+        raise _damaged(path, finding, f"1 to {_MAX_RAW_PIXELS:,} pixels")
+    raise _damaged(path, f"LibRaw: {damage[0]}", "a complete file")
 
 
 def _fields(info: FrameInfo) -> dict[str, Any]:
@@ -327,7 +303,7 @@ def read_exif(path: Path, *, lens_f_number: float = 0.0) -> FrameInfo:
     with suppress(InputError):
         return info_of(path, tags, lens_f_number=lens_f_number)
     if is_jpeg(path):
-        _codes(path, sys.maxsize)  # damage is the cause, if the file is damaged
+        _codes(path, MAX_CAMERA_PIXELS)  # damage is the cause, if the file is damaged
         return info_of(path, tags, lens_f_number=lens_f_number)
     with opened(path) as raw:
         return info_of(path, tags, _libraw_exposure(raw), lens_f_number=lens_f_number)
@@ -350,12 +326,13 @@ class JpegFrame(FrameInfo):
 def read_jpeg(path: Path, *, camera_pixels: int = 0) -> JpegFrame:
     """Return the codes and the EXIF of a JPEG frame.
 
-    camera_pixels : pixels of the camera by its profile, 0 without one; a frame may have as many,
-    and at least `MAX_PIXELS`. Raises InputError for a file that cannot be read, is no complete
-    JPEG, has more pixels, or whose EXIF lacks exposure time, f-number or ISO.
+    camera_pixels : pixels of the camera by its profile, 0 without one; a frame may have as many (up
+    to 500 million), and at least `MAX_PIXELS`. Raises InputError for a file that cannot be read, is
+    no complete JPEG, has more pixels, or whose EXIF lacks exposure time, f-number or ISO.
     """
     tags = tags_of(path)
-    codes = _codes(path, max(MAX_PIXELS, camera_pixels))  # a cut file may lack its EXIF as well
+    # Before the EXIF, because a cut file may lack it as well.
+    codes = _codes(path, max(MAX_PIXELS, min(camera_pixels, MAX_CAMERA_PIXELS)))
     info = info_of(path, tags)
     return JpegFrame(**_fields(info), codes=codes)
 
@@ -364,10 +341,9 @@ def jpeg_size(path: Path) -> tuple[int, int]:
     """Return width and height [px] of a JPEG by its header, (0, 0) if it cannot be read."""
     from PIL.JpegImagePlugin import JpegImageFile
 
-    with warnings.catch_warnings(), suppress(Exception):
+    with warnings.catch_warnings(), suppress(Exception), open_to_read(path) as file:
         warnings.simplefilter("ignore")
-        with JpegImageFile(path) as image:
-            return image.size
+        return JpegImageFile(file).size
     return 0, 0
 
 

@@ -191,6 +191,15 @@ def _camera_time(tags: Tags) -> datetime | None:
     return None
 
 
+def _setting(tags: Tags, number: int, apex_number: int, steps: float) -> float:
+    """Return the value of a tag, else 2 to the power of `steps` times that of an APEX tag, else 0.
+
+    Cameras with a lens without electronics write 0 into both tags.
+    """
+    value, apex = ((numbers(tags, n) or [0.0])[0] for n in (number, apex_number))
+    return value or (2.0 ** (steps * apex) if 0.0 < abs(apex) < 64.0 else 0.0)
+
+
 def _iso(tags: Tags) -> float:
     """Return the ISO by the tags, 0 if they state none."""
     iso = next(iter(numbers(tags, _ISO)), 0.0)
@@ -215,7 +224,7 @@ def info_of(
     that is missing, impossible, or not the one that exposures.csv states.
     """
     stated = stated_exposure(path)
-    in_tags = (*((numbers(tags, number) or [0.0])[0] for number in (33434, 33437)), _iso(tags))
+    in_tags = _setting(tags, 33434, 37377, -1.0), _setting(tags, 33437, 37378, 0.5), _iso(tags)
     sources = zip(in_tags, stated, fallback, (0.0, lens_f_number, 0.0), strict=True)
     values = [next(filter(None, of_sources), 0.0) for of_sources in sources]
     for value, own, quantity in zip(values, stated, _QUANTITIES, strict=True):

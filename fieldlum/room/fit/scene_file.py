@@ -1,14 +1,12 @@
 """Write and read scene.toml: the result of a fit, and the chosen geometry."""
 
-import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from fieldlum.core.errors import InputError
-from fieldlum.core.files import read_bytes
 from fieldlum.core.records import Room
-from fieldlum.core.strict_toml import build, plain
+from fieldlum.core.strict_toml import build, plain, read_toml
 from fieldlum.session import replacing
 
 SCENE_TOML = "scene.toml"
@@ -71,13 +69,10 @@ def read_scene(folder: Path) -> Scene:
     missing, unknown or wrong entries.
     """
     path = folder / SCENE_TOML
-    try:
-        table: dict[str, Any] = tomllib.loads(read_bytes(path).decode())
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        finding = getattr(error, "strerror", None) or str(error)
-        raise InputError(
-            path, finding, "a fitted scene", "write one with: fieldlum scene fit SESSION --out DIR"
-        ) from None
+    if not path.is_file():
+        remedy = "write one with: fieldlum scene fit SESSION --out DIR"
+        raise InputError(path, "no such file", "a fitted scene", remedy)
+    table = read_toml(path)
     if table.get("format") != FORMAT:
         expected, remedy = f"format {FORMAT}", "fit the scene again (fieldlum scene fit)"
         raise InputError(path, f"a scene of format {table.get('format')}", expected, remedy)

@@ -87,6 +87,8 @@ class CaptureFile(JsonFile, frozen=True):
         """
         rows = enumerate(table.get("frames", ()))
         frames = tuple(frame_from({"index": number, **row}) for number, row in rows)
+        if len({frame.file.casefold() for frame in frames}) < len(frames):
+            raise ValueError("two frames with the same file name, apart from capitals")
         if "t_open_utc" not in table:
             opened, closed = interval_of(frames)
             table = {**table, "t_open_utc": opened, "t_close_utc": closed}

@@ -187,6 +187,7 @@ class Sidecar(JsonFile, frozen=True):
     of the panorama, "" in a file of 0.1.0; software: versions.
     """
 
+    SEALED = True
     EXPECTED = "the sidecar of a merged panorama"
     REMEDY = "merge the bracket again (fieldlum merge)"
 

@@ -19,7 +19,8 @@ from fieldlum.core.arrays import Floats, Floats32
 from fieldlum.core.errors import InputError, reason_of
 from fieldlum.core.files import replacing_path
 from fieldlum.core.records import JsonTable
-from fieldlum.optics.images import opened_exr
+from fieldlum.optics.images import exr_headers, opened_exr
+from fieldlum.session.codec import change_of, sealed
 from fieldlum.sky.sky_view.picture import SkyGrid
 from fieldlum.sky.sky_view.pose import CameraPose
 
@@ -99,7 +100,7 @@ class SkyView:
             "fieldlum:sky_view": json.dumps(about, sort_keys=True),
         }
         channels = {name: np.ascontiguousarray(getattr(self, name)) for name in CHANNELS}
-        with replacing_path(path) as temporary:
+        with sealed(path), replacing_path(path) as temporary:
             OpenEXR.File(header, channels).write(str(temporary))
 
     @classmethod
@@ -110,6 +111,7 @@ class SkyView:
         """
         if not path.is_file():
             raise InputError(path, "no such file", _EXPECTED, _REMEDY)
+        change_of(path)
         try:
             about, channels = _content(path)
             if about["format"] > FORMAT:
@@ -176,6 +178,7 @@ def _check(grid: SkyGrid, arrays: dict[str, Floats32], frame: str) -> None:
 
 
 def _content(path: Path) -> tuple[dict[str, Any], dict[str, Floats32]]:
+    exr_headers(path)
     with opened_exr(path, separate_channels=True) as exr:
         about = json.loads(str(exr.header()["fieldlum:sky_view"]))
         channels = {

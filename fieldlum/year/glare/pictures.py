@@ -73,9 +73,8 @@ def read_picture(path: Path, view_options: str = "", part: str = "") -> Picture:
     part, layer or stereo view of an .exr; "" for the only one. Raises InputError for a missing or
     damaged file, and a missing or contradictory view.
     """
-    if not path.is_file():
-        raise InputError(path, "no such file", "a picture .hdr or .exr", "check the path")
-    with open_to_read(path) as file:
+    what = "a picture .hdr or .exr"
+    with input_errors(path, what, "check the path", OSError), open_to_read(path) as file:
         is_exr = file.read(4) == _EXR_MAGIC or path.suffix.lower() == ".exr"
     if part and not is_exr:
         found = "a Radiance picture, which has no parts"
