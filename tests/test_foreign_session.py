@@ -10,6 +10,7 @@ import struct
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
@@ -56,6 +57,7 @@ from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.session.folder import _checked_stems
 from fieldlum.session.journal import damaged_lines
 from fieldlum.session.permits import computer, config_folder, is_permitted, permit, subject
+from fieldlum.session.safe_paths import open_inside
 from fieldlum.sky.sky_view.view import SkyView
 from fieldlum.web.snapshot import LineTail
 
@@ -637,6 +639,33 @@ def test_lock_and_journal_do_not_follow_a_link(rig: Field, tmp_path: Path, name:
     with pytest.raises(OSError, match="symbolic link"):
         rig.run()
     assert precious.read_text() == "precious"
+
+
+@pytest.mark.slow
+def test_a_folder_exchanged_for_a_link_while_it_is_opened_leads_nowhere(tmp_path: Path) -> None:
+    """A second process exchanges the folder, without a pause, between the check and the open."""
+    root, outside = tmp_path / "s", tmp_path / "outside"
+    for folder in (root / "real", outside):
+        folder.mkdir(parents=True)
+    (root / "link").symlink_to(outside)
+    code = (
+        "import os, sys\nos.chdir(sys.argv[1])\n"
+        "while True:\n"
+        "    os.rename('real', 'day'); os.rename('day', 'real')\n"
+        "    os.rename('link', 'day'); os.rename('day', 'link')\n"
+    )
+    other = subprocess.Popen([sys.executable, "-c", code, str(root)])
+    opened_files = 0
+    try:
+        for number in range(4000):
+            with suppress(OSError):
+                path = root / "day" / f"{number}.csv"
+                os.close(open_inside(root, path, os.O_WRONLY | os.O_CREAT))
+                opened_files += 1
+    finally:
+        other.kill()
+        other.wait()
+    assert opened_files > 0 and not list(outside.iterdir())
 
 
 @pytest.mark.parametrize("name", [f"raw/{SLOT}", "raw"])

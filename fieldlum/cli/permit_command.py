@@ -27,7 +27,7 @@ def command(paths: Annotated[tuple[Path, ...], "PATH...", EXISTING_PATH]) -> Non
 
     for path in paths:
         if path.is_symlink():
-            permit(link_subject(path))
+            permit(link_subject(path, path.resolve()))
             click.echo(f"{path}: the link to {path.resolve()} is permitted on this computer")
             continue
         wanted = what_runs(path)

@@ -28,17 +28,21 @@ _RUN = uuid.uuid4().hex[:12]  # another one in each process, on any computer
 MAX_FILE_BYTES, MAX_ARRAY_BYTES = 2**30, 2**32
 
 
-def open_file(path: Path | str, flags: int, *, follow_links: bool = False) -> int:
+def open_file(
+    path: Path | str, flags: int, *, follow_links: bool = False, folder: int | None = None
+) -> int:
     """Open a regular file by the flags of os.open, without waiting; return its handle.
 
-    Raises OSError for a folder, a pipe, a device, and a link that is not followed.
+    folder: handle of the folder to which a relative path belongs; None for the current one. Raises
+    OSError for a folder, a pipe, a device, and a link that is not followed.
     """
     # Absent on Windows, where a link needs a right that users do not have. O_NONBLOCK is for a
     # named pipe; it has no effect on files.
     names = ("O_CLOEXEC", "O_NONBLOCK", *(() if follow_links else ("O_NOFOLLOW",)))
     no_file = OSError(errno.ENXIO, "a pipe, socket or device, which is no file", str(path))
     try:
-        handle = os.open(path, flags | sum(getattr(os, name, 0) for name in names), 0o644)
+        flags |= sum(getattr(os, name, 0) for name in names)
+        handle = os.open(path, flags, 0o644, dir_fd=folder)
     except OSError as error:
         raise no_file if error.errno == errno.ENXIO else error from None
     mode = os.fstat(handle).st_mode

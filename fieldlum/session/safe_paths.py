@@ -55,15 +55,15 @@ def link_on_the_way(root: Path, path: Path) -> Path | None:
     place = root
     for part in path.relative_to(root).parts:
         place = place / part
-        if place.is_symlink() and not is_permitted(link_subject(place)):
+        if place.is_symlink() and not is_permitted(link_subject(place, place.resolve())):
             return place
     return None
 
 
-def link_subject(link: Path) -> Subject:
-    """Return a link as the subject of a permission, which ends when its target changes."""
+def link_subject(link: Path, target: Path) -> Subject:
+    """Return a link as the subject of a permission, which ends when its resolved target changes."""
     place = link.parent.resolve() / link.name
-    return subject("link", str(place), str(place), str(place.readlink()), str(place.resolve()))
+    return subject("link", str(place), str(place), str(place.readlink()), str(target))
 
 
 def refuse_link(root: Path, path: Path) -> None:
@@ -102,8 +102,27 @@ def _refuse_in(entry: os.DirEntry[str], *, is_deep: bool = True) -> None:
 def open_inside(root: Path, path: Path, flags: int) -> int:
     """Open a file of a session as `open_file` does, if no folder on its way is a link either.
 
-    root: of the session; flags: of os.open. Returns the handle. Raises OSError for a link.
+    Each folder is opened in the one before, so that none can be exchanged after it was checked. A
+    link that the user permitted leads to its target. root: of the session; flags: of os.open.
+    Returns the handle. Raises OSError for a link.
     """
+    *folders, name = path.relative_to(root).parts
     if (link := link_on_the_way(root, path.parent)) is not None:
         raise OSError(errno.ELOOP, "a symbolic link in place of a folder", str(link))
-    return open_file(path, flags)
+    if os.open not in os.supports_dir_fd:  # Windows
+        return open_file(path, flags)
+    place, handle = root, os.open(root, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        for folder in folders:
+            place = place / folder
+            target = place.resolve()
+            if not (place.is_symlink() and is_permitted(link_subject(place, target))):
+                target = Path(folder)
+            how = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW
+            outer, handle = handle, os.open(target, how, dir_fd=handle)
+            os.close(outer)
+        return open_file(name, flags, folder=handle)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from None
+    finally:
+        os.close(handle)
