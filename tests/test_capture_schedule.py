@@ -24,6 +24,7 @@ from fieldlum.session.slot_states import SlotState
 
 
 @pytest.mark.contract
+@pytest.mark.filterwarnings("ignore::fieldlum.core.errors.ChangedFileWarning")
 def test_slots_that_a_replan_adds_to_a_running_capture_are_taken(rig: Field) -> None:
     """One before the slot that is waited for, one after the last."""
     plan, end = rig.session.slots(), T0 + timedelta(hours=2)
@@ -194,6 +195,7 @@ def test_two_seconds_before_the_journal_are_tolerated(behind_s: float, refused: 
 
 
 @pytest.mark.contract
+@pytest.mark.filterwarnings("ignore::fieldlum.core.errors.ChangedFileWarning")
 def test_slots_without_exposures_are_refused_at_the_start(rig: Field) -> None:
     """A session of random hours of a year has no brackets to take."""
     slots = [replace(slot, exposures=()) for slot in rig.session.slots()]

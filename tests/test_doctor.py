@@ -76,6 +76,7 @@ def test_a_sound_session_passes(tmp_path: Path) -> None:
 
 
 @pytest.mark.contract
+@pytest.mark.filterwarnings("ignore::fieldlum.core.errors.ChangedFileWarning")
 def test_a_changed_plan_fails(tmp_path: Path) -> None:
     session = _session(tmp_path)
     session.plan.write_text(session.plan.read_text().replace("0.5 f/5.6", "1 f/5.6"))
@@ -94,6 +95,7 @@ def test_done_slots_are_not_owed(tmp_path: Path) -> None:
 
 
 @pytest.mark.contract
+@pytest.mark.filterwarnings("ignore::fieldlum.core.errors.ChangedFileWarning")
 def test_make_up_slots_are_advised_only_for_what_was_not_captured(tmp_path: Path) -> None:
     session = _session(tmp_path)
     slots = session.slots()

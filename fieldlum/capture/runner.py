@@ -23,6 +23,7 @@ from fieldlum.devices.clock import Clock, FastClock
 from fieldlum.session import DEFAULT_GRACE_S, Session, disk_is_full, sole_user
 from fieldlum.session.files.capture_json import Frame
 from fieldlum.session.folder import DevicesTable, store_grace, update_session
+from fieldlum.session.plan_file import read_plan
 from fieldlum.session.slot_states import SlotState, SlotStates, read_slot_states, slots_to_do
 from fieldlum.version import __version__
 
@@ -309,7 +310,7 @@ class _Runner:
         if self._stamp() != self._plan_stamp:
             self._plan_stamp = self._stamp()
             with suppress(InputError, OSError):
-                slots = self.session.slots()
+                slots = read_plan(self.session.plan)  # another command may be changing it
                 # A new plan removes no slot, but a damaged file would: then the earlier plan
                 # remains.
                 if {slot.id for slot in self.slots} <= {slot.id for slot in slots}:

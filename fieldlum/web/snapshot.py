@@ -33,6 +33,7 @@ from fieldlum.session import Session
 from fieldlum.session.day_files import decode_sample
 from fieldlum.session.files.sidecar import Sidecar
 from fieldlum.session.journal import JournalEvent, decode_event
+from fieldlum.session.plan_file import read_plan
 from fieldlum.session.slot_states import SETTLED, SlotStates, fold, made_up_for
 from fieldlum.sky import sun
 from fieldlum.web.prediction_so_far import QUIET_BEFORE_S, Moment
@@ -468,7 +469,10 @@ class Snapshots:
         with suppress(OSError, InputError):  # spoilt by hand: the plan before still holds
             stamp = self._session.plan.stat().st_mtime_ns
             if stamp != self._plan[0]:
-                self._plan = stamp, sorted(self._session.slots(), key=lambda slot: slot.t_utc)
+                self._plan = (
+                    stamp,
+                    sorted(read_plan(self._session.plan), key=lambda slot: slot.t_utc),
+                )
         return self._plan[1]
 
     def _states(self, slots: list[Slot], journal: JournalFollower, now: datetime) -> dict[str, str]:
