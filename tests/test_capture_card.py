@@ -17,7 +17,7 @@ from places import SEATTLE
 
 from fieldlum.capture import import_card
 from fieldlum.capture.import_card import of_the_session
-from fieldlum.capture.match_card import CardFrame, Group, Offset, clock_parts, doubt
+from fieldlum.capture.match_card import CardFrame, Group, Offset, clock_parts, offset_contradiction
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import CameraSetup, Exposure, SiteFile, Slot
 from fieldlum.optics.profiles import load_camera_profile, save_profile
@@ -158,8 +158,8 @@ def test_one_bracket_shows_a_clock_set_near_a_change_of_civil_time(days_after: i
 @pytest.mark.contract
 def test_a_wrong_offset_is_doubted_by_the_plan() -> None:
     groups = [bracket(slot, PDT_S) for slot in MONTH[:60]]
-    assert doubt(groups, MONTH, Offset(PDT_S, "--utc-offset"), ZONE) == ""
-    said = doubt(groups, MONTH[:60], Offset(PST_S, "--utc-offset"), ZONE)
+    assert offset_contradiction(groups, MONTH, Offset(PDT_S, "--utc-offset"), ZONE) == ""
+    said = offset_contradiction(groups, MONTH[:60], Offset(PST_S, "--utc-offset"), ZONE)
     assert said.startswith(
         "with the offset of the camera's clock (--utc-offset), 55 of 60 brackets are near slots; "
         "with an offset changed by +1 h it would be 60"

@@ -22,7 +22,7 @@ from fieldlum.cli.new_command import site_text
 from fieldlum.core.records import CameraSetup, Exposure, Obstruction, Room, SiteFile, Window
 from fieldlum.optics.profiles import load_camera_profile
 from fieldlum.optics.raw.writing import write_jpeg
-from fieldlum.room.scene.drawing import room_svg, wind
+from fieldlum.room.scene.drawing import compass_text, room_svg
 from fieldlum.session.site_toml import load_site
 
 MAIN = "import sys; sys.argv[0] = 'fieldlum'; from fieldlum.cli import main; main()"
@@ -147,7 +147,7 @@ def test_the_drawing_has_windows_camera_and_north_in_their_places() -> None:
     assert arrow[:, 1].min() == pytest.approx(4.0, abs=0.05) and arrow[:, 1].max() > 4.4
     texts = " ".join("".join(node.itertext()) for node in root.iter())
     assert '"south" faces SW 215°' in texts and '"east" faces SE 125°' in texts
-    assert wind(359.0) == "N 359°" and wind(359.9) == "N 0°"
+    assert compass_text(359.0) == "N 359°" and compass_text(359.9) == "N 0°"
     assert room_svg(SiteFile(SEATTLE)) == ""
 
 

@@ -77,7 +77,7 @@ def _adopt_card(session: Session, folder: Path, utc_offset_s: float | None) -> R
             continue
         clocks.append((part, offset))
         notes.append(match_card.exif_note(part, utc_offset_s))
-        notes.append(match_card.doubt(part, slots, offset, zone))
+        notes.append(match_card.offset_contradiction(part, slots, offset, zone))
     matches, others = match_card.match_groups(clocks, slots)
     left_out += [f"{_range(group)}: {why}" for group, why in others]
     if not matches:

@@ -31,12 +31,12 @@ class Logger:
     ) -> None:
         self.keeper, self.every_s = keeper, every_s
         self._recorder, self._clock = recorder, clock
-        self._due = float("-inf")
-        self._failed = 0
+        self._due = float("-inf")  # boot time of the next poll [s]
+        self._failed = 0  # polls without an answer since the last one
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
         self.last: IrradianceSample | None = None
-        self._hour, self._refused = -1, 0
+        self._hour, self._refused = -1, 0  # lines refused in the present hour of the day
 
     def poll(self) -> IrradianceSample | None:
         """Read the pyranometer once, write the reading as a row of the day file, and return it.

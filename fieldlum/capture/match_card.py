@@ -445,7 +445,9 @@ def clock_steps(clocks: Sequence[tuple[Sequence[Group], Offset]]) -> list[str]:
     ]
 
 
-def doubt(groups: Sequence[Group], slots: Sequence[Slot], offset: Offset, zone: str) -> str:
+def offset_contradiction(
+    groups: Sequence[Group], slots: Sequence[Slot], offset: Offset, zone: str
+) -> str:
     """Return why the plan contradicts a clock offset, or "".
 
     Two errors are detected: an offset that is wrong by full hours, up to 26 (time zone or date),

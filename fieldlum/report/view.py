@@ -18,7 +18,7 @@ from fieldlum.core.false_colour import colour_table, luminance_ends, shared_scal
 from fieldlum.core.records import JsonTable
 from fieldlum.optics.projection import direction
 from fieldlum.session import replacing
-from fieldlum.year.glare.picture_glare import judged
+from fieldlum.year.glare.picture_glare import glare_answer
 from fieldlum.year.glare.pictures import Picture, picture_directions, read_picture
 from fieldlum.year.glare.sources import Sources
 
@@ -125,7 +125,7 @@ def read_measured_picture(path: Path, part: str = "") -> MeasuredPicture:
     picture = read_picture(path, part=part)
     luminance = picture.panorama.seen_cdm2
     azimuths_deg = (picture.panorama.heading_deg,) if picture.view is None else ()
-    answer, sources = judged(picture, path, azimuths_deg)
+    answer, sources = glare_answer(picture, path, azimuths_deg)
     row = answer["views"][0]
     texts = ["" if row["ev_lx"] is None else f"Ev {row['ev_lx']:.0f} lx"]
     if (u := row["u_melanopic_edi_lx"]) is not None:

@@ -21,7 +21,7 @@ from fieldlum.optics.images import read_panorama
 from fieldlum.optics.projection import direction
 from fieldlum.room.scene import sun_patches
 from fieldlum.room.scene.clicked import ClickedRoom, ClickGrid, clicks_from_rows, room_from_clicks
-from fieldlum.room.scene.drawing import outline_pixels, wind
+from fieldlum.room.scene.drawing import compass_text, outline_pixels
 from fieldlum.session import Session, replacing, update_session
 from fieldlum.session.site_toml import site_table
 from fieldlum.sky import sun
@@ -75,7 +75,7 @@ def clicked_table(clicked: ClickedRoom) -> JsonTable:
         rows += [(f"window.{place}.{name}", getattr(window, name)) for name in names]
     return {
         "rows": [{"name": name, "value": value, "u": clicked.u[name]} for name, value in rows],
-        "faces": wind(room.wall_azimuth_deg),
+        "faces": compass_text(room.wall_azimuth_deg),
         "walls": [window.wall for window in room.window],
         "misfit_px": clicked.misfit_px,
         "notes": list(clicked.notes),

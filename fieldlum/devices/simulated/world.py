@@ -129,6 +129,10 @@ class Office:
         return self._light_of(t_utc.replace(second=0, microsecond=0))
 
     def _light_at(self, t_utc: datetime) -> SimulatedLight:
+        """Return a clear sky changed by the day's clouds [W/m2]; factors chosen to look plausible.
+
+        Clouds remove the beam and scatter a part of it, most under a broken sky.
+        """
         day = np.random.default_rng([self._seed, t_utc.toordinal()])
         clouds = day.choice([0.02, 0.1, 0.35, 0.6, 0.95])  # clear, mixed or overcast
         clear = sun.clearsky([t_utc], self.setup.site)

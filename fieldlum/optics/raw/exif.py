@@ -152,7 +152,7 @@ def _directories(file: BinaryIO, head: bytes) -> Any:
     if head.startswith(b"\xff\xd8"):
         return JpegImageFile(file).getexif()
     exif, content = Image.Exif(), mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_COPY)
-    content[:4] = TIFF_VARIANTS.get(head, head)
+    content[:4] = TIFF_VARIANTS.get(head, head)  # Pillow knows only the marks of plain TIFF
     exif.load_from_fp(content)  # pyright: ignore[reportArgumentType]
     return exif
 

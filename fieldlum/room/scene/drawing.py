@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _EDGE_POINTS = 24  # of a drawn edge: smooth at the width of a page; not measured
 
 
-def wind(azimuth_deg: float) -> str:
+def compass_text(azimuth_deg: float) -> str:
     """Return a compass direction with its angle, such as "SSW 203°"."""
     return f"{compass_name(azimuth_deg)} {round(azimuth_deg) % 360}°"
 
@@ -74,7 +74,7 @@ def _draw_plan(axes: Axes, room: Room) -> None:
         axes.annotate(label, middle, inwards, **centred, rotation=0 if o.axis else 90)
     for name, turn in WALL_TURN_DEG.items():
         axis, side = WALLS[name]
-        label, off = f'"{name}" faces {wind(room.wall_azimuth_deg + turn)}', 32 * side - 16
+        label, off = f'"{name}" faces {compass_text(room.wall_azimuth_deg + turn)}', 32 * side - 16
         place, away = ((0.5, side), (0, off)) if axis else ((side, 0.5), (off, 0))
         turned = 0 if axis else 90
         axes.annotate(label, place, away, "axes fraction", **centred, rotation=turned)
@@ -94,7 +94,7 @@ def _draw_arrows(axes: Axes, room: Room, heading_deg: float) -> None:
         axes.quiver(*place, *to, color=colour, transform=of, gid=name, **arrow)
     axes.text(-0.15, 1.1, "N", ha="right", va="center", transform=axes.transAxes)
     axes.plot(*at, "o", color=RED, ms=9)
-    label = f"camera to {wind(heading_deg)}, {room.camera_z_m:g} m high"
+    label = f"camera to {compass_text(heading_deg)}, {room.camera_z_m:g} m high"
     axes.text(0.5, -0.16, label, ha="center", color=RED, transform=axes.transAxes)
 
 

@@ -123,7 +123,7 @@ class Pieces:
         return self.first[face] + a + self.counts[face, 0] * b
 
 
-def cut(scene: BoxScene, piece_m: float) -> Pieces:
+def cut_into_pieces(scene: BoxScene, piece_m: float) -> Pieces:
     """Cut the faces of all boxes into pieces with edges of about `piece_m` metres.
 
     Outside the room edges are up to 2 m, or 4 m on the ground.
@@ -224,7 +224,7 @@ def _gather(
         origin, up = position[start : start + step], normal[start : start + step]
         toward = _hemispheres(up, rays, np.random.default_rng(start))
         rows, at, weights = [], [], []
-        for e in trace.ends(scene, (origin + up * _OFFSET_M).repeat(rays, axis=0), toward):
+        for e in trace.ray_ends(scene, (origin + up * _OFFSET_M).repeat(rays, axis=0), toward):
             sky = reinhart_index(e.toward @ scene.turn)
             face = 6 * e.box + 2 * e.axis + (e.sign > 0)
             piece = FIRST_PIECE + pieces.at(np.maximum(face, 0), e.position)
@@ -530,7 +530,7 @@ def lit_room(
 
     how, heading = QUALITIES[quality], setup.camera.heading_deg % 360.0
     view = look(box_room(setup), height, heading)
-    scene, pieces = view.scene, cut(view.scene, how.piece_m)
+    scene, pieces = view.scene, cut_into_pieces(view.scene, how.piece_m)
     threads = min(workers or os.cpu_count() or 1, 8)
     s, faces = joined(view.samples)
     m, free = len(s.pixel), np.flatnonzero(np.isfinite(pieces.middle[:, 0]))

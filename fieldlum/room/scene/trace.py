@@ -85,7 +85,7 @@ class Ends(NamedTuple):
     weight: Floats
 
 
-def ends(scene: BoxScene, origins: Floats, rays: Floats) -> tuple[Ends, Ends]:
+def ray_ends(scene: BoxScene, origins: Floats, rays: Floats) -> tuple[Ends, Ends]:
     """Return where rays end straight on, and where after a reflection in the first pane they cross.
 
     origins, rays: [n, 3], in room axes [m]. A box that contains the ray's origin is ignored.

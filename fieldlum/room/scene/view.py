@@ -11,7 +11,7 @@ from fieldlum.core.arrays import Floats, Floats32, Mask
 from fieldlum.core.records import Room
 from fieldlum.optics.projection import direction, rotation
 from fieldlum.room.scene.geometry import BoxScene, build
-from fieldlum.room.scene.trace import SUN_RADIUS_DEG, SunPoints, ends, sun_points
+from fieldlum.room.scene.trace import SUN_RADIUS_DEG, SunPoints, ray_ends, sun_points
 
 # In each direction of a pixel, for sun patches: with 3 they had an error of 1.0e-4 to 1.6e-4 (log10
 # MSE) at 60 rows, with 8 of 1.1e-5 to 1.5e-5.
@@ -136,7 +136,8 @@ def trace_pixels(
     and the shares of the pixels that see sky and plain, times the glass [count] each. One mirror
     image in the panes counts.
     """
-    share, both = count / len(rays), ends(scene, np.broadcast_to(scene.camera_m, rays.shape), rays)
+    share = count / len(rays)
+    both = ray_ends(scene, np.broadcast_to(scene.camera_m, rays.shape), rays)
     parts = []
     for mirrored, e in enumerate(both):
         on = np.flatnonzero(e.box >= 0)

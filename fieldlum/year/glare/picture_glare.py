@@ -61,12 +61,12 @@ def picture_glare(
     replace the view in the file; "" to use the file's. part : name of the part, layer or stereo
     view of an .exr; "" for the only one. measured_ev_lx : scale the picture so that its first view
     has this vertical illuminance; None for no scaling. lamps : electric light is on, so that
-    melanopic EDI is less certain. Keys: `judged`. Raises InputError for an unusable picture, for
-    azimuths other than the own one of a picture that is no panorama, or if a picture to scale has
-    no light in its first view.
+    melanopic EDI is less certain. Keys: `glare_answer`. Raises InputError for an unusable picture,
+    for azimuths other than the own one of a picture that is no panorama, or if a picture to scale
+    has no light in its first view.
     """
     picture = pictures.read_picture(path, view_options, part)
-    judge = partial(judged, picture, path, azimuths_deg, lamps=lamps)
+    judge = partial(glare_answer, picture, path, azimuths_deg, lamps=lamps)
     if measured_ev_lx is None:
         return judge(reference=reference)[0]
     ev = judge()[0]["views"][0]["ev_lx"]
@@ -80,8 +80,8 @@ def picture_glare(
 def panorama_glare(panorama: Panorama, azimuths_deg: Sequence[float] = ()) -> JsonTable:
     """Return the same as `picture_glare`, for a panorama in memory; the answer's `file` is "".
 
-    The keys are those of `judged`. azimuths_deg : view directions, clockwise from north; ten if
-    empty. Raises InputError for a map that is not twice as wide as high, or has seen pixels that
+    The keys are those of `glare_answer`. azimuths_deg : view directions, clockwise from north; ten
+    if empty. Raises InputError for a map that is not twice as wide as high, or has seen pixels that
     are not finite.
     """
     height, width = panorama.luminance_cdm2.shape
@@ -89,10 +89,10 @@ def panorama_glare(panorama: Panorama, azimuths_deg: Sequence[float] = ()) -> Js
         found, remedy = f"a map of {width} x {height} pixels", "use an equirectangular map"
         raise InputError("panorama", found, "a map twice as wide as high", remedy)
     picture = pictures.Picture(panorama, None)
-    return judged(picture, Path("panorama"), azimuths_deg)[0] | {"file": ""}
+    return glare_answer(picture, Path("panorama"), azimuths_deg)[0] | {"file": ""}
 
 
-def judged(
+def glare_answer(
     picture: pictures.Picture,
     path: Path,
     azimuths_deg: Sequence[float] = (),
