@@ -60,7 +60,7 @@ def test_a_person_answers_wrongly_and_rightly(tmp_path: Path) -> None:
         ("Camera: a number", "nothing"),
         ("nothing", "fisheye"),
         ("is it", "sim-fisheye"),
-        ("Azimuth", "215"),
+        ("Azimuth", "sw"),
         ("Height of the lens", "1.2"),
         ("Headings", "-"),
     ]
@@ -92,7 +92,7 @@ def test_a_person_answers_wrongly_and_rightly(tmp_path: Path) -> None:
     os.close(terminal)
     setup = load_site(path)
     assert (setup.site.name, setup.site.latitude_deg) == ('Büro "2"', 45.07)
-    assert setup.room is None and setup.camera.heading_deg == 215.0
+    assert setup.room is None and setup.camera.heading_deg == 225.0
     assert "42" in whole or "sees" in whole  # one fisheye does not see everything
     assert "next: fieldlum plan" in whole
 

@@ -146,5 +146,5 @@ def test_a_session_without_results_is_refused(tmp_path: Path, command: str) -> N
         if command == "export"
         else pack(empty)
     )
-    assert ran.exit_code == 3 and "empty: no" in ran.output, ran.output
+    assert ran.exit_code == 5 and "empty: no" in ran.output, ran.output
     assert not (empty.root / "export").exists()

@@ -71,7 +71,7 @@ class _CommandGroup(InOrder):
             if error.errno not in DISK_TROUBLE:
                 raise
             place = f"{error.filename}: " if error.filename else ""
-            text = f"{place}{error.strerror or error}, {DISK_TROUBLE[error.errno]}"
+            text = f"{place}{error.strerror or error}; {DISK_TROUBLE[error.errno]}"
         except ModuleNotFoundError as error:
             if error.name not in COMPUTE_PACKAGES:
                 raise

@@ -94,7 +94,7 @@ def command(
         try:
             answer = judge(path, view_azimuths, reference=reference, measured_ev_lx=calibrate_ev_lx)
             for warning in answer["warnings"]:
-                say(f"fieldlum glare: {path}: {warning}")
+                say(f"note: {path}: {warning}")
             rows += csv_rows(answer)
             print_answer(json_lines, answer, _lines(answer))
             if budget_path is not None:

@@ -157,8 +157,11 @@ def _angle(limit: float, winds: str) -> Callable[[str], float]:
 
 
 def _azimuths(text: str) -> tuple[float, ...]:
+    from fieldlum.optics.projection import compass_name
+
+    points = {compass_name(22.5 * k): f"{22.5 * k}" for k in range(16)}
     parts = [] if text == "-" else text.split(",")
-    return tuple(_number(0.0, 360.0)(part) for part in parts)
+    return tuple(_number(0.0, 360.0)(points.get(p.strip().upper(), p)) for p in parts)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -224,7 +227,7 @@ def _camera(dialogue: Dialogue) -> CameraSetup:
 
     question = "Camera: a number, a name, the path of your own profile, or none"
     chosen = dialogue.ask(question, profile)
-    question = "Azimuth that the camera faces, clockwise from true north (- unknown)"
+    question = "Azimuth that the camera faces: degrees from true north, or like NW (- unknown)"
     facing = dialogue.ask(question, _azimuths)
     height = dialogue.ask("Height of the lens above the floor in m", _number(0.05, 50.0), "1.2")
     question = "Headings to which a person turns the camera, with commas (- for a fixed camera)"

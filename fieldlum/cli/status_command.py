@@ -52,7 +52,7 @@ def _lines(s: JsonTable) -> list[str]:
         f"capture     {capture['done']} done, {capture['missed']} missed, {capture['aborted']} "
         f"aborted, {capture['owed']} to do{upcoming}; {counted(capture['frames'], 'frame')}"
         + (f"; {damaged}" if damaged else ""),
-        f"irradiance  {counted(log['rows'], 'row')} on {counted(log['days'], 'day')}",
+        f"irradiance  {counted(log['rows'], 'row')} on {counted(log['days'], 'UTC day')}",
         f"merge       {merge['done']} done, {merge['owed']} to do",
         f"pair        {pair['done']} done, {pair['usable']} usable{truth}, {pair['owed']} to do",
         f"train       {models}",

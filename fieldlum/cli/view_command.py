@@ -64,7 +64,7 @@ def command(
         view.write_page(out, pictures, rows)
     for picture in pictures:
         for note in picture.notes:
-            say(f"fieldlum view: {picture.name}: {note}")
+            say(f"note: {picture.name}: {note}")
     for line in (*map(_region_line, rows), *([str(out)] if pictures else ())):
         tell(line)
     if csv_path is not None:

@@ -194,13 +194,15 @@ class Statement(NamedTuple):
 def pack(session: Session, out: Path, statement: Statement) -> list[str]:
     """Write the archive `out` (.zip) and return notes for its authors, one sentence each.
 
-    Raises InputError if `out` exists, for a session without captures, and for frames whose EXIF has
-    a position, an owner's name or a serial number.
+    Raises InputError if `out` exists or is no .zip, and for frames whose EXIF has a position, an
+    owner's name or a serial number; NotEnoughDataError for a session without captures.
     """
+    if out.suffix.lower() != ".zip":
+        raise InputError(out, f"the suffix '{out.suffix}'", "a .zip", "correct the name")
     if out.exists():
         raise InputError(out, "it exists", "a new file", "remove it, or choose another name")
     if not session.captured_folders() and not session.panorama_files():
-        raise InputError(session.root, "no captures", "data to publish", "pack it when it has some")
+        raise NotEnoughDataError(f"{session.root}: no captures; pack it when it has some")
     files = sorted(_files(session))
     stated = [(path, _private_exif(path)) for path in files]
     private = [text for _, text in stated if text]
