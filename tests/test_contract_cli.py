@@ -136,7 +136,7 @@ def test_what_a_disk_does_is_one_line_with_a_remedy(
     result = CliRunner().invoke(main, ["report", "session"])
     assert result.exit_code == expected
     assert (
-        expected != 3 or f"fieldlum report: session/report: {os.strerror(code)}, " in result.output
+        expected != 3 or f"fieldlum report: session/report: {os.strerror(code)}; " in result.output
     )
 
 
