@@ -211,13 +211,7 @@ def fit(samples: Samples) -> VignettingFit:
         remedy = "add readings up to the edge"
         raise InputError(samples.frames[0], wrong, "a curve above 0 up to the edge", remedy)
     residual = samples.value / (theta[0] * vignetting_at(curve, samples.r)) - 1.0
-    return VignettingFit(
-        coefficients=curve,
-        level=float(theta[0]),
-        u_rel=max(choice.rms, 0.001),
-        residual_rel=residual,
-        choice=choice,
-    )
+    return VignettingFit(curve, float(theta[0]), max(choice.rms, 0.001), residual, choice)
 
 
 def _check(samples: Samples) -> None:

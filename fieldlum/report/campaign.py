@@ -160,16 +160,7 @@ def _page(name: str, rooms: Sequence[RoomOverview]) -> str:
     failed = f"{counted(sum(room.failed for room in rooms), 'slot')} failed"
     why = f"{failed}; {counted(len(broken), 'session')} could not be read."
     skipped = [f"{room.session} was skipped. {room.broken}" for room in broken]
-    return render(
-        Page(
-            title=name,
-            answer=answer,
-            why=why,
-            facts=facts,
-            sections=[_table(rooms)],
-            warnings=skipped,
-        )
-    )
+    return render(Page(name, answer, why, facts, [_table(rooms)], skipped))
 
 
 def _table(rooms: Sequence[RoomOverview]) -> Section:

@@ -433,16 +433,7 @@ def _mirror(plane: MirrorPlane, data: Dataset) -> Mirror:
     u_deg, count = plane.u_deg, len(rows)
     east, north, up = plane.normal.tolist()
     measured = bool(valid.any())
-    return Mirror(
-        normal=(east, north, up),
-        u_deg=u_deg,
-        captures=count,
-        factor=factor,
-        measured=measured,
-        judged=len(label),
-        wrong=wrong,
-        chance=chance,
-    )
+    return Mirror((east, north, up), u_deg, count, factor, measured, len(label), wrong, chance)
 
 
 def _is_measured(image: SunImage, data: Dataset) -> bool:

@@ -146,12 +146,7 @@ def run(
         "synthetic_weather": weather.synthetic,
     }
     update_session(session, {"simulation": about})
-    return Simulated(
-        rendered=len(missing),
-        kept=int(lit.sum()) - len(missing),
-        dark=int((~lit).sum()),
-        weather=weather.name,
-    )
+    return Simulated(len(missing), int(lit.sum()) - len(missing), int((~lit).sum()), weather.name)
 
 
 def render_slots(folder: Path, job: _Job) -> None:

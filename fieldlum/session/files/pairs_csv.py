@@ -132,15 +132,7 @@ def _row(path: Path, line: int, cells: dict[str, str]) -> PairRow:
         with suppress(ValueError):
             moment = parse_utc(cells["t_utc"])
         panorama, why = cells["panorama"], cells.get("why", "")
-        return PairRow(
-            t_utc=moment,
-            panorama=panorama,
-            dni_wm2=math.nan,
-            dhi_wm2=math.nan,
-            ok=False,
-            why=why,
-            line=line,
-        )
+        return PairRow(moment, panorama, math.nan, math.nan, ok=False, why=why, line=line)
     row = read_row(
         PairRow, where, {"doubtful": _was_doubted(cells), **cells, "line": str(line)}, _REMEDY
     )

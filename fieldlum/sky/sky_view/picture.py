@@ -130,12 +130,5 @@ def cut_panorama(panorama: Panorama) -> SkyPicture:
     light = panorama.seen_cdm2[:rows]
     flags = np.zeros(light.shape, np.uint16) if panorama.flags is None else panorama.flags[:rows]
     clipped = (flags & (Flag.CLIPPED_HIGH | Flag.BLOOM)) > 0
-    grid = SkyGrid(
-        first_altitude_deg=90.0,
-        first_azimuth_deg=-180.0,
-        step_deg=step_deg,
-        heading_deg=panorama.heading_deg,
-        height=rows,
-        width=width,
-    )
+    grid = SkyGrid(90.0, -180.0, step_deg, panorama.heading_deg, rows, width)
     return SkyPicture(light, clipped, grid)

@@ -85,7 +85,10 @@ class Annual(HourlyFile):
         return len(self.t_utc)
 
     def to_xarray(self) -> xr.Dataset:
-        """Return all columns with their units, over time and azimuth."""
+        """Return all columns with their units: hours [time], figures of views [time, azimuth].
+
+        Units are attributes, as CF writes them; coordinates: UTC, and degrees clockwise from north.
+        """
         return dataset_of(self.t_utc, self.azimuths_deg, self.hours, self.views)
 
     @property

@@ -103,7 +103,7 @@ class ModelRoom:
 
     @property
     def disc_from(self) -> str:
-        """Text on how the disc's visibility is known."""
+        """Text on how the disc's visibility is known: by sky view, room or not (`disc_source`)."""
         return disc_source(self.sky_view, self.setup, self.sky_view_file)
 
 

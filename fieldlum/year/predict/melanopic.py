@@ -119,14 +119,7 @@ def fit_year(
         covariance = kernel(features, features) + 1e-2 * np.eye(len(used))
         relative = photopic_lx[rows] / used.total_lx[:, None]
         coefficients = np.linalg.solve(covariance, relative)
-        year = MelanopicYear(
-            kernel,
-            captured=features,
-            coefficients=coefficients,
-            weights=_TYPICAL,
-            factors=np.ones(0),
-            u_rel=0.0,
-        )
+        year = MelanopicYear(kernel, features, coefficients, _TYPICAL, np.ones(0), 0.0)
         weights, factors = _solve(_parts(used, year.sun_shares(used)), ratio[rows])
         return replace(year, weights=weights, factors=factors)
 
