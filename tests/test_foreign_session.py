@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
 import shutil
+import socket
 import struct
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
@@ -346,17 +349,43 @@ def test_no_reader_waits_for_a_pipe_or_reads_a_huge_file(
     tmp_path: Path, read: Callable[[Path], object]
 ) -> None:
     """Somebody may exchange a file after the session was checked."""
-    pipe, huge = tmp_path / "pipe.exr", tmp_path / "huge.exr"
+    pipe, huge, name = tmp_path / "pipe.exr", tmp_path / "huge.exr", tmp_path / "socket.exr"
     os.mkfifo(pipe)
+    with socket.socket(socket.AF_UNIX) as listener, contextlib.chdir(tmp_path):
+        listener.bind(name.name)  # a name of any length
     with huge.open("wb") as file:
         file.truncate(1 << 33)
-    for path, why in ((pipe, "a pipe"), (huge, "more than the limit")):
+    for path, why in ((pipe, "a pipe"), (name, "socket"), (huge, "more than the limit")):
         try:
             answer = read(path)
         except (InputError, OSError) as error:
             assert why in str(error)
         else:
             assert not answer
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(
+    shutil.which("setpriv") is None and getattr(os, "getuid", int)() == 0, reason="no setpriv"
+)
+@pytest.mark.parametrize("name", ["session.toml", "plan.csv", "journal.jsonl", "irradiance"])
+def test_what_a_user_may_not_read_is_one_line(name: str) -> None:
+    """As another user where the tests run as root, who may read everything."""
+    with tempfile.TemporaryDirectory() as folder:
+        Path(folder).chmod(0o755)
+        session = make_session(Path(folder) / "s")
+        session.irradiance.mkdir()
+        Journal(session).close()
+        (session.root / name).chmod(0)
+        code = f"from fieldlum.cli import main; main(['status', {str(session.root)!r}])"
+        other = ["setpriv", "--reuid=65534", "--regid=65534", "--clear-groups"]
+        line = [*(other if os.getuid() == 0 else ()), sys.executable, "-c", code]
+        shown = subprocess.run(line, capture_output=True, text=True, check=False)
+        if f"failed to execute {sys.executable}" in shown.stderr:
+            pytest.skip("another user may not run this Python")
+        (session.root / name).chmod(0o755)
+    assert shown.returncode in (3, 4) and shown.stderr.count("\n") == 1, shown.stderr
+    assert name in shown.stderr and "Permission denied" in shown.stderr
 
 
 # ----------------------------------------------------------------------------------------------
