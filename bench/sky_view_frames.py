@@ -203,7 +203,8 @@ def judge(made: Case, merges: list[MergeResult], with_discs: bool, axis_deg: flo
         [0.0 if m.panorama.sun is None else m.panorama.sun.normal_illuminance_lx for m in merges]
     )
     shares = np.where(light.direct_lx > 1000.0, shares / beam, np.nan)
-    rows = [k for k, m in enumerate(merges) if with_discs or m.sun is None]
+    lit = light.diffuse_lx > 1000.0
+    rows = [k for k, m in enumerate(merges) if lit[k] and (with_discs or m.sun is None)]
     pictures = {k: m.sky for k, m in enumerate(merges) if m.sky is not None}
     captured = Captured(light, lambda k: pictures[k], shares).take(rows)
     measured = [(k, sun) for k in rows if (sun := merges[k].sun) is not None]

@@ -11,12 +11,13 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from fieldlum.core.arrays import Floats, Indices
+from fieldlum.core.arrays import Floats, Indices, Mask
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Room, Site, SiteFile, Window
 from fieldlum.optics.projection import rotation
 from fieldlum.sky.daylight import Light, light_at
-from fieldlum.sky.sky_view.estimate_from_captures import Captured, estimate
+from fieldlum.sky.sky_view.estimate_from_captures import Captured, estimate, sky_view_of
+from fieldlum.sky.sky_view.measured_discs import NO_DISCS
 from fieldlum.sky.sky_view.picture import SkyGrid, SkyPicture
 from fieldlum.sky.sky_view.pose import CameraPose
 from fieldlum.sky.sky_view.view import CHANNELS, SkyView
@@ -317,25 +318,136 @@ def test_a_blind_that_nobody_marked_does_not_shut_the_sky() -> None:
 
 
 @pytest.mark.analytic
-def test_leaves_of_summer_give_bounds_over_the_year() -> None:
-    """Captures of all seasons show that leaves come and go: a disc there has bounds."""
+@pytest.mark.parametrize(("share", "rows"), [(0.15, 32), (0.35, 32), (0.35, 14)])
+def test_captures_through_blinds_that_nobody_marked_are_named_and_omitted(
+    share: float, rows: int
+) -> None:
+    """Blinds darken all of the window, or its upper part, in a third of the captures."""
+    openness = np.zeros((32, 32))
+    openness[2:30, 3:29] = 1.0
+    pictures = _pictures(openness)
+    down = np.random.default_rng(0).random(len(LIGHT)) < share
+    pictures[down, :rows] *= 0.1
+    view = _view(pictures)
+    (note,) = (note for note in view.notes if "blind" in note)
+    assert abs(int(note.split()[0]) - down.sum()) <= 2
+    assert (view.openness[openness == 1] > 0.9).all()
+    untouched = _view(_pictures(openness))
+    assert not any("blind" in note for note in untouched.notes)
+
+
+def _leaves(rows: Indices) -> tuple[SkyView, Mask, dict[str, Floats]]:
+    """Return the view of some captures, where a tree is, and openness with leaves and without."""
     texture = np.random.default_rng(1).random((32, 32))
-    leaves = np.zeros((32, 32), bool)
-    leaves[6:26, 4:28] = True
-    summer = np.where(leaves & (texture < 0.85), 0.0, 1.0)
-    winter = np.where(leaves & (texture < 0.15), 0.0, 1.0)
-    is_summer = np.array([5 <= t.month <= 10 for t in LIGHT.t_utc])
-    view = _view(_pictures(np.where(is_summer[:, None, None], summer, winter)))
-    for openness in (summer, winter):
-        through = 0.8 * openness[leaves]
-        held = (through >= view.low[leaves] - 0.02) & (through <= view.high[leaves] + 0.02)
+    tree = np.zeros((32, 32), bool)
+    tree[6:26, 4:28] = True
+    openness = {
+        "summer": np.where(tree & (texture < 0.85), 0.0, 1.0),
+        "winter": np.where(tree & (texture < 0.15), 0.0, 1.0),
+    }
+    is_summer = np.array([5 <= t.month <= 10 for t in LIGHT.t_utc])[:, None, None]
+    shown = np.where(is_summer, openness["summer"], openness["winter"])
+    return _view(_pictures(shown), rows=rows), tree, openness
+
+
+EVERY = np.arange(len(LIGHT))
+DAYS = np.array([t.timetuple().tm_yday for t in LIGHT.t_utc])
+
+
+@pytest.mark.analytic
+def test_leaves_of_summer_give_bounds_over_the_year_and_a_view_for_each_season() -> None:
+    """Captures of all seasons show that leaves come and go: the year's view has bounds there."""
+    view, tree, openness = _leaves(EVERY)
+    for true in openness.values():
+        through = 0.8 * true[tree]
+        held = (through >= view.low[tree] - 0.02) & (through <= view.high[tree] + 0.02)
         assert held.mean() > 0.95
-        sure = (view.low[leaves] > 0.02) | (view.high[leaves] < 0.02)
-        shown = view.through[leaves] > 0.02
-        assert (shown == (through > 0.02))[sure].mean() > 0.97
+    for day, season in ((10, "winter"), (90, "winter"), (180, "summer"), (280, "summer")):
+        ((_, then),) = view.of_hours(_on(day))
+        through = 0.8 * openness[season][tree]
+        assert then is not view
+        assert ((through >= then.low[tree] - 0.02) & (through <= then.high[tree] + 0.02)).all()
+        assert ((then.through[tree] > 0.02) == (through > 0.02)).mean() > 0.97
     assert any("open in one season" in note for note in view.notes)
-    steady = _view(_pictures(np.broadcast_to(winter, (len(LIGHT), 32, 32))))
-    assert not any("season" in note for note in steady.notes)
+    winter = _pictures(np.broadcast_to(openness["winter"], (len(LIGHT), 32, 32)))
+    steady = _view(winter)
+    assert not any("season" in note for note in steady.notes) and not steady.others
+
+
+@pytest.mark.analytic
+def test_months_between_an_equinox_and_a_summer_block_are_intervals_and_named() -> None:
+    view, tree, openness = _leaves(np.flatnonzero(np.isin(DAYS, (50, 90, 170, 210))))
+    (note,) = (note for note in view.notes if "season" in note)
+    assert note.endswith(
+        "in (parts of) January, May, August, September, October, November, December"
+    )
+    for day in (130, 300):
+        ((_, then),) = view.of_hours(_on(day))
+        assert then is view
+        changed = tree & (openness["summer"] != openness["winter"])
+        assert (view.low[changed] == 0.0).mean() > 0.95 and (view.high[changed] > 0.5).mean() > 0.95
+
+
+def _on(day: int) -> Light:
+    """Return an hour on a day of the year."""
+    start = datetime(2027, 1, 1, 12, tzinfo=UTC)
+    return light_at([start + timedelta(days=day - 1)], SITE, np.array([500.0]), np.array([80.0]))
+
+
+@pytest.mark.analytic
+def test_each_marked_state_has_its_own_view(tmp_path: Path) -> None:
+    """A blind is half down, or the glass is tinted, in marked hours; another has few captures."""
+    openness, half = np.zeros((32, 32)), np.zeros((32, 32))
+    openness[2:30, 3:29], half[16:30, 3:29] = 1.0, 1.0
+    states = np.array(["", "blind=half", "tint=full", "", "lamp=on", "snow=yes"] * 20)[EVERY]
+    states[:3] = "blind=down"
+    of_state = {"blind=half": _pictures(half), "tint=full": _pictures(openness, 0.1)}
+    pictures = np.array([of_state.get(s, _pictures(openness))[k] for k, s in enumerate(states)])
+    light = replace(LIGHT, states=tuple(states.tolist()))
+
+    def read(k: int) -> SkyPicture:
+        return SkyPicture(pictures[k].astype(np.float32), np.zeros((32, 32), bool), GRID)
+
+    captured = Captured(light, read, np.full(len(LIGHT), np.nan))
+    estimated = sky_view_of(captured, NO_DISCS, SITE, 180.0)
+    assert any(n.startswith("blind=half:") and "view of their own" in n for n in estimated.notes)
+    assert any(n.startswith("blind=down: 3 captures, too few") for n in estimated.notes)
+    estimated.write(tmp_path / "sky_view.exr")
+    for view in (estimated, SkyView.read(tmp_path / "sky_view.exr")):
+        high, low = _at(view, 8.5, 15.5), _at(view, 23.5, 15.5)
+        for state, shares in {
+            "": (0.8, 0.8),
+            "lamp=on": (0.8, 0.8),
+            "blind=half": (0.0, 0.8),
+            "tint=full;lamp=on": (0.1, 0.1),
+        }.items():
+            for hour, share in zip((high, low), shares, strict=True):
+                disc = disc_of_hours(view, replace(hour, states=(state,)))
+                assert disc.best_lx / hour.direct_lx == pytest.approx(share, rel=0.25), state
+                drawn = drawn_shares(view, replace(hour, states=(state,)), np.random.default_rng(0))
+                assert drawn.min() <= share + 0.01 and drawn.max() >= share - 0.01
+        unknown = disc_of_hours(view, replace(high, states=("blind=down",)))
+        assert unknown.low_lx == 0.0 and unknown.high_lx > 0.7 * high.direct_lx
+        turned = view.turned(5.0, 1.0)
+        assert {v.grid for v in (turned, *turned.others)} == {turned.grid}
+
+
+@pytest.mark.analytic
+def test_without_a_usual_capture_the_most_frequent_state_stands_for_it() -> None:
+    pictures = _pictures(np.ones((32, 32)), 0.1)
+    light = replace(LIGHT, states=("tint=full",) * len(LIGHT))
+    clipped = np.zeros((32, 32), bool)
+    captured = Captured(
+        light,
+        lambda k: SkyPicture(pictures[k].astype(np.float32), clipped, GRID),
+        np.full(len(LIGHT), np.nan),
+    )
+    view = sky_view_of(captured, NO_DISCS, SITE, 180.0)
+    assert view.state == "tint=full" and not view.others
+    hour = _at(view, 15.5, 15.5)
+    for state in ("", "tint=full"):
+        disc = disc_of_hours(view, replace(hour, states=(state,)))
+        assert disc.best_lx / hour.direct_lx == pytest.approx(0.1, rel=0.2)
 
 
 @pytest.mark.analytic

@@ -518,7 +518,16 @@ def _gallery() -> Place:
     return place
 
 
+def _without(make: Callable[[], Place], group: str) -> Place:
+    """Return a room without its slats or leaves."""
+    place = make()
+    del place.groups[group]
+    return place
+
+
 SKY_VIEW: dict[str, Callable[[], Place]] = {
+    "blind_up": lambda: _without(_blind, "slat"),
+    "leaves_bare": lambda: _without(_leaves, "leaf"),
     "office": _office,
     "blind": _blind,
     "tinted": _tinted,

@@ -24,7 +24,7 @@ def command(
 
     Options:
       --mark SLOT STATE: Record the room's state at a slot: lamp=on|off, blind=up|half|down,
-          snow=yes|no.
+          tint=clear|half|full, snow=yes|no.
     """
     from fieldlum.capture.status import status
     from fieldlum.session import mark_slot

@@ -1,17 +1,23 @@
-"""Define the states of a room with which captures can be marked: lamps, blinds, snow.
+"""Define the states of a room with which captures can be marked: lamps, blinds, tint, snow.
 
 A state is text such as ``lamp=on;blind=half``; an empty text is the usual room (lamps off, blinds
-up, no snow). Lamps add light; the other words change the room's response to daylight.
+up, clear glass, no snow). Lamps add light; the other words change the room's response to daylight.
 """
 
 import numpy as np
 
 from fieldlum.core.arrays import Floats
 
-KNOWN = {"lamp": ("off", "on"), "blind": ("up", "half", "down"), "snow": ("no", "yes")}
+KNOWN = {
+    "lamp": ("off", "on"),
+    "blind": ("up", "half", "down"),
+    "tint": ("clear", "half", "full"),
+    "snow": ("no", "yes"),
+}
 """Words and their values; the first value of each is the usual one and is not written."""
 
 ADDED = "lamp"  # the word for light that does not follow the daylight
+COVERS = ("blind", "tint")  # the words for what changes the view of the sky
 OFF = "lamp=off"  # in a prediction, it also switches off a lamp that is always on
 USAGE = ", ".join(f"{word}={'|'.join(values)}" for word, values in KNOWN.items())
 
@@ -25,6 +31,11 @@ def parse_state(text: str) -> tuple[str, ...]:
     """
     values = sorted(_values(text).items())
     return tuple(f"{word}={value}" for word, value in values if value != KNOWN[word][0])
+
+
+def cover_state(text: str) -> str:
+    """Return the parts of a state that change the view of the sky, such as "blind=half"."""
+    return ";".join(part for part in parse_state(text) if part.startswith(COVERS))
 
 
 def _values(text: str) -> dict[str, str]:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Array, Floats, Floats32, Indices, Mask, evenly_spread
-from fieldlum.core.room_states import ADDED, OFF, indicators, parse_state
+from fieldlum.core.room_states import ADDED, OFF, cover_state, indicators, parse_state
 from fieldlum.core.statistics import cauchy_weights, nan_percentiles
 from fieldlum.learn.models.held_out_choice import light_variance, weight_of_variance
 from fieldlum.optics.projection import equirect_rays, equirect_solid_angles
@@ -290,12 +290,11 @@ def training_arrays_of(data: Dataset, *, with_patch: bool) -> TrainingArrays:
 
 
 def _patches_unknown(data: Dataset) -> Mask:
-    """Mark the pixels that a computed sun patch reaches while a blind was not up, [n, H, W]."""
+    """Mark the pixels that a computed sun patch reaches behind a blind or a tint, [n, H, W]."""
     out = np.zeros(data.luminance_cdm2.shape, bool)
     if data.patch_cdm2 is None or data.light.states is None:
         return out
-    blind = [any(p.startswith("blind") for p in parse_state(s)) for s in data.light.states]
-    rows = np.flatnonzero(blind)
+    rows = np.flatnonzero([bool(cover_state(text)) for text in data.light.states])
     out[rows] = data.patch_cdm2[rows] > 0.02 * data.luminance_cdm2[rows]
     return out
 

@@ -8,14 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from datetime import date, datetime
 
 import numpy as np
 
 from fieldlum.core.arrays import Array, Floats, Floats32, Indices, Mask, evenly_spread
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.progress import progress
-from fieldlum.core.records import Site, listed
-from fieldlum.core.room_states import parse_state
+from fieldlum.core.records import Site, counted, listed
+from fieldlum.core.room_states import cover_state, parse_state
 from fieldlum.core.statistics import nan_percentiles
 from fieldlum.sky.daylight import Light
 from fieldlum.sky.sky_view.measured_discs import MeasuredDiscs
@@ -25,12 +26,14 @@ from fieldlum.sky.sky_view.sky_directions import (
     BEAM_LX,
     MIN_CAPTURES,
     SOME,
+    SkyReference,
+    dark_shares,
     follow,
     sky_reference,
     sky_share,
 )
 from fieldlum.sky.sky_view.sky_heading import MIN_U_DEG, heading_by_sky
-from fieldlum.sky.sky_view.view import SkyView
+from fieldlum.sky.sky_view.view import REACH_DAYS, SkyView
 from fieldlum.sky.sky_view.visible_disc import disc_of_hours
 from fieldlum.sky.sun import OBLIQUITY_DEG, SUN_SOLID_ANGLE_SR, celestial_pole
 from fieldlum.sky.sun_disc import SUN_RADIUS_RAD
@@ -55,7 +58,11 @@ _PANE_SHARE, _SCATTER_SHARE, _BRIGHT_SHARE = 0.05, 0.15, 0.3
 _FORWARD_SCATTER = 0.6
 # Luminance over the expected sky's at the sun's place, below which something hides the sky there:
 # real skies are within 40 % of Perez's, a white blind has 0.2 at most. Chosen.
-_SHADED = 0.33
+_SHADED, _HALF_SHADED = 0.33, 0.6
+# Shares of the sky in view: so dark that a capture is through a blind; and worth a note. Chosen.
+_COVERED_SHARE, _SOME_SKY = 0.2, 0.05
+_NEW_YEAR = date(2027, 1, 1).toordinal()  # of a year without a leap day
+_OF_SEASON = 12  # captures of a season that decide its leaves; chosen
 _MAX_VALUES = 60_000_000  # captures times directions in memory: 240 MB; chosen
 
 
@@ -84,17 +91,36 @@ def sky_view_of(
     heading_deg: float,
     seen: Callable[[Floats], Mask] | None = None,
 ) -> SkyView:
-    """Return the sky view of n captures, on the grid [h, w] of the sky.
+    """Return the sky view of captures, with one for each state of blinds and tint.
 
-    Captures with blinds or snow are not used, unless all are so. discs: that merge measured;
-    heading_deg: stated azimuth of the pictures' centre column; seen: as of `estimate`. Raises
-    NotEnoughDataError without a capture by daylight.
+    Captures with snow are not used, unless all are so. Without a capture of the usual state, the
+    most frequent one stands for it. discs: that merge measured; heading_deg: stated azimuth of the
+    pictures' centre column; seen: as of `estimate`. Raises NotEnoughDataError without a capture by
+    daylight.
     """
-    marks = [parse_state(state) for state in captured.light.states or ()]
-    usual = [k for k, parts in enumerate(marks) if all(p.startswith("lamp=") for p in parts)]
-    captured = captured.take(usual) if usual else captured
+    states = captured.light.states or ("",) * len(captured.light)
+    lit = np.flatnonzero(captured.light.diffuse_lx > BEAM_LX).tolist()
+    if not lit:
+        raise NotEnoughDataError("a sky view needs captures by daylight; none has 1 000 lx outside")
+    by_state: dict[str, list[int]] = {}
+    for k in [k for k in lit if "snow=yes" not in parse_state(states[k])] or lit:
+        by_state.setdefault(cover_state(states[k]), []).append(k)
+    captured = replace(captured, light=replace(captured.light, states=None))
+    first = "" if "" in by_state else max(by_state, key=lambda state: len(by_state[state]))
     pose = pose_of_discs(discs, site, heading_deg)
-    return estimate(captured, seen, pose, site.latitude_deg)
+    main = estimate(captured.take(by_state.pop(first)), seen, pose, site.latitude_deg)
+    views, notes = [*main.others], [*main.notes]
+    for state, rows in sorted(by_state.items()):
+        text = f"{state}: {counted(len(rows), 'capture')}"
+        if len(rows) < MIN_CAPTURES:
+            notes.append(f"{text}, too few for a view of its own (at least {MIN_CAPTURES})")
+            continue
+        view = estimate(captured.take(rows), seen, main.pose, site.latitude_deg, main)
+        view = view.where(~np.isnan(view.low), replace(main, low=0.0 * main.low))
+        views += [replace(each, state=state, others=()) for each in (view, *view.others)]
+        more = [note for note in view.notes if note not in main.pose.notes]
+        notes.append("; ".join([f"{text} have a view of their own", *more]))
+    return replace(main, state=first, others=tuple(views), notes=tuple(notes))
 
 
 def estimate(
@@ -102,23 +128,26 @@ def estimate(
     seen: Callable[[Floats], Mask] | None = None,
     pose: CameraPose | None = None,
     latitude_deg: float | None = None,
+    usual: SkyView | None = None,
 ) -> SkyView:
-    """Return the sky view of captures of one state of the room.
+    """Return the sky view of captures by daylight in one state of the room, with its seasons.
 
     seen: returns, for directions [p, 3], whether a lens saw them; where a lens saw a direction, but
     no sky picture has it, merge found it too dark for the sky. pose: of the camera, None for the
-    stated heading. latitude_deg: of the room; the sun never reaches some directions. Raises
-    NotEnoughDataError without a capture with light.
+    stated heading. latitude_deg: of the room; the sun never reaches some directions. usual: the
+    view of the usual state, with the same pose, if the captures are of another.
     """
-    lit = np.flatnonzero(captured.light.diffuse_lx > BEAM_LX)
-    if not len(lit):
-        raise NotEnoughDataError("a sky view needs captures by daylight; none has 1 000 lx outside")
-    stack = _stack(captured.take(lit.tolist()), seen)
-    decided = _decided(stack, pose or CameraPose(axis_deg=stack.grid.heading_deg), latitude_deg)
-    turned = _turned(stack, decided.view)
-    if turned is not decided.view.pose:
+    stack = _stack(captured, seen, usual)
+    pose = pose or CameraPose(axis_deg=stack.grid.heading_deg)
+    covered = np.zeros(len(stack.light), bool) if usual else _covered(stack, pose)
+    rest = np.setdiff1d(np.arange(len(captured.light)), stack.rows[covered])
+    covered_utc = stack.light[covered].t_utc
+    stack = stack.take(np.flatnonzero(~covered)) if covered.any() else stack
+    decided = _decided(stack, pose, latitude_deg)
+    if usual is None and (turned := _turned(stack, decided.view)) is not pose:
         decided = _decided(stack, turned, latitude_deg)
-    return _checked(_over_seasons(decided, stack), captured)
+    decided = _over_seasons(decided, stack, latitude_deg)
+    return _checked(decided, captured.take(rest.tolist()), covered_utc)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -129,14 +158,17 @@ def estimate(
 class _Stack:
     """Pictures of n captures in `light` on one grid, only pixels `kept` that have a value.
 
-    luminance_cdm2 [n, p]: NaN where clipped or not seen. dark [h, w]: pixels that a lens saw, but
-    that no picture has.
+    rows [n]: indices of the captures among those given. luminance_cdm2 [n, p]: NaN where clipped or
+    not seen. dark [h, w]: pixels that a lens saw, but that no picture has; usually [h, w]: upper
+    bound of the beam's share in the usual state, 0 if the pictures are of that.
     """
 
     grid: SkyGrid
     light: Light
+    rows: Indices
     kept: Mask  # [h, w]
     dark: Mask
+    usually: Floats
     luminance_cdm2: Floats32
 
     def placed(self, values: Array) -> Floats:
@@ -145,30 +177,39 @@ class _Stack:
         out[self.kept] = values
         return out
 
+    def take(self, index: Indices) -> _Stack:
+        """Return the pictures with some indices."""
+        light, luminance = self.light[index], self.luminance_cdm2[index]
+        return replace(self, light=light, rows=self.rows[index], luminance_cdm2=luminance)
+
     @property
     def columns(self) -> Indices:
         """Column of each pixel in the pictures, flat [h w]."""
         return np.maximum(np.cumsum(self.kept) - 1, 0)
 
 
-def _stack(captured: Captured, seen: Callable[[Floats], Mask] | None) -> _Stack:
+def _stack(
+    captured: Captured, seen: Callable[[Floats], Mask] | None, usual: SkyView | None
+) -> _Stack:
     count = len(captured.light)
     samples = [captured.read(k) for k in sorted({0, count // 2, count - 1})]
-    grid = max((picture.grid for picture in samples), key=lambda grid: grid.height * grid.width)
+    largest = max((picture.grid for picture in samples), key=lambda grid: grid.height * grid.width)
+    grid = usual.grid if usual else largest
     kept = np.any([np.isfinite(_placed(picture, grid)) for picture in samples], axis=0)
     maximum = max(MIN_CAPTURES, _MAX_VALUES // max(int(kept.sum()), 1))
-    rows = evenly_spread(count, maximum).tolist()
+    rows = evenly_spread(count, maximum)
     lens = np.zeros(kept.size, bool) if seen is None else seen(grid.rays().reshape(-1, 3))
     in_lens = lens.reshape(kept.shape)
     light = np.empty((len(rows), int(kept.sum())), np.float32)
-    for n, k in enumerate(rows):
+    for n, k in enumerate(rows.tolist()):
         progress(n, len(rows), "sky view")
         picture = captured.read(k)
         values = _placed(picture, grid)
         # what merge left out as too dark is between 0 and this: half of it
         values = np.where(np.isnan(values) & in_lens, 0.5 * picture.dark_cdm2, values)
         light[n] = np.where(np.isinf(values), np.nan, values)[kept]
-    return _Stack(grid, captured.light[rows], kept, in_lens & ~kept, light)
+    usually = np.zeros(kept.shape) if usual is None else np.nan_to_num(usual.high)
+    return _Stack(grid, captured.light[rows], rows, kept, in_lens & ~kept, usually, light)
 
 
 def _placed(picture: SkyPicture, grid: SkyGrid) -> Floats32:
@@ -190,21 +231,32 @@ class _Decided:
     """A sky view before the discs in captures, and directions that it does not decide [h, w].
 
     sky: follows the sky; bright: follows neither the sky nor other light; scatters: a curtain;
-    changes: open in one season and shut in another, None before seasons are compared.
+    reference: sky in view. changes: open in one season and shut in another, None before seasons are
+    compared; seasons: views that hold only near their days.
     """
 
     view: SkyView
     sky: Mask
     bright: Mask
     scatters: Mask
+    reference: SkyReference
     changes: Mask | None = None
+    seasons: tuple[SkyView, ...] = ()
 
 
-def _decided(stack: _Stack, pose: CameraPose, latitude_deg: float | None) -> _Decided:
-    """Return openness, transmittance and bounds in each direction."""
+def _decided(
+    stack: _Stack,
+    pose: CameraPose,
+    latitude_deg: float | None,
+    reference: SkyReference | None = None,
+) -> _Decided:
+    """Return openness, transmittance and bounds in each direction.
+
+    reference: sky that is known to be in view, None to find it.
+    """
     luminance, light, step_deg = stack.luminance_cdm2, stack.light, stack.grid.step_deg
     rays = pose.true_directions(stack.grid.rays()[stack.kept])
-    reference = sky_reference(luminance, light, rays)
+    reference = reference or sky_reference(luminance, light, rays)
     seen = follow(luminance, light, rays, reference)
     ratio, spread = stack.placed(seen.ratio), stack.placed(seen.spread)
     relative = ratio / reference.brightest  # NaN if nothing follows the sky
@@ -220,6 +272,10 @@ def _decided(stack: _Stack, pose: CameraPose, latitude_deg: float | None) -> _De
     openness[openness < _SHUT] = 0.0
     low, high = _bounds(openness, u, mixed, pane, step_deg)
     apart = ~sky & ~mixed & (stack.placed(_sun_passes(rays, latitude_deg, pose)) > 0.0)
+    # slats that are finer than a pixel show a disc at some heights of the sun: until there is more
+    # evidence, between none and the disc without them
+    slats = apart & (stack.usually > 0.0) & (ratio > _PANE_SHARE)
+    high, apart = np.where(slats, np.maximum(high, stack.usually), high), apart & ~slats
     scatters = apart & (stack.placed(seen.forward) > _FORWARD_SCATTER) & (relative > _SCATTER_SHARE)
     bright = apart & (relative > _BRIGHT_SHARE) & (spread < _FOLLOWS_NOT)
     bright |= np.isnan(relative) & (ratio > _BRIGHT_SHARE)
@@ -244,19 +300,45 @@ def _decided(stack: _Stack, pose: CameraPose, latitude_deg: float | None) -> _De
         captures=len(light),
         pose=pose,
     )
-    return _Decided(view, sky, bright, scatters)
+    return _Decided(view, sky, bright, scatters, reference)
 
 
-def _over_seasons(decided: _Decided, stack: _Stack) -> _Decided:
+def _day(light: Light) -> Indices:
+    """Return the day of the year of n hours, from 1, [n]."""
+    return np.array([t.timetuple().tm_yday for t in light.t_utc], int)
+
+
+def _season(light: Light) -> Indices:
+    """Return the quarter of the year, centred on solstices (0: 21 December) and equinoxes, [n]."""
+    return np.round((_day(light) + 10) / 91.3).astype(int) % 4
+
+
+def _covered(stack: _Stack, pose: CameraPose) -> Mask:
+    """Return the captures in which a large part of the sky is dark, unlike in its season, [n].
+
+    A blind that nobody marked hides it, or a tint. Once three show it clearly, less is enough.
+    """
+    step = max(1, stack.luminance_cdm2.shape[1] // (4 * SOME))
+    rays = pose.true_directions(stack.grid.rays()[stack.kept][::step])
+    season, covered = _season(stack.light), np.zeros(len(stack.light), bool)
+    for shade in (_SHADED, _HALF_SHADED):
+        dark = dark_shares(stack.luminance_cdm2[:, ::step], stack.light, rays, shade)
+        usual = np.array([np.median(dark[season == k]) for k in season])
+        covered |= dark > usual + _COVERED_SHARE
+        if covered.sum() < 3:
+            break
+    return covered
+
+
+def _over_seasons(decided: _Decided, stack: _Stack, latitude_deg: float | None) -> _Decided:
     """Return the view with wider bounds where sky of one season is dark in another, as by leaves.
 
     No capture shows when leaves come and fall: bounds there are from no disc to that of open sky.
+    The seasons that were captured decide it for their own days.
     """
-    view, light = decided.view, stack.light
-    # four parts of the year, centred on solstices (0 is 21 December) and equinoxes
-    season = np.array([round((t.timetuple().tm_yday + 10) / 91.3) % 4 for t in light.t_utc])
-    parts = [np.flatnonzero(season == k) for k in np.unique(season)]
-    parts = [rows for rows in parts if len(rows) >= MIN_CAPTURES]
+    view, light, season = decided.view, stack.light, _season(stack.light)
+    parts = [np.flatnonzero(season == k) for k in range(4)]
+    parts = [rows for rows in parts if len(rows) >= _OF_SEASON]
     if len(parts) < 2 or not decided.sky.any():
         return decided
     rays = view.pose.true_directions(stack.grid.rays()[stack.kept])
@@ -267,20 +349,25 @@ def _over_seasons(decided: _Decided, stack: _Stack) -> _Decided:
     )
     quick = np.array([nan_percentiles(ratio, (50.0,))[0] for ratio in by_perez])
     likely = (quick.min(axis=0) < 0.7 * quick.max(axis=0)) & (quick.max(axis=0) > 0.7 * pane_sky)
-    sky, darkest = np.zeros(len(rays)), np.full(len(rays), np.inf)
-    for rows in parts if likely.any() else ():
-        luminance, of_part = stack.luminance_cdm2[rows], light[rows]
-        reference = sky_reference(luminance, of_part, rays)
-        seen = follow(luminance[:, likely], of_part, rays[likely], reference)
-        follows = np.where(seen.spread < _FOLLOWS, seen.ratio, 0.0)
-        sky[likely] = np.maximum(sky[likely], follows)
-        darkest[likely] = np.minimum(darkest[likely], seen.ratio)
-    changes = stack.placed((darkest < 0.5 * sky) & (sky > pane_sky)) > 0.0
-    sky = stack.placed(sky)
+    sky, known = np.zeros(len(rays)), decided.reference
+    references = [replace(known, log_ratio=known.log_ratio[rows]) for rows in parts]
+    for rows, reference in zip(parts, references, strict=True) if likely.any() else ():
+        luminance = stack.luminance_cdm2[rows][:, likely]
+        seen = follow(luminance, light[rows], rays[likely], reference)
+        sky[likely] = np.maximum(sky[likely], np.where(seen.spread < _FOLLOWS, seen.ratio, 0.0))
+    hidden = [stack.placed(dark) > 0.0 for dark in quick < 0.5 * sky]
+    changes = np.any(hidden, axis=0) & (stack.placed(sky) > pane_sky)
+    if changes.sum() < _SOME_SKY * decided.sky.sum():
+        return decided
     low = np.where(changes, np.float32(0.0), view.low)
-    high = np.where(changes, np.clip((1.0 + 2.0 * _SCALE_SD) * sky, view.high, 1.0), view.high)
-    view = replace(view, low=low, high=high.astype(np.float32))
-    return replace(decided, view=view, changes=changes)
+    highest = np.clip((1.0 + 2.0 * _SCALE_SD) * stack.placed(sky), view.high, 1.0)
+    high = np.where(changes, highest, view.high).astype(np.float32)
+    view, seasons = replace(view, low=low, high=high), []
+    for rows, reference, dark in zip(parts, references, hidden, strict=True):
+        own = _decided(stack.take(rows), view.pose, latitude_deg, reference)
+        of_season = own.view.where(changes & (own.sky | dark), view)
+        seasons.append(replace(of_season, days=tuple(sorted({*_day(light[rows]).tolist()}))))
+    return replace(decided, view=view, changes=changes, seasons=tuple(seasons))
 
 
 def _sun_passes(rays: Floats, latitude_deg: float | None, pose: CameraPose) -> Mask:
@@ -373,11 +460,15 @@ def _notes(decided: _Decided) -> tuple[str, ...]:
         )
     if decided.changes is not None:
         share = (decided.changes * weight).sum() / max((sky * weight).sum(), 1e-9)
-        if share > 0.02:
-            notes.append(
-                f"{100 * share:.0f} % of the sky in view is open in one season and hidden in "
-                "another (leaves): whether the sun's disc is seen there is not known, all year"
-            )
+        day = np.arange(365)
+        far = np.min([view.days_from(day + 1) for view in decided.seasons], axis=0) > REACH_DAYS
+        months = {date.fromordinal(_NEW_YEAR + int(k)).replace(day=1) for k in day[far]}
+        notes.append(
+            f"{100 * share:.0f} % of the sky in view is open in one season and hidden in another "
+            f"(leaves): captures decide it for {REACH_DAYS} days before and after them; whether "
+            "the sun's disc is seen there is not known in the rest of the year: "
+            f"in (parts of) {listed([f'{m:%B}' for m in sorted(months)], 12) or 'no month'}"
+        )
     return tuple(notes)
 
 
@@ -385,83 +476,96 @@ def _notes(decided: _Decided) -> tuple[str, ...]:
 # captured discs
 
 
-def _checked(decided: _Decided, captured: Captured) -> SkyView:
-    """Return the view, corrected where captures show a disc or none; contradictions are named."""
-    view, share, direct_lx = decided.view, captured.disc_share, captured.light.direct_lx
-    strong = np.flatnonzero((direct_lx > BEAM_LX) & ~np.isnan(share))
-    light, measured = captured.light[strong], share[strong]
-    shaded = _shaded(view, captured.take(strong.tolist()))
-    suns = view.pose.in_pictures(light.apparent_sun_direction)
-    without = _panes_without_disc(view, decided.scatters, suns, measured)
-    names = ("openness", "transmittance", "low", "high")
-    arrays = {name: getattr(view, name).copy() for name in names}
-    for name in ("openness", "low", "high"):
-        arrays[name][without] = 0.0
-    disc = disc_of_hours(view, light)
-    sure = (measured > _SHUT) & (disc.low_lx > 0.5 * disc.best_lx) & (disc.best_lx > 0.0)
-    if sure.sum() >= 3:
-        beam_lx = light.direct_lx[sure]
-        ratio = measured[sure] * beam_lx / disc.best_lx[sure]
-        # strong beams: a weak one's efficacy is uncertain, and it causes little glare
-        gain = np.quantile(ratio, 0.5, weights=beam_lx, method="inverted_cdf")
-        for name in names[1:]:
-            arrays[name] = np.minimum(arrays[name] * np.clip(gain, 0.5, 1.5), 1.0, dtype=np.float32)
-    when = [f"{t:%Y-%m-%d %H:%M} UTC" for t in light.t_utc]
-    wrong = _correct(arrays, view, suns, np.where(shaded, np.nan, measured))
-    notes = _notes(replace(decided, scatters=decided.scatters & ~without)) + view.pose.notes
-    if wrong:
-        named = [f"{when[k]} ({what} captured)" for k, what in wrong]
+def _checked(decided: _Decided, captured: Captured, covered: Sequence[datetime]) -> SkyView:
+    """Return the view and its seasons, corrected where captures show a disc or none.
+
+    Contradictions are named, and captures through a blind that nobody marked. covered: times of
+    such captures, which are not among `captured`.
+    """
+    strong = (captured.light.direct_lx > BEAM_LX) & ~np.isnan(captured.disc_share)
+    captured = captured.take(np.flatnonzero(strong).tolist())
+    suns = decided.view.pose.in_pictures(captured.light.apparent_sun_direction)
+    without = _panes_without_disc(decided.view, decided.scatters, suns, captured.disc_share)
+    gain, views, found = _gain(decided.view, captured), [], dict.fromkeys(covered, _DARK)
+    for view in (decided.view, *decided.seasons):
+        holds = view.days_from(_day(captured.light)) <= REACH_DAYS + (not view.days)
+        then = captured.take(np.flatnonzero(holds).tolist())
+        corrected, found_then = _corrected(_scaled(view, gain, without), then)
+        views.append(corrected)
+        found |= found_then
+    decided = replace(decided, scatters=decided.scatters & ~without)
+    notes = _notes(decided) + decided.view.pose.notes
+    when = {f"{t:%Y-%m-%d %H:%M} UTC": found[t] for t in sorted(found)}
+    dark = [t for t in when if when[t] == _DARK]
+    if named := [f"{t} ({what} captured)" for t, what in when.items() if what != _DARK]:
         notes += (
             f"{len(named)} captures contradict the sky view, which was corrected there: "
             f"{listed(named, 3)}; check the heading and the clock",
         )
-    if shaded.any():
-        named = [when[k] for k in np.flatnonzero(shaded)]
+    if dark:
         notes += (
-            f"{len(named)} captures are dark at the sun's place, where others show sky: "
-            f"{listed(named, 3)}; a blind was probably down: mark it (fieldlum status --mark)",
+            f"{len(dark)} captures are dark where others show sky, and are not used there: "
+            f"{listed(dark, 3)}; a blind was probably down: mark it (fieldlum status --mark)",
         )
-    return replace(view, **arrays, notes=notes)
+    return replace(views[0], notes=notes, others=tuple(views[1:]))
 
 
-def _shaded(view: SkyView, captured: Captured) -> Mask:
-    """Return the captures without a disc that are dark at the sun's place, where the view is open.
+_DARK = "dark"  # what a capture through a blind shows
 
-    What hides the disc there is not permanent, as a blind that nobody marked: [n].
+
+def _gain(view: SkyView, captured: Captured) -> float:
+    """Return the factor of the transmittance by three captured discs or more; 1 for fewer."""
+    disc = disc_of_hours(view, captured.light)
+    sure = captured.disc_share > _SHUT
+    sure &= (disc.low_lx > 0.5 * disc.best_lx) & (disc.best_lx > 0.0)
+    if sure.sum() < 3:
+        return 1.0
+    beam_lx = captured.light.direct_lx[sure]
+    ratio = captured.disc_share[sure] * beam_lx / disc.best_lx[sure]
+    # strong beams: a weak one's efficacy is uncertain, and it causes little glare
+    gain = np.quantile(ratio, 0.5, weights=beam_lx, method="inverted_cdf")
+    return float(np.clip(gain, 0.5, 1.5))
+
+
+def _scaled(view: SkyView, gain: float, without: Mask) -> SkyView:
+    """Return the view with another scale; no disc passes in the directions `without` [h, w]."""
+    shares = np.where(without, np.float32(0.0), [view.openness, view.low, view.high])
+    low, high = np.minimum(shares[1:] * np.float32(gain), 1.0)
+    pane = np.minimum(view.transmittance * np.float32(gain), 1.0)
+    return replace(view, openness=shares[0], transmittance=pane, low=low, high=high)
+
+
+def _corrected(view: SkyView, captured: Captured) -> tuple[SkyView, dict[datetime, str]]:
+    """Return the view, corrected where captures contradict it, with what they show by their times.
+
+    One that is dark at the sun's place, as through a blind, does not correct it.
     """
-    shaded = captured.disc_share < _SHUT
-    shaded &= disc_of_hours(view, captured.light).low_lx > _SHUT * captured.light.direct_lx
-    for k in np.flatnonzero(shaded).tolist():
-        sun = captured.light[[k]].apparent_sun_direction
-        row, column = (int(at[0]) for at in view.grid.pixels(view.pose.in_pictures(sun)))
-        shown = np.nan_to_num(_placed(captured.read(k), view.grid)[row, column])  # NaN: too dark
-        sky_cdm2 = captured.light[[k]].sky_at(sun)[0, 0]
-        shaded[k] = shown < _SHADED * view.transmittance[row, column] * sky_cdm2
-    return shaded
-
-
-def _correct(
-    arrays: dict[str, Floats32], view: SkyView, suns: Floats, measured: Floats
-) -> list[tuple[int, str]]:
-    """Correct `arrays` where captures contradict the view; return their index and what they show.
-
-    suns [n, 3]; measured [n]: share of the beam.
-    """
-    rays, wrong = view.grid.rays(), []
+    light, rays, found = captured.light, view.grid.rays(), {}
+    arrays = {name: getattr(view, name).copy() for name in ("openness", "low", "high")}
     disc_deg = np.degrees(SUN_RADIUS_RAD) + 0.5 * view.grid.step_deg
-    for k, (sun, share) in enumerate(zip(suns, measured, strict=True)):
-        off_deg = np.degrees(np.arccos(np.clip(rays @ sun, -1.0, 1.0)))
+    for k, sun in enumerate(view.pose.in_pictures(light.apparent_sun_direction)):
+        share, off_deg = (
+            captured.disc_share[k],
+            np.degrees(np.arccos(np.clip(rays @ sun, -1.0, 1.0))),
+        )
         near, at = off_deg <= disc_deg + view.pose.heading_sd_deg, off_deg <= disc_deg
         if not at.any() or np.isnan(view.low[near]).any():
             continue
         missed = share > _SHUT >= view.high[near].max()
-        if missed or share < _SHUT < view.low[near].min():
-            pane = np.maximum(np.nan_to_num(view.transmittance[at]), _SHUT)
-            arrays["openness"][at] = np.clip(share / pane, 0.0, 1.0)
-            bounds = missed * np.minimum((0.8 * share, 1.2 * share), 1.0)
-            arrays["low"][at], arrays["high"][at] = bounds
-            wrong.append((k, "a disc" if missed else "no disc"))
-    return wrong
+        if not missed and not share < _SHUT < view.low[near].min():
+            continue
+        row, column = np.unravel_index(np.argmin(off_deg), off_deg.shape)
+        shown = np.nan_to_num(_placed(captured.read(k), view.grid)[row, column])  # NaN: too dark
+        sky_cdm2 = light[[k]].sky_at(light.apparent_sun_direction[[k]])[0, 0]
+        if not missed and shown < _SHADED * view.transmittance[row, column] * sky_cdm2:
+            found[light.t_utc[k]] = _DARK
+            continue
+        found[light.t_utc[k]] = "a disc" if missed else "no disc"
+        pane = np.maximum(np.nan_to_num(view.transmittance[at]), _SHUT)
+        arrays["openness"][at] = np.clip(share / pane, 0.0, 1.0)
+        bounds = missed * np.minimum((0.8 * share, 1.2 * share), 1.0)
+        arrays["low"][at], arrays["high"][at] = bounds
+    return replace(view, **arrays), found
 
 
 def _panes_without_disc(view: SkyView, scatters: Mask, suns: Floats, measured: Floats) -> Mask:

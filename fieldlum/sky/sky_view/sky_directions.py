@@ -156,12 +156,42 @@ def usable_log(luminance: Floats32, light: Light, rays: Floats) -> Floats32:
     return np.where(near, np.nan, np.log(np.maximum(luminance, 0.01))).astype(np.float32)
 
 
+def dark_shares(luminance: Floats32, light: Light, rays: Floats, shade: float) -> Floats:
+    """Return the share of the sky in view that is darker than usual in each capture, [n].
+
+    luminance, rays: as for `follow`; shade: luminance over the usual, relative to the sky and also
+    to the diffuse light, below which a direction is dark: Perez's sky is too bright near the sun.
+    The usual is that of the most alike 40 % of the captures: a blind that is down in as many
+    changes neither it nor what follows the sky.
+    """
+    measured = usable_log(luminance, light, rays)
+    over = [measured - np.log(lx)[:, None] for lx in _other_lx(light)]
+    over.append(measured - np.log(np.maximum(light.sky_at(rays), 1e-3)))
+    usual, spread = zip(*map(_alike, over), strict=True)
+    sky = spread[2] < np.minimum(_REFERENCE_FOLLOWS * np.minimum(*spread[:2]), _MAX_SKY_SPREAD)
+    off = np.maximum(over[0] - usual[0], over[2] - usual[2])[:, sky]
+    return (off < np.log(shade)).sum(axis=1) / max(off.shape[1], 1)
+
+
+def _alike(values: Floats | Floats32) -> tuple[Floats, Floats]:
+    """Return middle and spread of the most alike 40 % of each column, as standard deviation."""
+    ordered, many = np.sort(values, axis=0), round(0.4 * len(values))
+    width = np.nan_to_num(ordered[many:] - ordered[: len(ordered) - many], nan=np.inf)
+    first = np.argmin(width, axis=0)[None]
+    middle = np.take_along_axis(ordered, first + many // 2, axis=0)[0]
+    return middle, np.take_along_axis(width, first, axis=0)[0] / 1.05
+
+
 def _rest_spread(measured: Floats32, light: Light) -> Floats:
     """Return the spread against diffuse or total illuminance, the smaller, [p]."""
-    upwards = np.maximum(light.sun_direction[:, 2], 0.0)
-    lit = (light.diffuse_lx, light.diffuse_lx + light.direct_lx * upwards)
-    spreads = [_level_spread(measured - np.log(lx)[:, None])[1] for lx in lit]
+    spreads = [_level_spread(measured - np.log(lx)[:, None])[1] for lx in _other_lx(light)]
     return np.minimum(*spreads)
+
+
+def _other_lx(light: Light) -> tuple[Floats, Floats]:
+    """Return the diffuse and the total illuminance, [n] each."""
+    upwards = np.maximum(light.sun_direction[:, 2], 0.0)
+    return light.diffuse_lx, light.diffuse_lx + light.direct_lx * upwards
 
 
 def _forward(measured: Floats32, light: Light, rays: Floats) -> Floats:

@@ -1,7 +1,8 @@
 """Hold a sky view: where the camera sees the sky, and how much of the beam arrives from there.
 
 The file sky_view.exr has the channels openness, u, count, transmittance, low and high; its grid is
-in true north, as the pictures' stated heading gives it.
+in true north, as the pictures' stated heading gives it. Views of other states of the room, and of
+single seasons, are further layers of the file.
 """
 
 from __future__ import annotations
@@ -15,18 +16,24 @@ from typing import Any
 
 import numpy as np
 
-from fieldlum.core.arrays import Floats, Floats32
+from fieldlum.core.arrays import Floats, Floats32, Indices, Mask
 from fieldlum.core.errors import InputError, reason_of
 from fieldlum.core.files import replacing_path
 from fieldlum.core.records import JsonTable
+from fieldlum.core.room_states import cover_state
 from fieldlum.optics.images import exr_headers, opened_exr
 from fieldlum.session.codec import change_of, sealed
+from fieldlum.sky.daylight import Light
 from fieldlum.sky.sky_view.picture import SkyGrid
 from fieldlum.sky.sky_view.pose import CameraPose
 
 FORMAT = 1  # of the file; docs/file-formats.md
 NAME = "sky_view.exr"
+_OF_OTHERS = ("state", "days", "captures")  # what is stored of other states and seasons
 CHANNELS = ("openness", "u", "count", "transmittance", "low", "high")
+# Days of the year around captures for which their leaves hold. Leaves of temperate trees come and
+# fall within two to four weeks. Chosen.
+REACH_DAYS = 30
 _FINE_DEG = 0.13  # pixels of sharp edges: half of the disc; chosen
 _LENS_PIXEL_DEG = 1.0  # larger pixels are means of a lens's; chosen
 _OPEN_PIXEL = 0.95  # openness of a pixel that has no edge: known to 0.05; chosen
@@ -52,7 +59,9 @@ class SkyView:
     openness: share of the direction's solid angle through which the sky is seen, 0 to 1; u: its
     standard uncertainty; count: captures behind it; transmittance: of the pane for the beam; low,
     high: 95 % bounds of openness times transmittance. captures: number of captures used; pose: of
-    the pictures; notes: texts for the user; inputs: what the view was computed from.
+    the pictures; notes: texts for the user; inputs: what the view was computed from. state: blinds
+    and tint, "" for the usual; days: of the year that have captures, if the view holds only within
+    REACH_DAYS of them, else empty; others: views of other states and seasons, on the same grid.
     """
 
     grid: SkyGrid
@@ -66,6 +75,9 @@ class SkyView:
     pose: CameraPose = field(default_factory=CameraPose)
     notes: tuple[str, ...] = ()
     inputs: JsonTable = field(default_factory=dict)
+    state: str = ""
+    days: tuple[int, ...] = ()
+    others: tuple[SkyView, ...] = ()
 
     @property
     def through(self) -> Floats32:
@@ -79,10 +91,39 @@ class SkyView:
         """
         heading_deg = (self.grid.heading_deg + north_deg) % 360.0
         grid = replace(self.grid, heading_deg=heading_deg)
-        return replace(self, grid=grid, pose=self.pose.turned(north_deg, u_deg))
+        others = tuple(other.turned(north_deg, u_deg) for other in self.others)
+        return replace(self, grid=grid, pose=self.pose.turned(north_deg, u_deg), others=others)
+
+    def where(self, known: Mask, base: SkyView) -> SkyView:
+        """Return the view with the values of `base` where it is not `known` [h, w]."""
+        arrays = {n: np.where(known, getattr(self, n), getattr(base, n)) for n in CHANNELS}
+        return replace(self, **arrays)
+
+    def of_hours(self, light: Light) -> list[tuple[Indices, SkyView]]:
+        """Return the views that hold in the n hours of `light`, each with the hours' indices.
+
+        An hour without a mark has this view's state. Where no view has the state of an hour, its
+        disc is between none and that of this view.
+        """
+        marks = light.states or ("",) * len(light)
+        states = np.array([cover_state(text) or self.state for text in marks])
+        day = np.array([t.timetuple().tm_yday for t in light.t_utc])
+        views = (self, *self.others)
+        away = [np.where(states == v.state, v.days_from(day), np.inf) for v in views]
+        nearest = np.argmin([*away, np.full(len(day), REACH_DAYS + 2)], axis=0)
+        every = enumerate((*views, replace(self, low=0.0 * self.low)))
+        return [(rows, view) for k, view in every if len(rows := np.flatnonzero(nearest == k))]
+
+    def days_from(self, day: Indices) -> Indices:
+        """Return how far days of the year [n] are from the captures, at most REACH_DAYS + 1, [n].
+
+        A view that holds all the year is that far.
+        """
+        apart = np.abs((day[:, None] - np.array(self.days, int) + 183) % 366 - 183)
+        return apart.min(axis=1, initial=REACH_DAYS + 1)
 
     def write(self, path: Path) -> None:
-        """Write the view as an EXR of six float32 channels."""
+        """Write the view as an EXR of six float32 channels, and six for each of the others."""
         import OpenEXR
 
         about = {
@@ -90,16 +131,22 @@ class SkyView:
             "frame": FRAME,
             "grid": asdict(self.grid),
             "captures": self.captures,
+            "state": self.state,
             "pose": asdict(self.pose),
             "notes": list(self.notes),
             "inputs": self.inputs,
+            "others": [{name: getattr(v, name) for name in _OF_OTHERS} for v in self.others],
         }
         header = {
             "compression": OpenEXR.ZIP_COMPRESSION,
             "type": OpenEXR.scanlineimage,
             "fieldlum:sky_view": json.dumps(about, sort_keys=True),
         }
-        channels = {name: np.ascontiguousarray(getattr(self, name)) for name in CHANNELS}
+        channels = {
+            _layer(k) + name: np.ascontiguousarray(getattr(view, name))
+            for k, view in enumerate((self, *self.others))
+            for name in CHANNELS
+        }
         with sealed(path), replacing_path(path) as temporary:
             OpenEXR.File(header, channels).write(str(temporary))
 
@@ -113,16 +160,21 @@ class SkyView:
             raise InputError(path, "no such file", _EXPECTED, _REMEDY)
         change_of(path)
         try:
-            about, channels = _content(path)
+            about, every = _content(path)
             if about["format"] > FORMAT:
                 raise ValueError(f"format {about['format']}, this fieldlum reads 1 to {FORMAT}")
             grid = SkyGrid(**about["grid"])
-            arrays = {name: channels[name] for name in CHANNELS}
-            _check(grid, arrays, about.get("frame", FRAME))
+            for arrays in every:
+                _check(grid, arrays, about.get("frame", FRAME))
             stated = about.get("pose")
             pose = CameraPose.from_table(stated) if stated else CameraPose()
-            others = {name: about[name] for name in ("captures", "inputs") if name in about}
-            return cls(grid, **arrays, **others, pose=pose, notes=tuple(about.get("notes", ())))
+            more = {name: about[name] for name in ("captures", "inputs", "state") if name in about}
+            others = tuple(
+                cls(grid, **arrays, **{**table, "days": tuple(table["days"])}, pose=pose)
+                for arrays, table in zip(every[1:], about.get("others", ()), strict=True)
+            )
+            notes = tuple(about.get("notes", ()))
+            return cls(grid, **every[0], **more, pose=pose, notes=notes, others=others)
         except Exception as error:  # OpenEXR raises RuntimeError, UnicodeDecodeError and others
             raise InputError(path, reason_of(error), _EXPECTED, _REMEDY) from None
 
@@ -177,14 +229,20 @@ def _check(grid: SkyGrid, arrays: dict[str, Floats32], frame: str) -> None:
         raise ValueError("low above high in some pixels")
 
 
-def _content(path: Path) -> tuple[dict[str, Any], dict[str, Floats32]]:
+def _content(path: Path) -> tuple[dict[str, Any], list[dict[str, Floats32]]]:
     exr_headers(path)
     with opened_exr(path, separate_channels=True) as exr:
         about = json.loads(str(exr.header()["fieldlum:sky_view"]))
-        channels = {
-            name: np.asarray(exr.channels()[name].pixels, np.float32).copy() for name in CHANNELS
-        }
-    return about, channels
+        stored, views = exr.channels(), 1 + len(about.get("others", ()))
+        return about, [
+            {n: np.asarray(stored[_layer(k) + n].pixels, np.float32).copy() for n in CHANNELS}
+            for k in range(views)
+        ]
+
+
+def _layer(k: int) -> str:
+    """Return what the names of a view's channels begin with; k: 0, or the others' number from 1."""
+    return f"other{k}." if k else ""
 
 
 def _fine_edges(maps: Floats32, openness: Floats32, factor: int) -> Floats32:

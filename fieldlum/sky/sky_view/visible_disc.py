@@ -46,8 +46,10 @@ class DiscOfHours:
 
 def disc_of_hours(view: SkyView, light: Light) -> DiscOfHours:
     """Return the disc of the n hours of `light` by the sky view; 0 lx where no lens saw."""
-    suns = view.pose.in_pictures(light.apparent_sun_direction)
-    best, low, high = _over_disc(view, suns)  # [n] each
+    best, low, high = np.empty((3, len(light)))
+    for rows, part in view.of_hours(light):
+        suns = part.pose.in_pictures(light.apparent_sun_direction[rows])
+        best[rows], low[rows], high[rows] = _over_disc(part, suns)
     best_lx = np.nan_to_num(best) * light.direct_lx
     return DiscOfHours(
         best_lx=np.where(best_lx < _MIN_LX, 0.0, best_lx),
@@ -69,11 +71,12 @@ def drawn_shares(
     # Spread evenly, so that few draws reach both bounds; the bounds hold 95 %.
     places = np.clip((rng.permutation(count) + 0.5 - 0.5 * count) / (0.475 * count), -1.0, 1.0)
     drawn = np.zeros((count, len(light)))
-    rows = np.flatnonzero(light.direct_lx > 0.0)
-    suns = light.apparent_sun_direction[rows]
-    for k, (values, place) in enumerate(zip(poses, places, strict=True)):
-        best, low, high = _over_disc(view, view.pose.in_pictures(suns, values))
-        drawn[k, rows] = best + abs(place) * ((high if place > 0.0 else low) - best)
+    for every, part in view.of_hours(light):
+        rows = every[light.direct_lx[every] > 0.0]
+        suns = light.apparent_sun_direction[rows]
+        for k, (values, place) in enumerate(zip(poses, places, strict=True)):
+            best, low, high = _over_disc(part, part.pose.in_pictures(suns, values))
+            drawn[k, rows] = best + abs(place) * ((high if place > 0.0 else low) - best)
     return drawn
 
 
