@@ -10,8 +10,6 @@ from learning_room import dataset
 from fieldlum.cli import main
 from fieldlum.learn import models
 from fieldlum.learn.model_kinds import MODELS
-from fieldlum.session.files.model_files import ModelConfig
-from fieldlum.year.predict.hour_blocks import wants_patch
 
 pytestmark = pytest.mark.contract
 
@@ -46,17 +44,3 @@ def test_the_docs_have_a_section_and_a_row_for_every_model() -> None:
 def test_every_model_is_offered(command: str) -> None:
     text = CliRunner().invoke(main, [command, "--help"]).output
     assert not [name for name in MODELS if name not in text]
-
-
-@pytest.mark.parametrize(
-    ("config", "wanted"),
-    [
-        ({"model": "nearest", "with_patch": True}, True),
-        ({"model": "transport", "transport": {"patchwork": None}, "patch": "absolute"}, False),
-        ({"model": "transport", "transport": {"patchwork": {"a": 1}}}, True),
-        ({"model": "mean", "patch": "none"}, False),
-        ({"model": "mean", "patch": "absolute"}, True),
-    ],
-)
-def test_configs_of_0_1_0_state_whether_patches_are_required(config: dict, wanted: bool) -> None:
-    assert wants_patch(ModelConfig(config["model"], state=config)) is wanted

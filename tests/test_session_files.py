@@ -211,7 +211,7 @@ def test_held_out_maps_are_kept_from_the_best_to_the_worst(tmp_path: Path, count
     assert kept is not None and len(kept) == len(set(kept.slots)) == min(count, MAX_MAPS)
     assert {kept.log10_mse.min(), kept.log10_mse.max()} == {0.0, count - 1.0}
     rows = kept.slots.astype(int)
-    assert (np.diff(rows) > 0).all() and (kept.dgp_measured == error[rows] + 0.5).all()
+    assert (np.diff(rows) > 0).all() and (kept.measured_log10 == error[rows] + 0.5).all()
 
 
 @pytest.mark.contract

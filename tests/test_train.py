@@ -44,7 +44,6 @@ KEYS = {
     "paper_log10_mse",
     "paper_rer",
     "dgp_mse",
-    "rammg_mse",
 }
 
 

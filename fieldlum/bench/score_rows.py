@@ -32,7 +32,6 @@ ERRORS = (
     "paper_rer",
     "dgp_mse",
     "dgp_mse_own_disc",
-    "rammg_mse",
 )
 
 

@@ -216,11 +216,11 @@ def read_config(folder: Path) -> ModelConfig:
 def seen_of(folder: Path) -> Mask | None:
     """Return a mask [H, W], True for pixels that the camera saw, from a model's folder.
 
-    None if weights.npz does not contain it (models of 0.1.0) or cannot be read.
+    None if weights.npz cannot be read.
     """
     path = folder / "weights.npz"
     with suppress(InputError), open_arrays(path, "weights", "train again") as stored:
-        return stored["seen"].astype(bool) if "seen" in stored.files else None
+        return stored["seen"].astype(bool)
     return None  # `load` reports the fault
 
 

@@ -10,7 +10,6 @@ captures share is zero. Picture files do not change.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +27,6 @@ from fieldlum.optics.projection import (
     equirect_pixel,
     equirect_rays,
     row_altitudes_deg,
-    signed_angle_deg,
     wrapped,
 )
 from fieldlum.optics.turn_fit import Contrasts, fit_turn
@@ -55,10 +53,6 @@ MOVE_COST = 4.8
 # 30 px have at most 0.26, in the office of Liu et al. 2 % of them 0.36. Measured; no command
 # repeats it.
 MIN_CORRELATION = 0.35
-# Direct light on one side of a window's reveal moves edges, so that a still camera seems to turn in
-# the same way on each clear day. Light is alike within these; chosen: an hour of the sun, and the
-# scatter of clear days.
-_ALIKE_DEG, _ALIKE_SHARE = 20.0, 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,19 +76,6 @@ class CameraTurns:
         These are aligned captures with a turn that is not zero.
         """
         return self.aligned & self.angles_deg.any(axis=1)
-
-
-@dataclass(frozen=True, slots=True)
-class DirectLight:
-    """The direct light of n captures, [n] each.
-
-    share: of direct in global horizontal irradiance, 0 to 1; azimuth_deg: of the sun, clockwise
-    from north; day: local standard date.
-    """
-
-    share: Floats
-    azimuth_deg: Floats
-    day: NDArray[Any]
 
 
 # ----------------------------------------------------------------------------------------------
@@ -243,17 +224,14 @@ def _smaller(luminance_cdm2: Floats, seen_mask: Mask) -> tuple[Floats32, Mask]:
     return np.stack(small), block_reduce(seen_mask, step, np.all)
 
 
-def camera_turns(
-    luminance_cdm2: Floats, seen_mask: Mask, heading_deg: float, *, light: DirectLight | None = None
-) -> CameraTurns:
+def camera_turns(luminance_cdm2: Floats, seen_mask: Mask, heading_deg: float) -> CameraTurns:
     """Return how the camera of each capture was turned relative to most captures.
 
     luminance_cdm2: panoramas in the order of time, without NaN [n, H, W]; seen_mask: True for
-    pixels with a value [H, W]; heading_deg: azimuth of the centre column. light: their direct
-    light; what it explains is not a turn (`turns_by_light`); None if it is unknown. Consecutive
-    captures of one pose get their median turn; a turn too small to be certain is zero. With fewer
-    than 5 captures or 40 rows of pixels, or if nothing was seen, all turns are zero and all
-    captures count as aligned. Computing time is proportional to the number of captures.
+    pixels with a value [H, W]; heading_deg: azimuth of the centre column. Consecutive captures of
+    one pose get their median turn; a turn too small to be certain is zero. With fewer than 5
+    captures or 40 rows of pixels, or if nothing was seen, all turns are zero and all captures count
+    as aligned. Computing time is proportional to the number of captures.
     """
     count, height = luminance_cdm2.shape[:2]
     angles, u_deg, correlation = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count)
@@ -279,39 +257,11 @@ def camera_turns(
     # a larger turn is too far for the search to converge
     near = np.abs(angles).max(axis=1) < 10.0 * pixel_deg
     aligned = (correlation >= MIN_CORRELATION) & near
-    if light is not None:
-        angles = angles - pixel_deg * turns_by_light(angles / pixel_deg, light)
     return CameraTurns(_poses(angles, aligned, pixel_deg), u_deg, aligned)
 
 
 # ----------------------------------------------------------------------------------------------
 # poses
-
-
-def turns_by_light(angles_px: Array, light: DirectLight) -> Floats:
-    """Return the part of apparent turns [n, 3] that the sun explains, in pixels.
-
-    angles_px: heading, tilt and roll of each capture [n, 3], in pixels. For each other day the
-    median turn in similar light is taken; the result is the middle one of these by size. Its median
-    over each day is zero, because the camera may have been turned that day. With fewer than three
-    days the result is zero.
-    """
-    days, day = np.unique(light.day, return_inverse=True)
-
-    def within_days(values: Floats) -> Floats:
-        medians = [np.median(values[day == k], axis=0) for k in range(len(days))]
-        return values - np.array(medians)[day]
-
-    out, values = np.zeros_like(angles_px), within_days(angles_px)
-    for k in np.flatnonzero(light.share > 0.05) if len(days) > 2 else ():
-        apart = np.abs(signed_angle_deg(light.azimuth_deg - light.azimuth_deg[k]))
-        alike = (apart < _ALIKE_DEG) & (np.abs(light.share - light.share[k]) < _ALIKE_SHARE)
-        others = [alike & (day == d) for d in range(len(days)) if d != day[k]]
-        shown = np.array([np.median(values[rows], axis=0) for rows in others if rows.any()])
-        if len(shown):
-            order = np.argsort(np.abs(shown), axis=0)
-            out[k] = np.take_along_axis(shown, order, axis=0)[(len(shown) - 1) // 2]
-    return within_days(out)
 
 
 def _poses(angles: Array, aligned: Mask, pixel_deg: float) -> Array:

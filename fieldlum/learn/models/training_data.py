@@ -17,7 +17,6 @@ from fieldlum.core.progress import progress
 from fieldlum.core.records import CLIPPED_SUN, Flag, Panorama, Site, SiteFile, counted, slot_id
 from fieldlum.core.room_states import USAGE, merged_state
 from fieldlum.learn.models.camera_turns import (
-    DirectLight,
     align,
     camera_turns,
     shown_place,
@@ -297,10 +296,8 @@ def _assemble(path: Path, rows: list[PairRow], setup: SiteFile, notes: list[str]
     )
     data, has_value = read_pictures(path, rows, setup, light)
     heading, days = data.heading_deg, data.days
-    beam = sun.horizontal_beam(light.dni_wm2, altitude)
-    direct = DirectLight(beam / np.maximum(beam + light.dhi_wm2, 1.0), azimuth, days)
     maps = np.nan_to_num(data.luminance_cdm2)
-    turns = camera_turns(maps, data.seen, heading, light=direct)
+    turns = camera_turns(maps, data.seen, heading)
     for k in (k for k, row in enumerate(rows) if row.sun_in_map):
         at = float(light.apparent_altitude_deg[k]), float(azimuth[k])
         take_disc_out(data, k, at, shown_place(*at, heading, turns.angles_deg[k]))

@@ -105,7 +105,7 @@ class ScoresFile(JsonFile, frozen=True):
     """The content of one scores.json, which is a `TrainAnswer` without `kept`.
 
     models: one row for each model, as `ScoreRow`, of which earlier versions wrote fewer keys;
-    chosen: name of the chosen one; captures: how many were enough, of earlier versions.
+    chosen: name of the chosen one.
     """
 
     NAME, SEALED = "scores.json", True
@@ -117,7 +117,6 @@ class ScoresFile(JsonFile, frozen=True):
     reason: str = ""
     parameters: int = 0
     final_fit_s: float = 0.0
-    captures: dict[str, Any] = field(default_factory=dict)
     year: dict[str, Any] | None = None
     notes: tuple[str, ...] = ()
     inputs: dict[str, Any] = field(default_factory=dict)
@@ -144,21 +143,12 @@ MAX_MAPS = 150  # most maps in the file, spread evenly: 4 MB at 116 x 58; chosen
 class HeldOutMaps:
     """Hours that were held out of the fit which predicted them, in the order of the folds.
 
-    slots: ids [n]; sun_altitude_deg (true), sun_azimuth_deg (clockwise from north): [n]; log10_mse:
-    weighted by solid angle [n]; dgp_measured, dgp_predicted: in ten view directions, both with the
-    measured sun disc [n, 10]; contrast_measured, contrast_predicted: mean local contrast of each
-    level of a picture pyramid [n, 5] cd/m2; measured_log10, predicted_log10: log10 of cd/m2 [n, h,
-    w], float16 (to 0.2 %), reduced to fewer pixels, without the disc.
+    slots: ids [n]; log10_mse: weighted by solid angle [n]; measured_log10, predicted_log10: log10
+    of cd/m2 [n, h, w], float16 (to 0.2 %), reduced to fewer pixels, without the disc.
     """
 
     slots: NDArray[np.str_]
-    sun_altitude_deg: Floats
-    sun_azimuth_deg: Floats
     log10_mse: Floats
-    dgp_measured: Floats
-    dgp_predicted: Floats
-    contrast_measured: Floats
-    contrast_predicted: Floats
     measured_log10: NDArray[np.float16]
     predicted_log10: NDArray[np.float16]
 

@@ -95,8 +95,7 @@ class ModelRoom:
     width: int
     heading_deg: float
     needs_patch: bool
-    # [H, W]; None if all pixels were seen, or for a model of 0.1.0
-    seen: Mask | None = None
+    seen: Mask | None = None  # [H, W]; None if all pixels were seen
     mirrors: tuple[Mirror, ...] = ()
     sky_view: SkyView | None = None  # None for a model of an earlier version
     sky_view_file: str = ""  # name of a sky view in place of the model's
@@ -105,20 +104,6 @@ class ModelRoom:
     def disc_from(self) -> str:
         """Text on how the disc's visibility is known: by sky view, room or not (`disc_source`)."""
         return disc_source(self.sky_view, self.setup, self.sky_view_file)
-
-
-def wants_patch(config: ModelConfig) -> bool:
-    """Return whether the model in a config.json needs maps of sun patches.
-
-    Without the key `with_patch`: a transport model (of 0.1.0) needs them if it has a patchwork,
-    another model unless its `patch` is absent or "none".
-    """
-    state = config.state
-    if "with_patch" in state:
-        return bool(state["with_patch"])
-    if "transport" in state:
-        return state["transport"].get("patchwork") is not None
-    return state.get("patch", "none") != "none"
 
 
 def room_of(config: ModelConfig, folder: Path) -> ModelRoom:
@@ -132,7 +117,8 @@ def room_of(config: ModelConfig, folder: Path) -> ModelRoom:
         expected = "the site, size and heading of the model's pictures"
         raise InputError(folder / "config.json", "no such keys", expected, "train the model again")
     setup = site_from_table(config.setup, str(folder / "config.json"))
-    needs_patch = wants_patch(config)
+    state = config.state
+    needs_patch = bool(state.get("with_patch", state.get("patch", "none") != "none"))
     if needs_patch and setup.room is None:
         found = "the model needs sun patches, but its site has no [room]"
         remedy = "add [room] to the site and train again, or train with --patch none"
