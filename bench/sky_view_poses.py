@@ -28,7 +28,7 @@ import numpy as np
 
 from fieldlum.core.arrays import Floats
 from fieldlum.core.records import Site
-from fieldlum.learn.models.data import load_pairs
+from fieldlum.learn.models.training_data import load_pairs
 from fieldlum.session import Session
 from fieldlum.session.files.sidecar import Sidecar
 from fieldlum.sky import sun
