@@ -7,6 +7,7 @@ that raw converters publish calibrates each. The uncertainties come from ten of 
 
     python bench/melanopic.py DATA            # DATA has camera_sensitivities and jeti_spectra
     python bench/melanopic.py DATA --chart fieldlum/calibrate/chart_daylight.csv
+    python bench/melanopic.py DATA --lamps IESTM30_15_Sspds.dat   # nm, then a column a lamp
 """
 
 from __future__ import annotations
@@ -35,12 +36,14 @@ MATRICES = {
     "Pentax_K-5": (8713, -2833, -743, -4342, 11900, 2772, -722, 1543, 6247),
     "SONY_NEX-5N": (5991, -1456, -455, -4764, 12135, 2980, -707, 1425, 6701),
 }
+TINTS = ("grey", "bronze")
 TABLE = Path(__file__).with_suffix(".csv")
 SPECTRA = np.genfromtxt(TABLE, delimiter=",", names=True, skip_header=9)
 NM = SPECTRA["wavelength_nm"]
 XYZ = np.stack([SPECTRA[name] for name in ("xbar", "ybar", "zbar")], axis=1)
 PATCHES = np.stack([SPECTRA[f"patch_{i}"] for i in range(1, 25)])
-SETTINGS = ("daylight", "daylight and lamp", "lamp", "measured daylight")
+SETTINGS = ("daylight", "daylight, 10 mm tinted glass", "daylight and lamp", "lamp")
+SETTINGS += ("measured daylight",)
 
 
 def daylight(cct_k: float) -> Floats:
@@ -92,10 +95,24 @@ def held_out(jeti: Floats) -> dict[str, Floats]:
         glass("green", 6),
     )
     day = [daylight(t) * g for t in (4000, 5000, 6500, 8000, 12_000, 20_000) for g in glazings]
+    tinted = [daylight(t) * glass(k, 10) for t in range(4000, 20_001, 4000) for k in TINTS]
     lamps = [SPECTRA[name] for name in (SPECTRA.dtype.names or ()) if name.startswith("led")]
     day, lamps = normalised(day), normalised([*lamps, planck(3000.0)])
-    both = normalised([a + b for a in day[6:9] for b in lamps])
-    return dict(zip(SETTINGS, (day, both, lamps, normalised(jeti)), strict=True))
+    both = mixed(day[6:9], lamps)
+    sets = (day, normalised(tinted), both, lamps, normalised(jeti))
+    return dict(zip(SETTINGS, sets, strict=True))
+
+
+def mixed(day: Floats, lamps: Floats) -> Floats:
+    """Each daylight with each lamp, of equal illuminance."""
+    return normalised([a + b for a in day for b in lamps])
+
+
+def more_lamps(path: Path, day: Floats) -> dict[str, Floats]:
+    """Lamps of a table [wavelengths, 1 + lamps]: alone, and with equal parts of daylight."""
+    nm, *columns = np.genfromtxt(path, delimiter=",").T
+    lamps = normalised(np.interp(NM, nm, column, left=0, right=0) for column in columns)
+    return {"more lamps": lamps, "daylight and more lamps": mixed(day, lamps)}
 
 
 def read_jeti(folder: Path) -> Floats:
@@ -153,6 +170,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("data", type=Path)
     parser.add_argument("--chart", type=Path, help="write the chart's X, Y, Z under daylight here")
+    parser.add_argument("--lamps", type=Path, help="spectra of more lamps")
     options = parser.parse_args()
     light = learned()
     relative = light @ XYZ / ratio(light)[:, None]
@@ -165,6 +183,8 @@ def main() -> None:
         write_chart(options.chart, np.stack(parts, axis=1))
     cameras = read_cameras(options.data / "camera_sensitivities")
     settings = held_out(read_jeti(options.data / "jeti_spectra"))
+    if options.lamps:
+        settings |= more_lamps(options.lamps, settings["daylight"][6:9])
     for title, u, matrices in (
         ("chart under daylight", melanopic.U_CHART, dict.fromkeys(cameras)),
         ("colour matrix only", melanopic.U_MATRIX, MATRICES),

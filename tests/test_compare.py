@@ -24,7 +24,13 @@ from fieldlum.core.records import (
     slot_id,
 )
 from fieldlum.optics.images import read_panorama, write_panorama, write_radiance_hdr
-from fieldlum.report.compare import compare, hours_begun, read_model_hours, surface_names
+from fieldlum.report.compare import (
+    _where,
+    compare,
+    hours_begun,
+    read_model_hours,
+    surface_names,
+)
 from fieldlum.room import simulate
 from fieldlum.room.scene.radiance import octree
 from fieldlum.session import Session, create_session
@@ -218,8 +224,50 @@ def test_a_folder_of_honeybee_is_read(tmp_path: Path) -> None:
     hours = read_model_hours(tmp_path, [90.0, 180.0])
     assert hours.index.tolist() == [8.5, 9.5, 10.5]
     assert hours["dgp", 180.0].tolist() == [0.25, 0.35, 0.45]
-    with pytest.raises(InputError, match="sensors"):
+    with pytest.raises(InputError, match="views and hours"):
         read_model_hours(tmp_path, [90.0])
+
+
+@pytest.mark.contract
+def test_files_of_daysim_and_of_honeybee_are_read_as_they_are_written(tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    (results / "dgp").mkdir(parents=True)
+    (results / "sun-up-hours.txt").write_text("8.5\n9.5\n")
+    (results / "dgp" / "desk.dgp").write_text("0.2\t0.3\n")  # hours are in the folder above
+    for folder in (results, results / "dgp"):
+        assert read_model_hours(folder, [90.0])["dgp", 90.0].tolist() == [0.2, 0.3]
+    (tmp_path / "sun-up-hours.txt").write_text("8.5\n9.5\n")
+    np.save(tmp_path / "desk.npy", np.array([[900.0, 1000.0]], np.float32))
+    assert read_model_hours(tmp_path, [90.0])["ev_lx", 90.0].tolist() == [900.0, 1000.0]
+    daysim = tmp_path / "desk.dgp"  # "%d %d %.3f " and " %.4f" for each view, no header
+    daysim.write_text("1 1 8.500  0.2000 0.2500\n12 31 23.500  0.3000 0.3500\n")
+    hours = read_model_hours(daysim, [90.0, 180.0])
+    assert hours.index.tolist() == [8.5, 8759.5] and hours["dgp", 180.0].tolist() == [0.25, 0.35]
+    with pytest.raises(InputError, match="values of 2 x 2 views"):
+        read_model_hours(daysim, [90.0])
+    daysim.write_text("2 29 8.500  0.2\n")
+    with pytest.raises(InputError, match="line 1: month 2, day 29"):
+        read_model_hours(daysim, [90.0])
+
+
+@pytest.mark.contract
+def test_8760_rows_without_a_time_are_the_hours_of_a_year(tmp_path: Path) -> None:
+    table = tmp_path / "one.csv"
+    table.write_text("DGP\n" + "0.3\n" * 8760)
+    assert read_model_hours(table, [180.0]).index[[0, -1]].tolist() == [0.5, 8759.5]
+    table.write_text("DGP\n" + "0.3\n" * 8784)
+    with pytest.raises(InputError, match="8784 rows of columns DGP; expected month"):
+        read_model_hours(table, [180.0])
+
+
+@pytest.mark.analytic
+def test_a_wall_is_named_but_not_a_reveal_whose_pixels_are_edges() -> None:
+    def text(**ratios: float) -> str:
+        names = {"all": 1.0, "floor": 0.98, "ceiling": 1.02, "W wall": 1.0} | ratios
+        return " ".join(_where([{"name": k, "ratio": v, "pictures": 4} for k, v in names.items()]))
+
+    assert "No surface differs" in text(reveal=1.3, frame=0.7)
+    assert "E wall: the model is 70 % too dark" in text(**{"E wall": 0.3, "reveal": 1.3})
 
 
 @pytest.mark.contract

@@ -19,7 +19,7 @@ from fieldlum.session.site_toml import load_site
 from fieldlum.sky.daylight import Light, light_at
 from fieldlum.sky.sky_view.visible_disc import disc_lx, disc_source, drawn_discs_lx
 from fieldlum.weather import shipped_seattle
-from fieldlum.year.glare.metrics import dgp_with_disc, glare_directions, sun_per_lx
+from fieldlum.year.glare.metrics import dgp, glare_directions, sun_per_lx, with_disc
 from fieldlum.year.glare.sources import panorama_views
 
 SETUP = load_site(shipped("capture_plans") / "seattle-office.toml")
@@ -57,7 +57,7 @@ def test_analytic_another_disc_changes_dgp_as_glare_directions_does() -> None:
     found = glare_directions(maps, views, suns, first)
     wanted = glare_directions(maps, views, suns, second)
     np.testing.assert_allclose(
-        dgp_with_disc(found, sun_per_lx(suns, views), second), wanted["dgp"], rtol=1e-6
+        dgp(*with_disc(found, sun_per_lx(suns, views), second)), wanted["dgp"], rtol=1e-6
     )
 
 

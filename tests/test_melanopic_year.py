@@ -1,5 +1,6 @@
 """Melanopic EDI of a year: the ratio by sky, sun and direction, and its columns."""
 
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -11,15 +12,18 @@ from fieldlum.core.arrays import Floats
 from fieldlum.core.records import Panorama, Site
 from fieldlum.learn import models
 from fieldlum.optics.images import read_panorama, write_panorama
-from fieldlum.optics.melanopic import attribute_text
+from fieldlum.optics.melanopic import U_SUN_RATIO, attribute_text
 from fieldlum.session.files.hourly_csv import HOUR_COLUMNS, VIEW_COLUMNS, HourlyFile
 from fieldlum.sky.daylight import Light, light_at
 from fieldlum.sky.daylight_kernel import facades_of
+from fieldlum.year.glare.standards import year_errors
 from fieldlum.year.predict.hour_blocks import measure, room_of
 from fieldlum.year.predict.melanopic import (
     MelanopicYear,
+    YearHours,
     _parts,
     _without_sun,
+    edi_budget,
     fit_year,
     has_colour,
     year_of_captures,
@@ -51,7 +55,8 @@ def coloured(hours: Light, weights: Floats, factors: Floats, seed: int = 0) -> M
         ratio = ratio * np.exp(0.05 * np.random.default_rng(seed).normal(size=ratio.shape))
     days = [t.toordinal() for t in hours.t_utc]
     edi = (sky + sun) * ratio
-    return fit_year(hours, sky + sun, edi, days, 0.0 if seed else 0.03, facades_of(None))
+    u_camera = {"scale": 0.0 if seed else 0.03}
+    return fit_year(hours, sky + sun, edi, days, u_camera, facades_of(None))
 
 
 @pytest.mark.analytic
@@ -73,11 +78,16 @@ def test_the_visible_sun_has_its_own_colour_and_uncertainty() -> None:
     hours = light(4)
     year = coloured(hours, np.array([1.0, 0.0, 1.0]), np.ones(2))
     views = {"ev_lx": np.full((4, 2), 1500.0), "sun_ev_lx": np.full((4, 2), 500.0)}
-    figures = year.figures(hours, views, np.full((4, 2), 0.1))
+    ev, none = views["ev_lx"], np.zeros((4, 2))
+    figures = year.figures(hours, views, np.full((4, 2), 0.1), ev[None], none)
     of_sun = figures["melanopic_edi_lx"] - 1000.0 * year.ratio(hours)
     assert (of_sun > 0).all() and (of_sun < 0.9 * 500.0).all()
     u = figures["u_melanopic_edi_lx"]
-    assert (u > 0.1 * figures["melanopic_edi_lx"]).all()
+    assert (u > 0.1 * 1000.0 * year.ratio(hours)).all()
+    hidden = year.figures(hours, views, none, np.stack([ev, ev - 500.0]), none)
+    assert (hidden["u_melanopic_edi_lx"] > 0.7 * of_sun).all()  # the disc is seen or not
+    half_seen = year.figures(hours, views, none, ev[None], ev)
+    assert (half_seen["u_melanopic_edi_lx"] > 0.5 * 1500.0 * year.ratio(hours)).all()
 
 
 @pytest.mark.analytic
@@ -87,6 +97,41 @@ def test_a_sky_without_its_sun_keeps_its_luminance() -> None:
     with_sun, without = hours.sky_at(up), shade.sky_at(up)
     assert without[:, 0] == pytest.approx(with_sun[:, 0], rel=1e-5)
     assert (without[:, 1] <= with_sun[:, 1] * (1 + 1e-6)).all() and not shade.direct_lx.any()
+
+
+@pytest.mark.analytic
+def test_the_budget_of_the_year_sums_to_monte_carlo_through_the_chain() -> None:
+    """Errors drawn in maps, ratio, camera and disc, through EDI to shares of hours and days."""
+    rng = np.random.default_rng(5)
+    start = datetime(2027, 1, 1, 0, 30, tzinfo=UTC)
+    times = [start + timedelta(hours=k) for k in range(8760)]
+    dni = np.where(rng.uniform(size=8760) < 0.4, 600.0, 0.0)
+    every = light_at(times, SITE, dni, rng.uniform(20.0, 300.0, 8760))
+    hours = every[every.sun_altitude_deg > 0.0]
+    day, captures = YearHours.of(hours.t_utc, "America/Los_Angeles", 365), light(80)
+    captures = captures[captures.sun_altitude_deg > 3.0]
+    year = coloured(captures, np.array([1.0, 0.2, 0.9]), np.ones(2))
+    year = replace(year, u_fit_rel=0.06, u_camera_rel={"scale": 0.04, "melanopic weight": 0.025})
+    sky, sun = eye(hours)
+    sky, disc = 0.6 * sky, sun * (rng.uniform(size=sun.shape) < 0.3)
+    views = {"ev_lx": sky + disc, "sun_ev_lx": disc}
+    u_map, seen = np.full(sky.shape, 0.12), rng.uniform(size=64) < 0.7
+    drawn = np.array([sky + disc * on for on in seen])
+    figures = year.figures(hours, views, u_map, drawn, np.zeros(sky.shape))
+    budgets = edi_budget(year, figures, day, np.array([0.0, 90.0]))
+    assert len(budgets) == 2 * 5 and all(len(b.sources) == 8 for b in budgets)
+    of_map = figures["edi_of_map_lx"]
+    of_sun, shares = figures["melanopic_edi_lx"] - of_map, []
+    for k in range(1500):
+        model, fit = (year_errors(sky.shape, rng) for _ in range(2))
+        scale, weight, lx, air = rng.standard_normal(4) * (0.04, 0.025, 0.05, U_SUN_RATIO)
+        edi = of_map * (1 + 0.12 * model) * (1 + 0.06 * fit) * (1 + scale) * (1 + weight)
+        shares.append(day.shares(edi + of_sun * (1 + lx) * (1 + air) * seen[k % 64]))
+    for budget in budgets:
+        values = np.array([s[budget.figure][int(budget.azimuth_deg // 90)] for s in shares])
+        off = values - budget.estimate
+        assert budget.u == pytest.approx(np.sqrt(np.mean(off**2)), rel=0.1), budget
+        assert (np.abs(off) <= 1.96 * budget.u).mean() > 0.92, budget
 
 
 @pytest.mark.contract
@@ -120,8 +165,8 @@ def test_the_captures_colour_reaches_the_year(tmp_path: Path) -> None:
         write_panorama(path, white)
     room = room_of(models.read_config(tmp_path / "m"), tmp_path / "m")
     azimuths = np.array([0.0, 180.0])
-    colours = year_of_captures(pairs, room, azimuths, 0.0)
-    of_scale = year_of_captures(pairs, room, azimuths, 0.05)
+    colours = year_of_captures(pairs, room, azimuths, {})
+    of_scale = year_of_captures(pairs, room, azimuths, {"scale": 0.05})
     assert of_scale.u_rel == pytest.approx(np.hypot(colours.u_rel, 0.05))
     found = measure(tmp_path / "m", room, data.light[:6], azimuths, melanopic=colours)
     edi, ev = found.views["melanopic_edi_lx"], found.views["ev_lx"]

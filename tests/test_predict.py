@@ -343,7 +343,7 @@ def test_the_disc_has_its_own_uncertainty(year: Annual) -> None:
     views = panorama_views(*DATA.shape, 180.0, [180.0])
     one = np.ones((1, 1))
     found = {"ev_lx": 4 * one, "sun_ev_lx": one, "contrast": 10 * one, "sun_contrast": 10 * one}
-    ev, source = relative_uncertainty(block, views, found)
+    _, ev, source = relative_uncertainty(block, views, found)
     assert (ev.item(), source.item()) == pytest.approx((U_DISC / 4, U_DISC))
 
 

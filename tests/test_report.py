@@ -25,7 +25,7 @@ from fieldlum.core.records import Exposure, Slot
 from fieldlum.learn import train
 from fieldlum.report import sections as annual_page
 from fieldlum.report.page import NOTHING, Quantity, heat_map
-from fieldlum.report.sections import melanopic_section, melanopic_shares
+from fieldlum.report.sections import budget_section, melanopic_section, melanopic_shares
 from fieldlum.session import Session, create_session
 from fieldlum.session.files.model_files import HeldOutMaps, ScoresFile
 from fieldlum.session.files.pairs_csv import PairsFile
@@ -36,6 +36,8 @@ from fieldlum.session.files.predict_json import (
     YearWeather,
 )
 from fieldlum.year import predict
+from fieldlum.year.glare.uncertainty_budget import BUDGET_FILE, MODEL, Budget, write_budgets
+from fieldlum.year.predict.melanopic import ENOUGH_HOURS
 
 pytestmark = pytest.mark.contract
 
@@ -341,7 +343,7 @@ def test_the_camera_s_scale_is_in_the_shares_of_glare_hours() -> None:
 
 
 @pytest.mark.analytic
-def test_shares_of_the_year_with_enough_melanopic_light() -> None:
+def test_shares_of_the_year_with_enough_melanopic_light(tmp_path: Path) -> None:
     """Two days of hours: one of 300 lx with u of 10 %, one of 300 lx with u of 1 lx."""
     start = datetime(2027, 3, 1, 0, 30, tzinfo=UTC)
     times = tuple(start + timedelta(hours=h) for h in range(48))
@@ -356,6 +358,12 @@ def test_shares_of_the_year_with_enough_melanopic_light() -> None:
     assert hours.above(60.0) == "cannot tell" and hours.above(40.0) == "yes"
     assert [share.value for share in days] == [100.0] * 4
     assert days[-1].low == 50.0 and days[0].low == 100.0
+    of_budget = Budget(ENOUGH_HOURS, "%", 0.0, 100.0, (MODEL._replace(contribution=5.0),))
+    write_budgets(tmp_path / BUDGET_FILE, [("x", of_budget)])
+    ((hours, _),) = melanopic_shares(replace(year, folder=tmp_path), "UTC")
+    assert (hours.value, hours.low, hours.high) == (100.0, pytest.approx(90.2), 100.0)
+    (table,) = budget_section(replace(year, folder=tmp_path)).tables
+    assert table.head == ("facing", "estimate", MODEL.name, "combined") and len(table.rows) == 1
     blank = dict.fromkeys(views, np.full((48, 1), np.nan))
     some = {"melanopic_edi_lx_estimate": np.full((48, 1), 200.0), "dgp": np.full((48, 1), 0.2)}
     guess = replace(year, views=blank | some)

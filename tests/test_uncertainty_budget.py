@@ -13,6 +13,7 @@ from click.testing import CliRunner
 from fieldlum.cli import main
 from fieldlum.core.records import U_PERCENT, Panorama, SunSource
 from fieldlum.optics.images import write_panorama
+from fieldlum.optics.melanopic import attribute_text
 from fieldlum.year.glare.metrics import dgp
 from fieldlum.year.glare.picture_glare import panorama_glare
 from fieldlum.year.glare.standards import DgpUncertainty, dgp_per_scale, exceeded_in_share
@@ -79,6 +80,24 @@ def test_a_peer_of_the_gum_combines_the_same_sources() -> None:
 
 
 @pytest.mark.analytic
+def test_the_budget_of_melanopic_light_with_a_sun_has_the_u_that_glare_states() -> None:
+    sun = SunSource(35.0, 190.0, 20_000.0, 1.0, "irradiance")
+    scene = room(sun)
+    light = np.asarray(scene.luminance_cdm2)
+    text = attribute_text(np.array([0.25, 0.6, 0.15]), np.eye(3), 0.03)
+    scene = replace(
+        scene,
+        u_cdm2=light * np.float32(np.hypot(SCALE, COLOUR)),  # no errors of single pixels
+        rgb=np.repeat(light[..., None], 3, axis=2),
+        attributes={**scene.attributes, "melanopic": text},
+    )
+    (view,) = panorama_glare(scene, [180.0])["views"]
+    edi = budget(scene, "melanopic EDI", u_heading_deg=0.0)
+    assert edi.estimate == pytest.approx(view["melanopic_edi_lx"], rel=1e-4)
+    assert edi.u == pytest.approx(view["u_melanopic_edi_lx"], rel=0.02)
+
+
+@pytest.mark.analytic
 def test_the_slope_of_dgp_with_the_scale_is_its_derivative() -> None:
     ev, contrast = np.array([300.0, 2000.0, 6000.0]), np.array([1e3, 1e6, 3e7])
     step = 1e-4
@@ -94,7 +113,7 @@ def test_the_budget_of_a_year_sums_to_monte_carlo() -> None:
     values = dgp(ev, ev**2 * 20)
     u_maps = np.full_like(values, 0.02)
     doubt = DgpUncertainty(("seen",), values, values, values[None], u_maps)
-    (row,) = year_budget(values, ev, doubt, 3000, np.array([180.0]), 0.04)
+    (row,) = year_budget(values, ev, doubt, 3000, np.array([180.0]), {"scale": 0.04})
     slope, drawn = dgp_per_scale(values, ev), []
     for _ in range(2000):
         common, own = rng.standard_normal(), rng.standard_normal((1500, 1))

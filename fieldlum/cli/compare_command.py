@@ -40,8 +40,8 @@ def command(
 
     RESULT is a folder of pictures named by slots (20270320T193000Z.hdr), compared with the
     captures, or a year of DGP or vertical illuminance, compared with the newest predicted year: a
-    csv or tab-separated table with month, day, hour (or hoy) and dgp or ev, or a folder of
-    honeybee-radiance with sun-up-hours.txt and GRID.dgp or GRID.ill.
+    csv or tab-separated table with month, day, hour (or hoy, or 8760 rows) and dgp or ev, DAYSIM's
+    .dgp or .ill, or a folder of honeybee-radiance with one GRID.dgp, .ill or .npy.
 
     \b
     Example:

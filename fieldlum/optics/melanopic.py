@@ -16,15 +16,17 @@ from fieldlum.core.records import Panorama, SunSource
 MELANOPIC_FROM_XYZ = np.array([-0.7898, 1.1566, 0.5489])
 # Relative standard uncertainty of the ratio under daylight (bench/melanopic.py): of XYZ by a chart
 # under daylight, and by the colour matrix in a raw file.
-U_CHART, U_MATRIX = 0.025, 0.06
-U_LAMP = 0.10  # the same under LED lamps, from their spectrum (CIE LED-B1 to V2; the same bench)
+U_CHART, U_MATRIX = 0.03, 0.06
+U_LAMP = 0.20  # the same under lamps, from their spectrum: 208 LED of IES TM-30-15 (the same bench)
 # Ratios of light that may be a lamp's: daylight behind clear glass is above the first, most lamps
 # are below the second (the same bench).
 _DAYLIGHT_RATIO, _LAMP_RATIO = 0.85, 0.70
 # Melanopic over photopic illuminance of direct sunlight: 0.94 exp(-0.058 air mass), within 2 % of
 # SPECTRL2 (Bird and Riordan 1986) with an aerosol depth of 0.1 and air mass 1 to 15.
 _SUN_RATIO, _SUN_RATIO_DECAY = 0.94, 0.058
-U_SUN = 0.07  # relative u of its melanopic illuminance: aerosol 5 %, glass and disc 5 %; chosen
+# relative u of its ratio, by aerosol and glass, and of its melanopic illuminance with 5 % of the
+# disc's; chosen
+U_SUN_RATIO, U_SUN = 0.05, 0.07
 _RADIANCE_Y = (0.265, 0.670, 0.065)  # weights of R, G, B in the luminance of a stored picture
 ATTRIBUTE = "melanopic"  # of a picture: weights of R, G and B, and the ratio's relative u
 

@@ -18,37 +18,13 @@ from fieldlum.session.files.model_files import HeldOutMaps, ScoresFile
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.year.glare.uncertainty_budget import BUDGET_FILE
 from fieldlum.year.predict import Annual, newest_annual, read_pictures
+from fieldlum.year.predict.melanopic import WELL_EDI_LX
 
 
 def _model_of(session: Session, annual: Annual | None) -> Path | None:
     """Return the model that predicted the year, else the newest model; None without one."""
     used = annual.summary.inputs["model"] if annual else ""
     return min(session.trained_models(), key=lambda folder: folder.name != used, default=None)
-
-
-def _budget_section(year: Annual) -> list[Section]:
-    """Return the uncertainty budget of each direction's DGP; empty for a year without the file."""
-    path = year.folder / BUDGET_FILE
-    if not path.is_file():
-        return []
-    table = read_table(path, "an uncertainty budget", "predict the year again: fieldlum predict")
-    change_of(path)
-    parts: dict[str, dict[str, str]] = {}
-    for _, cells in table.dicts():
-        figure = f"{float(cells['contribution']):.4f}"
-        parts.setdefault(cells["azimuth_deg"], {})[cells["source"]] = figure
-    sources = tuple(dict.fromkeys(name for row in parts.values() for name in row))
-    rows = [
-        (named(float(azimuth)), *(row.get(name, "–") for name in sources))
-        for azimuth, row in parts.items()
-    ]
-    text = (
-        "What each source adds to the standard uncertainty of the DGP exceeded in 5 % of the "
-        "occupied hours. Another year's weather, and a blind that moves, are not in it. budget.csv "
-        "has types, sensitivities and shares (GUM)."
-    )
-    tables = (Table(("facing", *sources), rows, "By direction", folded=True),)
-    return [Section("budget", "Uncertainty budget", text, tables=tables)]
 
 
 def _page(session: Session, year: Annual | None) -> str:
@@ -62,7 +38,7 @@ def _page(session: Session, year: Annual | None) -> str:
         shown += [sections.directions_section(year), sections.when_section(year, zone)]
         shown.append(sections.looks_section(year, read_pictures(year.folder), zone))
         shown.append(sections.melanopic_section(year, zone))
-        shown += _budget_section(year)
+        shown.append(sections.budget_section(year))
     if model is not None:
         names = {slot_id(r.t_utc): Path(r.panorama).stem for r in pairs.usable if r.panorama}
         held, scores = HeldOutMaps.find(model), ScoresFile.find(model)

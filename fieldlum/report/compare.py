@@ -1,10 +1,10 @@
 """Compare what was measured with a simulation of the same room: where and when the model errs.
 
 A model is a folder of pictures named by the slots of the session, an hourly table of DGP or
-vertical illuminance (a csv or tab-separated text with hours of the year, as evalglare's or
-raytraverse's tables), or a results folder of honeybee-radiance (sun-up-hours.txt and a matrix
-GRID.dgp or GRID.ill). Pictures are compared with the captures of the same slots, hours with the
-session's predicted year, which should have the model's weather file.
+vertical illuminance (a csv or tab-separated text with hours of the year, as raytraverse's tables),
+a file of DAYSIM, or a results folder of honeybee-radiance (`_read_matrix`). Pictures are compared
+with the captures of the same slots, hours with the session's predicted year, which should have the
+model's weather file.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from scipy.ndimage import binary_dilation
 
 from fieldlum.core.arrays import Array, Floats, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError, input_errors
@@ -52,6 +53,7 @@ _ALIKE_REL = 0.10
 # Surfaces that differ this many times are not materials but another view: a reflectance of 0.9 is
 # six times one of 0.15.
 _NO_MATERIAL = 6.0
+_NOT_JUDGED = ("all", "window", "reveal", "frame")
 _DAYS = np.array([31, 28, 31, 30, 31, 30, 31, 31, 30, 31, 30, 31])
 _HOUR_NAMES = ("ann_hour", "hoy", "hour of year", "hour_of_year")
 _FIGURES = {  # columns of other programs, in lower case, for the figures of hourly.csv
@@ -93,7 +95,7 @@ def compare(
     a result that cannot be read, or that shares no picture and no hour with the session,
     NotEnoughDataError without a year for a table of hours.
     """
-    if model.is_dir() and not (model / SUN_UP_HOURS).is_file():
+    if model.is_dir() and _sun_up_hours(model) is None:
         return _compare_pictures(session, model, out)
     hours = read_model_hours(model, azimuths_deg)
     if annual is None:
@@ -118,7 +120,7 @@ def surface_names(room: Room, height: int, heading_deg: float) -> Array:
     """Return what each pixel of a panorama mostly shows, [H, W]: "N wall", "floor", "window" ...
 
     height: rows H, W = 2H; heading_deg: azimuth of the centre column. The name is empty where
-    neither box nor opening is.
+    neither box nor opening is, and within two pixels of an opening.
     """
     view = look(room, height, heading_deg)
     names = np.full(2 * height**2, "", dtype=object)
@@ -132,7 +134,10 @@ def surface_names(room: Room, height: int, heading_deg: float) -> Array:
         on &= np.abs(s.position[straight][:, normal] - plane_m) < 0.02
         names[pixel[on]] = wall_named(wall, room.wall_azimuth_deg)
     named = names.reshape(height, 2 * height)
-    named[(view.sky > 0.05) | (view.plain > 0.05)] = "window"
+    window = (view.sky > 0.05) | (view.plain > 0.05)
+    near: Mask = np.asarray(binary_dilation(window, iterations=2), bool)
+    named[near] = ""  # edges mix the window with what is next to it
+    named[window] = "window"
     return named
 
 
@@ -243,11 +248,11 @@ def _where(surfaces: Sequence[JsonTable]) -> list[str]:
     """Return sentences on the complete picture, and on the surface that differs most from it.
 
     A surface is named if it differs from the others by over 10 %, and three times as much as they
-    do from each other.
+    do from each other. Pixels of reveals and frames mix light and dark: they are not named.
     """
     total = surfaces[0]
     text = [f"The model is {_off(total['ratio'])} in the median of {total['pictures']} pictures."]
-    parts = [s for s in surfaces if s["name"] not in ("all", "window")]
+    parts = [s for s in surfaces if s["name"] not in _NOT_JUDGED]
     if len(parts) < 3:
         return text
     ratios = np.array([s["ratio"] for s in parts])
@@ -295,8 +300,8 @@ def read_model_hours(path: Path, azimuths_deg: Sequence[float]) -> pd.DataFrame:
     """
     import pandas as pd
 
-    if path.is_dir():
-        return _read_honeybee(path, azimuths_deg)
+    if path.is_dir() or path.suffix.lower() in (".dgp", ".ill"):
+        return _read_matrix(path, azimuths_deg)
     table = read_table(path, "an hourly table", "export one row an hour", marks="\t,")
     names = [name.lower() for name in table.names]
     check_names(path, names)
@@ -353,20 +358,14 @@ def _numbers(table: CsvTable, column: int) -> Floats:
 def _times_of(table: CsvTable, columns: dict[str, int]) -> Floats:
     """Return the hour of the year that each row states, [n]: 0 to 8760, maybe with a fraction."""
     if {"month", "day", "hour"} <= columns.keys():
-        month, day, hour = (_numbers(table, columns[k]) for k in ("month", "day", "hour"))
-        index = np.isin(month, range(1, 13)) * np.nan_to_num(month).astype(int) - 1
-        ok = (index >= 0) & (day >= 1) & (day <= _DAYS[index]) & (day % 1 == 0)
-        ok &= (hour >= 0) & (hour <= 24)
-        if not ok.all():
-            (line, _), k = table.rows[int(np.argmin(ok))], int(np.argmin(ok))
-            found = f"line {line}: month {month[k]:g}, day {day[k]:g}, hour {hour[k]:g}"
-            expected = "days of a year without 29 February, hours 0 to 24"
-            raise InputError(table.path, found, expected, "leave out other days")
-        return ((np.cumsum(_DAYS) - _DAYS)[index] + day - 1) * 24 + _centred(table.path, hour, 24)
+        parts = np.stack([_numbers(table, columns[k]) for k in ("month", "day", "hour")])
+        return _hours_of_dates(table.path, parts, [line for line, _ in table.rows])
     name = next((name for name in _HOUR_NAMES if name in columns), None)
+    if name is None and len(table.rows) == len(_DAYS) * 730:
+        return np.arange(len(table.rows)) + 0.5
     if name is None:
-        found = f"columns {', '.join(table.names)[:80]}"
-        expected = "month, day and hour, or hoy"
+        found = f"{len(table.rows)} rows of columns {', '.join(table.names)[:80]}"
+        expected = "month, day and hour, or hoy, or a row for each of 8760 hours"
         raise InputError(table.path, found, expected, "export them, in standard time")
     return _centred(table.path, _numbers(table, columns[name]), len(_DAYS) * 730)
 
@@ -381,25 +380,58 @@ def _centred(path: Path, hours: Floats, last: int) -> Floats:
     return hours + (0.5 if 0 in hours else -0.5)
 
 
-def _read_honeybee(folder: Path, azimuths_deg: Sequence[float]) -> pd.DataFrame:
-    """Read GRID.dgp or GRID.ill (a row for each sensor, a column for each sun-up hour)."""
+def _hours_of_dates(path: Path, dates: Floats, lines: Sequence[int]) -> Floats:
+    """Return the hour of the year of months, days and hours [3, n]; lines: their numbers [n]."""
+    month, day, hour = dates
+    index = np.isin(month, range(1, 13)) * np.nan_to_num(month).astype(int) - 1
+    ok = (index >= 0) & (day >= 1) & (day <= _DAYS[index]) & (day % 1 == 0)
+    ok &= (hour >= 0) & (hour <= 24)
+    if not ok.all():
+        k = int(np.argmin(ok))
+        found = f"line {lines[k]}: month {month[k]:g}, day {day[k]:g}, hour {hour[k]:g}"
+        expected = "days of a year without 29 February, hours 0 to 24"
+        raise InputError(path, found, expected, "leave out other days")
+    return ((np.cumsum(_DAYS) - _DAYS)[index] + day - 1) * 24 + _centred(path, hour, 24)
+
+
+def _sun_up_hours(folder: Path) -> Path | None:
+    """Return honeybee's file of the hours of a results folder, in it or above it; None without."""
+    files = (folder / SUN_UP_HOURS, folder.absolute().parent / SUN_UP_HOURS)
+    return next((file for file in files if file.is_file()), None)
+
+
+def _read_matrix(path: Path, azimuths_deg: Sequence[float]) -> pd.DataFrame:
+    """Read DGP or Ev of views from a file of DAYSIM (DIVA), or a folder of honeybee-radiance.
+
+    DAYSIM's .dgp or .ill: lines of month, day, hour, and a value for each view. Of honeybee:
+    GRID.dgp, GRID.ill or GRID.npy, a row for each sensor and a column for each sun-up hour.
+    """
     import pandas as pd
 
-    files = sorted((*folder.glob("*.dgp"), *folder.glob("*.ill")))
+    hours_file = _sun_up_hours(path) if path.is_dir() else None
+    files = [path]
+    if hours_file is not None:
+        names = ("*.dgp", "*.ill", "*.npy", "dgp/*.dgp")
+        files = sorted(file for name in names for file in path.glob(name))
     if len(files) != 1 or not azimuths_deg:
-        found = f"{len(files)} files .dgp or .ill and {len(azimuths_deg)} --view-azimuth"
-        expected = "one grid, and --view-azimuth for each of its sensors, in their order"
-        raise InputError(folder, found, expected, "name a folder with one grid")
-    with input_errors(folder, "a matrix of numbers", "run the recipe again", ValueError):
-        hours = np.loadtxt(folder / SUN_UP_HOURS, ndmin=1)
-        values = np.loadtxt(files[0], ndmin=2)
+        found = f"{len(files)} grids and {len(azimuths_deg)} --view-azimuth"
+        expected = "one grid (.dgp, .ill, .npy), and --view-azimuth for each view, in their order"
+        raise InputError(path, found, expected, "name a folder with one grid")
+    (file,) = files
+    with input_errors(path, "a matrix of numbers", "run the simulation again", ValueError):
+        values = np.load(file) if file.suffix == ".npy" else np.loadtxt(file, ndmin=2)
+        if hours_file is not None:
+            hours = np.loadtxt(hours_file, ndmin=1)
+        else:
+            hours = _hours_of_dates(path, np.asarray(values.T[:3]), range(1, len(values) + 1))
+            values = values.T[3:]
     if values.shape != (len(azimuths_deg), len(hours)):
-        found = f"{values.shape[0]} sensors x {values.shape[1]} hours"
-        expected = f"{len(azimuths_deg)} x {len(hours)}, by --view-azimuth and {SUN_UP_HOURS}"
-        raise InputError(files[0], found, expected, "repeat --view-azimuth for each sensor")
-    figure = "dgp" if files[0].suffix == ".dgp" else "ev_lx"
+        found = f"values of {' x '.join(map(str, values.shape))} views and hours"
+        expected = f"{len(azimuths_deg)} x {len(hours)}, by --view-azimuth and the hours"
+        raise InputError(file, found, expected, "repeat --view-azimuth for each sensor")
+    figure = "dgp" if file.suffix.lower() == ".dgp" else "ev_lx"
     columns = pd.MultiIndex.from_tuples([(figure, azimuth % 360.0) for azimuth in azimuths_deg])
-    return pd.DataFrame(_values(files[0], figure, values.T), hours, columns)
+    return pd.DataFrame(_values(file, figure, values.T), hours, columns)
 
 
 def hours_begun(path: Path, times: Floats, daylight: Mask) -> tuple[Array, list[str]]:

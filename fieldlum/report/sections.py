@@ -9,13 +9,13 @@ from zoneinfo import ZoneInfo
 
 import numpy as np
 
-from fieldlum.core.arrays import Floats, Mask
+from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Site, SunSource, counted
 from fieldlum.optics import profiles
 from fieldlum.optics.projection import NOT_SEEN, PARTLY_SEEN
 from fieldlum.report import page
-from fieldlum.report.page import Figure, Section, Table, named, sentence
+from fieldlum.report.page import TEXTS, Figure, Section, Table, named, sentence
 from fieldlum.session import Session
 from fieldlum.session.files.model_files import HeldOutMaps, ScoresFile
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
@@ -25,7 +25,8 @@ from fieldlum.sky import sun
 from fieldlum.sky.sun import apparent_altitude_deg, standard_time
 from fieldlum.year.glare.pictures import panorama_to_fisheye
 from fieldlum.year.glare.standards import EXCEEDED_SHARE, dgp_per_scale
-from fieldlum.year.predict import Annual
+from fieldlum.year.glare.uncertainty_budget import BUDGET_FILE, read_budgets
+from fieldlum.year.predict import Annual, melanopic
 from fieldlum.year.predict.annual import Pictures
 from fieldlum.year.predict.year import best_and_worst
 
@@ -58,9 +59,7 @@ def answer(annual: Annual) -> tuple[str, str]:
         f"Facing {named(worst.azimuth_deg)}, disturbing glare (DGP above 0.40) comes in "
         f"{worst.hours_over['0.40']} of {annual.summary.occupancy.hours} occupied hours of the "
         f"year; facing {named(best.azimuth_deg)} in {best.hours_over['0.40']}. "
-        f"{unseen if blind else ''}A class of EN 17037 is met when DGP exceeds 0.35 (high), 0.40 "
-        "(medium) or 0.45 (minimum) in at most 5 % of the occupied hours. All of it holds for the "
-        "camera's place: half a metre away, the window's edges are elsewhere.",
+        f"{unseen if blind else ''}{TEXTS['limits']}",
     )
 
 
@@ -149,11 +148,7 @@ def directions_section(annual: Annual) -> Section:
         rows.append((named(row.azimuth_deg), of_class, settled, *figures))
     head = ("view direction", "class", "settled", "DGP in 5 %", "95 % interval")
     occupied = f"Occupied hours: {annual.summary.occupancy.text}."
-    text = "\n".join((occupied, *map(sentence, annual.summary.notes[1:])))
-    text += (
-        "\nGA (glare autonomy, honeybee): occupied hours with DGP of at most 0.40. sDG "
-        "(ClimateStudio): whether DGP exceeds 0.38 in over 5 % of them."
-    )
+    text = "\n".join((occupied, *map(sentence, annual.summary.notes[1:]), TEXTS["autonomy"]))
     hours = ("h > .35", "h > .40", "h > .45")
     table = Table((*head, *hours, "GA", "sDG: disturbed"), rows)
     return Section("directions", "Where to sit", text, tables=(table,))
@@ -186,14 +181,9 @@ def when_section(annual: Annual, zone: str) -> Section:
         ],
         start=int(np.argmin(np.abs(annual.azimuths_deg - worst_deg))),
         used=(int(used.min()), int(used.max()) + 1) if len(used) else (),
-        alt="Map of the year with a cell for each hour: days run to the right, hours of standard "
-        "time upwards. The arrow keys move from cell to cell.",
+        alt=TEXTS["heat_map_alt"],
     )
-    text = (
-        "Each cell is one hour of the year: days to the right from January, hours of local "
-        "standard time upwards. The dashed lines bound the hours of use over the year."
-    )
-    return Section("when", "When glare comes", text, heatmap=picture)
+    return Section("when", "When glare comes", TEXTS["heat_map"], heatmap=picture)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -242,16 +232,33 @@ def _fisheyes(annual: Annual, pictures: Pictures, k: int, when: str) -> Figure:
     return Figure(page.png(page.picture_grid(views, titles, 5, 2.3)[0]), what, what)
 
 
+def budget_section(annual: Annual, *, folded: bool = True) -> Section:
+    """Return the section of budget.csv, a table for each figure; folded: shown after a click."""
+    tables, budget = [], read_budgets(annual.folder / BUDGET_FILE)
+    for figure, unit in dict.fromkeys((row["figure"], row["unit"]) for row in budget):
+        own = [row for row in budget if row["figure"] == figure and row["contribution"]]
+        names = [row["source"] for row in own if float(row["contribution"]) > 1e-9]
+        # "combined" is last, also if a source adds nothing in the first direction
+        names, parts = sorted(dict.fromkeys(names), key="combined".__eq__), {}
+        for row in own:
+            view = parts.setdefault((row["azimuth_deg"], row["estimate"]), {})
+            view[row["source"]] = f"{float(row['contribution']):.2g}"
+        rows = [
+            (
+                named(float(azimuth)),
+                f"{float(estimate):.3g}",
+                *(view.get(name, "–") for name in names),
+            )
+            for (azimuth, estimate), view in parts.items()
+        ]
+        title = f"{figure}{'' if unit == '1' else f' [{unit}]'}"
+        tables.append(Table(("facing", "estimate", *names), rows, title, folded=folded))
+    text = TEXTS["budget" if budget else "budget_missing"]
+    return Section("budget", "Uncertainty budget", text, tables=tuple(tables))
+
+
 # ----------------------------------------------------------------------------------------------
 # melanopic light
-
-BROWN_EDI_LX, BROWN_HOURS = 250.0, (6, 19)  # Brown et al., PLOS Biology 20 (2022)
-WELL_EDI_LX, WELL_HOURS = (109.0, 136.0, 163.0, 250.0), (9, 13)  # WELL v2, L03
-_MELANOPIC = (
-    "Daylight alone, at the camera's place and height; hours of local standard time. 250 lx from "
-    "06:00 to 19:00 is the advice of Brown et al. 2022. WELL v2 L03 asks for 136 or 250 lx in the "
-    "four hours from 09:00 to 13:00, with enhanced daylight for 109 or 163 lx."
-)
 
 
 def has_melanopic(annual: Annual) -> bool:
@@ -262,38 +269,30 @@ def has_melanopic(annual: Annual) -> bool:
 def melanopic_shares(annual: Annual, zone: str) -> list[tuple[Share, list[Share]]]:
     """Return shares of the year with enough melanopic light, for each direction.
 
-    The first is of the hours from 06:00 to 19:00 with 250 lx or more; the others are of the days
-    with each of `WELL_EDI_LX` in all four hours from 09:00 to 13:00. Hours in the dark count as
-    without light. Hours are those of local standard time; zone : its IANA name. Without measured
-    colour they are estimates, without intervals.
+    The first is `ENOUGH_HOURS`, the others are `ENOUGH_DAYS` of `YearHours.shares`; zone : IANA
+    name of local standard time. The intervals are those of budget.csv; for a year without it the
+    errors of all hours count as equal. Without measured colour they are estimates, without
+    intervals.
     """
-    local = [standard_time(t, zone) for t in annual.t_utc]
-    hour, day = np.array([t.hour for t in local]), np.array([t.toordinal() for t in local])
+    hours = melanopic.YearHours.of(annual.t_utc, zone, annual.summary.days)
     edi, u = annual.views["melanopic_edi_lx"], annual.views["u_melanopic_edi_lx"]
     if not has_melanopic(annual):
         edi, u = annual.views["melanopic_edi_lx_estimate"], np.zeros(1)
-    ends = np.stack([edi, edi - 1.96 * u, edi + 1.96 * u])  # [3, n, d]: 95 %
-    brown = (hour >= BROWN_HOURS[0]) & (hour < BROWN_HOURS[1])
-    days = max(annual.summary.days, 1)
-    hours = days * (BROWN_HOURS[1] - BROWN_HOURS[0])
-    every = 100.0 * (ends[:, brown] >= BROWN_EDI_LX).sum(axis=1) / hours  # [3, d]
-    well = [
-        100.0 * np.stack([_days_with(end >= limit, hour, day) for end in ends]) / days
-        for limit in WELL_EDI_LX
-    ]
+    at, *ends = (hours.shares(edi + sign * 1.96 * u) for sign in (0, -1, 1))  # 95 %
+    for row in read_budgets(annual.folder / BUDGET_FILE):
+        if (name := row["figure"]) in at and row["source"] == "combined" and row["contribution"]:
+            k = int(np.argmin(np.abs(annual.azimuths_deg - float(row["azimuth_deg"]))))
+            for sign, end in zip((-1, 1), ends, strict=True):
+                u_share = sign * 1.96 * float(row["contribution"])
+                end[name][k] = np.clip(at[name][k] + u_share, 0.0, 100.0)
+
+    def share(name: str, k: int) -> Share:
+        return Share(*(float(part[name][k]) for part in (at, *ends)))
+
     return [
-        (Share(*map(float, every[:, k])), [Share(*map(float, share[:, k])) for share in well])
+        (share(melanopic.ENOUGH_HOURS, k), [share(name, k) for name in melanopic.ENOUGH_DAYS])
         for k in range(edi.shape[1])
     ]
-
-
-def _days_with(bright: Mask, hour: Floats, day: Floats) -> Floats:
-    """Return the number of days that are bright in all of the hours of WELL, [d]."""
-    hours = np.arange(*WELL_HOURS)
-    grid = np.zeros((len(hours), int(np.ptp(day)) + 1, bright.shape[1]), bool)
-    rows = np.isin(hour, hours)
-    grid[hour[rows] - hours[0], day[rows] - day.min()] = bright[rows]
-    return grid.all(axis=0).sum(axis=0)
 
 
 def melanopic_section(annual: Annual, zone: str) -> Section:
@@ -304,17 +303,10 @@ def melanopic_section(annual: Annual, zone: str) -> Section:
         for azimuth, good, (hours, days) in shares
         if good
     ]
-    limits = (f"days ≥ {limit:.0f} lx, 9 to 13 h" for limit in WELL_EDI_LX)
+    limits = (f"days ≥ {limit:.0f} lx, 9 to 13 h" for limit in melanopic.WELL_EDI_LX)
     head = ("view direction", "hours ≥ 250 lx, 6 to 19 h", *limits)
-    origin = (
-        "By the colour of the captures, with 95 % intervals."
-        if has_melanopic(annual)
-        else "An estimate, because no melanopic colour was measured: vertical illuminance times "
-        "1.0, as if the light had the spectrum of D65. For 58 spectra of daylight behind "
-        "electrochromic glass it is 11 to 17 % too high. Calibrate the camera's colour (fieldlum "
-        "calibrate colour), then merge and predict again."
-    )
-    text = f"{origin} {_MELANOPIC}"
+    origin = "melanopic_measured" if has_melanopic(annual) else "melanopic_estimate"
+    text = f"{TEXTS[origin]} {TEXTS['melanopic']}"
     return Section("melanopic", "Melanopic light of day", text, tables=(Table(head, rows),))
 
 

@@ -242,13 +242,13 @@ def sun_per_lx(sun_direction: Floats, views: Views) -> tuple[Floats, Floats]:
     return np.clip(cosine, 0.0, None), contrast
 
 
-def dgp_with_disc(
+def with_disc(
     parts: dict[str, Floats],
     per_lx: tuple[Floats, Floats],
     disc_lx: Floats,
     images: Sequence[DiscLight] = (),
-) -> Floats:
-    """Return the DGP that `parts` would have with another illuminance of the sun, [..., n, d].
+) -> tuple[Floats, Floats]:
+    """Return Ev and contrast of `parts` with another illuminance of the sun, [..., n, d] each.
 
     parts : result of `glare_directions`; its sun and images of the sun are removed first. per_lx :
     result of `sun_per_lx` for the sun; disc_lx : [..., n] its new normal illuminance. images : the
@@ -260,7 +260,7 @@ def dgp_with_disc(
         source = np.asarray(source_lx, float)[..., None]
         ev = ev + source * of_lx[0]
         contrast = contrast + source**2 * of_lx[1]
-    return dgp(ev, contrast)
+    return ev, contrast
 
 
 def _sun_angles(sun: Floats, views: Views) -> tuple[Floats, Floats, Floats]:

@@ -5,7 +5,7 @@ remains of each pixel's u is independent of the other pixels. A year's figure sh
 scale over all its hours.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,11 +13,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fieldlum.core.arrays import Floats
-from fieldlum.core.errors import InputError
+from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.records import U_PERCENT, VEILING_GLARE, Panorama, SunSource
-from fieldlum.optics.melanopic import melanopic_edi, melanopic_ratio, ratio_u_rel
+from fieldlum.core.strict_csv import read_table
+from fieldlum.optics.melanopic import U_SUN_RATIO, melanopic_edi, melanopic_ratio, ratio_u_rel
 from fieldlum.optics.projection import direction
-from fieldlum.session.codec import write_csv
+from fieldlum.session.codec import change_of, write_csv
 from fieldlum.session.panorama_sun import MEASURED_ORIGINS
 from fieldlum.sky.sky_view.pose import STATED_SD
 from fieldlum.sky.sky_view.view import SkyView
@@ -30,7 +31,7 @@ from fieldlum.year.glare.sources import panorama_views
 # relative u of a disc's illuminance by DNI: luminous efficacy and glass together; not measured
 U_DISC = 0.05
 BUDGET_FILE = "budget.csv"  # of a predicted year
-_NORMAL, _RECTANGULAR = "normal", "rectangular"
+_NORMAL = "normal"
 
 
 class Source(NamedTuple):
@@ -48,6 +49,11 @@ class Source(NamedTuple):
     unit: str
     shared_by: str
     contribution: float = 0.0
+
+
+MODEL = Source("light transport model", "A", _NORMAL, 1.0, "u", "half: all hours")
+DISC_SEEN = Source("whether the sun's disc is seen", "B", _NORMAL, 1.0, "u", "all hours")
+UNSEEN = Source("part of the view that no lens saw", "B", "rectangular", 1.0, "u", "hour")
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,47 +158,96 @@ def year_budget(
     uncertainty: standards.DgpUncertainty,
     occupied_hours: int,
     azimuths_deg: Floats,
-    u_scale: float,
+    u_camera_rel: Mapping[str, float],
 ) -> list[Budget]:
     """Return the budget of the DGP that is exceeded in 5 % of the occupied hours, by direction.
 
     dgp, ev_lx [n, d], uncertainty: of the n lit occupied hours; azimuths_deg: of the directions
-    [d]. u_scale: relative standard uncertainty of the camera's scale. Another year's weather, a
-    blind that moves and clouds that move within the hour are not in it.
+    [d]. u_camera_rel: relative standard uncertainty by each part of the camera's calibration.
+    Another year's weather, a blind that moves and clouds that move within the hour are not in it.
     """
+    name, per_scale = "DGP exceeded in 5 %", standards.dgp_per_scale(dgp, ev_lx)
 
-    def exceeded(values: Floats) -> Floats:
-        return standards.exceeded_in_share(np.clip(values, 0.0, 1.0), occupied_hours)
+    def exceeded(values: Floats) -> dict[str, Floats]:
+        return {name: standards.exceeded_in_share(np.clip(values, 0.0, 1.0), occupied_hours)}
 
-    rng, u_maps = np.random.default_rng(0), np.nan_to_num(uncertainty.u_maps)
-    draws = (standards.year_errors(dgp.shape, rng) for _ in range(standards.DRAWS))
-    of_scale = u_scale * standards.dgp_per_scale(dgp, ev_lx)
-    by_model = np.std([exceeded(dgp + u_maps * draw) for draw in draws], axis=0, ddof=1)
-    scales = np.abs(exceeded(dgp + of_scale) - exceeded(dgp - of_scale))
-    unseen = np.abs(exceeded(uncertainty.maximum) - exceeded(uncertainty.minimum))
-    rectangular = Source("part of the view that no lens saw", "B", _RECTANGULAR, 1.0, "u", "hour")
-    sources = [
-        (Source("light transport model", "A", _NORMAL, 1.0, "u", "half: all hours"), by_model),
-        (Source("camera scale", "B", _NORMAL, 100 * u_scale, "%", "all hours"), scales / 2),
-        (rectangular, unseen / np.sqrt(12.0)),
-    ]
-    if len(uncertainty.drawn) > 1:
-        source = Source("whether the sun's disc is seen", "B", _NORMAL, 1.0, "u", "all hours")
-        sources.append((source, np.std([exceeded(d) for d in uncertainty.drawn], axis=0)))
-    name = "DGP exceeded in 5 %"
-    rows = [(s, {name: part}) for s, part in sources]
-    return _budgets({name: exceeded(dgp)}, azimuths_deg, rows)
+    low, high = (exceeded(bound)[name] for bound in (uncertainty.minimum, uncertainty.maximum))
+    changes = [(MODEL, uncertainty.u_maps), *camera_changes(u_camera_rel, per_scale)]
+    changes.append((DISC_SEEN, uncertainty.drawn - dgp))
+    unseen = (UNSEEN, {name: np.abs(high - low) / np.sqrt(12.0)})
+    return budgets_of_year(exceeded, dgp, azimuths_deg, changes, unseen)
+
+
+def of_share(name: str, kind: str, u_rel: float, shared_by: str = "all hours") -> Source:
+    """Return a source with a relative standard uncertainty, in percent."""
+    return Source(name, kind, _NORMAL, 100 * u_rel, "%", shared_by)
+
+
+def camera_changes(u_rel: Mapping[str, float], figure: Floats) -> list[tuple[Source, Floats]]:
+    """Return each part of the camera's calibration, with what its u adds to a figure, [n, d]."""
+    return [(of_share(f"camera {name}", "B", u), u * figure) for name, u in u_rel.items()]
+
+
+def budgets_of_year(
+    figures: Callable[[Floats], dict[str, Floats]],
+    values: Floats,
+    azimuths_deg: Floats,
+    changes: Sequence[tuple[Source, Floats]],
+    unseen: tuple[Source, Mapping[str, Floats]],
+    unit: str = "1",
+) -> list[Budget]:
+    """Return the budgets of a year's figures: functions of the values of n hours in d directions.
+
+    figures: of values [n, d], by name, [d] each. changes: for each source what one u adds to the
+    values: [n, d], by an error of all hours, or as `standards.year_errors` for those of `MODEL`; or
+    draws [m, n, d]. unseen: what the unseen part adds to the figures.
+
+    The figures are no linear functions: u is the rms difference from the estimate of all sources
+    drawn together (JCGM 101:2008), and those of each source alone are scaled so that their squares
+    add up to it. It is NaN for a model that states no error.
+    """
+    rng, shape = np.random.default_rng(0), values.shape
+    names, at = [source for source, _ in changes], figures(values)
+
+    def error(source: Source, change: Floats) -> Floats:
+        if change.ndim == 3:
+            return change[rng.integers(len(change))]
+        half = source.shared_by == MODEL.shared_by
+        return change * (standards.year_errors(shape, rng) if half else rng.standard_normal())
+
+    def spread(draws: list[dict[str, Floats]]) -> dict[str, Floats]:
+        off = {name: np.array([draw[name] for draw in draws]) - at[name] for name in at}
+        return {name: np.sqrt(np.mean(part**2, axis=0)) for name, part in off.items()}
+
+    alone: list[list[dict[str, Floats]]] = [[] for _ in changes]
+    joint = []
+    for _ in range(standards.DRAWS):
+        errors = [error(*each) for each in changes]
+        joint.append(figures(values + sum(errors)))
+        for found, off in zip(alone, errors, strict=True):
+            found.append(figures(values + off))
+    parts = [spread(found) for found in alone]
+    total = spread(joint)
+    sums = {name: np.linalg.norm([part[name] for part in parts], axis=0) for name in at}
+    scaled = [{k: part[k] * total[k] / np.maximum(sums[k], 1e-12) for k in at} for part in parts]
+    return _budgets(at, azimuths_deg, [*zip(names, scaled, strict=True), unseen], unit)
 
 
 def _budgets(
-    at: Mapping[str, Floats], azimuths: Floats, rows: Sequence[tuple[Source, Mapping[str, Floats]]]
+    at: Mapping[str, Floats],
+    azimuths: Floats,
+    rows: Sequence[tuple[Source, Mapping[str, Floats]]],
+    unit: str = "1",
 ) -> list[Budget]:
-    """Return a budget for each direction and figure; `rows` has what each source adds, [d]."""
+    """Return a budget for each direction and figure; `rows` has what each source adds, [d].
+
+    unit: of figures that are not in `UNITS`.
+    """
 
     def budget(name: str, i: int) -> Budget:
         sources = (s._replace(contribution=float(c[name][i])) for s, c in rows if name in c)
-        unit, estimate = UNITS.get(name, "1"), float(at[name][i])
-        return Budget(name, unit, float(azimuths[i]), estimate, tuple(sources))
+        of, estimate = UNITS.get(name, unit), float(at[name][i])
+        return Budget(name, of, float(azimuths[i]), estimate, tuple(sources))
 
     places = range(len(azimuths))
     return [budget(name, i) for i in places for name in at if np.isfinite(at[name][i])]
@@ -217,6 +272,27 @@ def write_budgets(path: Path, budgets: Iterable[tuple[str, Budget]]) -> None:
     write_csv(path, (dict(zip(COLUMNS, row, strict=True)) for row in rows), COLUMNS, digits=4)
 
 
+def read_budgets(path: Path) -> list[dict[str, str]]:
+    """Return the rows that `write_budgets` wrote, by column; none for a missing file.
+
+    Warns of a file that changed since. Raises InputError for other columns or contributions.
+    """
+    if not path.is_file():
+        return []
+    expected, remedy = "an uncertainty budget", "predict the year again: fieldlum predict"
+    rows = [row for _, row in read_table(path, expected, remedy, needed=COLUMNS).dicts()]
+    change_of(path)
+    with input_errors(path, expected, remedy, ValueError):
+        [float(row["azimuth_deg"]) + float(row["contribution"] or "nan") for row in rows]
+    return rows
+
+
+def shared_u_rel(panorama: Panorama) -> dict[str, float]:
+    """Return the relative uncertainties that all pixels share, by name; empty if not stated."""
+    words = panorama.attributes.get(U_PERCENT, "").split()
+    return {name: float(text) / 100 for name, text in (word.split("=") for word in words)}
+
+
 def _of_pixels(scene: _Scene) -> Iterator[tuple[Source, Mapping[str, Floats]]]:
     """Yield what the errors of pixels add to u of each figure: those that all share, and the rest.
 
@@ -229,9 +305,8 @@ def _of_pixels(scene: _Scene) -> Iterator[tuple[Source, Mapping[str, Floats]]]:
     rest = (u if seen is None else np.where(seen, u, 0.0)) ** 2
     sines = np.sin((np.arange(len(light)) + 0.5) / len(light) * np.pi)[:, None] * (light > 0)
     mean_seen = float((light * sines).sum() / max(sines.sum(), 1e-9))
-    stated = dict(word.split("=") for word in panorama.attributes.get(U_PERCENT, "").split())
-    for name, text in stated.items():
-        u_rel = float(text) / 100
+    stated = shared_u_rel(panorama)
+    for name, u_rel in stated.items():
         share = u_rel * (np.full_like(light, mean_seen) if name == VEILING_GLARE else light)
         rest = rest - share**2
         change = scene.half_range(more_cdm2=share, more_sun=u_rel * by_camera)
@@ -261,7 +336,12 @@ def _of_sun_and_views(
     yield Source("heading", "B", _NORMAL, u_heading_deg, "deg", "all pixels"), change
     colour = melanopic_ratio(scene.panorama)
     if colour is not None:
-        at = scene.figures()
-        u_rel = ratio_u_rel(at["melanopic EDI"] / np.maximum(at["Ev"], 1e-9), colour[1])
-        change = {"melanopic EDI": at["melanopic EDI"] * u_rel}
+        at, of_sun = scene.figures(), scene.half_range(more_sun=1.0)  # half of 2 E less half of 0
+        edi, ev_lx = (at[name] - of_sun[name] for name in ("melanopic EDI", "Ev"))
+        change = {"melanopic EDI": edi * ratio_u_rel(edi / np.maximum(ev_lx, 1e-9), colour[1])}
         yield Source("melanopic ratio by colour", "B", _NORMAL, 100 * colour[1], "%", "all"), change
+        change = {"melanopic EDI": of_sun["melanopic EDI"] * U_SUN_RATIO}
+        yield (
+            Source("colour of the sun's disc", "B", _NORMAL, 100 * U_SUN_RATIO, "%", "disc"),
+            change,
+        )

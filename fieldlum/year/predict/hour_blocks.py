@@ -304,10 +304,8 @@ class HourJudge:
         colours by the captures, None without any.
         """
         views, light, coverage, figures = self.views, block.light, self._coverage, self.glare(block)
-        u_ev_rel, u_source_rel = relative_uncertainty(block, views, figures)
+        u_map_rel, u_ev_rel, u_source_rel = relative_uncertainty(block, views, figures)
         ev_lx, contrast = figures["ev_lx"], figures["contrast"]
-        if melanopic is not None:
-            figures |= melanopic.figures(light, figures, u_ev_rel)
         u_maps = dgp_uncertainty(ev_lx, contrast, u_ev_rel, u_source_rel)
         # the unseen part has at most the sky's mean or that of the brightest seen hundredth
         brightest = light.diffuse_lx / np.pi
@@ -317,7 +315,11 @@ class HourJudge:
         minimum, maximum = metrics.unseen_dgp_bounds(coverage, ev_lx, contrast, brightest)
         per_lx = metrics.sun_per_lx(light.apparent_sun_direction, views)
         images = _images(block, views, len(discs_lx))
-        drawn = metrics.dgp_with_disc(figures, per_lx, discs_lx, images).astype(np.float32)
+        drawn_ev_lx, drawn_contrast = metrics.with_disc(figures, per_lx, discs_lx, images)
+        if melanopic is not None:
+            unseen_lx = brightest[:, None] * coverage.unseen_illuminance
+            figures |= melanopic.figures(light, figures, u_map_rel, drawn_ev_lx, unseen_lx)
+        drawn = metrics.dgp(drawn_ev_lx, drawn_contrast).astype(np.float32)
         off = drawn - figures["dgp"].astype(np.float32)  # [m, k, d]
         reach = 1.96 * np.nan_to_num(u_maps)  # 95 %
         low, high = np.percentile(off, (2.5, 97.5), axis=0)
@@ -340,17 +342,18 @@ class HourJudge:
 
 def relative_uncertainty(
     block: HourBlock, views: Views, figures: dict[str, Floats]
-) -> tuple[Floats, Floats]:
-    """Return the relative standard uncertainties of Ev and of the sources' luminance.
+) -> tuple[Floats, Floats, Floats]:
+    """Return the relative standard uncertainties of the map's Ev, of Ev and of the sources.
 
-    Both are [k, d], of k hours in d directions. They are NaN where the model does not state its
+    All are [k, d], of k hours in d directions. They are NaN where the model does not state its
     error. Errors of the pixels of one picture count as fully correlated, because a model is often
     too bright or too dark on a complete wall. The disc has 5 %. figures: the result of
     `glare_directions`.
     """
     predicted, maps = block.prediction, block.prediction.luminance_cdm2
     if predicted.log10_sd is None:
-        of_ev = of_source = np.log(10.0) * np.sqrt(np.asarray(predicted.expected_mse))[:, None]
+        of_ev = np.log(10.0) * np.sqrt(np.asarray(predicted.expected_mse))[:, None]
+        of_ev = of_source = np.broadcast_to(of_ev, figures["ev_lx"].shape)
     else:
         u_rel = np.float32(np.log(10.0)) * predicted.log10_sd
         power = np.where(maps > SOURCE_CDM2, maps, np.float32(0.0)) ** 2
@@ -362,7 +365,7 @@ def relative_uncertainty(
     share_ev = figures["sun_ev_lx"] / np.maximum(figures["ev_lx"], 1e-6)
     share = figures["sun_contrast"] / np.maximum(figures["contrast"], 1e-30)
     u_ev_rel = np.hypot((1.0 - share_ev) * of_ev, share_ev * U_DISC)
-    return u_ev_rel, np.hypot((1.0 - share) * of_source, share * U_DISC)
+    return of_ev, u_ev_rel, np.hypot((1.0 - share) * of_source, share * U_DISC)
 
 
 def _images(block: HourBlock, views: Views, count: int) -> list[metrics.DiscLight]:

@@ -9,21 +9,23 @@ predicted for it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fieldlum.core.arrays import Floats, Mask
+from fieldlum.core.arrays import Array, Floats, Mask
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.optics.images import read_panorama
-from fieldlum.optics.melanopic import U_SUN, melanopic_ratio, sun_melanopic_ratio
+from fieldlum.optics.melanopic import U_SUN, U_SUN_RATIO, melanopic_ratio, sun_melanopic_ratio
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.sky.daylight import MIN_LX, Light, light_at
 from fieldlum.sky.daylight_kernel import Facades, Features, Kernel, facades_of, light_features
-from fieldlum.sky.sun import horizontal_beam
+from fieldlum.sky.sun import horizontal_beam, standard_time
+from fieldlum.year.glare import uncertainty_budget as budget
 from fieldlum.year.glare.metrics import map_ev_lx
 from fieldlum.year.glare.sources import panorama_views
 
@@ -43,7 +45,8 @@ class MelanopicYear:
     kernel, captured : covariance between hours, and the captures' features; coefficients [n, d] :
     kernel(hours, captured) @ coefficients is Ev over the total light outside. weights [3] : of an
     overcast sky, of a sky's clearness, and of the sun; factors [d] : of the view directions;
-    u_rel : relative standard uncertainty, by days held out and by the camera's colour and scale.
+    u_fit_rel : relative standard uncertainty by days held out; u_camera_rel : by each part of the
+    camera's calibration.
     """
 
     kernel: Kernel
@@ -51,7 +54,13 @@ class MelanopicYear:
     coefficients: Floats
     weights: Floats
     factors: Floats
-    u_rel: float
+    u_fit_rel: float
+    u_camera_rel: Mapping[str, float]
+
+    @property
+    def u_rel(self) -> float:
+        """Relative standard uncertainty of the ratio and of the camera."""
+        return float(np.hypot(self.u_fit_rel, np.linalg.norm([*self.u_camera_rel.values()])))
 
     def sun_shares(self, light: Light) -> Floats:
         """Return the share (0 to 1) of the sun in the light that reaches the eye, [n, d].
@@ -73,18 +82,36 @@ class MelanopicYear:
         return np.einsum("ndk,k,d->nd", parts, self.weights, self.factors)
 
     def figures(
-        self, light: Light, views: dict[str, Floats], u_ev_rel: Floats
+        self,
+        light: Light,
+        views: Mapping[str, Floats],
+        u_map_rel: Floats,
+        drawn_ev_lx: Floats,
+        unseen_lx: Floats,
     ) -> dict[str, Floats]:
         """Return melanopic EDI and its standard uncertainty, by column of hourly.csv, [n, d] each.
 
-        views : figures of the hours, with `ev_lx` and `sun_ev_lx`; u_ev_rel [n, d] : relative
-        standard uncertainty of `ev_lx`.
+        views : figures of the hours, with `ev_lx` and `sun_ev_lx`; u_map_rel [n, d] : relative
+        standard uncertainty of the map's part of `ev_lx`; drawn_ev_lx [m, n, d] : Ev in draws of
+        the sun's disc; unseen_lx [n, d] : the most that the unseen part of the view adds to Ev.
+        The further keys are what `edi_budget` needs.
         """
-        of_map = (views["ev_lx"] - views["sun_ev_lx"]) * self.ratio(light)
-        of_sun = views["sun_ev_lx"] * sun_melanopic_ratio(light.apparent_altitude_deg)[:, None]
-        edi = of_map + of_sun
-        u = np.hypot(np.hypot(of_map * self.u_rel, of_sun * U_SUN), edi * u_ev_rel)
-        return {"melanopic_edi_lx": edi, "u_melanopic_edi_lx": u}
+        ratio = self.ratio(light)
+        of_map = (views["ev_lx"] - views["sun_ev_lx"]) * ratio
+        sun_ratio = sun_melanopic_ratio(light.apparent_altitude_deg)[:, None]
+        of_sun = views["sun_ev_lx"] * sun_ratio
+        drawn = ((drawn_ev_lx - views["ev_lx"]) * sun_ratio).astype(np.float32)
+        unseen = unseen_lx * ratio / np.sqrt(3.0)  # rms of 0 to this, about 0
+        parts = of_map * np.hypot(self.u_rel, u_map_rel), of_sun * U_SUN, unseen
+        u = np.sqrt(sum(part**2 for part in parts) + (drawn**2).mean(axis=0))
+        return {
+            "melanopic_edi_lx": of_map + of_sun,
+            "u_melanopic_edi_lx": u,
+            "edi_of_map_lx": of_map,
+            "edi_by_model_lx": of_map * u_map_rel,
+            "edi_of_unseen_lx": unseen,
+            "edi_by_disc_lx": np.moveaxis(drawn, 0, -1),  # [n, d, m]
+        }
 
 
 def _parts(light: Light, sun_share: Floats) -> Floats:
@@ -101,14 +128,14 @@ def fit_year(
     photopic_lx: Floats,
     melanopic_lx: Floats,
     days: Sequence[int],
-    u_colour_rel: float,
+    u_camera_rel: Mapping[str, float],
     facades: Facades,
 ) -> MelanopicYear:
     """Fit photopic and melanopic light at the eye in n captures and d directions.
 
     light : of the captures; photopic_lx, melanopic_lx : vertical illuminance without the sun's
-    disc, [n, d]; days [n] : number of the day of each, for holding days out; u_colour_rel :
-    relative standard uncertainty of the camera's colour and scale; facades : of the room.
+    disc, [n, d]; days [n] : number of the day of each, for holding days out; u_camera_rel :
+    relative standard uncertainty by each part of the camera's calibration; facades : of the room.
     """
     day, ratio, errors = np.array(days), melanopic_lx / photopic_lx, []
 
@@ -119,7 +146,8 @@ def fit_year(
         covariance = kernel(features, features) + 1e-2 * np.eye(len(used))
         relative = photopic_lx[rows] / used.total_lx[:, None]
         coefficients = np.linalg.solve(covariance, relative)
-        year = MelanopicYear(kernel, features, coefficients, _TYPICAL, np.ones(0), 0.0)
+        start = _TYPICAL, np.ones(0), 0.0, u_camera_rel
+        year = MelanopicYear(kernel, features, coefficients, *start)
         weights, factors = _solve(_parts(used, year.sun_shares(used)), ratio[rows])
         return replace(year, weights=weights, factors=factors)
 
@@ -128,8 +156,7 @@ def fit_year(
         if rows.any():
             errors.append(fitted(rows).ratio(light[~rows]) / ratio[~rows])
     off = np.concatenate(errors) - 1.0 if errors else np.full((1, 1), 0.1)
-    u_rel = float(np.hypot(np.sqrt(np.mean(off**2)), u_colour_rel))
-    return replace(fitted(np.ones(len(day), bool)), u_rel=u_rel)
+    return replace(fitted(np.ones(len(day), bool)), u_fit_rel=float(np.sqrt(np.mean(off**2))))
 
 
 def _solve(parts: Floats, ratio: Floats) -> tuple[Floats, Floats]:
@@ -161,11 +188,11 @@ def has_colour(pairs: Path) -> bool:
 
 
 def year_of_captures(
-    pairs: Path, room: ModelRoom, azimuths_deg: Floats, u_scale: float
+    pairs: Path, room: ModelRoom, azimuths_deg: Floats, u_camera_rel: Mapping[str, float]
 ) -> MelanopicYear:
     """Fit the ratio to the pictures of a pairs.csv, in view directions [d].
 
-    u_scale: relative standard uncertainty of the camera's scale, which the ratio then includes.
+    u_camera_rel: relative standard uncertainty by each part of the camera's calibration.
     Raises NotEnoughDataError if no picture has melanopic colour.
     """
     views = panorama_views(room.height, room.width, room.heading_deg, azimuths_deg, room.seen)
@@ -195,6 +222,77 @@ def year_of_captures(
         np.array(photopic),
         np.array(melanopic),
         days,
-        float(np.hypot(u_rel, u_scale)),
+        {**u_camera_rel, "melanopic weight": u_rel},
         facades,
     )
+
+
+# ----------------------------------------------------------------------------------------------
+# the year's figures and their uncertainty budget
+
+BROWN_EDI_LX, BROWN_HOURS = 250.0, (6, 19)  # Brown et al., PLOS Biology 20 (2022)
+WELL_EDI_LX, WELL_HOURS = (109.0, 136.0, 163.0, 250.0), (9, 13)  # WELL v2, L03
+ENOUGH_HOURS = f"mEDI of {BROWN_EDI_LX:.0f} lx or more, hours 06:00 to 19:00"
+ENOUGH_DAYS = tuple(f"mEDI of {limit:.0f} lx or more, days 09:00 to 13:00" for limit in WELL_EDI_LX)
+
+
+@dataclass(frozen=True, slots=True)
+class YearHours:
+    """The n daylight hours of a number of days: `hour` of the day, and `day` from 0, [n] each.
+
+    Both are of local standard time.
+    """
+
+    hour: Array
+    day: Array
+    days: int
+
+    @classmethod
+    def of(cls, t_utc: Sequence[datetime], zone: str, days: int) -> YearHours:
+        """Return the hours of times; zone: IANA name; days: number of days, with dark ones."""
+        local = [standard_time(t, zone) for t in t_utc]
+        hour, day = np.array([(t.hour, t.toordinal()) for t in local]).reshape(-1, 2).T
+        return cls(hour, day - day.min(initial=day.max(initial=0)), max(days, 1))
+
+    def shares(self, edi_lx: Floats) -> dict[str, Floats]:
+        """Return shares of the year with enough melanopic light [%], by name, [d] each.
+
+        edi_lx [n, d]. `ENOUGH_HOURS` is of the hours from 06:00 to 19:00; `ENOUGH_DAYS` are of the
+        days on which all four hours from 09:00 to 13:00 have enough. Hours in the dark count as
+        without light. A direction without any EDI has NaN.
+        """
+        first, last = BROWN_HOURS
+        enough = edi_lx[(self.hour >= first) & (self.hour < last)] >= BROWN_EDI_LX
+        count = {ENOUGH_HOURS: enough.sum(axis=0) / (last - first)}
+        rows, first = np.isin(self.hour, range(*WELL_HOURS)), WELL_HOURS[0]
+        at = self.hour[rows] - first, self.day[rows]
+        least = np.zeros((WELL_HOURS[1] - first, int(at[1].max(initial=0)) + 1, edi_lx.shape[1]))
+        least[at] = edi_lx[rows]
+        least = least.min(axis=0)
+        limits = zip(ENOUGH_DAYS, WELL_EDI_LX, strict=True)
+        count |= {name: (least >= limit).sum(axis=0) for name, limit in limits}
+        has_edi = np.isfinite(edi_lx).any(axis=0)
+        return {k: np.where(has_edi, 100.0 * c / self.days, np.nan) for k, c in count.items()}
+
+
+def edi_budget(
+    colours: MelanopicYear, views: Mapping[str, Floats], hours: YearHours, azimuths_deg: Floats
+) -> list[budget.Budget]:
+    """Return the budgets of `YearHours.shares`, for each direction.
+
+    views: results of `MelanopicYear.figures` for all hours. Another year's weather is not in it.
+    """
+    edi, of_map = views["melanopic_edi_lx"], views["edi_of_map_lx"]
+    share, of_sun, u_fit = budget.of_share, edi - of_map, colours.u_fit_rel
+    fit = share("ratio by sky, sun and direction", "A", u_fit, budget.MODEL.shared_by)
+    at, more = hours.shares(edi), hours.shares(edi + views["edi_of_unseen_lx"])
+    changes = [
+        (budget.MODEL, views["edi_by_model_lx"]),
+        (fit, of_map * u_fit),
+        *budget.camera_changes(colours.u_camera_rel, of_map),
+        (share("illuminance of the sun's disc", "B", budget.U_DISC), of_sun * budget.U_DISC),
+        (share("colour of the sun's disc", "B", U_SUN_RATIO), of_sun * U_SUN_RATIO),
+        (budget.DISC_SEEN, np.moveaxis(views["edi_by_disc_lx"], -1, 0)),
+    ]
+    unseen = budget.UNSEEN, {name: more[name] - at[name] for name in at}
+    return budget.budgets_of_year(hours.shares, edi, azimuths_deg, changes, unseen, "%")

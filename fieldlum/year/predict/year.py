@@ -1,6 +1,7 @@
 """Run `predict`: from a model and weather to a year of figures."""
 
 import shutil
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -35,14 +36,13 @@ from fieldlum.sky.sky_view.view import NAME as SKY_VIEW
 from fieldlum.sky.sky_view.view import SkyView
 from fieldlum.version import __version__
 from fieldlum.weather import SYNTHETIC, Weather, read_weather
+from fieldlum.year.glare import uncertainty_budget as budget
 from fieldlum.year.glare.metrics import METRICS
 from fieldlum.year.glare.sources import view_azimuths_deg
 from fieldlum.year.glare.standards import DgpUncertainty, dgp_per_scale, protection
-from fieldlum.year.glare.uncertainty_budget import BUDGET_FILE, Budget, write_budgets, year_budget
-from fieldlum.year.predict import hour_blocks
+from fieldlum.year.predict import hour_blocks, melanopic
 from fieldlum.year.predict.annual import Annual, Pictures, read_annual, write_pictures
 from fieldlum.year.predict.hour_blocks import HourFigures, ModelRoom
-from fieldlum.year.predict.melanopic import has_colour, year_of_captures
 from fieldlum.year.predict.occupancy import (
     Occupancy,
     default_occupancy,
@@ -94,7 +94,7 @@ def run(
     folder = out or default_folder(model_folder)
     occupancy = default_occupancy() if occupancy_path is None else read_occupancy(occupancy_path)
     lit = None if not lamps else Occupancy("off") if lamps == "off" else read_occupancy(Path(lamps))
-    coloured = session if session is not None and has_colour(session.pairs) else None
+    coloured = session if session is not None and melanopic.has_colour(session.pairs) else None
     options = {"views": views, "occupancy": occupancy.text, "maps": maps, "seed": seed}
     options |= {"label_shift_min": label_shift_min, "lamps": lit.text if lit else ""}
     inputs = (
@@ -111,8 +111,7 @@ def run(
     hours_used, days = occupied_hours(occupancy, weather.t_utc, weather.site)
     colours = None
     if coloured is not None:
-        scale = scale_u_rel(coloured)
-        colours = year_of_captures(coloured.pairs, room, azimuths, scale)
+        colours = melanopic.year_of_captures(coloured.pairs, room, azimuths, camera_u_rel(coloured))
     _delete_earlier_year(folder)
     folder.mkdir(parents=True, exist_ok=True)
     store = hour_blocks.begin_maps(folder, len(light), room) if maps else None
@@ -124,6 +123,9 @@ def run(
     summary = structs.replace(about, inputs=inputs, days=days)
     annual = Annual(light.t_utc, azimuths, found.hours, _columns(found), folder, summary)
     annual, budgets = _judged(annual, found.uncertainty, hours_used, room, session, seed)
+    if colours is not None:
+        hours = melanopic.YearHours.of(light.t_utc, weather.site.timezone, days)
+        budgets += melanopic.edi_budget(colours, found.views, hours, azimuths)
     if store:
         hour_blocks.finish_maps(folder, annual, room)
     pictures = report_pictures(load(model_folder), room, light, annual)
@@ -166,17 +168,17 @@ def _judged(
     room: ModelRoom,
     session: Session | None,
     seed: int,
-) -> tuple[Annual, list[Budget]]:
+) -> tuple[Annual, list[budget.Budget]]:
     """Return the year with the classes of its directions, and the budgets of their exceeded DGP.
 
     hours_used: number of occupied hours, lit and dark ones.
     """
     used, azimuths, summary = annual.occupied, annual.azimuths_deg, annual.summary
     dgp, ev_lx, u = annual.views["dgp"][used], annual.views["ev_lx"][used], uncertainty.hours(used)
-    u_scale = 0.0 if session is None else scale_u_rel(session)
-    of_scale, rng = u_scale * dgp_per_scale(dgp, ev_lx), np.random.default_rng(seed)
-    rows = protection(dgp, u, hours_used, azimuths, rng, of_scale)
-    budgets = year_budget(dgp, ev_lx, u, hours_used, azimuths, u_scale)
+    camera = {} if session is None else camera_u_rel(session)
+    u_rel, rng = float(np.linalg.norm([*camera.values()])), np.random.default_rng(seed)
+    rows = protection(dgp, u, hours_used, azimuths, rng, u_rel * dgp_per_scale(dgp, ev_lx))
+    budgets = budget.year_budget(dgp, ev_lx, u, hours_used, azimuths, camera)
     count = int(used.sum())
     untrusted, wide = (float(hours.sum()) / max(count, 1) for hours in unsure_hours(annual))
     shares = (
@@ -187,30 +189,34 @@ def _judged(
         summary,
         occupancy=YearOccupancy(summary.inputs["occupancy"], hours_used, count, *unsure),
         seen_share=tuple(round(float(share), 3) for share in shares),
-        u_scale_rel=u_scale,
+        u_scale_rel=u_rel,
         notes=(*_notes(summary, room, untrusted, wide), *_unseen_notes(rows)),
         protection=rows,
     )
     return replace(annual, summary=summary), budgets
 
 
-def _write(annual: Annual, budgets: list[Budget], pictures: Pictures, zone: str) -> None:
+def _write(annual: Annual, budgets: list[budget.Budget], pictures: Pictures, zone: str) -> None:
     folder = annual.folder
     annual.write(folder, zone)
     write_pictures(folder / "pictures.npz", pictures)
-    with sealed(folder / BUDGET_FILE):
-        write_budgets(folder / BUDGET_FILE, ((folder.name, budget) for budget in budgets))
+    with sealed(folder / budget.BUDGET_FILE):
+        budget.write_budgets(folder / budget.BUDGET_FILE, ((folder.name, each) for each in budgets))
     annual.summary.write(folder)  # the last file, so that a folder with it is complete
 
 
-def scale_u_rel(session: Session) -> float:
-    """Return the relative standard uncertainty that the scale of all captures shares.
+def camera_u_rel(session: Session) -> dict[str, float]:
+    """Return the relative standard uncertainties that all captures share, by part of the camera.
 
-    It is that of the camera's scale and colour in the newest panorama; 0 if no panorama states it.
+    They are those in the newest panorama, without that of the exposures, which each bracket has for
+    itself; empty if no panorama states any.
     """
-    sidecar = newest_sidecar(session)
-    percents = {} if sidecar is None else sidecar.factors.get("u_percent", {})
-    return float(np.hypot(percents.get("k", 0.0), percents.get("colour", 0.0))) / 100
+    files, sidecar = session.panorama_files(), newest_sidecar(session)
+    stated = budget.shared_u_rel(read_panorama(files[-1])) if files else {}
+    if not stated and sidecar is not None:  # a panorama of 0.1.0
+        percents = sidecar.factors.get("u_percent", {})
+        stated = {"scale": float(np.hypot(percents.get("k", 0), percents.get("colour", 0))) / 100}
+    return {name: u_rel for name, u_rel in stated.items() if name != "exposures"}
 
 
 # ----------------------------------------------------------------------------------------------
@@ -385,32 +391,19 @@ def _delete_earlier_year(folder: Path) -> None:
 # ----------------------------------------------------------------------------------------------
 # summary: classes of glare protection, notes
 
-HOURLY_MEANS = (
-    "Each hour of the year has one value of the weather. In most weather files it is a mean: under "
-    "broken cloud the sun comes and goes within the hour, but the mean shows a constant, dimmed "
-    "sun. In files of PVGIS it is one moment, which stands for the hour. So the number of glare "
-    "hours can be too low or too high."
-)
 _WIDE_DGP = 0.2  # an interval of this width spans all classes (EN 17037: 0.35 to 0.45)
-
-
-_UNSEEN_NOTES = {
-    projection.NOT_SEEN: "have no result: the camera's lens saw less than half of them; turn the "
-    "camera to more headings, or use a lens that sees more",
-    projection.PARTLY_SEEN: "have bounds only: the lens saw 50 to 98 % of them, and the intervals "
-    "assume that the unseen part has between 0 cd/m2 and the larger of the sky's mean luminance "
-    "and the brightest hundredth of the seen pixels; turn the camera to more headings for smaller "
-    "intervals",
-}
+_NOTES: dict[str, str] = tomllib.loads(
+    Path(__file__).with_name("notes.toml").read_text(encoding="utf-8")
+)
 
 
 def _unseen_notes(rows: Sequence[DirectionYear]) -> Iterator[str]:
     """Yield a note on directions without a result, and a note on directions with bounds only."""
-    for word, meaning in _UNSEEN_NOTES.items():
+    for word in (projection.NOT_SEEN, projection.PARTLY_SEEN):
         of = [row.azimuth_deg for row in rows if row.seen == word]
         if of:
             named = ", ".join(f"{a:.0f}° ({projection.compass_name(a)})" for a in of)
-            yield f"the view directions {named} {meaning}"
+            yield _NOTES[word].format(named=named)
 
 
 def unsure_hours(annual: Annual) -> tuple[Mask, Mask]:
@@ -426,24 +419,17 @@ def unsure_hours(annual: Annual) -> tuple[Mask, Mask]:
 
 
 def _notes(summary: PredictFile, room: ModelRoom, untrusted: float, wide: float) -> list[str]:
-    notes, days = [HOURLY_MEANS], summary.days
+    notes, days = [_NOTES["hourly_means"]], summary.days
     if days < 360:  # a weather file of a year may lack some days
-        notes.append(
-            f"the weather has {days} days, not a year: glare classes are for these days only"
-        )
+        notes.append(_NOTES["few_days"].format(days=days))
     if summary.weather.synthetic:
-        notes.append("the weather is synthetic: it must not be used to judge this place")
+        notes.append(_NOTES["synthetic"])
     notes += list(room.sky_view.notes) if room.sky_view else [room.disc_from]
     if untrusted + wide > 0.05:
         mirror = "a mirrored sun may be in view, " if room.mirrors else ""
-        notes.append(
-            f"DGP is uncertain in {100 * (untrusted + wide):.0f} % of the occupied hours with "
-            f"daylight. In {100 * untrusted:.0f} % no similar light was captured, {mirror}or the "
-            f"model expects a large error. In {100 * wide:.0f} % the 95 % interval is wider than "
-            f"{_WIDE_DGP:g} in some direction: often the sky view does not decide whether the "
-            "sun's disc is seen; capture clear hours with the sun in a window, which also give the "
-            "camera's heading"
-        )
+        percents = {"untrusted": 100 * untrusted, "wide": 100 * wide, "limit": _WIDE_DGP}
+        unsure = 100 * (untrusted + wide)
+        notes.append(_NOTES["unsure"].format(unsure=unsure, mirror=mirror, **percents))
     return notes
 
 
