@@ -10,25 +10,13 @@ from zoneinfo import ZoneInfo
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import SiteFile
 from fieldlum.optics import profiles
-from fieldlum.report import sections
-from fieldlum.report.page import (
-    TEXTS,
-    Page,
-    Section,
-    Table,
-    class_name,
-    named,
-    read_texts,
-    render,
-    sentence,
-)
+from fieldlum.report import page, sections
+from fieldlum.report.page import Page, Section, Table, class_name, named, render, sentence
 from fieldlum.session import Session, sha256
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.version import __version__
 from fieldlum.year.predict import Annual
 from fieldlum.year.predict.melanopic import WELL_EDI_LX
-
-_ABOUT = TEXTS["assessor_title"], TEXTS["assessor"]
 
 
 def _requirements(annual: Annual, zone: str) -> Table:
@@ -52,7 +40,7 @@ def _requirements(annual: Annual, zone: str) -> Table:
     words = {"found": found, "sdg": sdg, "edi": edi, "well": well, "hours": len(annual)}
     rows = [
         [row[key].format(**words) for key in ("requirement", "asks", "found", "missing")]
-        for row in read_texts("requirements.toml")["row"]
+        for row in page.read_texts("requirements.toml")["row"]
     ]
     head = ("requirement", "what it asks", "what was found", "what is missing")
     return Table(head, rows, words=True)
@@ -113,12 +101,13 @@ def assessor_page(session: Session, annual: Annual | None) -> str:
     roles = [(role, "", "", "") for role in ("measured by", "calculated by", "checked by")]
     signatures = Table(("role", "name", "date", "signature"), roles, words=True)
     zone = site.timezone
+    method = " ".join((page.TEXTS["method"], *map(sentence, summary.notes[:1])))
     shown = (
         Section("requirements", "Requirements", tables=(_requirements(annual, zone),)),
         sections.directions_section(annual)._replace(title="Glare by view direction"),
         sections.melanopic_section(annual, zone),
         sections.budget_section(annual, folded=False),
-        Section("method", "Method", " ".join((TEXTS["method"], *map(sentence, summary.notes[:1])))),
+        Section("method", "Method", method),
         Section("instruments", "What was measured", tables=(_instruments(session, setup),)),
         Section("versions", "Versions and files", tables=(_words(versions),)),
         Section("signatures", "Signatures", tables=(signatures,)),
@@ -129,4 +118,5 @@ def assessor_page(session: Session, annual: Annual | None) -> str:
         ("occupied hours", f"{occupancy.hours}"),
     )
     title = f"{site.name}: glare and daylight for an assessor"
-    return render(Page(title, *_ABOUT, facts, shown, sections.warnings_of(session, annual)))
+    about = page.TEXTS["assessor_title"], page.TEXTS["assessor"]
+    return render(Page(title, *about, facts, shown, sections.warnings_of(session, annual)))
