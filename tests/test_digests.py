@@ -5,7 +5,6 @@ import warnings
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,7 +15,6 @@ from fieldlum.cli import main
 from fieldlum.core.errors import ChangedFileWarning
 from fieldlum.core.records import Panorama
 from fieldlum.optics.images import write_panorama
-from fieldlum.report import _budget_section
 from fieldlum.session import sha256
 from fieldlum.session.codec import sealed, write_csv
 from fieldlum.session.files.hourly_csv import HOUR_COLUMNS, VIEW_COLUMNS, HourlyFile
@@ -33,7 +31,7 @@ from fieldlum.session.panorama_sun import (
 )
 from fieldlum.sky.sky_view.picture import SkyGrid
 from fieldlum.sky.sky_view.view import CHANNELS, SkyView
-from fieldlum.year.glare.uncertainty_budget import COLUMNS
+from fieldlum.year.glare.uncertainty_budget import COLUMNS, read_budgets
 
 NOON = datetime(2027, 6, 21, 12, tzinfo=UTC)
 
@@ -88,7 +86,7 @@ READERS: dict[Callable[[Path], Path], Callable[[Path], object]] = {
     predict: lambda path: PredictFile.read(path.parent),
     scores: lambda path: ScoresFile.read(path.parent),
     suns: read_suns,
-    budget: lambda path: _budget_section(SimpleNamespace(folder=path.parent)),  # type: ignore[arg-type]
+    budget: read_budgets,
 }
 
 
