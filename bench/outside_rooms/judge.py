@@ -1,18 +1,21 @@
 """Judge fieldlum on rooms that other programs rendered: a line of JSON and one of text a room.
 
-    python bench/outside_rooms/judge.py FIELDLUM OUT ROOM.toml [ROOM.toml ...]
+    python bench/outside_rooms/judge.py FIELDLUM OUT ROOM.toml [ROOM.toml ...] [--days 2|4]
+                                        [--captures N]
 
 FIELDLUM is the command, for example .venv/bin/fieldlum. Each room: nine days, tested on hours of
 the year, with: no patch (none), no [room] at all (free), the tape-measure room (box), the scene
 fitted from it (scene), the renderer's own patches (exact). Besides errors of maps and of DGP, it
 counts the hours with the sun's disc in view (shown, missed, phantom) and the wrong glare classes.
+--days keeps the middle days of June and December, or those and two of March; --captures keeps N
+captures, evenly spaced.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
 import subprocess
-import sys
 import time
 import tomllib
 from pathlib import Path
@@ -49,10 +52,25 @@ def figures(answer: Json) -> Json:
     return {key: model.get(key) for key in KEYS}
 
 
-def judge(fieldlum: str, file: Path, case: Path) -> Json:
+def kept(rows: list[str], days: int | None, captures: int | None) -> list[str]:
+    """Return some lines of a pairs.csv, whose first column is the time in UTC."""
+    if days:
+        every = sorted({row[:10] for row in rows})
+        month = {m: [day for day in every if day[5:7] == m] for m in ("03", "06", "12")}
+        named = [month["06"][1], month["12"][1], *(month["03"][:2] if days == 4 else ())]
+        rows = [row for row in rows if row[:10] in named]
+    if captures:
+        rows = [rows[k * len(rows) // captures] for k in range(captures)]
+    return rows
+
+
+def judge(fieldlum: str, file: Path, case: Path, days: int | None, captures: int | None) -> Json:
     """Return the figures of one room."""
     room = tomllib.loads(file.read_text())
     write_case(room, file.parent / room["npz"], case)
+    for table in case.glob("*/9d.csv"):
+        head, *rows = table.read_text().splitlines()
+        table.write_text("\n".join([head, *kept(rows, days, captures), ""]))
     tape, exact, free, scene = (case / part for part in ("tape", "exact", "free", "scene"))
     site = ["--site", str(tape / "site.toml"), "--out", str(scene), "--json"]
     fit, why, fit_s = run([fieldlum, "scene", "fit", str(tape / "9d.csv"), *site])
@@ -105,8 +123,16 @@ def _short(value: float | None) -> str:
 
 
 def main() -> None:
-    for file in map(Path, sys.argv[3:]):
-        row = judge(sys.argv[1], file, Path(sys.argv[2]) / file.stem)
+    parser = argparse.ArgumentParser(description="Judge fieldlum on rooms of other renderers.")
+    parser.add_argument("fieldlum")
+    parser.add_argument("out", type=Path)
+    parser.add_argument("rooms", type=Path, nargs="+")
+    parser.add_argument("--days", type=int, choices=(2, 4))
+    parser.add_argument("--captures", type=int)
+    wanted = parser.parse_args()
+    for file in wanted.rooms:
+        case = wanted.out / file.stem
+        row = judge(wanted.fieldlum, file, case, wanted.days, wanted.captures)
         print(json.dumps(row), flush=True)
         print(line(row), flush=True)
 
