@@ -37,6 +37,8 @@ COLUMNS = (
     "dgp_mse_own_disc",
     "dgp_mse",
     "bias_log10",
+    "rammg_mse",
+    "rammg_mse_cut",
     "n_train",
     "n_test",
     "fit_s",

@@ -45,6 +45,7 @@ PERIODS = {
     "paper_rer": "paper RER",
     "dgp_mse_own_disc": "DGP MSE, own disc",
     "dgp_mse": "DGP MSE, true disc",
+    "rammg_mse": "RAMMG MSE",
     "worst": "worst",
     "trusted_share": "trusted",
 }

@@ -41,6 +41,7 @@ SCORE_KEYS = (
     "median",
     "worst",
     "dgp_mse",
+    "rammg_mse",
     "expected_log10_mse",
     "in_90_band",
     "trusted_share",

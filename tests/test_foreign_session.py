@@ -27,7 +27,7 @@ from places import SEATTLE
 from tiny_field import T0, Field, make_session
 
 from fieldlum.calibrate.fit_charts import grey_picture
-from fieldlum.capture.alerts import open_alerts
+from fieldlum.capture.alerts import _latest_contact_sheet, open_alerts
 from fieldlum.capture.notify import Message
 from fieldlum.cli import main
 from fieldlum.core.errors import InputError
@@ -884,3 +884,12 @@ def test_an_outbox_of_another_computer_is_not_sent(tmp_path: Path) -> None:
     with open_alerts(session, lambda message: not sent.append(message), "", print) as remote:
         remote.send(Message("own", ""))
     assert [message.title for message in sent] == ["own"] and stored.is_file()
+
+
+def test_the_contact_sheet_of_a_summary_is_no_link(tmp_path: Path) -> None:
+    session = make_session(tmp_path / "s")
+    session.panoramas.mkdir()
+    (session.panoramas / "contact-1.png").symlink_to("/etc/passwd")
+    assert _latest_contact_sheet(session) is None
+    (session.panoramas / "contact-0.png").touch()
+    assert _latest_contact_sheet(session) == session.panoramas / "contact-0.png"

@@ -15,6 +15,8 @@ from fieldlum.core.records import Flag, Panorama, SunSource
 from fieldlum.optics.images import write_panorama, write_radiance_hdr
 from fieldlum.optics.projection import equirect_solid_angles
 from fieldlum.year.glare.metrics import (
+    local_contrast,
+    rammg,
     region_ratios,
     region_weights,
 )
@@ -168,6 +170,24 @@ def test_directions_that_no_lens_saw_are_said(tmp_path: Path, maps: np.ndarray) 
 
 # ----------------------------------------------------------------------------------------------
 # contrast
+
+
+@pytest.mark.analytic
+def test_rammg_of_one_step() -> None:
+    # analytic: an edge in the middle of the full-size level; the neighbours across it weigh 1 + 2 /
+    # sqrt(2).
+    image = np.zeros((20, 40))
+    image[:, 20:] = 10.0
+    share = (1 + np.sqrt(2)) / (4 + 2 * np.sqrt(2))
+    contrast = local_contrast(image)
+    assert contrast[5, 19] == pytest.approx(10 * share)
+    assert contrast[0].max() == 0.0
+    assert local_contrast(image).mean() == pytest.approx(10 * share * 2 * 18 / 800)
+
+
+@pytest.mark.property
+def test_rammg_scales_with_luminance(maps: np.ndarray) -> None:
+    assert rammg(7 * maps) == pytest.approx(7 * rammg(maps))
 
 
 @pytest.mark.analytic

@@ -310,7 +310,7 @@ def test_a_perfect_prediction_scores_nothing_and_nan_is_never_unseen() -> None:
 
     oracle = Oracle()
     found = summary(evaluate(oracle, truth(TEST)))  # type: ignore[arg-type]
-    assert found["paper_log10_mse"] == 0.0 and found["dgp_mse"] == 0.0
+    assert found["paper_log10_mse"] == 0.0 and found["dgp_mse"] == 0.0 and found["rammg_mse"] == 0.0
     oracle.maps[0, 0, 0] = np.nan
     with pytest.raises(FloatingPointError):
         evaluate(oracle, truth(TEST))  # type: ignore[arg-type]

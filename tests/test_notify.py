@@ -266,6 +266,31 @@ def test_the_day_is_summed_up_once_at_local_midnight() -> None:
     assert state.look(datetime(2027, 3, 22, 12, 0, tzinfo=UTC), None, None) == []
 
 
+@pytest.mark.contract
+def test_the_summary_carries_the_sheet_that_was_written_last(session: Session) -> None:
+    """A month of capture: the sheets are written after the capture began, contact-10 after -9."""
+    import os
+
+    from fieldlum.capture.alerts import open_alerts
+
+    arrived: list[Message] = []
+
+    def post(message: Message) -> bool:
+        arrived.append(message)
+        return True
+
+    with open_alerts(session, post, "", lambda text: None, with_picture=True) as remote:
+        session.panoramas.mkdir(exist_ok=True)
+        for second, number in enumerate((9, 10)):
+            sheet = session.panoramas / f"contact-{number}.png"
+            sheet.write_bytes(b"png")
+            os.utime(sheet, (1000 + second, 1000 + second))
+        remote.listen("done", T0, {"slot": "20270320T153000Z", "why": ""})
+        remote.listen("done", T0 + timedelta(days=1), {"slot": "20270321T153000Z", "why": ""})
+        assert until(lambda: bool(arrived))
+    assert arrived[0].picture is not None and arrived[0].picture.name == "contact-10.png"
+
+
 # The capture itself
 
 

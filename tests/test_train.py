@@ -44,6 +44,7 @@ KEYS = {
     "paper_log10_mse",
     "paper_rer",
     "dgp_mse",
+    "rammg_mse",
 }
 
 

@@ -32,6 +32,7 @@ ERRORS = (
     "paper_rer",
     "dgp_mse",
     "dgp_mse_own_disc",
+    "rammg_mse",
 )
 
 

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import date, datetime, timedelta
+from pathlib import Path
 from threading import Lock
 from zoneinfo import ZoneInfo
 
@@ -17,6 +18,7 @@ from fieldlum.capture.runner import Live
 from fieldlum.core.records import parse_utc
 from fieldlum.session import Session
 from fieldlum.session.journal import EventFields
+from fieldlum.session.safe_paths import link_on_the_way
 from fieldlum.session.slot_states import SETTLED
 
 
@@ -30,13 +32,15 @@ class Alerts:
 
     `listen` takes journal events, `look` the state of the capture; both return at once. Events come
     from the capture and from the thread that logs irradiance, so a lock guards the alerts. name,
-    timezone: of the site; send: sends a message; beat: sends a heartbeat.
+    timezone: of the site; send: sends a message; beat: sends a heartbeat; contact_sheet: called for
+    a daily summary, returns the picture to attach, or None.
     """
 
     name: str
     timezone: str
     send: Callable[[Message], None]
     beat: Callable[[], None] = lambda: None
+    contact_sheet: Callable[[], Path | None] = lambda: None
     _lock: Lock = field(default_factory=Lock)
     _away_since: dict[str, datetime] = field(default_factory=dict)
     _reported_away: set[str] = field(default_factory=set)
@@ -126,15 +130,17 @@ class Alerts:
                 f"{counts['missed']} missed, {counts['aborted']} aborted."
             )
             body += "" if ghi is None else f" Highest global irradiance {ghi:.0f} W/m2."
-            self._send(f"summary of {ended.isoformat()}", body)
+            self._send(f"summary of {ended.isoformat()}", body, self.contact_sheet())
 
-    def _send(self, title: str, body: str, once: datetime | None = None) -> None:
+    def _send(
+        self, title: str, body: str, picture: Path | None = None, once: datetime | None = None
+    ) -> None:
         """Send a message; once: the time, for a title that is sent at most every six hours."""
         if once is not None:
             if title in self._last and once - self._last[title] < timedelta(hours=6):
                 return
             self._last[title] = once
-        self.send(Message(f"fieldlum {self.name}: {title}", body))
+        self.send(Message(f"fieldlum {self.name}: {title}", body, picture))
 
     def _local(self, t_utc: datetime) -> str:
         return f"{t_utc.astimezone(ZoneInfo(self.timezone)):%Y-%m-%d %H:%M}"
@@ -150,11 +156,14 @@ def open_alerts(
     post: Post | None,
     heartbeat_address: str,
     say: Callable[[str], None],
+    *,
+    with_picture: bool = False,
 ) -> Iterator[Alerts]:
     """Yield the object that a capture calls to send messages and heartbeats; then close it.
 
     post: sends one message; None without targets. heartbeat_address: "" without a monitor. say:
-    called with notes for the user's terminal.
+    called with notes for the user's terminal. with_picture: attach the latest contact sheet to the
+    daily summary; the sheet may show people.
     """
     site = session.site_file().site
     outbox = Outbox(post, say) if post is not None else None
@@ -164,6 +173,7 @@ def open_alerts(
         timezone=site.timezone,
         send=outbox.put if outbox else lambda message: None,
         beat=heartbeat.beat if heartbeat else lambda: None,
+        contact_sheet=(lambda: _latest_contact_sheet(session)) if with_picture else lambda: None,
     )
     try:
         yield alerts
@@ -172,3 +182,12 @@ def open_alerts(
             heartbeat.close()
         if outbox is not None and (waiting := outbox.close()):
             say(f"note: {waiting} messages could not be sent")
+
+
+def _latest_contact_sheet(session: Session) -> Path | None:
+    """Return the contact sheet that merge wrote last; None if there is none."""
+    with suppress(OSError):  # a sheet may just be replaced, or the disk may be away
+        found = session.panoramas.glob("contact-*.png")
+        sheets = (path for path in found if link_on_the_way(session.root, path) is None)
+        return max(sheets, key=lambda path: path.stat().st_mtime, default=None)
+    return None

@@ -21,10 +21,11 @@ FIRST_PAUSE_S, MAX_PAUSE_S = 30.0, 900.0  # for services that limit requests; a 
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """A message to a user: its title and its text."""
+    """A message to a user: title, text and an optional picture, attached if the file exists."""
 
     title: str
     body: str
+    picture: Path | None = None
 
 
 Post = Callable[[Message], bool]
@@ -149,7 +150,8 @@ def apprise_post(targets: Sequence[str], source: Path | str = "targets") -> Post
         raise InputError(source, f"apprise does not understand address {number}", expected, remedy)
 
     def post(message: Message) -> bool:
-        return bool(sender.notify(title=message.title, body=message.body))
+        attach = str(message.picture) if message.picture and message.picture.is_file() else None
+        return bool(sender.notify(title=message.title, body=message.body, attach=attach))
 
     return post
 

@@ -36,6 +36,7 @@ def command(
     grace_s: Annotated[float | None, click.FloatRange(min=0)] = None,
     every_s: Annotated[float, click.FloatRange(min=0.1)] = 5.0,
     notify: str = "",
+    notify_picture: bool = False,
     heartbeat: str = "",
 ) -> None:
     """Take the planned brackets and log irradiance.
@@ -54,6 +55,8 @@ def command(
       --every S: Seconds between irradiance rows.
       --notify @FILE: Send faults and a daily summary to the apprise addresses in FILE, one
           per line (mailto://, ntfy://, tgram:// ...).
+      --notify-picture: Attach the latest contact sheet to the daily summary; it may show
+          people.
       --heartbeat @FILE: Fetch the address in FILE after each slot and every 10 minutes, for
           an external monitor.
     """
@@ -87,7 +90,7 @@ def command(
         terminal.unattended(),
         awake,
         simulated() if clock == "fast" else shown(session.site_file().site) as display,
-        open_alerts(session, post, address, terminal.say) as remote,
+        open_alerts(session, post, address, terminal.say, with_picture=notify_picture) as remote,
     ):
 
         def watch(live: Live) -> None:

@@ -4,8 +4,9 @@ Luminance errors and `dgp_mse` use the true sun disc in truth and prediction, so
 map. For the prediction, `dgp_mse_own_disc` uses the disc that a user gets: from the sky view.
 
 That paper's way: floor 1 cd/m2; unweighted log10 MSE over all pixels and images; one RER = sqrt(sum
-e^2 / sum t^2) of log10 L over the complete test; DGP of ten views.
-By solid angle: weights with a mean of 1; mean, median, 90th percentile and worst image.
+e^2 / sum t^2) of log10 L over the complete test; DGP of ten views; RAMMG in cd/m2 of five pyramid
+levels, with and without the authors' cut at 500. By solid angle: weights with a mean of 1; mean,
+median, 90th percentile and worst image.
 """
 
 import time
@@ -32,7 +33,7 @@ from fieldlum.year.glare.sources import Views, panorama_views, view_azimuths_deg
 
 FLOOR_CDM2 = 1.0  # paper
 # fields of `Scores` that `evaluate` adds: those that need glare, and the times
-_GLARE = ("dgp_mse", "dgp_mse_own_disc", "dgp_mae", "ev_error")
+_GLARE = ("dgp_mse", "dgp_mse_own_disc", "dgp_mae", "rammg_error", "rammg_truth", "ev_error")
 _ADDED = (*_GLARE, "seconds", "cpu_s")
 
 
@@ -43,7 +44,8 @@ class Scores:
     Errors are of log10 luminance L, predicted less true. mse_weighted, mse: mean squared error
     of the pixels, by solid angle or equally weighted; truth2, truth2_weighted: the same of true
     log10 L; dgp_mse, dgp_mae: mean over ten views of the squared and absolute
-    error of DGP; expected_mse: error that the model itself
+    error of DGP; rammg_error: RAMMG
+    predicted less true; rammg_truth: true RAMMG; expected_mse: error that the model itself
     expected; trusted: whether the model trusts the hour; ev_error: mean absolute error of ln Ev;
     day: local date; weight: of the hour in choices (`choice_weights`); slots: names of the hours.
     DGP and Ev are those of fully seen view directions, of all ten if no lens sees one. dgp_mse has
@@ -61,6 +63,8 @@ class Scores:
     dgp_mse_own_disc: Floats
     bias_log10: Floats
     dgp_mae: Floats
+    rammg_error: Floats
+    rammg_truth: Floats
     expected_mse: Floats
     trusted: Mask
     in_band: Floats
@@ -100,9 +104,10 @@ class Truth:
 
     data: n test captures; weights: of the pixels, by solid angle [H, W]; views: ten view
     directions; glare_maps: mask [n] of the maps for which glare is computed; dgp: true DGP of the
-    views [n, 10], NaN where not computed; ev_lx: true vertical illuminance [n, 10]; full: mask [10]
-    of the views that a lens saw completely, or all; weight: of the hours in choices [n];
-    own_disc_lx: the sun disc's illuminance by the sky view [n], NaN without glare.
+    views [n, 10]; rammg_cdm2: true contrast [n]; both NaN where not computed; ev_lx: true vertical
+    illuminance [n, 10]; full: mask [10] of the views that a lens saw completely, or all; weight: of
+    the hours in choices [n]; own_disc_lx: the sun disc's illuminance by the sky view [n], NaN
+    without glare.
     """
 
     data: Dataset
@@ -110,6 +115,7 @@ class Truth:
     views: Views
     glare_maps: Mask
     dgp: Floats
+    rammg_cdm2: Floats
     ev_lx: Floats
     full: Mask
     weight: Floats
@@ -119,7 +125,7 @@ class Truth:
 def truth(data: Dataset, *, glare: bool = True) -> Truth:
     """Compute what `evaluate` needs of a test set and what does not depend on the model.
 
-    glare: also compute DGP of at most 150 true maps, spread evenly over `data`, and
+    glare: also compute DGP and RAMMG of at most 150 true maps, spread evenly over `data`, and
     the sun discs by the sky view; if False, glare is scored for no map.
     """
     n = len(data)
@@ -129,22 +135,29 @@ def truth(data: Dataset, *, glare: bool = True) -> Truth:
     azimuths_deg = view_azimuths_deg(data.heading_deg)
     views = panorama_views(*data.shape, data.heading_deg, azimuths_deg, data.seen)
     d = len(views.azimuths_deg)
-    dgp, ev = np.full((n, d), np.nan), np.full((n, d), np.nan)
+    dgp, ev, rammg = np.full((n, d), np.nan), np.full((n, d), np.nan), np.full(n, np.nan)
     for rows in _chunks(np.flatnonzero(with_glare)):
         part = data.take(rows)
         suns, maps = part.light.apparent_sun_direction, part.luminance_cdm2
         glare_of = metrics.glare_directions(maps, views, suns, part.disc_lx)
         dgp[rows], ev[rows] = glare_of["dgp"], glare_of["ev_lx"]
+        rammg[rows] = _rammg(maps, part)
     own_disc = disc_lx(data.sky_view, data.setup, data.light) if glare else np.full(n, np.nan)
     full = np.array(metrics.view_coverage(views).words) == SEEN
     full = full if full.any() else np.ones(d, bool)
     weight = choice_weights(data)
-    return Truth(data, data.weights, views, with_glare, dgp, ev, full, weight, own_disc)
+    return Truth(data, data.weights, views, with_glare, dgp, rammg, ev, full, weight, own_disc)
 
 
 def _chunks(rows: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
     for start in range(0, len(rows), 24):  # limits the memory
         yield rows[start : start + 24]
+
+
+def _rammg(maps: Floats32, data: Dataset) -> Floats:
+    """Return RAMMG of maps with the true disc, [n] cd/m2."""
+    with_disc = add_disc(maps, data.light, data.disc_lx, data.heading_deg)
+    return np.array([metrics.rammg(image) for image in with_disc])
 
 
 def evaluate(fitted: Fitted, test: Truth) -> Scores:
@@ -227,6 +240,8 @@ def _glare_errors(
     scores.dgp_mse[with_glare] = mean((glare["dgp"] - true_dgp) ** 2)
     scores.dgp_mae[with_glare] = mean(np.abs(glare["dgp"] - true_dgp))
     scores.ev_error[with_glare] = mean(np.abs(np.log((glare["ev_lx"] + 1.0) / (true_ev + 1.0))))
+    scores.rammg_truth[with_glare] = true_rammg = test.rammg_cdm2[rows[with_glare]]
+    scores.rammg_error[with_glare] = _rammg(maps, judged) - true_rammg
     # Maps are stored with 58 rows at least, as the smallest panoramas of a demo have.
     measured, predicted = (
         np.log10(np.maximum(m.thin(58).luminance_cdm2, FLOOR_CDM2)).astype(np.float16)
@@ -254,7 +269,8 @@ def summary(scores: Scores) -> ScoreFigures:
 
     A figure that was not computed is None.
     """
-    errors = scores.errors
+    # The code of Liu, Colburn and Inanici 2020 omits maps above 500 cd/m2.
+    kept, errors = scores.rammg_truth < 500.0, scores.errors
     return {
         "log10_mse_weighted": float(scores.mse_weighted.mean()),
         "rer_weighted": float(
@@ -271,6 +287,8 @@ def summary(scores: Scores) -> ScoreFigures:
         "expected_log10_mse": _mean(scores.expected_mse),
         "trusted_share": float(scores.trusted.mean()),
         "dgp_mae": _mean(scores.dgp_mae),
+        "rammg_mse": _mean(scores.rammg_error**2),
+        "rammg_mse_cut": _mean(np.where(kept, scores.rammg_error**2, np.nan)),
         "n_test": len(scores),
         "predict_s_per_map": float(scores.seconds.mean()),
         "predict_cpu_s_per_map": float(scores.cpu_s.mean()),

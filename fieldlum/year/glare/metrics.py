@@ -1,13 +1,19 @@
-"""Compute glare metrics, ratios of regions and bounds of DGP for all directions around a panorama.
+"""Compute glare metrics, contrast and bounds of DGP for all directions around a panorama.
 
 Vertical illuminance of all hours and directions is one matrix product with exact solid angles.
 Glare sources are grouped once for each hour (see `sources`) and summed for all directions by small
 products. The sun must not be in the pixels: it is a separate source with a direction, a normal
 illuminance at the lens and a solid angle.
+
+RAMMG is the mean local contrast over the levels of a picture pyramid (Rizzi, Algeri, Medeghini and
+Marini 2004). In cd/m2 it follows the code of Liu, Colburn and Inanici 2020: five levels, halved by
+OpenCV's bilinear resize; eight neighbours weighted 1 and 1/sqrt(2) over 4 + 2 sqrt(2); border
+pixels count as no contrast; no solid angles; no wrap at the seam.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -366,12 +372,45 @@ def unseen_dgp_bounds(
 
 
 # ----------------------------------------------------------------------------------------------
-# ratios of regions
+# contrast
 
+RAMMG_LEVELS = 5  # as the authors' code (Liu, Colburn and Inanici 2020)
 # The task is a cone around a desk in front of an observer who looks horizontally. Chosen.
 TASK_ALTITUDE_DEG = -30.0
 TASK_RADIUS_DEG = 15.0
 BAND_DEG = 20.0  # the 40-degree horizontal band of Van Den Wymelenberg and Inanici 2014
+
+
+def local_contrast(image: Floats) -> Floats:
+    """Return the weighted mean absolute difference of each pixel to its eight neighbours, [H, W].
+
+    Diagonal neighbours have the weight 1 / sqrt(2), the others 1. Pixels on the border of the image
+    [H, W] are 0.
+    """
+    values = np.asarray(image, np.float64)
+    inner, out = values[1:-1, 1:-1], np.zeros_like(values)
+    height, width = inner.shape
+    for row, column in product((0, 1, 2), (0, 1, 2)):
+        near = values[row : height + row, column : width + column]
+        diagonal = row != 1 and column != 1
+        out[1:-1, 1:-1] += np.abs(inner - near) / (np.sqrt(2.0) if diagonal else 1.0)
+    return out / (4.0 + 2.0 * np.sqrt(2.0))
+
+
+def rammg(luminance_cdm2: Floats) -> float:
+    """Return RAMMG [cd/m2] of a map [H, W] in cd/m2: the mean contrast of five pyramid levels.
+
+    The first level is the map; each further one has half the rows and columns of the level before.
+    Remove a sun disc from the map first, because it dominates the result.
+    """
+    import cv2
+
+    level, means = np.asarray(luminance_cdm2, np.float64), []
+    for _ in range(RAMMG_LEVELS):
+        means.append(local_contrast(level).mean())
+        half = [max(1, size // 2) for size in reversed(level.shape)]
+        level = np.asarray(cv2.resize(level, half, interpolation=cv2.INTER_LINEAR), np.float64)
+    return float(np.mean(means))
 
 
 def region_weights(views: Views) -> tuple[Floats32, Floats32, Floats32]:

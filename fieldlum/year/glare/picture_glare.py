@@ -110,7 +110,7 @@ def glare_answer(
     `SunSource`); None without a sun. melanopic_der : "D65, assumed" for an estimate, else "colour".
     disturbed_share : share (0 to 1) of the views with a grade whose DGP is above 0.40; None if no
     view has a grade. warnings : texts. covered_share : share of the front hemisphere that the
-    picture covers; 1 for a panorama.
+    picture covers; 1 for a panorama. rammg_cdm2 : of a panorama, see `contrast`.
 
     views, a table for each direction : azimuth_deg, altitude_deg (of a single picture) : its
     direction. The names of `METRICS` and of `region_ratios`. melanopic_edi_lx : by the
@@ -155,6 +155,8 @@ def glare_answer(
         "warnings": list(texts),
         "covered_share": share,
     }
+    if view is None:
+        answer["rammg_cdm2"] = metrics.rammg(pixels)
     return answer, sources
 
 
