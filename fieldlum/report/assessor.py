@@ -4,19 +4,34 @@ It certifies nothing: an interval that spans a limit is "cannot tell". Names of 
 honeybee (GA) and ClimateStudio (sDG). requirements.toml has the texts of the requirements.
 """
 
+import tomllib
 from datetime import UTC, datetime
+from pathlib import Path
 from zoneinfo import ZoneInfo
 
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import SiteFile
 from fieldlum.optics import profiles
-from fieldlum.report import page, sections
+from fieldlum.report import sections
 from fieldlum.report.page import Page, Section, Table, class_name, named, render, sentence
 from fieldlum.session import Session, sha256
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.version import __version__
 from fieldlum.year.predict import Annual
 from fieldlum.year.predict.melanopic import WELL_EDI_LX
+
+_ABOUT = (
+    "What each requirement asks, what was found, and what is missing",
+    "Nothing on this page is certified. Words in the column of findings are those of the predicted "
+    "year; “cannot tell” means that the interval spans the limit.",
+)
+_METHOD = (
+    "A camera captured luminance maps of the room under many suns and skies, while irradiance was "
+    "measured outside. A model learned how the room responds to sky and sun. It was tested on days "
+    "that it had not seen, and predicted each daylight hour of the weather year. DGP, vertical "
+    "illuminance and melanopic EDI were computed from the predicted maps at the camera's place and "
+    "height. Intervals are for 95 %."
+)
 
 
 def _requirements(annual: Annual, zone: str) -> Table:
@@ -38,9 +53,10 @@ def _requirements(annual: Annual, zone: str) -> Table:
         days = (f"{limit:.0f} lx on {share.text()} of the days" for limit, share in limits)
         well = f"best direction, daylight alone: {', '.join(days)}"
     words = {"found": found, "sdg": sdg, "edi": edi, "well": well, "hours": len(annual)}
+    text = Path(__file__).with_name("requirements.toml").read_text(encoding="utf-8")
     rows = [
         [row[key].format(**words) for key in ("requirement", "asks", "found", "missing")]
-        for row in page.read_texts("requirements.toml")["row"]
+        for row in tomllib.loads(text)["row"]
     ]
     head = ("requirement", "what it asks", "what was found", "what is missing")
     return Table(head, rows, words=True)
@@ -101,13 +117,12 @@ def assessor_page(session: Session, annual: Annual | None) -> str:
     roles = [(role, "", "", "") for role in ("measured by", "calculated by", "checked by")]
     signatures = Table(("role", "name", "date", "signature"), roles, words=True)
     zone = site.timezone
-    method = " ".join((page.TEXTS["method"], *map(sentence, summary.notes[:1])))
     shown = (
         Section("requirements", "Requirements", tables=(_requirements(annual, zone),)),
         sections.directions_section(annual)._replace(title="Glare by view direction"),
         sections.melanopic_section(annual, zone),
         sections.budget_section(annual, folded=False),
-        Section("method", "Method", method),
+        Section("method", "Method", " ".join((_METHOD, *map(sentence, summary.notes[:1])))),
         Section("instruments", "What was measured", tables=(_instruments(session, setup),)),
         Section("versions", "Versions and files", tables=(_words(versions),)),
         Section("signatures", "Signatures", tables=(signatures,)),
@@ -118,5 +133,4 @@ def assessor_page(session: Session, annual: Annual | None) -> str:
         ("occupied hours", f"{occupancy.hours}"),
     )
     title = f"{site.name}: glare and daylight for an assessor"
-    about = page.TEXTS["assessor_title"], page.TEXTS["assessor"]
-    return render(Page(title, *about, facts, shown, sections.warnings_of(session, annual)))
+    return render(Page(title, *_ABOUT, facts, shown, sections.warnings_of(session, annual)))

@@ -305,11 +305,20 @@ def _span(session: Session) -> tuple[str, str]:
 def _data_sheet(session: Session, s: Statement, notes: Sequence[str], count: int) -> str:
     setup, (first, last) = session.site_file(), _span(session)
     captured, merged = len(session.captured_folders()), len(session.panorama_files())
-    template = Path(__file__).with_name("datasheet.md").read_text(encoding="utf-8")
-    counts = {"captured": captured, "merged": merged, "count": count, "first": first, "last": last}
-    own = {"site": setup.site.name, "heading": setup.camera.heading_deg, "version": __version__}
-    own |= {"profile": setup.camera.profile or "none stated", "notes": "; ".join(notes)}
-    return template.format(**s._asdict() | counts | own | {"authors": "; ".join(s.authors)})
+    return f"""# {s.title}
+
+- **Who**: {"; ".join(s.authors)}. Licence: {s.licence}. Published by: {s.publisher}.
+- **What**: luminance captures of {setup.site.name}: {captured} brackets, {merged} merged maps in
+  cd/m2 with uncertainty and flags, irradiance in W/m2; {count} files.
+- **When**: {first} to {last}, UTC. **Where**: latitude and longitude in session.toml.
+- **How**: camera profile "{setup.camera.profile or "none stated"}", heading
+  {setup.camera.heading_deg:g} degrees from true north; merged and paired by fieldlum {__version__}.
+- **People**: {s.people}
+- **Files**: docs/file-formats.md of fieldlum; MANIFEST.sha256 has the checksum of each file.
+- **Left out**: device addresses, messages, locks, models, simulated truth.
+- **To check before publication**: {"; ".join(notes)}.
+- **Uses**: daylight and glare research. Not suited to identify people or to judge other rooms.
+"""
 
 
 def _datacite(session: Session, s: Statement) -> dict[str, Any]:

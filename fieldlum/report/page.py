@@ -3,7 +3,6 @@
 import base64
 import io
 import json
-import tomllib
 from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -25,13 +24,6 @@ from fieldlum.session.files.predict_json import DirectionYear
 from fieldlum.version import __version__
 from fieldlum.year.glare.standards import CLASSES
 
-
-def read_texts(name: str) -> dict[str, Any]:
-    """Return the content of a .toml of this folder: sentences for pages."""
-    return tomllib.loads(Path(__file__).with_name(name).read_text(encoding="utf-8"))
-
-
-TEXTS: dict[str, str] = read_texts("texts.toml")
 NOTHING = 65535  # in a heat map's 16-bit cells: no daylight, or not predicted
 
 

@@ -15,7 +15,7 @@ from fieldlum.core.records import Site, SunSource, counted
 from fieldlum.optics import profiles
 from fieldlum.optics.projection import NOT_SEEN, PARTLY_SEEN
 from fieldlum.report import page
-from fieldlum.report.page import TEXTS, Figure, Section, Table, named, sentence
+from fieldlum.report.page import Figure, Section, Table, named, sentence
 from fieldlum.session import Session
 from fieldlum.session.files.model_files import HeldOutMaps, ScoresFile
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
@@ -59,7 +59,9 @@ def answer(annual: Annual) -> tuple[str, str]:
         f"Facing {named(worst.azimuth_deg)}, disturbing glare (DGP above 0.40) comes in "
         f"{worst.hours_over['0.40']} of {annual.summary.occupancy.hours} occupied hours of the "
         f"year; facing {named(best.azimuth_deg)} in {best.hours_over['0.40']}. "
-        f"{unseen if blind else ''}{TEXTS['limits']}",
+        f"{unseen if blind else ''}A class of EN 17037 is met when DGP exceeds 0.35 (high), 0.40 "
+        "(medium) or 0.45 (minimum) in at most 5 % of the occupied hours. All of it holds for the "
+        "camera's place: half a metre away, the window's edges are elsewhere.",
     )
 
 
@@ -148,7 +150,11 @@ def directions_section(annual: Annual) -> Section:
         rows.append((named(row.azimuth_deg), of_class, settled, *figures))
     head = ("view direction", "class", "settled", "DGP in 5 %", "95 % interval")
     occupied = f"Occupied hours: {annual.summary.occupancy.text}."
-    text = "\n".join((occupied, *map(sentence, annual.summary.notes[1:]), TEXTS["autonomy"]))
+    autonomy = (
+        "GA (glare autonomy, honeybee): occupied hours with DGP of at most 0.40. sDG "
+        "(ClimateStudio): whether DGP exceeds 0.38 in over 5 % of them."
+    )
+    text = "\n".join((occupied, *map(sentence, annual.summary.notes[1:]), autonomy))
     hours = ("h > .35", "h > .40", "h > .45")
     table = Table((*head, *hours, "GA", "sDG: disturbed"), rows)
     return Section("directions", "Where to sit", text, tables=(table,))
@@ -181,9 +187,14 @@ def when_section(annual: Annual, zone: str) -> Section:
         ],
         start=int(np.argmin(np.abs(annual.azimuths_deg - worst_deg))),
         used=(int(used.min()), int(used.max()) + 1) if len(used) else (),
-        alt=TEXTS["heat_map_alt"],
+        alt="Map of the year with a cell for each hour: days run to the right, hours of standard "
+        "time upwards. The arrow keys move from cell to cell.",
     )
-    return Section("when", "When glare comes", TEXTS["heat_map"], heatmap=picture)
+    text = (
+        "Each cell is one hour of the year: days to the right from January, hours of local "
+        "standard time upwards. The dashed lines bound the hours of use over the year."
+    )
+    return Section("when", "When glare comes", text, heatmap=picture)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -253,7 +264,13 @@ def budget_section(annual: Annual, *, folded: bool = True) -> Section:
         ]
         title = f"{figure}{'' if unit == '1' else f' [{unit}]'}"
         tables.append(Table(("facing", "estimate", *names), rows, title, folded=folded))
-    text = TEXTS["budget" if budget else "budget_missing"]
+    text = (
+        "What each source adds to the standard uncertainty of a figure of the year; sources that "
+        "add nothing are left out. Another year's weather, and a blind that moves, are not in it. "
+        "budget.csv has types, sensitivities and shares (GUM)."
+        if budget
+        else "This year has no budget.csv: run fieldlum predict again."
+    )
     return Section("budget", "Uncertainty budget", text, tables=tuple(tables))
 
 
@@ -305,8 +322,19 @@ def melanopic_section(annual: Annual, zone: str) -> Section:
     ]
     limits = (f"days ≥ {limit:.0f} lx, 9 to 13 h" for limit in melanopic.WELL_EDI_LX)
     head = ("view direction", "hours ≥ 250 lx, 6 to 19 h", *limits)
-    origin = "melanopic_measured" if has_melanopic(annual) else "melanopic_estimate"
-    text = f"{TEXTS[origin]} {TEXTS['melanopic']}"
+    origin = (
+        "By the colour of the captures, with 95 % intervals."
+        if has_melanopic(annual)
+        else "An estimate, because no melanopic colour was measured: vertical illuminance times "
+        "1.0, as if the light had the spectrum of D65. For 58 spectra of daylight behind "
+        "electrochromic glass it is 11 to 17 % too high. Calibrate the camera's colour (fieldlum "
+        "calibrate colour), then merge and predict again."
+    )
+    text = (
+        f"{origin} Daylight alone, at the camera's place and height; hours of local standard time. "
+        "250 lx from 06:00 to 19:00 is the advice of Brown et al. 2022. WELL v2 L03 asks for 136 "
+        "or 250 lx in the four hours from 09:00 to 13:00, with enhanced daylight for 109 or 163 lx."
+    )
     return Section("melanopic", "Melanopic light of day", text, tables=(Table(head, rows),))
 
 

@@ -1,7 +1,6 @@
 """Run `predict`: from a model and weather to a year of figures."""
 
 import shutil
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -392,18 +391,23 @@ def _delete_earlier_year(folder: Path) -> None:
 # summary: classes of glare protection, notes
 
 _WIDE_DGP = 0.2  # an interval of this width spans all classes (EN 17037: 0.35 to 0.45)
-_NOTES: dict[str, str] = tomllib.loads(
-    Path(__file__).with_name("notes.toml").read_text(encoding="utf-8")
-)
+_UNSEEN_NOTES = {
+    projection.NOT_SEEN: "have no result: the camera's lens saw less than half of them; turn the "
+    "camera to more headings, or use a lens that sees more",
+    projection.PARTLY_SEEN: "have bounds only: the lens saw 50 to 98 % of them, and the intervals "
+    "assume that the unseen part has between 0 cd/m2 and the larger of the sky's mean luminance "
+    "and the brightest hundredth of the seen pixels; turn the camera to more headings for smaller "
+    "intervals",
+}
 
 
 def _unseen_notes(rows: Sequence[DirectionYear]) -> Iterator[str]:
     """Yield a note on directions without a result, and a note on directions with bounds only."""
-    for word in (projection.NOT_SEEN, projection.PARTLY_SEEN):
+    for word, meaning in _UNSEEN_NOTES.items():
         of = [row.azimuth_deg for row in rows if row.seen == word]
         if of:
             named = ", ".join(f"{a:.0f}° ({projection.compass_name(a)})" for a in of)
-            yield _NOTES[word].format(named=named)
+            yield f"the view directions {named} {meaning}"
 
 
 def unsure_hours(annual: Annual) -> tuple[Mask, Mask]:
@@ -419,17 +423,30 @@ def unsure_hours(annual: Annual) -> tuple[Mask, Mask]:
 
 
 def _notes(summary: PredictFile, room: ModelRoom, untrusted: float, wide: float) -> list[str]:
-    notes, days = [_NOTES["hourly_means"]], summary.days
+    notes = [
+        "Each hour of the year has one value of the weather. In most weather files it is a mean: "
+        "under broken cloud the sun comes and goes within the hour, but the mean shows a constant, "
+        "dimmed sun. In files of PVGIS it is one moment, which stands for the hour. So the number "
+        "of glare hours can be too low or too high."
+    ]
+    days = summary.days
     if days < 360:  # a weather file of a year may lack some days
-        notes.append(_NOTES["few_days"].format(days=days))
+        notes.append(
+            f"the weather has {days} days, not a year: glare classes are for these days only"
+        )
     if summary.weather.synthetic:
-        notes.append(_NOTES["synthetic"])
+        notes.append("the weather is synthetic: it must not be used to judge this place")
     notes += list(room.sky_view.notes) if room.sky_view else [room.disc_from]
     if untrusted + wide > 0.05:
         mirror = "a mirrored sun may be in view, " if room.mirrors else ""
-        percents = {"untrusted": 100 * untrusted, "wide": 100 * wide, "limit": _WIDE_DGP}
-        unsure = 100 * (untrusted + wide)
-        notes.append(_NOTES["unsure"].format(unsure=unsure, mirror=mirror, **percents))
+        notes.append(
+            f"DGP is uncertain in {100 * (untrusted + wide):.0f} % of the occupied hours with "
+            f"daylight. In {100 * untrusted:.0f} % no similar light was captured, {mirror}or the "
+            f"model expects a large error. In {100 * wide:.0f} % the 95 % interval is wider than "
+            f"{_WIDE_DGP:g} in some direction: often the sky view does not decide whether the "
+            "sun's disc is seen; capture clear hours with the sun in a window, which also give the "
+            "camera's heading"
+        )
     return notes
 
 
