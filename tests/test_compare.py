@@ -185,6 +185,22 @@ def test_a_table_of_hours_is_compared_with_the_predicted_year(tmp_path: Path) ->
 
 
 @pytest.mark.contract
+def test_a_table_in_another_zone_is_refused(tmp_path: Path) -> None:
+    """Hours of UTC with the daylight of Seattle: the morning is the afternoon's hours."""
+    session = create_session(tmp_path / "office", SETUP, [], {})
+    year, table = _year(), tmp_path / "utc.csv"
+    rows = [f"{k // 8 * 24 + 9 + k % 8 + 5.5},0.3" for k in range(len(year))]
+    table.write_text("hoy,dgp\n" + "\n".join(rows[:-8]))
+    with pytest.raises(InputError, match="light at night in .*; expected hours of standard time"):
+        compare(session, table, tmp_path / "out", [180.0], year)
+    complete = np.zeros(8760)
+    complete[[k // 8 * 24 + 9 + k % 8 + 3 for k in range(len(year))]] = 0.3
+    table.write_text("dgp\n" + "\n".join(f"{value:g}" for value in complete))
+    with pytest.raises(InputError, match="light at night in 75 of 200 hours"):
+        compare(session, table, tmp_path / "out", [180.0], year)
+
+
+@pytest.mark.contract
 @pytest.mark.parametrize(("shift", "word"), [(0, "begins"), (1, "ends")])
 def test_whole_hours_are_placed_by_the_daylight_of_the_year(
     tmp_path: Path, shift: int, word: str

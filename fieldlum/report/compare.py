@@ -477,6 +477,14 @@ def _compare_hours(
     both = row_of[hours] >= 0
     if not both.any():
         raise InputError(path, "no hour of the predicted year", "daylight hours", "check hours")
+    lit = (model > 0.05).any(axis=1).to_numpy()  # DGP and lx of any hour with daylight
+    in_year = np.isin(hours // 24, np.unique(np.flatnonzero(row_of >= 0) // 24))
+    at_night = lit & in_year & ~both
+    # hours of dawn and dusk are two of a day's twelve
+    if at_night.sum() > 0.25 * (lit & in_year).sum():
+        found = f"light at night in {at_night.sum()} of {(lit & in_year).sum()} hours"
+        remedy = "shift its hours if they are UTC, or predict the place of the model"
+        raise InputError(path, found, f"hours of standard time in {zone}", remedy)
     shared, columns = [], model.loc[both]
     for figure, azimuth in columns:
         measured = annual.views[figure][row_of[hours[both]], _same_view(annual, azimuth, path)]
