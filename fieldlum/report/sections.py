@@ -255,11 +255,7 @@ def budget_section(annual: Annual, *, folded: bool = True) -> Section:
             view = parts.setdefault((row["azimuth_deg"], row["estimate"]), {})
             view[row["source"]] = f"{float(row['contribution']):.2g}"
         rows = [
-            (
-                named(float(azimuth)),
-                f"{float(estimate):.3g}",
-                *(view.get(name, "–") for name in names),
-            )
+            (named(float(azimuth)), f"{float(estimate):.3g}", *(view.get(n, "–") for n in names))
             for (azimuth, estimate), view in parts.items()
         ]
         title = f"{figure}{'' if unit == '1' else f' [{unit}]'}"

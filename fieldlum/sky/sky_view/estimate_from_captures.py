@@ -285,21 +285,10 @@ def _decided(
     u = np.minimum(np.hypot(u, _SCALE_SD * openness), 1.0)
     count = np.where(stack.dark, len(light), stack.placed(seen.count))
     blind = np.isnan(ratio) & ~stack.dark
-
-    def channel(values: Floats) -> Floats32:
-        return np.where(blind, np.nan, values).astype(np.float32)
-
-    view = SkyView(
-        stack.grid,
-        openness=channel(openness),
-        u=channel(u),
-        count=channel(count),
-        transmittance=channel(np.where(stack.dark, 0.0, pane)),
-        low=channel(low),
-        high=channel(high),
-        captures=len(light),
-        pose=pose,
-    )
+    transmittance = np.where(stack.dark, 0.0, pane)
+    channels = np.stack([openness, u, count, transmittance, low, high])  # as `CHANNELS`
+    arrays = np.where(blind, np.nan, channels).astype(np.float32)
+    view = SkyView(stack.grid, *arrays, captures=len(light), pose=pose)
     return _Decided(view, sky, bright, scatters, reference)
 
 
@@ -544,10 +533,8 @@ def _corrected(view: SkyView, captured: Captured) -> tuple[SkyView, dict[datetim
     arrays = {name: getattr(view, name).copy() for name in ("openness", "low", "high")}
     disc_deg = np.degrees(SUN_RADIUS_RAD) + 0.5 * view.grid.step_deg
     for k, sun in enumerate(view.pose.in_pictures(light.apparent_sun_direction)):
-        share, off_deg = (
-            captured.disc_share[k],
-            np.degrees(np.arccos(np.clip(rays @ sun, -1.0, 1.0))),
-        )
+        share = captured.disc_share[k]
+        off_deg = np.degrees(np.arccos(np.clip(rays @ sun, -1.0, 1.0)))
         near, at = off_deg <= disc_deg + view.pose.heading_sd_deg, off_deg <= disc_deg
         if not at.any() or np.isnan(view.low[near]).any():
             continue

@@ -207,7 +207,7 @@ def budgets_of_year(
     add up to it. It is NaN for a model that states no error.
     """
     rng, shape = np.random.default_rng(0), values.shape
-    names, at = [source for source, _ in changes], figures(values)
+    sources, at = [source for source, _ in changes], figures(values)
 
     def error(source: Source, change: Floats) -> Floats:
         if change.ndim == 3:
@@ -215,22 +215,18 @@ def budgets_of_year(
         half = source.shared_by == MODEL.shared_by
         return change * (standards.year_errors(shape, rng) if half else rng.standard_normal())
 
-    def spread(draws: list[dict[str, Floats]]) -> dict[str, Floats]:
-        off = {name: np.array([draw[name] for draw in draws]) - at[name] for name in at}
+    def spread(drawn: Sequence[dict[str, Floats]]) -> dict[str, Floats]:
+        off = {name: np.array([draw[name] for draw in drawn]) - at[name] for name in at}
         return {name: np.sqrt(np.mean(part**2, axis=0)) for name, part in off.items()}
 
-    alone: list[list[dict[str, Floats]]] = [[] for _ in changes]
-    joint = []
+    draws = []
     for _ in range(standards.DRAWS):
         errors = [error(*each) for each in changes]
-        joint.append(figures(values + sum(errors)))
-        for found, off in zip(alone, errors, strict=True):
-            found.append(figures(values + off))
-    parts = [spread(found) for found in alone]
-    total = spread(joint)
+        draws.append([figures(values + off) for off in (sum(errors), *errors)])
+    total, *parts = (spread(of_source) for of_source in zip(*draws, strict=True))
     sums = {name: np.linalg.norm([part[name] for part in parts], axis=0) for name in at}
     scaled = [{k: part[k] * total[k] / np.maximum(sums[k], 1e-12) for k in at} for part in parts]
-    return _budgets(at, azimuths_deg, [*zip(names, scaled, strict=True), unseen], unit)
+    return _budgets(at, azimuths_deg, [*zip(sources, scaled, strict=True), unseen], unit)
 
 
 def _budgets(
@@ -310,7 +306,7 @@ def _of_pixels(scene: _Scene) -> Iterator[tuple[Source, Mapping[str, Floats]]]:
         share = u_rel * (np.full_like(light, mean_seen) if name == VEILING_GLARE else light)
         rest = rest - share**2
         change = scene.half_range(more_cdm2=share, more_sun=u_rel * by_camera)
-        yield Source(name, "B", _NORMAL, 100 * u_rel, "%", "all pixels"), change
+        yield of_share(name, "B", u_rel, "all pixels"), change
     rest = np.sqrt(np.maximum(rest, 0.0))
     mean = 100 * float(rest.sum() / max(light.sum(), 1e-9))
     if stated:
@@ -331,7 +327,7 @@ def _of_sun_and_views(
     """Yield what the sun's disc, the heading and the melanopic colour add to u of each figure."""
     if scene.sun is not None:
         change, name = scene.half_range(more_sun=U_DISC), "illuminance of the sun's disc"
-        yield Source(name, "B", _NORMAL, 100 * U_DISC, "%", "disc"), change
+        yield of_share(name, "B", U_DISC, "disc"), change
     change = scene.half_range(turn_deg=u_heading_deg)
     yield Source("heading", "B", _NORMAL, u_heading_deg, "deg", "all pixels"), change
     colour = melanopic_ratio(scene.panorama)
@@ -339,9 +335,6 @@ def _of_sun_and_views(
         at, of_sun = scene.figures(), scene.half_range(more_sun=1.0)  # half of 2 E less half of 0
         edi, ev_lx = (at[name] - of_sun[name] for name in ("melanopic EDI", "Ev"))
         change = {"melanopic EDI": edi * ratio_u_rel(edi / np.maximum(ev_lx, 1e-9), colour[1])}
-        yield Source("melanopic ratio by colour", "B", _NORMAL, 100 * colour[1], "%", "all"), change
+        yield of_share("melanopic ratio by colour", "B", colour[1], "all"), change
         change = {"melanopic EDI": of_sun["melanopic EDI"] * U_SUN_RATIO}
-        yield (
-            Source("colour of the sun's disc", "B", _NORMAL, 100 * U_SUN_RATIO, "%", "disc"),
-            change,
-        )
+        yield of_share("colour of the sun's disc", "B", U_SUN_RATIO, "disc"), change

@@ -215,16 +215,9 @@ def year_of_captures(
         raise NotEnoughDataError(f"{pairs}: no picture has melanopic colour; merge them again")
     dni, dhi = (np.array([getattr(row, name) for row in rows]) for name in ("dni_wm2", "dhi_wm2"))
     light = light_at([row.t_utc for row in rows], room.setup.site, dni, dhi)
-    days = [row.t_utc.toordinal() for row in rows]
-    facades = facades_of(room.setup.room)
-    return fit_year(
-        light,
-        np.array(photopic),
-        np.array(melanopic),
-        days,
-        {**u_camera_rel, "melanopic weight": u_rel},
-        facades,
-    )
+    days, facades = [row.t_utc.toordinal() for row in rows], facades_of(room.setup.room)
+    u_parts_rel = {**u_camera_rel, "melanopic weight": u_rel}
+    return fit_year(light, np.array(photopic), np.array(melanopic), days, u_parts_rel, facades)
 
 
 # ----------------------------------------------------------------------------------------------
