@@ -369,10 +369,8 @@ def _held_out_figure(held: HeldOutMaps, names: Mapping[str, str]) -> Figure:
     picks = list(dict.fromkeys(int(order[i]) for i in (n // 2, min(int(0.9 * n), n - 1), n - 1)))
     slots = [names.get(str(held.slots[i]), str(held.slots[i])) for i in picks]
     labels = [f"{slot}, {text}" for slot, text in zip(slots, SHOWN, strict=False)]
-    measured, predicted = (
-        10.0 ** maps[picks].astype(np.float32)
-        for maps in (held.measured_log10, held.predicted_log10)
-    )
+    logarithms = held.measured_log10, held.predicted_log10
+    measured, predicted = (10.0 ** maps[picks].astype(np.float32) for maps in logarithms)
     return Figure(
         page.comparison_png(measured, predicted, labels, "predicted"),
         "Measured and predicted luminance panoramas with their ratio.",
@@ -441,9 +439,7 @@ def captures_section(
     table = Table(("reason", "brackets"), tuple(refused.items()), "Brackets that are not used")
     some = [table] if refused else []
     text = _captures_text(session, site, pairs)
-    return Section(
-        id="captured", title="What was captured", text=text, rows=((path, irradiance),), tables=some
-    )
+    return Section("captured", "What was captured", text, ((path, irradiance),), some)
 
 
 def _columns(rows: Sequence[PairRow], names: Sequence[str]) -> list[Floats]:

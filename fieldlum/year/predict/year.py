@@ -96,9 +96,8 @@ def run(
     coloured = session if session is not None and melanopic.has_colour(session.pairs) else None
     options = {"views": views, "occupancy": occupancy.text, "maps": maps, "seed": seed}
     options |= {"label_shift_min": label_shift_min, "lamps": lit.text if lit else ""}
-    inputs = (
-        _files(model_folder, weather_path, sky_view) | options | {"colour": coloured is not None}
-    )
+    options["colour"] = coloured is not None
+    inputs = _files(model_folder, weather_path, sky_view) | options
     if not force and (existing := _already(folder, inputs)) is not None:
         return PredictedYear(existing, new=False)
     check_writable(folder)
