@@ -18,6 +18,7 @@ from fieldlum.learn.models.training_data import Dataset, load_pairs
 from fieldlum.optics.projection import equirect_rays
 
 HEIGHT, HEADING = 60, 180.0
+ROOMS = Path(__file__).parents[1] / "bench" / "outside_rooms" / "fresh"
 RAYS = equirect_rays(HEIGHT, 2 * HEIGHT, HEADING)
 PIXEL_DEG = 180.0 / HEIGHT
 DAYS = ("2027-03-20", "2027-04-20", "2027-05-20", "2027-06-20")
@@ -66,9 +67,9 @@ def test_heading_tilt_and_roll_are_found() -> None:
 
 @pytest.mark.slow
 @pytest.mark.analytic
-def test_a_knock_of_a_sixth_of_a_pixel_in_heading_is_found() -> None:
+def test_a_knock_of_half_a_pixel_in_heading_is_found() -> None:
     angles = np.zeros((12, 3))
-    angles[3:8, 0] = PIXEL_DEG / 6.0
+    angles[3:8, 0] = PIXEL_DEG / 2.0
     found = camera_turns(pictures(angles), SEEN, HEADING)
     assert found.turned.tolist() == [False] * 3 + [True] * 5 + [False] * 4
     assert np.abs(found.angles_deg - angles).max() < 0.05 * PIXEL_DEG
@@ -89,6 +90,18 @@ def test_only_pixels_that_are_mixed_across_an_edge_are_uncertain() -> None:
 def test_a_camera_that_stood_still_is_left_alone() -> None:
     found = camera_turns(pictures(np.zeros((9, 3))), SEEN, HEADING)
     assert not found.turned.any() and found.aligned.all()
+
+
+@pytest.mark.slow
+@pytest.mark.authority
+@pytest.mark.parametrize(("name", "rows"), [("gallery", "set_9d"), ("balcony", "set_test")])
+def test_the_light_of_a_season_turns_no_camera(name: str, rows: str) -> None:
+    """Rooms by Mitsuba: light moved edges by 0.13 px in heading, 0.42 px in roll."""
+    with np.load(ROOMS / f"{name}.npz") as file:
+        captures = file["lum"][np.sort(file[rows])]
+    maps = np.maximum(10.0 ** (captures / 65535 * 9 - 0.5), 0.1)
+    found = camera_turns(maps, np.ones(maps.shape[1:], bool), HEADING)
+    assert found.aligned.all() and not found.turned.any()
 
 
 @pytest.mark.slow
