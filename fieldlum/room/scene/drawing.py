@@ -68,7 +68,7 @@ def _draw_plan(axes: Axes, room: Room) -> None:
         x, y = ((o.inner_m, o.inner_m), o.u_m)[:: 1 if o.axis == 0 else -1]
         line = {"color": BLUE, "lw": 7, "solid_capstyle": "butt", "gid": f"window{number}"}
         axes.plot(x, y, clip_on=False, **line)
-        label = f"window {number}, {window.width_m:g} m"
+        label = f"window {number}, {window.width_m:.3g} m"
         middle = (float(np.mean(x)), float(np.mean(y)))
         inwards = (-14 * o.outward, 0) if o.axis == 0 else (0, -14 * o.outward)
         axes.annotate(label, middle, inwards, **centred, rotation=0 if o.axis else 90)
@@ -94,7 +94,7 @@ def _draw_arrows(axes: Axes, room: Room, heading_deg: float) -> None:
         axes.quiver(*place, *to, color=colour, transform=of, gid=name, **arrow)
     axes.text(-0.15, 1.1, "N", ha="right", va="center", transform=axes.transAxes)
     axes.plot(*at, "o", color=RED, ms=9)
-    label = f"camera to {compass_text(heading_deg)}, {room.camera_z_m:g} m high"
+    label = f"camera to {compass_text(heading_deg)}, {room.camera_z_m:.3g} m high"
     axes.text(0.5, -0.16, label, ha="center", color=RED, transform=axes.transAxes)
 
 
