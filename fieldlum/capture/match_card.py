@@ -382,8 +382,8 @@ def clock_parts(groups: Sequence[Group], slots: Sequence[Slot], zone: str) -> li
     An example is daylight saving time. With hourly slots such a change is hard to see: brackets
     that are an hour off match the neighbouring slots, except at the ends of a day. Return the
     fewest parts that the brackets support: each change must bring at least three more brackets near
-    slots, or one if civil time in `zone` (IANA name) changed as much within 36 h. groups: not
-    empty.
+    slots, or one if civil time in `zone` (IANA name) changed as much within 36 h and if no change
+    elsewhere brings as many. groups: not empty.
     """
     days = split_at_gaps(groups, _NIGHT_S)
     # The minutes of the quarter of an hour that fits all brackets best, and each full hour.
@@ -393,7 +393,8 @@ def clock_parts(groups: Sequence[Group], slots: Sequence[Slot], zone: str) -> li
         _civil_h(after[0], zone, _CIVIL_NEAR) - _civil_h(before[-1], zone, -_CIVIL_NEAR)
         for before, after in pairwise(days)
     ]
-    path = _steadiest(np.array(hits), civil_h)
+    paths = [_steadiest(np.array(hits), changes) for changes in ([0] * len(civil_h), civil_h)]
+    path = max(paths, key=lambda path: sum(day[k] for day, k in zip(hits, path, strict=True)))
     starts = [k for k in range(len(days)) if k == 0 or path[k] != path[k - 1]]
     return [list(chain(*days[a:b])) for a, b in pairwise([*starts, len(days)])]
 
