@@ -60,9 +60,9 @@ _FORWARD_SCATTER = 0.6
 # real skies are within 40 % of Perez's, a white blind has 0.2 at most. Chosen.
 _SHADED, _HALF_SHADED = 0.33, 0.6
 # Shares of the sky in view: so dark that a capture is through a blind; and worth a note. Chosen.
-_COVERED_SHARE, _SOME_SKY = 0.2, 0.05
+_COVERED_SHARE, _SOME_SKY = 0.2, 0.02
 _NEW_YEAR = date(2027, 1, 1).toordinal()  # of a year without a leap day
-_OF_SEASON = 12  # captures of a season that decide its leaves; chosen
+_OF_SEASON = 12  # captures of a season that decide its leaves; fewer widen the bounds; chosen
 _MAX_VALUES = 60_000_000  # captures times directions in memory: 240 MB; chosen
 
 
@@ -327,7 +327,7 @@ def _over_seasons(decided: _Decided, stack: _Stack, latitude_deg: float | None) 
     """
     view, light, season = decided.view, stack.light, _season(stack.light)
     parts = [np.flatnonzero(season == k) for k in range(4)]
-    parts = [rows for rows in parts if len(rows) >= _OF_SEASON]
+    parts = [rows for rows in parts if len(rows) >= MIN_CAPTURES]
     if len(parts) < 2 or not decided.sky.any():
         return decided
     rays = view.pose.true_directions(stack.grid.rays()[stack.kept])
@@ -346,13 +346,15 @@ def _over_seasons(decided: _Decided, stack: _Stack, latitude_deg: float | None) 
         sky[likely] = np.maximum(sky[likely], np.where(seen.spread < _FOLLOWS, seen.ratio, 0.0))
     hidden = [stack.placed(dark) > 0.0 for dark in quick < 0.5 * sky]
     changes = np.any(hidden, axis=0) & (stack.placed(sky) > pane_sky)
-    if changes.sum() < _SOME_SKY * decided.sky.sum():
-        return decided
     low = np.where(changes, np.float32(0.0), view.low)
     highest = np.clip((1.0 + 2.0 * _SCALE_SD) * stack.placed(sky), view.high, 1.0)
     high = np.where(changes, highest, view.high).astype(np.float32)
     view, seasons = replace(view, low=low, high=high), []
+    if changes.sum() < _SOME_SKY * decided.sky.sum() or not changes.any():
+        return replace(decided, view=view)
     for rows, reference, dark in zip(parts, references, hidden, strict=True):
+        if len(rows) < _OF_SEASON:
+            continue
         own = _decided(stack.take(rows), view.pose, latitude_deg, reference)
         of_season = own.view.where(changes & (own.sky | dark), view)
         seasons.append(replace(of_season, days=tuple(sorted({*_day(light[rows]).tolist()}))))
@@ -450,7 +452,8 @@ def _notes(decided: _Decided) -> tuple[str, ...]:
     if decided.changes is not None:
         share = (decided.changes * weight).sum() / max((sky * weight).sum(), 1e-9)
         day = np.arange(365)
-        far = np.min([view.days_from(day + 1) for view in decided.seasons], axis=0) > REACH_DAYS
+        away = [view.days_from(day + 1) for view in decided.seasons]
+        far = np.min([np.full(365, 365), *away], axis=0) > REACH_DAYS
         months = {date.fromordinal(_NEW_YEAR + int(k)).replace(day=1) for k in day[far]}
         notes.append(
             f"{100 * share:.0f} % of the sky in view is open in one season and hidden in another "
