@@ -189,15 +189,20 @@ def test_a_table_in_another_zone_is_refused(tmp_path: Path) -> None:
     """Hours of UTC with the daylight of Seattle: the morning is the afternoon's hours."""
     session = create_session(tmp_path / "office", SETUP, [], {})
     year, table = _year(), tmp_path / "utc.csv"
-    rows = [f"{k // 8 * 24 + 9 + k % 8 + 5.5},0.3" for k in range(len(year))]
-    table.write_text("hoy,dgp\n" + "\n".join(rows[:-8]))
-    with pytest.raises(InputError, match="light at night in 120 of 192 hours"):
+    hours = np.array([k // 8 * 24 + 9 + k % 8 for k in range(len(year))])
+    rows = [f"{hour + 5.5},{0.3 + 0.001 * k:.3f}" for k, hour in enumerate(hours[:-8])]
+    table.write_text("hoy,dgp\n" + "\n".join(rows))
+    with pytest.raises(InputError, match="light at night in 117 of 186 hours"):
         compare(session, table, tmp_path / "out", [180.0], year)
-    complete = np.zeros(8760)
-    complete[[k // 8 * 24 + 9 + k % 8 + 3 for k in range(len(year))]] = 0.3
-    table.write_text("dgp\n" + "\n".join(f"{value:g}" for value in complete))
-    with pytest.raises(InputError, match="light at night in 75 of 200 hours"):
-        compare(session, table, tmp_path / "out", [180.0], year)
+    for late, dark in ((3, 0.0), (3, 0.184), (0, 0.184)):
+        complete = np.full(8760, dark)
+        complete[hours + late] = 0.3
+        table.write_text("dgp\n" + "\n".join(f"{value:g}" for value in complete))
+        if late:
+            with pytest.raises(InputError, match="light at night in 75 of 200 hours"):
+                compare(session, table, tmp_path / "out", [180.0], year)
+        else:
+            assert compare(session, table, tmp_path / "out", [180.0], year).directions
 
 
 @pytest.mark.contract

@@ -20,6 +20,7 @@ from scipy.ndimage import binary_dilation
 
 from fieldlum.core.arrays import Array, Floats, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError, input_errors
+from fieldlum.core.files import open_to_read
 from fieldlum.core.plot_style import new_figure, styled
 from fieldlum.core.progress import progress
 from fieldlum.core.records import JsonTable, Panorama, Room
@@ -418,10 +419,12 @@ def _read_matrix(path: Path, azimuths_deg: Sequence[float]) -> pd.DataFrame:
         expected = "one grid (.dgp, .ill, .npy), and --view-azimuth for each view, in their order"
         raise InputError(path, found, expected, "name a folder with one grid")
     (file,) = files
-    with input_errors(path, "a matrix of numbers", "run the simulation again", ValueError):
-        values = np.load(file) if file.suffix == ".npy" else np.loadtxt(file, ndmin=2)
+    with input_errors(path, "a matrix of numbers", "run the simulation again", OSError, ValueError):
+        with open_to_read(file) as opened:
+            values = np.load(opened) if file.suffix == ".npy" else np.loadtxt(opened, ndmin=2)
         if hours_file is not None:
-            hours = np.loadtxt(hours_file, ndmin=1)
+            with open_to_read(hours_file) as opened:
+                hours = np.loadtxt(opened, ndmin=1)
         else:
             hours = _hours_of_dates(path, np.asarray(values.T[:3]), range(1, len(values) + 1))
             values = values.T[3:]
@@ -477,7 +480,8 @@ def _compare_hours(
     both = row_of[hours] >= 0
     if not both.any():
         raise InputError(path, "no hour of the predicted year", "daylight hours", "check hours")
-    lit = (model > 0.05).any(axis=1).to_numpy()  # DGP and lx of any hour with daylight
+    # simplified DGP has 0.184 in the dark
+    lit = (model > model.min() + 0.005).any(axis=1).to_numpy()
     in_year = np.isin(hours // 24, np.unique(np.flatnonzero(row_of >= 0) // 24))
     at_night = lit & in_year & ~both
     # hours of dawn and dusk are two of a day's twelve
