@@ -363,7 +363,7 @@ def test_shares_of_the_year_with_enough_melanopic_light(tmp_path: Path) -> None:
     ((hours, _),) = melanopic_shares(replace(year, folder=tmp_path), "UTC")
     assert (hours.value, hours.low, hours.high) == (100.0, pytest.approx(90.2), 100.0)
     (table,) = budget_section(replace(year, folder=tmp_path)).tables
-    assert table.head == ("facing", "estimate", MODEL.name, "combined") and len(table.rows) == 1
+    assert table.head == ("facing", "estimate", "combined", MODEL.name) and len(table.rows) == 1
     blank = dict.fromkeys(views, np.full((48, 1), np.nan))
     some = {"melanopic_edi_lx_estimate": np.full((48, 1), 200.0), "dgp": np.full((48, 1), 0.2)}
     guess = replace(year, views=blank | some)

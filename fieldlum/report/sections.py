@@ -244,26 +244,36 @@ def _fisheyes(annual: Annual, pictures: Pictures, k: int, when: str) -> Figure:
 
 
 def budget_section(annual: Annual, *, folded: bool = True) -> Section:
-    """Return the section of budget.csv, a table for each figure; folded: shown after a click."""
+    """Return the section of budget.csv, a table for each figure; folded: shown after a click.
+
+    A part under a hundredth of the combined uncertainty is a dash.
+    """
     tables, budget = [], read_budgets(annual.folder / BUDGET_FILE)
     for figure, unit in dict.fromkeys((row["figure"], row["unit"]) for row in budget):
-        own = [row for row in budget if row["figure"] == figure and row["contribution"]]
-        names = [row["source"] for row in own if float(row["contribution"]) > 1e-9]
-        # "combined" is last, also if a source adds nothing in the first direction
-        names, parts = sorted(dict.fromkeys(names), key="combined".__eq__), {}
-        for row in own:
-            view = parts.setdefault((row["azimuth_deg"], row["estimate"]), {})
-            view[row["source"]] = f"{float(row['contribution']):.2g}"
+        views: dict[tuple[str, str], dict[str, float]] = {}
+        for row in budget:
+            if row["figure"] == figure and row["contribution"]:
+                view = views.setdefault((row["azimuth_deg"], row["estimate"]), {})
+                view[row["source"]] = float(row["contribution"])
+        shown = [
+            {
+                name: f"{u:.2g}"
+                for name, u in view.items()
+                if name == "combined" or u > 0.01 * view["combined"]
+            }
+            for view in views.values()
+        ]
+        names = list(dict.fromkeys(["combined", *(name for view in shown for name in view)]))
         rows = [
             (named(float(azimuth)), f"{float(estimate):.3g}", *(view.get(n, "–") for n in names))
-            for (azimuth, estimate), view in parts.items()
+            for (azimuth, estimate), view in zip(views, shown, strict=True)
         ]
         title = f"{figure}{'' if unit == '1' else f' [{unit}]'}"
         tables.append(Table(("facing", "estimate", *names), rows, title, folded=folded))
     text = (
-        "What each source adds to the standard uncertainty of a figure of the year; sources that "
-        "add nothing are left out. Another year's weather, and a blind that moves, are not in it. "
-        "budget.csv has types, sensitivities and shares (GUM)."
+        "What each source adds to the standard uncertainty of a figure of the year, unless it is "
+        "under a hundredth of the combined one. Another year's weather, and a blind that moves, "
+        "are not in it. budget.csv has types, sensitivities and shares (GUM)."
         if budget
         else "This year has no budget.csv: run fieldlum predict again."
     )
