@@ -43,6 +43,7 @@ from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.sky import sun
 from fieldlum.weather import read_weather
 from fieldlum.weather.formats import read_table
+from fieldlum.weather.plausibility import _horizontal_beam as horizontal_beam
 from fieldlum.year.predict.occupancy import read_occupancy
 
 NORTH = Site("Town", 52.3, 4.8, "Europe/Amsterdam", 10.0)
@@ -1251,9 +1252,28 @@ def test_direct_irradiance_of_a_horizontal_plane_is_refused(tmp_path: Path, site
     light[::2] = light[::2, 2:] * [0.0, 0.35, 0.35]  # every second hour is overcast
     moments = [t - timedelta(hours=ZONE[site.timezone]) + HALF for t in starts]
     altitude = np.radians(sun.position(moments, site).altitude_deg)
-    light[:, 0] = np.round(light[:, 0] * np.sin(np.maximum(altitude, 0.0)), 1)
+    light[:, 0] = np.round(light[:, 0] / 0.7 * np.sin(np.maximum(altitude, 0.0)), 1)  # pvlib's beam
     with pytest.raises(InputError, match="DNI has direct irradiance on a horizontal plane"):
         read_weather(write_epw(tmp_path / "a.epw", site, light), site)
+
+
+@pytest.mark.slow
+@pytest.mark.authority
+@pytest.mark.parametrize("latitude_deg", [0.0, 28.6, 45.0, 60.0])
+def test_a_hazy_sky_is_no_horizontal_plane(latitude_deg: float) -> None:
+    """Expected: pvlib's clear skies from a Linke turbidity of 2 to 8 (a humid or dusty city)."""
+    start = datetime(2027, 1, 1, tzinfo=UTC)
+    times = [start + timedelta(hours=k) for k in range(8760)]
+    altitude = sun.position(times, Site("place", latitude_deg, 0.0, "UTC")).altitude_deg
+    zenith = 90.0 - np.maximum(altitude, 0.0)
+    air_mass = np.asarray(pvlib.atmosphere.get_relative_airmass(zenith))
+    for turbidity in (2, 3, 5, 6, 7, 8):
+        clear = pvlib.clearsky.ineichen(zenith, air_mass, turbidity)
+        dni = np.where(altitude > 0.0, np.asarray(clear["dni"]), 0.0)
+        assert horizontal_beam(dni, altitude) is None
+        assert horizontal_beam(np.where(altitude < 13.0, 0.0, dni), altitude) is None  # a valley
+        on_plane = dni * np.sin(np.radians(np.maximum(altitude, 0.0)))
+        assert turbidity > 5 or horizontal_beam(on_plane, altitude) is not None
 
 
 @pytest.mark.slow

@@ -162,7 +162,7 @@ def load_pairs(
     Examples
     --------
     >>> data = fieldlum.load_pairs("office-2027")
-    >>> training_data.luminance_cdm2.shape
+    >>> data.luminance_cdm2.shape
     (108, 230, 460)
     """
     from fieldlum.learn.models import training_data
