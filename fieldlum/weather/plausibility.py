@@ -95,10 +95,10 @@ _BETWEEN_RIGHT_AND_GLOBAL = 0.05
 # Median of |global - diffuse - direct| over the global, where a file has all three. Chosen so that
 # hourly means around a moving sun pass; not measured.
 MAX_CLOSURE_ERROR = 0.2
-# Altitudes, deg, at which the strongest direct light is compared, over the sine of the altitude. The
-# ratio of low to high ones over that of pvlib's clear sky of the same level at high ones is 1.0 to
-# 2.0 in three files and in skies of any haze, on a horizontal plane 0.3 to 0.8; with hidden low suns
-# under 0.1. Measured; chosen between.
+# Altitudes, deg, at which the strongest direct light is compared, over the sine of the altitude.
+# The ratio of low to high ones, over that of pvlib's clear sky of the same level at high ones, is
+# 1.0 to 2.0 in three files and in skies of any haze, on a horizontal plane 0.3 to 0.8; with hidden
+# low suns under 0.1. Measured; chosen between.
 _LOW_DEG, _HIGH_DEG, _MIN_LOW_HOURS = (8.0, 13.0), 35.0, 200
 # Share of the sunrises and sunsets that may contradict. Half an hour of shift gives 0.10 to 0.14 at
 # 36 to 55 degrees north. Chosen, a third of that; a high horizon passes the second one.
