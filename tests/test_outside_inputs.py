@@ -591,20 +591,74 @@ def test_a_netcdf_file_of_arm_has_the_values_and_times_of_scipy(tmp_path: Path) 
     first, second, _ = read.samples
     assert (first.ghi_wm2, first.dhi_wm2, first.dni_wm2) == (100.5, 101.5, 102.5)
     assert (second.ghi_wm2, second.dhi_wm2, second.dni_wm2) == (None, None, None)
-    assert "not used: up_short_hemisp" in read.notes[0] and "quality flags" in read.notes[-1]
+    assert "not used: up_short_hemisp" in read.notes[0] and len(read.notes) == 1
     with pytest.raises(InputError, match="no column GHI"):
         read_logger_file(path, None, {"ghi_wm2": "GHI"})
     with netcdf_file(path, "w") as file:
         file.createDimension("time", 3)
         file.createVariable("time", "d", ("time",))[:] = [0.0, 60.0, 120.0]
         file.createVariable("ghi_wm2", "f", ("time",))[:] = 100.0
-    with pytest.raises(InputError, match="times without a unit"):
+    with pytest.raises(InputError, match="no variable of times"):
         read_logger_file(path)
     content = path.read_bytes()
     for size in range(4, len(content), 4):  # cut within any field
         path.write_bytes(content[:size])
         with pytest.raises(InputError, match="export it as csv"):
             read_logger_file(path)
+
+
+@pytest.mark.authority
+@pytest.mark.parametrize(
+    ("kind", "of_values", "of_flags"),
+    [
+        ("f", {"valid_max": np.float32(1500.0)}, {}),
+        ("f", {"valid_range": np.array([0.0, 1500.0], np.float32)}, {}),
+        (
+            "i2",
+            {"valid_range": np.array([0, 15000], np.int16), "scale_factor": np.float32(0.1)},
+            {},
+        ),
+        (
+            "i2",
+            {"valid_range": np.array([0, 1500], np.float32), "scale_factor": np.float32(0.1)},
+            {},
+        ),
+        ("f", {}, {"bit_1_assessment": "Indeterminate", "bit_2_assessment": "Bad"}),
+        (
+            "f",
+            {},
+            {"flag_values": np.array([0, 1, 2], np.int32), "flag_meanings": "good night bad_data"},
+        ),
+        (
+            "f",
+            {},
+            {"flag_masks": np.array([1, 2], np.int32), "flag_meanings": "night sensor_failure"},
+        ),
+    ],
+)
+@pytest.mark.parametrize("clock", ["time", "valid_time"])
+def test_values_that_a_netcdf_file_calls_bad_are_missing(
+    tmp_path: Path, kind: str, of_values: dict[str, Any], of_flags: dict[str, Any], clock: str
+) -> None:
+    """CF conventions 1.11, 2.5.1 and 3.5, and ARM's standard; -8 W/m2 is a night offset."""
+    path, light = tmp_path / "a.nc", np.array([500.0, 1800.0, -8.0, 600.0])
+    with netcdf_file(path, "w") as file:
+        file.createDimension(clock, 4)
+        file.createDimension("station", 1)
+        time = file.createVariable(clock, "d", (clock,))
+        time.units, time[:] = "minutes since 2019-07-05", [0.0, 1.0, 2.0, 3.0]
+        values = file.createVariable("ghi", kind, (clock, "station"))
+        values.units, values.ancillary_variables = "W/m^2", "flags"
+        values[:] = np.round(light[:, None] / of_values.get("scale_factor", 1.0))
+        flags = file.createVariable("flags", "i4", (clock, "station"))
+        flags[:] = np.array([0, 2, 1, 0])[:, None]
+        for variable, about in ((values, of_values), (flags, of_flags)):
+            for name, value in about.items():
+                setattr(variable, name, value)
+    read = read_logger_file(path)
+    found = [np.nan if s.ghi_wm2 is None else s.ghi_wm2 for s in read.samples]
+    np.testing.assert_allclose(found, [500.0, np.nan, -8.0, 600.0], rtol=1e-6)
+    assert "missing by the file itself: 1 value of ghi" in read.notes[1]
 
 
 def arm_file(path: Path, unit: str, kind: str, times: list[float]) -> Path:
@@ -869,6 +923,20 @@ def test_spellings_of_one_unit_are_one_unit(tmp_path: Path, unit: str) -> None:
     assert is_wm2(unit) and split_heading(f"DNI ({unit})") == ("DNI", unit)
     read = read_logger_file(toa5(tmp_path / "a.dat", '"SlrW_Avg"', f'"{unit}"'), timedelta(0))
     assert len(read.samples) == 60
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize("unit", ["W/m²", "W m^-2", "kW/m²", "W", "°C"])
+def test_a_cell_may_repeat_the_unit(tmp_path: Path, unit: str) -> None:
+    """Grafana exports ``26.4 W/m²``; another unit is no irradiance in W/m2."""
+    path = tmp_path / "a.csv"
+    path.write_text(f'"Time","GHI"\n2022-12-22 08:50:15,26.4 {unit}\n', encoding="utf-8-sig")
+    if is_wm2(unit):
+        read = read_logger_file(path, timedelta(0), {"ghi_wm2": "GHI"})
+        assert read.samples[0].ghi_wm2 == 26.4
+        return
+    with pytest.raises(InputError, match=f"line 2: ghi_wm2 is '26.4 {unit}'"):
+        read_logger_file(path, timedelta(0), {"ghi_wm2": "GHI"})
 
 
 @pytest.mark.contract
@@ -1221,6 +1289,35 @@ def test_a_clock_that_leaves_summer_time_is_refused(
         read_logger_file(path, timedelta(hours=1))
     standard = _clock_file(tmp_path / "b.csv", times, "%Y-%m-%d %H:%M")
     assert len(read_logger_file(standard, timedelta(hours=1)).samples) == len(times)
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize("minutes", [1, 10, 60])
+@pytest.mark.parametrize(
+    ("zone", "day", "hours"),
+    [
+        ("Europe/Berlin", (3, 28), 1),
+        ("America/New_York", (3, 14), -5),
+        ("Australia/Sydney", (10, 3), 10),
+    ],
+)
+def test_a_clock_that_enters_summer_time_is_refused(
+    tmp_path: Path, zone: str, day: tuple[int, int], hours: int, minutes: int
+) -> None:
+    """Expected: the civil times of tzdata; a gap of a standard clock at another hour is read."""
+    slot = Slot(datetime(2027, 3, 20, 16, 30, tzinfo=UTC), 30.0, 180.0, (Exposure(0.01, 5.6),))
+    site = SiteFile(Site("x", 50.0 if hours < 9 else -34.0, 15.0 * hours, zone))
+    session = create_session(tmp_path / "s", site, [slot], {})
+    first = datetime(2027, *day, tzinfo=ZoneInfo(zone)).astimezone(UTC) - timedelta(hours=12)
+    times = [first + k * timedelta(minutes=minutes) for k in range(1440 // minutes)]
+    civil = [t.astimezone(ZoneInfo(zone)).replace(tzinfo=None) for t in times]
+    path = _clock_file(tmp_path / "a.csv", civil, "%Y-%m-%d %H:%M")
+    with pytest.raises(InputError, match=f"to 03:00, as at the beginning of summer time in {zone}"):
+        adopt_rows(session, path, 3600.0 * hours)
+    standard = [(t + timedelta(hours=hours)).replace(tzinfo=None) for t in times]
+    some = standard[: 600 // minutes] + standard[660 // minutes :]
+    _clock_file(path, some, "%Y-%m-%d %H:%M")
+    assert adopt_rows(session, path, 3600.0 * hours).rows == len(some)
 
 
 @pytest.mark.contract

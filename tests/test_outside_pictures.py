@@ -442,6 +442,8 @@ COLOUR_SPACES = {
         (0.291954, 0.823841, -0.115795),
     ),
     # ITU-R BT.2020, table 4
+    # Chromaticities_XYZ.exr of OpenEXR's images: the channels R, G, B are CIE X, Y, Z
+    "CIE XYZ": ((1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1 / 3, 1 / 3), (0.0, 1.0, 0.0)),
     "BT.2020": ((0.708, 0.292, 0.17, 0.797, 0.131, 0.046, 0.3127, 0.329), (0.2627, 0.678, 0.0593)),
 }
 
@@ -457,7 +459,7 @@ def test_primaries_that_are_no_real_colours(space: str) -> None:
 @pytest.mark.parametrize(
     ("chromaticities", "found"),
     [
-        ((0.64, 0.33, 0.3, 0.6, 0.15, 0.0, 0.31, 0.33), "y other than 0"),
+        ((0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.31, 0.0), "y of white other than 0"),
         ((0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.9, 0.33), "white is not between"),
         ((0.1, 0.1, 0.2, 0.2, 0.3, 0.3, 0.31, 0.33), "on one line"),
         ((0.64, float("nan"), 0.3, 0.6, 0.15, 0.06, 0.31, 0.33), "finite"),
@@ -490,6 +492,17 @@ def test_other_exposures_are_refused(tmp_path: Path, line: str) -> None:
     path = tmp_path / "a.hdr"
     path.write_bytes(f"#?RADIANCE\n{line}\n\n-Y 2 +X 3\n".encode() + bytes(24))
     with pytest.raises(InputError, match="above 0"):
+        read_radiance_hdr(path)
+
+
+@pytest.mark.contract
+def test_a_small_file_of_many_equal_pixels_is_refused_before_decoding(tmp_path: Path) -> None:
+    """Runs of 127 pixels: 48 values a byte; 160 million pixels took 4.4 GB of memory."""
+    path, row = tmp_path / "a.hdr", b"\x02\x02\x4e\x20" + 4 * (157 * b"\xff\x50" + b"\xbd\x50")
+    path.write_bytes(b"#?RADIANCE\n\n-Y 100 +X 20000\n" + 100 * row)
+    assert read_radiance_hdr(path).luminance_cdm2.shape == (100, 20000)
+    path.write_bytes(b"#?RADIANCE\n\n-Y 8000 +X 20000\n" + 8000 * row)
+    with pytest.raises(InputError, match=r"20000 x 8000 pixels; expected .* each byte of a large"):
         read_radiance_hdr(path)
 
 

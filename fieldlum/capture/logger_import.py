@@ -4,11 +4,13 @@ A repeated import with another clock or other columns replaces the earlier rows.
 """
 
 import shutil
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing, suppress
 from datetime import datetime, timedelta
+from itertools import pairwise
 from pathlib import Path
 from typing import cast
+from zoneinfo import ZoneInfo
 
 from fieldlum.capture.match_card import Report
 from fieldlum.core.errors import InputError
@@ -31,13 +33,16 @@ def adopt_rows(
     Rows that an earlier import of this file name read with another clock or other columns are
     removed. utc_offset_s: the logger's clock minus UTC [s], if the file does not state it. columns:
     name of the column for each quantity, if it is unusual. sensitivities: of pyranometers whose
-    column is a voltage, uV per W/m2. Raises InputError for a file that cannot be read, or if
-    another process logs into the session.
+    column is a voltage, uV per W/m2. Raises InputError for a file that cannot be read or follows
+    summer time, or if another process logs into the session.
     """
     stated = {"utc_offset_s": utc_offset_s, "columns": columns, "sensitivities": sensitivities}
     how = {name: value for name, value in stated.items() if value is not None}
     table = cast("LoggerFileTable", {"file": path.name, **how})
     logger_file = _read_as(path, table)
+    if utc_offset_s is not None:
+        clock = [s.t_utc + timedelta(seconds=utc_offset_s) for s in logger_file.samples]
+        _check_civil_time(path, clock, ZoneInfo(session.site_file().site.timezone))
     before = session.table().get("logger_files", [])
     withdrawn = 0
     with sole_user(session, "log"):
@@ -52,6 +57,22 @@ def adopt_rows(
         tuple(f"{path}: {text}" for text in f) for f in (logger_file.left_out, logger_file.notes)
     )
     return Report(rows=added, withdrawn=withdrawn, left_out=left_out, notes=notes)
+
+
+def _check_civil_time(path: Path, clock: Sequence[datetime], zone: ZoneInfo) -> None:
+    """Raise InputError for a clock that leaps over the hour that begins summer time in `zone`.
+
+    The end of summer time, when a clock goes back, is found in any zone by `read_logger_file`.
+    """
+    steps = [b - a for a, b in pairwise(clock)]
+    usual = sorted(steps)[len(steps) // 2] if steps else timedelta()
+    for a, step in ((a, step) for a, step in zip(clock, steps, strict=False) if step > usual):
+        before, after = (t.replace(tzinfo=zone).utcoffset() for t in (a, a + step))
+        leap = (after or usual) - (before or usual)
+        if leap > timedelta() and abs(step - usual - leap) < usual / 2:
+            found = f"the clock leaps from {a:%Y-%m-%d %H:%M} to {a + step:%H:%M}"
+            found += f", as at the beginning of summer time in {zone.key}"
+            raise InputError(path, found, "one clock in all rows", "write standard time")
 
 
 def _read_as(path: Path, table: LoggerFileTable) -> LoggerFile:

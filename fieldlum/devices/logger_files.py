@@ -7,18 +7,23 @@ must state the logger's UTC offset. Source: help.campbellsci.com, TOA5.
 
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from fieldlum.core import strict_csv
+from fieldlum.core.arrays import Mask
 from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.files import open_to_read
-from fieldlum.core.records import IrradianceSample
+from fieldlum.core.records import IrradianceSample, counted
 from fieldlum.core.strict_csv import (
     COMMAS,
+    IRRADIANCE_LIMITS_WM2,
     THOUSANDS,
     Line,
     is_wm2,
@@ -41,6 +46,7 @@ _TIMES = tuple(
 )
 _DAY_OR_MONTH_FIRST = re.compile(r"(\d{1,2})([/.])(\d{1,2})\2(\d{4})[ T]+(.+)")
 _COMMA = re.compile(r" is '[+-]?[\d.]+,[\d,.]+'")
+_BAD = re.compile("bad|invalid|fail|error|missing")  # words of flag_meanings
 _STANDARD_TIME = "write standard time in all rows"
 _SAVE_AGAIN = "save it as CSV with commas between and points in the numbers"
 # Usual column names in loggers' programs and in ARM's netCDF files, without "avg"; digits,
@@ -74,7 +80,8 @@ class _Table:
     """The text of a table: names and units of its columns, lines below them.
 
     is_logger : whether a logger's program wrote it, which states the unit of each column and puts
-    no spaces around cells; cut : a text on an incomplete last line.
+    no spaces around cells; cut : a text on an incomplete last line; called_bad : how many values of
+    a column the file itself calls bad.
     """
 
     names: list[str]
@@ -82,6 +89,7 @@ class _Table:
     lines: Sequence[Line]
     is_logger: bool = False
     cut: tuple[str, ...] = ()
+    called_bad: Mapping[str, int] = field(default_factory=dict)
 
     def usual(self) -> list[str]:
         """Return the letters of each name, "" for a column of a csv that is not in W/m2."""
@@ -117,8 +125,6 @@ def read_logger_file(
     request = utc_offset, columns or {}, sensitivities or {}
     if start == _NETCDF:
         logger_file = _read(path, _netcdf(path), *request)
-        unused = "quality flags of the file are not used, because fieldlum checks the values itself"
-        logger_file = replace(logger_file, notes=(*logger_file.notes, unused))
     else:
         text = strict_csv.read_text(path, "a logger's file in csv or TOA5")
         if text.startswith(",".join(DAY_COLUMNS)):
@@ -149,7 +155,8 @@ def _check_readable(path: Path, logger_file: LoggerFile) -> None:
         first = left_out[0] if left_out else "it has no rows"
         found = f"{len(left_out)} rows cannot be read, {count} can: {first}"
         found = found if count else f"no row could be read: {first}"
-        raise InputError(path, found, "rows of irradiance", "compare a row with docs/devices.md")
+        remedy = "write all times in that form" if "time '" in first else "export the file again"
+        raise InputError(path, found, "rows of irradiance", f"{remedy} (docs/devices.md)")
 
 
 def parse_table(
@@ -220,9 +227,9 @@ def _csv(path: Path, text: str) -> _Table:
 def _netcdf(path: Path) -> _Table:
     """Return the variables along the time of a classic netCDF file, such as those of ARM.
 
-    Raises InputError for times that have too few digits for steps of a second.
+    Values that the file itself calls bad are missing. Raises InputError for times that have too few
+    digits for steps of a second.
     """
-    import numpy as np
     import pandas as pd
     import xarray as xr
 
@@ -230,24 +237,78 @@ def _netcdf(path: Path) -> _Table:
     with input_errors(path, expected, "export it as csv", Exception):  # scipy raises any
         with xr.open_dataset(path, engine="scipy", decode_cf=False) as opened:
             stored = opened.load()
+        since = [str(k) for k in stored.coords if " since " in str(stored[k].attrs.get("units"))]
+        if len(since) != 1:
+            raise ValueError(
+                "no variable of times, or several, in units as 'days since 2019-07-05'"
+            )
+        of_time = stored[since[0]]
+        calendar = str(of_time.attrs.get("calendar", "standard"))
+        if calendar not in ("standard", "gregorian", "proleptic_gregorian"):
+            raise ValueError(f"times of the calendar {calendar}")
+        stored = stored.squeeze([d for d, n in stored.sizes.items() if n == 1 and d != since[0]])
         frame = xr.decode_cf(stored)
-        if frame["time"].dtype.kind != "M":
-            raise ValueError("times without a unit such as 'seconds since 2019-07-05'")
-        unit = pd.Timedelta(1, str(stored["time"].attrs["units"]).split()[0])
-        numbers = stored["time"].to_numpy()
+        unit = pd.Timedelta(1, str(of_time.attrs["units"]).split()[0])
+        numbers = of_time.to_numpy()
         if numbers.size > _MAX_ROWS:
             raise ValueError(f"{numbers.size:,} times, more than {_MAX_ROWS:,}")
         step_s = float(np.spacing(np.abs(numbers).max())) * unit.total_seconds()
         if step_s > _MAX_TIME_STEP_S:
             digits = f"{8 * numbers.dtype.itemsize} bits, enough for steps of {step_s:.2g} s"
             raise ValueError(f"times with {digits}")
-        times = frame["time"].to_numpy().astype("M8[us]").tolist()
-    along = {str(name): v for name, v in frame.items() if v.dims == ("time",)}
+        times = frame[since[0]].to_numpy().astype("M8[us]").tolist()
+    along = {str(name): v for name, v in frame.items() if v.dims == (since[0],)}
     names = ["t_utc", *along]
     units = ["", *(str(values.attrs.get("units", "")) for values in along.values())]
-    rows = zip(times, *(values.to_numpy().tolist() for values in along.values()), strict=True)
+    bad = {name: _called_bad(stored, name) for name in along}
+    columns = (values.where(~bad[name]).to_numpy() for name, values in along.items())
+    rows = zip(times, *(column.tolist() for column in columns), strict=True)
     lines = [(number, ",".join(map(str, row))) for number, row in enumerate(rows, start=1)]
-    return _Table(names, units, lines, True)
+    calls = {name: int(mask.sum()) for name, mask in bad.items()}
+    return _Table(names, units, lines, True, called_bad=calls)
+
+
+def _called_bad(stored: Any, name: str) -> Mask:
+    """Return which values of a variable along the time the netCDF file itself calls bad, [times].
+
+    Those outside valid_range or valid_min and valid_max (CF conventions 1.11, 2.5.1), and those
+    with a flag of a bad meaning (CF 3.5) or assessment (ARM's standard for data). An instrument's
+    offset at night, down to -10 W/m2, is not bad because it is below 0.
+    """
+    own = stored[name]
+    about: Mapping[str, Any] = own.attrs
+    if own.dtype.kind not in "iuf":
+        return np.zeros(own.shape, bool)
+    scale, offset = about.get("scale_factor", 1.0), about.get("add_offset", 0.0)
+    least, most = about.get("valid_range", (-math.inf, math.inf))
+    limits = [np.asarray(about.get(*of)) for of in (("valid_min", least), ("valid_max", most))]
+    # integers are in the unit of the stored numbers
+    low, high = (v if v.dtype.kind == "f" else v * scale + offset for v in limits)
+    values = own.to_numpy() * scale + offset
+    bad = (values > high) | (values < min(low, IRRADIANCE_LIMITS_WM2[0]))
+    for flag in (f"qc_{name}", *str(about.get("ancillary_variables", "")).split()):
+        if flag in stored and stored[flag].dims == own.dims and stored[flag].dtype.kind in "iu":
+            bits = stored[flag].to_numpy().astype(np.int64)
+            for mask, value in _bad_flags(stored.attrs, stored[flag].attrs):
+                bad |= (bits & mask) == value
+    return bad
+
+
+def _bad_flags(of_file: Mapping[str, Any], of_flag: Mapping[str, Any]) -> Iterator[tuple[int, int]]:
+    """Yield mask and value of the flags that mean bad data, by the attributes of file and flag."""
+    for k in range(31):
+        assessed, described = (
+            str(of_flag.get(f"bit_{k + 1}_{key}", of_file.get(f"qc_bit_{k + 1}_{key}", "")))
+            for key in ("assessment", "description")
+        )
+        if assessed == "Bad" and "valid_min" not in described:
+            yield 1 << k, 1 << k
+    masks = np.ravel(of_flag.get("flag_masks", -1)).tolist()
+    values = np.ravel(of_flag.get("flag_values", masks)).tolist()
+    words = str(of_flag.get("flag_meanings", "")).lower().split()
+    for k, (value, meaning) in enumerate(zip(values, words, strict=False)):
+        if _BAD.search(meaning):
+            yield masks[k % len(masks)], value
 
 
 def _letters(name: str) -> str:
@@ -289,6 +350,9 @@ def _read(
             right.append(row)
         except (ValueError, OverflowError) as error:
             damaged.append(f"line {number}: {error}")
+    for name in (names[i] for i in at.values() if table.called_bad.get(names[i])):
+        count = f"missing by the file itself: {counted(table.called_bad[name], 'value')} of {name}"
+        notes.append(f"{count}, out of the valid range or flagged as bad")
     if clock.is_utc and utc_offset is not None:
         notes.append(f"times of {clock.name} are UTC: no offset moves them")
     return LoggerFile(tuple(samples), (*damaged, *table.cut), tuple(notes))
@@ -364,9 +428,11 @@ def _factors(
 def _number(text: str, quantity: str, factor: float) -> float | None:
     """Return a logger's number times a factor; None for a missing value.
 
-    Raises ValueError for a text that is not a number, and for an irradiance (a `quantity` that ends
-    in _wm2) outside -200 to 4000 W/m2.
+    A number may be followed by W/m2. Raises ValueError for a text that is not a number, and for an
+    irradiance (a `quantity` that ends in _wm2) outside -200 to 4000 W/m2.
     """
+    own, unit = strict_csv.split_heading(text) if " " in text else (text, "")
+    text = own if factor == 1.0 and is_wm2(unit) and quantity.endswith("_wm2") else text
     try:
         value = factor * strict_csv.read_number(text, has_codes=factor == 1.0)
     except ValueError as error:

@@ -21,6 +21,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
@@ -43,6 +44,14 @@ RADIANCE_CHROMATICITIES = (0.640, 0.330, 0.290, 0.600, 0.150, 0.060, 1.0 / 3.0, 
 PANORAMA_LINE = "FIELDLUM_VIEW= equirect heading_deg="
 _RESOLUTION = re.compile(rb"\s*([+-])([XY])\s+(\d+)\s+([+-])([XY])\s+(\d+)\s*")
 _RGBE, _XYZE = "32-bit_rle_rgbe", "32-bit_rle_xyze"
+# Values a byte of the file in large pictures (128 MB as .exr, 512 MB as .hdr when decoded).
+# Measured: noise-free gradients have up to 22, pictures of one colour 500 and 48.
+_EXR_VALUES, _HDR_VALUES = (2**25, 100), (2**27, 30)
+
+
+def _max_values(path: Path, large: int, per_byte: int) -> int:
+    """Return how many values of all channels a picture may have, for the memory of decoding."""
+    return min(4 * MAX_PIXELS, max(large, per_byte * path.stat().st_size))  # at most 2.6 GB
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,22 +131,23 @@ def rgb_to_xyz(chromaticities: Sequence[float]) -> Floats:
     """Return the matrix from RGB to XYZ with Y = 1 for R = G = B = 1, [3, 3].
 
     chromaticities : x, y of red, green, blue and white, [8]. A primary need not be a real colour:
-    blue of ACES AP0 has y = -0.077 (SMPTE ST 2065-1). Raises ValueError for values that are not
-    finite, a y of 0, and a white that is not between the primaries.
+    blue of ACES AP0 has y = -0.077 (SMPTE ST 2065-1), red and blue of CIE XYZ have y = 0. Raises
+    ValueError for values that are not finite, a white with y = 0, and one that is not between the
+    primaries.
     """
     if len(chromaticities) != 8:
         raise ValueError(f"{len(chromaticities)} numbers in place of 8")
     xy = np.asarray(chromaticities, float).reshape(4, 2)
-    if not np.isfinite(xy).all() or (xy[:, 1] == 0).any():
-        raise ValueError("chromaticities must be finite numbers with y other than 0")
-    corners = np.vstack([xy[:3].T, np.ones(3)])  # [3, 3]
-    if abs(float(np.linalg.det(corners))) < 1e-4:
+    if not np.isfinite(xy).all() or xy[3, 1] == 0:
+        raise ValueError("chromaticities must be finite numbers, with y of white other than 0")
+    xyz = np.vstack([xy.T, 1.0 - xy.sum(axis=1)])  # [3, 4]
+    primaries, white = xyz[:, :3], xyz[:, 3] / xy[3, 1]
+    if abs(float(np.linalg.det(primaries))) < 1e-4:
         raise ValueError("the three primaries are on one line")
-    if (np.linalg.solve(corners, [*xy[3], 1.0]) <= 0).any():
+    shares = np.linalg.solve(primaries, white)
+    if (shares * white[1] <= 0).any():
         raise ValueError("white is not between the three primaries")
-    xyz = np.stack([xy[:, 0], xy[:, 1], 1.0 - xy.sum(axis=1)], axis=1) / xy[:, 1:]  # [4, 3]
-    columns = xyz[:3].T  # [3, 3]
-    return columns * np.linalg.solve(columns, xyz[3])
+    return primaries * shares
 
 
 def luminance_weights(chromaticities: Sequence[float]) -> Floats:
@@ -167,7 +177,7 @@ def read_radiance_hdr(path: Path) -> RadianceImage:
         header = _read_header(file, path)
         values = header.upright(_decoded(file, header, path))  # [H, W, 3]
     luminance = values @ header.cdm2_per_unit.astype(np.float32)
-    rgb = np.divide(values, header.exposure, out=np.empty_like(values), casting="same_kind")
+    rgb = np.divide(values, header.exposure, out=values, casting="same_kind")
     if header.xyze:
         to_rgb = np.linalg.inv(rgb_to_xyz(RADIANCE_CHROMATICITIES)) / RADIANCE_LM_PER_W  # [3, 3]
         rgb = rgb @ to_rgb.T.astype(np.float32)
@@ -179,12 +189,15 @@ def _decoded(file: BinaryIO, header: RadianceHeader, path: Path) -> Floats32:
     scanlines, width = header.counts
     plain = f"#?RADIANCE\nFORMAT={_RGBE}\n\n-Y {scanlines} +X {width}\n".encode()
     command = [radiance_program("pvalue"), "-h", "-H", "-df"]
-    result = subprocess.run(command, input=plain + file.read(), capture_output=True, check=False)
-    count = len(result.stdout) // (12 * width)
+    with TemporaryFile() as decoded:  # a pipe would need the memory twice
+        content, quiet = plain + file.read(), subprocess.DEVNULL
+        subprocess.run(command, input=content, stdout=decoded, stderr=quiet, check=False)
+        decoded.seek(0)
+        values = np.fromfile(decoded, np.float32, 3 * scanlines * width)
+    count = values.size // (3 * width)
     if count < scanlines:
         finding = f"the pixels are damaged, or end after scanline {count} of {scanlines}"
         raise InputError(path, finding, "all scanlines", "it is cut short: copy it again")
-    values = np.frombuffer(result.stdout, np.float32, 3 * scanlines * width)
     # Infinity is written as 1e30, and single precision ends at 3e38. [W/sr/m2]
     largest, brightest = float(values.max()), 2e30 * float(header.exposure.min())
     if not largest <= brightest:
@@ -249,8 +262,9 @@ def _resolution(line: bytes, path: Path) -> tuple[tuple[str, str], tuple[int, in
         finding = f"resolution line {line[:40].decode('latin-1').strip()!r}"
         raise InputError(path, finding, "two axes, as -Y 800 +X 800", "copy the file again")
     counts = (int(match[3]), int(match[6]))
-    if not 0 < counts[0] * counts[1] <= MAX_PIXELS:
+    if not 0 < counts[0] * counts[1] <= min(MAX_PIXELS, _max_values(path, *_HDR_VALUES) // 3):
         finding, expected = f"{counts[1]} x {counts[0]} pixels", f"1 to {MAX_PIXELS:,} pixels"
+        expected += f", {_HDR_VALUES[1] // 3} for each byte of a large file"
         raise InputError(path, finding, expected, "reduce it with pfilt -1 -x 4000 -y 4000")
     return ((match[1] + match[2]).decode(), (match[4] + match[5]).decode()), counts
 
@@ -350,11 +364,6 @@ def write_radiance_hdr(
 
 # ITU-R BT.709, which OpenEXR assumes where a file has no attribute `chromaticities`.
 _BT709_CHROMATICITIES = (0.640, 0.330, 0.300, 0.600, 0.150, 0.060, 0.3127, 0.3290)
-# Values of all channels together, 2.6 GB: limits the memory that decoding may take.
-_MAX_VALUES = 4 * MAX_PIXELS
-# Values a byte of the file, in pictures over 128 MB. Measured: noise-free gradients have up to 22,
-# pictures of zeros 500.
-_LARGE_VALUES, _MAX_VALUES_PER_BYTE = 2**25, 100
 NO_UNIT = "the EXR states no unit (no whiteLuminance): its values are taken as cd/m2"
 
 # ----------------------------------------------------------------------------------------------
@@ -552,11 +561,11 @@ def _window(header: Mapping[str, Any], name: str) -> tuple[int, int, int, int]:
 
 
 def _check_size(headers: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """Raise InputError for more values than `_MAX_VALUES`, before anything is decoded.
+    """Raise InputError for more values than `_max_values`, before anything is decoded.
 
     All parts count, because OpenEXR decodes all of them. So does a file too small for its pixels.
     """
-    maximum = min(_MAX_VALUES, max(_LARGE_VALUES, _MAX_VALUES_PER_BYTE * path.stat().st_size))
+    maximum = _max_values(path, *_EXR_VALUES)
     for header, name in ((h, name) for h in headers for name in ("dataWindow", "displayWindow")):
         with input_errors(path, *_COMPLETE, KeyError, TypeError, ValueError):
             top, left, bottom, right = _window(header, name)
@@ -598,8 +607,9 @@ def _luminance(
     with input_errors(path, expected, remedy, TypeError, ValueError):
         weights = luminance_weights(tuple(header.get("chromaticities", _BT709_CHROMATICITIES)))
     luminance = np.zeros_like(channels["R"])
-    for name, weight in zip("RGB", weights * scale, strict=True):
-        luminance += channels[name] * np.float32(weight)
+    with np.errstate(invalid="ignore"):  # of infinite pixels, which are refused where they count
+        for name, weight in zip("RGB", weights * scale, strict=True):
+            luminance += channels[name] * np.float32(weight)
     if stated is not None and np.nanmedian(abs(stated - luminance)) > 0.01 * np.nanmean(luminance):
         found, expected = "channel Y is not the luminance of R, G and B", "one luminance"
         raise InputError(path, found, expected, "write only Y, or only R, G and B")
