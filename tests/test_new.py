@@ -52,7 +52,7 @@ def test_a_person_answers_wrongly_and_rightly(tmp_path: Path) -> None:
         ("Longitude", "7,69"),
         ("decimal degrees", "7.69 E"),
         ("Time zone", "Europe/Rom"),
-        ("is it Europe/Rome", "America/New_York"),
+        ("did you mean 'Europe/Rome'", "America/New_York"),
         ("east are positive", ""),
         ("Longitude", ""),
         ("Time zone", "Europe/Rome"),

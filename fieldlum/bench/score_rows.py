@@ -9,7 +9,7 @@ from typing import cast, get_args
 
 import numpy as np
 
-from fieldlum.core.errors import InputError, NotEnoughDataError
+from fieldlum.core.errors import InputError, NotEnoughDataError, did_you_mean
 from fieldlum.core.progress import progress
 from fieldlum.core.records import JsonTable
 from fieldlum.learn import models
@@ -72,7 +72,7 @@ def _parse_spec(text: str) -> Spec:
         "--models",
         f"the unknown name '{text}'",
         f"{', '.join(MODELS)}, alone or with :absolute (default), :gain, :none; or a model folder",
-        "correct the name after --models",
+        f"correct the name after --models{did_you_mean(name, MODELS)}",
     )
 
 

@@ -10,7 +10,7 @@ from fieldlum.session import Session, day_files
 from fieldlum.session.files.model_files import ModelConfig
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.journal import damaged_lines
-from fieldlum.session.slot_states import SlotStates, read_slot_states, slots_to_do
+from fieldlum.session.slot_states import SETTLED, SlotStates, read_slot_states, slots_to_do
 
 
 def status(session: Session) -> JsonTable:
@@ -24,7 +24,8 @@ def status(session: Session) -> JsonTable:
     Raises InputError for a file of the session that cannot be read.
     """
     slots, recorded = session.slots(), read_slot_states(session)
-    captured = {slot.id for slot in slots if recorded.state(slot.id).frames}
+    states = {slot.id: recorded.state(slot.id) for slot in slots}
+    captured = {slot for slot, state in states.items() if state.frames and state.outcome in SETTLED}
     merged = {path.stem for path in session.panorama_files()}
     pairs = PairsFile.find(session.pairs)
     # `simulate` writes pairs of its truth, which are no pairs of merged panoramas.

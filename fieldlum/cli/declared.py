@@ -26,7 +26,7 @@ from typing import Any, Literal, NamedTuple
 
 import click
 
-from fieldlum.core.errors import InputError
+from fieldlum.core.errors import InputError, did_you_mean
 
 _ENTRY = re.compile(r"(--[^\s:]+)(?: (.+?))?: (.+)")
 
@@ -52,6 +52,15 @@ class _LocalPath(click.Path):
             what = "a file or folder that exists"
             raise InputError(value, "no such file or folder", what, "check the path")
         return super().convert(value, param, ctx)
+
+
+class Named(click.Choice[str]):
+    """One of some names; the error for another text has the most similar name."""
+
+    def get_invalid_choice_message(self, value: Any, ctx: click.Context | None) -> str:
+        """Return the text of the error."""
+        near = did_you_mean(str(value), map(str, self.choices))
+        return super().get_invalid_choice_message(value, ctx).rstrip(".") + near
 
 
 def numbers(count: int, mark: str) -> Callable[[str], tuple[float, ...]]:
@@ -137,7 +146,7 @@ def _parameter(parameter: inspect.Parameter, hint: Any, entry: _Entry | None) ->
     parts = typing.get_args(hint) if typing.get_origin(hint) is tuple else ()
     base, is_many = parts[0] if parts else hint, parts[-1:] == (Ellipsis,)
     if typing.get_origin(base) is Literal:
-        settings["type"] = click.Choice(typing.get_args(base))
+        settings["type"] = Named(typing.get_args(base))
     elif base is not bool and base is not Any:
         settings["type"] = PATH if base is Path else base
     for extra in filter(callable, extras):

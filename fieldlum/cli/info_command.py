@@ -5,7 +5,7 @@ from typing import Any
 
 from fieldlum.cli.options import command_of
 from fieldlum.cli.terminal import emit_json, say, tell
-from fieldlum.core.errors import InputError
+from fieldlum.core.errors import InputError, did_you_mean
 from fieldlum.core.files import read_bytes
 
 Facts = dict[str, Any]  # facts about a file by name, as --json prints them
@@ -68,7 +68,8 @@ def describe(path: Path, part: str = "") -> Facts:
     if path.is_dir():
         return _folder(path)
     if not path.exists():
-        raise InputError(path, "no such file or folder", remedy="check the path")
+        near = did_you_mean(str(path), camera_names())
+        raise InputError(path, "no such file or folder", remedy=f"check the path{near}")
     suffix = path.suffix.lower()
     if suffix == ".exr":
         return _exr(path, part)

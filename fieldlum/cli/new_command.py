@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 import click
 
 from fieldlum.cli.options import command_of
-from fieldlum.core.errors import InputError
+from fieldlum.core.errors import InputError, did_you_mean
 from fieldlum.core.files import read_bytes
 from fieldlum.core.records import CameraSetup, Site, SiteFile
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from fieldlum.optics.profiles import CameraProfile, Lens
 
 T = TypeVar("T")
-_ANGLE = re.compile(r"([+-]?\d+(?:\.\d+)?)\s*°?\s*([NSEWnsew]?)")
+_ANGLE = re.compile(r"([+-]?\d+(?:[.,]\d+)?)\s*°?\s*([NSEWnsew]?)")
 # Relative standard uncertainties of a profile that nobody calibrated, as in the shipped
 # uncalibrated profiles.
 _GUESSES = {"scale": 0.5, "colour": 0.2, "vignetting": 0.15}
@@ -150,7 +150,7 @@ def _angle(limit: float, winds: str) -> Callable[[str], float]:
         match = _ANGLE.fullmatch(text)
         if match is None or (match[2] and match[2].upper() not in winds):
             raise ValueError(f"'{text}': expected decimal degrees, also with {' or '.join(winds)}")
-        value = float(match[1]) * (-1.0 if match[2].upper() == winds[1] else 1.0)
+        value = float(match[1].replace(",", ".")) * (-1.0 if match[2].upper() == winds[1] else 1.0)
         return _number(-limit, limit)(str(value))
 
     return reader
@@ -169,7 +169,6 @@ def _azimuths(text: str) -> tuple[float, ...]:
 
 
 def _site(dialogue: Dialogue) -> Site:
-    from difflib import get_close_matches
     from zoneinfo import available_timezones
 
     from fieldlum.session.site_toml import site_from_table, wrong_sign_text
@@ -179,8 +178,7 @@ def _site(dialogue: Dialogue) -> Site:
 
     def zone(text: str) -> str:
         if text not in zones:
-            near = "".join(f"; is it {match}?" for match in get_close_matches(text, zones, n=1))
-            raise ValueError(f"unknown time zone '{text}'{near}")
+            raise ValueError(f"unknown time zone '{text}'{did_you_mean(text, zones)}")
         return text
 
     while True:

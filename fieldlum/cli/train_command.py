@@ -5,9 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import click
-
-from fieldlum.cli.declared import PATH
+from fieldlum.cli.declared import PATH, Named
 from fieldlum.cli.options import Above0, command_of
 from fieldlum.cli.terminal import print_answer, progress, say, table_lines
 from fieldlum.learn.model_kinds import MODELS
@@ -34,7 +32,7 @@ _COLUMNS = {
 def command(
     pairs: Annotated[Path, "SESSION|PAIRS.csv", PATH],
     site: Path | None = None,
-    model: Annotated[str, click.Choice(["auto", *MODELS])] = "auto",
+    model: Annotated[str, Named(["auto", *MODELS])] = "auto",
     patch: Literal["absolute", "gain", "none"] = "absolute",
     budget: Above0 = 10.0,
     seed: int = 0,

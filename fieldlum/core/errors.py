@@ -12,7 +12,7 @@ import os
 import sys
 import tempfile
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -58,6 +58,16 @@ class NotEnoughDataError(FieldlumError):
 
 class ChangedFileWarning(UserWarning):
     """A file of a session differs from what fieldlum wrote: edited by hand, or damaged."""
+
+
+def did_you_mean(text: str, names: Iterable[str]) -> str:
+    """Return ``; did you mean 'NAME'?`` for a name that begins with a text or is similar, or ""."""
+    from difflib import get_close_matches
+
+    known = list(names)
+    near = [name for name in known if text and name.startswith(text)]
+    near = near or get_close_matches(text, known, n=1)
+    return f"; did you mean '{near[0]}'?" if near else ""
 
 
 def install_text(extra: str) -> str:

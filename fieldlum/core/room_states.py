@@ -7,6 +7,7 @@ up, clear glass, no snow). Lamps add light; the other words change the room's re
 import numpy as np
 
 from fieldlum.core.arrays import Floats
+from fieldlum.core.errors import did_you_mean
 
 KNOWN = {
     "lamp": ("off", "on"),
@@ -44,7 +45,8 @@ def _values(text: str) -> dict[str, str]:
     for part in filter(None, (piece.strip() for piece in text.split(";"))):
         word, _, value = (piece.strip() for piece in part.partition("="))
         if word not in KNOWN or value not in KNOWN[word] or word in values:
-            raise ValueError(f"'{part}' is not a state of a room; known: {USAGE}")
+            near = did_you_mean(part, (f"{w}={v}" for w, of in KNOWN.items() for v in of))
+            raise ValueError(f"'{part}' is not a state of a room; known: {USAGE}{near}")
         values[word] = value
     return values
 

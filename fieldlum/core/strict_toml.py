@@ -9,14 +9,13 @@ import re
 import tomllib
 import typing
 from dataclasses import asdict, is_dataclass
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import msgspec
 from msgspec import Meta
 
-from fieldlum.core.errors import InputError, input_errors, kind_of
+from fieldlum.core.errors import InputError, did_you_mean, input_errors, kind_of
 from fieldlum.core.files import open_to_read
 
 T = TypeVar("T")
@@ -104,7 +103,8 @@ def _refuse(hint: Any, value: Any, where: str) -> None:
     for part in (hint, *(typing.get_args(hint) if isinstance(value, str) else ())):
         if typing.get_origin(part) is typing.Literal and value not in typing.get_args(part):
             expected = f"one of {', '.join(map(str, typing.get_args(part)))}"
-            raise InputError(where, f"the value {value!r}", expected, "correct the value")
+            near = did_you_mean(str(value), map(str, typing.get_args(part)))
+            raise InputError(where, f"the value {value!r}", expected, f"correct the value{near}")
     if isinstance(value, list | tuple):
         for number, inner in enumerate(value, start=1):
             _refuse(hint, inner, f"{where} #{number}")
@@ -114,9 +114,8 @@ def _refuse(hint: Any, value: Any, where: str) -> None:
     keys_of_kind = typing.get_type_hints(kind) if kind is not None else dict.fromkeys(value)
     for key, inner in value.items():
         if key not in keys_of_kind:
-            near = get_close_matches(key, keys_of_kind, n=1)
             keys = f"known keys: {', '.join(sorted(keys_of_kind)) or 'none'}"
-            remedy = f"did you mean '{near[0]}'?" if near else keys
+            remedy = did_you_mean(key, keys_of_kind).removeprefix("; ") or keys
             raise InputError(where, f"unknown key '{key}'", remedy=remedy)
         _refuse(keys_of_kind[key], inner, f"{where} [{key}]")
 

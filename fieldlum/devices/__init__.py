@@ -29,7 +29,7 @@ from urllib.parse import parse_qsl, unquote
 
 from msgspec import Struct
 
-from fieldlum.core.errors import DeviceError, InputError
+from fieldlum.core.errors import DeviceError, InputError, did_you_mean
 from fieldlum.core.records import Exposure, IrradianceSample, shutter_text
 from fieldlum.core.strict_toml import build
 from fieldlum.devices.clock import Clock
@@ -249,7 +249,8 @@ def _open(text: str, table: dict[str, str], what: str, **arguments: Any) -> Any:
     uri = parse_uri(text)
     if uri.scheme not in table:
         expected = f"expected one of {', '.join(sorted(table))}"
-        raise DeviceError(f"{text}: no {what} driver '{uri.scheme}:'; {expected}; correct the URI")
+        remedy = f"correct the URI{did_you_mean(uri.scheme, table)}"
+        raise DeviceError(f"{text}: no {what} driver '{uri.scheme}:'; {expected}; {remedy}")
     module = import_module(f"fieldlum.devices.{table[uri.scheme]}")
     return getattr(module, f"open_{what}")(uri, **arguments)
 

@@ -19,7 +19,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from msgspec import Meta, Struct
 
-from fieldlum.core.errors import DeviceError, InputError
+from fieldlum.core.errors import DeviceError, InputError, did_you_mean
 from fieldlum.core.records import IrradianceSample
 from fieldlum.core.strict_toml import build, read_toml
 from fieldlum.devices import DeviceUri, InstrumentInfo, Pyranometer
@@ -139,9 +139,10 @@ def read_profile(cls: type[T], name: str, folder: Path, what: str, option: str) 
     """
     path = Path(name) if name.endswith(".toml") else folder / f"{name}.toml"
     if not path.is_file():
-        names = ", ".join(sorted(p.stem for p in folder.glob("*.toml")))
-        expected = f"expected one of {names}, or the path of a TOML file"
-        raise DeviceError(f"no {what} '{name}'; {expected}; correct {option} in the URI")
+        names = sorted(p.stem for p in folder.glob("*.toml"))
+        expected = f"expected one of {', '.join(names)}, or the path of a TOML file"
+        near = did_you_mean(name, names)
+        raise DeviceError(f"no {what} '{name}'; {expected}; correct {option} in the URI{near}")
     return build(cls, read_toml(path), str(path)), path
 
 

@@ -1,9 +1,9 @@
 """Estimate the exposures of a bracket's frames by a robust fit of their ratios in the log domain.
 
-For a pair, y_short / y_long is averaged over pixels that are well exposed in both frames. The long
-frame alone selects the pixels: its noise is small, so that noise of the short frame does not bias
-the selection. Weighted least squares with priors then give one correction for each frame. Pictures
-determine only ratios; the priors determine the common level.
+For a pair, y_short / y_long is averaged over pixels that are well exposed in both frames. The light
+of both frames together selects the pixels, so that noise does not bias the selection. Weighted
+least squares with priors then give one correction for each frame. Pictures determine only ratios;
+the priors determine the common level.
 """
 
 from collections.abc import Mapping, Sequence
@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fieldlum.core.arrays import Floats
+from fieldlum.core.arrays import Floats, Floats32
 from fieldlum.core.statistics import MAD_TO_SIGMA, median, robust_sigma
 from fieldlum.merge.estimator import Rows
 from fieldlum.merge.linear_frames import RawSignal, Signal, scaled
@@ -116,6 +116,21 @@ def _exposed(rows: Rows, light: Floats) -> tuple[Floats, Floats, Floats]:
     return per.ravel(), weight.ravel(), (light * np.sqrt(weight * per)).ravel()
 
 
+def _light(long: Rows, short: Rows) -> Floats32:
+    """Return the light [cd/m2] of both frames together, weighted by the inverse variance.
+
+    Its noise is uncorrelated with that of the frames' ratio. Pixels chosen by the light of the long
+    frame alone are those with positive noise there: at dusk frames then differed by 4 %.
+    """
+    frames, weights, light = (long, short), [np.float32(1.0)] * 2, long.counts
+    for _ in range(2):  # the weights depend on the light
+        total = sum(w * rows.signal.per_cdm2 for w, rows in zip(weights, frames, strict=True))
+        both = sum(w * rows.counts for w, rows in zip(weights, frames, strict=True))
+        light = np.maximum(both / np.maximum(total, 1e-30), 0.0).astype(np.float32)
+        weights = [rows.signal.weight(light) for rows in frames]
+    return light
+
+
 def compare(long: Rows, shorts: Mapping[int, Rows], i: int = 0) -> list[PairRatio]:
     """Return measured exposure ratios of a frame and less exposed ones over the assumed ones.
 
@@ -123,14 +138,13 @@ def compare(long: Rows, shorts: Mapping[int, Rows], i: int = 0) -> list[PairRati
     for the result. A frame with too few pixels that are well exposed in both is omitted.
     """
     assert long.full is not None  # samples state it
-    light = np.maximum(long.counts / long.signal.per_cdm2, 0.0).astype(np.float32)
-    of_long = long.counts.ravel(), *_exposed(long, light)
-    bright = (of_long[-1] > 30.0) & ~long.full.ravel()
     found = []
     for j, short in shorts.items():
         assert short.full is not None
+        light = _light(long, short)
+        of_long = long.counts.ravel(), *_exposed(long, light)
         of_short = short.counts.ravel(), *_exposed(short, light)
-        well_exposed = bright & ~short.full.ravel()
+        well_exposed = (of_long[-1] > 30.0) & ~long.full.ravel() & ~short.full.ravel()
         at = np.flatnonzero(well_exposed)
         for minimum in _SNR_SHORT if isinstance(long.signal, RawSignal) else _SNR_SHORT[-1:]:
             at = np.flatnonzero(well_exposed & (of_short[-1] > minimum))

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from fieldlum.core.errors import InputError
+from fieldlum.core.errors import InputError, did_you_mean
 from fieldlum.core.files import replacing
 from fieldlum.core.records import CameraSetup, Exposure, Slot
 from fieldlum.core.strict_toml import NotNegative, Positive, Share, build, plain, read_toml
@@ -388,6 +388,7 @@ def find_camera_profile(name: str) -> Path:
             return candidate
     expected = f"the path of a TOML file, or one of: {', '.join(camera_names())}"
     remedy = "correct --camera, or profile under [camera] in SITE.toml or session.toml"
+    remedy += did_you_mean(name, camera_names())
     raise InputError(name, "no such camera profile", expected, remedy)
 
 
@@ -434,6 +435,7 @@ def planned_exposures(profile: CameraProfile, setup: CameraSetup) -> tuple[Expos
         what = "shutter times through" if setup.filter in names else "filter"
         expected = f"one of its filters ({', '.join(names) or 'none'}), with nd_shutter_s"
         remedy = "correct filter under [camera] in SITE.toml, or add [[nd]] to the profile"
+        remedy += did_you_mean(setup.filter, names)
         raise InputError(profile.camera.name, f"no {what} '{setup.filter}'", expected, remedy)
     return bracket_exposures(profile.bracket, setup.filter)
 

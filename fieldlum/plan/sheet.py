@@ -106,14 +106,15 @@ def html(
     loader, escape_all = PackageLoader("fieldlum.plan", ""), select_autoescape(default=True)
     environment = Environment(loader=loader, autoescape=escape_all)
     counts = accumulate(len(group) for _, group in dated)
+    assumed = assumed_texts(setup.camera)
     sheets = [_sheet(*day, setup, cost, count) for day, count in zip(dated, counts, strict=True)]
     return environment.get_template("sheet.html.j2").render(
         site=setup.site,
         sheets=sheets,
         days=len(dated),
         late=5,  # minutes; the default of `fieldlum capture --grace` (docs/capture.md)
-        notes=notes,
-        assumed=assumed_texts(setup.camera),
+        notes=[note for note in notes if note not in assumed],
+        assumed=assumed,
         figures=_figures(slots, setup, weather),
     )
 

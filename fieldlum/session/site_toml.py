@@ -6,9 +6,9 @@ from dataclasses import replace
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
+from zoneinfo import ZoneInfo, ZoneInfoNotFoundError, available_timezones
 
-from fieldlum.core.errors import InputError
+from fieldlum.core.errors import InputError, did_you_mean
 from fieldlum.core.records import CameraSetup, Site, SiteFile
 from fieldlum.core.strict_toml import TomlTable, build, plain, read_toml
 from fieldlum.optics.projection import direction
@@ -38,7 +38,8 @@ def site_from_table(table: TomlTable, where: str) -> SiteFile:
         ZoneInfo(site.timezone)
     except (ZoneInfoNotFoundError, ValueError, OSError):
         found = f"unknown time zone '{site.timezone}'"
-        raise InputError(where, found, "a name like Europe/Rome", "correct timezone") from None
+        remedy = f"correct timezone{did_you_mean(site.timezone, available_timezones())}"
+        raise InputError(where, found, "a name like Europe/Rome", remedy) from None
     off_h = abs(sun.zone_off_sun_h(site))
     if abs(site.latitude_deg) < _MERIDIANS_MEET_DEG and off_h > _MAX_OFF_SUN_H:
         found = f"longitude_deg = {site.longitude_deg:g} with timezone {site.timezone}, "
