@@ -31,6 +31,20 @@ def test_status_counts_from_files_alone(rig: Field) -> None:
 
 
 @pytest.mark.contract
+def test_a_bracket_that_is_being_taken_is_not_to_be_merged(rig: Field) -> None:
+    def stop(count: int) -> None:
+        if count == 2:
+            raise KeyboardInterrupt
+
+    rig.camera_fault = stop
+    with pytest.raises(KeyboardInterrupt):
+        rig.run()
+    answer = status(rig.session)
+    assert (answer["capture"]["frames"], answer["merge"]["owed"]) == (1, 0)
+    assert answer["next_step"] == f"fieldlum capture {rig.session.root}"
+
+
+@pytest.mark.contract
 def test_pairs_of_a_simulated_truth_are_no_pairs_of_panoramas(rig: Field) -> None:
     """Otherwise a merged slot would count as paired, and status would not ask for `pair`."""
     slot = rig.session.slots()[0].id
