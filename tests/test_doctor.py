@@ -2,9 +2,11 @@
 
 import json
 from collections.abc import Callable, Iterable
+from contextlib import closing
 from dataclasses import replace
 from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
+from shutil import disk_usage
 from typing import Any
 from unittest.mock import Mock
 
@@ -16,7 +18,14 @@ from fieldlum.capture import doctor
 from fieldlum.cli import main
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import CameraSetup, Exposure, IrradianceSample, SiteFile, Slot
-from fieldlum.devices import FORM_ALONE, CameraInfo, IlluminanceReading, InstrumentInfo
+from fieldlum.devices import (
+    FORM_ALONE,
+    CameraInfo,
+    IlluminanceReading,
+    InstrumentInfo,
+    open_camera,
+)
+from fieldlum.devices.clock import Clock
 from fieldlum.optics.profiles import (
     Bracket,
     CameraBody,
@@ -209,6 +218,15 @@ def test_disk_goes_by_what_the_camera_really_writes(tmp_path: Path) -> None:
     assert doctor.check_disk(session, NOW, 2_000_000).verdict == "ok"  # not a whole bracket yet
     (folder / "capture.json").write_text("{}")
     assert doctor.check_disk(session, NOW, 2_000_000).verdict == "fail"
+
+
+@pytest.mark.contract
+def test_a_simulated_raw_camera_fills_the_disk_with_two_bytes_a_pixel(tmp_path: Path) -> None:
+    """The profile's size is that of a real camera, which compresses: 27 MB stated, 48 written."""
+    session = _session(tmp_path)
+    with closing(open_camera("sim:office", clock=Clock(), session=session)) as camera:
+        left = camera.info.frames_left
+    assert left == pytest.approx(disk_usage(tmp_path).free / (2 * 81), rel=0.01)
 
 
 @pytest.mark.contract

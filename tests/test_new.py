@@ -265,6 +265,7 @@ def test_an_own_profile_has_the_size_and_camera_of_a_photo(tmp_path: Path) -> No
     profile = load_camera_profile(out)
     assert profile.lens[0].radius_px == pytest.approx(1768.18 / 2)
     assert (profile.camera.model, profile.camera.width_px) == ("EOS X", 2808)
+    assert profile.bracket.megabytes_per_frame == round(photo.stat().st_size / 1e6, 1)
     assert (profile.bracket.f_number, profile.scale.u_rel, profile.camera.date) == (4.0, 0.5, "")
     shown = CliRunner().invoke(main, ["info", start])
     assert shown.exit_code == 0 and "camera profile" in shown.output, shown.output

@@ -299,7 +299,7 @@ def judge_camera(info: CameraInfo, uri: str, frames: int) -> Iterator[Finding]:
     yield _clock_of(info.clock_offset_s)
     if info.frames_left is not None:
         text = f"space for {info.frames_left} frames; {frames} are planned"
-        full = warn("camera card", f"{text}: use a larger card, or empty this one")
+        full = warn("camera card", f"{text}: use a larger card or disk, or empty this one")
         yield full if info.frames_left < frames else ok("camera card", text)
 
 
@@ -408,15 +408,10 @@ def check_clock(synchronised: bool | None) -> Finding:
 def check_disk(session: Session, now_utc: datetime, free_bytes: int) -> Finding:
     """Return a finding on the disk: it fails without space for all future slots and 30 % more.
 
-    free_bytes: free space. A slot needs what the plan states, or more if one of the last five
-    brackets was larger, because the files of a camera may differ much from the profile's estimate.
+    free_bytes: free space.
     """
-    planned = 1e6 * float(session.table().get("plan", {}).get("megabytes_per_slot", 0.0))
-    folders = session.captured_folders()
-    captured = [folder for folder in folders if session.capture_file(folder.name).is_file()]
-    sizes = [sum(file.stat().st_size for file in folder.glob("[!.]*")) for folder in captured[-5:]]
     ahead = len(slots_ahead(session, now_utc))
-    needed = ahead * max(planned, *sizes, 0) * 1.3
+    needed = ahead * session.slot_bytes() * 1.3
     need = f"{needed / 1e9:.1f} GB for {ahead} slots, with 30 % in reserve"
     free = f"{free_bytes / 1e9:.1f} GB free"
     if free_bytes < needed:

@@ -308,7 +308,7 @@ def started_profile(profile: CameraProfile, start: str) -> CameraProfile:
 
 
 def _of_photo(profile: CameraProfile, photo: Path) -> CameraProfile:
-    """Return a profile with size, model and aperture of a frame, and the levels of a raw one.
+    """Return a profile with size, model, aperture and megabytes of a frame, and a raw one's levels.
 
     Image circles are scaled with the height. The levels are printed.
     """
@@ -339,12 +339,14 @@ def _of_photo(profile: CameraProfile, photo: Path) -> CameraProfile:
         return replace(lens, centre_px=centre_px, radius_px=lens.radius_px * by, vignetting=rings)
 
     name = f"{info.model or 'unnamed camera'}, started from {before.name}"
+    megabytes = round(photo.stat().st_size / 1e6, 1)
+    bracket = {"f_number": f_number, "iso": iso, "megabytes_per_frame": megabytes}
     size = {"width_px": width, "height_px": height, "make": info.make, "model": info.model}
     return replace(
         profile,
         camera=replace(before, name=name, **size),
         lens=tuple(map(scaled, profile.lens)),
         sensor=sensor,
-        bracket=replace(profile.bracket, f_number=f_number, iso=iso),
+        bracket=replace(profile.bracket, **bracket),
         scale=replace(profile.scale, f_numbers=(f_number,)),
     )

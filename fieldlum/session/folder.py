@@ -173,6 +173,17 @@ class Session:
         """Return the folders in raw/, one for each slot with a bracket, in order of time."""
         return sorted(path for path in self.raw.glob("[0-9]*Z") if path.is_dir())
 
+    def slot_bytes(self) -> float:
+        """Return the space of a slot on the disk [bytes], as the plan states it or larger.
+
+        One of the last five complete brackets may be larger, because the files of a camera may
+        differ much from the profile's estimate.
+        """
+        folders = [f for f in self.captured_folders() if self.capture_file(f.name).is_file()]
+        sizes = [sum(file.stat().st_size for file in f.glob("[!.]*")) for f in folders[-5:]]
+        planned = float(self.table().get("plan", {}).get("megabytes_per_slot", 0.0))
+        return max(1e6 * planned, *sizes, 0.0)
+
     def panorama_files(self) -> list[Path]:
         """Return the merged panoramas, sorted by name (for names of slots, in order of time)."""
         return sorted(self.panoramas.glob("[!.]*.exr"))

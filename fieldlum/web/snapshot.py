@@ -537,9 +537,8 @@ class Snapshots:
 
     def _disk(self, slots: list[Slot]) -> JsonTable:
         free = shutil.disk_usage(self._session.root).free
-        planned = float(self._session.table().get("plan", {}).get("megabytes_per_slot", 0.0))
         days = len({self._local_day(slot.t_utc) for slot in slots})
-        per_day = 1e6 * planned * len(slots) / max(days, 1)
+        per_day = self._session.slot_bytes() * len(slots) / max(days, 1)
         return {"free_bytes": free, "days": free / per_day if per_day else None}
 
     def _events(self, journal: JournalFollower) -> list[JsonTable]:

@@ -146,7 +146,7 @@ class SimulatedCamera(Camera):
 
     heading_deg : azimuth of its view, clockwise from true north, unless `expose` states another;
     clock_offset_s : its clock minus the computer's; overhead_s : time of a frame in addition to its
-    shutter time [s] (None: the profile's).
+    shutter time [s] (None: the profile's); frames_left : that fit on its card (None: unknown).
     """
 
     def __init__(
@@ -159,6 +159,7 @@ class SimulatedCamera(Camera):
         seed: int = 1,
         clock_offset_s: float = 0.0,
         overhead_s: float | None = None,
+        frames_left: int | None = None,
     ) -> None:
         self._world, self._profile, self._clock = world, profile, clock
         self._heading_deg, self._seed = heading_deg, seed
@@ -167,6 +168,7 @@ class SimulatedCamera(Camera):
         body, lens = profile.camera, profile.lens[0].name
         self._shape, self._is_jpeg = (body.height_px, body.width_px), body.kind == "jpeg"
         about: dict[str, Any] = {"lens": lens, "clock_offset_s": clock_offset_s}
+        about["frames_left"] = frames_left
         self.info = CameraInfo("sim", body.make, body.model, f"SIM{seed:04d}", **about)
         self._views = lru_cache(maxsize=8)(self._views_of)
         self._shading = lru_cache(maxsize=8)(self._shading_of)

@@ -491,13 +491,14 @@ def _checked(decided: _Decided, captured: Captured, covered: Sequence[datetime])
     dark = [t for t in when if when[t] == _DARK]
     if named := [f"{t} ({what} captured)" for t, what in when.items() if what != _DARK]:
         notes += (
-            f"{len(named)} captures contradict the sky view, which was corrected there: "
+            f"{counted(len(named), 'capture')} contradicted the sky view, corrected there: "
             f"{listed(named, 3)}; check the heading and the clock",
         )
     if dark:
         notes += (
-            f"{len(dark)} captures are dark where others show sky, and are not used there: "
-            f"{listed(dark, 3)}; a blind was probably down: mark it (fieldlum status --mark)",
+            f"{counted(len(dark), 'capture')} dark where others show sky, not used there: "
+            f"{listed(dark, 3)}; a thin bar hid the sun, or a blind was down: mark a blind "
+            "(fieldlum status --mark)",
         )
     return replace(views[0], notes=notes, others=tuple(views[1:]))
 
