@@ -281,6 +281,15 @@ def test_sam_files_are_read_as_sam_and_pvlib_mean_them(tmp_path: Path) -> None:
     (tmp_path / "e.csv").write_text(text.splitlines()[0])
     with pytest.raises(InputError, match="expected a header with Latitude"):
         table(tmp_path / "e.csv")
+    own = (tmp_path / "a.csv").read_text().splitlines()
+    header = [
+        "lat,lon,tz,elev",
+        "33.8,-118.1,-8,337",
+        own[2].lower(),
+        *own[3:],
+    ]  # SAM's other names
+    (tmp_path / "l.csv").write_text("\n".join(header))
+    assert table(tmp_path / "l.csv").rows == without.rows
     minute_0 = table(sam(tmp_path / "c.csv", "0"))
     assert minute_0.shift == HALF and "hour starts" in minute_0.notes[0]
     assert table(sam(tmp_path / "d.csv", source="TMY3")).typical and not without.typical
@@ -1381,6 +1390,18 @@ def test_missing_hours_that_are_zeros_are_named(tmp_path: Path, hours: slice) ->
     light[hours] = 0.0
     with pytest.raises(InputError, match="hours have no light while the sun is up"):
         read_weather(write_epw(tmp_path / "a.epw", NORTH, light), NORTH)
+
+
+@pytest.mark.slow
+@pytest.mark.contract
+def test_a_few_days_without_satellite_images_are_missing(tmp_path: Path) -> None:
+    """PVGIS writes them as zeros: in its year at 45 N, 8 E 45 hours, which pvlib returns as 0."""
+    light = light_of(NORTH, hours_of(NORTH))
+    dark = slice(3250, 3250 + 72)
+    light[dark] = 0.0
+    weather = read_weather(write_epw(tmp_path / "a.epw", NORTH, light), NORTH)
+    assert "39 hours without any light by day count as missing" in weather.repairs[0]
+    assert len(weather) == 8760 - 39 and "39 missing hours left out" in weather.repairs[1]
 
 
 @pytest.mark.contract

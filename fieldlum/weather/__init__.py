@@ -34,6 +34,9 @@ FAR_KM = 300.0
 _HOUR = timedelta(hours=1)
 # Zero offsets of pyrheliometers are smaller, and diffuse light by day is larger. Chosen.
 _LOWEST_BY_DAY_WM2 = -5.0
+# Share of the hours with the sun above 10 deg that may be dark: a year of PVGIS (45 N, 8 E) has
+# 0.012. More are another error, such as shifted labels. Chosen.
+_MAX_DARK_SHARE = 0.02
 
 
 # ----------------------------------------------------------------------------------------------
@@ -174,13 +177,18 @@ def _in_order(path: Path, rows: list[WeatherRow]) -> list[WeatherRow]:
 def _values(rows: list[WeatherRow], place: Site, repairs: list[str]) -> Floats:
     """Return DNI, DHI and GHI of all rows, [3, n], W/m2; set negative readings to zero, listed.
 
-    Clearly negative ones by day are no offset of an instrument but a code, such as -9: missing.
+    Clearly negative ones by day are no offset of an instrument but a code, such as -9: missing. So
+    are a few hours by day without any light, which PVGIS writes for days without satellite images.
     """
     values = np.array([(row.dni, row.dhi, row.ghi) for row in rows]).T  # (3, n)
     is_day = sun.position([row.when for row in rows], place).altitude_deg > 10.0
     if (codes := (values < _LOWEST_BY_DAY_WM2) & is_day).any():
         repairs.append(f"{int(codes.any(axis=0).sum())} hours negative by day count as missing")
         values[codes] = np.nan
+    dark = is_day & ~(values > 0.0).any(axis=0) & (values == 0.0).any(axis=0)
+    if 0 < dark.sum() <= _MAX_DARK_SHARE * is_day.sum():
+        repairs.append(f"{int(dark.sum())} hours without any light by day count as missing")
+        values[:, dark] = np.nan
     negative = values < 0
     if negative.any():
         repairs.append(

@@ -326,10 +326,17 @@ def _read_sam(path: Path, lines: list[str], site: Site) -> WeatherTable:
     """
     expected = "a header with Latitude, Longitude, Elevation and Time Zone"
     keys, values = (split_header(path, line) for line in enumerate([*lines, ""][:2], start=1))
-    about = dict(zip(keys, values, strict=False))
-    cells = [about.get(key, "?") for key in ("Latitude", "Longitude", "Elevation", "Time Zone")]
-    place, clock = _place(path, cells, expected, about.get("City", "").strip("-") or "station")
-    names, found = _below(path, lines, 2)
+    about = {key.lower(): value for key, value in zip(keys, values, strict=False)}
+    spellings = (
+        ("latitude", "lat"),
+        ("longitude", "lon"),
+        ("elevation", "elev"),
+        ("time zone", "tz"),
+    )
+    cells = [next((about[key] for key in keys if key in about), "?") for keys in spellings]
+    place, clock = _place(path, cells, expected, about.get("city", "").strip("-") or "station")
+    headings, found = _below(path, lines, 2)
+    names = [name.title() for name in headings]
     stamp = ("Year", "Month", "Day", "Hour")
     if missing := [name for name in stamp if name not in names]:
         raise InputError(path, f"no column {missing[0]}", f"columns {', '.join(stamp)}", _AGAIN)
@@ -340,8 +347,8 @@ def _read_sam(path: Path, lines: list[str], site: Site) -> WeatherTable:
         *date, hour = (cells[k] for k in at)
         return _moment(date, hour, "0" if minutes is None else cells[minutes])
 
-    rows = _rows(path, found, _columns(path, names), when, names)
-    typical = _is_typical(rows) or "TMY" in about.get("Source", "").upper()
+    rows = _rows(path, found, _columns(path, headings), when, headings)
+    typical = _is_typical(rows) or "TMY" in about.get("source", "").upper()
     table = WeatherTable(rows, typical, place, clock, _HALF if minutes is None else timedelta())
     is_full_hour = minutes is not None and {row.when.minute for row in rows} == {0}
     return _best_label(table) if is_full_hour else table
@@ -517,7 +524,7 @@ FORMATS: tuple[tuple[str, Callable[[Path, list[str], Site], WeatherTable]], ...]
     (r"\.epw\n|.*\n(?i:LOCATION),", _read_epw),
     (r".*\nLatitude \(decimal degrees\)", _read_pvgis),
     (r".*\n[\[{]", _read_pvgis_json),
-    (r".*\nSource,", _read_sam),
+    (r".*\n(Source,|(?i:(.*,)?lat(itude)?,))", _read_sam),
     (r".*\n.*\n(.*ObservationTime\(LST\)|Date \(MM/DD/YYYY\))", _read_tmy3),
     ("", _read_csv),  # the last one: its errors explain the columns
 )
