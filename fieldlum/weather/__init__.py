@@ -34,8 +34,10 @@ FAR_KM = 300.0
 _HOUR = timedelta(hours=1)
 # Zero offsets of pyrheliometers are smaller, and diffuse light by day is larger. Chosen.
 _LOWEST_BY_DAY_WM2 = -5.0
-# Share of the hours with the sun above 10 deg that may be dark: a year of PVGIS (45 N, 8 E) has
-# 0.012. More are another error, such as shifted labels. Chosen.
+# Labels that are an hour off, and days of another hemisphere, have dark hours with a lower sun.
+_HIGH_SUN_DEG = 25.0
+# Share of the hours with the sun up that may be dark: a year of PVGIS (45 N, 8 E) has 0.01. More
+# are another error. Chosen.
 _MAX_DARK_SHARE = 0.02
 
 
@@ -181,12 +183,14 @@ def _values(rows: list[WeatherRow], place: Site, repairs: list[str]) -> Floats:
     are a few hours by day without any light, which PVGIS writes for days without satellite images.
     """
     values = np.array([(row.dni, row.dhi, row.ghi) for row in rows]).T  # (3, n)
-    is_day = sun.position([row.when for row in rows], place).altitude_deg > 10.0
-    if (codes := (values < _LOWEST_BY_DAY_WM2) & is_day).any():
+    altitude = sun.position([row.when for row in rows], place).altitude_deg
+    if (codes := (values < _LOWEST_BY_DAY_WM2) & (altitude > 10.0)).any():
         repairs.append(f"{int(codes.any(axis=0).sum())} hours negative by day count as missing")
         values[codes] = np.nan
-    dark = is_day & ~(values > 0.0).any(axis=0) & (values == 0.0).any(axis=0)
-    if 0 < dark.sum() <= _MAX_DARK_SHARE * is_day.sum():
+    dark = (altitude > 0.0) & ~(values > 0.0).any(axis=0) & (values == 0.0).any(axis=0)
+    hours = np.cumsum(~dark)  # one number for all dark hours in sequence
+    dark &= np.isin(hours, hours[dark & (altitude > _HIGH_SUN_DEG)])
+    if 0 < dark.sum() <= _MAX_DARK_SHARE * (altitude > 0.0).sum():
         repairs.append(f"{int(dark.sum())} hours without any light by day count as missing")
         values[:, dark] = np.nan
     negative = values < 0

@@ -424,6 +424,8 @@ def _read_pvgis_json(path: Path, lines: list[str], site: Site) -> WeatherTable:
     kinds = (KeyError, IndexError, TypeError, AttributeError, ValueError, RecursionError)
     with input_errors(path, "json of PVGIS with outputs of each hour", _AGAIN, *kinds):
         answer = json.loads("\n".join(lines))
+        if isinstance(answer, list):
+            raise ValueError("a list of hours without their place")
         outputs, about = answer["outputs"], answer["inputs"]
         hours = outputs["tmy_hourly" if "tmy_hourly" in outputs else "hourly"]
         names = sorted(hours[0], key=lambda name: not name.startswith("time"))
