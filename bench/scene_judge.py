@@ -32,7 +32,7 @@ from fieldlum.optics.projection import equirect_solid_angles
 from fieldlum.room.fit.apply_scene import earlier, with_patches, with_scene
 from fieldlum.room.fit.draw_scene import draw as draw_scene
 from fieldlum.room.fit.evidence import PIXELS, gather
-from fieldlum.room.fit.fit import SceneFit, fit_scene, scene_of
+from fieldlum.room.fit.fit import fit_scene
 from fieldlum.room.fit.guess import guess_of, room_of
 from fieldlum.room.fit.parameters import room_parameters
 from fieldlum.room.fit.scene_file import Scene
@@ -42,9 +42,8 @@ from fieldlum.room.fit.sunny_hours import sunny_hours
 Array = NDArray[Any]
 
 
-def fitted(data: Dataset, found: SceneFit, *, captures: bool) -> Dataset:
+def fitted(data: Dataset, scene: Scene, *, captures: bool) -> Dataset:
     """Captures, or test hours whose times are true, as the fitted scene explains them."""
-    scene = scene_of(found, "fitted", "")
     return with_scene(data, scene if captures else replace(scene, clock_min=0.0))
 
 
@@ -154,11 +153,14 @@ def judge_room(path: Path, draw: int, hours: Array | None, wanted: argparse.Name
     cpu = time.process_time() - begin
     if wanted.pictures:
         used = found.used(user)
-        draw_scene(wanted.pictures / path.stem, used, found, gather(used, stated))
+        draw_scene(wanted.pictures / path.stem, used, found.scene, gather(used, stated))
     pairs = {
         "none": (with_box(user, None), with_box(test, None)),
         "stated": (with_box(user, stated), with_box(test, stated)),
-        "fitted": (fitted(user, found, captures=True), fitted(test, found, captures=False)),
+        "fitted": (
+            fitted(user, found.scene, captures=True),
+            fitted(test, found.scene, captures=False),
+        ),
         "exact geometry": exact_pair(path, *exact, clock),
         "exact patches": exact,
     }
@@ -166,12 +168,12 @@ def judge_room(path: Path, draw: int, hours: Array | None, wanted: argparse.Name
     seen = draw_pixels(user, np.random.default_rng(9), wanted.scored)
     scores = {name: score_of(*pair, seen) for name, pair in pairs.items()}
     errors = {name: score.error for name, score in scores.items()}
-    off = offsets(path, found, stated, north, clock)
+    off = offsets(path, found.scene, stated, north, clock)
     return Judged(path.stem, draw, errors, scene, off, cpu, scores.get(scene.chosen))
 
 
 def offsets(
-    path: Path, found: SceneFit, stated: Room, north: float, clock: float
+    path: Path, scene: Scene, stated: Room, north: float, clock: float
 ) -> dict[str, tuple[float, float]]:
     """Fitted less true and stated uncertainty, by parameter."""
     room, _ = ROOMS[path.stem]()
@@ -181,7 +183,7 @@ def offsets(
     true = guess_of(replace(room, wall_azimuth_deg=azimuth), azimuth)
     true = replace(true, north_deg=north, clock_min=clock, tilt_deg=tilt, roll_deg=roll)
     return {
-        p.name: (found.after[p.name] - p.read(true), found.u[p.name]) for p in room_parameters(true)
+        p.name: (scene.after[p.name] - p.read(true), scene.u[p.name]) for p in room_parameters(true)
     }
 
 

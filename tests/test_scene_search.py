@@ -21,7 +21,7 @@ from fieldlum.learn.models.training_data import Dataset
 from fieldlum.learn.train.outliers import find_changes
 from fieldlum.room.fit.apply_scene import in_scene, with_scene
 from fieldlum.room.fit.evidence import SceneEvidence, gather, levelled
-from fieldlum.room.fit.fit import fit_scene, scene_of
+from fieldlum.room.fit.fit import fit_scene
 from fieldlum.room.fit.guess import Bar, Solid, WindowRect, guess_of, room_of
 from fieldlum.room.fit.parameters import all_parameters, room_parameters, stated_albedo
 from fieldlum.room.fit.renderer import surfaces, unit_patches
@@ -202,8 +202,8 @@ def test_a_scene_is_written_read_and_applied(data: Dataset, tmp_path: Path) -> N
     few = data.take(np.arange(len(data)))
     fit = fit_scene(few, ROOM, pixels=250, find_changes=find_changes)
     assert not len(fit.changed)
-    assert fit.misfit["fitted"] < fit.misfit["none"]
-    scene = scene_of(fit, "fitted", "tested")
+    scene = fit.scene
+    assert scene.misfit["fitted"] < scene.misfit["none"]
     write_scene(tmp_path, scene)
     again = read_scene(tmp_path)
     assert again.room == scene.room and again.u == pytest.approx(scene.u)
@@ -235,8 +235,8 @@ def test_a_fit_does_not_use_captures_of_a_changed_room() -> None:
     maps = np.where(on[:, None, None], 0.5 * data.luminance_cdm2, data.luminance_cdm2)
     fit = fit_scene(replace(data, luminance_cdm2=maps), ROOM, pixels=250, find_changes=find_changes)
     np.testing.assert_array_equal(fit.changed, np.flatnonzero(on))
-    assert any(f"in {on.sum()} of {len(data)} captures" in note for note in fit.notes)
-    assert fit.hours == len(gather(data.take(~on), ROOM, pixels=250))
+    assert any(f"in {on.sum()} of {len(data)} captures" in note for note in fit.scene.notes)
+    assert fit.scene.hours == len(gather(data.take(~on), ROOM, pixels=250))
 
 
 @pytest.mark.contract

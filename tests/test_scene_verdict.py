@@ -20,8 +20,7 @@ from fieldlum.room.fit import stage
 from fieldlum.room.fit.apply_scene import with_patches
 from fieldlum.room.fit.evidence import gather
 from fieldlum.room.fit.fit import SceneFit
-from fieldlum.room.fit.guess import guess_of
-from fieldlum.room.fit.parameters import stated_albedo
+from fieldlum.room.fit.scene_file import Scene
 from fieldlum.room.fit.stage import choose_geometry, directions_apart, expected_year
 from fieldlum.room.fit.sunny_hours import direct_on_windows_lx, sunny_hours
 from fieldlum.session.site_toml import site_table
@@ -214,9 +213,18 @@ def test_a_scene_that_explains_little_says_so() -> None:
 def _fit_of(captures: Dataset) -> SceneFit:
     """A fit whose misfits speak for the fitted scene, which is the true room."""
     misfit = {"none": 0.3, "stated": 0.2, "fitted": 0.1}
-    heading_deg = captures.heading_deg
-    albedo = stated_albedo(ROOM)
-    return SceneFit(SHIFTED, heading_deg, guess_of(ROOM), ROOM, albedo, {}, {}, {}, misfit, 20, ())
+    scene = Scene(
+        north_deg=0.0,
+        clock_min=0.0,
+        room=ROOM,
+        chosen="fitted",
+        verdict="",
+        stated_heading_deg=captures.heading_deg,
+        stated_room=SHIFTED,
+        hours=20,
+        misfit=misfit,
+    )
+    return SceneFit(scene, np.empty(0, np.intp))
 
 
 STATED = replace(CAPTURES, patch_cdm2=None, setup=replace(CAPTURES.setup, room=SHIFTED))
@@ -248,6 +256,8 @@ def test_too_few_directions_of_the_sun_are_not_trusted() -> None:
 def test_a_choice_by_few_clear_hours_is_not_trusted(monkeypatch: pytest.MonkeyPatch) -> None:
     year = YearExpectation(3e-3, 0.9, 150)
     monkeypatch.setattr(stage, "expected_year", lambda *_args, **_more: year)
-    scene_ = stage.judged_scene(STATED, replace(_fit_of(STATED), hours=15))
+    fit = _fit_of(STATED)
+    fit = replace(fit, scene=replace(fit.scene, hours=15))
+    scene_ = stage.judged_scene(STATED, fit)
     assert scene_.chosen == "fitted" and not scene_.trusted
     assert any("until there are 18" in note for note in scene_.notes)

@@ -88,7 +88,11 @@ def test_ground_lit_in_most_hours_does_not_weaken_sun_patches(day: int) -> None:
     data = with_patches(window_captures(SEATTLE, 30))
     data = data.take(np.flatnonzero(data.days == np.unique(data.days)[day]))
     assert data.setup.room is not None and data.patch_cdm2 is not None
-    seen = look(data.setup.room, 30, data.heading_deg).ground
+    view = look(data.setup.room, 30, data.heading_deg)
+    s = view.samples
+    of_ground = np.isin(s.box, view.scene.of_kind("ground")) & ~s.mirrored
+    share = np.bincount(s.pixel, np.where(of_ground, s.weight, 0.0), view.plain.size)
+    seen = share.reshape(view.plain.shape) + view.plain > 0.1
     lit_hours = (data.patch_cdm2 > 100.0).sum(axis=0)
     seen.ravel()[np.flatnonzero(((lit_hours >= 3) & ~seen).ravel())[:20]] = True
     arrays = training_arrays_of(replace(data, seen=seen), with_patch=True)

@@ -19,11 +19,11 @@ from fieldlum.learn.transport import Transport, fit, seasons
 from fieldlum.learn.transport.physics import physics_of
 from fieldlum.learn.transport.solve import (
     SECOND_NOISE,
+    Basis,
     Columns,
     basis_of,
     fit_pixels,
     hold_out,
-    pair_products,
     second_covariance,
     solve,
 )
@@ -132,10 +132,10 @@ def test_held_out_days_equal_fits_without_them(monkeypatch: pytest.MonkeyPatch) 
     first = np.empty_like(target)
     for day in np.unique(arrays.days):
         out, kept = arrays.days == day, arrays.days != day
-        features = basis.values[kept]
+        features = Basis(basis.values[kept], basis.projector[kept], basis.assumed[kept])
         some = replace(columns, values=columns.values[:, kept])
         taught = target[kept], weights[kept]
-        b, gains = solve(features, some, *taught, 1e-2, pair_products(features))
+        b, gains = solve(features, some, *taught, 1e-2)
         first[out] = (basis.values @ b.T + np.einsum("knp,pk->np", asked.values, gains))[out]
     residual = np.where(arrays.filled, 0.0, np.log(target / first))
     covariance, second = second_covariance(arrays.features, arrays.features), np.empty_like(target)
@@ -152,8 +152,8 @@ def test_ridge_without_prior_is_least_squares() -> None:
     features, truth = rng.standard_normal((30, 3)), rng.standard_normal((4, 3))
     columns = Columns(rng.random((1, 30, 4)), np.array([1e12]), 0)
     target = features @ truth.T + columns.values[0] * 2.5
-    products = pair_products(features)
-    b, gains = solve(features, columns, target, np.ones_like(target), 1e-9, products)
+    basis = Basis(features, features, features)
+    b, gains = solve(basis, columns, target, np.ones_like(target), 1e-9)
     assert np.allclose(b, truth, atol=1e-6) and np.allclose(gains, 2.5, atol=1e-6)
 
 

@@ -27,7 +27,7 @@ from fieldlum.learn.transport import MeanTransport, fit
 from fieldlum.optics.projection import equirect_solid_angles
 from fieldlum.room.fit import evidence
 from fieldlum.room.fit.apply_scene import with_patches, with_scene
-from fieldlum.room.fit.fit import fit_scene, scene_of
+from fieldlum.room.fit.fit import fit_scene
 
 PIXELS = 400  # of the score, drawn by solid angle
 DRAWS = "0.637,0.1,0.3,0.5,0.9"
@@ -73,7 +73,7 @@ def judge(case: Path, draws: list[float]) -> None:
         begin = time.process_time()
         found = fit_scene(data, room)
         cpu = time.process_time() - begin
-        scene = scene_of(found, "fitted", "")
+        scene = found.scene
         captures = with_scene(data, scene)
         assert captures.patch_cdm2 is not None
         first = captures.patch_cdm2 if first is None else first
@@ -82,7 +82,7 @@ def judge(case: Path, draws: list[float]) -> None:
         error, ratio, share = scored(replace(captures, seen=seen), hours)
         print(
             f"| {case.name} | {draw:g} | {error:.2e} | {error / better:.2f} | {ratio:.2f} | "
-            f"{found.misfit['fitted']:.4f} | {share:.2f} | "
+            f"{scene.misfit['fitted']:.4f} | {share:.2f} | "
             f"{overlap(captures.patch_cdm2, first):.2f} | {cpu:.0f} |",
             flush=True,
         )

@@ -62,10 +62,10 @@ def fit(
     with progress("reading pictures"):
         data = load_pairs(pairs, site)
     with progress("fitting the scene"):
-        result = run(data, folder, clock_sd_min=clock_sd, find_changes=find_changes)
-    print_answer(as_json, answer_of(result.scene), _lines(result.scene))
-    notes(() if as_json else result.scene.notes)
-    say("written: " + ", ".join(str(file) for file in result.files))
+        scene, files = run(data, folder, clock_sd_min=clock_sd, find_changes=find_changes)
+    print_answer(as_json, answer_of(scene), _lines(scene))
+    notes(() if as_json else scene.notes)
+    say("written: " + ", ".join(str(file) for file in files))
 
 
 def answer_of(scene: Scene) -> JsonTable:

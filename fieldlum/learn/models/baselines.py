@@ -23,6 +23,18 @@ class Domain:
 
     sun_directions: Floats
 
+    def prediction(self, maps_cdm2: Floats32, light: Light) -> Prediction:
+        """Return maps [n, H, W] cd/m2 as the prediction for the n hours of `light`.
+
+        It has no standard deviation and NaN as expected error; it trusts hours as in `holds`.
+        """
+        return Prediction(
+            luminance_cdm2=maps_cdm2,
+            log10_sd=None,
+            expected_mse=np.full(len(maps_cdm2), np.nan),
+            trusted=self.holds(light),
+        )
+
     def holds(self, light: Light) -> Mask:
         """Return a mask [n], True for the hours of `light` that are similar to captured light.
 
@@ -65,14 +77,8 @@ class MeanFitted:
         patch_cdm2 is not used. The prediction has no standard deviation, and NaN as expected error.
         Hours whose light is similar to that of the captures are trusted.
         """
-        n = len(light)
-        maps = np.repeat((10.0**self.log10_mean)[None].astype(np.float32), n, axis=0)
-        return Prediction(
-            luminance_cdm2=maps,
-            log10_sd=None,
-            expected_mse=np.full(n, np.nan),
-            trusted=self.domain.holds(light),
-        )
+        mean = (10.0**self.log10_mean)[None].astype(np.float32)
+        return self.domain.prediction(np.repeat(mean, len(light), axis=0), light)
 
     def state(self) -> ModelState:
         """Return what config.json and weights.npz must contain for `from_state` to rebuild it."""
@@ -134,12 +140,7 @@ class NearestFitted:
             if patch_cdm2 is None:
                 raise ValueError("this model was trained with sun patches: pass patch_cdm2")
             maps += patch_cdm2
-        return Prediction(
-            luminance_cdm2=maps,
-            log10_sd=None,
-            expected_mse=np.full(len(maps), np.nan),
-            trusted=self.domain.holds(light),
-        )
+        return self.domain.prediction(maps, light)
 
     def state(self) -> ModelState:
         """Return what config.json and weights.npz must contain for `from_state` to rebuild it."""

@@ -167,9 +167,12 @@ def inputs_of(average_log10: Floats, heading_deg: float, device: torch.device) -
     directions = reinhart_patches().directions
     for rows in np.array_split(up, max(1, len(up) // 8192)):
         nearest[rows] = (rays[rows] @ directions.T).argmax(axis=1)
-    pixel = torch.from_numpy(fixed.astype(np.float32)).to(device)
-    empty = torch.empty(0, 4), torch.empty(0, 2306)
-    return Inputs(pixel, torch.from_numpy(nearest).to(device), *empty)
+    return Inputs(
+        pixel=torch.from_numpy(fixed.astype(np.float32)).to(device),
+        sky_patch=torch.from_numpy(nearest).to(device),
+        sun=torch.empty(0, 4),
+        sky=torch.empty(0, 2306),
+    )
 
 
 def pick_device() -> torch.device:
@@ -236,12 +239,7 @@ class DenseFitted:
                     for some in pixels.split(16384)
                 ]
                 out[k] = decode(torch.cat(parts).cpu().numpy()).reshape(out.shape[1:])
-        return Prediction(
-            luminance_cdm2=out,
-            log10_sd=None,
-            expected_mse=np.full(len(out), np.nan),
-            trusted=self.domain.holds(light),
-        )
+        return self.domain.prediction(out, light)
 
     def state(self) -> ModelState:
         """Return what config.json and weights.npz must contain for `from_state` to rebuild it."""

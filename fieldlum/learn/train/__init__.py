@@ -460,11 +460,10 @@ def held_out_warnings(fitted: Fitted, data: Dataset) -> list[str]:
     which hours are trusted. The list is empty if there are none, and for a model without held-out
     errors.
     """
-    if not _has_held_out_errors(fitted, data):
-        return []
     errors, weight, day = _judged_errors(fitted, data)
-    texts = []
-    days = np.unique(day)
+    if not len(errors):
+        return []
+    texts, days = [], np.unique(day)
     means = np.array([trimmed_mean(errors[day == d], weight[day == d]) for d in days])
     exceptions = days[(means > POOR_MSE) & (means > 4.0 * np.median(means))]
     if len(exceptions):
@@ -498,19 +497,20 @@ def is_untrusted(fitted: Fitted, data: Dataset) -> bool:
 
     False for a model without held-out errors.
     """
-    if not _has_held_out_errors(fitted, data):
-        return False
     errors, weight, _ = _judged_errors(fitted, data)
+    if not len(errors):
+        return False
     return bool(np.median(errors) > POOR_MSE / 4 or trimmed_mean(errors, weight) > POOR_MSE)
 
 
-def _has_held_out_errors(fitted: Fitted, data: Dataset) -> bool:
-    return fitted.held_out_mse is not None and len(fitted.held_out_mse) == len(data)
-
-
 def _judged_errors(fitted: Fitted, data: Dataset) -> tuple[Floats, Floats, NDArray]:
-    """Return log10 MSE, weight and day of the captures with weight, [k] each."""
+    """Return held-out log10 MSE, weight and day of the captures `data` with weight, [k] each.
+
+    data: what `fitted` was trained on. k is 0 for a model without held-out errors.
+    """
+    if fitted.held_out_mse is None:
+        return np.empty(0), np.empty(0), data.days[:0]
     weight = choice_weights(data)
     judged = weight > 0.0
-    errors = np.nan_to_num(np.asarray(fitted.held_out_mse), nan=np.inf)
+    errors = np.nan_to_num(fitted.held_out_mse, nan=np.inf)
     return errors[judged], weight[judged], data.days[judged]

@@ -16,6 +16,7 @@ from fieldlum.core.arrays import Floats32, Mask
 from fieldlum.core.records import Room, Site, SiteFile
 from fieldlum.optics.projection import equirect_solid_angles, wrapped
 from fieldlum.room.scene import build
+from fieldlum.room.scene.geometry import is_box_with_window
 from fieldlum.room.scene.radiosity import FIRST_PIECE, lit_room
 from fieldlum.room.scene.trace import SunPoints, sun_points
 from fieldlum.sky.daylight import Light, light_at
@@ -133,7 +134,7 @@ def physics_of(setup: SiteFile, heading_deg: float) -> Physics | None:
 
     heading_deg: azimuth of the middle of the maps.
     """
-    if setup.room is None or setup.room.kind != "box" or not setup.room.window:
+    if not is_box_with_window(setup.room):
         return None
     return _physics_of(replace(setup, camera=replace(setup.camera, heading_deg=heading_deg)))
 

@@ -13,6 +13,7 @@ import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -37,7 +38,7 @@ SECOND_WIDTH = 0.15
 SECOND_NOISE = 0.06  # noise of the second stage's log residuals; not measured
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Basis:
     """The r features of the n captured hours, from the kernel's eigenvectors.
 
@@ -49,6 +50,15 @@ class Basis:
     values: Array
     projector: Array
     assumed: Array
+
+    @cached_property
+    def pairs(self) -> tuple[Array, Indices, Indices]:
+        """Products of all pairs of features of each hour, and which features they pair.
+
+        F_a F_b of `values` for a <= b, [n, r (r + 1) / 2], then indices a and b of the columns.
+        """
+        a, b = np.triu_indices(self.values.shape[1])
+        return self.values[:, a] * self.values[:, b], a, b
 
 
 def basis_of(covariance: Array, assumed: Array | None = None) -> Basis:
@@ -151,27 +161,17 @@ def each_chunk(work: Callable[[slice], None], count: int, size: int = 1024) -> I
 # ridge
 
 
-def pair_products(features: Array) -> tuple[Array, Indices, Indices]:
-    """Return the products of all pairs of features of each hour, and which features they pair.
-
-    features: F [n, r]. The result is F_a F_b for a <= b, [n, r (r + 1) / 2], then the indices a and
-    b of its columns.
-    """
-    a, b = np.triu_indices(features.shape[1])
-    return features[:, a] * features[:, b], a, b
-
-
 def normal_equations(
-    features: Array, columns: Columns, target: Array, weights: Array, noise: float, products: tuple
+    basis: Basis, columns: Columns, target: Array, weights: Array, noise: float
 ) -> tuple[Array, Array]:
     """Return A [P, r + k, r + k] and b [P, r + k] of the normal equations A x = b.
 
     x is the deviation of coefficients and gains from their prior mean, and A includes the prior.
-    features: shared by all pixels [n, r]; target, weights: [n, P]; noise: variance of a target of
-    weight 1; products: result of `pair_products(features)`.
+    basis: features that all pixels share; target, weights: [n, P]; noise: variance of a target of
+    weight 1.
     """
+    features, (both, i, j) = basis.values, basis.pairs
     count, r, k = target.shape[1], features.shape[1], len(columns.variance)
-    both, i, j = products
     w = np.ascontiguousarray(weights.T) / noise
     matrix = np.empty((count, r + k, r + k))
     matrix[:, i, j] = packed = w @ both
@@ -192,16 +192,15 @@ def normal_equations(
 
 
 def solve(
-    features: Array, columns: Columns, target: Array, weights: Array, noise: float, products: tuple
+    basis: Basis, columns: Columns, target: Array, weights: Array, noise: float
 ) -> tuple[Array, Array]:
     """Return the coefficients b [P, r] and the gains [P, k] of every pixel.
 
-    They minimise the sum at the top of this module. features: shared by all pixels [n, r]; target,
-    weights: [n, P]; noise: variance of a target of weight 1; products: result of
-    `pair_products(features)`.
+    They minimise the sum at the top of this module. basis: features that all pixels share; target,
+    weights: [n, P]; noise: variance of a target of weight 1.
     """
-    r = features.shape[1]
-    matrix, right = normal_equations(features, columns, target, weights, noise, products)
+    r = basis.values.shape[1]
+    matrix, right = normal_equations(basis, columns, target, weights, noise)
     solution = np.linalg.solve(matrix, right[:, :, None])[:, :, 0]
     return solution[:, :r], solution[:, r:] + 1.0
 
@@ -230,9 +229,7 @@ class ChunkFit:
         return np.maximum(surfaces, self.minimum) + self.columns.direct(self.gains)
 
 
-def fit_chunk(
-    arrays: TrainingArrays, scale: Array, basis: Basis, noise: float, products: tuple
-) -> ChunkFit:
+def fit_chunk(arrays: TrainingArrays, scale: Array, basis: Basis, noise: float) -> ChunkFit:
     """Fit some pixels: least relative errors, then robust rounds by Gauss and Newton.
 
     Weights 1 / y^2 favour hours in which noise makes y too small: at a noise of 20 % the fit is 6 %
@@ -249,13 +246,13 @@ def fit_chunk(
     # weight than a value of 3 %.
     dark = 0.03 * np.exp(np.mean(np.log(target), axis=0))
     response, weights = target, arrays.trust / np.maximum(target, dark) ** 2
-    b, gains = solve(basis.values, columns, response, weights, noise, products)
+    b, gains = solve(basis, columns, response, weights, noise)
     for _ in range(ROUNDS):
         near = _near(target, basis, b, columns, gains)
         error = np.log(target / near)
         weights = arrays.trust * cauchy_weights(error, ROBUST_WIDTH) / np.maximum(near, dark) ** 2
         response = near * (1.0 + error)
-        b, gains = solve(basis.values, columns, response, weights, noise, products)
+        b, gains = solve(basis, columns, response, weights, noise)
     error = np.log(target / _near(target, basis, b, columns, gains))
     error = arrays.trust * np.clip(error, -2.0 * ROBUST_WIDTH, 2.0 * ROBUST_WIDTH)
     level = np.exp(error.sum(axis=0) / np.maximum(arrays.trust.sum(axis=0), 1e-9))[:, None]
@@ -282,8 +279,7 @@ def fit_pixels(
     noise: variance of a target of weight 1. tick: called after each chunk with the number of
     finished pixels and the number of all pixels.
     """
-    count, products = arrays.luminance.shape[1], pair_products(basis.values)
-    scale = pixel_scale(arrays)
+    count, scale = arrays.luminance.shape[1], pixel_scale(arrays)
     second, b = (
         np.empty(shape, np.float32)
         for shape in ((len(arrays.light), count), (count, basis.values.shape[1]))
@@ -303,7 +299,7 @@ def fit_pixels(
 
     def fit_part(part: slice) -> None:
         chunk = arrays[part]
-        fit = fit_chunk(chunk, scale[part], basis, noise, products)
+        fit = fit_chunk(chunk, scale[part], basis, noise)
         out.b[part], out.minimum[part] = fit.b, fit.minimum
         out.sky_gain[part] = np.maximum(fit.gains[:, -1], 0.0)
         if chunk.patch is not None:
@@ -392,13 +388,12 @@ def hold_out(arrays: TrainingArrays, basis: Basis, noise: float) -> HeldOutFit:
     weights and pixel scales are those of the fit to all days. Hours are predicted under Perez's
     skies, as a year is.
     """
-    scale, products = pixel_scale(arrays), pair_products(basis.values)
+    scale = pixel_scale(arrays)
     predicted, target = (np.empty(arrays.luminance.shape) for _ in range(2))
 
     def predict_part(part: slice) -> None:
-        predicted[:, part], target[:, part] = _hold_out_some(
-            arrays[part], scale[part], basis, noise, products
-        )
+        some = _hold_out_some(arrays[part], scale[part], basis, noise)
+        predicted[:, part], target[:, part] = some
 
     # Chunks are smaller than in the fit, because each pixel has a hat matrix.
     for _ in each_chunk(predict_part, len(scale), 128):
@@ -420,7 +415,7 @@ def hold_out(arrays: TrainingArrays, basis: Basis, noise: float) -> HeldOutFit:
 
 
 def _hold_out_some(
-    arrays: TrainingArrays, scale: Array, basis: Basis, noise: float, products: tuple
+    arrays: TrainingArrays, scale: Array, basis: Basis, noise: float
 ) -> tuple[Array, Array]:
     """Return light predicted without the second stage, and captured light, [n, P] each.
 
@@ -429,7 +424,7 @@ def _hold_out_some(
     H_DD)^-1 e_D (block form of the leave-one-out identity), and the fit without the day is the full
     fit minus A^-1 X_D' W_D d. Features and weights are those of the full fit.
     """
-    fit = fit_chunk(arrays, scale, basis, noise, products)
+    fit = fit_chunk(arrays, scale, basis, noise)
     unit = arrays.light.total_lx[:, None] * scale
     count, r = len(scale), basis.values.shape[1]
     perez = Columns.of(arrays, unit, None if arrays.computed is None else arrays.computed.perez)
@@ -439,9 +434,7 @@ def _hold_out_some(
         )
         for f, columns in ((basis.values, fit.columns), (basis.assumed, perez))
     )  # [P, n, r + k]
-    matrix, right = normal_equations(
-        basis.values, fit.columns, fit.response, fit.weights, noise, products
-    )
+    matrix, right = normal_equations(basis, fit.columns, fit.response, fit.weights, noise)
     solved = np.linalg.solve(
         matrix, np.concatenate((right[:, :, None], design.transpose(0, 2, 1)), axis=2)
     )

@@ -10,14 +10,14 @@ from fieldlum.core.arrays import Indices
 from fieldlum.learn.models.training_data import Dataset
 from fieldlum.room.fit.apply_scene import with_patches, with_scene
 from fieldlum.room.fit.evidence import SceneEvidence
-from fieldlum.room.fit.fit import SceneFit, scene_of, true_room
+from fieldlum.room.fit.scene_file import Scene
 from fieldlum.room.scene.drawing import write_room
 
 SHOWN_HOURS = 4  # chosen: one page in print
 FITTED_COLOUR, STATED_COLOUR = "#d62728", "#1f77b4"
 
 
-def draw(folder: Path, data: Dataset, fit: SceneFit, evidence: SceneEvidence) -> list[Path]:
+def draw(folder: Path, data: Dataset, scene: Scene, evidence: SceneEvidence) -> list[Path]:
     """Write overlay.png and plan.svg into a folder and return their paths.
 
     overlay.png: edges of fitted and stated patches over up to four captures; plan.svg: the fitted
@@ -29,23 +29,23 @@ def draw(folder: Path, data: Dataset, fit: SceneFit, evidence: SceneEvidence) ->
     from matplotlib import pyplot
 
     folder.mkdir(parents=True, exist_ok=True)
-    figure = _overlay(data, fit, evidence)
+    figure = _overlay(data, scene, evidence)
     figure.savefig(folder / "overlay.png", dpi=110, bbox_inches="tight")
     pyplot.close(figure)
-    heading_deg = (data.heading_deg + fit.guess.north_deg) % 360.0
+    heading_deg = (data.heading_deg + scene.north_deg) % 360.0
     camera = replace(data.setup.camera, heading_deg=heading_deg)
-    fitted = replace(data.setup, camera=camera, room=true_room(fit.guess, fit.stated))
+    fitted = replace(data.setup, camera=camera, room=scene.room)
     write_room(fitted, folder / "plan.svg")
     return [folder / "overlay.png", folder / "plan.svg"]
 
 
-def _overlay(data: Dataset, fit: SceneFit, evidence: SceneEvidence) -> Any:
+def _overlay(data: Dataset, scene: Scene, evidence: SceneEvidence) -> Any:
     """Draw captures in grey, with the edges of fitted and of stated patches."""
     from matplotlib import pyplot
 
     rows = _rows_to_draw(evidence)
     hours = data.take(rows)
-    fitted = with_scene(hours, scene_of(fit, "fitted", "")).patch_cdm2
+    fitted = with_scene(hours, scene).patch_cdm2
     stated = with_patches(hours).patch_cdm2
     assert fitted is not None and stated is not None
     figure, axes = pyplot.subplots(len(rows), 1, figsize=(9, 4.2 * len(rows)), squeeze=False)

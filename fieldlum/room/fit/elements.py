@@ -13,7 +13,7 @@ import numpy as np
 from fieldlum.core.arrays import Floats
 from fieldlum.room.fit.guess import Bar, Guess, Solid, WindowRect, is_outside
 from fieldlum.room.fit.parameters import Parameter, bar_parameters, solid_parameters
-from fieldlum.room.scene.geometry import WALLS
+from fieldlum.room.scene.geometry import WALLS, Span
 
 # Facades: a farther and higher one gives nearly the same shade, so that a factor of two in distance
 # is fine enough; the angle of elevation decides which suns it hides. Its thickness hardly changes
@@ -109,13 +109,7 @@ def _shades(guess: Guess) -> Iterator[Guess]:
             yield with_box_outside(guess, rect, along, out_m, (z, z + CANOPY_THICKNESS_M))
 
 
-def with_box_outside(
-    guess: Guess,
-    rect: WindowRect,
-    along: tuple[float, float],
-    out: tuple[float, float],
-    height: tuple[float, float],
-) -> Guess:
+def with_box_outside(guess: Guess, rect: WindowRect, along: Span, out: Span, height: Span) -> Guess:
     """Return the guess with an opaque box outside, in front of the window `rect`.
 
     Extents are (from, to) in m. along: along the window's wall, in room axes; out: outwards from
@@ -128,7 +122,7 @@ def with_box_outside(
     return _with_solid(guess, (*spans, height))
 
 
-def _with_solid(guess: Guess, spans: tuple[tuple[float, float], ...]) -> Guess:
+def _with_solid(guess: Guess, spans: tuple[Span, ...]) -> Guess:
     """Return the guess with one more solid, by its extents along x, y and z."""
     (x0, x1), (y0, y1), (z0, z1) = spans
     return replace(guess, solids=(*guess.solids, Solid((x0, y0, z0), (x1, y1, z1), ALBEDO)))
@@ -176,12 +170,12 @@ def _places(extent_m: float) -> list[float]:
     return np.arange(LATTICE_M / 2.0, extent_m, LATTICE_M).tolist()
 
 
-def _around(middle: float, side: float, extent: float) -> tuple[float, float]:
+def _around(middle: float, side: float, extent: float) -> Span:
     """Return an interval around `middle`, cut off at 0 and at the wall."""
     return max(middle - side / 2.0, 0.0), min(middle + side / 2.0, extent)
 
 
-def _holds_camera(guess: Guess, span: tuple[tuple[float, float], ...]) -> bool:
+def _holds_camera(guess: Guess, span: tuple[Span, ...]) -> bool:
     """Return whether the camera is in a solid, or at most 0.1 m from its sides or 0.2 m above."""
     beside = all(
         low - CLEAR_M < at < high + CLEAR_M

@@ -22,6 +22,7 @@ from fieldlum.room.fit.sunny_hours import (
     direct_on_windows_lx,
     sunny_hours,
 )
+from fieldlum.room.scene.geometry import is_box_with_window
 from fieldlum.room.scene.view import pixel_rays
 from fieldlum.sky import sun
 from fieldlum.sky.daylight_kernel import Kernel, facades_of, light_features
@@ -218,7 +219,7 @@ def _saturated(log_error: Array) -> Array:
 
 def require_box(room: Room) -> None:
     """Raise InputError for a room that is not a box or has no window."""
-    if room.kind != "box" or not room.window:
+    if not is_box_with_window(room):
         finding = f"kind '{room.kind}', {len(room.window)} windows"
         remedy = "state the window in SITE.toml, or train with --scene none"
         raise InputError("[room]", finding, "a box with a window", remedy)
@@ -333,11 +334,6 @@ def _rays_of(data: Dataset, chosen: Indices, sub: int) -> tuple[Floats32, Indice
 
 # ----------------------------------------------------------------------------------------------
 # the indirect component below the patches
-
-if TYPE_CHECKING:
-    from fieldlum.learn.models.training_data import Dataset
-
-Array = NDArray[np.floating]
 
 # From a study of two rooms rendered by Radiance, made before this code (docs/scene.md).
 RANK = 15  # few enough features that smooth light cannot imitate a patch; chosen with the study

@@ -7,7 +7,7 @@ lowers the misfit of all sunny hours most, if its gain exceeds its standard erro
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -30,7 +30,7 @@ from fieldlum.room.fit.parameters import (
     stated_albedo,
 )
 from fieldlum.room.fit.renderer import SHELL
-from fieldlum.room.fit.scene_file import Chosen, Scene
+from fieldlum.room.fit.scene_file import Scene
 from fieldlum.room.fit.search import LEVELS, SceneCost, covariance, prior_unit, search
 from fieldlum.room.fit.window_view import window_view
 
@@ -55,29 +55,14 @@ MODEL_ERROR = 4.0
 
 @dataclass(frozen=True)
 class SceneFit:
-    """A fitted scene.
+    """A fitted scene that no verdict has judged yet.
 
-    stated, heading_deg: the room and the captures' heading that the fit started at. room: the
-    fitted box, with the stated wall azimuth; `guess` has the fitted azimuth and the corrections
-    `north_deg` and `clock_min`. albedo: of west, east, south and north wall, floor, ceiling and
-    solids [6 + solids]. before, after: values before and after the fit, and u: standard
-    uncertainties, by parameter name. misfit: mean of `SceneEvidence.misfit` in the sunny hours, by
-    "none", "stated" and "fitted". hours: their number. notes: sentences for the user. changed:
-    indices of captures of a changed room, which were not used [k].
+    scene: with chosen "fitted" and an empty verdict; misfit: mean of `SceneEvidence.misfit`.
+    changed: indices of captures of a changed room, which were not used [k].
     """
 
-    stated: Room
-    heading_deg: float
-    guess: Guess
-    room: Room
-    albedo: Floats
-    before: dict[str, float]
-    after: dict[str, float]
-    u: dict[str, float]
-    misfit: dict[str, float]
-    hours: int
-    notes: tuple[str, ...]
-    changed: Indices = field(default_factory=lambda: np.empty(0, np.intp))
+    scene: Scene
+    changed: Indices
 
     def used(self, data: Dataset) -> Dataset:
         """Return the captures that the fit used; data: all that it was given."""
@@ -123,20 +108,22 @@ def fit_scene(
         u = found.uncertainties()
     progress(100, 100, "")
     guess, parameters = found.guess, found.parameters
-    return SceneFit(
-        stated=room,
-        heading_deg=data.heading_deg,
-        guess=guess,
-        room=_with_albedo(room_of(guess, room), found.albedo),
-        albedo=found.albedo_with_solids(),
+    scene = Scene(
+        north_deg=guess.north_deg,
+        clock_min=guess.clock_min,
+        room=true_room(guess, room, found.albedo),
+        chosen="fitted",
+        verdict="",
+        stated_heading_deg=data.heading_deg,
+        stated_room=room,
+        hours=len(found.evidence),
+        misfit=found.misfit(),
         before={p.name: p.measured(found.start) for p in parameters},
         after={p.name: p.measured(guess) for p in parameters},
         u=u,
-        misfit=found.misfit(),
-        hours=len(found.evidence),
         notes=tuple(_notes(u, found.evidence, len(changed), len(data))),
-        changed=changed,
     )
+    return SceneFit(scene, changed)
 
 
 class SceneSearch:
@@ -291,38 +278,19 @@ class SceneSearch:
         return {p.name: u * p.step for p, u in zip(self.parameters, wider.tolist(), strict=True)}
 
 
-def scene_of(fit: SceneFit, chosen: Chosen, verdict: str) -> Scene:
-    """Return a fit as a `Scene`, which records the choice of geometry.
-
-    Its room is the fitted one for every choice, with the azimuth relative to true north: the fitted
-    azimuth plus the correction of north. chosen: "none", "stated" or "fitted"; verdict: the reason.
-    """
-    azimuth_deg = true_room(fit.guess, fit.stated).wall_azimuth_deg
-    return Scene(
-        north_deg=fit.guess.north_deg,
-        clock_min=fit.guess.clock_min,
-        room=replace(fit.room, wall_azimuth_deg=azimuth_deg),
-        chosen=chosen,
-        verdict=verdict,
-        stated_heading_deg=fit.heading_deg,
-        stated_room=fit.stated,
-        hours=fit.hours,
-        misfit=fit.misfit,
-        before=fit.before,
-        after=fit.after,
-        u=fit.u,
-        notes=fit.notes,
-    )
-
-
-def true_room(guess: Guess, stated: Room) -> Room:
+def true_room(guess: Guess, stated: Room, albedo: Floats) -> Room:
     """Return the guess as a `Room` whose wall azimuth is relative to true north.
 
     The azimuth is the guess's plus its correction of north; stated: the room for fields that are
-    not fitted.
+    not fitted; albedo: of west, east, south and north wall, floor and ceiling [6 or more].
     """
-    azimuth_deg = (guess.wall_azimuth_deg + guess.north_deg) % 360.0
-    return replace(room_of(guess, stated), wall_azimuth_deg=azimuth_deg)
+    return replace(
+        room_of(guess, stated),
+        wall_azimuth_deg=(guess.wall_azimuth_deg + guess.north_deg) % 360.0,
+        reflectance_walls=float(np.mean(albedo[:4])),
+        reflectance_floor=float(albedo[4]),
+        reflectance_ceiling=float(albedo[5]),
+    )
 
 
 def _changed_captures(found: SceneSearch, find_changes: Callable[..., Any]) -> Indices:
@@ -331,23 +299,13 @@ def _changed_captures(found: SceneSearch, find_changes: Callable[..., Any]) -> I
     They are indices from 0 [k]; none if they are fewer than three.
     """
     guess = found.guess
-    room = _with_albedo(true_room(guess, found.room), found.albedo)
+    room = true_room(guess, found.room, found.albedo)
     lit = with_patches(corrected(found.data, guess.north_deg, guess.clock_min, room))
     changes = find_changes(lit, with_patch=True)
     changed = np.empty(0, np.intp)
     if changes is not None:
         changed = np.union1d(changes.lamp, changes.unexplained)
     return changed if len(changed) >= _FEWEST_CHANGED else changed[:0]
-
-
-def _with_albedo(room: Room, albedo: Floats) -> Room:
-    """Return the room with the fitted albedos; solids already have theirs."""
-    return replace(
-        room,
-        reflectance_walls=float(np.mean(albedo[:4])),
-        reflectance_floor=float(albedo[4]),
-        reflectance_ceiling=float(albedo[5]),
-    )
 
 
 def _notes(u: dict[str, float], evidence: SceneEvidence, changed: int, count: int) -> list[str]:

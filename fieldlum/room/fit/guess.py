@@ -12,7 +12,7 @@ from typing import Literal
 from fieldlum.core.arrays import Floats
 from fieldlum.core.records import Obstruction, Room, Window
 from fieldlum.optics.projection import rotation
-from fieldlum.room.scene.geometry import WALLS, build, room_axes
+from fieldlum.room.scene.geometry import WALLS, Span, build, room_axes, window_bars
 
 # thinner ones only explain noise; chosen
 _THIN_SOLID_M, _THIN_BAR_M = 0.04, 0.01
@@ -26,8 +26,8 @@ class WindowRect:
     """
 
     wall: Literal["south", "west", "north", "east"]
-    u_m: tuple[float, float]
-    z_m: tuple[float, float]
+    u_m: Span
+    z_m: Span
     transmittance: float
 
 
@@ -41,8 +41,8 @@ class Bar:
 
     window: int
     upright: bool
-    span_m: tuple[float, float]
-    depth_m: tuple[float, float]
+    span_m: Span
+    depth_m: Span
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +137,7 @@ def thickened(guess: Guess) -> Guess:
     return replace(guess, bars=bars, solids=solids)
 
 
-def _wide(span: tuple[float, float], width: float) -> tuple[float, float]:
+def _wide(span: Span, width: float) -> Span:
     """Return an interval of at least this width, with the same middle."""
     short = max(width - (span[1] - span[0]), 0.0) / 2.0
     return span[0] - short, span[1] + short
@@ -162,12 +162,14 @@ def guess_of(room: Room, axis_deg: float = 180.0) -> Guess:
     stated azimuth of the picture's centre. Raises InputError for an impossible room.
     """
     scene = build(room)
-    windows = []
-    bars: list[Bar] = []
+    windows, bars, middle = [], [], room.wall_thickness_m / 2.0
     for number, (window, opening) in enumerate(zip(room.window, scene.openings, strict=True)):
         rect = WindowRect(window.wall, opening.u_m, opening.z_m, window.transmittance)
         windows.append(rect)
-        bars += _stated_bars(room, window, rect, number)
+        posts, rails, half = window_bars(window, opening, room.wall_thickness_m)
+        depth = (middle - half, middle + half)
+        bars += [Bar(number, True, span, depth) for span in posts]
+        bars += [Bar(number, False, span, depth) for span in rails]
     solids = tuple(
         Solid(
             (o.x_m, o.y_m, o.z_m),
@@ -188,27 +190,6 @@ def guess_of(room: Room, axis_deg: float = 180.0) -> Guess:
         roll_deg=room.camera_roll_deg,
         axis_deg=axis_deg,
     )
-
-
-def _stated_bars(room: Room, window: Window, rect: WindowRect, number: int) -> list[Bar]:
-    """Return frame, bars between panes and transom as `fieldlum.room.scene` builds them."""
-    frame = window.frame_m
-    if frame <= 0.0:
-        return []
-    half = min(frame, 0.9 * room.wall_thickness_m) / 2.0
-    middle = room.wall_thickness_m / 2.0
-    depth = (middle - half, middle + half)
-    (u0, u1), (z0, z1) = rect.u_m, rect.z_m
-    pane = (u1 - u0) / window.panes
-    upright = [(u0, u0 + frame), (u1 - frame, u1)]
-    for k in range(1, window.panes):
-        centre = u0 + k * pane
-        upright.append((centre - frame / 2.0, centre + frame / 2.0))
-    level = [(z0, z0 + frame), (z1 - frame, z1)]
-    if z0 < window.transom_m < z1:
-        level.append((window.transom_m - frame / 2.0, window.transom_m + frame / 2.0))
-    bars = [Bar(number, True, span, depth) for span in upright]
-    return bars + [Bar(number, False, span, depth) for span in level]
 
 
 def room_of(guess: Guess, stated: Room) -> Room:
@@ -259,12 +240,12 @@ def _fitting(guess: Guess) -> list[WindowRect]:
     return kept
 
 
-def _common(first: tuple[float, float], other: tuple[float, float]) -> tuple[float, float]:
+def _common(first: Span, other: Span) -> Span:
     """Return the overlap of two intervals; without one its end is not after its start."""
     return max(first[0], other[0]), min(first[1], other[1])
 
 
-def _without(interval: tuple[float, float], part: tuple[float, float]) -> tuple[float, float]:
+def _without(interval: Span, part: Span) -> Span:
     """Return the longer of the two ends that an interval has without a part of it."""
     below, above = (interval[0], part[0]), (part[1], interval[1])
     return below if below[1] - below[0] >= above[1] - above[0] else above

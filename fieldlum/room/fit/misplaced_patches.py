@@ -21,6 +21,7 @@ from fieldlum.room.fit.evidence import SceneEvidence, gather
 from fieldlum.room.fit.guess import guess_of
 from fieldlum.room.fit.parameters import SUN_DEG_PER_MIN, room_parameters, stated_albedo
 from fieldlum.room.fit.search import LEVELS, SceneCost, covariance, prior_unit, search
+from fieldlum.room.scene.geometry import is_box_with_window
 
 TURNED_DEG = 30.0  # smallest turn of windows that is noted (`checks`)
 MIN_HOURS = 3  # sunny captures that a test needs; chosen
@@ -61,9 +62,7 @@ def scan(data: Dataset, patch: Patch) -> Setting | None:
     windows, or if under three captures show direct sun.
     """
     room = data.setup.room
-    if patch == "none" or data.patch_cdm2 is None or room is None:
-        return None
-    if room.kind != "box" or not room.window:
+    if patch == "none" or data.patch_cdm2 is None or not is_box_with_window(room):
         return None
     if note := turned_windows_note(data, room):
         note += "; check heading_deg, wall_azimuth_deg and the windows' walls"

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.room.fit.guess import Guess
-from fieldlum.room.scene.geometry import WALLS, glass_optics
+from fieldlum.room.scene.geometry import WALLS, Span, glass_optics
 from fieldlum.room.scene.trace import EPSILON_M, HARD_M, add_through, nearest_box
 
 Float32 = NDArray[np.float32]
@@ -88,7 +88,7 @@ def _in_window(guess: Guess, position: Array, surface: NDArray) -> NDArray[np.bo
     return found
 
 
-def _within(value: Array, span: tuple[float, float]) -> NDArray[np.bool_]:
+def _within(value: Array, span: Span) -> NDArray[np.bool_]:
     return (value > span[0]) & (value < span[1])
 
 

@@ -1,7 +1,7 @@
 """Run a scene fit from captures to scene.toml and pictures (`fieldlum scene fit`)."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from fieldlum.room.fit.apply_scene import with_scene
 from fieldlum.room.fit.checks import check_captures, reversed_compass_note
 from fieldlum.room.fit.draw_scene import draw
 from fieldlum.room.fit.evidence import gather
-from fieldlum.room.fit.fit import SceneFit, fit_scene, scene_of
+from fieldlum.room.fit.fit import SceneFit, fit_scene
 from fieldlum.room.fit.parameters import CLOCK_SD_MIN
 from fieldlum.room.fit.pose_prior import pose_note, pose_of, prior_of
 from fieldlum.room.fit.scene_file import Chosen, Scene, write_scene
@@ -26,22 +26,14 @@ from fieldlum.session import Session, check_writable
 from fieldlum.sky.sky_view.measured_discs import read_discs
 
 
-@dataclass(frozen=True, slots=True)
-class SceneResult:
-    """A fitted scene, and the files that were written: scene.toml and two pictures."""
-
-    scene: Scene
-    files: tuple[Path, ...]
-
-
 def run(
     data: Dataset,
     out: Path,
     *,
     clock_sd_min: float = CLOCK_SD_MIN,
     find_changes: Callable[..., Any] | None = None,
-) -> SceneResult:
-    """Fit the scene of captures and write scene.toml, overlay.png and plan.svg.
+) -> tuple[Scene, list[Path]]:
+    """Fit the scene of captures and write scene.toml, overlay.png and plan.svg; return their paths.
 
     out: the folder, created if needed. Centres of the sun's disc that merge measured are used if
     there are at least three. find_changes: see `fit_scene`. clock_sd_min: standard uncertainty of
@@ -70,15 +62,13 @@ def run(
         )
     except NotEnoughDataError as error:
         raise NotEnoughDataError(f"{error}; {note}" if note else str(error)) from None
+    notes = [] if pose is None else [pose_note(pose, len(discs))]
+    notes += [note] if note else []
     scene = judged_scene(data, fit)
-    if note:
-        scene = replace(scene, notes=(note, *scene.notes))
-    if pose is not None:
-        scene = replace(scene, notes=(pose_note(pose, len(discs)), *scene.notes))
-    files = [write_scene(out, scene)]
+    scene = replace(scene, notes=(*notes, *scene.notes))
     used = fit.used(data)
-    files += draw(out, used, fit, gather(used, room))
-    return SceneResult(scene, tuple(files))
+    pictures = draw(out, used, fit.scene, gather(used, room))
+    return scene, [write_scene(out, scene), *pictures]
 
 
 def judged_scene(data: Dataset, fit: SceneFit) -> Scene:
@@ -89,14 +79,14 @@ def judged_scene(data: Dataset, fit: SceneFit) -> Scene:
     is unknown (None). data: all captures that the fit was given.
     """
     data = fit.used(data)
-    chosen, reason = choose_geometry(fit.misfit)
-    scene = scene_of(fit, chosen, reason)
-    why = why_untrusted(data, fit.stated, fit.hours)
+    chosen, reason = choose_geometry(fit.scene.misfit)
+    scene = replace(fit.scene, chosen=chosen, verdict=reason)
+    why = why_untrusted(data, scene.stated_room, scene.hours)
     if why:
         scene = replace(scene, trusted=False, notes=(*scene.notes, why))
     if "directions" in why:
         return scene
-    stated = replace(data, setup=replace(data.setup, room=fit.stated))
+    stated = replace(data, setup=replace(data.setup, room=scene.stated_room))
     year = expected_year(with_scene(stated, scene))
     trusts = f"the model trusts {100.0 * year.trusted_share:.0f} % of a year's hours"
     return replace(

@@ -3,7 +3,7 @@
 As no search used the captures, all hours with direct sun judge the box.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,7 @@ from fieldlum.room.fit.guess import guess_of
 from fieldlum.room.fit.parameters import stated_albedo
 from fieldlum.room.fit.scene_file import Chosen, Scene
 from fieldlum.room.fit.sunny_hours import MIN_SUNNY_HOURS, sunny_hours
+from fieldlum.room.scene.geometry import is_box_with_window
 
 # With fewer clear hours, held-out days chose plain recipes for patches of a tape-measured box in
 # two rooms of four, with up to 2.6 times the error.
@@ -28,17 +29,10 @@ MAX_BOX_MISFIT = 1.5
 MAX_OTHER_SHARE = 0.02
 
 
-@dataclass(frozen=True, slots=True)
-class BoxVerdict:
-    """The choice between sun patches of the stated box ("stated") and none ("none"), and why."""
+def judge_box(data: Dataset, room: Room) -> tuple[Chosen, str] | None:
+    """Choose between no patch ("none") and the stated box ("stated"); return the choice and why.
 
-    chosen: Chosen
-    reason: str
-
-
-def judge_box(data: Dataset, room: Room) -> BoxVerdict | None:
-    """Return the choice between no patch and the stated box; None with 12 clear hours or more.
-
+    With 12 clear hours or more the result is None.
     A clear hour has over 1 000 lx of direct sun on a window. The box is not used if its patches
     have over 1.5 times the misfit of no patch. Otherwise, also if no capture has direct sun on a
     window, it is used: a box of about the right place predicts suns that were not captured better
@@ -56,7 +50,7 @@ def judge_box(data: Dataset, room: Room) -> BoxVerdict | None:
         evidence = gather(data, room, min_hours=1)
     except NotEnoughDataError:
         reason = f"stated [room]: no capture has direct sun on a window to test it; {remedy}"
-        return BoxVerdict("stated", reason)
+        return "stated", reason
     start = guess_of(room, data.heading_deg)
     patch = evidence.patches(start, evidence.albedos(start, stated_albedo(room)))
     stated = float(evidence.misfit(patch).mean())
@@ -64,11 +58,10 @@ def judge_box(data: Dataset, room: Room) -> BoxVerdict | None:
     chosen: Chosen = "none" if stated > MAX_BOX_MISFIT * none else "stated"
     cause = ": check north, the clock and the windows of [room]" if chosen == "none" else ""
     name = {"stated": "stated [room]", "none": "no sun patch"}[chosen]
-    return BoxVerdict(
-        chosen,
+    return chosen, (
         f"{name}: misfit of sun patches in {len(evidence)} captures with direct sun: {none:.3f} "
         f"without patches, {stated:.3f} with those of [room], which must be under "
-        f"{MAX_BOX_MISFIT:g} times as large{cause}; {remedy}",
+        f"{MAX_BOX_MISFIT:g} times as large{cause}; {remedy}"
     )
 
 
@@ -93,25 +86,23 @@ def with_judged_box(data: Dataset, patch: str) -> tuple[Dataset, str]:
     scene, by robust recipes. Raises InputError for an impossible room.
     """
     room = data.setup.room
-    if data.scene is not None or patch == "none" or room is None:
+    if data.scene is not None or patch == "none" or not is_box_with_window(room):
         return data, patch
-    if room.kind != "box" or not room.window:
+    judged = judge_box(data, room)
+    if judged is None or not _has_patches_of_room(data):
         return data, patch
-    verdict = judge_box(data, room)
-    if verdict is None or not _has_patches_of_room(data):
-        return data, patch
+    chosen, reason = judged
     scene = Scene(
         north_deg=0.0,
         clock_min=0.0,
         room=room,
-        chosen=verdict.chosen,
-        verdict=verdict.reason,
+        chosen=chosen,
+        verdict=reason,
         stated_heading_deg=data.heading_deg,
         stated_room=room,
     )
-    judged = with_scene(data, scene)
-    judged = replace(judged, notes=(*judged.notes, verdict.reason))
-    return judged, "none" if verdict.chosen == "none" else patch
+    data = with_scene(data, scene)
+    return replace(data, notes=(*data.notes, reason)), "none" if chosen == "none" else patch
 
 
 def with_same_box(data: Dataset, trained: Dataset) -> Dataset:
@@ -126,8 +117,7 @@ def with_same_box(data: Dataset, trained: Dataset) -> Dataset:
         return data
     if trained.scene["chosen"] == "none":
         return replace(data, patch_cdm2=None, scene=trained.scene)
-    room = data.setup.room
-    if room is None or room.kind != "box" or not room.window:
+    if not is_box_with_window(data.setup.room):
         return data
     return with_patches(replace(data, scene=trained.scene))
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import combinations, pairwise
+from typing import TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,6 +23,8 @@ ROOF_M = 0.3  # thickness of the roof. Chosen, not measured.
 GROUND_REACH_M = 60.0
 _ROUNDING_M = 1e-9  # 1.1 + 2.2 is 3.3 m, although their binary sum is larger
 INDEX = 1.52  # refractive index of glass, as in Radiance's m_glass.c
+
+Span = tuple[float, float]  # lower and upper end along an axis, m
 
 # name: (axis of the wall's normal, side: 0 at the low end or 1 at the high end)
 WALLS = {"south": (1, 0), "north": (1, 1), "west": (0, 0), "east": (0, 1)}
@@ -96,8 +99,8 @@ class Opening:
     outward: int
     inner_m: float
     outer_m: float
-    u_m: tuple[float, float]
-    z_m: tuple[float, float]
+    u_m: Span
+    z_m: Span
     transmittance: float
 
     @property
@@ -173,6 +176,11 @@ class BoxScene:
 
 # ----------------------------------------------------------------------------------------------
 # building
+
+
+def is_box_with_window(room: Room | None) -> TypeGuard[Room]:
+    """Return whether a room is stated as a box with at least one window."""
+    return room is not None and room.kind == "box" and bool(room.window)
 
 
 def build(room: Room, where: str = "[room]") -> BoxScene:
@@ -271,7 +279,7 @@ def _opening(room: Room, window: Window, where: str) -> Opening:
     )
 
 
-def _faces_m(room: Room, wall: str) -> tuple[float, float]:
+def _faces_m(room: Room, wall: str) -> Span:
     """Return the inside and the outside of a wall along the axis of its normal, m."""
     axis, side = WALLS[wall]
     inner = side * (room.width_m, room.depth_m)[axis]
@@ -309,14 +317,7 @@ def _wall_boxes(room: Room, wall: str, openings: tuple[Opening, ...]) -> Iterato
                 yield upright(axis, (n0, n1), (u0, u1), (z0, z1), room.reflectance_walls, "wall")
 
 
-def upright(
-    axis: int,
-    n: tuple[float, float],
-    u: tuple[float, float],
-    z: tuple[float, float],
-    reflectance: float,
-    kind: str,
-) -> Box:
+def upright(axis: int, n: Span, u: Span, z: Span, reflectance: float, kind: str) -> Box:
     """Return a box by its extent across the wall, along it, and in height, (from, to) each [m].
 
     axis : index of the axis n across the wall, 0 x or 1 y; u : along the wall; z : height.
@@ -330,21 +331,33 @@ def upright(
 def _frame(room: Room, window: Window, o: Opening) -> Iterator[Box]:
     """Yield the boxes of a window's outer frame, of the bars between its panes and of its transom.
 
-    Each box is as deep as it is wide.
+    Rails are between the outer posts.
+    """
+    posts, rails, half = window_bars(window, o, room.wall_thickness_m)
+    n = (o.pane_m - half, o.pane_m + half)
+    for u in posts:
+        yield upright(o.axis, n, u, o.z_m, room.reflectance_frame, "frame")
+    between = (o.u_m[0] + window.frame_m, o.u_m[1] - window.frame_m)
+    for z in rails:
+        yield upright(o.axis, n, between, z, room.reflectance_frame, "frame")
+
+
+def window_bars(
+    window: Window, opening: Opening, wall_thickness_m: float
+) -> tuple[list[Span], list[Span], float]:
+    """Return the spans [m] of a window's posts along the wall, of its rails in height, and a depth.
+
+    Posts are the frame's two and those between panes, rails the frame's two and the transom; none
+    without a frame. The third is half of the depth of each, which is as deep as it is wide.
     """
     f = window.frame_m
     if f <= 0:
-        return
-    depth = min(f, 0.9 * room.wall_thickness_m) / 2
-    n = (o.pane_m - depth, o.pane_m + depth)
-    (u0, u1), (z0, z1) = o.u_m, o.z_m
+        return [], [], 0.0
+    (u0, u1), (z0, z1) = opening.u_m, opening.z_m
     pane = (u1 - u0) / window.panes
     posts = [(u0, u0 + f), (u1 - f, u1)]
     posts += [(u0 + k * pane - f / 2, u0 + k * pane + f / 2) for k in range(1, window.panes)]
-    level = [(z0, z0 + f), (z1 - f, z1)]
+    rails = [(z0, z0 + f), (z1 - f, z1)]
     if z0 < window.transom_m < z1:
-        level.append((window.transom_m - f / 2, window.transom_m + f / 2))
-    for u in posts:
-        yield upright(o.axis, n, u, o.z_m, room.reflectance_frame, "frame")
-    for z in level:
-        yield upright(o.axis, n, (u0 + f, u1 - f), z, room.reflectance_frame, "frame")
+        rails.append((window.transom_m - f / 2, window.transom_m + f / 2))
+    return posts, rails, min(f, 0.9 * wall_thickness_m) / 2

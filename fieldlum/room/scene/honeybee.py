@@ -8,7 +8,16 @@ import numpy as np
 
 from fieldlum.core.records import Room
 from fieldlum.optics.projection import direction
-from fieldlum.room.scene.geometry import INDEX, WALLS, Box, BoxScene, build, transmissivity, upright
+from fieldlum.room.scene.geometry import (
+    INDEX,
+    WALLS,
+    Box,
+    BoxScene,
+    Span,
+    build,
+    transmissivity,
+    upright,
+)
 from fieldlum.room.scene.radiance import corners_of
 
 MODEL_NAME = "fieldlum_room"
@@ -110,7 +119,7 @@ def _face(scene: BoxScene, inside: Box, name: str, axis: int, side: int) -> dict
     return face | {"face_type": face_type, "apertures": panes}
 
 
-def _off_edges(span_m: tuple[float, float], length_m: float) -> tuple[float, float]:
+def _off_edges(span_m: Span, length_m: float) -> Span:
     return max(span_m[0], _EDGE_M), min(span_m[1], length_m - _EDGE_M)
 
 

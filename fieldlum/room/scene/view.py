@@ -17,8 +17,6 @@ from fieldlum.room.scene.trace import SUN_RADIUS_DEG, SunPoints, ray_ends, sun_p
 # MSE) at 60 rows, with 8 of 1.1e-5 to 1.5e-5.
 MIN_RAYS, MAX_RAYS = 3, 8
 
-_GROUND_SHARE = 0.1  # of a pixel, times the glass; chosen
-
 
 class SurfaceSamples(NamedTuple):
     """Points of surfaces that pixels show, [m].
@@ -52,14 +50,6 @@ class SceneView:
     samples: SurfaceSamples
     sky: Floats32
     plain: Floats32
-
-    @property
-    def ground(self) -> Mask:
-        """Pixels of which over a tenth shows the ground outside, [H, W]."""
-        s = self.samples
-        shown = np.isin(s.box, self.scene.of_kind("ground")) & ~s.mirrored
-        share = np.bincount(s.pixel, np.where(shown, s.weight, 0.0), self.plain.size)
-        return share.reshape(self.plain.shape) + self.plain > _GROUND_SHARE
 
     def sun_points(self) -> SunPoints:
         """Return the surface points of all pixels; their targets are the pixels' flat indices."""
