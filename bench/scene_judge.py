@@ -31,7 +31,7 @@ from fieldlum.learn.transport import fit
 from fieldlum.optics.projection import equirect_solid_angles
 from fieldlum.room.fit.apply_scene import earlier, with_patches, with_scene
 from fieldlum.room.fit.draw_scene import draw as draw_scene
-from fieldlum.room.fit.evidence import PIXELS, gather
+from fieldlum.room.fit.evidence import PIXELS, scene_evidence
 from fieldlum.room.fit.fit import fit_scene
 from fieldlum.room.fit.guess import guess_of, room_of
 from fieldlum.room.fit.parameters import room_parameters
@@ -153,7 +153,7 @@ def judge_room(path: Path, draw: int, hours: Array | None, wanted: argparse.Name
     cpu = time.process_time() - begin
     if wanted.pictures:
         used = found.used(user)
-        draw_scene(wanted.pictures / path.stem, used, found.scene, gather(used, stated))
+        draw_scene(wanted.pictures / path.stem, used, found.scene, scene_evidence(used, stated))
     pairs = {
         "none": (with_box(user, None), with_box(test, None)),
         "stated": (with_box(user, stated), with_box(test, stated)),

@@ -13,7 +13,7 @@ from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Site
 from fieldlum.learn.models.training_data import Dataset
 from fieldlum.room.fit.checks import check_captures
-from fieldlum.room.fit.misplaced_patches import scan, warnings_of
+from fieldlum.room.fit.misplaced_patches import misplacement_of, warnings_of
 from fieldlum.room.fit.stage import run
 
 HEIGHT = 32
@@ -39,7 +39,9 @@ def test_a_camera_heading_off_by_180_degrees_is_refused(captures: Dataset, tmp_p
     with pytest.raises(InputError, match=r"windows about -180 degrees.*nothing was written"):
         run(turned, tmp_path / "scene")
     assert not (tmp_path / "scene").exists()
-    found = scan(replace(turned, patch_cdm2=np.zeros_like(turned.luminance_cdm2)), "absolute")
+    found = misplacement_of(
+        replace(turned, patch_cdm2=np.zeros_like(turned.luminance_cdm2)), "absolute"
+    )
     assert found is not None and found.slip_deg > 0.0 and "-180 degrees" in found.note
 
 
@@ -52,7 +54,7 @@ def test_a_compass_read_backwards_is_named(captures: Dataset, tmp_path: Path) ->
         run(turned, tmp_path / "scene")
     assert not (tmp_path / "scene").exists()
     trained = replace(turned, patch_cdm2=np.zeros_like(turned.luminance_cdm2))
-    found = scan(trained, "absolute")
+    found = misplacement_of(trained, "absolute")
     assert found is not None and "read backwards" in warnings_of(found, setup, 5.0)[0]
 
 

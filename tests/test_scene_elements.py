@@ -10,7 +10,7 @@ from test_scene_search import HEIGHT, ROOM, captures
 
 from fieldlum.core.records import Obstruction, Room
 from fieldlum.room.fit.elements import BARS, FURNITURE, KINDS, SHADES, Kind
-from fieldlum.room.fit.evidence import PIXELS, gather
+from fieldlum.room.fit.evidence import PIXELS, scene_evidence
 from fieldlum.room.fit.fit import SceneSearch
 from fieldlum.room.fit.guess import Guess, guess_of, is_outside, is_possible
 from fieldlum.room.fit.search import PRIOR_HOURS, PRIOR_SHARE, prior_unit
@@ -57,7 +57,7 @@ def test_a_building_is_found_between_suns_that_pass_it() -> None:
 @pytest.mark.analytic
 def test_a_patch_brighter_than_the_capture_does_not_change_the_light_below() -> None:
     data = captures(ROOM)
-    evidence = gather(data, ROOM, pixels=300)
+    evidence = scene_evidence(data, ROOM, pixels=300)
     false = np.zeros_like(evidence.below)
     false[4] = 3.0 * np.exp(evidence.log_seen[4])
     np.testing.assert_array_equal(evidence.relit(data, false).below, evidence.below)

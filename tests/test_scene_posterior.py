@@ -16,7 +16,7 @@ from fieldlum.core.records import CameraSetup, Room, SiteFile, Window
 from fieldlum.learn import models
 from fieldlum.learn.models.baselines import fit_mean
 from fieldlum.learn.models.training_data import Dataset
-from fieldlum.room.fit.apply_scene import in_scene
+from fieldlum.room.fit.apply_scene import apply_scene
 from fieldlum.room.fit.scene_file import Scene, read_scene, write_scene
 from fieldlum.year.predict.hour_blocks import room_of
 
@@ -51,7 +51,7 @@ def test_the_fitted_room_reaches_the_prediction(tmp_path: Path) -> None:
     write_scene(tmp_path / "scene", scene)
     assert read_scene(tmp_path / "scene") == scene
     captures = _captures(room)
-    data, patch = in_scene(captures, tmp_path / "pairs.csv", "", "absolute")
+    data, patch = apply_scene(captures, tmp_path / "pairs.csv", "", "absolute")
     assert patch == "absolute" and data.setup.room == scene.room
     models.save(tmp_path / "model", fit_mean(data), data, patch=patch)
     config = models.read_config(tmp_path / "model")

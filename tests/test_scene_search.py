@@ -19,8 +19,8 @@ from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Obstruction, Room, Site
 from fieldlum.learn.models.training_data import Dataset
 from fieldlum.learn.train.outliers import find_changes
-from fieldlum.room.fit.apply_scene import in_scene, with_scene
-from fieldlum.room.fit.evidence import SceneEvidence, gather, levelled
+from fieldlum.room.fit.apply_scene import apply_scene, with_scene
+from fieldlum.room.fit.evidence import SceneEvidence, levelled, scene_evidence
 from fieldlum.room.fit.fit import fit_scene
 from fieldlum.room.fit.guess import Bar, Solid, WindowRect, guess_of, room_of
 from fieldlum.room.fit.parameters import all_parameters, room_parameters, stated_albedo
@@ -52,7 +52,7 @@ def data() -> Dataset:
 
 @pytest.fixture(scope="module")
 def evidence(data: Dataset) -> SceneEvidence:
-    return gather(data, ROOM, pixels=3000)
+    return scene_evidence(data, ROOM, pixels=3000)
 
 
 @pytest.mark.authority
@@ -236,20 +236,20 @@ def test_a_fit_does_not_use_captures_of_a_changed_room() -> None:
     fit = fit_scene(replace(data, luminance_cdm2=maps), ROOM, pixels=250, find_changes=find_changes)
     np.testing.assert_array_equal(fit.changed, np.flatnonzero(on))
     assert any(f"in {on.sum()} of {len(data)} captures" in note for note in fit.scene.notes)
-    assert fit.scene.hours == len(gather(data.take(~on), ROOM, pixels=250))
+    assert fit.scene.hours == len(scene_evidence(data.take(~on), ROOM, pixels=250))
 
 
 @pytest.mark.contract
 def test_what_cannot_be_fitted_is_refused_in_one_line(data: Dataset, tmp_path: Path) -> None:
     blind = replace(ROOM, window=())
     with pytest.raises(InputError, match="window"):
-        gather(data, blind)
+        scene_evidence(data, blind)
     dull = data.light.dni_wm2 == 0.0
     with pytest.raises(NotEnoughDataError, match="captures have direct sun"):
-        gather(data.take(dull), ROOM)
+        scene_evidence(data.take(dull), ROOM)
     with pytest.raises(InputError, match=r"scene\.toml"):
-        in_scene(data, tmp_path / "pairs.csv", str(tmp_path), "absolute")
-    unchanged, patch = in_scene(data, tmp_path / "pairs.csv", "none", "none")
+        apply_scene(data, tmp_path / "pairs.csv", str(tmp_path), "absolute")
+    unchanged, patch = apply_scene(data, tmp_path / "pairs.csv", "none", "none")
     assert unchanged is data and patch == "none"
     ran = CliRunner().invoke(main, ["scene", "fit", "--help"])
     assert ran.exit_code == 0 and "Example" in ran.output

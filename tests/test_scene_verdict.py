@@ -18,7 +18,7 @@ from fieldlum.learn.transport import MAX_SHARE, MeanTransport, fit
 from fieldlum.room import scene
 from fieldlum.room.fit import stage
 from fieldlum.room.fit.apply_scene import with_patches
-from fieldlum.room.fit.evidence import gather
+from fieldlum.room.fit.evidence import scene_evidence
 from fieldlum.room.fit.fit import SceneFit
 from fieldlum.room.fit.scene_file import Scene
 from fieldlum.room.fit.stage import choose_geometry, directions_apart, expected_year
@@ -114,7 +114,7 @@ def test_the_faint_sun_of_overcast_days_is_no_sunny_hour() -> None:
     for near_strongest in (False, True):
         assert not sunny_hours(faint, ROOM, near_strongest=near_strongest).any()
     with pytest.raises(NotEnoughDataError) as refused:
-        gather(faint, ROOM)
+        scene_evidence(faint, ROOM)
     line = str(refused.value)
     assert line.startswith("0 captures have direct sun of at least 120 W/m² on a window")
     assert "capture clear hours" in line and "\n" not in line

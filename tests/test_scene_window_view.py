@@ -11,7 +11,7 @@ from test_scene_search import captures
 
 from fieldlum.core.records import Room, Window
 from fieldlum.room.fit.elements import SHADES
-from fieldlum.room.fit.evidence import gather
+from fieldlum.room.fit.evidence import scene_evidence
 from fieldlum.room.fit.guess import WindowRect, guess_of
 from fieldlum.room.fit.parameters import glass_parameters, room_parameters, stated_albedo
 from fieldlum.room.fit.search import SceneCost, search
@@ -38,7 +38,7 @@ def test_edges_in_the_picture_are_those_of_the_window(by: tuple[float, float]) -
     (u0, u1), (z0, z1) = rect.u_m, rect.z_m
     tape = replace(rect, u_m=(u0 + by[0], u1 + by[0]), z_m=(z0 + by[1], z1 + by[1]))
     start = replace(true, windows=(tape,))
-    view, evidence = window_view(data, start), gather(data, low, pixels=50)
+    view, evidence = window_view(data, start), scene_evidence(data, low, pixels=50)
     parameters = [p for p in room_parameters(start) if p.name in EDGES]
     unseen = replace(evidence, weights=0.0 * evidence.weights)
     cost = SceneCost(unseen, start, parameters, stated_albedo(ROOM), 0.0, None, view)
@@ -65,7 +65,9 @@ def test_a_wall_that_moves_with_its_windows_costs_only_its_own_length() -> None:
     """Windows of the south wall are measured from its east end."""
     data, start = window_captures(SEATTLE, 46), guess_of(ROOM)
     parameters = room_parameters(start)
-    cost = SceneCost(gather(data, ROOM, pixels=50), start, parameters, stated_albedo(ROOM), 1.0)
+    cost = SceneCost(
+        scene_evidence(data, ROOM, pixels=50), start, parameters, stated_albedo(ROOM), 1.0
+    )
     rect = start.windows[0]
     moved = replace(rect, u_m=(rect.u_m[0] + 0.1, rect.u_m[1] + 0.1))
     wider = replace(start, size_m=(5.1, *start.size_m[1:]), windows=(moved,))
@@ -77,7 +79,7 @@ def test_a_wall_that_moves_with_its_windows_costs_only_its_own_length() -> None:
 def test_half_a_blind_is_among_the_shades() -> None:
     """It lets the suns through that half of the window does."""
     data, bare = window_captures(SEATTLE, 46), guess_of(ROOM)
-    evidence, albedo = gather(data, ROOM, pixels=300), np.append(stated_albedo(ROOM), 0.4)
+    evidence, albedo = scene_evidence(data, ROOM, pixels=300), np.append(stated_albedo(ROOM), 0.4)
     rect = bare.windows[0]
     half = replace(rect, z_m=(rect.z_m[0], float(np.mean(rect.z_m))))
     want = evidence.patches(replace(bare, windows=(half,)), albedo)
@@ -93,7 +95,7 @@ def test_a_tinted_window_beside_a_clear_one_is_found() -> None:
     tinted = replace(room, window=(replace(room.window[0], transmittance=0.4), room.window[1]))
     data = captures(tinted)
     start = guess_of(room)
-    evidence, parameters = gather(data, room, pixels=1500), glass_parameters(start)
+    evidence, parameters = scene_evidence(data, room, pixels=1500), glass_parameters(start)
     cost = SceneCost(evidence, start, parameters, stated_albedo(room), 0.0)
     found, clear = search(cost, start, parameters)[0].windows
     assert isinstance(found, WindowRect)

@@ -16,7 +16,12 @@ from fieldlum.learn.models import Fitted
 from fieldlum.learn.models.training_data import Dataset
 from fieldlum.learn.transport import fit
 from fieldlum.learn.transport.training_arrays import slip_variance
-from fieldlum.room.fit.misplaced_patches import Setting, scan, settle, warnings_of
+from fieldlum.room.fit.misplaced_patches import (
+    Misplacement,
+    misplacement_of,
+    warnings_of,
+    with_misplacement,
+)
 from fieldlum.room.scene import sun_patches
 from fieldlum.sky import sun
 from fieldlum.sky.daylight import light_at
@@ -91,8 +96,8 @@ def stated_otherwise(turn_deg: float = 0.0, fast_min: float = 0.0) -> Dataset:
     return with_patches(replace(data, light=other))
 
 
-def found_in(data: Dataset) -> Setting:
-    found = scan(data, "absolute")
+def found_in(data: Dataset) -> Misplacement:
+    found = misplacement_of(data, "absolute")
     assert found is not None
     return found
 
@@ -106,7 +111,7 @@ def found_in(data: Dataset) -> Setting:
 def test_a_right_setting_raises_no_alarm() -> None:
     found = found_in(captured())
     assert not found.off and found.slip_deg == 0.0
-    assert settle(fitted(), captured(), found) == (fitted(), [])
+    assert with_misplacement(fitted(), captured(), found) == (fitted(), [])
 
 
 @pytest.mark.slow
@@ -141,11 +146,11 @@ def test_patches_of_another_source_that_are_displaced() -> None:
 @pytest.mark.slow
 @pytest.mark.contract
 def test_nothing_to_test() -> None:
-    assert scan(replace(captured(), patch_cdm2=None), "absolute") is None
-    assert scan(captured(), "none") is None
+    assert misplacement_of(replace(captured(), patch_cdm2=None), "absolute") is None
+    assert misplacement_of(captured(), "none") is None
     dull = captured().take(captured().light.dni_wm2 == 0.0)
-    assert scan(dull, "absolute") is None
-    assert scan(replace(captured(), setup=replace(SETUP, room=None)), "absolute") is None
+    assert misplacement_of(dull, "absolute") is None
+    assert misplacement_of(replace(captured(), setup=replace(SETUP, room=None)), "absolute") is None
 
 
 # ---------------------------------------------------------------------------------------------- the
@@ -162,7 +167,7 @@ def fitted() -> Fitted:
 def test_a_wrong_north_is_warned_of_and_widens_the_model() -> None:
     data = stated_otherwise(2.3)
     model = fit(data)
-    widened, said = settle(cast(Fitted, model), data, scan(data, "absolute"))
+    widened, said = with_misplacement(cast(Fitted, model), data, misplacement_of(data, "absolute"))
     assert said[0].startswith("WARNING") and "north is wrong by +2" in said[0]
     assert "wall_azimuth_deg = 182" in said[1] and "heading_deg = 182" in said[1]
     plain = model.predict(data.light, data.patch_cdm2)
@@ -171,7 +176,10 @@ def test_a_wrong_north_is_warned_of_and_widens_the_model() -> None:
     sunny = data.light.dni_wm2 > 0.0
     assert (wide.expected_mse[sunny] > plain.expected_mse[sunny]).mean() > 0.8
     assert np.allclose(wide.expected_mse[~sunny], plain.expected_mse[~sunny])
-    assert settle(fitted(), captured(), scan(captured(), "none")) == (fitted(), [])
+    assert with_misplacement(fitted(), captured(), misplacement_of(captured(), "none")) == (
+        fitted(),
+        [],
+    )
 
 
 @pytest.mark.slow
@@ -205,11 +213,11 @@ def test_experience_of_like_suns_raises_the_expectation() -> None:
 @pytest.mark.contract
 @pytest.mark.parametrize("name", ["north_deg", "clock_min", "wall_azimuth_deg", "camera_x_m"])
 def test_every_cause_has_words_and_a_remedy(name: str) -> None:
-    found = Setting({name: (1.2, 0.1)}, gain=0.5, hours=40, slip_deg=1.2)
+    found = Misplacement({name: (1.2, 0.1)}, gain=0.5, hours=40, slip_deg=1.2)
     lines = warnings_of(found, SETUP, 4.5)
     assert len(lines) == 2 and lines[0].startswith("WARNING") and lines[1].startswith("to fix")
     assert warnings_of(replace(found, slip_deg=0.0), SETUP, 4.5) == []
-    moved = Setting(shift_px=(2, -1), gain=0.5, hours=40, slip_deg=9.0)
+    moved = Misplacement(shift_px=(2, -1), gain=0.5, hours=40, slip_deg=9.0)
     shifted = warnings_of(moved, SETUP, 4.5)
     assert "2 pixels" in shifted[0] and "heading_deg = 171.0" in shifted[1]
 

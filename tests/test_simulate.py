@@ -118,7 +118,7 @@ def test_the_same_room_comes_out_the_same() -> None:
     """Fits of one room would otherwise differ from run to run."""
     first, second = (simulate.lit_room(SMALL, height=8, quality="draft") for _ in range(2))
     assert (first.point_coefficients != second.point_coefficients).nnz == 0
-    assert (first.piece_coefficients != second.piece_coefficients).nnz == 0
+    assert (first.bounce_coefficients != second.bounce_coefficients).nnz == 0
 
 
 @pytest.mark.slow

@@ -17,7 +17,7 @@ from fieldlum.core.progress import progress, shown_by
 from fieldlum.learn import models, train
 from fieldlum.learn.models import dense
 from fieldlum.learn.models.dense import validation_split
-from fieldlum.learn.models.scores import expect, light_of_year
+from fieldlum.learn.models.scores import expect_year, light_of_year
 from fieldlum.learn.models.training_data import Dataset
 from fieldlum.learn.train import (
     day_folds,
@@ -227,7 +227,7 @@ def test_the_error_of_a_year_is_one_count(monkeypatch: pytest.MonkeyPatch) -> No
     data = replace(DATA, patch_cdm2=np.zeros_like(DATA.luminance_cdm2))
     shown: list[tuple[int, int, str]] = []
     with shown_by(lambda *line: shown.append(line)):
-        expect(models.fit("mean", data), data, np.random.default_rng(0))
+        expect_year(models.fit("mean", data), data, np.random.default_rng(0))
     assert {line[1:] for line in shown} == {(150, "error of a year")}
 
 

@@ -17,7 +17,7 @@ from fieldlum.learn.train import held_out_warnings
 from fieldlum.learn.transport import Transport
 from fieldlum.optics.profiles import shipped
 from fieldlum.room import simulate
-from fieldlum.room.fit.misplaced_patches import scan, settle
+from fieldlum.room.fit.misplaced_patches import misplacement_of, with_misplacement
 from fieldlum.session.site_toml import load_site
 from fieldlum.sky import sun
 from fieldlum.sky.daylight import light_at
@@ -69,6 +69,9 @@ def test_intervals_hold_under_clouds_and_north_is_not_blamed(sd: float) -> None:
     found = summary(evaluate(fitted, truth(_cloudy(truth_of, asked, sd, 9), glare=False)))
     assert 0.85 <= found["in_90_band"] <= 0.95
     text = " ".join(
-        (*held_out_warnings(fitted, data), *settle(fitted, data, scan(data, "absolute"))[1])
+        (
+            *held_out_warnings(fitted, data),
+            *with_misplacement(fitted, data, misplacement_of(data, "absolute"))[1],
+        )
     )
     assert "check clock" not in text and "north is wrong" not in text

@@ -19,7 +19,7 @@ from fieldlum.learn.models.scores import Truth, evaluate, summary
 from fieldlum.learn.models.training_data import Dataset, load_pairs, with_sky_view
 from fieldlum.learn.train import Spent, Trial, day_folds, evaluate_folds, fit_timed, patch_mode
 from fieldlum.optics.projection import equirect_rays
-from fieldlum.room.fit.apply_scene import in_scene
+from fieldlum.room.fit.apply_scene import apply_scene
 from fieldlum.room.fit.stated_box import training_captures, with_same_box
 from fieldlum.room.scene.geometry import build
 from fieldlum.room.scene.radiance import octree, rad_text, sun_text, trace
@@ -112,7 +112,7 @@ def load(
     if test is None:
         return BenchData(data, None, specs)
     others = load_pairs(test, site)
-    others, _ = in_scene(others, pairs, scene, "absolute")
+    others, _ = apply_scene(others, pairs, scene, "absolute")
     others = with_same_box(others, data)
     folders = (spec.folder for spec in specs if spec.folder is not None)
     fresh = without_training_hours(replace(others, sky_view=data.sky_view), data, *folders)

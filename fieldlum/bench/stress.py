@@ -2,8 +2,8 @@
 
 A condition changes the training data, the test data, or both, relative to its own normal case.
 "Reported" means one of three: the training warned (`learn.train.held_out_warnings`,
-`room.fit.misplaced_patches.settle`); the model expected, on average, more than a third of the
-error; or it did not trust most of the hours, or most of those with a large error.
+`room.fit.misplaced_patches.with_misplacement`); the model expected, on average, more than a third
+of the error; or it did not trust most of the hours, or most of those with a large error.
 
 A gross error is a map that is wrong by more than a factor of 1.6 (log10 MSE over 0.04). It counts
 as unflagged if the training did not warn, the hour is trusted, and less than a third of the error
@@ -25,7 +25,7 @@ from fieldlum.learn.models.scores import Scores, evaluate, truth
 from fieldlum.learn.models.training_data import Dataset
 from fieldlum.learn.train import fit_timed, held_out_warnings, patch_mode
 from fieldlum.room.fit.apply_scene import with_patches
-from fieldlum.room.fit.misplaced_patches import scan, settle
+from fieldlum.room.fit.misplaced_patches import misplacement_of, with_misplacement
 from fieldlum.sky import sun
 from fieldlum.sky.daylight import Light
 
@@ -242,7 +242,9 @@ def run(spec: Spec, data: Dataset, test: Dataset, *, budget_s: float = 60.0) -> 
         fitted, spent = fit_timed(
             spec.name, train, patch=patch_mode(train, spec.patch), seed=case.seed, budget_s=budget_s
         )
-        fitted, wrong = settle(fitted, case.train, scan(case.train, patch_mode(train, spec.patch)))
+        fitted, wrong = with_misplacement(
+            fitted, case.train, misplacement_of(case.train, patch_mode(train, spec.patch))
+        )
         warned = bool(held_out_warnings(fitted, train) or wrong)
         row = _row(evaluate(fitted, truth(tested, glare=False)), warned)
         about = {"name": spec.label, "regime": case.name, "n_train": len(train)}

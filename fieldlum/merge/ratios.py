@@ -342,20 +342,6 @@ def exposures_of(
             pairs = bracket_pairs(samples)
     prior = exposure_covariance([s.exposure for s in shots], replace(profile, shutter_law=law.law))
     fit = fit_ratios(pairs if fits else [], prior)
-    exposures = _with_uncertainty(law, fit, prior, samples, pairs, profile, fits)
-    return scaled(frames, fit.correction), exposures, samples
-
-
-def _with_uncertainty(
-    law: ShutterLaw,
-    fit: RatioFit,
-    prior: Floats,
-    samples: Sequence[Rows],
-    pairs: list[PairRatio],
-    profile: CameraProfile,
-    fits: bool,
-) -> Exposures:
-    """Return the exposures, with the uncertainty that differences between frames show."""
     residuals = neighbours(pairs, fit.correction)
     u_typical = float(np.median(fit.u_log))
     u_response = 0.0 if profile.camera.kind == "raw" else profile.response.u_rel
@@ -369,9 +355,9 @@ def _with_uncertainty(
         percents = [abs(n.residual_percent) for n in residuals]
         disagreement = float(np.median(percents)) / 100 if percents else u_typical
         u_extra = max(unexplained(residuals, u_explained), unexplained_u(compared, u_explained))
-    return Exposures(
-        law,
-        fit,
+    exposures = Exposures(
+        law=law,
+        fit=fit,
         neighbours=tuple(residuals),
         log_deviation=np.log(compared.correction),
         u_prior=np.hypot(np.sqrt(np.diag(prior)), u_response),
@@ -381,3 +367,4 @@ def _with_uncertainty(
         # response makes frames differ without any motion.
         tolerance=max(0.003, 3.0 * disagreement, u_response),
     )
+    return scaled(frames, fit.correction), exposures, samples

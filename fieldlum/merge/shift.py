@@ -70,13 +70,21 @@ def shifts(
     """
     lens, tiny_rad, turns = lenses[0], 1e-4, []
     px_per_rad = float(lens.radius_px * radius_of_angle(lens, tiny_rad) / tiny_rad)
-    for (long, short), named in zip(pairwise(frames), pairwise(names), strict=True):
+    for k, (long, short) in enumerate(pairwise(frames)):
         turn = _turn(long, short, lenses)
         if turn is not None:
             angle, u = turn
             px, u_px = angle * px_per_rad, u * px_per_rad
-            figures = float(np.degrees(angle)), px, u_px, max(px - 3.0 * u_px, 0.0)
-            turns.append(ShiftQuality(*named, *(round(v, 3) for v in figures)))
+            turns.append(
+                ShiftQuality(
+                    long=names[k],
+                    short=names[k + 1],
+                    turn_deg=round(float(np.degrees(angle)), 3),
+                    shift_px=round(px, 3),
+                    u_px=round(u_px, 3),
+                    sure_px=round(max(px - 3.0 * u_px, 0.0), 3),
+                )
+            )
     return turns
 
 

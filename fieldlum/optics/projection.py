@@ -9,7 +9,7 @@ right, y down, seen from behind the camera.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Annotated, Literal
 
@@ -344,16 +344,8 @@ class Fisheye:
     def of_size(cls, size: int, lens: LensGeometry) -> Fisheye:
         """Return a picture of size x size pixels with the full angle and the pose of a lens."""
         half = size / 2
-        plain = LensGeometry(
-            centre_px=(half, half),
-            radius_px=half,
-            full_angle_deg=lens.full_angle_deg,
-            mapping="equidistant",
-            azimuth_deg=lens.azimuth_deg,
-            tilt_deg=lens.tilt_deg,
-            roll_deg=lens.roll_deg,
-        )
-        return cls(size, plain)
+        circle = {"centre_px": (half, half), "radius_px": half}
+        return cls(size, replace(lens, **circle, mapping="equidistant", coefficients=()))
 
     @property
     def shape(self) -> tuple[int, int]:

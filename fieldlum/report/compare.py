@@ -198,9 +198,7 @@ def _on_one_grid(
     place = equirect_pixel(*altitude_azimuth_deg(rays), height, width, capture.heading_deg)
     row, column = (np.floor(part).astype(int) for part in place)
     at = np.minimum(row, height - 1), column % width
-    seen = seen_pixels(capture)
-    if seen is not None:
-        weight = np.where(seen[at], weight, 0.0)
+    weight = np.where(seen_pixels(capture)[at], weight, 0.0)
     if picture.view is not None and picture.view.kind != "v":
         # beyond its angle a fisheye's square has no picture
         ahead = rays @ picture.view.forward

@@ -85,12 +85,10 @@ def difference(candidate: HeldOutErrors, other: HeldOutErrors, name: str) -> tup
 
     name: one of `CRITERIA`, whose unit both have. Both candidates have the same hours. The standard
     error is that of the trimmed mean, by winsorised differences (Tukey and McLaughlin 1963), where
-    only days are independent; it is 0 with one day. Both are NaN if no hour has the errors of both.
+    only days are independent; it is 0 with one day. At least one hour must have the errors of both.
     """
     a, b = getattr(candidate, name), getattr(other, name)
     rows = np.isfinite(a) & np.isfinite(b) & (candidate.weight > 0.0)
-    if not rows.any():
-        return float("nan"), float("nan")
     a, b, weight, day = a[rows], b[rows], candidate.weight[rows], candidate.day[rows]
     trim = candidate.trim
     mean = trimmed_mean(a, weight, trim) - trimmed_mean(b, weight, trim)

@@ -162,8 +162,6 @@ def without_lamps(
     A spot at the place of a brighter one, a lamp, is omitted too. suns [n, 3], direct_lx [n]: of
     all captures, whose rows the spots name. height: rows of the maps.
     """
-    if not spots:
-        return []
     places, rows = _places_of(spots)
     near = np.cos(tolerance_rad(height))
     moved = np.cos(3.0 * tolerance_rad(height))

@@ -340,7 +340,7 @@ def light_of_year(data: Dataset, rng: np.random.Generator) -> Light:
     return light_at(times, site, beam * of_hours.dni_wm2, diffuse * of_hours.dhi_wm2)
 
 
-def expect(fitted: Fitted, data: Dataset, rng: np.random.Generator) -> YearExpectation:
+def expect_year(fitted: Fitted, data: Dataset, rng: np.random.Generator) -> YearExpectation:
     """Return what a model of the captures `data` expects of the hours of `light_of_year`.
 
     If `data` has sun patches, those of the hours are computed from the room of `data`. The expected

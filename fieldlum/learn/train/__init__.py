@@ -35,14 +35,14 @@ from fieldlum.learn.models.scores import (
     Scores,
     YearExpectation,
     evaluate,
-    expect,
+    expect_year,
     join,
     summary,
     truth,
 )
 from fieldlum.learn.models.training_data import Dataset, with_sky_view
 from fieldlum.learn.train.outliers import without_changes
-from fieldlum.room.fit.misplaced_patches import scan, settle
+from fieldlum.room.fit.misplaced_patches import misplacement_of, with_misplacement
 from fieldlum.session import check_writable, sha256
 from fieldlum.session.codec import current_note, data_digest, digest
 from fieldlum.session.files.model_files import ScoreRow, ScoresFile, TrainAnswer
@@ -254,7 +254,7 @@ def fit_and_score(
     captures = len(data)
     data, mirrors = split_images(with_sky_view(data))
     data, changed = without_changes(data, with_patch=patch != "none")
-    setting = scan(data, patch)
+    setting = misplacement_of(data, patch)
     if not day_folds(data):
         raise NotEnoughDataError(
             f"{data.source}: {counted(len(data), 'usable hour')}; at least 2 are needed to train "
@@ -265,7 +265,7 @@ def fit_and_score(
     trials, left_out = _trials(data, model, options)
     choice = choose_model(trials) if model == "auto" else ModelSelection(model, "requested")
     fitted, spent = fit_timed(choice.name, data, checkpoint=checkpoint, **options)
-    fitted, moved = settle(fitted, data, setting)
+    fitted, moved = with_misplacement(fitted, data, setting)
     notes = [*notes_of(data, patch, model, trials), *left_out, *model_notes(fitted, data, patch)]
     notes += [f"WARNING: {m.captures} of {captures} captures {m.warning}" for m in mirrors]
     notes += [*changed, *held_out_warnings(fitted, data), *moved]
@@ -312,7 +312,7 @@ def year_of(fitted: Fitted, data: Dataset, patch: Patch, seed: int) -> YearExpec
         data = replace(data, patch_cdm2=None)
     if data.patch_cdm2 is not None and data.setup.room is None:
         return None
-    year = expect(fitted, data, np.random.default_rng(seed))
+    year = expect_year(fitted, data, np.random.default_rng(seed))
     return year if math.isfinite(year.expected_log10_mse) else None
 
 

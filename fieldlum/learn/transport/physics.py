@@ -155,7 +155,7 @@ def _physics_of(setup: SiteFile) -> Physics:
     pictures = np.random.default_rng(0).standard_normal((len(root), count)) * root
     points = lit.smooth.T @ (lit.to_pixels.T @ pictures)
     first = lit.point_coefficients[:, FIRST_PIECE:].T @ points  # [p, k]
-    bounces = lit.piece_coefficients[:, FIRST_PIECE:].T.tocsr()
+    bounces = lit.bounce_coefficients.T.tocsr()
     total = first
     # each leaves less than half of the light, so the rest is below a millionth
     for _ in range(20):

@@ -112,7 +112,7 @@ def _check_stated(data: Dataset, scene: Scene, source: Path | str) -> None:
         raise InputError(source, finding, "the same [room]", remedy)
 
 
-def in_scene(data: Dataset, pairs: Path, option: str, patch: str) -> tuple[Dataset, str]:
+def apply_scene(data: Dataset, pairs: Path, option: str, patch: str) -> tuple[Dataset, str]:
     """Return the captures as the option ``--scene`` demands, and the patch mode for training.
 
     option: a folder with scene.toml; "none" to ignore any scene; empty for the folder scene/ next

@@ -51,8 +51,25 @@ def check_captures(data: Dataset, room: Room) -> None:
 
 def turned_windows_note(data: Dataset, room: Room) -> str:
     """Return a sentence if bright windows fit the room only after 30 degrees or more; "" if not."""
-    turn_deg = _windows_turned_deg(data, room)
-    if turn_deg is None:
+    height, width = data.shape
+    _, rays = pixel_rays(height, data.heading_deg, 1)
+    ends = surfaces(guess_of(room, data.heading_deg), rays.astype(np.float32))
+    glass = (ends.surface == OUTSIDE).reshape(height, width)
+    omega = np.where(data.seen, equirect_solid_angles(height, width), 0.0)
+    level = np.log(np.maximum(np.median(data.luminance_cdm2, axis=0), _FLOOR_CDM2))  # [H, W]
+    step = max(1, round(_TURN_STEP_DEG / 360.0 * width))
+    turns = np.arange(0, width, step)
+    masks = [np.roll(glass, turn, axis=1) * omega for turn in turns]
+    if min(mask.sum() for mask in masks) <= 0.0:
+        return ""
+    bright = np.array([np.average(level, weights=mask) for mask in masks])
+    best = int(bright.argmax())
+    turn_deg = float(signed_angle_deg(turns[best] / width * 360.0))
+    room_level = float(np.average(level, weights=omega))
+    # A stated window that is bright exists, even if another place is brighter.
+    absent = bright[0] - room_level < _WINDOW_LOG_GAIN
+    clear = absent and bright[best] - bright[0] > _WINDOW_LOG_GAIN
+    if not clear or abs(turn_deg) < _MIN_TURN_DEG:
         return ""
     return (
         f"bright windows about {turn_deg:+.0f} degrees (clockwise) from where [room] and "
@@ -64,52 +81,12 @@ def reversed_compass_note(data: Dataset, room: Room) -> str:
     """Return a note if the room's light follows a sun behind the stated windows; "" otherwise.
 
     A compass that was read backwards has this effect, and so has a sunlit facade opposite: the
-    captures alone do not tell which, so that nothing is refused.
-    """
-    turn_deg = _sun_turned_deg(data, room)
-    if turn_deg is None or abs(turn_deg) < _REVERSED_DEG:
-        return ""
-    return (
-        f"the room's light follows the sun as in a room turned by {turn_deg:+.0f} degrees: if no "
-        "sunlit facade faces the windows, the compass was read backwards; check heading_deg and "
-        "wall_azimuth_deg (180 degrees) and the time zone of the captures' times"
-    )
-
-
-def _windows_turned_deg(data: Dataset, room: Room) -> float | None:
-    """Return the turn [deg, clockwise] between the windows in the pictures and in `room`.
-
-    Return None if they agree.
-    """
-    height, width = data.shape
-    _, rays = pixel_rays(height, data.heading_deg, 1)
-    ends = surfaces(guess_of(room, data.heading_deg), rays.astype(np.float32))
-    glass = (ends.surface == OUTSIDE).reshape(height, width)
-    omega = np.where(data.seen, equirect_solid_angles(height, width), 0.0)
-    level = np.log(np.maximum(np.median(data.luminance_cdm2, axis=0), _FLOOR_CDM2))  # [H, W]
-    step = max(1, round(_TURN_STEP_DEG / 360.0 * width))
-    turns = np.arange(0, width, step)
-    masks = [np.roll(glass, turn, axis=1) * omega for turn in turns]
-    if min(mask.sum() for mask in masks) <= 0.0:
-        return None
-    bright = np.array([np.average(level, weights=mask) for mask in masks])
-    best = int(bright.argmax())
-    turn_deg = float(signed_angle_deg(turns[best] / width * 360.0))
-    room_level = float(np.average(level, weights=omega))
-    # A stated window that is bright exists, even if another place is brighter.
-    absent = bright[0] - room_level < _WINDOW_LOG_GAIN
-    clear = absent and bright[best] - bright[0] > _WINDOW_LOG_GAIN
-    return turn_deg if clear and abs(turn_deg) >= _MIN_TURN_DEG else None
-
-
-def _sun_turned_deg(data: Dataset, room: Room) -> float | None:
-    """Return the turn [deg, clockwise] between the sun that the light follows and `room`.
-
-    Return None if they agree. The mean luminance of the room is fitted by diffuse light, by direct
-    light on the windows and by direct light on the ground, none of them negative.
+    captures alone do not tell which, so that nothing is refused. The mean luminance of the room is
+    fitted by diffuse light, by direct light on the windows of a turned room and by direct light on
+    the ground, none of them negative.
     """
     if len(data) < _MIN_HOURS:
-        return None
+        return ""
     omega = np.where(data.seen, equirect_solid_angles(*data.shape), 0.0).ravel()
     mean = np.average(data.luminance_cdm2.reshape(len(data), -1), axis=1, weights=omega)
     light, suns = data.light, data.light.sun_direction
@@ -131,4 +108,10 @@ def _sun_turned_deg(data: Dataset, room: Room) -> float | None:
     # opposite.
     absent = shares[0] < _SUN_SHARE
     clear = absent and errors[best] < _SUN_ERROR_SHARE * errors[0]
-    return turn_deg if clear and abs(turn_deg) >= _MIN_TURN_DEG else None
+    if not clear or abs(turn_deg) < _REVERSED_DEG:
+        return ""
+    return (
+        f"the room's light follows the sun as in a room turned by {turn_deg:+.0f} degrees: if no "
+        "sunlit facade faces the windows, the compass was read backwards; check heading_deg and "
+        "wall_azimuth_deg (180 degrees) and the time zone of the captures' times"
+    )

@@ -225,7 +225,7 @@ def require_box(room: Room) -> None:
         raise InputError("[room]", finding, "a box with a window", remedy)
 
 
-def gather(
+def scene_evidence(
     data: Dataset,
     room: Room,
     *,

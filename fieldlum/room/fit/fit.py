@@ -19,7 +19,7 @@ from fieldlum.core.progress import progress
 from fieldlum.core.records import Room
 from fieldlum.room.fit.apply_scene import corrected, with_patches
 from fieldlum.room.fit.elements import KINDS, Kind
-from fieldlum.room.fit.evidence import PIXELS, SceneEvidence, gather
+from fieldlum.room.fit.evidence import PIXELS, SceneEvidence, scene_evidence
 from fieldlum.room.fit.guess import Guess, guess_of, room_of
 from fieldlum.room.fit.parameters import (
     CLOCK_SD_MIN,
@@ -142,7 +142,7 @@ class SceneSearch:
         pixels: int = PIXELS,
     ) -> None:
         self.data, self.room, self.pose = data, room, pose
-        self.evidence = gather(data, room, pixels=pixels)
+        self.evidence = scene_evidence(data, room, pixels=pixels)
         self.start = self.guess = guess_of(room, data.heading_deg)
         self.view = window_view(data, self.start)
         self.parameters = room_parameters(self.start, clock_sd_min) + glass_parameters(self.start)

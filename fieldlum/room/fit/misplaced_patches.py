@@ -17,7 +17,7 @@ from fieldlum.learn.models import Fitted, Patch
 from fieldlum.learn.models.training_data import Dataset
 from fieldlum.learn.transport import MeanTransport, Transport
 from fieldlum.room.fit.checks import reversed_compass_note, turned_windows_note
-from fieldlum.room.fit.evidence import SceneEvidence, gather
+from fieldlum.room.fit.evidence import SceneEvidence, scene_evidence
 from fieldlum.room.fit.guess import guess_of
 from fieldlum.room.fit.parameters import SUN_DEG_PER_MIN, room_parameters, stated_albedo
 from fieldlum.room.fit.search import LEVELS, SceneCost, covariance, prior_unit, search
@@ -36,7 +36,7 @@ EDGE_AWAY_M = 3.0  # a length moves patches by this angle from the camera: lengt
 
 
 @dataclass(frozen=True, slots=True)
-class Setting:
+class Misplacement:
     """Which wrong settings would explain that sun patches are not where they are computed.
 
     off: by name of a number, how much must be added to the stated one, and the standard uncertainty
@@ -55,7 +55,7 @@ class Setting:
     note: str = ""
 
 
-def scan(data: Dataset, patch: Patch) -> Setting | None:
+def misplacement_of(data: Dataset, patch: Patch) -> Misplacement | None:
     """Test north, clock and the room's measures against the sun patches in the captures.
 
     Return None if patches are not used (patch "none", or `data` has none), without a box room with
@@ -66,12 +66,12 @@ def scan(data: Dataset, patch: Patch) -> Setting | None:
         return None
     if note := turned_windows_note(data, room):
         note += "; check heading_deg, wall_azimuth_deg and the windows' walls"
-        return Setting(slip_deg=TURNED_DEG, note=note)
+        return Misplacement(slip_deg=TURNED_DEG, note=note)
     if note := reversed_compass_note(data, room):
-        return Setting(note=note)
+        return Misplacement(note=note)
     progress(0, 100, "setting: light without patches")
     try:
-        evidence = gather(data, room, min_hours=MIN_HOURS)
+        evidence = scene_evidence(data, room, min_hours=MIN_HOURS)
     except NotEnoughDataError:
         return None
     start = guess_of(room, data.heading_deg)
@@ -101,12 +101,12 @@ def scan(data: Dataset, patch: Patch) -> Setting | None:
     off = {name: value for name, value in off.items() if name in MIN_OFF} or off
     gain = 1.0 - final / cost(start)
     if off and gain > MIN_GAIN:
-        return Setting(off, gain=gain, hours=len(evidence), slip_deg=_slip_deg(off))
+        return Misplacement(off, gain=gain, hours=len(evidence), slip_deg=_slip_deg(off))
     shift, shift_gain = _shift_px(evidence, data)
     if shift_gain > MIN_SHIFT_GAIN:
         slip_deg = float(np.hypot(*shift)) * 360.0 / data.shape[1]
-        return Setting(shift_px=shift, gain=shift_gain, hours=len(evidence), slip_deg=slip_deg)
-    return Setting(hours=len(evidence))
+        return Misplacement(shift_px=shift, gain=shift_gain, hours=len(evidence), slip_deg=slip_deg)
+    return Misplacement(hours=len(evidence))
 
 
 def _slip_deg(off: dict[str, tuple[float, float]]) -> float:
@@ -138,36 +138,36 @@ def _shift_px(evidence: SceneEvidence, data: Dataset) -> tuple[tuple[int, int], 
     return best, 1.0 - misfits[best] / misfits[0, 0]
 
 
-def settle(fitted: Fitted, data: Dataset, setting: Setting | None) -> tuple[Fitted, list[str]]:
+def with_misplacement(
+    fitted: Fitted, data: Dataset, found: Misplacement | None
+) -> tuple[Fitted, list[str]]:
     """Return the model with a larger uncertainty near sun patches, and warnings.
 
-    setting: result of `scan`, of the captures `data`. Both apply only if the captures contradict
-    the computed sun patches; the uncertainty is that of patches displaced as far as the captures
-    show, for a transport model only. Nothing is corrected: a wrong north must be corrected in
-    SITE.toml, which all stages read.
+    found: result of `misplacement_of` for the captures `data`. Both apply only if these
+    contradict the computed sun patches; the uncertainty is that of patches displaced as far as the
+    captures show, for a transport model only. Nothing is corrected: a wrong north must be corrected
+    in SITE.toml, which all stages read.
     """
-    if setting is None:
+    if found is None:
         return fitted, []
-    if setting.slip_deg > 0.0 and isinstance(fitted, Transport | MeanTransport):
-        fitted = cast("Fitted", fitted.with_displaced_patches(setting.slip_deg))
-    return fitted, warnings_of(setting, data.setup, 360.0 / data.shape[1])
+    if found.slip_deg > 0.0 and isinstance(fitted, Transport | MeanTransport):
+        fitted = cast("Fitted", fitted.with_displaced_patches(found.slip_deg))
+    return fitted, warnings_of(found, data.setup, 360.0 / data.shape[1])
 
 
-def warnings_of(setting: Setting, setup: SiteFile, pixel_deg: float) -> list[str]:
+def warnings_of(found: Misplacement, setup: SiteFile, pixel_deg: float) -> list[str]:
     """Return lines that warn of a wrong setting: what is wrong, then a remedy for each cause.
 
     pixel_deg: width of a pixel of the maps. The list is empty if nothing is certain.
     """
-    if setting.note:
-        return [f"WARNING: {setting.note}"]
-    if setting.slip_deg == 0.0:
+    if found.note:
+        return [f"WARNING: {found.note}"]
+    if found.slip_deg == 0.0:
         return []
-    words = [_words(name, by, u) for name, (by, u) in setting.off.items()]
-    remedies = [
-        f"to fix {name}: {_remedy(name, by, setup)}" for name, (by, _) in setting.off.items()
-    ]
-    if setting.shift_px != (0, 0):
-        right, down = setting.shift_px
+    words = [_words(name, by, u) for name, (by, u) in found.off.items()]
+    remedies = [f"to fix {name}: {_remedy(name, by, setup)}" for name, (by, _) in found.off.items()]
+    if found.shift_px != (0, 0):
+        right, down = found.shift_px
         words = [f"they are {right:+d} pixels to the right of those and {down:+d} below"]
         heading = (setup.camera.heading_deg - right * pixel_deg) % 360.0
         remedies = [
@@ -175,8 +175,8 @@ def warnings_of(setting: Setting, setup: SiteFile, pixel_deg: float) -> list[str
             f"SITE.toml [camera] heading_deg = {heading:.1f}, then merge, pair and train again"
         ]
     return [
-        f"WARNING: captured sun patches are displaced from the computed ones ({setting.hours} "
-        f"hours): {', '.join(words)}, which explains {setting.gain:.0%} of the misfit. Until this "
+        f"WARNING: captured sun patches are displaced from the computed ones ({found.hours} "
+        f"hours): {', '.join(words)}, which explains {found.gain:.0%} of the misfit. Until this "
         "is fixed, the transport model has a larger uncertainty in hours that depend on sun "
         "patches",
         *remedies,

@@ -10,13 +10,13 @@ import numpy as np
 from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Room
-from fieldlum.learn.models.scores import YearExpectation, expect
+from fieldlum.learn.models.scores import YearExpectation, expect_year
 from fieldlum.learn.models.training_data import Dataset
 from fieldlum.optics.projection import equirect_solid_angles
 from fieldlum.room.fit.apply_scene import with_scene
 from fieldlum.room.fit.checks import check_captures, reversed_compass_note
 from fieldlum.room.fit.draw_scene import draw
-from fieldlum.room.fit.evidence import gather
+from fieldlum.room.fit.evidence import scene_evidence
 from fieldlum.room.fit.fit import SceneFit, fit_scene
 from fieldlum.room.fit.parameters import CLOCK_SD_MIN
 from fieldlum.room.fit.pose_prior import pose_note, pose_of, prior_of
@@ -67,7 +67,7 @@ def run(
     scene = judged_scene(data, fit)
     scene = replace(scene, notes=(*notes, *scene.notes))
     used = fit.used(data)
-    pictures = draw(out, used, fit.scene, gather(used, room))
+    pictures = draw(out, used, fit.scene, scene_evidence(used, room))
     return scene, [write_scene(out, scene), *pictures]
 
 
@@ -169,7 +169,7 @@ def expected_year(data: Dataset) -> YearExpectation:
 
     rng = np.random.default_rng(0)
     data = replace(data, seen=_draw(data, rng))
-    return expect(fit(data), data, rng)
+    return expect_year(fit(data), data, rng)
 
 
 def _draw(data: Dataset, rng: np.random.Generator) -> Mask:

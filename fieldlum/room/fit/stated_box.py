@@ -11,8 +11,8 @@ import numpy as np
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.records import Room
 from fieldlum.learn.models.training_data import Dataset
-from fieldlum.room.fit.apply_scene import in_scene, with_patches, with_scene
-from fieldlum.room.fit.evidence import gather
+from fieldlum.room.fit.apply_scene import apply_scene, with_patches, with_scene
+from fieldlum.room.fit.evidence import scene_evidence
 from fieldlum.room.fit.guess import guess_of
 from fieldlum.room.fit.parameters import stated_albedo
 from fieldlum.room.fit.scene_file import Chosen, Scene
@@ -47,7 +47,7 @@ def judge_box(data: Dataset, room: Room) -> tuple[Chosen, str] | None:
         f"{MIN_CLEAR_HOURS} clear hours for a trusted scene ({clear} so far)"
     )
     try:
-        evidence = gather(data, room, min_hours=1)
+        evidence = scene_evidence(data, room, min_hours=1)
     except NotEnoughDataError:
         reason = f"stated [room]: no capture has direct sun on a window to test it; {remedy}"
         return "stated", reason
@@ -68,11 +68,10 @@ def judge_box(data: Dataset, room: Room) -> tuple[Chosen, str] | None:
 def training_captures(data: Dataset, pairs: Path, option: str, patch: str) -> tuple[Dataset, str]:
     """Return captures as `train` learns them, and the patch mode for training.
 
-    The arguments are those of `in_scene`, which applies the scene. If `option` is empty and there
-    is no scene, captures with few clear hours decide whether the stated box is used, as
-    `with_judged_box` describes. Raises InputError as `in_scene` does.
+    Arguments and errors are those of `apply_scene`. If `option` is empty and there is no scene,
+    captures with few clear hours decide whether the stated box is used, as in `with_judged_box`.
     """
-    data, patch = in_scene(data, pairs, option, patch)
+    data, patch = apply_scene(data, pairs, option, patch)
     return (data, patch) if option else with_judged_box(data, patch)
 
 
@@ -108,9 +107,9 @@ def with_judged_box(data: Dataset, patch: str) -> tuple[Dataset, str]:
 def with_same_box(data: Dataset, trained: Dataset) -> Dataset:
     """Return captures to predict with the choice that `with_judged_box` made for training.
 
-    data: captures after `in_scene`; trained: the training captures. If these have no patches by
-    that choice, neither does the result; if they have those of the stated box, it has those of its
-    own box. Captures do not change if they have a scene, if `trained` has none, or, for the stated
+    data: result of `apply_scene`; trained: the training captures. If these have no patches by that
+    choice, neither does the result; if they have those of the stated box, it has those of its own
+    box. Captures do not change if they have a scene, if `trained` has none, or, for the stated
     box, if they have no box with windows. Raises InputError for an impossible room.
     """
     if data.scene is not None or trained.scene is None:

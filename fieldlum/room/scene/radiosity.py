@@ -209,7 +209,7 @@ def _hemispheres(normal: Floats, rays: int, rng: np.random.Generator) -> Floats:
     return toward.reshape(-1, 3)
 
 
-def _gather(
+def _form_factors(
     scene: BoxScene, pieces: Pieces, position: Floats, normal: Floats, rays: int, workers: int
 ) -> Any:
     """Return the irradiance at points [m, 3] per luminance of each column, CSR [m, columns].
@@ -310,9 +310,9 @@ class LitRoom:
     samples, faces : the m points that the pixels show, as `joined` returns them. point_coefficients
     : daylight coefficients, CSR [m, columns]: irradiance [lx] of a point per luminance [cd/m2] of a
     sky patch, of the plain, or of one of p surface pieces, in this order of columns;
-    piece_coefficients : the same of the pieces, CSR [p, columns]. smooth : CSR [m, m], means over
-    neighbours on one face; to_pixels : CSR [H W, m], luminance of a pixel per irradiance of a
-    point.
+    outdoor_coefficients, bounce_coefficients : the same of the pieces, of sky and plain and of
+    pieces, CSR [p, columns]. smooth : CSR [m, m], means over neighbours on one face; to_pixels :
+    CSR [H W, m], luminance of a pixel per irradiance of a point.
     """
 
     setup: SiteFile
@@ -323,7 +323,8 @@ class LitRoom:
     point_coefficients: Any
     smooth: Any
     to_pixels: Any
-    piece_coefficients: Any
+    outdoor_coefficients: Any
+    bounce_coefficients: Any
 
     @cached_property
     def _sun_points(self) -> tuple[trace.SunPoints, trace.SunPoints, trace.SunPoints]:
@@ -443,10 +444,10 @@ class LitRoom:
         number, 0 for all.
         """
         reflect = (self.pieces.reflectance[:, None] * tint / np.pi).astype(np.float32)
-        first = self._outdoors @ outdoors + first_lx
+        first = self.outdoor_coefficients @ outdoors + first_lx
         pieces = reflect * first
         for _ in range(bounces or self._passes):
-            pieces = reflect * (first + self._bounces @ pieces)
+            pieces = reflect * (first + self.bounce_coefficients @ pieces)
         return np.concatenate((outdoors, pieces))
 
     def pixels_cdm2(self, columns: Floats32) -> Floats32:
@@ -467,19 +468,11 @@ class LitRoom:
         reflect = (self.pieces.reflectance / np.pi).astype(np.float32)
         pieces = reflect
         for k in range(1, 60):
-            after = reflect * (1 + self._bounces @ pieces)
+            after = reflect * (1 + self.bounce_coefficients @ pieces)
             if float((after - pieces).max()) < 1e-4 * float(after.mean()):
                 return k
             pieces = after
         return 60
-
-    @cached_property
-    def _outdoors(self) -> Any:
-        return self.piece_coefficients[:, :FIRST_PIECE].tocsr()
-
-    @cached_property
-    def _bounces(self) -> Any:
-        return self.piece_coefficients[:, FIRST_PIECE:].tocsr()
 
     def as_panorama(self, rendering: Rendering, k: int) -> Panorama:
         """Return moment `k` (from 0) of a rendering as a panorama, with its visible sun apart."""
@@ -535,12 +528,13 @@ def lit_room(
     s, faces = joined(view.samples)
     m, free = len(s.pixel), np.flatnonzero(np.isfinite(pieces.middle[:, 0]))
     normals = np.eye(3)[pieces.axis[free]] * pieces.sign[free, None]
-    gathered = _gather(scene, pieces, pieces.middle[free], normals, how.piece_rays, threads)
+    gathered = _form_factors(scene, pieces, pieces.middle[free], normals, how.piece_rays, threads)
     spread = csr_matrix(
         (np.ones(len(free), np.float32), (free, np.arange(len(free)))), (len(pieces), len(free))
     )
+    of_pieces = (spread @ gathered).tocsr()
     normals = np.eye(3)[s.axis] * s.sign[:, None]
-    point_coefficients = _gather(scene, pieces, s.position, normals, how.pixel_rays, threads)
+    point_coefficients = _form_factors(scene, pieces, s.position, normals, how.pixel_rays, threads)
     reach_m = np.linalg.norm(s.position - scene.camera_m, axis=1) * np.pi / height * _SHARED_PX
     smooth = near_light((s.position, faces), (s.position, faces), _SHARED, reach_m)
     luminance = (s.weight * scene.reflectance[s.box] / np.pi).astype(np.float32)
@@ -554,5 +548,6 @@ def lit_room(
         point_coefficients=point_coefficients,
         smooth=smooth,
         to_pixels=to_pixels,
-        piece_coefficients=(spread @ gathered).tocsr(),
+        outdoor_coefficients=of_pieces[:, :FIRST_PIECE].tocsr(),
+        bounce_coefficients=of_pieces[:, FIRST_PIECE:].tocsr(),
     )

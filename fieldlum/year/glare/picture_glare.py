@@ -253,15 +253,11 @@ def _check_azimuths(azimuth_deg: float, asked: Sequence[float], path: Path) -> N
 # pixels
 
 
-def seen_pixels(panorama: Panorama) -> Mask | None:
-    """Return a mask [H, W], True for pixels that a lens saw; None if all were seen.
-
-    It is also None for a panorama without flags.
-    """
+def seen_pixels(panorama: Panorama) -> Mask:
+    """Return a mask [H, W], True for pixels that a lens saw: all without flags."""
     if panorama.flags is None:
-        return None
-    outside = (panorama.flags & Flag.OUTSIDE_LENS) > 0
-    return ~outside if outside.any() else None
+        return np.ones(panorama.luminance_cdm2.shape, bool)
+    return (panorama.flags & Flag.OUTSIDE_LENS) == 0
 
 
 def valid_pixels(panorama: Panorama, path: Path) -> tuple[Floats32, list[str]]:
@@ -271,9 +267,7 @@ def valid_pixels(panorama: Panorama, path: Path) -> tuple[Floats32, list[str]]:
     InputError, which names `path`, if a seen pixel is not finite.
     """
     pixels = np.array(panorama.luminance_cdm2, np.float32)
-    seen_mask = seen_pixels(panorama)
-    if seen_mask is not None:
-        pixels[~seen_mask] = 0.0
+    pixels[~seen_pixels(panorama)] = 0.0
     bad = int((~np.isfinite(pixels)).sum())
     if bad:
         found = f"{counted(bad, 'pixel')} with an infinite or missing (NaN) luminance"
@@ -316,10 +310,10 @@ def plain(value: float) -> float | None:
 # warnings
 
 
-def _picture_texts(picture: pictures.Picture, seen_mask: Mask | None) -> Iterator[str]:
+def _picture_texts(picture: pictures.Picture, seen_mask: Mask) -> Iterator[str]:
     """Yield the reader's notes, and warnings of unseen, dark and clipped pixels."""
     panorama = picture.panorama
-    if picture.view is None and seen_mask is not None:
+    if picture.view is None and not seen_mask.all():
         yield (
             f"no lens saw {100 * (~seen_mask).mean():.0f} % of the panorama: view directions that "
             "are mostly unseen have no result; partly seen ones have the lowest and highest DGP "

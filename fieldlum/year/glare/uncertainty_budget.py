@@ -297,8 +297,7 @@ def _of_pixels(scene: _Scene) -> Iterator[tuple[Source, Mapping[str, Floats]]]:
     panorama, light, sun = scene.panorama, scene.luminance_cdm2, scene.sun
     by_camera = sun is not None and sun.origin in MEASURED_ORIGINS
     u = np.nan_to_num(np.asarray(panorama.u_cdm2, float))
-    seen = seen_pixels(panorama)
-    rest = (u if seen is None else np.where(seen, u, 0.0)) ** 2
+    rest = np.where(seen_pixels(panorama), u, 0.0) ** 2
     sines = np.sin((np.arange(len(light)) + 0.5) / len(light) * np.pi)[:, None] * (light > 0)
     mean_seen = float((light * sines).sum() / max(sines.sum(), 1e-9))
     stated = shared_u_rel(panorama)
