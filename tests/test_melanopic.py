@@ -235,7 +235,11 @@ def test_a_spectrometers_file_gives_luminance_and_melanopic_light(tmp_path: Path
     with pytest.raises(InputError, match=r"no spectrum; expected lines with .*; export it again"):
         colour.read_spectrum(tmp_path / "no.csv")
     text = (tmp_path / "s.cap").read_text()
-    for damaged in (text[: len(text) * 3 // 4], text.replace("1.000000E-03; 1", "1.0E-03; x1", 1)):
+    (tmp_path / "s.cap").write_bytes(text.replace("\n", "\r").encode("utf-16"))
+    assert colour.read_spectrum(tmp_path / "s.cap") == pytest.approx((y, melanopic))
+    one = "; 1.000000E-03; 1"
+    lines = (text.replace(one, f"; {other}; 1", 1) for other in ("x1", "inf", "nan", "1_0"))
+    for damaged in (text[: len(text) * 3 // 4], *lines):
         (tmp_path / "cut.cap").write_text(damaged)  # neither stretched nor left out of the mean
         with pytest.raises(InputError, match="for each 1 or 5 nm; export it again"):
             colour.read_spectrum(tmp_path / "cut.cap")

@@ -896,8 +896,8 @@ def test_a_reading_is_one_number_or_refused(tmp_path: Path, cell: str) -> None:
     path.write_text(f"x_px;y_px;azimuth_deg;note_px\n1,5;2;3;4\n1;{cell};3;4\n")
     with pytest.raises(InputError, match=f"a.csv:3: y_px is '{re.escape(cell)}'"):
         _readings(path)
-    path.write_text("x_px;y_px;azimuth_deg;note_px\n1,5;2;3;4\n")
-    assert _readings(path)[0]["x_px"] == 1.5
+    path.write_text("x_px;y_px;azimuth_deg;note_px\n1,5;2;-99;4\n")
+    assert _readings(path)[0]["x_px"] == 1.5 and _readings(path)[0]["azimuth_deg"] == -99.0
 
 
 @pytest.mark.contract

@@ -17,7 +17,7 @@ from fieldlum.calibrate import fit_steps
 from fieldlum.calibrate.fit_charts import Chart, Place
 from fieldlum.core.arrays import Array, Floats, Mask
 from fieldlum.core.errors import InputError, input_errors
-from fieldlum.core.strict_csv import read_text
+from fieldlum.core.strict_csv import lines_of, read_number, read_text
 from fieldlum.optics.images import RADIANCE_CHROMATICITIES, rgb_to_xyz
 from fieldlum.optics.melanopic import MELANOPIC_FROM_XYZ, U_CHART, U_MATRIX, daylight_xy
 from fieldlum.optics.profiles import CameraProfile, Colour
@@ -114,8 +114,12 @@ def read_spectrum(path: Path) -> tuple[float, float]:
     expected = "lines with 'Spectral Values (380 nm - 1000 nm);' and a number for each 1 or 5 nm"
     remedy = "export it again from JETI LiVal"
     with input_errors(path, expected, remedy, ValueError):
-        for low, high, text in _SPECTRUM.findall(read_text(path, "a file of a spectrometer")):
-            values = [float(cell.replace(",", ".")) for cell in text.split(";") if cell.strip()]
+        content = "\n".join(lines_of(read_text(path, "a file of a spectrometer")))
+        for low, high, text in _SPECTRUM.findall(content):
+            cells = [cell.strip().replace(",", ".") for cell in text.split(";") if cell.strip()]
+            values = [read_number(cell, has_codes=False) for cell in cells]
+            if not np.isfinite(values).all():
+                raise ValueError("a spectrum with missing numbers")
             own_nm = np.linspace(float(low), float(high), len(values))
             if len(values) < 2 or own_nm[1] - own_nm[0] not in (1.0, 5.0):  # a cut line
                 raise ValueError(f"{len(values)} numbers from {low} to {high} nm")

@@ -215,7 +215,8 @@ def _cell(path: Path, line: int, name: str, text: str, has_commas: bool) -> Any:
         return path.parent / text
     number = text.replace(".", "?").replace(",", ".") if has_commas else text
     with suppress(ValueError):
-        if math.isfinite(value := strict_csv.read_number(number)):
+        is_angle = name.endswith("_deg")  # -99 is a direction
+        if math.isfinite(value := strict_csv.read_number(number, has_codes=not is_angle)):
             return value
     remedy = "write a number with a decimal point"
     raise InputError(f"{path}:{line}", f"{name} is '{text}'", "a number", remedy)

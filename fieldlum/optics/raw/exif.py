@@ -107,7 +107,7 @@ def _positive(cell: str, path: Path, line: int) -> float:
         if (value := parts[0] / parts[1]) > 0:
             return value
     expected = "a number above 0, such as 0.5 or 1/60"
-    raise InputError(path, f"line {line}: {cell!r}", expected, "write decimals with a point")
+    raise InputError(path, f"line {line}: {cell!r}", expected, "write only a number, with a point")
 
 
 # ----------------------------------------------------------------------------------------------
@@ -247,7 +247,10 @@ def _check_value(path: Path, value: float, stated: float, quantity: _Quantity) -
     found = f"{name} {value:g}{unit} in the EXIF"
     if not value:
         remedy = f"{remedy}; or state it in {EXPOSURES_CSV} in the frame's folder"
-        raise InputError(path, f"no {name} in the EXIF", "exposure time, f-number and ISO", remedy)
+        found = f"no {name} in the EXIF"
+        if (path.parent / EXPOSURES_CSV).is_file():
+            found += f", and no line {path.name} in {EXPOSURES_CSV}"
+        raise InputError(path, found, "exposure time, f-number and ISO", remedy)
     if not low <= value <= high:
         raise InputError(path, found, f"{low:g} to {high:g}{unit}", remedy)
     if stated and abs(np.log2(stated / value)) >= SAME_SETTING_EV:
