@@ -316,6 +316,8 @@ def test_pictures_of_other_slots_are_refused(tmp_path: Path) -> None:
         ("hoy,dgp\n-1,0.3", "hour of the year -1"),
         ("hoy,dgp\n12,0.3\n12.5,0.4", "2 values in hour 12"),
         ("hoy,dgp\n12,30\n13,45", "divide percent by 100"),
+        ("hoy,dgp\n1,0\n2,0\n3,0\n12,30\n13,45", "divide percent by 100"),
+        ("t,dgp\n" + 8760 * "2027-07-01 00:30,0.3\n", "rows from 2027-07-01 00:30"),
         ("hoy,dgp\n12,-999", "DGP of -999"),
         ("hoy,dgp@south\n12,0.3", "a view such as dgp@180"),
         ("hoy,dgp@nan\n12,0.3", "a view such as dgp@180"),

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import calendar
 from collections.abc import Sequence
+from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -24,7 +25,7 @@ from fieldlum.core.files import open_to_read
 from fieldlum.core.plot_style import new_figure, styled
 from fieldlum.core.progress import progress
 from fieldlum.core.records import JsonTable, Panorama, Room
-from fieldlum.core.strict_csv import CsvTable, check_names, read_number, read_table
+from fieldlum.core.strict_csv import CsvTable, check_names, read_number, read_table, read_time
 from fieldlum.optics.projection import (
     altitude_azimuth_deg,
     direction,
@@ -341,8 +342,9 @@ def _values(path: Path, figure: str, values: Floats) -> Floats:
     if (finite < 0).any():
         found = f"{'DGP' if figure == 'dgp' else 'Ev'} of {finite.min():g}"
         raise InputError(path, found, "0 or more", "write nothing for an hour without a value")
-    if figure == "dgp" and len(finite) and np.median(finite) > 1.0:
-        found = f"DGP of {np.median(finite):g} in the median"
+    light = finite[finite > 0]  # tables of a year have zeros at night
+    if figure == "dgp" and len(light) and np.median(light) > 1.0:
+        found = f"DGP of {np.median(light):g} in the median"
         raise InputError(path, found, "0 to 1", "divide percent by 100")
     return np.minimum(values, 1.0) if figure == "dgp" else values
 
@@ -361,6 +363,11 @@ def _times_of(table: CsvTable, columns: dict[str, int]) -> Floats:
         return _hours_of_dates(table.path, parts, [line for line, _ in table.rows])
     name = next((name for name in _HOUR_NAMES if name in columns), None)
     if name is None and len(table.rows) == len(_DAYS) * 730:
+        for cell in table.rows[0][1]:
+            with suppress(ValueError):
+                if (t := read_time(cell)) and (t.month, t.day) != (1, 1):
+                    found, expected = f"rows from {cell}", "a row for each hour from 1 January"
+                    raise InputError(table.path, found, expected, "export month, day and hour")
         return np.arange(len(table.rows)) + 0.5
     if name is None:
         found = f"{len(table.rows)} rows of columns {', '.join(table.names)[:80]}"
