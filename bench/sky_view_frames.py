@@ -36,9 +36,8 @@ from fieldlum.room import simulate
 from fieldlum.room.scene import build, disc_visibility
 from fieldlum.room.simulate.fine_windows import fine_windows
 from fieldlum.sky.daylight import Light, light_at
-from fieldlum.sky.sky_view.estimate_from_captures import Captured, estimate
+from fieldlum.sky.sky_view.estimate_from_captures import Captured, sky_view_of
 from fieldlum.sky.sky_view.measured_discs import MeasuredDiscs
-from fieldlum.sky.sky_view.pose import pose_of_discs
 from fieldlum.sky.sky_view.visible_disc import disc_of_hours, drawn_shares
 from fieldlum.year.glare.metrics import glare_directions
 from fieldlum.year.glare.sources import panorama_views
@@ -214,10 +213,8 @@ def judge(made: Case, merges: list[MergeResult], with_discs: bool, axis_deg: flo
         np.array([s.sigma_deg for _, s in measured]),
         tuple(light.t_utc[k] for k, _ in measured),
     )
-    pose = pose_of_discs(discs, made.setup.site, axis_deg)
-    latitude_deg = made.setup.site.latitude_deg
-    view = estimate(
-        captured, lambda rays: in_lens(rays, axis_deg), pose=pose, latitude_deg=latitude_deg
+    view = sky_view_of(
+        captured, discs, made.setup.site, axis_deg, lambda rays: in_lens(rays, axis_deg)
     )
     disc = disc_of_hours(view, made.light)
     sunny = np.flatnonzero(made.light.direct_lx > 1000.0)
@@ -231,13 +228,14 @@ def judge(made: Case, merges: list[MergeResult], with_discs: bool, axis_deg: flo
     partly = (made.visible[sunny] > 0.05) & (made.visible[sunny] < 0.95)
     shown, there = own > 0.02, true > 0.02
     told = seen & ~open_hours
-    rms = float(np.sqrt(np.mean((own - true)[partly] ** 2))) if partly.any() else float("nan")
+    error = (own - true)[partly]
+    rms = float(np.sqrt(np.mean(error**2)))
     dgp, wrong = glare(made, sunny, own)
     off = f"{view.pose.heading_deg:+.2f}+-{view.pose.heading_sd_deg:.2f}"
     return (
         f"discs {len(measured)}, heading {off}, shown {(shown & there).sum()}/{there.sum()}, "
         f"phantom {(shown & ~there).sum()}/{(~there).sum()}, "
-        f"partly rms {rms:.3f} ({partly.sum()}), "
+        f"partly rms {rms:.3f}, mean {error.mean():+.3f} ({partly.sum()}), "
         f"interval holds {inside[seen].mean():.3f} (with disc {inside[seen & there].mean():.3f}), "
         f"cannot tell {open_hours.sum()}, of the others shown {(shown & there & told).sum()}/"
         f"{(there & told).sum()}, phantom {(shown & ~there & told).sum()}/{(~there & told).sum()}, "

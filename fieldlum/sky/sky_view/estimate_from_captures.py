@@ -19,7 +19,7 @@ from fieldlum.core.records import Site, counted, listed
 from fieldlum.core.room_states import cover_state, parse_state
 from fieldlum.core.statistics import nan_percentiles
 from fieldlum.sky.daylight import Light
-from fieldlum.sky.sky_view.measured_discs import MeasuredDiscs
+from fieldlum.sky.sky_view.measured_discs import MIN_DISCS, MeasuredDiscs
 from fieldlum.sky.sky_view.picture import SkyGrid, SkyPicture
 from fieldlum.sky.sky_view.pose import CameraPose, pose_of_discs
 from fieldlum.sky.sky_view.sky_directions import (
@@ -27,6 +27,7 @@ from fieldlum.sky.sky_view.sky_directions import (
     MIN_CAPTURES,
     SOME,
     SkyReference,
+    away_from_sun,
     dark_shares,
     follow,
     sky_reference,
@@ -34,7 +35,7 @@ from fieldlum.sky.sky_view.sky_directions import (
 )
 from fieldlum.sky.sky_view.sky_heading import MIN_U_DEG, heading_by_sky
 from fieldlum.sky.sky_view.view import REACH_DAYS, SkyView
-from fieldlum.sky.sky_view.visible_disc import disc_of_hours
+from fieldlum.sky.sky_view.visible_disc import CLEAR_GLASS, disc_of_hours
 from fieldlum.sky.sun import OBLIQUITY_DEG, SUN_SOLID_ANGLE_SR, celestial_pole
 from fieldlum.sky.sun_disc import SUN_RADIUS_RAD
 
@@ -63,6 +64,7 @@ _SHADED, _HALF_SHADED = 0.33, 0.6
 _COVERED_SHARE, _SOME_SKY = 0.2, 0.02
 _NEW_YEAR = date(2027, 1, 1).toordinal()  # of a year without a leap day
 _OF_SEASON = 12  # captures of a season that decide its leaves; fewer widen the bounds; chosen
+_BRACKET_S = 300.0  # a disc's frame is within this of its capture's time; chosen
 _MAX_VALUES = 60_000_000  # captures times directions in memory: 240 MB; chosen
 
 
@@ -107,7 +109,7 @@ def sky_view_of(
         by_state.setdefault(cover_state(states[k]), []).append(k)
     captured = replace(captured, light=replace(captured.light, states=None))
     first = "" if "" in by_state else max(by_state, key=lambda state: len(by_state[state]))
-    pose = pose_of_discs(discs, site, heading_deg)
+    pose = pose_of_discs(_partly_hidden(discs, captured), site, heading_deg)
     main = estimate(captured.take(by_state.pop(first)), seen, pose, site.latitude_deg)
     views, notes = [*main.others], [*main.notes]
     for state, rows in sorted(by_state.items()):
@@ -121,6 +123,23 @@ def sky_view_of(
         more = [note for note in view.notes if note not in main.pose.notes]
         notes.append("; ".join([f"{text} have a view of their own", *more]))
     return replace(main, state=first, others=tuple(views), notes=tuple(notes))
+
+
+def _partly_hidden(discs: MeasuredDiscs, captured: Captured) -> MeasuredDiscs:
+    """Return the discs, less certain the less of them a picture shows: an edge moves their centre.
+
+    An edge that hides a share h moves the centre of what is left by 0.85 to 0.93 h of the radius.
+    Three discs or more show how much a pane lets pass; else clear glass is assumed.
+    """
+    if not len(discs) or not len(captured.light):
+        return discs
+    taken = np.array([t.timestamp() for t in captured.light.t_utc])
+    apart_s = np.abs(np.array([t.timestamp() for t in discs.t_utc])[:, None] - taken)
+    share = np.where(apart_s.min(axis=1) < _BRACKET_S, captured.disc_share[apart_s.argmin(1)], 1.0)
+    share = np.where(share > 0.0, share, 1.0)  # not known
+    whole = min(float(share.max()), CLEAR_GLASS) if len(discs) >= MIN_DISCS else CLEAR_GLASS
+    moved_deg = 0.87 * np.degrees(SUN_RADIUS_RAD) * np.clip(1.0 - share / whole, 0.0, 1.0)
+    return replace(discs, sigma_deg=np.hypot(discs.sigma_deg, moved_deg))
 
 
 def estimate(
@@ -268,7 +287,8 @@ def _decided(
     if mixed.any() and shut.any():
         at, front = stack.columns[mixed.ravel()], stack.columns[_nearest(shut)[mixed]]
         open_sky = reference.sky(light, rays[at]) * pane[mixed].astype(np.float32)
-        openness[mixed], u[mixed] = sky_share(luminance[:, at], open_sky, luminance[:, front])
+        shown = away_from_sun(luminance[:, at], light, rays[at])
+        openness[mixed], u[mixed] = sky_share(shown, open_sky, luminance[:, front])
     openness[openness < _SHUT] = 0.0
     low, high = _bounds(openness, u, mixed, pane, step_deg)
     apart = ~sky & ~mixed & (stack.placed(_sun_passes(rays, latitude_deg, pose)) > 0.0)

@@ -147,13 +147,18 @@ def sky_share(luminance: Floats32, sky: Floats32, front: Floats32) -> tuple[Floa
 
 
 def usable_log(luminance: Floats32, light: Light, rays: Floats) -> Floats32:
-    """Return ln of luminance in cd/m2 [n, p]; NaN near the sun, and where luminance is NaN.
+    """Return ln of luminance in cd/m2 [n, p], as `away_from_sun`."""
+    return np.log(np.maximum(away_from_sun(luminance, light, rays), np.float32(0.01)))
+
+
+def away_from_sun(luminance: Floats32, light: Light, rays: Floats) -> Floats32:
+    """Return luminance [n, p], NaN near the sun: its disc, and brightness that no model has.
 
     light: of the n captures; rays: directions of the pixels, x east, y north, z up [p, 3].
     """
     near = light.apparent_sun_direction @ rays.T > np.cos(np.radians(_NEAR_SUN_DEG))
     near &= (light.direct_lx > BEAM_LX)[:, None]
-    return np.where(near, np.nan, np.log(np.maximum(luminance, 0.01))).astype(np.float32)
+    return np.where(near, np.float32(np.nan), luminance)
 
 
 def dark_shares(luminance: Floats32, light: Light, rays: Floats, shade: float) -> Floats:

@@ -27,7 +27,7 @@ EDGE_SD_DEG = 1.5
 # degrees, 20 % at 6 degrees.
 _EFFICACY_U = 0.02
 # Largest direct transmittance of a pane: clear single glass (EN 410).
-_CLEAR_GLASS = 0.9
+CLEAR_GLASS = 0.9
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +138,7 @@ def drawn_discs_lx(
     if view is not None:
         shares = drawn_shares(view, light, rng, count)
     turns = rng.normal(0.0, EDGE_SD_DEG, (count, 2))
-    guesses = rng.permutation((np.arange(count) + 0.5) / count) * _CLEAR_GLASS
+    guesses = rng.permutation((np.arange(count) + 0.5) / count) * CLEAR_GLASS
     open_hours = np.flatnonzero(np.isnan(shares).any(axis=0) & (light.direct_lx > 0.0))
     if len(open_hours):
         unknown = light[open_hours]
