@@ -229,13 +229,13 @@ def judge(made: Case, merges: list[MergeResult], with_discs: bool, axis_deg: flo
     shown, there = own > 0.02, true > 0.02
     told = seen & ~open_hours
     error = (own - true)[partly]
-    rms = float(np.sqrt(np.mean(error**2)))
+    rms, behind = float(np.sqrt(np.mean(error**2))), np.maximum(own, true) > 0.02
     dgp, wrong = glare(made, sunny, own)
     off = f"{view.pose.heading_deg:+.2f}+-{view.pose.heading_sd_deg:.2f}"
     return (
         f"discs {len(measured)}, heading {off}, shown {(shown & there).sum()}/{there.sum()}, "
         f"phantom {(shown & ~there).sum()}/{(~there).sum()}, "
-        f"partly rms {rms:.3f}, mean {error.mean():+.3f} ({partly.sum()}), "
+        f"partly rms {rms:.3f} ({partly.sum()}), mean of all shown {(own - true)[behind].mean():+.3f}, "
         f"interval holds {inside[seen].mean():.3f} (with disc {inside[seen & there].mean():.3f}), "
         f"cannot tell {open_hours.sum()}, of the others shown {(shown & there & told).sum()}/"
         f"{(there & told).sum()}, phantom {(shown & ~there & told).sum()}/{(~there & told).sum()}, "

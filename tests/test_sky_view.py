@@ -111,6 +111,19 @@ def test_slats_have_their_share_although_they_are_not_black() -> None:
 
 
 @pytest.mark.analytic
+def test_a_disc_in_a_mixed_pixel_does_not_open_it() -> None:
+    """The sun's own light in a picture is no light of the sky behind an edge."""
+    openness = np.zeros((32, 32))
+    openness[9:28, 4:28], openness[8, 4:28] = 1.0, 0.3
+    pictures = _pictures(openness)
+    sunny = LIGHT.direct_lx > 1000.0
+    near = np.einsum("ijk,nk->nij", RAYS, LIGHT.apparent_sun_direction[sunny]) > 0.9994  # 2 degrees
+    assert near[:, 8, 5:27].any(axis=0).sum() >= 8
+    pictures[sunny] += 1e6 * near
+    assert _view(pictures).openness[8, 5:27] == pytest.approx(0.3, abs=0.07)
+
+
+@pytest.mark.analytic
 def test_a_white_facade_brighter_than_the_sky_gives_no_disc() -> None:
     """It faces the camera and shines in the sun, but it does not follow the sky behind it."""
     openness = np.zeros((32, 32))

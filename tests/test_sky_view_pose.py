@@ -17,9 +17,11 @@ from fieldlum.learn.models.training_data import take_disc_out as take_out_of_map
 from fieldlum.merge.sun_and_sky import take_out_disc
 from fieldlum.optics.projection import altitude_azimuth_deg, rotation
 from fieldlum.sky import sun
+from fieldlum.sky.daylight import light_at
+from fieldlum.sky.sky_view.estimate_from_captures import Captured, partly_hidden
 from fieldlum.sky.sky_view.measured_discs import MeasuredDiscs, scaled
 from fieldlum.sky.sky_view.pose import STATED_SD, CameraPose, open_combination, pose_of_discs
-from fieldlum.sky.sun_disc import add_source
+from fieldlum.sky.sun_disc import SUN_RADIUS_RAD, add_source
 
 TIMES = tuple(
     datetime(2027, 3, 20, 17, 30, tzinfo=UTC) + timedelta(hours=1.2 * k) for k in range(6)
@@ -54,6 +56,23 @@ def test_six_discs_give_the_pose() -> None:
     assert np.degrees(np.linalg.norm(shown - true, axis=1)).max() < 0.05
     assert pose.true_directions(shown) == pytest.approx(suns, abs=1e-9)
     assert CameraPose.from_table(json.loads(json.dumps(asdict(pose)))) == pose
+
+
+@pytest.mark.analytic
+def test_discs_that_an_edge_cuts_do_not_move_the_pose() -> None:
+    """A horizontal edge that leaves 8 % of a disc moves its centre down by 0.83 radii."""
+    discs, share = measured(np.zeros(4), 6), np.full(6, 0.8)
+    share[[1, 3, 5]] *= 0.08
+    lowered = discs.altitude_deg - 0.83 * np.degrees(SUN_RADIUS_RAD) * (share < 0.8)
+    cut = replace(discs, altitude_deg=lowered)
+    light = light_at(list(TIMES), SEATTLE, np.full(6, 700.0), np.full(6, 100.0))
+    captured = Captured(light, lambda _: pytest.fail("no picture is needed"), share)
+    known = partly_hidden(cut, captured)
+    assert known.sigma_deg[::2][:1] == pytest.approx(discs.sigma_deg[:1])
+    moved = (cut.altitude_deg - discs.altitude_deg)[[1, 3, 5]]
+    assert known.sigma_deg[[1, 3, 5]] == pytest.approx(np.abs(moved), rel=0.1)
+    pose, without = (pose_of_discs(d, SEATTLE, AXIS_DEG).values[:3] for d in (known, cut))
+    assert np.abs(pose).max() < 0.06 < 0.1 < np.abs(without).max()
 
 
 @pytest.mark.analytic

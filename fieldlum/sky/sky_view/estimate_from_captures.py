@@ -34,7 +34,7 @@ from fieldlum.sky.sky_view.sky_directions import (
     sky_share,
 )
 from fieldlum.sky.sky_view.sky_heading import MIN_U_DEG, heading_by_sky
-from fieldlum.sky.sky_view.view import REACH_DAYS, SkyView
+from fieldlum.sky.sky_view.view import LENS_PIXEL_DEG, REACH_DAYS, SkyView
 from fieldlum.sky.sky_view.visible_disc import CLEAR_GLASS, disc_of_hours
 from fieldlum.sky.sun import OBLIQUITY_DEG, SUN_SOLID_ANGLE_SR, celestial_pole
 from fieldlum.sky.sun_disc import SUN_RADIUS_RAD
@@ -109,7 +109,7 @@ def sky_view_of(
         by_state.setdefault(cover_state(states[k]), []).append(k)
     captured = replace(captured, light=replace(captured.light, states=None))
     first = "" if "" in by_state else max(by_state, key=lambda state: len(by_state[state]))
-    pose = pose_of_discs(_partly_hidden(discs, captured), site, heading_deg)
+    pose = pose_of_discs(partly_hidden(discs, captured), site, heading_deg)
     main = estimate(captured.take(by_state.pop(first)), seen, pose, site.latitude_deg)
     views, notes = [*main.others], [*main.notes]
     for state, rows in sorted(by_state.items()):
@@ -125,7 +125,7 @@ def sky_view_of(
     return replace(main, state=first, others=tuple(views), notes=tuple(notes))
 
 
-def _partly_hidden(discs: MeasuredDiscs, captured: Captured) -> MeasuredDiscs:
+def partly_hidden(discs: MeasuredDiscs, captured: Captured) -> MeasuredDiscs:
     """Return the discs, less certain the less of them a picture shows: an edge moves their centre.
 
     An edge that hides a share h moves the centre of what is left by 0.85 to 0.93 h of the radius.
@@ -435,7 +435,8 @@ def _bounds(
     """
     from scipy.ndimage import maximum_filter, minimum_filter
 
-    pixel_sr = np.radians(step_deg) ** 2
+    blurred_deg = step_deg * (2.0 if step_deg < LENS_PIXEL_DEG else 1.0)  # over which it is a mean
+    pixel_sr = np.radians(blurred_deg) ** 2
     larger = np.where(mixed, max(1.0, pixel_sr / SUN_SOLID_ANGLE_SR), 1.0)
     around = np.where(mixed, maximum_filter(openness, 3), openness)
     within = np.where(mixed, minimum_filter(openness, 3), openness)

@@ -35,7 +35,7 @@ CHANNELS = ("openness", "u", "count", "transmittance", "low", "high")
 # fall within two to four weeks. Chosen.
 REACH_DAYS = 30
 _FINE_DEG = 0.13  # pixels of sharp edges: half of the disc; chosen
-_LENS_PIXEL_DEG = 1.0  # larger pixels are means of a lens's; chosen
+LENS_PIXEL_DEG = 1.0  # larger pixels are means of a lens's; chosen
 _OPEN_PIXEL = 0.95  # openness of a pixel that has no edge: known to 0.05; chosen
 # A lens blurs an edge over two pixels: less open is shut, and as much less than 1 is open. Chosen.
 _LENS_BLUR = 0.2
@@ -254,7 +254,7 @@ def _fine_edges(maps: Floats32, openness: Floats32, factor: int) -> Floats32:
     from scipy.ndimage import binary_opening, find_objects, maximum_filter
 
     shown, size = np.nan_to_num(openness), 3
-    lens = factor * _FINE_DEG <= _LENS_PIXEL_DEG
+    lens = factor * _FINE_DEG <= LENS_PIXEL_DEG
     if lens:
         shown, size = np.clip((shown - _LENS_BLUR) / (1.0 - 2.0 * _LENS_BLUR), 0.0, 1.0), 5
     mixed = (shown > 0.0) & (shown < _OPEN_PIXEL)
