@@ -27,6 +27,7 @@ from fieldlum.session.files.hourly_csv import HOUR_COLUMNS
 from fieldlum.session.files.model_files import ModelConfig
 from fieldlum.session.site_toml import site_from_table
 from fieldlum.sky.daylight import Light
+from fieldlum.sky.sky_view.pose import CameraPose
 from fieldlum.sky.sky_view.view import NAME as SKY_VIEW
 from fieldlum.sky.sky_view.view import SkyView
 from fieldlum.sky.sky_view.visible_disc import disc_lx, disc_source, drawn_discs_lx
@@ -99,6 +100,7 @@ class ModelRoom:
     mirrors: tuple[Mirror, ...] = ()
     sky_view: SkyView | None = None  # None for a model of an earlier version
     sky_view_file: str = ""  # name of a sky view in place of the model's
+    pose: CameraPose | None = None  # of the model's captures
 
     @property
     def disc_from(self) -> str:
@@ -128,7 +130,10 @@ def room_of(config: ModelConfig, folder: Path) -> ModelRoom:
         seen_mask = None  # `blocks` rejects the maps of such a model
     mirrors = read_mirrors(folder, config)
     view = SkyView.find(folder / SKY_VIEW)
-    return ModelRoom(setup, height, width, heading, needs_patch, seen_mask, mirrors, view)
+    pose = None if view is None else view.pose
+    return ModelRoom(
+        setup, height, width, heading, needs_patch, seen_mask, mirrors, view, pose=pose
+    )
 
 
 def blocks(
@@ -277,10 +282,24 @@ class HourJudge:
 
     def __init__(self, room: ModelRoom, azimuths_deg: Floats) -> None:
         """Prepare the view directions azimuths_deg [d] around the horizon: weights and coverage."""
-        size = room.height, room.width, room.heading_deg
+        size, self._pose = (room.height, room.width, room.heading_deg), room.pose
         self.views = panorama_views(*size, azimuths_deg, room.seen)
         self._coverage = metrics.view_coverage(self.views)
         self._regions = metrics.region_weights(self.views)
+
+    def _suns(self, light: Light, count: int = 0) -> Floats:
+        """Return the sun's apparent directions in the pictures of a camera that is turned, [k, 3].
+
+        count: of draws of its pose, as `discs_of` draws them by the seed 0; the result then is
+        [count, k, 3].
+        """
+        suns = light.apparent_sun_direction
+        if self._pose is None:
+            return suns
+        if not count:
+            return self._pose.in_pictures(suns)
+        poses = self._pose.drawn(np.random.default_rng([0, 2]), count)
+        return np.stack([self._pose.in_pictures(suns, values) for values in poses])
 
     def glare(self, block: HourBlock) -> dict[str, Floats]:
         """Return the figures of k hours in d view directions, by column of hourly.csv, [k, d] each.
@@ -289,7 +308,7 @@ class HourJudge:
         `glare_directions` are included.
         """
         maps, light, images = block.prediction.luminance_cdm2, block.light, block.images
-        suns = np.stack([light.apparent_sun_direction, *(image.towards for image in images)])
+        suns = np.stack([self._suns(light), *(image.towards for image in images)])
         suns_lx = np.stack([block.disc_lx, *(image.shown_lx for image in images)])
         figures = metrics.glare_directions(maps, self.views, suns, suns_lx)
         figures["melanopic_edi_lx_estimate"] = figures["ev_lx"].copy()
@@ -313,7 +332,7 @@ class HourJudge:
             seen_cdm2 = metrics.brightest_cdm2(block.prediction.luminance_cdm2, views)
             brightest = np.maximum(brightest, seen_cdm2)
         minimum, maximum = metrics.unseen_dgp_bounds(coverage, ev_lx, contrast, brightest)
-        per_lx = metrics.sun_per_lx(light.apparent_sun_direction, views)
+        per_lx = metrics.sun_per_lx(self._suns(light, len(discs_lx)), views)
         images = _images(block, views, len(discs_lx))
         drawn_ev_lx, drawn_contrast = metrics.with_disc(figures, per_lx, discs_lx, images)
         if melanopic is not None:
@@ -448,7 +467,7 @@ def measure(
     model = model_folder.resolve()
     folder = Path(os.path.commonpath([model, *([store.resolve()] if store else [])]))
     name = model.relative_to(folder).as_posix()
-    files = [f for f in ("config.json", "weights.npz") if (model / f).is_file()]
+    files = [f for f in ("config.json", "weights.npz", SKY_VIEW) if (model / f).is_file()]
     digest = " ".join(sha256(model / file) for file in files)
     place = store.resolve().relative_to(folder).as_posix() if store else ""
     best_lx, discs_lx = discs_of(room, light, seed)
