@@ -235,7 +235,8 @@ def judge(made: Case, merges: list[MergeResult], with_discs: bool, axis_deg: flo
     return (
         f"discs {len(measured)}, heading {off}, shown {(shown & there).sum()}/{there.sum()}, "
         f"phantom {(shown & ~there).sum()}/{(~there).sum()}, "
-        f"partly rms {rms:.3f} ({partly.sum()}), mean of all shown {(own - true)[behind].mean():+.3f}, "
+        f"partly rms {rms:.3f} ({partly.sum()}), "
+        f"mean of all shown {(own - true)[behind].mean():+.3f}, "
         f"interval holds {inside[seen].mean():.3f} (with disc {inside[seen & there].mean():.3f}), "
         f"cannot tell {open_hours.sum()}, of the others shown {(shown & there & told).sum()}/"
         f"{(there & told).sum()}, phantom {(shown & ~there & told).sum()}/{(~there & told).sum()}, "

@@ -7,7 +7,8 @@ degrees), level (1 degree) or lens scale (1 %) are stated wrongly, the [room] is
 pair, train and predict run, with the sun's discs in the captures and without. Curtain: pictures of
 bench/outside_rooms/sky_view/curtain with a wrong heading, by train and predict. Prints for each:
 the pose, hours x views whose 95 % interval holds the true DGP, hours that cannot tell (the interval
-holds two classes of DGP), and hours with a wrong class among the others.
+holds two classes of DGP), and hours with a wrong class among the others; then the same for views
+with the sun in front of them, in which alone the disc counts.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ import numpy as np
 from fieldlum.core.arrays import Floats
 from fieldlum.core.records import Site
 from fieldlum.learn.models.training_data import load_pairs
+from fieldlum.optics.projection import direction
 from fieldlum.session import Session
 from fieldlum.session.files.sidecar import Sidecar
 from fieldlum.sky import sun
@@ -241,13 +243,16 @@ def judge(name: str, model: Path, year: Path, pairs: Path) -> None:
     wrong = ~open_ & (classes[1] != classes[0])
     disc = some.disc_lx > 0.02 * np.maximum(some.light.direct_lx, 1.0)
     pose = view.pose
+    front = some.light.direct_lx[:, None] > 1000.0
+    front = front & (suns @ direction(0.0, azimuths).T > -0.1)
     with_disc = f"{holds[disc].mean():.3f}" if disc.any() else "no hour"
     print(
         f"{name}: {pose.discs} discs, heading {pose.heading_deg:+.2f}+-{pose.heading_sd_deg:.2f}, "
         f"tilt {pose.tilt_deg:+.2f}, scale {100 * pose.lens_scale:+.2f} %, {len(hours)} hours, "
         f"{disc.sum()} with disc, interval holds {holds.mean():.3f} (with disc {with_disc}), "
         f"cannot tell {open_.mean():.2f} (with disc {open_[disc].mean():.2f}), "
-        f"wrong class {wrong.sum()}/{(~open_).sum()}",
+        f"wrong class {wrong.sum()}/{(~open_).sum()}; views with the sun in front: "
+        f"{holds[front].mean():.3f}, {wrong[front].sum()}/{(~open_)[front].sum()}",
         flush=True,
     )
 
