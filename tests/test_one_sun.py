@@ -13,6 +13,7 @@ from learning_room import dataset, write_pairs
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Panorama, Slot, slot_id
 from fieldlum.core.scheduler import LOCAL
+from fieldlum.learn.models import Prediction
 from fieldlum.learn.models.training_data import load_pairs
 from fieldlum.optics.images import read_panorama, write_panorama
 from fieldlum.optics.profiles import shipped
@@ -22,7 +23,8 @@ from fieldlum.session import Session, create_session
 from fieldlum.session.site_toml import load_site
 from fieldlum.sky import sun
 from fieldlum.sky.daylight import Light, light_at
-from fieldlum.year.predict.hour_blocks import ModelRoom, blocks
+from fieldlum.sky.sky_view.pose import CameraPose
+from fieldlum.year.predict.hour_blocks import HourBlock, HourJudge, ModelRoom, blocks
 
 OFFICE = load_site(shipped("capture_plans") / "seattle-office.toml")
 LOW = datetime(2027, 12, 21, 23, 40, tzinfo=UTC)  # 40 minutes before sunset in Seattle
@@ -44,6 +46,25 @@ def predicted_patch(light: Light) -> np.ndarray:
     room = ModelRoom(OFFICE, HEIGHT, 2 * HEIGHT, OFFICE.camera.heading_deg, needs_patch=True)
     list(blocks(cast("Any", model), room, light))
     return model.patch[0]
+
+
+@pytest.mark.analytic
+def test_a_turned_camera_sees_the_sun_where_its_pictures_show_it() -> None:
+    """In a uniform picture a heading 10 degrees too low is a view direction 10 degrees higher."""
+    room = ModelRoom(OFFICE, HEIGHT, 2 * HEIGHT, OFFICE.camera.heading_deg, needs_patch=False)
+    turned = replace(room, pose=CameraPose(10.0, covariance=4 * ((0.0,) * 4,)))
+    shown = np.full((1, HEIGHT, 2 * HEIGHT), 2000.0, np.float32)
+    known = np.zeros((1, HEIGHT, 2 * HEIGHT), np.float32)
+    error = np.full(1, 0.01)
+    map_ = Prediction(shown, log10_sd=known, expected_mse=error, trusted=np.ones(1, bool))
+    block = HourBlock(slice(0, 1), low_light(), map_, np.array([20_000.0]))
+    drawn = np.full((8, 1), 20_000.0)
+    stated, true = (HourJudge(turned, np.array([220.0])), HourJudge(room, np.array([230.0])))
+    found, expected = (judge.figures(block, drawn).views for judge in (stated, true))
+    for name in ("dgp", "ev_lx", "dgp_low", "dgp_high"):
+        assert found[name] == pytest.approx(expected[name], rel=2e-3), name
+    straight = HourJudge(room, np.array([220.0])).figures(block, drawn).views
+    assert abs(straight["ev_lx"] - expected["ev_lx"]) > 100.0
 
 
 def low_light() -> Light:
