@@ -131,14 +131,16 @@ def partly_hidden(discs: MeasuredDiscs, captured: Captured) -> MeasuredDiscs:
     An edge that hides a share h moves the centre of what is left by 0.85 to 0.93 h of the radius.
     Three discs or more show how much a pane lets pass; else clear glass is assumed.
     """
-    if not len(discs) or not len(captured.light):
+    if not len(discs):
         return discs
-    taken = np.array([t.timestamp() for t in captured.light.t_utc])
-    apart_s = np.abs(np.array([t.timestamp() for t in discs.t_utc])[:, None] - taken)
-    share = np.where(apart_s.min(axis=1) < _BRACKET_S, captured.disc_share[apart_s.argmin(1)], 1.0)
-    share = np.where(share > 0.0, share, 1.0)  # not known
-    whole = min(float(share.max()), CLEAR_GLASS) if len(discs) >= MIN_DISCS else CLEAR_GLASS
-    moved_deg = 0.87 * np.degrees(SUN_RADIUS_RAD) * np.clip(1.0 - share / whole, 0.0, 1.0)
+    times = captured.light.t_utc, discs.t_utc
+    taken, when = (np.array([t.timestamp() for t in each]) for each in times)
+    apart_s = np.abs(when[:, None] - taken)
+    shares = np.nan_to_num(captured.disc_share)[apart_s.argmin(axis=1)]
+    known = (apart_s.min(axis=1) < _BRACKET_S) & (shares > 0.0)
+    whole = CLEAR_GLASS if known.sum() < MIN_DISCS else min(shares[known].max(), CLEAR_GLASS)
+    hidden = np.where(known, np.clip(1.0 - shares / whole, 0.0, 1.0), 0.0)
+    moved_deg = 0.87 * np.degrees(SUN_RADIUS_RAD) * hidden
     return replace(discs, sigma_deg=np.hypot(discs.sigma_deg, moved_deg))
 
 

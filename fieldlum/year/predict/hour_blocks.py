@@ -6,7 +6,7 @@ With --maps they are stored in one Zarr v3 store; each unit of work writes one s
 import os
 import shutil
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 from functools import lru_cache
 from pathlib import Path
@@ -100,7 +100,7 @@ class ModelRoom:
     mirrors: tuple[Mirror, ...] = ()
     sky_view: SkyView | None = None  # None for a model of an earlier version
     sky_view_file: str = ""  # name of a sky view in place of the model's
-    pose: CameraPose | None = None  # of the model's captures
+    pose: CameraPose = field(default_factory=CameraPose)  # of its captures; tells where the sun is
 
     @property
     def disc_from(self) -> str:
@@ -130,10 +130,9 @@ def room_of(config: ModelConfig, folder: Path) -> ModelRoom:
         seen_mask = None  # `blocks` rejects the maps of such a model
     mirrors = read_mirrors(folder, config)
     view = SkyView.find(folder / SKY_VIEW)
-    pose = None if view is None else view.pose
-    return ModelRoom(
-        setup, height, width, heading, needs_patch, seen_mask, mirrors, view, pose=pose
-    )
+    pose = view.pose if view else CameraPose(axis_deg=heading)
+    known = setup, height, width, heading, needs_patch, seen_mask, mirrors, view
+    return ModelRoom(*known, pose=pose)
 
 
 def blocks(
@@ -287,20 +286,6 @@ class HourJudge:
         self._coverage = metrics.view_coverage(self.views)
         self._regions = metrics.region_weights(self.views)
 
-    def _suns(self, light: Light, count: int = 0) -> Floats:
-        """Return the sun's apparent directions in the pictures of a camera that is turned, [k, 3].
-
-        count: of draws of its pose, as `discs_of` draws them by the seed 0; the result then is
-        [count, k, 3].
-        """
-        suns = light.apparent_sun_direction
-        if self._pose is None:
-            return suns
-        if not count:
-            return self._pose.in_pictures(suns)
-        poses = self._pose.drawn(np.random.default_rng([0, 2]), count)
-        return np.stack([self._pose.in_pictures(suns, values) for values in poses])
-
     def glare(self, block: HourBlock) -> dict[str, Floats]:
         """Return the figures of k hours in d view directions, by column of hourly.csv, [k, d] each.
 
@@ -308,7 +293,8 @@ class HourJudge:
         `glare_directions` are included.
         """
         maps, light, images = block.prediction.luminance_cdm2, block.light, block.images
-        suns = np.stack([self._suns(light), *(image.towards for image in images)])
+        sun = self._pose.in_pictures(light.apparent_sun_direction)
+        suns = np.stack([sun, *(image.towards for image in images)])
         suns_lx = np.stack([block.disc_lx, *(image.shown_lx for image in images)])
         figures = metrics.glare_directions(maps, self.views, suns, suns_lx)
         figures["melanopic_edi_lx_estimate"] = figures["ev_lx"].copy()
@@ -332,7 +318,10 @@ class HourJudge:
             seen_cdm2 = metrics.brightest_cdm2(block.prediction.luminance_cdm2, views)
             brightest = np.maximum(brightest, seen_cdm2)
         minimum, maximum = metrics.unseen_dgp_bounds(coverage, ev_lx, contrast, brightest)
-        per_lx = metrics.sun_per_lx(self._suns(light, len(discs_lx)), views)
+        # the poses that `discs_of` draws by the seed 0
+        poses = self._pose.drawn(np.random.default_rng([0, 2]), len(discs_lx))
+        suns = [self._pose.in_pictures(light.apparent_sun_direction, values) for values in poses]
+        per_lx = metrics.sun_per_lx(np.stack(suns), views)
         images = _images(block, views, len(discs_lx))
         drawn_ev_lx, drawn_contrast = metrics.with_disc(figures, per_lx, discs_lx, images)
         if melanopic is not None:
