@@ -136,6 +136,7 @@ def misstated(true: Path, to: Path, wrong: Wrong) -> None:
     setup = "".join(t for t in tables if not re.match(r"\[+setup\.room", t))
     heading = f"heading_deg = {180.0 + wrong.heading_deg}"
     setup = setup.replace("heading_deg = 180.0", heading, 1)
+    setup = setup.replace(str(true.parent / "camera.toml"), str((to / "camera.toml").absolute()))
     (to / "session.toml").write_text(setup)
 
 
