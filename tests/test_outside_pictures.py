@@ -186,6 +186,22 @@ def test_a_cut_jpeg_is_named_in_words(tmp_path: Path, cut: float) -> None:
 
 
 @pytest.mark.contract
+@pytest.mark.parametrize(
+    ("start", "kind"),
+    [
+        (b"\x89PNG\r\n\x1a\n", "a PNG picture"),
+        (b"RIFF\0\1\0\0WEBP", "a WebP picture"),
+        (b"\0\0\0\x24ftypheic", "an HEIC picture"),
+    ],
+)
+def test_a_picture_renamed_to_jpg_is_named(tmp_path: Path, start: bytes, kind: str) -> None:
+    """To copy it from the card again would change nothing."""
+    (tmp_path / "a.jpg").write_bytes(start + bytes(200))
+    with pytest.raises(InputError, match=f"content is {kind}.*name the JPEG files"):
+        read_jpeg(tmp_path / "a.jpg")
+
+
+@pytest.mark.contract
 def test_exposures_are_stated_beside_frames_without_exif(tmp_path: Path) -> None:
     names = ("a.jpg", "b.jpg", "c.jpg")
     rows = [f"{name},1/{60 * 2**k},8,100" for k, name in enumerate(names)]

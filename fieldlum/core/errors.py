@@ -101,6 +101,8 @@ _KINDS = {
     b"%PDF": "a PDF",
     b"\xff\xd8\xff": "a JPEG picture",
     b"\x89PNG": "a PNG picture",
+    b"RIFF": "a WebP picture or a sound",
+    **{bytes([0, 0, 0, n]) + b"ftyphei": "an HEIC picture" for n in range(16, 64, 4)},
     b"II*\0": "a raw or TIFF picture",
     b"MM\0*": "a raw or TIFF picture",
     b"v/1\x01": "an OpenEXR picture",

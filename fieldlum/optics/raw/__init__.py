@@ -356,7 +356,7 @@ def _codes(path: Path, max_pixels: int) -> NDArray[np.uint8]:
     from PIL.JpegImagePlugin import JpegImageFile
 
     with open_to_read(path) as file:
-        is_jpeg = file.read(3) == b"\xff\xd8\xff"
+        kind = kind_of(file.read(16))
     try:
         with warnings.catch_warnings():
             # A warning is about data that are not used; damaged pixels are an error.
@@ -367,7 +367,10 @@ def _codes(path: Path, max_pixels: int) -> NDArray[np.uint8]:
                     return np.asarray(image if image.mode == "RGB" else image.convert("RGB"))
     except Exception as error:
         damage = f"the JPEG is damaged or cut short ({str(error).splitlines()[0][:80]})"
-        finding = damage if is_jpeg else "the file is no JPEG"
+        if kind and kind != "a JPEG picture":
+            remedy = "name the JPEG files that the camera wrote"
+            raise InputError(path, f"the file's content is {kind}", "a JPEG", remedy) from None
+        finding = damage if kind else "the file is no JPEG"
         raise _damaged(path, finding, "a complete JPEG") from None
     remedy = "state width_px and height_px of the camera in its profile, or copy the file again"
     raise InputError(path, f"{width} x {height} pixels", f"at most {max_pixels:,} pixels", remedy)
