@@ -861,6 +861,19 @@ def test_times_of_loggers(tmp_path: Path, head: str, text: str, utc: bool) -> No
 
 
 @pytest.mark.contract
+@pytest.mark.parametrize("name", ["utc_offset", "GMT Offset", "tz", "Time Zone"])
+def test_a_column_of_offsets_counts_and_another_zone_is_named(tmp_path: Path, name: str) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(f"time,{name},ghi_wm2\n2027-03-28 01:30,+01:00,5\n2027-03-28 03:30,+0200,6\n")
+    times = [datetime(2027, 3, 28, hour, 30, tzinfo=UTC) for hour in (0, 1)]
+    assert [s.t_utc for s in read_logger_file(path).samples] == times
+    path.write_text(f"time,{name},ghi_wm2\n2027-03-28 01:30,CET,5\n")
+    assert f"{name} (CET) is not used" in read_logger_file(path, timedelta(hours=1)).notes[1]
+    with pytest.raises(InputError, match="state it with --utc-offset"):
+        read_logger_file(path)
+
+
+@pytest.mark.contract
 @pytest.mark.parametrize(
     "text", ["2027-03-20 06.30", "2027-03-20T06.30Z", "20270320 06.5", "2027-03-20T06:30.5Z"]
 )

@@ -197,7 +197,7 @@ def test_a_cut_jpeg_is_named_in_words(tmp_path: Path, cut: float) -> None:
 def test_a_picture_renamed_to_jpg_is_named(tmp_path: Path, start: bytes, kind: str) -> None:
     """To copy it from the card again would change nothing."""
     (tmp_path / "a.jpg").write_bytes(start + bytes(200))
-    with pytest.raises(InputError, match=f"content is {kind}.*name the JPEG files"):
+    with pytest.raises(InputError, match=f"no JPEG, but {kind}.*name the JPEG files"):
         read_jpeg(tmp_path / "a.jpg")
 
 

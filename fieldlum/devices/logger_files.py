@@ -44,6 +44,7 @@ QUANTITIES = ("ghi_wm2", "dhi_wm2", "dni_wm2", "temperature_c")
 _TIMES = tuple(
     map(re.compile, (r"((t|time|timestamp|date/?time)[_(]?)?utc\)?", r"timestamp|date/?time|time"))
 )
+_ZONE = re.compile(r"((utc|gmt)_?)?offset|tz|(time_?)?zone")
 _DAY_OR_MONTH_FIRST = re.compile(r"(\d{1,2})([/.])(\d{1,2})\2(\d{4})[ T]+(.+)")
 _COMMA = re.compile(r" is '[+-]?[\d.]+,[\d,.]+'")
 _BAD = re.compile("bad|invalid|fail|error|missing")  # words of flag_meanings
@@ -353,6 +354,8 @@ def _read(
     for name in (names[i] for i in at.values() if table.called_bad.get(names[i])):
         count = f"missing by the file itself: {counted(table.called_bad[name], 'value')} of {name}"
         notes.append(f"{count}, out of the valid range or flagged as bad")
+    if clock.unread_zone:
+        notes.append(f"column {clock.unread_zone} is not used: --utc-offset counts")
     if clock.is_utc and utc_offset is not None:
         notes.append(f"times of {clock.name} are UTC: no offset moves them")
     return LoggerFile(tuple(samples), (*damaged, *table.cut), tuple(notes))
@@ -445,7 +448,7 @@ def _number(text: str, quantity: str, factor: float) -> float | None:
 
 
 class _Clock:
-    """Reads the time of rows in UTC.
+    """Reads the time of rows in UTC, by the offsets of a column such as utc_offset if it has one.
 
     Raises InputError for a table without a time, for times without a zone and without an offset,
     and for dates such as 1/2/2015 of which day and month cannot be distinguished.
@@ -453,7 +456,7 @@ class _Clock:
 
     def __init__(self, path: Path, table: _Table, utc_offset: timedelta | None) -> None:
         names = [name.lower().replace(" ", "") for name in table.names]
-        self._path, self._utc_offset = path, utc_offset
+        self._path, self._utc_offset, self._names = path, utc_offset, table.names
         self._before: datetime | None = None
         self._is_twelve = True
         kinds = [[k for k, n in enumerate(names) if kind.fullmatch(n)] for kind in _TIMES]
@@ -465,6 +468,8 @@ class _Clock:
         self.name, self.is_utc = table.names[self._at[0]], bool(kinds[0])
         if self.name.lower() == "time" and "date" in names:
             self._at.insert(0, names.index("date"))
+        self._zone = next((k for k, name in enumerate(names) if _ZONE.fullmatch(name)), None)
+        self.unread_zone = ""
         self._order = self._date_order(line for _, line in table.lines if "/" in line)
 
     def utc(self, row: Sequence[str]) -> datetime:
@@ -474,6 +479,11 @@ class _Clock:
             places = (4, 3, 1) if part[2] == "." else self._order  # with points the day is first
             text = f"{'-'.join(part[k].zfill(2) for k in places)} {part[5]}"
         t = read_time(text, utc=self.is_utc)
+        if t.tzinfo is None and self._zone is not None:
+            try:
+                t = t.replace(tzinfo=datetime.strptime(row[self._zone], "%z").tzinfo)
+            except ValueError:
+                self.unread_zone = f"{self._names[self._zone]} ({row[self._zone]})"
         if t.tzinfo is None:
             if self._utc_offset is None:
                 expected = "the logger's offset from UTC"

@@ -369,7 +369,8 @@ def _codes(path: Path, max_pixels: int) -> NDArray[np.uint8]:
         damage = f"the JPEG is damaged or cut short ({str(error).splitlines()[0][:80]})"
         if kind and kind != "a JPEG picture":
             remedy = "name the JPEG files that the camera wrote"
-            raise InputError(path, f"the file's content is {kind}", "a JPEG", remedy) from None
+            found = f"the file is no JPEG, but {kind}"
+            raise InputError(path, found, "a complete JPEG", remedy) from None
         finding = damage if kind else "the file is no JPEG"
         raise _damaged(path, finding, "a complete JPEG") from None
     remedy = "state width_px and height_px of the camera in its profile, or copy the file again"
