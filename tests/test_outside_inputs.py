@@ -37,6 +37,8 @@ from fieldlum.core.strict_csv import (
     stated_unit,
 )
 from fieldlum.devices.logger_files import LoggerFile, read_logger_file
+from fieldlum.optics.raw.exif import _rows as read_exposures
+from fieldlum.report.compare import read_model_hours
 from fieldlum.session import create_session, day_files, read_day
 from fieldlum.session.files.irradiance_csv import CleanIrradiance
 from fieldlum.session.files.pairs_csv import PairsFile
@@ -1079,6 +1081,11 @@ def _hours(path: Path) -> list[tuple[Any, ...]]:
     ]
 
 
+def _model_hours(path: Path) -> list[list[float]]:
+    hours = read_model_hours(path, [180.0])
+    return [hours.index.tolist(), *hours.to_numpy().tolist()]
+
+
 def _files() -> dict[str, tuple[str, int, Any]]:
     """A text with decimals in all rows, the number of header lines, and its reader."""
     days = [datetime(2023, 6, 1, tzinfo=UTC) + timedelta(hours=k) for k in range(12)]
@@ -1108,6 +1115,12 @@ def _files() -> dict[str, tuple[str, int, Any]]:
     table5 += [f'"{t:%Y-%m-%d %H:%M:%S}",{k},{k}.5,{k}.4' for k, t in enumerate(days)]
     clean = ["t_utc,ghi_wm2,dhi_wm2,dni_wm2,source,flags"]
     clean += [f"{t:%Y-%m-%dT%H:%M:%S.000Z},{k}.5,{k}.4,{k}.3,measured," for k, t in enumerate(days)]
+    pvgis = ["Latitude (decimal degrees): 52.3", "Longitude (decimal degrees): 4.8"]
+    pvgis += ["Elevation (m): 10.0", "time(UTC),T2m,G(h),Gb(n),Gd(h)"]
+    pvgis += [f"{t:%Y%m%d:%H%M},5.5,{k}.5,{k}.4,{k}.3" for k, t in enumerate(days)]
+    exposures = ["file,shutter_s,f_number,iso"]
+    exposures += [f"f{k:02d}.jpg,{k}.5,5.6,100.5" for k in range(12)]
+    table = ["hoy,dgp@180,ev@180,note", *(f"{k}.5,0.{k:02d},{k}.25,1.5" for k in range(12))]
     readings = ["x_px,y_px,azimuth_deg,note_px", *(f"{k}.5,{k}.4,{k}.3,{k}.2" for k in range(12))]
     return {
         "epw": ("\n".join(epw) + "\n", 8, _hours),
@@ -1117,6 +1130,9 @@ def _files() -> dict[str, tuple[str, int, Any]]:
         "pairs": ("\n".join(pairs) + "\n", 1, lambda path: PairsFile.read(path).rows),
         "logger": ("\n".join(logger) + "\n", 1, _samples),
         "toa5": ("\n".join(table5) + "\n", 4, _samples),
+        "pvgis": ("\n".join(pvgis) + "\n", 4, _hours),
+        "exposures": ("\n".join(exposures) + "\n", 1, read_exposures),
+        "compare": ("\n".join(table) + "\n", 1, _model_hours),
         "readings": ("\n".join(readings) + "\n", 1, _readings),
         "clean": ("\n".join(clean) + "\n", 1, _clean),
     }
