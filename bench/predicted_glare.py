@@ -14,7 +14,7 @@ from fieldlum.learn.models import Fitted
 from fieldlum.learn.models.training_data import Dataset
 from fieldlum.year.glare.sources import view_azimuths_deg
 from fieldlum.year.glare.standards import class_of, exceeded_in_share, protection
-from fieldlum.year.predict.hour_blocks import measure, room_of
+from fieldlum.year.predict.hour_blocks import predict_figures, room_of
 from fieldlum.year.predict.occupancy import default_occupancy
 
 TOLERANCE = 1e-3  # of DGP: half a digit of what a report prints
@@ -55,7 +55,7 @@ def predicted_year(
     models.save(folder / "model", model, data, patch=patch)
     room = room_of(models.read_config(folder / "model"), folder / "model")
     azimuths = view_azimuths_deg(room.heading_deg)
-    found = measure(folder / "model", room, hours.light, azimuths)
+    found = predict_figures(folder / "model", room, hours.light, azimuths)
     occupied = default_occupancy().at(hours.light.t_utc, hours.setup.site.timezone)
     count = int(occupied.sum()) if occupied_hours is None else occupied_hours
     dgp, rng = found.views["dgp"][occupied], np.random.default_rng(0)

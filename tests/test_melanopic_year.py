@@ -17,7 +17,7 @@ from fieldlum.session.files.hourly_csv import HOUR_COLUMNS, VIEW_COLUMNS, Hourly
 from fieldlum.sky.daylight import Light, light_at
 from fieldlum.sky.daylight_kernel import facades_of
 from fieldlum.year.glare.standards import year_errors
-from fieldlum.year.predict.hour_blocks import measure, room_of
+from fieldlum.year.predict.hour_blocks import predict_figures, room_of
 from fieldlum.year.predict.melanopic import (
     MelanopicYear,
     YearHours,
@@ -168,7 +168,7 @@ def test_the_captures_colour_reaches_the_year(tmp_path: Path) -> None:
     colours = year_of_captures(pairs, room, azimuths, {})
     of_scale = year_of_captures(pairs, room, azimuths, {"scale": 0.05})
     assert of_scale.u_rel == pytest.approx(np.hypot(colours.u_rel, 0.05))
-    found = measure(tmp_path / "m", room, data.light[:6], azimuths, melanopic=colours)
+    found = predict_figures(tmp_path / "m", room, data.light[:6], azimuths, melanopic=colours)
     edi, ev = found.views["melanopic_edi_lx"], found.views["ev_lx"]
     # the fit expects warmer light of a low sun than these grey pictures have
     assert edi / ev == pytest.approx(0.8, rel=0.15)

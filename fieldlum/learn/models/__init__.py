@@ -96,12 +96,12 @@ def state_of(model: Any, with_patch: bool) -> ModelState:
     with_patch: whether the model uses sun patches.
     """
     arrays: dict[str, Array] = {}
-    table = stored(model, "array", arrays) | {"format": FORMAT}
+    table = serialised(model, "array", arrays) | {"format": FORMAT}
     return ModelState({"with_patch": with_patch, model.name: table}, arrays)
 
 
-def stored(part: Any, prefix: str, arrays: dict[str, Array]) -> dict[str, Any]:
-    """Return a dataclass as plain values for config.json, by field name, for `rebuilt`.
+def serialised(part: Any, prefix: str, arrays: dict[str, Array]) -> dict[str, Any]:
+    """Return a dataclass as plain values for config.json, by field name, for `deserialised`.
 
     Arrays of any shape are added to `arrays`; their field has the name PREFIX followed by a number.
     """
@@ -113,10 +113,10 @@ def stored(part: Any, prefix: str, arrays: dict[str, Array]) -> dict[str, Any]:
     return msgspec.to_builtins(part, enc_hook=of_array)
 
 
-def rebuilt(kind: type[_Part], table: Any, arrays: Mapping[str, Array]) -> _Part:
-    """Return the dataclass of type `kind` that `stored` described.
+def deserialised(kind: type[_Part], table: Any, arrays: Mapping[str, Array]) -> _Part:
+    """Return the dataclass of type `kind` that `serialised` described.
 
-    table: result of `stored`; arrays: those that it added, by name, of any shape [...]. Raises
+    table: result of `serialised`; arrays: those that it added, by name, of any shape [...]. Raises
     KeyError, TypeError or ValueError for missing or wrong content.
     """
     if table.get("format", FORMAT) != FORMAT:
@@ -178,7 +178,7 @@ def save(
     """
     state = fitted.state()
     arrays = {"seen": data.seen, **state.arrays}
-    planes = [stored(mirror, f"mirror{k}.", arrays) for k, mirror in enumerate(mirrors)]
+    planes = [serialised(mirror, f"mirror{k}.", arrays) for k, mirror in enumerate(mirrors)]
     with replacing(folder / "weights.npz") as file:
         np.savez(file, **arrays)  # pyright: ignore[reportArgumentType]
     table = {

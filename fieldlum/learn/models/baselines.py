@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fieldlum.core.arrays import Floats, Floats32, Mask
-from fieldlum.learn.models import ModelState, Patch, Prediction, rebuilt, state_of
+from fieldlum.learn.models import ModelState, Patch, Prediction, deserialised, state_of
 from fieldlum.learn.models.training_data import Dataset
 from fieldlum.sky.daylight import Light
 from fieldlum.sky.sun import horizontal_beam
@@ -189,4 +189,4 @@ def from_state(state: ModelState) -> MeanFitted | NearestFitted:
     """
     name = state.config["model"]
     kind = MeanFitted if name == "mean" else NearestFitted
-    return rebuilt(kind, state.config[name], state.arrays)
+    return deserialised(kind, state.config[name], state.arrays)

@@ -33,7 +33,7 @@ from torch.nn import functional as F
 from fieldlum.core.arrays import Array, Floats, Floats32
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.progress import progress
-from fieldlum.learn.models import ModelState, Patch, Prediction, rebuilt, stored
+from fieldlum.learn.models import ModelState, Patch, Prediction, deserialised, serialised
 from fieldlum.learn.models.baselines import Domain, domain_of
 from fieldlum.learn.models.training_data import Dataset
 from fieldlum.optics.projection import equirect_rays, signed_angle_deg
@@ -247,7 +247,7 @@ class DenseFitted:
         config = {
             "shape": asdict(self.shape),
             "patch": self.patch,
-            "domain": stored(self.domain, "domain.", arrays),
+            "domain": serialised(self.domain, "domain.", arrays),
             "dense_training": self.training,
         }
         for name, value in self.net.state_dict().items():
@@ -261,7 +261,7 @@ def from_state(state: ModelState) -> DenseFitted:
     Raises KeyError, RuntimeError, TypeError or ValueError for missing or wrong content.
     """
     config, arrays = state.config, state.arrays
-    shape = rebuilt(Shape, config["shape"], arrays)
+    shape = deserialised(Shape, config["shape"], arrays)
     net = Net(shape)
     weights = {
         name.removeprefix("net."): torch.from_numpy(value.copy())
@@ -269,7 +269,7 @@ def from_state(state: ModelState) -> DenseFitted:
         if name.startswith("net.")
     }
     net.load_state_dict(weights)
-    domain, about = rebuilt(Domain, config["domain"], arrays), config["dense_training"]
+    domain, about = deserialised(Domain, config["domain"], arrays), config["dense_training"]
     average, heading_deg = arrays["average_log10"], config["heading_deg"]
     return DenseFitted(net, shape, average, heading_deg, config["patch"], domain, about)
 

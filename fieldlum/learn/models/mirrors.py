@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from fieldlum.core.arrays import Floats, Floats32, Indices, Mask, evenly_spread
 from fieldlum.core.errors import input_errors
-from fieldlum.learn.models import rebuilt
+from fieldlum.learn.models import deserialised
 from fieldlum.learn.models.training_data import Dataset
 from fieldlum.optics.projection import (
     altitude_azimuth_deg,
@@ -374,7 +374,7 @@ def read_mirrors(folder: Path, config: ModelConfig) -> tuple[Mirror, ...]:
     expected, remedy = "the mirrors of fieldlum train", "train the model again (fieldlum train)"
     with input_errors(folder, expected, remedy, OSError, ValueError, KeyError, TypeError):
         arrays = read_arrays(folder / "weights.npz")
-        out = [rebuilt(Mirror, table, arrays) for table in tables]
+        out = [deserialised(Mirror, table, arrays) for table in tables]
         for mirror in out:
             numbers = [*mirror.normal, mirror.u_deg, mirror.factor]
             if mirror.chance.shape != (config.height, config.width) or len(numbers) != 5:
@@ -415,7 +415,8 @@ def _mirror(plane: MirrorPlane, data: Dataset) -> Mirror:
     suns, rows = data.light.apparent_sun_direction, np.array([image.row for image in plane.images])
     full_lx = glass_reflectance(suns @ plane.normal) * data.light.direct_lx  # [n], factor 1
     factors = np.array([image.spot.normal_lx for image in plane.images]) / full_lx[rows]
-    valid = np.array([_is_measured(image, data) for image in plane.images])
+    counts = np.ones(data.luminance_cdm2.shape) if data.counts is None else data.counts
+    valid = np.array([(counts[i.row][i.spot.pixels] > 0.0).all() for i in plane.images])
     factor = float(np.median(factors[valid] if valid.any() else factors))
     towards = mirrored(suns, plane.normal)
     at = pixels(towards, data.shape, data.heading_deg)
@@ -428,15 +429,17 @@ def _mirror(plane: MirrorPlane, data: Dataset) -> Mirror:
     shows = (bright > 2.0 * limit) & front & data.seen.reshape(-1)[at]
     label = np.flatnonzero(visible | shows)
     chance, wrong = _chance(data, label, towards[label], at[label], visible[label])
-    u_deg, count = plane.u_deg, len(rows)
     east, north, up = plane.normal.tolist()
-    measured = bool(valid.any())
-    return Mirror((east, north, up), u_deg, count, factor, measured, len(label), wrong, chance)
-
-
-def _is_measured(image: SunImage, data: Dataset) -> bool:
-    """Return whether no pixel of an image is clipped, moving or filled."""
-    return data.counts is None or bool((data.counts[image.row][image.spot.pixels] > 0.0).all())
+    return Mirror(
+        normal=(east, north, up),
+        u_deg=plane.u_deg,
+        captures=len(rows),
+        factor=factor,
+        measured=bool(valid.any()),
+        judged=len(label),
+        wrong=wrong,
+        chance=chance,
+    )
 
 
 def _chance(

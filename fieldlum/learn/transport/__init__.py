@@ -20,7 +20,7 @@ from fieldlum.core.arrays import Array, Floats, Floats32, Indices, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.progress import part_of_progress, progress, quiet, shown_by
 from fieldlum.core.records import counted
-from fieldlum.learn.models import ModelState, Patch, Prediction, rebuilt, state_of
+from fieldlum.learn.models import ModelState, Patch, Prediction, deserialised, state_of
 from fieldlum.learn.models.held_out_choice import HeldOutErrors, choose, difference
 from fieldlum.learn.models.training_data import Dataset
 from fieldlum.learn.transport.physics import Physics, physics_of
@@ -142,9 +142,9 @@ class Transport:
         expected, trusted = np.empty(count), np.empty(count, bool)
         for start in range(0, count, 64):  # some 100 MB at 460 x 230
             rows = slice(start, start + 64)
-            part = self.maps(light[rows], None if patch is None else patch[rows])
-            maps[rows][:, self.seen] = part.luminance
             shown = None if patch is None else patch[rows]
+            part = self.maps(light[rows], shown)
+            maps[rows][:, self.seen] = part.luminance
             sd[rows][:, self.seen], expected[rows], trusted[rows] = self._belief(part, shown)
         return Prediction(luminance_cdm2=maps, log10_sd=sd, expected_mse=expected, trusted=trusted)
 
@@ -269,10 +269,9 @@ class MeanTransport:
         root = share * np.sqrt(fitted.expected_mse) + rest * np.sqrt(stated.expected_mse)
         assert fitted.log10_sd is not None and stated.log10_sd is not None
         sd = np.sqrt(self.agreement) * (share * fitted.log10_sd + rest * stated.log10_sd)
+        mean = fitted.luminance_cdm2**share * stated.luminance_cdm2**rest  # geometric
         return Prediction(
-            luminance_cdm2=(fitted.luminance_cdm2**share * stated.luminance_cdm2**rest).astype(
-                np.float32
-            ),
+            luminance_cdm2=mean.astype(np.float32),
             log10_sd=sd.astype(np.float32),
             expected_mse=self.agreement * root**2,
             trusted=fitted.trusted,
@@ -304,7 +303,7 @@ def from_state(state: ModelState) -> Transport | MeanTransport:
     """
     table = state.config["transport"]
     kind = MeanTransport if "fitted" in table else Transport
-    return rebuilt(kind, table, state.arrays)
+    return deserialised(kind, table, state.arrays)
 
 
 # ----------------------------------------------------------------------------------------------

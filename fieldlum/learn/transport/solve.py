@@ -13,7 +13,7 @@ import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -104,6 +104,11 @@ class Columns:
         values = np.stack([part / unit for part, _ in parts])
         return cls(values, np.array([v for _, v in parts]), int(computed is not None))
 
+    def design(self, features: Array) -> Array:
+        """Return features [n, r] and covariates of each pixel next to each other, [P, n, r + k]."""
+        shared = np.broadcast_to(features, (self.values.shape[2], *features.shape))
+        return np.concatenate((shared, self.values.transpose(2, 1, 0)), axis=2)
+
     def surfaces(self, features_light: Array, gains: Array) -> Array:
         """Return the light of surfaces [n, P]: F b plus the computed light.
 
@@ -143,7 +148,7 @@ class PixelFit:
     noise: Floats32
 
 
-def each_chunk(work: Callable[[slice], None], count: int, size: int = 1024) -> Iterator[int]:
+def for_each_chunk(work: Callable[[slice], None], count: int, size: int = 1024) -> Iterator[int]:
     """Call `work(slice)` for chunks of `count` pixels on up to eight cores; yield how many ended.
 
     size: pixels of a chunk, which limit the memory of the normal matrices to some 100 MB each.
@@ -279,21 +284,17 @@ def fit_pixels(
     noise: variance of a target of weight 1. tick: called after each chunk with the number of
     finished pixels and the number of all pixels.
     """
-    count, scale = arrays.luminance.shape[1], pixel_scale(arrays)
-    second, b = (
-        np.empty(shape, np.float32)
-        for shape in ((len(arrays.light), count), (count, basis.values.shape[1]))
-    )
-    patch, sky, minimum, computed, sd = np.zeros((5, count), np.float32)  # filled below
+    (hours, features), count = basis.values.shape, arrays.luminance.shape[1]
+    scale, zeros = pixel_scale(arrays), partial(np.zeros, dtype=np.float32)
     out = PixelFit(
-        scale.astype(np.float32),
-        b,
-        patch_gain=patch,
-        sky_gain=sky,
-        minimum=minimum,
-        second=second,
-        computed_gain=computed,
-        noise=sd,
+        scale=scale.astype(np.float32),
+        b=zeros((count, features)),
+        patch_gain=zeros(count),
+        sky_gain=zeros(count),
+        minimum=zeros(count),
+        second=zeros((hours, count)),
+        computed_gain=zeros(count),
+        noise=zeros(count),
     )
     inverse = second_inverse(arrays)
 
@@ -311,7 +312,7 @@ def fit_pixels(
         out.second[:, part] = inverse @ residual
         out.noise[part] = np.sqrt(np.maximum((residual * out.second[:, part]).mean(axis=0), 0.0))
 
-    for stop in each_chunk(fit_part, count):
+    for stop in for_each_chunk(fit_part, count):
         tick(stop, count)
     return out
 
@@ -396,7 +397,7 @@ def hold_out(arrays: TrainingArrays, basis: Basis, noise: float) -> HeldOutFit:
         predicted[:, part], target[:, part] = some
 
     # Chunks are smaller than in the fit, because each pixel has a hat matrix.
-    for _ in each_chunk(predict_part, len(scale), 128):
+    for _ in for_each_chunk(predict_part, len(scale), 128):
         pass
     residual = ~arrays.filled * np.log(target / predicted)
     inverse = second_inverse(arrays)
@@ -428,20 +429,13 @@ def _hold_out_some(
     unit = arrays.light.total_lx[:, None] * scale
     count, r = len(scale), basis.values.shape[1]
     perez = Columns.of(arrays, unit, None if arrays.computed is None else arrays.computed.perez)
-    design, wanted = (
-        np.concatenate(
-            (np.broadcast_to(f, (count, *f.shape)), columns.values.transpose(2, 1, 0)), axis=2
-        )
-        for f, columns in ((basis.values, fit.columns), (basis.assumed, perez))
-    )  # [P, n, r + k]
+    design, wanted = fit.columns.design(basis.values), perez.design(basis.assumed)
     matrix, right = normal_equations(basis, fit.columns, fit.response, fit.weights, noise)
-    solved = np.linalg.solve(
-        matrix, np.concatenate((right[:, :, None], design.transpose(0, 2, 1)), axis=2)
-    )
+    rights = np.concatenate((right[:, :, None], design.transpose(0, 2, 1)), axis=2)
+    solved = np.linalg.solve(matrix, rights)
     solution, w = solved[:, :, 0], fit.weights.T / noise
-    residual = (fit.response - fit.columns.values.sum(axis=0)).T - np.einsum(
-        "pna,pa->pn", design, solution
-    )
+    rest = (fit.response - fit.columns.values.sum(axis=0)).T
+    residual = rest - np.einsum("pna,pa->pn", design, solution)
     out = np.empty((count, len(residual[0])))
     for day in np.unique(arrays.days):
         rows = np.flatnonzero(arrays.days == day)

@@ -162,7 +162,7 @@ class SceneEvidence:
         patch = np.where(patch > seen[self.rows], np.float32(0.0), patch)
         direct = np.zeros_like(seen)
         direct[self.rows] = patch
-        below = LightBelowPatches(data)(seen, direct)[self.rows]
+        below = indirect_component(data, seen, direct)[self.rows]
         level = levelled(below, seen[self.rows], patch, self.directions, self.weights)
         return replace(self, below=np.maximum(level, MIN_CDM2).astype(np.float32))
 
@@ -349,54 +349,44 @@ _RIDGE = 1e-3
 _PATCH_SHARE = 0.3  # share of a pixel's light; a stronger patch hides the light below; chosen
 
 
-class LightBelowPatches:
-    """Estimates the luminance that pixels would show in n captures without their sun patches.
+def indirect_component(data: Dataset, seen: Array, patch: Array) -> Array:
+    """Estimate the luminance that pixels would show in n captures without direct sun on them.
 
-    Light of sky and sun that changes smoothly between hours has few features: the eigenvectors of
-    the kernel with the largest eigenvalues, and 1. A pixel is a ridge regression on them. data: the
-    captures, for their light and room. basis: the features [k, n]; products: of each two of them [k
-    k, n]; total_lx: the total light, by which luminance is divided [n, 1].
+    data: the captures, for their light and room; seen: captured luminance; patch: luminance of
+    known sun patches, which is subtracted, and values that it dominates count less; each and the
+    result cd/m2 [n, m]. Light of sky and sun that changes smoothly between hours has few features:
+    the 15 eigenvectors of the kernel with the largest eigenvalues, and 1. A pixel is a ridge
+    regression on them. Its rounds reduce the weight of pixels that are brighter than the fit,
+    because a sun patch only adds light. The result is at least 0.1.
     """
-
-    def __init__(self, data: Dataset) -> None:
-        features = light_features(data.light)
-        kernel = Kernel(facades_of(data.setup.room))(features, features)  # [n, n]
-        value, vector = np.linalg.eigh(kernel)
-        rank = min(RANK, len(data) - 1)
-        basis = vector[:, -rank:] * np.sqrt(np.maximum(value[-rank:], 0.0))  # [n, rank]
-        scale = np.sqrt(np.mean(basis**2) * rank)
-        # float32 is precise to 1e-5 of the light, and twice as fast
-        terms = (np.column_stack([basis, np.ones(len(data))]) / scale).T.astype(np.float32)
-        self.basis = terms  # [k, n]
-        self.products = (terms[:, None] * terms).reshape(-1, len(data))  # [k k, n]
-        self.total_lx = data.light.total_lx[:, None].astype(np.float32)  # [n, 1]
-
-    def __call__(self, seen: Array, patch: Array, rounds: int = ROUNDS) -> Array:
-        """Return the luminance that pixels would show without direct sun on them, cd/m2 [n, m].
-
-        seen: captured luminance; patch: luminance of known sun patches, which is subtracted, and
-        values that it dominates count less; each cd/m2 [n, m]. The result is a ridge regression of
-        the rest on 15 smooth features of sky and sun. Its rounds reduce the weight of pixels that
-        are brighter than the fit, because a sun patch only adds light. It is at least 0.1.
-        """
-        trust = _trust(patch, seen)
-        y = np.maximum(seen - patch, 0.02 * seen) / self.total_lx
-        scale = _middle(y)
-        y = (y / scale).astype(np.float32)  # [n, m] of median 1
-        trust = trust.astype(np.float32)
-        fit = np.maximum(np.minimum(y, 1.5), 0.05)
-        weight = trust / (y * fit)
-        minimum, terms = np.float32(0.05), len(self.basis)
-        for _ in range(rounds):
-            normal = (self.products @ weight).T.reshape(-1, terms, terms)  # [m, k, k]
-            mean = np.einsum("mkk->m", normal) / terms
-            normal = normal + (_RIDGE * mean)[:, None, None] * np.eye(terms, dtype=np.float32)
-            right = (self.basis @ (weight * y)).T[..., None]  # [m, k, 1]
-            fit = np.maximum(self.basis.T @ np.linalg.solve(normal, right)[..., 0].T, minimum)
-            q = np.log(y / fit)
-            excess = np.where(q > 0.0, q / BRIGHTER, q / DARKER) ** 2
-            weight = trust / (y * fit) / (1.0 + excess)
-        return np.maximum(fit * scale * self.total_lx, MIN_CDM2)
+    features = light_features(data.light)
+    kernel = Kernel(facades_of(data.setup.room))(features, features)  # [n, n]
+    value, vector = np.linalg.eigh(kernel)
+    rank = min(RANK, len(data) - 1)
+    basis = vector[:, -rank:] * np.sqrt(np.maximum(value[-rank:], 0.0))  # [n, rank]
+    size = np.sqrt(np.mean(basis**2) * rank)
+    # float32 is precise to 1e-5 of the light, and twice as fast
+    basis = (np.column_stack([basis, np.ones(len(data))]) / size).T.astype(np.float32)  # [k, n]
+    products = (basis[:, None] * basis).reshape(-1, len(data))  # [k k, n]
+    total_lx = data.light.total_lx[:, None].astype(np.float32)  # [n, 1]
+    trust = _trust(patch, seen)
+    y = np.maximum(seen - patch, 0.02 * seen) / total_lx
+    scale = _middle(y)
+    y = (y / scale).astype(np.float32)  # [n, m] of median 1
+    trust = trust.astype(np.float32)
+    fit = np.maximum(np.minimum(y, 1.5), 0.05)
+    weight = trust / (y * fit)
+    minimum, terms = np.float32(0.05), len(basis)
+    for _ in range(ROUNDS):
+        normal = (products @ weight).T.reshape(-1, terms, terms)  # [m, k, k]
+        mean = np.einsum("mkk->m", normal) / terms
+        normal = normal + (_RIDGE * mean)[:, None, None] * np.eye(terms, dtype=np.float32)
+        right = (basis @ (weight * y)).T[..., None]  # [m, k, 1]
+        fit = np.maximum(basis.T @ np.linalg.solve(normal, right)[..., 0].T, minimum)
+        q = np.log(y / fit)
+        excess = np.where(q > 0.0, q / BRIGHTER, q / DARKER) ** 2
+        weight = trust / (y * fit) / (1.0 + excess)
+    return np.maximum(fit * scale * total_lx, MIN_CDM2)
 
 
 def _middle(values: Array) -> Array:

@@ -29,9 +29,8 @@ from fieldlum.room.fit.parameters import (
     room_parameters,
     stated_albedo,
 )
-from fieldlum.room.fit.renderer import SHELL
 from fieldlum.room.fit.scene_file import Scene
-from fieldlum.room.fit.search import LEVELS, SceneCost, covariance, prior_unit, search
+from fieldlum.room.fit.search import LEVELS, SceneCost, covariance, prior_unit, search, with_solids
 from fieldlum.room.fit.window_view import window_view
 
 if TYPE_CHECKING:
@@ -147,9 +146,9 @@ class SceneSearch:
         self.view = window_view(data, self.start)
         self.parameters = room_parameters(self.start, clock_sd_min) + glass_parameters(self.start)
         clock_u_min = clock_sd_min if pose is None else pose.u_clock_min
-        self.clocks_min = START_CLOCKS_MIN if clock_u_min > OPEN_CLOCK_MIN else (None,)
+        self.clocks_min = START_CLOCKS_MIN if clock_u_min > OPEN_CLOCK_MIN else ()
         self.albedo = self.evidence.albedos(self.start, stated_albedo(room))
-        self.unit = prior_unit(self.evidence, self.start, self.albedo_with_solids())
+        self.unit = prior_unit(self.evidence, self.start, with_solids(self.albedo, self.guess))
 
     def cost(self, *, coarse: bool = False) -> SceneCost:
         """Return the function that computes a guess's cost; coarse: at fewer pixels, for speed."""
@@ -167,7 +166,7 @@ class SceneSearch:
         cost = self.cost(coarse=True)
         tries = [search(cost, start, self.parameters) for start in self._starts()]
         self._accept(min(tries, key=lambda pair: pair[1])[0])
-        self._settle()
+        self._search_all()
         self._prune(kinds)
         for number in range(MAX_ROUNDS):
             step(20 + 15 * number, "shade, bars and furniture")
@@ -175,15 +174,16 @@ class SceneSearch:
             if more is self.guess:
                 break
             self._accept(more)
-            self._settle(LEVELS[1:2])
+            self._search_all(LEVELS[1:2])
             self._prune(kinds)
         step(80, "all together")
-        self._settle()
+        self._search_all()
         return self.guess
 
-    def _settle(self, levels: Sequence[float] = LEVELS[1:]) -> None:
+    def _search_all(self, levels: Sequence[float] = LEVELS[1:]) -> None:
         """Search all parameters again; the light without direct sun is that of the last guess."""
-        self._accept(search(self.cost(), self.guess, self._all(self.guess), levels)[0])
+        parameters = all_parameters(self.guess, self.parameters)
+        self._accept(search(self.cost(), self.guess, parameters, levels)[0])
 
     def _starts(self) -> list[Guess]:
         """Return the stated box at each clock, with a pose to match.
@@ -191,17 +191,13 @@ class SceneSearch:
         With discs of the sun the pose is the most likely one for this clock; without, north
         decreases by 0.25 degrees a minute, so that noon patches stay.
         """
-        clocks = [c for c in self.clocks_min if c is not None]
         if self.pose is not None:
             pose = self.pose
-            return [pose.at_clock(self.start, c) for c in clocks or [float(pose.values[3])]]
+            return [pose.at_clock(self.start, c) for c in self.clocks_min or [pose.values[3]]]
         return [
             replace(self.start, clock_min=c, north_deg=-SUN_DEG_PER_MIN * c)
-            for c in clocks or [0.0]
+            for c in self.clocks_min or [0.0]
         ]
-
-    def _all(self, guess: Guess) -> list[Any]:
-        return all_parameters(guess, self.parameters)
 
     def _with_more(self, kinds: Sequence[Kind]) -> Guess:
         """Return the guess with more elements: all of the best proposals that pay together."""
@@ -249,19 +245,15 @@ class SceneSearch:
         """Set guess and albedos, and estimate the light without direct sun again."""
         self.guess = guess
         self.albedo = self.evidence.albedos(guess, stated_albedo(self.room))
-        patch = self.evidence.patches(guess, self.albedo_with_solids())
+        patch = self.evidence.patches(guess, with_solids(self.albedo, self.guess))
         self.evidence = self.evidence.relit(self.data, patch)
-
-    def albedo_with_solids(self) -> Floats:
-        """Return the albedos of west, east, south, north, floor, ceiling, solids, [6 + solids]."""
-        return np.concatenate([self.albedo[:SHELL], [s.albedo for s in self.guess.solids]])
 
     def misfit(self) -> dict[str, float]:
         """Return the mean misfit, 0 to 1, of three geometries; keys: none, stated and fitted.
 
         The stated box gets its own albedos.
         """
-        of_fitted = self.evidence.patches(self.guess, self.albedo_with_solids())
+        of_fitted = self.evidence.patches(self.guess, with_solids(self.albedo, self.guess))
         albedo = self.evidence.albedos(self.start, stated_albedo(self.room))
         patches = {
             "none": np.zeros_like(of_fitted),

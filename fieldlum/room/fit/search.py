@@ -29,6 +29,14 @@ _ROUNDS, _REACH, _MIN_GAIN = 5, 3.0, 1e-3
 _FIRST_DAMPING, _TRIES = 0.1, 5
 
 
+def with_solids(albedo: Floats, guess: Guess) -> Floats:
+    """Return the albedos of walls, floor and ceiling and of the guess's solids, [6 + solids].
+
+    albedo: its first six are those of the room's surfaces.
+    """
+    return np.concatenate([albedo[:SHELL], [solid.albedo for solid in guess.solids]])
+
+
 def prior_unit(evidence: SceneEvidence, start: Guess, albedo: Floats) -> float:
     """Return the cost of one standard deviation of one parameter, from the misfit of the start.
 
@@ -63,7 +71,7 @@ class SceneCost:
 
     def by_hour(self, guess: Guess) -> Floats:
         """Return the misfit of each hour, with its share of the prior's cost, [n]."""
-        patch = self.evidence.patches(guess, self.albedo_of(guess))
+        patch = self.evidence.patches(guess, with_solids(self.albedo, guess))
         prior = self.prior(guess)
         return self.evidence.misfit(patch) + float(prior @ prior)
 
@@ -74,7 +82,7 @@ class SceneCost:
         """
         if not is_possible(guess):
             return None
-        patch = self.evidence.patches(guess, self.albedo_of(guess))
+        patch = self.evidence.patches(guess, with_solids(self.albedo, guess))
         error = np.log(self.evidence.below + patch) - self.evidence.log_seen
         weight = np.sqrt(self.evidence.weights / np.float32(len(self.evidence)))
         misfit = weight * error / np.sqrt(error**2 + np.float32(WIDTH**2))
@@ -82,10 +90,6 @@ class SceneCost:
         if self.view is not None:
             parts.append(self.view.residuals(guess))
         return np.concatenate(parts).astype(np.float32)
-
-    def albedo_of(self, guess: Guess) -> Floats:
-        """Return the albedos of west, east, south, north, floor, ceiling, solids, [6 + solids]."""
-        return np.concatenate([self.albedo[:SHELL], [solid.albedo for solid in guess.solids]])
 
     def prior(self, guess: Guess) -> Floats:
         """Return deviations [q] from the stated numbers, whose squares are their cost.

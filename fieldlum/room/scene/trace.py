@@ -270,7 +270,9 @@ def _overlap(bounds: Floats, axis: int, near: float, far: float, low: float, hig
 
 
 @compiled
-def _nearby(low: Floats, high: Floats, bounds: Floats, inverse: Floats, boxes: Indices) -> int:
+def _boxes_towards_sun(
+    low: Floats, high: Floats, bounds: Floats, inverse: Floats, boxes: Indices
+) -> int:
     """Put the boxes that may shade a point of `_bounds` first into `boxes`; return their number."""
     reach = bounds[6] * np.sqrt(inverse[0] ** 2 + inverse[1] ** 2 + inverse[2] ** 2)
     count = 0
@@ -339,7 +341,7 @@ def add_through(
                 over = min(over_u, over_z)
             if over == 0:
                 continue
-            some = boxes[: _nearby(low, high, bounds, inverse[hour], boxes)]
+            some = boxes[: _boxes_towards_sun(low, high, bounds, inverse[hour], boxes)]
             unshaded = over == 2 and len(some) + len(bars) == 0
             for point in range(first, last):
                 if face[point] < 0:
@@ -385,7 +387,7 @@ def _add_outside(
             if suns[hour, 2] <= 0.0:
                 continue
             inverse = _inverses(suns[hour])
-            some = boxes[: _nearby(low, high, bounds, inverse, boxes)]
+            some = boxes[: _boxes_towards_sun(low, high, bounds, inverse, boxes)]
             for point in range(first, last):
                 cosine = _cosine(face[point], suns[hour])
                 if cosine > _GRAZING:

@@ -87,10 +87,10 @@ def sample_slots(
 
 
 @dataclass(frozen=True, slots=True)
-class _Job:
-    """How to render, and some slots of it with their light.
+class _Room:
+    """What decides how a session's room is traced.
 
-    key: sha256 of session.toml; pitch_deg: of the pictures around windows.
+    key: sha256 of session.toml; pitch_deg: of the pictures around windows; workers: threads.
     """
 
     key: str
@@ -98,9 +98,16 @@ class _Job:
     quality: str
     pitch_deg: float
     workers: int | None
-    coloured: bool = False
-    slots: tuple[Slot, ...] = ()
-    light: Light | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Job:
+    """Some slots to render with their light; coloured: with colours of sky, sun and surfaces."""
+
+    room: _Room
+    coloured: bool
+    slots: tuple[Slot, ...]
+    light: Light
 
 
 def run(
@@ -126,15 +133,14 @@ def run(
     build(box_room(setup))
     light, lit = _light_of(setup, slots, weather)
     pitch_deg = sensor_pitch_deg(load_camera_profile(setup.camera.profile))
-    how = _Job(sha256(session.toml), height, quality, pitch_deg, workers, coloured)
-    _forget_other(session, slots, weather, how)
+    room = _Room(sha256(session.toml), height, quality, pitch_deg, workers)
+    _delete_other_pictures(session, slots, weather, room, coloured)
     missing = [int(k) for k in np.flatnonzero(lit) if force or not _done(session, slots[k])]
     units = []
     for start in range(0, len(missing), _SLOTS_A_UNIT):
         rows = np.array(missing[start : start + _SLOTS_A_UNIT])
-        job_slots = tuple(slots[k] for k in rows)
-        job = replace(how, slots=job_slots, light=light[rows])
-        name, files = f"truth-{job_slots[0].id}", (session.toml.name,)
+        job = _Job(room, coloured, tuple(slots[k] for k in rows), light[rows])
+        name, files = f"truth-{job.slots[0].id}", (session.toml.name,)
         units.append(WorkUnit(name, render_slots, session.root.resolve(), job, files=files))
     run_each(units, scheduler, UnitOutcome.result)
     _write_irradiance(session, weather, slots)
@@ -155,8 +161,7 @@ def render_slots(folder: Path, job: _Job) -> None:
     Around the windows also write a picture as fine as the sensor.
     """
     session = Session(folder)
-    assert job.light is not None
-    room, fine = _traced(folder, job.key, job.height, job.quality, job.pitch_deg, job.workers)
+    room, fine = _traced(folder, job.room)
     truth = room.render(job.light, coloured=job.coloured)
     for k, slot in enumerate(job.slots):
         if fine is not None:
@@ -171,13 +176,11 @@ def render_slots(folder: Path, job: _Job) -> None:
 
 
 @lru_cache(maxsize=1)
-def _traced(
-    root: Path, key: str, height: int, quality: str, pitch_deg: float, workers: int | None
-) -> tuple[LitRoom, FineWindows | None]:
-    """Trace a session's room and windows once in each process; `key` tells sessions apart."""
+def _traced(root: Path, how: _Room) -> tuple[LitRoom, FineWindows | None]:
+    """Trace a session's room and windows once in each process; `how.key` tells sessions apart."""
     setup = Session(root).site_file()
-    room = lit_room(setup, height=height, quality=quality, workers=workers)
-    return room, fine_windows(room, pitch_deg)
+    room = lit_room(setup, height=how.height, quality=how.quality, workers=how.workers)
+    return room, fine_windows(room, how.pitch_deg)
 
 
 def make_session(out: Path, setup: SiteFile, slots: Sequence[Slot], about: PlanTable) -> Session:
@@ -198,7 +201,9 @@ def _light_of(setup: SiteFile, slots: Sequence[Slot], weather: Weather) -> tuple
     return light, (dni + dhi > 0) & (light.sun_altitude_deg > 0)
 
 
-def _forget_other(session: Session, slots: Sequence[Slot], weather: Weather, how: _Job) -> None:
+def _delete_other_pictures(
+    session: Session, slots: Sequence[Slot], weather: Weather, how: _Room, coloured: bool
+) -> None:
     """Delete the slots' rendered pictures of another room, size, quality or weather.
 
     Otherwise an interrupted run could leave a mixture.
@@ -209,7 +214,7 @@ def _forget_other(session: Session, slots: Sequence[Slot], weather: Weather, how
     room = [plain(setup.room), setup.camera.heading_deg, how.height, how.quality, _VERSION]
     now = {"room": digest(room), "weather": weather.name, "light_sha256": light}
     now |= {"window_pitch_deg": f"{how.pitch_deg:.4f}", "troubles": ""}
-    now |= {"coloured": True} if how.coloured else {}
+    now |= {"coloured": True} if coloured else {}
     if current_note(path, now) is not None:
         return
     for slot in slots:

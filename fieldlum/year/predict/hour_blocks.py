@@ -436,7 +436,7 @@ class _HoursJob(NamedTuple):
     melanopic: MelanopicYear | None
 
 
-def measure(
+def predict_figures(
     model_folder: Path,
     room: ModelRoom,
     light: Light,

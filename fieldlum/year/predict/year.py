@@ -114,7 +114,7 @@ def run(
     folder.mkdir(parents=True, exist_ok=True)
     store = hour_blocks.begin_maps(folder, len(light), room) if maps else None
     how = {"store": store, "melanopic": colours, "seed": seed, "scheduler": scheduler}
-    found = hour_blocks.measure(model_folder, room, light, azimuths, **how)
+    found = hour_blocks.predict_figures(model_folder, room, light, azimuths, **how)
     found.hours["occupied"][:] = occupancy.at(light.t_utc, weather.site.timezone)
     about = _about(room, config, weather, light, azimuths)
     found.hours["trusted"] *= not config.untrusted
