@@ -415,7 +415,8 @@ def _mirror(plane: MirrorPlane, data: Dataset) -> Mirror:
     suns, rows = data.light.apparent_sun_direction, np.array([image.row for image in plane.images])
     full_lx = glass_reflectance(suns @ plane.normal) * data.light.direct_lx  # [n], factor 1
     factors = np.array([image.spot.normal_lx for image in plane.images]) / full_lx[rows]
-    counts = np.ones(data.luminance_cdm2.shape) if data.counts is None else data.counts
+    # An image is measured if none of its pixels is clipped, moving or filled.
+    counts = np.broadcast_to(1.0, data.luminance_cdm2.shape) if data.counts is None else data.counts
     valid = np.array([(counts[i.row][i.spot.pixels] > 0.0).all() for i in plane.images])
     factor = float(np.median(factors[valid] if valid.any() else factors))
     towards = mirrored(suns, plane.normal)
