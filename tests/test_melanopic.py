@@ -20,10 +20,12 @@ from fieldlum.merge.bracket import floating_white_balance
 from fieldlum.merge.shots import Shot
 from fieldlum.optics.images import RADIANCE_CHROMATICITIES, rgb_to_xyz, write_panorama
 from fieldlum.optics.melanopic import (
+    LAMP_RATIO,
     MELANOPIC_FROM_XYZ,
     U_CHART,
     U_LAMP,
     attribute_text,
+    daylight_xy,
     melanopic_edi,
     melanopic_ratio,
     ratio_u_rel,
@@ -119,6 +121,8 @@ def test_edi_of_a_uniform_room_with_a_sun() -> None:
     assert u[0] == pytest.approx(
         np.hypot(of_map, 0.07 * 1000 * sun_melanopic_ratio(30.0)), rel=0.02
     )
+    lit, _ = melanopic_edi(picture, np.full(128, 100.0), weights, None, np.zeros(1), lamps=True)
+    assert lit == pytest.approx(LAMP_RATIO * 100.0 * np.pi, rel=0.005)  # of 208 LED, in the mean
     plain = replace(picture, attributes={})
     edi, u = melanopic_edi(plain, np.full(128, 100.0), weights, None, np.zeros(1))
     assert edi == pytest.approx(100.0 * np.pi) and u is None
@@ -165,12 +169,35 @@ def test_weights_follow_the_matrix_and_readings_of_a_spectrometer() -> None:
     table, line = colour.with_melanopic(own, read, PROFILE, 1.0, None)
     assert table.melanopic_from_rgb == pytest.approx(truth, abs=0.02)
     assert "12 readings" in line and table.melanopic_u_rel == 0.02
-    chart, line = colour.with_melanopic(
-        own, replace(colours, rgb=rng.uniform(1, 9, (24, 3))), PROFILE, 1.0, 5500.0
-    )
+    patches = replace(colours, rgb=rng.uniform(1, 9, (24, 3)), of_chart=True)
+    chart, line = colour.with_melanopic(own, patches, PROFILE, 1.0, 5500.0)
     assert chart.melanopic_u_rel == U_CHART and "5500 K" in line
     none, line = colour.with_melanopic(own, replace(colours, matrix=None), PROFILE, 1.0, None)
     assert none.melanopic_from_rgb == () and "--cct" in line
+
+
+@pytest.mark.analytic
+def test_a_grey_surface_in_daylight_gives_the_matrix_its_cameras_gains() -> None:
+    gains, y_from_rgb = np.array([1.2, 1.0, 0.85]), CAMERA[1]  # of this camera over its model
+    mine = CAMERA / gains
+    x, y = daylight_xy(5500.0)
+    grey = 40.0 * np.linalg.inv(mine) @ np.array([x, y, 1.0 - x - y])
+    found = colour.xyz_from_matrix(np.linalg.inv(CAMERA), y_from_rgb / gains, grey, 5500.0)
+    assert found == pytest.approx(mine, rel=1e-9)
+    with pytest.raises(ValueError, match="should be grey"):
+        colour.xyz_from_matrix(np.linalg.inv(CAMERA), y_from_rgb, grey * [2.0, 1.0, 1.0], 5500.0)
+
+
+@pytest.mark.property
+@pytest.mark.parametrize("seed", range(6))
+def test_readings_of_one_colour_do_not_move_the_weights_of_others(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    grey = np.linalg.inv(CAMERA) @ D65 * np.array([[9.0], [20.0], [40.0], [60.0]])
+    rgb = grey * (1.0 + 0.01 * rng.normal(size=(4, 3)))
+    places = tuple(Place(Path("x"), i, 0) for i in range(4))
+    y = grey @ CAMERA[1] * (1.0 + 0.02 * rng.normal(size=4))
+    found = colour.fit(colour.Colours(rgb, y, np.full(4, 0.02), places), PROFILE)
+    assert found.y_from_rgb == pytest.approx(PROFILE.colour.y_from_rgb, abs=0.05)
 
 
 @pytest.mark.contract

@@ -12,7 +12,7 @@ from fieldlum.core.arrays import Floats
 from fieldlum.core.records import Panorama, Site
 from fieldlum.learn import models
 from fieldlum.optics.images import read_panorama, write_panorama
-from fieldlum.optics.melanopic import U_SUN_RATIO, attribute_text
+from fieldlum.optics.melanopic import U_LAMP, U_SUN_RATIO, attribute_text
 from fieldlum.session.files.hourly_csv import HOUR_COLUMNS, VIEW_COLUMNS, HourlyFile
 from fieldlum.sky.daylight import Light, light_at
 from fieldlum.sky.daylight_kernel import facades_of
@@ -84,6 +84,9 @@ def test_the_visible_sun_has_its_own_colour_and_uncertainty() -> None:
     assert (of_sun > 0).all() and (of_sun < 0.9 * 500.0).all()
     u = figures["u_melanopic_edi_lx"]
     assert (u > 0.1 * 1000.0 * year.ratio(hours)).all()
+    lit = year.figures(replace(hours, states=("lamp=on", "") * 2), views, none, ev[None], none)
+    assert lit["edi_by_model_lx"][0] == pytest.approx(U_LAMP * lit["edi_of_map_lx"][0])
+    assert not lit["edi_by_model_lx"][1].any()
     hidden = year.figures(hours, views, none, np.stack([ev, ev - 500.0]), none)
     assert (hidden["u_melanopic_edi_lx"] > 0.7 * of_sun).all()  # the disc is seen or not
     half_seen = year.figures(hours, views, none, ev[None], ev)

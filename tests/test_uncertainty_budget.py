@@ -15,7 +15,8 @@ from fieldlum.core.records import U_PERCENT, Panorama, SunSource
 from fieldlum.optics.images import write_panorama
 from fieldlum.optics.melanopic import attribute_text
 from fieldlum.year.glare.metrics import dgp
-from fieldlum.year.glare.picture_glare import panorama_glare
+from fieldlum.year.glare.picture_glare import glare_answer, panorama_glare
+from fieldlum.year.glare.pictures import Picture
 from fieldlum.year.glare.standards import DgpUncertainty, dgp_per_scale, exceeded_in_share
 from fieldlum.year.glare.uncertainty_budget import Budget, picture_budget, year_budget
 
@@ -95,6 +96,11 @@ def test_the_budget_of_melanopic_light_with_a_sun_has_the_u_that_glare_states() 
     edi = budget(scene, "melanopic EDI", u_heading_deg=0.0)
     assert edi.estimate == pytest.approx(view["melanopic_edi_lx"], rel=1e-4)
     assert edi.u == pytest.approx(view["u_melanopic_edi_lx"], rel=0.02)
+    answer, _ = glare_answer(Picture(scene, None), Path("room"), [180.0], lamps=True)
+    (lit,) = answer["views"]
+    edi = picture_budget(scene, Path("room"), [180.0], 0.0, lamps=True)[2]
+    assert edi.estimate == pytest.approx(lit["melanopic_edi_lx"], rel=1e-4)
+    assert edi.u == pytest.approx(lit["u_melanopic_edi_lx"], rel=0.02)
 
 
 @pytest.mark.analytic

@@ -23,7 +23,7 @@ from fieldlum.optics.melanopic import MELANOPIC_FROM_XYZ, U_CHART, U_MATRIX, day
 from fieldlum.optics.profiles import CameraProfile, Colour
 
 # Weight of the prior relative to one reading, from strong to weak; candidates of the selection.
-PULLS = (np.inf, 1.0, 0.1, 0.01, 1e-4)
+PULLS = (np.inf, 1.0, 0.1, 0.01)
 MIN_READINGS = 4  # three coefficients, and one reading to hold out
 # Stated corners in another order leave a misfit of 0.5 and more; uneven light up to 0.2. Chosen.
 _MAX_MISFIT = 0.4
@@ -40,7 +40,7 @@ class Colours:
     : luminances of the same places by a meter [cd/m2], or by the chart [%]; u_rel [n] : relative
     uncertainty of the comparison; places [n] : where they are; matrix [3, 3] : XYZ to camera
     colours, None if the frames do not state it. melanopic [n] : melanopic equivalent daylight
-    luminances by a spectrometer [cd/m2], or None.
+    luminances by a spectrometer [cd/m2], or None. of_chart : the places are a chart's patches.
     """
 
     rgb: Floats
@@ -49,6 +49,7 @@ class Colours:
     places: tuple[Place, ...]
     matrix: Floats | None = None
     melanopic: Floats | None = None
+    of_chart: bool = False
 
 
 class ColourFit(NamedTuple):
@@ -163,7 +164,8 @@ def from_chart(
         finding = "the 24 patches do not have a chart's colours in a chart's order"
         expected = "--corners clockwise from the corner at the dark skin (brown) patch"
         raise InputError(path, finding, expected, "state --corners again")
-    return Colours(rgb, chart_xyz(cct_k)[:, 1], u_rel, places, frame.colour_matrix)
+    y = chart_xyz(cct_k)[:, 1]
+    return Colours(rgb, y, u_rel, places, frame.colour_matrix, of_chart=True)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -230,7 +232,8 @@ def _without_outliers(colours: Colours, priors: Sequence[Floats]) -> tuple[Colou
     A gross error is a wrong factor, such as a decimal point or another unit. At most a quarter of
     the readings is omitted.
     """
-    offs = [np.log((colours.rgb @ prior) / colours.y) for prior in priors]
+    ratios = [colours.rgb @ prior / colours.y for prior in priors]
+    offs = [np.log(np.where(ratio > 0.0, ratio, np.median(ratio))) for ratio in ratios]
     off = min((o - np.median(o) for o in offs), key=lambda o: float(np.median(np.abs(o))))
     far = fit_steps.gross_errors(off, 0.5)  # ln of luminance: further away is a wrong factor
     if not far.any() or (~far).sum() < MIN_READINGS:
@@ -306,13 +309,23 @@ def daylight_parts(cct_k: float) -> Floats:
     return np.array([1.0, m1, m2])
 
 
-def xyz_from_matrix(matrix: Floats, y_from_rgb: Sequence[float], grey: Floats) -> Floats:
+def xyz_from_matrix(
+    matrix: Floats, y_from_rgb: Sequence[float], grey: Floats, cct_k: float | None = None
+) -> Floats:
     """Return the matrix from camera colours to X, Y, Z by the colour matrix of a raw file, [3, 3].
 
     matrix : XYZ to camera colours. grey [3] : a camera colour that gets the luminance by
-    y_from_rgb; Y is that of y_from_rgb.
+    y_from_rgb; Y is that of y_from_rgb. cct_k : of the daylight on a grey surface of that colour;
+    the camera's channels then get its gains, as DNG's CameraCalibration does. None: not grey.
+    Raises ValueError if a gain differs from the green one by over a half.
     """
     inverse = np.linalg.inv(matrix)
+    if cct_k is not None:
+        x, y = daylight_xy(cct_k)
+        gains = matrix @ np.array([x, y, 1.0 - x - y]) / grey
+        if max(gains / gains[1]) > 1.5 or min(gains / gains[1]) < 1 / 1.5:
+            raise ValueError(f"gains of {gains / gains[1]} on a surface that should be grey")
+        inverse = inverse * gains
     inverse *= float(np.dot(y_from_rgb, grey)) / float(inverse[1] @ grey)
     inverse[1] = y_from_rgb
     return inverse
@@ -324,17 +337,22 @@ def with_melanopic(
     """Return the profile's table with colours and a melanopic weight, and a line on their origin.
 
     colour : with the fitted y_from_rgb. scale : of that fit. cct_k : correlated colour temperature
-    of the daylight on a chart, None if unknown. X, Y, Z come from the chart, else from the colour
-    matrix in the frames. The weight follows from X, Y, Z, and from readings of a spectrometer if
-    there are any. Without any of these, the table has no melanopic weight.
+    of the daylight on a chart, or on the grey first reading, None if unknown. X, Y, Z come from the
+    chart, else from the colour matrix in the frames. The weight follows from X, Y, Z, and from
+    readings of a spectrometer if there are any. Without any of these, the table has none.
     """
     u_rel, to_xyz = U_MATRIX, rgb_to_xyz(RADIANCE_CHROMATICITIES)
-    if cct_k is not None:
+    if cct_k is not None and colours.of_chart:
         xyz, u_rel = xyz_from_chart(colours.rgb, colour.y_from_rgb, cct_k), U_CHART
         line = f"melanopic: chart under daylight of {cct_k:g} K"
     elif colours.matrix is not None:
-        xyz = xyz_from_matrix(colours.matrix, colour.y_from_rgb, colours.rgb.mean(axis=0))
-        line = "melanopic: the file's colour matrix"
+        grey, line = colours.rgb.mean(axis=0), "melanopic: the file's colour matrix"
+        if cct_k is not None:
+            grey, u_rel = colours.rgb[0], U_CHART
+            line += f", with a grey surface in daylight of {cct_k:g} K"
+        expected = "a grey or white surface in daylight as the first reading"
+        with input_errors(colours.places[0].path, expected, "correct it or --cct", ValueError):
+            xyz = xyz_from_matrix(colours.matrix, colour.y_from_rgb, grey, cct_k)
     elif colours.melanopic is not None and colour.rgb_to_radiance:
         xyz = to_xyz @ np.reshape(colour.rgb_to_radiance, (3, 3))
         xyz[1], line = colour.y_from_rgb, "melanopic: the profile's colours"

@@ -290,14 +290,12 @@ def colour(
 
     Options:
       --corners X,Y,...: Chart corners in FRAME, from the dark skin patch clockwise: 8 numbers.
-      --cct K: Correlated colour temperature of the daylight on the chart, for melanopic
-          light.
+      --cct K: Correlated colour temperature of the daylight on the chart, or on the grey surface of
+          the first row, for melanopic light.
     """
     from fieldlum.calibrate import colour as fits
 
     is_table, notes = sources.suffix.lower() == ".csv", []
-    if is_table and cct_k is not None:
-        raise click.UsageError("--cct needs a frame of a chart instead of a table")
     if is_table:
         colours = fits.from_table(sources, profile)
     else:

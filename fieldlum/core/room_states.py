@@ -34,6 +34,11 @@ def parse_state(text: str) -> tuple[str, ...]:
     return tuple(f"{word}={value}" for word, value in values if value != KNOWN[word][0])
 
 
+def is_lit(text: str) -> bool:
+    """Return whether a state has a lamp on."""
+    return any(part.startswith(ADDED) for part in parse_state(text))
+
+
 def cover_state(text: str) -> str:
     """Return the parts of a state that change the view of the sky, such as "blind=half"."""
     return ";".join(part for part in parse_state(text) if part.startswith(COVERS))

@@ -17,7 +17,9 @@ MELANOPIC_FROM_XYZ = np.array([-0.7898, 1.1566, 0.5489])
 # Relative standard uncertainty of the ratio under daylight (bench/melanopic.py): of XYZ by a chart
 # under daylight, and by the colour matrix in a raw file.
 U_CHART, U_MATRIX = 0.03, 0.06
-U_LAMP = 0.20  # the same under lamps, from their spectrum: 208 LED of IES TM-30-15 (the same bench)
+# Under lamps, from their spectra: the same, and the mean of true over estimated ratios, with 0 to
+# 100 % of light by one of 208 LED of IES TM-30-15, the rest daylight (the same bench, ten cameras).
+U_LAMP, LAMP_RATIO = 0.20, 0.96
 # Ratios of light that may be a lamp's: daylight behind clear glass is above the first, most lamps
 # are below the second (the same bench).
 _DAYLIGHT_RATIO, _LAMP_RATIO = 0.85, 0.70
@@ -70,15 +72,16 @@ def melanopic_edi(
 
     luminance_cdm2 : of the pixels, flat [n], without the sun. weights_sr [n, d] : solid angle times
     cosine. sun : separate from the pixels, with the illuminance sun_ev_lx [d] in each direction.
-    lamps : electric light is known to be on. Without calibrated colour the first result is the
-    illuminance, an estimate with the spectrum of D65, and the second is None. Errors of all pixels
-    count as equal in sign.
+    lamps : electric light is known to be on; the map's part is then `LAMP_RATIO` of that by colour,
+    because the spectra of most LED have a gap at 480 nm. Without calibrated colour the first result
+    is the illuminance, an estimate with the spectrum of D65, and the second is None. Errors of all
+    pixels count as equal in sign.
     """
     map_lx = luminance_cdm2 @ weights_sr
     colour = melanopic_ratio(panorama)
     if colour is None:
         return map_lx + sun_ev_lx, None
-    edi = (luminance_cdm2 * colour[0].ravel()) @ weights_sr
+    edi = (luminance_cdm2 * colour[0].ravel()) @ weights_sr * (LAMP_RATIO if lamps else 1.0)
     if panorama.u_cdm2 is None:
         u_map = np.full_like(map_lx, np.nan)
     else:

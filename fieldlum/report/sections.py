@@ -250,23 +250,15 @@ def budget_section(annual: Annual, *, folded: bool = True) -> Section:
     """
     tables, budget = [], read_budgets(annual.folder / BUDGET_FILE)
     for figure, unit in dict.fromkeys((row["figure"], row["unit"]) for row in budget):
-        views: dict[tuple[str, str], dict[str, float]] = {}
+        views: dict[tuple[str, str], dict[str, str]] = {}
         for row in budget:
-            if row["figure"] == figure and row["contribution"]:
+            if row["figure"] == figure and float(row["share_percent"] or 0) > 0.01:
                 view = views.setdefault((row["azimuth_deg"], row["estimate"]), {})
-                view[row["source"]] = float(row["contribution"])
-        shown = [
-            {
-                name: f"{u:.2g}"
-                for name, u in view.items()
-                if name == "combined" or u > 0.01 * view["combined"]
-            }
-            for view in views.values()
-        ]
-        names = list(dict.fromkeys(["combined", *(name for view in shown for name in view)]))
+                view[row["source"]] = f"{float(row['contribution']):.2g}"
+        names = dict.fromkeys(["combined", *(name for view in views.values() for name in view)])
         rows = [
             (named(float(azimuth)), f"{float(estimate):.3g}", *(view.get(n, "–") for n in names))
-            for (azimuth, estimate), view in zip(views, shown, strict=True)
+            for (azimuth, estimate), view in views.items()
         ]
         title = f"{figure}{'' if unit == '1' else f' [{unit}]'}"
         tables.append(Table(("facing", "estimate", *names), rows, title, folded=folded))

@@ -85,6 +85,7 @@ class _Scene(NamedTuple):
     luminance_cdm2: Floats
     sun: SunSource | None
     azimuths_deg: Floats
+    lamps: bool = False
 
     def figures(
         self, more_cdm2: Floats | float = 0.0, more_sun: float = 0.0, turn_deg: float = 0.0
@@ -103,9 +104,8 @@ class _Scene(NamedTuple):
         parts = glare_directions(light[None], grid, rays, lx)
         figures = {"DGP": parts["dgp"][0], "Ev": parts["ev_lx"][0]}
         if melanopic_ratio(panorama) is not None:
-            figures["melanopic EDI"] = melanopic_edi(
-                panorama, light.ravel(), grid.illuminance, sun, parts["sun_ev_lx"][0]
-            )[0]
+            of_map = panorama, light.ravel(), grid.illuminance, sun, parts["sun_ev_lx"][0]
+            figures["melanopic EDI"] = melanopic_edi(*of_map, lamps=self.lamps)[0]
         ahead = (azimuths - panorama.heading_deg) / 360.0 * width + width / 2
         column = np.floor(ahead).astype(int) % width
         return figures | {"luminance ahead": light[height // 2, column]}
@@ -116,7 +116,9 @@ class _Scene(NamedTuple):
         return {name: np.abs(up[name] - down[name]) / 2 for name in up}
 
 
-def budget_of_file(path: Path, azimuths_deg: Sequence[float]) -> list[Budget]:
+def budget_of_file(
+    path: Path, azimuths_deg: Sequence[float], *, lamps: bool = False
+) -> list[Budget]:
     """Return `picture_budget` of a panorama on disk, with the heading's u by its session.
 
     It is that of the sky view's pose, else the one of a compass. Raises InputError for an unusable
@@ -128,18 +130,23 @@ def budget_of_file(path: Path, azimuths_deg: Sequence[float]) -> list[Budget]:
         raise InputError(path, "a picture of one view", expected, remedy)
     sky = path.absolute().parent.parent / "sky_view.exr"
     u_heading_deg = SkyView.read(sky).pose.heading_sd_deg if sky.is_file() else STATED_SD[0]
-    return picture_budget(picture.panorama, path, azimuths_deg, u_heading_deg)
+    return picture_budget(picture.panorama, path, azimuths_deg, u_heading_deg, lamps=lamps)
 
 
 def picture_budget(
-    panorama: Panorama, path: Path, azimuths_deg: Sequence[float], u_heading_deg: float
+    panorama: Panorama,
+    path: Path,
+    azimuths_deg: Sequence[float],
+    u_heading_deg: float,
+    *,
+    lamps: bool = False,
 ) -> list[Budget]:
     """Return the budgets of DGP, Ev, melanopic EDI and the pixel ahead, in each view direction.
 
     panorama: with its sun; path: names it in errors. u_heading_deg: standard uncertainty of its
-    heading. A picture without `u_percent` (of an earlier version or another program) has one source
-    for the complete uncertainty of its pixels, which then counts as shared by all of them. Raises
-    InputError for pixels that are not finite, or without uncertainty.
+    heading; lamps: electric light is on. A picture without `u_percent` (of an earlier version or
+    another program) has one source for the complete uncertainty of its pixels, which then counts as
+    shared by all of them. Raises InputError for pixels that are not finite, or without uncertainty.
     """
     azimuths = np.asarray(azimuths_deg, float)
     light, _ = valid_pixels(panorama, path)
@@ -147,7 +154,7 @@ def picture_budget(
         found, expected = "no uncertainty of its pixels", "a panorama by merge"
         raise InputError(path, found, expected, "omit --budget")
     light, sun = take_out_sun(light, panorama.heading_deg, panorama.sun)
-    scene = _Scene(panorama, light, sun, azimuths)
+    scene = _Scene(panorama, light, sun, azimuths, lamps)
     rows = [*_of_pixels(scene), *_of_sun_and_views(scene, u_heading_deg)]
     return _budgets(scene.figures(), azimuths, rows)
 
@@ -279,7 +286,8 @@ def read_budgets(path: Path) -> list[dict[str, str]]:
     rows = [row for _, row in read_table(path, expected, remedy, needed=COLUMNS).dicts()]
     change_of(path)
     with input_errors(path, expected, remedy, ValueError):
-        [float(row["azimuth_deg"]) + float(row["contribution"] or "nan") for row in rows]
+        names = "azimuth_deg", "contribution", "share_percent"
+        [float(row[name] or "nan") for row in rows for name in names]
     return rows
 
 
@@ -333,7 +341,8 @@ def _of_sun_and_views(
     if colour is not None:
         at, of_sun = scene.figures(), scene.half_range(more_sun=1.0)  # half of 2 E less half of 0
         edi, ev_lx = (at[name] - of_sun[name] for name in ("melanopic EDI", "Ev"))
-        change = {"melanopic EDI": edi * ratio_u_rel(edi / np.maximum(ev_lx, 1e-9), colour[1])}
-        yield of_share("melanopic ratio by colour", "B", colour[1], "all"), change
+        u_rel = ratio_u_rel(edi / np.maximum(ev_lx, 1e-9), colour[1], lamps=scene.lamps)
+        source = of_share("melanopic ratio by colour", "B", float(u_rel.mean()), "all")
+        yield source, {"melanopic EDI": edi * u_rel}
         change = {"melanopic EDI": of_sun["melanopic EDI"] * U_SUN_RATIO}
         yield of_share("colour of the sun's disc", "B", U_SUN_RATIO, "disc"), change

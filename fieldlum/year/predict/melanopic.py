@@ -19,8 +19,15 @@ import numpy as np
 
 from fieldlum.core.arrays import Array, Floats, Mask
 from fieldlum.core.errors import NotEnoughDataError
+from fieldlum.core.room_states import is_lit
 from fieldlum.optics.images import read_panorama
-from fieldlum.optics.melanopic import U_SUN, U_SUN_RATIO, melanopic_ratio, sun_melanopic_ratio
+from fieldlum.optics.melanopic import (
+    U_LAMP,
+    U_SUN,
+    U_SUN_RATIO,
+    melanopic_ratio,
+    sun_melanopic_ratio,
+)
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.sky.daylight import MIN_LX, Light, light_at
 from fieldlum.sky.daylight_kernel import Facades, Features, Kernel, facades_of, light_features
@@ -94,9 +101,12 @@ class MelanopicYear:
         views : figures of the hours, with `ev_lx` and `sun_ev_lx`; u_map_rel [n, d] : relative
         standard uncertainty of the map's part of `ev_lx`; drawn_ev_lx [m, n, d] : Ev in draws of
         the sun's disc; unseen_lx [n, d] : the most that the unseen part of the view adds to Ev.
-        The further keys are what `edi_budget` needs.
+        The further keys are what `edi_budget` needs. Hours with a lamp on have `U_LAMP` too, as
+        part of the model's.
         """
-        ratio = self.ratio(light)
+        ratio, states = self.ratio(light), light.states or ("",) * len(light)
+        u_lamp_rel = U_LAMP * np.array([[is_lit(text)] for text in states])
+        u_map_rel = np.hypot(u_map_rel, u_lamp_rel)
         of_map = (views["ev_lx"] - views["sun_ev_lx"]) * ratio
         sun_ratio = sun_melanopic_ratio(light.apparent_altitude_deg)[:, None]
         of_sun = views["sun_ev_lx"] * sun_ratio
@@ -217,6 +227,8 @@ def year_of_captures(
     light = light_at([row.t_utc for row in rows], room.setup.site, dni, dhi)
     days, facades = [row.t_utc.toordinal() for row in rows], facades_of(room.setup.room)
     u_parts_rel = {**u_camera_rel, "melanopic weight": u_rel}
+    if lit := np.mean([is_lit(row.state) for row in rows]):
+        u_parts_rel["spectrum of lamps"] = float(U_LAMP * lit)
     return fit_year(light, np.array(photopic), np.array(melanopic), days, u_parts_rel, facades)
 
 
