@@ -114,6 +114,36 @@ def test_a_wrong_wall_is_named(measured: tuple[Session, Path, Path], tmp_path: P
 
 
 @pytest.mark.slow
+@pytest.mark.authority
+@pytest.mark.parametrize(("option", "figures"), [("-d", 2), ("-D", 2), ("", 1)])
+def test_lines_of_evalglare_are_compared_with_the_captures(
+    measured: tuple[Session, Path, Path], tmp_path: Path, option: str, figures: int
+) -> None:
+    session, _, wrong = measured
+    slot = slot_id(TIMES[3])
+    run = [pyradiance_tool("evalglare"), *filter(None, [option]), str(wrong / f"{slot}.hdr")]
+    table = tmp_path / "evalglare.txt"
+    line = subprocess.run(run, capture_output=True, text=True, check=True).stdout
+    table.write_text(f"20200101T000000Z.hdr\n{line}{slot}-170.hdr\n{line}")
+    result = compare(session, table, tmp_path)
+    assert [row["figure"] for row in result.directions] == ["dgp", "ev_lx"][:figures]
+    (own,) = picture_glare(session.panoramas / f"{slot}.exr", [170.0])["views"]
+    dgp = result.directions[0]
+    assert dgp["azimuth_deg"] == 170.0 and dgp["hours"] == 1
+    assert dgp["measured"] == pytest.approx(own["dgp"]) and 0.2 < dgp["model"] <= own["dgp"]
+    assert "March" in result.text[0]
+    table.write_text(f"{slot}.hdr\n{line}")
+    with pytest.raises(InputError, match="one --view-azimuth"):
+        compare(session, table, tmp_path)
+    table.write_text(f"{slot}.hdr\n{line.rstrip()} 1.0\n")
+    with pytest.raises(InputError, match="a number for each name"):
+        compare(session, table, tmp_path, [170.0])
+    table.write_text(line)
+    with pytest.raises(InputError, match="no result below the name of a capture"):
+        compare(session, table, tmp_path, [170.0])
+
+
+@pytest.mark.slow
 @pytest.mark.contract
 def test_export_writes_what_other_programs_read(
     measured: tuple[Session, Path, Path], tmp_path: Path

@@ -2,14 +2,15 @@
 
 A model is a folder of pictures named by the slots of the session, an hourly table of DGP or
 vertical illuminance (a csv or tab-separated text with hours of the year, as raytraverse's tables),
-a file of DAYSIM, or a results folder of honeybee-radiance (`_read_matrix`). Pictures are compared
-with the captures of the same slots, hours with the session's predicted year, which should have the
-model's weather file.
+a file of DAYSIM, a results folder of honeybee-radiance (`_read_matrix`), or lines of evalglare
+below the names of pictures. Pictures and evalglare's lines are compared with the captures of the
+same slots, hours with the session's predicted year, which should have the model's weather file.
 """
 
 from __future__ import annotations
 
 import calendar
+import re
 from collections.abc import Sequence
 from contextlib import suppress
 from itertools import pairwise
@@ -24,8 +25,15 @@ from fieldlum.core.errors import InputError, NotEnoughDataError, input_errors
 from fieldlum.core.files import open_to_read
 from fieldlum.core.plot_style import new_figure, styled
 from fieldlum.core.progress import progress
-from fieldlum.core.records import JsonTable, Panorama, Room
-from fieldlum.core.strict_csv import CsvTable, check_names, read_number, read_table, read_time
+from fieldlum.core.records import JsonTable, Panorama, Room, parse_utc
+from fieldlum.core.strict_csv import (
+    CsvTable,
+    check_names,
+    read_number,
+    read_table,
+    read_text,
+    read_time,
+)
 from fieldlum.optics.projection import (
     altitude_azimuth_deg,
     direction,
@@ -40,7 +48,7 @@ from fieldlum.session import Session, replacing
 from fieldlum.session.codec import write_csv
 from fieldlum.session.panorama_sun import read_panorama_with_sun
 from fieldlum.sky.sun import hour_of_year
-from fieldlum.year.glare.picture_glare import seen_pixels, valid_pixels
+from fieldlum.year.glare.picture_glare import picture_glare, seen_pixels, valid_pixels
 from fieldlum.year.glare.pictures import picture_directions, read_picture
 from fieldlum.year.glare.standards import DISTURBING_DGP
 from fieldlum.year.predict import Annual
@@ -63,9 +71,15 @@ _FIGURES = {  # columns of other programs, in lower case, for the figures of hou
     "daylight glare probability": "dgp",
     "ev_lx": "ev_lx",
     "ev": "ev_lx",
+    "e_v": "ev_lx",  # evalglare -d
+    "ev_calc": "ev_lx",  # evalglare -D
     "illum": "ev_lx",
     "vertical illuminance": "ev_lx",
 }
+# The name of a picture by its slot, maybe with a view; and the result of evalglare for the last.
+_EVALGLARE = re.compile(
+    r"(?P<slot>\d{8}T\d{6}Z)(?:[-@](?P<view>\d+(?:\.\d+)?))?|(?P<names>dgp,[\w,]+):(?P<values>.*)"
+)
 
 
 class Comparison(NamedTuple):
@@ -99,11 +113,17 @@ def compare(
     """
     if model.is_dir() and _sun_up_hours(model) is None:
         return _compare_pictures(session, model, out)
+    zone = session.site_file().site.timezone
+    if model.is_file() and model.suffix.lower() not in (".dgp", ".ill", ".npy"):
+        results = list(_EVALGLARE.finditer(read_text(model, "a model's table")))
+        if any(result["names"] for result in results):
+            shared = _of_evalglare(session, results, azimuths_deg, zone, model)
+            return _of_hours(shared, [], out)
     hours = read_model_hours(model, azimuths_deg)
     if annual is None:
         remedy = "run fieldlum predict with the weather file of the model"
         raise NotEnoughDataError(f"{session.root}: no predicted year; {remedy}")
-    return _compare_hours(annual, hours, session.site_file().site.timezone, model, out)
+    return _compare_hours(annual, hours, zone, model, out)
 
 
 def _write(out: Path, rows: Sequence[JsonTable], picture: bytes) -> tuple[Path, Path]:
@@ -269,7 +289,8 @@ def _where(surfaces: Sequence[JsonTable]) -> list[str]:
         text.append(
             f"{name}: the model is {_off(ratio)}, other surfaces {_off(usual)}: its reflectance in "
             f"the model is probably too {'high' if ratio > usual else 'low'} (about "
-            f"{ratio / usual:.2f} times the true one), or it is another material there."
+            f"{ratio / usual:.2f} times the true one), or it is another material there. Of the "
+            "window's wall first render again with more bounces and a finer cache (-ab, -aa, -ar)."
         )
     elif abs(np.log(usual)) > np.log1p(_ALIKE_REL):
         text.append(
@@ -503,10 +524,52 @@ def _compare_hours(
             shared.append(_Shared(azimuth, figure, hours[both][ok], measured[ok], modelled[ok]))
     if not shared:
         raise InputError(path, "no value in daylight hours", "numbers in dgp or ev", "export them")
-    text = [*(part.text() for part in shared), *note]
     if weather := annual.summary.inputs.get("weather"):
-        text.append(f"The year has the weather of {weather}: the model needs the same.")
+        note.append(f"The year has the weather of {weather}: the model needs the same.")
+    return _of_hours(shared, note, out)
+
+
+def _of_evalglare(
+    session: Session,
+    results: Sequence[re.Match[str]],
+    azimuths_deg: Sequence[float],
+    zone: str,
+    path: Path,
+) -> list[_Shared]:
+    """Return DGP and Ev of captures beside evalglare's; results: matches of `_EVALGLARE`."""
+    files = {file.stem: file for file in session.panorama_files()}
+    rows: dict[tuple[float, str], list[tuple[float, ...]]] = {}
+    slot, view = "", ""
+    for result in results:
+        slot, view = result["slot"] or slot, (result["view"] or "") if result["slot"] else view
+        if not result["names"] or slot not in files:
+            continue
+        azimuth = _azimuth(view, azimuths_deg, path)
+        (own,) = picture_glare(files[slot], [azimuth])["views"]
+        hour = hour_of_year(parse_utc(slot), zone)
+        with input_errors(path, "a number for each name", "run evalglare again", ValueError):
+            for name, text in zip(
+                result["names"].split(","), result["values"].split(), strict=True
+            ):
+                if figure := _FIGURES.get(name.lower()):
+                    row = (hour, own[figure], float(text))
+                    rows.setdefault((azimuth, figure), []).append(row)
+    if not rows:
+        found = f"no result below the name of a capture of {session.root}"
+        expected = "20270320T193000Z-180.hdr, then evalglare's line"
+        raise InputError(
+            path, found, expected, "write: for f in *.hdr; do echo $f; evalglare -d $f"
+        )
+    return [
+        _Shared(azimuth, figure, hours.astype(int), measured, _values(path, figure, modelled))
+        for (azimuth, figure), values in rows.items()
+        for hours, measured, modelled in [np.array(values, float).T]
+    ]
+
+
+def _of_hours(shared: Sequence[_Shared], note: Sequence[str], out: Path) -> Comparison:
     files = _write(out, [row for part in shared for row in part.rows()], _hours_png(shared))
+    text = [*(part.text() for part in shared), *note]
     return Comparison([], [part.direction() for part in shared], text, files)
 
 
