@@ -1,6 +1,7 @@
 """`compare`: a simulation beside what was measured; a wrong wall is named, hours are matched."""
 
 import json
+import subprocess
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -23,7 +24,12 @@ from fieldlum.core.records import (
     Window,
     slot_id,
 )
-from fieldlum.optics.images import read_panorama, write_panorama, write_radiance_hdr
+from fieldlum.optics.images import (
+    radiance_program,
+    read_panorama,
+    write_panorama,
+    write_radiance_hdr,
+)
 from fieldlum.report.compare import (
     _where,
     compare,
@@ -121,7 +127,7 @@ def test_lines_of_evalglare_are_compared_with_the_captures(
 ) -> None:
     session, _, wrong = measured
     slot = slot_id(TIMES[3])
-    run = [pyradiance_tool("evalglare"), *filter(None, [option]), str(wrong / f"{slot}.hdr")]
+    run = [radiance_program("evalglare"), *filter(None, [option]), str(wrong / f"{slot}.hdr")]
     table = tmp_path / "evalglare.txt"
     line = subprocess.run(run, capture_output=True, text=True, check=True).stdout
     table.write_text(f"20200101T000000Z.hdr\n{line}{slot}-170.hdr\n{line}")

@@ -289,8 +289,8 @@ def _where(surfaces: Sequence[JsonTable]) -> list[str]:
         text.append(
             f"{name}: the model is {_off(ratio)}, other surfaces {_off(usual)}: its reflectance in "
             f"the model is probably too {'high' if ratio > usual else 'low'} (about "
-            f"{ratio / usual:.2f} times the true one), or it is another material there. Of the "
-            "window's wall first render again with more bounces and a finer cache (-ab, -aa, -ar)."
+            f"{ratio / usual:.2f} times the true one), or it is another material there. If the "
+            "window is in it, render first with more bounces and a finer cache (-ab, -aa, -ar)."
         )
     elif abs(np.log(usual)) > np.log1p(_ALIKE_REL):
         text.append(
@@ -548,18 +548,15 @@ def _of_evalglare(
         (own,) = picture_glare(files[slot], [azimuth])["views"]
         hour = hour_of_year(parse_utc(slot), zone)
         with input_errors(path, "a number for each name", "run evalglare again", ValueError):
-            for name, text in zip(
-                result["names"].split(","), result["values"].split(), strict=True
-            ):
-                if figure := _FIGURES.get(name.lower()):
-                    row = (hour, own[figure], float(text))
-                    rows.setdefault((azimuth, figure), []).append(row)
+            numbers = map(float, result["values"].split())
+            values = dict(zip(result["names"].lower().split(","), numbers, strict=True))
+        for name in filter(_FIGURES.get, values):
+            row = (hour, own[_FIGURES[name]], values[name])
+            rows.setdefault((azimuth, _FIGURES[name]), []).append(row)
     if not rows:
         found = f"no result below the name of a capture of {session.root}"
-        expected = "20270320T193000Z-180.hdr, then evalglare's line"
-        raise InputError(
-            path, found, expected, "write: for f in *.hdr; do echo $f; evalglare -d $f"
-        )
+        remedy = "for f in *.hdr; do echo $f; evalglare -d $f; done"
+        raise InputError(path, found, "20270320T193000Z-180.hdr, then its result", remedy)
     return [
         _Shared(azimuth, figure, hours.astype(int), measured, _values(path, figure, modelled))
         for (azimuth, figure), values in rows.items()
