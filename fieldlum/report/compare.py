@@ -20,20 +20,13 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.ndimage import binary_dilation
 
+from fieldlum.core import strict_csv
 from fieldlum.core.arrays import Array, Floats, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError, input_errors
 from fieldlum.core.files import open_to_read
 from fieldlum.core.plot_style import new_figure, styled
 from fieldlum.core.progress import progress
 from fieldlum.core.records import JsonTable, Panorama, Room, parse_utc
-from fieldlum.core.strict_csv import (
-    CsvTable,
-    check_names,
-    read_number,
-    read_table,
-    read_text,
-    read_time,
-)
 from fieldlum.optics.projection import (
     altitude_azimuth_deg,
     direction,
@@ -113,17 +106,13 @@ def compare(
     """
     if model.is_dir() and _sun_up_hours(model) is None:
         return _compare_pictures(session, model, out)
-    zone = session.site_file().site.timezone
-    if model.is_file() and model.suffix.lower() not in (".dgp", ".ill", ".npy"):
-        results = list(_EVALGLARE.finditer(read_text(model, "a model's table")))
-        if any(result["names"] for result in results):
-            shared = _of_evalglare(session, results, azimuths_deg, zone, model)
-            return _of_hours(shared, [], out)
+    if model.is_file() and (shared := _of_evalglare(session, model, azimuths_deg)):
+        return _of_hours(shared, [], out)
     hours = read_model_hours(model, azimuths_deg)
     if annual is None:
         remedy = "run fieldlum predict with the weather file of the model"
         raise NotEnoughDataError(f"{session.root}: no predicted year; {remedy}")
-    return _compare_hours(annual, hours, zone, model, out)
+    return _compare_hours(annual, hours, session.site_file().site.timezone, model, out)
 
 
 def _write(out: Path, rows: Sequence[JsonTable], picture: bytes) -> tuple[Path, Path]:
@@ -323,9 +312,9 @@ def read_model_hours(path: Path, azimuths_deg: Sequence[float]) -> pd.DataFrame:
 
     if path.is_dir() or path.suffix.lower() in (".dgp", ".ill"):
         return _read_matrix(path, azimuths_deg)
-    table = read_table(path, "an hourly table", "export one row an hour", marks="\t,")
+    table = strict_csv.read_table(path, "an hourly table", "export one row an hour", marks="\t,")
     names = [name.lower() for name in table.names]
-    check_names(path, names)
+    strict_csv.check_names(path, names)
     columns = {name: k for k, name in enumerate(names)}
     figures: dict[tuple[str, float], Floats] = {}
     for name, k in columns.items():
@@ -370,14 +359,14 @@ def _values(path: Path, figure: str, values: Floats) -> Floats:
     return np.minimum(values, 1.0) if figure == "dgp" else values
 
 
-def _numbers(table: CsvTable, column: int) -> Floats:
+def _numbers(table: strict_csv.CsvTable, column: int) -> Floats:
     remedy = "write numbers, or nothing"
     with input_errors(table.path, f"numbers in {table.names[column]}", remedy, ValueError):
         cells = (cells[column] for _, cells in table.rows)
-        return np.array([read_number(cell, has_codes=False) for cell in cells])
+        return np.array([strict_csv.read_number(cell, has_codes=False) for cell in cells])
 
 
-def _times_of(table: CsvTable, columns: dict[str, int]) -> Floats:
+def _times_of(table: strict_csv.CsvTable, columns: dict[str, int]) -> Floats:
     """Return the hour of the year that each row states, [n]: 0 to 8760, maybe with a fraction."""
     if {"month", "day", "hour"} <= columns.keys():
         parts = np.stack([_numbers(table, columns[k]) for k in ("month", "day", "hour")])
@@ -386,7 +375,7 @@ def _times_of(table: CsvTable, columns: dict[str, int]) -> Floats:
     if name is None and len(table.rows) == len(_DAYS) * 730:
         for cell in table.rows[0][1]:
             with suppress(ValueError):
-                if (t := read_time(cell)) and (t.month, t.day) != (1, 1):
+                if (t := strict_csv.read_time(cell)) and (t.month, t.day) != (1, 1):
                     found, expected = f"rows from {cell}", "a row for each hour from 1 January"
                     raise InputError(table.path, found, expected, "export month, day and hour")
         return np.arange(len(table.rows)) + 0.5
@@ -529,17 +518,12 @@ def _compare_hours(
     return _of_hours(shared, note, out)
 
 
-def _of_evalglare(
-    session: Session,
-    results: Sequence[re.Match[str]],
-    azimuths_deg: Sequence[float],
-    zone: str,
-    path: Path,
-) -> list[_Shared]:
-    """Return DGP and Ev of captures beside evalglare's; results: matches of `_EVALGLARE`."""
+def _of_evalglare(session: Session, path: Path, azimuths_deg: Sequence[float]) -> list[_Shared]:
+    """Return DGP and Ev of captures beside evalglare's; empty for a file without its results."""
+    results = list(_EVALGLARE.finditer(strict_csv.read_text(path, "a model's table")))
     files = {file.stem: file for file in session.panorama_files()}
     rows: dict[tuple[float, str], list[tuple[float, ...]]] = {}
-    slot, view = "", ""
+    slot, view, zone = "", "", session.site_file().site.timezone
     for result in results:
         slot, view = result["slot"] or slot, (result["view"] or "") if result["slot"] else view
         if not result["names"] or slot not in files:
@@ -553,7 +537,7 @@ def _of_evalglare(
         for name in filter(_FIGURES.get, values):
             row = (hour, own[_FIGURES[name]], values[name])
             rows.setdefault((azimuth, _FIGURES[name]), []).append(row)
-    if not rows:
+    if not rows and any(result["names"] for result in results):
         found = f"no result below the name of a capture of {session.root}"
         remedy = "for f in *.hdr; do echo $f; evalglare -d $f; done"
         raise InputError(path, found, "20270320T193000Z-180.hdr, then its result", remedy)

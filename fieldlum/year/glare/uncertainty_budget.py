@@ -116,9 +116,7 @@ class _Scene(NamedTuple):
         return {name: np.abs(up[name] - down[name]) / 2 for name in up}
 
 
-def budget_of_file(
-    path: Path, azimuths_deg: Sequence[float], *, lamps: bool = False
-) -> list[Budget]:
+def budget_of_file(path: Path, azimuths_deg: Sequence[float], *, lamps: bool) -> list[Budget]:
     """Return `picture_budget` of a panorama on disk, with the heading's u by its session.
 
     It is that of the sky view's pose, else the one of a compass. Raises InputError for an unusable
