@@ -519,7 +519,7 @@ def _compare_hours(
 
 
 def _of_evalglare(session: Session, path: Path, azimuths_deg: Sequence[float]) -> list[_Shared]:
-    """Return DGP and Ev of captures beside evalglare's; empty for a file without its results."""
+    """Return DGP and Ev of captures with evalglare's; empty for a file without its results."""
     results = list(_EVALGLARE.finditer(strict_csv.read_text(path, "a model's table")))
     files = {file.stem: file for file in session.panorama_files()}
     rows: dict[tuple[float, str], list[tuple[float, ...]]] = {}
