@@ -61,7 +61,7 @@ def read_hours(folder: Path) -> Hours:
 def chosen_hours(hours: Hours, count: int = 200, seed: int = 0) -> dict[str, NDArray[np.intp]]:
     """Rows of the 9-day set (three days around the March equinox and each solstice) and of an even
     set (k-means over sun and sky) of daylight hours."""
-    from fieldlum.plan.choose import medoids
+    from fieldlum.plan.capture_days import medoids
 
     day = np.array([t.strftime("%m%d") for t in hours.light.t_utc])
     nine = np.isin(

@@ -71,7 +71,7 @@ def capture(session: Session, seed: int) -> None:
     """
     from fieldlum import capture as stage
     from fieldlum.capture.bracket import FrameChecks
-    from fieldlum.capture.frame_checks import doubts
+    from fieldlum.capture.frame_checks import compare_exif
     from fieldlum.capture.runner import Live
 
     def watch(live: Live) -> None:
@@ -79,9 +79,8 @@ def capture(session: Session, seed: int) -> None:
 
     clock, options = stage.prepare(session, fast=True)
     place = f"sim:office?seed={seed}"
-    stage.run(
-        session, place, place, clock=clock, options=options, watch=watch, checks=FrameChecks(doubts)
-    )
+    how = {"clock": clock, "options": options, "watch": watch}
+    stage.run(session, place, place, **how, checks=FrameChecks(compare_exif))
 
 
 def merged_against_truth(session: Session) -> tuple[float, float, int]:

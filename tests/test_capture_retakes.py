@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 from tiny_field import FAST, LADDER, Field, make_session
 
-from fieldlum.capture.alerts import Alerts
 from fieldlum.capture.bracket import FrameChecks
-from fieldlum.capture.frame_checks import doubts
-from fieldlum.capture.notify import Message
+from fieldlum.capture.frame_checks import compare_exif
+from fieldlum.capture.notify import Alerts, Message
 from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import Exposure, Panorama
 from fieldlum.devices import Camera
@@ -58,7 +57,7 @@ class SlippingCamera(Camera):
 def test_a_frame_unlike_what_was_asked_is_taken_again_once(rig: Field) -> None:
     camera = SlippingCamera(rig.clock, {2})
     rig.session = make_session(rig.session.root.parent / "one", slots=1)
-    events = rig.run(open_cam=lambda: camera, checks=FrameChecks(doubts))
+    events = rig.run(open_cam=lambda: camera, checks=FrameChecks(compare_exif))
     assert rig.outcomes() == ["done"] and camera.count == 4 and events.count("frame") == 3
     journal = read_journal(rig.session)
     told = next(e for e in journal if e["event"] == "retake")
@@ -74,7 +73,7 @@ def test_a_frame_unlike_what_was_asked_is_taken_again_once(rig: Field) -> None:
     assert not any("doubt" in f for f in frames) and all(
         sha256(folder / f["file"]) == f["sha256"] for f in frames
     )
-    assert doubts(folder / "01_0.5s.dng", LADDER[1]) == "shutter 1 instead of 0.5", (
+    assert compare_exif(folder / "01_0.5s.dng", LADDER[1])[0] == "shutter 1 instead of 0.5", (
         "the first file is kept"
     )
     assert sorted(f.instead_of for f in fold(journal).slots[folder.name].frames) == [
@@ -89,7 +88,7 @@ def test_a_frame_unlike_what_was_asked_is_taken_again_once(rig: Field) -> None:
 def test_a_camera_set_wrongly_is_not_asked_twice_for_every_frame(rig: Field) -> None:
     camera = SlippingCamera(rig.clock, set(range(100)))
     rig.session = make_session(rig.session.root.parent / "one", slots=1)
-    rig.run(open_cam=lambda: camera, checks=FrameChecks(doubts))
+    rig.run(open_cam=lambda: camera, checks=FrameChecks(compare_exif))
     assert camera.count == 4, "one retake, in vain: the rest of the bracket is not taken twice"
     why = next(e for e in read_journal(rig.session) if e["event"] == "done")["why"]
     assert why.count("instead of") == 3 and "taken again" not in why
@@ -156,7 +155,7 @@ def test_no_retake_after_the_window(rig: Field) -> None:
     camera = SlippingCamera(rig.clock, {2})
     rig.session = make_session(rig.session.root.parent / "one", slots=1)
     events = rig.run(
-        replace(FAST, grace_s=4.0), open_cam=lambda: camera, checks=FrameChecks(doubts)
+        replace(FAST, grace_s=4.0), open_cam=lambda: camera, checks=FrameChecks(compare_exif)
     )
     assert "retake" not in events and rig.outcomes() == ["done"] and camera.count == 3
 
@@ -175,7 +174,7 @@ def test_a_camera_that_fails_at_the_retake_costs_nothing(rig: Field) -> None:
 
     camera.expose = expose
     rig.session = make_session(rig.session.root.parent / "one", slots=1)
-    events = rig.run(open_cam=lambda: camera, checks=FrameChecks(doubts))
+    events = rig.run(open_cam=lambda: camera, checks=FrameChecks(compare_exif))
     assert "retake" not in events and "device-lost" in events and rig.outcomes() == ["done"]
 
 
@@ -189,7 +188,7 @@ def test_a_bracket_that_clips_all_over_is_told_at_once(rig: Field) -> None:
 
     rig.run(
         checks=FrameChecks(
-            lambda path, exposure: "ISO 200 instead of 100" if exposure.shutter_s == 1 else "",
+            lambda path, asked: ("ISO 200 instead of 100" if asked.shutter_s == 1 else "", asked),
             darkest=clipped,
         ),
     )
@@ -202,7 +201,7 @@ def test_a_bracket_that_clips_all_over_is_told_at_once(rig: Field) -> None:
 def test_frames_are_checked_against_what_was_asked(tmp_path: Path) -> None:
     import numpy as np
 
-    from fieldlum.capture.frame_checks import bracket_doubts, doubts
+    from fieldlum.capture.frame_checks import clipping_text, compare_exif
     from fieldlum.optics.raw import unreadable
     from fieldlum.optics.raw.writing import write_dng, write_jpeg
 
@@ -210,16 +209,16 @@ def test_frames_are_checked_against_what_was_asked(tmp_path: Path) -> None:
     grey, white = np.full((16, 16, 3), 90, np.uint8), np.full((16, 16, 3), 255, np.uint8)
     write_jpeg(tmp_path / "a.jpg", grey, asked)
     write_jpeg(tmp_path / "b.jpg", white, Exposure(1 / 200, 5.6))
-    assert doubts(tmp_path / "a.jpg", asked) == "" == bracket_doubts(tmp_path / "a.jpg")
-    assert "shutter 0.005 instead of 0.004" in doubts(tmp_path / "b.jpg", asked)
-    assert bracket_doubts(tmp_path / "b.jpg").startswith("100 % of the shortest exposure")
+    assert compare_exif(tmp_path / "a.jpg", asked)[0] == "" == clipping_text(tmp_path / "a.jpg")
+    assert "shutter 0.005 instead of 0.004" in compare_exif(tmp_path / "b.jpg", asked)[0]
+    assert clipping_text(tmp_path / "b.jpg").startswith("100 % of the shortest exposure")
     counts = np.full((48, 48), 16383, np.uint16)
     write_dng(tmp_path / "c.dng", counts, asked, black_dn=(64.0,) * 4, white_dn=16383.0)
-    assert doubts(tmp_path / "c.dng", asked) == "" and "clipped" in bracket_doubts(
+    assert compare_exif(tmp_path / "c.dng", asked)[0] == "" and "clipped" in clipping_text(
         tmp_path / "c.dng"
     )
     (tmp_path / "d.dng").write_bytes((tmp_path / "c.dng").read_bytes()[:300])
-    assert doubts(tmp_path / "d.dng", asked) or bracket_doubts(tmp_path / "d.dng")
+    assert compare_exif(tmp_path / "d.dng", asked)[0] or clipping_text(tmp_path / "d.dng")
     for name in ("a.jpg", "c.dng"):
         whole = (tmp_path / name).read_bytes()
         (tmp_path / f"half_{name}").write_bytes(whole[: len(whole) - len(whole) // 4])

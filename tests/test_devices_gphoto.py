@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from fieldlum.capture.frame_checks import doubts
+from fieldlum.capture.frame_checks import compare_exif
 from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import Exposure
 from fieldlum.devices import not_offered, open_camera
@@ -120,7 +120,7 @@ def test_what_the_camera_made_is_kept(picture: Callable[[Exposure], None], tmp_p
     picture(made)
     path = camera.expose(asked, tmp_path / "f")
     assert path.read_bytes() == photo(made), "its card is cleared: this is the only copy"
-    assert doubts(path, asked) == "shutter 0.02 instead of 0.01"
+    assert compare_exif(path, asked)[0] == "shutter 0.02 instead of 0.01"
     camera.close()
 
 

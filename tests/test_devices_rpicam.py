@@ -12,7 +12,7 @@ import pytest
 from tiny_field import FAST, T0, Field, make_session
 
 from fieldlum.capture.bracket import FrameChecks
-from fieldlum.capture.frame_checks import doubts
+from fieldlum.capture.frame_checks import compare_exif
 from fieldlum.core.errors import DeviceError, InputError
 from fieldlum.core.records import CameraSetup, Exposure
 from fieldlum.devices import open_camera
@@ -134,7 +134,7 @@ def test_the_exposure_is_the_one_of_the_metadata(
     assert taken is not None
     assert taken.shutter_s == pytest.approx(taken_us * 1e-6, abs=1e-6)
     assert (taken.f_number, taken.iso) == (2.0, 100.0)
-    assert doubts(written, taken) == ""
+    assert compare_exif(written, taken)[0] == ""
     call = (pi.parent / "calls").read_text().splitlines()[-1]
     for part in (f"--shutter {asked_us}", "--gain 1 ", "--awbgains 1,1", "--raw", "--immediate"):
         assert part in call
@@ -209,7 +209,7 @@ def test_other_faults_are_named(pi: Path, tmp_path: Path) -> None:
     (pi.parent / "mode").write_text("exif")  # the file contradicts the metadata
     written = camera.expose(Exposure(0.01, 2.0), tmp_path / ".frame")
     taken = camera.exposure_taken(written)
-    assert taken is not None and "shutter" in doubts(written, taken)
+    assert taken is not None and "shutter" in compare_exif(written, taken)[0]
     (pi.parent / "mode").write_text("none")
     for uri, text in (
         (f"rpicam:?f_number=2&program={pi}", "check the ribbon cable"),
@@ -232,7 +232,7 @@ def test_capture_writes_the_true_exposures(pi: Path, tmp_path: Path) -> None:
     field.run(
         options,
         open_cam=lambda: open_camera(uri, clock=field.clock, session=session),
-        checks=FrameChecks(doubts),
+        checks=FrameChecks(compare_exif),
     )
     frames = CaptureFile.read(session.capture_file(session.slots()[0].id)).frames
     times_us = [round(frame.exposure.shutter_s * 1e6) for frame in frames]

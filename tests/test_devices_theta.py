@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fieldlum.capture.frame_checks import doubts
+from fieldlum.capture.frame_checks import compare_exif
 from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import Exposure
 from fieldlum.devices import open_camera
@@ -184,7 +184,7 @@ def test_what_the_camera_made_is_kept(theta: dict[str, Any], tmp_path: Path) -> 
     asked = Exposure(0.004, 5.6)
     path = opened(theta, "?delete=1").expose(asked, tmp_path / "f")
     assert path.read_bytes() == theta["files"]["/files/R0001.DNG"] and len(theta["deleted"]) == 2
-    assert doubts(path, asked) == "shutter 0.008 instead of 0.004"
+    assert compare_exif(path, asked)[0] == "shutter 0.008 instead of 0.004"
 
 
 def test_its_errors_become_ours(theta: dict[str, Any], tmp_path: Path) -> None:

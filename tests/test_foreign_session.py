@@ -27,8 +27,7 @@ from places import SEATTLE
 from tiny_field import T0, Field, make_session
 
 from fieldlum.calibrate.fit_charts import grey_picture
-from fieldlum.capture.alerts import _latest_contact_sheet, open_alerts
-from fieldlum.capture.notify import Message
+from fieldlum.capture.notify import Message, _latest_contact_sheet, open_alerts
 from fieldlum.cli import main
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import CameraSetup, Exposure, Room, SiteFile, slot_id

@@ -14,8 +14,8 @@ from types import SimpleNamespace
 import pytest
 from places import SEATTLE
 
-from fieldlum.capture.alerts import Alerts
 from fieldlum.capture.notify import (
+    Alerts,
     Heartbeat,
     Message,
     Outbox,
@@ -271,7 +271,7 @@ def test_the_summary_carries_the_sheet_that_was_written_last(session: Session) -
     """A month of capture: the sheets are written after the capture began, contact-10 after -9."""
     import os
 
-    from fieldlum.capture.alerts import open_alerts
+    from fieldlum.capture.notify import open_alerts
 
     arrived: list[Message] = []
 
@@ -316,7 +316,7 @@ class SteadyPyranometer(Pyranometer):
 @pytest.mark.slow
 @pytest.mark.contract
 def test_a_capture_reports_and_no_secret_is_written(session: Session, tmp_path: Path) -> None:
-    from fieldlum.capture.alerts import open_alerts
+    from fieldlum.capture.notify import open_alerts
 
     clock = FastClock(T0 - timedelta(minutes=1))
     options = Options(log_around_s=60.0, threaded=False, flush=False, reserve_bytes=4096)

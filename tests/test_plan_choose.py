@@ -24,7 +24,7 @@ from fieldlum.core.records import (
     Window,
 )
 from fieldlum.optics.profiles import save_profile
-from fieldlum.plan import choose, makeup
+from fieldlum.plan import capture_days, makeup
 from fieldlum.plan import sheet as calendar
 from fieldlum.plan.capture_days import (
     DaylightHours,
@@ -74,7 +74,7 @@ def _set(name: str) -> DaylightHours:
 @given(st.integers(2, 60), st.integers(1, 70), st.integers(0, 9))
 def test_choices_are_distinct_and_as_many_as_asked(points: int, count: int, seed: int) -> None:
     cloud = np.random.default_rng(seed).normal(size=(points, 3))
-    found = choose.medoids(cloud, count, np.random.default_rng(seed))
+    found = capture_days.medoids(cloud, count, np.random.default_rng(seed))
     assert len(found) == len(set(found.tolist())) == min(points, count)
     assert (np.diff(found) > 0).all()
 
@@ -84,7 +84,7 @@ def test_medoids_find_clusters() -> None:
     rng = np.random.default_rng(3)
     centres = np.array([[0, 0], [10, 0], [0, 10], [10, 10]], float)
     cloud = np.repeat(centres, 25, axis=0) + rng.normal(scale=0.2, size=(100, 2))
-    assert sorted(choose.medoids(cloud, 4, rng) // 25) == [0, 1, 2, 3]
+    assert sorted(capture_days.medoids(cloud, 4, rng) // 25) == [0, 1, 2, 3]
 
 
 @pytest.mark.property
@@ -108,8 +108,8 @@ def test_best_beats_even_beats_a_lopsided_choice(weather: Weather, year: Dayligh
         explained = np.einsum("ij,ij->i", cross, np.linalg.solve(known, cross.T).T)
         return float(1.0 - explained.sum() / kernel.diagonal(everything).sum())
 
-    even = choose.even(year, weather, 40, np.random.default_rng(1))
-    best = choose.best(year, weather, SEATTLE, ROOM, 40)
+    even = capture_days.even_hours(year, weather, 40, np.random.default_rng(1))
+    best = capture_days.best_hours(year, weather, SEATTLE, ROOM, 40)
     daylit = np.flatnonzero(weather.at(year.t_utc).dhi_wm2 > 0)
     assert left(best) < left(even) < 0.3 * left(daylit[:40])
 
@@ -117,7 +117,7 @@ def test_best_beats_even_beats_a_lopsided_choice(weather: Weather, year: Dayligh
 @pytest.mark.slow
 @pytest.mark.property
 def test_even_hours_reach_more_skies_than_a_month(weather: Weather, year: DaylightHours) -> None:
-    chosen = year[choose.even(year, weather, 40, np.random.default_rng(1))]
+    chosen = year[capture_days.even_hours(year, weather, 40, np.random.default_rng(1))]
     even, january = (coverage(some, SEATTLE, weather) for some in (chosen, year[range(40)]))
     assert even.both_percent is not None and january.both_percent is not None
     assert even.both_percent > 2 * january.both_percent

@@ -320,12 +320,8 @@ def light_at(
         with input_errors(name, "numbers in W/m2", "pass one value for each time", *_NO_ARRAY):
             numbers = np.broadcast_to(np.asarray(given, float), len(times))
         if not (np.isfinite(numbers).all() and (numbers >= 0).all()):
-            raise InputError(
-                name,
-                f"values {numbers.min():g} to {numbers.max():g}",
-                "0 W/m2 or more",
-                "correct it",
-            )
+            found = f"values {numbers.min():g} to {numbers.max():g}"
+            raise InputError(name, found, "0 W/m2 or more", "correct it")
         values.append(numbers)
     return daylight.light_at(times, place(site), *values)
 

@@ -22,9 +22,8 @@ def path_of(value: object, what: str = "file") -> Path:
     """Return a path; raises InputError, which names `what`, for a value that cannot be one."""
     if isinstance(value, str | os.PathLike):
         return Path(value)
-    raise InputError(
-        what, f"a value of type {type(value).__name__}", "a path, as text or Path", "pass its path"
-    )
+    found = f"a value of type {type(value).__name__}"
+    raise InputError(what, found, "a path, as text or Path", "pass its path")
 
 
 PANORAMA_SUFFIXES = (".exr", ".hdr")
@@ -173,23 +172,15 @@ def write_panorama(file: str | Path, panorama: Panorama) -> None:
     path = path_of(file)
     suffix = path.suffix.lower()
     if suffix not in PANORAMA_SUFFIXES:
-        raise InputError(
-            path,
-            f"the file has the suffix '{suffix}'",
-            " or ".join(PANORAMA_SUFFIXES),
-            "give the file one of these suffixes",
-        )
+        found, remedy = f"the file has the suffix '{suffix}'", "give it one of these suffixes"
+        raise InputError(path, found, " or ".join(PANORAMA_SUFFIXES), remedy)
     if not isinstance(panorama, Panorama):
         found = f"a value of type {type(panorama).__name__}"
         raise InputError(path, found, "a Panorama", "pass fieldlum.Panorama(map, heading_deg)")
     height, width = panorama.luminance_cdm2.shape
     if width != 2 * height:
-        raise InputError(
-            path,
-            f"a map of {width} x {height} pixels",
-            "a panorama, which is twice as wide as high",
-            "resample the map to such a shape",
-        )
+        found, expected = f"a map of {width} x {height} pixels", "a map twice as wide as high"
+        raise InputError(path, found, expected, "resample the map to such a shape")
     with replacing_path(path) as temporary:
         if suffix == ".exr":
             images.write_panorama(temporary, panorama)

@@ -68,12 +68,10 @@ def _parse_spec(text: str) -> Spec:
         of_patch = "" if config.patch == "absolute" else f":{config.patch}"
         label = f"{config.model}{of_patch} ({folder.name})"
         return Spec(label, config.model, cast(Patch, config.patch), folder)
-    raise InputError(
-        "--models",
-        f"the unknown name '{text}'",
-        f"{', '.join(MODELS)}, alone or with :absolute (default), :gain, :none; or a model folder",
-        f"correct the name after --models{did_you_mean(name, MODELS)}",
-    )
+    names = f"{', '.join(MODELS)}, alone or with :absolute (default), :gain, :none"
+    found, expected = f"the unknown name '{text}'", f"{names}; or a model folder"
+    remedy = f"correct the name after --models{did_you_mean(name, MODELS)}"
+    raise InputError("--models", found, expected, remedy)
 
 
 @dataclass(frozen=True, slots=True)

@@ -365,10 +365,8 @@ def with_melanopic(
         read = replace(colours, y=colours.melanopic, matrix=None)
         found = fit(read, replace(profile, colour=start))
         weights = np.array(found.y_from_rgb) * found.scale / scale
-        u_rel, line = (
-            max(found.u_rel, fit_steps.READING_U),
-            f"{line}, then {len(read.y)} readings",
-        )
+        u_rel = max(found.u_rel, fit_steps.READING_U)
+        line = f"{line}, then {len(read.y)} readings"
     table = replace(
         colour,
         rgb_to_radiance=tuple(np.round(np.linalg.inv(to_xyz) @ xyz, 6).ravel().tolist()),

@@ -64,11 +64,7 @@ def from_table(
     for the user (empty without any). Raises InputError for a line with both or neither reading, a
     place that is clipped or without light, and pictures of another calibration.
     """
-    optional = {
-        "luminance_cdm2": None,
-        "illuminance_lx": None,
-        "u_rel": fit_steps.READING_U,
-    }
+    optional = {"luminance_cdm2": None, "illuminance_lx": None, "u_rel": fit_steps.READING_U}
     rows = fit_steps.read_table(path, ("panorama", "azimuth_deg", "altitude_deg"), optional)
     pictures = fit_steps.read_panoramas(rows, profile)
     to_k = {file: _to_k(file, picture, profile) for file, picture in pictures.items()}

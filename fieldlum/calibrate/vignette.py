@@ -96,11 +96,9 @@ def _from_patches(path: Path, profile: CameraProfile) -> Samples:
     for row, at in zip(rows, places, strict=True):
         frame = fit_steps.linear_frame(at.path, profile)
         rgb, u_patch = frame.patch(at.x, at.y, row["radius_px"])
-        value, r = (
-            float(rgb @ weights),
-            fit_steps.relative_angle(profile.lens[lens], at.x, at.y),
-        )
-        readings.append((r, value / row["reference"], float(np.hypot(u_patch, 0.002))))
+        r = fit_steps.relative_angle(profile.lens[lens], at.x, at.y)
+        value = float(rgb @ weights) / row["reference"]
+        readings.append((r, value, float(np.hypot(u_patch, 0.002))))
         f_numbers[at.path] = frame.exposure.f_number
     f_number = _one_aperture(path, f_numbers, "write one table for each aperture")
     r, value, u_rel = np.array(readings).T

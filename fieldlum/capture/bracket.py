@@ -10,15 +10,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 
 from fieldlum.capture.disk_writer import Recorder
-from fieldlum.capture.frame_checks import as_taken
-from fieldlum.capture.reconnect import (
-    FIRST_PAUSE_S,
-    MAX_PAUSE_S,
-    Backoff,
-    Keeper,
-    error_text,
-    plain_info,
-)
+from fieldlum.capture.reconnect import Backoff, Keeper, error_text, plain_info
 from fieldlum.capture.steady_clock import SteadyClock
 from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import CameraSetup, Exposure, Slot
@@ -36,11 +28,12 @@ STALE_S = 60.0  # after a longer pause between frames the light may have changed
 class FrameChecks:
     """Checks of new frames; each returns what is wrong, or nothing ("") if the frame is good.
 
-    settings: compares EXIF with the requested exposure; pixels: reads the pixels; darkest: checks
-    whether over half of a bracket's darkest frame is clipped. By default every frame is accepted.
+    settings: compares EXIF with the requested exposure, and returns the one to record too; pixels:
+    reads the pixels; darkest: checks whether over half of a bracket's darkest frame is clipped. By
+    default every frame is accepted.
     """
 
-    settings: Callable[[Path, Exposure], str] = lambda path, exposure: ""
+    settings: Callable[[Path, Exposure], tuple[str, Exposure]] = lambda path, asked: ("", asked)
     pixels: Callable[[Path], str] = lambda path: ""
     darkest: Callable[[Path], str] = lambda path: ""
 
@@ -88,7 +81,7 @@ class BracketCapture:
         if (link := link_on_the_way(self.session.root, self.folder)) is not None:
             return self.abort(f"{link} is a symbolic link: replace it by a folder")
         _sweep(self.folder)
-        disk = Backoff(FIRST_PAUSE_S, MAX_PAUSE_S)
+        disk = Backoff()
         if self.state.outcome == "":
             self._start(1)
         while True:
@@ -234,8 +227,7 @@ class BracketCapture:
 
         written, taken = self.camera.call(take, exposure.shutter_s)
         seconds = self.clock.boottime() - boot
-        if doubt := self.checks.settings(written, taken):
-            taken = as_taken(written, taken)
+        doubt, taken = self.checks.settings(written, taken)
         final = written.with_name(f"{shot.stem}{'_again' if instead_of else ''}{written.suffix}")
         if self.recorder.flush:
             with written.open("rb+") as file:

@@ -16,24 +16,13 @@ from fieldlum.optics.photometry import SAME_SETTING_EV
 from fieldlum.optics.raw import is_jpeg, read_exif, read_jpeg, read_mosaic
 
 
-def doubts(path: Path, asked: Exposure) -> str:
-    """Return how a new frame's EXIF differs from the requested exposure, or why it is unreadable.
+def compare_exif(path: Path, asked: Exposure) -> tuple[str, Exposure]:
+    """Return how a new frame's EXIF differs from the requested exposure, and the one to record.
 
-    The text is "" for a good frame. A setting that EXIF does not state is not compared; others may
-    differ by 1/6 EV.
+    The text is "" for a good frame; it is the reason for a frame that cannot be read. A setting
+    that EXIF does not state is not compared; others may differ by 1/6 EV. EXIF's exposure is
+    recorded if it is complete and differs from the request, else the request.
     """
-    return _judged(path, asked)[0]
-
-
-def as_taken(path: Path, asked: Exposure) -> Exposure:
-    """Return the exposure to record for a doubtful frame.
-
-    This is EXIF's exposure if it is readable and differs from the request, else the request.
-    """
-    return _judged(path, asked)[1]
-
-
-def _judged(path: Path, asked: Exposure) -> tuple[str, Exposure]:
     try:
         taken = read_exif(path, lens_f_number=asked.f_number).exposure
     except InputError as error:
@@ -67,7 +56,7 @@ def clipped_share(path: Path) -> float:
     return float(np.mean(mosaic.counts >= plateau)) if near_white else 0.0
 
 
-def bracket_doubts(shortest: Path) -> str:
+def clipping_text(shortest: Path) -> str:
     """Return a warning if over half of the shortest frame is clipped, else "".
 
     If the frame cannot be read, return the reason.

@@ -31,7 +31,7 @@ class Backoff:
     first_s : the first pause; max_s : the limit.
     """
 
-    def __init__(self, first_s: float, max_s: float) -> None:
+    def __init__(self, first_s: float = FIRST_PAUSE_S, max_s: float = MAX_PAUSE_S) -> None:
         self._first_s, self._max_s = first_s, max_s
         self.reset()
 
@@ -63,7 +63,7 @@ class Keeper(Generic[D]):
         self.name, self._open, self._clock = name, open_device, clock
         self._tell, self._watchdog_s = tell, watchdog_s
         self._device: D | None = None
-        self._backoff = Backoff(FIRST_PAUSE_S, MAX_PAUSE_S)
+        self._backoff = Backoff()
         self._next_try = float("-inf")
         self._lost_at: float | None = None
 

@@ -61,10 +61,9 @@ def command(
           an external monitor.
     """
     from fieldlum import capture
-    from fieldlum.capture.alerts import open_alerts
     from fieldlum.capture.bracket import FrameChecks
-    from fieldlum.capture.frame_checks import bracket_doubts, doubts
-    from fieldlum.capture.notify import read_address
+    from fieldlum.capture.frame_checks import clipping_text, compare_exif
+    from fieldlum.capture.notify import open_alerts, read_address
     from fieldlum.capture.steady_clock import wait_for_clock
     from fieldlum.optics.raw import unreadable
 
@@ -103,7 +102,7 @@ def command(
             pyranometer_uri,
             clock=ticking,
             options=options,
-            checks=FrameChecks(doubts, unreadable, bracket_doubts),
+            checks=FrameChecks(compare_exif, unreadable, clipping_text),
             meter_uri=meter_uri,
             watch=watch,
             listen=remote.listen,

@@ -8,14 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import click
 
-from fieldlum.cli.options import (
-    DEFAULT_FISHEYE_SIZE,
-    DEFAULT_SIZE,
-    command_of,
-    new_file,
-    picture_height,
-    scheduler_of,
-)
+from fieldlum.cli.options import command_of, new_file, picture_height, scheduler_of
 from fieldlum.cli.terminal import notes, print_answer, progress, say
 from fieldlum.core.errors import InputError
 
@@ -68,7 +61,6 @@ def command(
         assert camera and out is not None
         new_file(out, force)
         is_panorama = projection == "equirect"
-        size = size or (DEFAULT_SIZE if is_panorama else DEFAULT_FISHEYE_SIZE)
         options = merge.MergeOptions(picture_height(size, 1 + is_panorama), projection, fit)
         files, profile = frame_files(source, *more), load_camera_profile(camera)
         notes(filter(None, [uncalibrated_text(profile)]))
@@ -99,13 +91,13 @@ def command(
         raise SystemExit(InputError.exit_code)
 
 
-def _present_size(session: Session) -> str:
-    """Return the size of the session's panoramas, so that later brackets get the same size."""
+def _present_size(session: Session) -> str | None:
+    """Return the size of the session's panoramas, for later brackets; None without any."""
     from fieldlum.session.files.sidecar import newest_sidecar
 
     before = newest_sidecar(session)
     height = None if before is None else before.inputs.get("height")
-    return f"{2 * height}x{height}" if isinstance(height, int) else DEFAULT_SIZE
+    return f"{2 * height}x{height}" if isinstance(height, int) else None
 
 
 def _lines(out: Path, result: MergeResult, facts: dict[str, float]) -> list[str]:

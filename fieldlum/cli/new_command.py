@@ -70,12 +70,13 @@ def command(
     dialogue = Dialogue(site_file)
     setup = SiteFile(_site(dialogue), _camera(dialogue))
     profile = profiles.load_camera_profile(setup.camera.profile)
-    assumed, blind = (
-        profiles.assumed_texts(setup.camera),
+    notes = (
+        *profiles.assumed_texts(setup.camera),
+        profiles.uncalibrated_text(profile),
         profiles.coverage_text(profile, setup.camera),
+        profiles.turning_text(setup.camera),
     )
-    notes = profiles.uncalibrated_text(profile), blind, profiles.turning_text(setup.camera)
-    for note in filter(None, (*assumed, *notes)):
+    for note in filter(None, notes):
         click.echo(f"note: {note}")
     site_file.write_text(site_text(setup), encoding="utf-8")
     load_site(site_file)

@@ -163,15 +163,17 @@ def scheduler_of(text: str) -> Scheduler:
 DEFAULT_SIZE, DEFAULT_FISHEYE_SIZE = "460x230", "1000x1000"
 
 
-def picture_height(size: str, ratio: int = 2) -> int:
+def picture_height(size: str | None, ratio: int = 2) -> int:
     """Parse --size WxH to its height [px]; ratio: W / H, 2 of a panorama, 1 of a fisheye.
 
-    Raises click.UsageError for another ratio, or a height outside 8 to 8192 (a panorama of 0.5 GB).
+    size: None for the default of this ratio. Raises click.UsageError for another ratio, or a height
+    outside 8 to 8192 (a panorama of 0.5 GB).
     """
+    example = DEFAULT_SIZE if ratio == 2 else DEFAULT_FISHEYE_SIZE
+    size = size or example
     width, _, height = size.lower().partition("x")
     numbers = [int(text) if text.isdecimal() else 0 for text in (width, height)]
     if numbers[0] != ratio * numbers[1] or not 8 <= numbers[1] <= 8192:
         rule = "a panorama is twice as wide as high" if ratio == 2 else "a fisheye is square"
-        example = DEFAULT_SIZE if ratio == 2 else DEFAULT_FISHEYE_SIZE
         raise click.UsageError(f"--size {size}: {rule}, 8 to 8192 pixels high, like {example}")
     return numbers[1]

@@ -44,9 +44,8 @@ def command(
     from fieldlum.web.snapshot import Snapshots
 
     if weather != "synthetic" and not Path(weather).is_file():
-        raise InputError(
-            weather, "no such file", "a weather year, or the word synthetic", "check the path"
-        )
+        expected = "a weather year, or the word synthetic"
+        raise InputError(weather, "no such file", expected, "check the path")
     snapshots = Snapshots(session)
     worker = Worker(session, snapshots.moment, weather) if compute else None
     served = prepare(watch_routes(session, snapshots, worker), port, lan=lan)

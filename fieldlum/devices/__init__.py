@@ -140,7 +140,7 @@ def store_frame(path: Path, body: bytes) -> None:
         os.fsync(file.fileno())
 
 
-def retried(
+def retry(
     work: Callable[[], T], is_passing: Callable[[Exception], bool], pause_s: float = 0.0
 ) -> T:
     """Return the result of `work`; call it up to four times if its error is temporary.

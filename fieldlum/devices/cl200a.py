@@ -16,13 +16,7 @@ from typing import Annotated, Literal
 from msgspec import Meta, Struct, structs
 
 from fieldlum.core.errors import DeviceError
-from fieldlum.devices import (
-    DeviceUri,
-    IlluminanceMeter,
-    IlluminanceReading,
-    InstrumentInfo,
-    retried,
-)
+from fieldlum.devices import DeviceUri, IlluminanceMeter, IlluminanceReading, InstrumentInfo, retry
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.serial_port import SerialLine, SerialPort, closed_on_error
 
@@ -162,7 +156,7 @@ class _FramedMeter(IlluminanceMeter):
         Raises DeviceError if the meter does not answer or is not ready after four measurements, or
         if its answer is damaged, impossible or reports an error.
         """
-        return retried(self._measure, lambda error: isinstance(error, NotReady))
+        return retry(self._measure, lambda error: isinstance(error, NotReady))
 
     @abstractmethod
     def _start(self) -> None: ...

@@ -18,7 +18,7 @@ from msgspec import Struct
 
 from fieldlum.core.errors import DeviceError, install_text
 from fieldlum.core.records import Exposure
-from fieldlum.devices import Camera, CameraInfo, DeviceUri, nearest, retried, store_frame
+from fieldlum.devices import Camera, CameraInfo, DeviceUri, nearest, retry, store_frame
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.serial_port import closed_on_error
 from fieldlum.optics.raw import RAW_SUFFIXES
@@ -327,7 +327,7 @@ class _Driver:
 
     def _patiently(self, work: Callable[[], Any]) -> Any:
         """Call `work`; call it again while the camera is busy (GP_ERROR_CAMERA_BUSY)."""
-        return retried(work, lambda error: getattr(error, "code", 0) == -110, 0.5)
+        return retry(work, lambda error: getattr(error, "code", 0) == -110, 0.5)
 
     def close(self) -> None:
         """Release the camera."""

@@ -21,16 +21,6 @@ from fieldlum.core.arrays import Mask
 from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.files import open_to_read
 from fieldlum.core.records import IrradianceSample, counted
-from fieldlum.core.strict_csv import (
-    COMMAS,
-    IRRADIANCE_LIMITS_WM2,
-    THOUSANDS,
-    Line,
-    is_wm2,
-    microvolts,
-    read_time,
-    split_row,
-)
 from fieldlum.devices.ascii_lines import sample_of
 from fieldlum.devices.modbus import MAX_WM2, MIN_WM2
 from fieldlum.session import DAY_COLUMNS, read_day
@@ -87,7 +77,7 @@ class _Table:
 
     names: list[str]
     units: list[str]
-    lines: Sequence[Line]
+    lines: Sequence[strict_csv.Line]
     is_logger: bool = False
     cut: tuple[str, ...] = ()
     called_bad: Mapping[str, int] = field(default_factory=dict)
@@ -98,7 +88,7 @@ class _Table:
             return [_letters(name) for name in self.names]
         names = (strict_csv.split_heading(name)[0] for name in self.names)
         columns = zip(names, self.units, strict=True)
-        return [_letters(name) if is_wm2(unit) else "" for name, unit in columns]
+        return [_letters(name) if strict_csv.is_wm2(unit) else "" for name, unit in columns]
 
 
 def read_logger_file(
@@ -146,10 +136,11 @@ def read_logger_file(
 def _check_readable(path: Path, logger_file: LoggerFile) -> None:
     """Raise InputError for decimal commas, and for fewer readable than damaged rows."""
     count, left_out = len(logger_file.samples), logger_file.left_out
-    marks = COMMAS, THOUSANDS
+    marks = strict_csv.COMMAS, strict_csv.THOUSANDS
     commas = [t for t in left_out if t.endswith(marks) or _COMMA.search(t)]
     if len(commas) > 1:
-        kind = "thousands separators" if commas[0].endswith(THOUSANDS) else "decimal commas"
+        has_thousands = commas[0].endswith(strict_csv.THOUSANDS)
+        kind = "thousands separators" if has_thousands else "decimal commas"
         found = f"{len(commas)} of {count + len(left_out)} rows have {kind}: {commas[0]}"
         raise InputError(path, found, "numbers with a decimal point", _SAVE_AGAIN)
     if len(left_out) > count or not count:
@@ -185,7 +176,7 @@ def _toa5(path: Path, text: str) -> _Table:
     lines = text.replace("\r\n", "\n").split("\n")
     heads: list[list[str]] = []
     with suppress(ValueError):
-        heads = [split_row(line, padded=False) for line in lines[:4]]
+        heads = [strict_csv.split_row(line, padded=False) for line in lines[:4]]
     if len(heads) < 4 or heads[3][0][:1].isdigit():
         found = "no complete TOA5 header in the first four lines"
         expected = "four header lines of a Campbell Scientific TOA5 table"
@@ -213,7 +204,7 @@ def _csv(path: Path, text: str) -> _Table:
         raise InputError(path, "an empty file", expected, "copy the file from the logger again")
     names = strict_csv.split_header(path, lines[0])
     with suppress(ValueError):
-        read_time(names[0])
+        strict_csv.read_time(names[0])
         numbers = ["time", *(str(k) for k in range(2, len(names) + 1))]
         return _Table(numbers, [""] * len(names), lines)
     units = [strict_csv.stated_unit(name) for name in names]
@@ -286,7 +277,7 @@ def _called_bad(stored: Any, name: str) -> Mask:
     # integers are in the unit of the stored numbers
     low, high = (v if v.dtype.kind == "f" else v * scale + offset for v in limits)
     values = own.to_numpy() * scale + offset
-    bad = (values > high) | (values < min(low, IRRADIANCE_LIMITS_WM2[0]))
+    bad = (values > high) | (values < min(low, strict_csv.IRRADIANCE_LIMITS_WM2[0]))
     for flag in (f"qc_{name}", *str(about.get("ancillary_variables", "")).split()):
         if flag in stored and stored[flag].dims == own.dims and stored[flag].dtype.kind in "iu":
             bits = stored[flag].to_numpy().astype(np.int64)
@@ -341,7 +332,7 @@ def _read(
     damaged: list[str] = []
     for number, line in table.lines:
         try:
-            row = split_row(line, padded=not table.is_logger)
+            row = strict_csv.split_row(line, padded=not table.is_logger)
             if len(row) != len(names):
                 why = strict_csv.surplus_cause(row, len(names), right[-50:])
                 raise ValueError(f"{len(row)} values, expected {len(names)}{why}")
@@ -408,14 +399,14 @@ def _factors(
         remedy = f"name it: --column {missing[0]}=NAME"
         raise InputError(path, f"no column for {missing[0]}", "a column", remedy)
     for quantity, i in at.items():
-        unit, volts = units[i], microvolts(units[i])
+        unit, volts = units[i], strict_csv.microvolts(units[i])
         sensitivity = sensitivities.get(quantity)
         if sensitivity and (volts or not unit):
             factor[quantity] = (volts or 1e3) / sensitivity  # loggers store mV
             shown = unit or "mV (its unit is not stated)"
             notes.append(f"column {names[i]} read in {shown}, {sensitivity:g} uV per W/m2")
         elif quantity.endswith("_wm2") and (
-            sensitivity or not (is_wm2(unit) or (not unit and not table.is_logger))
+            sensitivity or not (strict_csv.is_wm2(unit) or (not unit and not table.is_logger))
         ):
             expected = "mV, uV or V where a sensitivity is stated" if sensitivity else "W/m^2"
             remedy = f"choose another column: --column {quantity}=NAME"
@@ -423,7 +414,8 @@ def _factors(
                 remedy = f"state the sensitivity of the pyranometer: --sensitivity {quantity}=UV"
             raise InputError(path, f"the column {names[i]} is in '{unit}'", expected, remedy)
     used = ", ".join(f"{names[i]} as {q}" for q, i in at.items())
-    others = [n for k, n in enumerate(names) if is_wm2(units[k]) and k not in at.values()]
+    light = (k for k, unit in enumerate(units) if strict_csv.is_wm2(unit))
+    others = [names[k] for k in light if k not in at.values()]
     unused = f"; not used: {', '.join(others)} (name one with --column)" if others else ""
     return factor, [f"columns: {used}{unused}", *notes]
 
@@ -435,7 +427,7 @@ def _number(text: str, quantity: str, factor: float) -> float | None:
     irradiance (a `quantity` that ends in _wm2) outside -200 to 4000 W/m2.
     """
     own, unit = strict_csv.split_heading(text) if " " in text else (text, "")
-    text = own if factor == 1.0 and is_wm2(unit) and quantity.endswith("_wm2") else text
+    text = own if factor == 1.0 and strict_csv.is_wm2(unit) and quantity.endswith("_wm2") else text
     try:
         value = factor * strict_csv.read_number(text, has_codes=factor == 1.0)
     except ValueError as error:
@@ -478,7 +470,7 @@ class _Clock:
         if part := _DAY_OR_MONTH_FIRST.fullmatch(text):
             places = (4, 3, 1) if part[2] == "." else self._order  # with points the day is first
             text = f"{'-'.join(part[k].zfill(2) for k in places)} {part[5]}"
-        t = read_time(text, utc=self.is_utc)
+        t = strict_csv.read_time(text, utc=self.is_utc)
         if t.tzinfo is None and self._zone is not None:
             try:
                 t = t.replace(tzinfo=datetime.strptime(row[self._zone], "%z").tzinfo)
@@ -518,7 +510,7 @@ class _Clock:
         dates: list[re.Match[str]] = []
         for line in lines:
             with suppress(ValueError, IndexError):
-                row = split_row(line)
+                row = strict_csv.split_row(line)
                 if part := _DAY_OR_MONTH_FIRST.fullmatch(" ".join(row[k] for k in self._at)):
                     dates.append(part)
         day_first = any(int(part[1]) > 12 for part in dates)

@@ -16,17 +16,8 @@ from fieldlum.core.arrays import Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Exposure, JsonTable, Room, Site, SiteFile, Slot, counted
 from fieldlum.optics import profiles
-from fieldlum.plan import choose
-from fieldlum.plan.capture_days import (
-    Coverage,
-    DaylightHours,
-    coverage,
-    daylight_hours,
-    season_tag,
-    set_days,
-    span,
-    today_at,
-)
+from fieldlum.plan import capture_days
+from fieldlum.plan.capture_days import Coverage, DaylightHours, today_at
 from fieldlum.plan.sheet import html, ics
 from fieldlum.room.scene.geometry import build
 from fieldlum.room.scene.trace import disc_visibility, sun_points
@@ -82,20 +73,21 @@ def make_plan(setup: SiteFile, request: Request, weather: Weather | None = None)
     set; InputError for a profile or room that cannot be used.
     """
     site, room = setup.site, setup.room
-    days = set_days(request.set, site, request.today, request.start, request.year, request.days)
+    asked = request.start, request.year, request.days
+    days = capture_days.set_days(request.set, site, request.today, *asked)
     from_to = f"from {days[0]} to {days[-1]}"
     night = f"polar night: the sun does not rise at {site.name} ({site.latitude_deg:g} deg)"
-    hours = daylight_hours(days, site)
+    hours = capture_days.daylight_hours(days, site)
     _refuse_empty(hours, f"{night} {from_to}", "choose another --start or --set")
     if request.set == "even":
         rng = np.random.default_rng(request.seed)
-        hours = hours[choose.even(hours, weather, request.count or 200, rng)]
+        hours = hours[capture_days.even_hours(hours, weather, request.count or 200, rng)]
     elif request.set == "best":
         if weather is None:
             raise NotEnoughDataError(
                 "the best hours depend on the climate; state a weather year with --weather FILE"
             )
-        hours = hours[choose.best(hours, weather, site, room, request.count or 50)]
+        hours = hours[capture_days.best_hours(hours, weather, site, room, request.count or 50)]
     remedy = "choose its dates with --start or --year, or another weather file"
     _refuse_empty(hours, f"the weather file has no daylight {from_to}", remedy)
     profile = profiles.load_camera_profile(setup.camera.profile)
@@ -117,7 +109,7 @@ def make_plan(setup: SiteFile, request: Request, weather: Weather | None = None)
         days=tuple(days),
         seconds_per_slot=seconds,
         megabytes_per_slot=megabytes,
-        coverage=coverage(hours, site, weather),
+        coverage=capture_days.coverage(hours, site, weather),
         warnings=tuple(text for text in warnings if text),
     )
 
@@ -142,7 +134,7 @@ def make_slots(
     camera). Raises InputError for an impossible box room.
     """
     days = [sun.standard_date(t, setup.site.timezone) for t in hours.t_utc]
-    seasons = {day: season_tag(day, setup.site) for day in set(days)}
+    seasons = {day: capture_days.season_tag(day, setup.site) for day in set(days)}
     angles = hours.altitude_deg, hours.azimuth_deg
     tagged = {"low-sun": hours.altitude_deg < sun.LOW_SUN_DEG}
     if setup.room is not None and setup.room.kind == "box":

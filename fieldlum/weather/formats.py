@@ -15,19 +15,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from fieldlum.core import strict_csv
 from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.records import Site
-from fieldlum.core.strict_csv import (
-    IRRADIANCE_LIMITS_WM2,
-    check_names,
-    is_wm2,
-    numbered,
-    read_number,
-    read_time,
-    split_header,
-    split_heading,
-    split_rows,
-)
 from fieldlum.sky import sun
 from fieldlum.weather.plausibility import contradictions
 from fieldlum.weather.year import TYPICAL_YEAR
@@ -88,7 +78,7 @@ def read_table(path: Path, lines: list[str], site: Site) -> WeatherTable:
     lines: of the file; site: for formats that state no place or zone. Raises InputError for a
     header or row that the format does not allow, and for irradiance outside -10 to 1600 W/m2.
     """
-    first, second = [*(text for _, text in numbered(lines[:50])), "", ""][:2]
+    first, second = [*(text for _, text in strict_csv.numbered(lines[:50])), "", ""][:2]
     start = f"{path.suffix.lower()}\n{first.lstrip()}\n{second}".replace('"', "")
     read = next(read for pattern, read in FORMATS if re.match(pattern, start))
     if read is not _read_csv and lines[0].startswith("#"):
@@ -110,9 +100,9 @@ def _number(name: str, text: str) -> float:
 
     Raises _CellError for a cell that is no number or outside -10 to 1600 W/m2.
     """
-    low, high = IRRADIANCE_LIMITS_WM2
+    low, high = strict_csv.IRRADIANCE_LIMITS_WM2
     try:
-        value = read_number(text)
+        value = strict_csv.read_number(text)
     except ValueError as error:
         raise _CellError(f"{name} {error}", "a number with a decimal point, in W/m2") from None
     if value < low or value > high:
@@ -128,7 +118,7 @@ def _columns(
     Raises InputError if one is missing, or if several columns have the same quantity.
     """
     columns: dict[str, int] = {}
-    letters = [re.sub("[^a-z]", "", split_heading(name)[0].lower()) for name in names]
+    letters = [re.sub("[^a-z]", "", strict_csv.split_heading(name)[0].lower()) for name in names]
     for quantity, keys in headings.items():
         at = [k for k, text in enumerate(letters) if text in keys]
         if len(at) > 1:
@@ -170,9 +160,10 @@ def _below(path: Path, lines: list[str], header: int) -> tuple[list[str], Rows]:
     """Return the column names in line `header` (from 0), and the rows below them."""
     if len(lines) <= header:
         raise InputError(path, f"{len(lines)} lines", "a line of column names", _AGAIN)
-    names = split_header(path, (header + 1, lines[header]))
-    check_names(path, names)
-    return names, split_rows(path, numbered(lines[header + 1 :], header + 2), len(names))
+    names = strict_csv.split_header(path, (header + 1, lines[header]))
+    strict_csv.check_names(path, names)
+    rows = strict_csv.numbered(lines[header + 1 :], header + 2)
+    return names, strict_csv.split_rows(path, rows, len(names))
 
 
 def _place(path: Path, cells: Sequence[Any], expected: str, name: str) -> tuple[Site, timedelta]:
@@ -199,7 +190,7 @@ def _header_place(
     path: Path, lines: list[str], columns: tuple[int, int, int, int], expected: str
 ) -> tuple[Site, timedelta]:
     """Return the place and clock in line 1; columns : of latitude, longitude, altitude, zone."""
-    cells = split_header(path, (1, lines[0]))
+    cells = strict_csv.split_header(path, (1, lines[0]))
     values = [cells[k] for k in columns] if len(cells) > max(columns) else []
     return _place(path, values, expected, "".join(cells[1:2]) or "weather station")
 
@@ -269,7 +260,7 @@ def _read_epw(path: Path, lines: list[str], site: Site) -> WeatherTable:
     if several := re.match(r"DATA PERIODS,\s*\d+,\s*([2-9]|\d\d)", periods):
         rows_an_hour = f"{several[1]} rows for each hour"
         raise InputError(path, rows_an_hour, "one row for each hour", "average the file to hours")
-    found = split_rows(path, numbered(lines[header:], header + 1))
+    found = strict_csv.split_rows(path, strict_csv.numbered(lines[header:], header + 1))
     if found and len(found[0][1]) < 16:
         cells = f"line {found[0][0]}: {len(found[0][1])} cells"
         raise InputError(path, cells, "at least 16 cells", "the file is cut: download it again")
@@ -325,7 +316,8 @@ def _read_sam(path: Path, lines: list[str], site: Site) -> WeatherTable:
     the middle with minute 30. With minute 0 the choice that agrees best with the sun is taken.
     """
     expected = "a header with Latitude, Longitude, Elevation and Time Zone"
-    keys, values = (split_header(path, line) for line in enumerate([*lines, ""][:2], start=1))
+    head = enumerate([*lines, ""][:2], start=1)
+    keys, values = (strict_csv.split_header(path, line) for line in head)
     about = {key.lower(): value for key, value in zip(keys, values, strict=False)}
     spellings = (
         ("latitude", "lat"),
@@ -454,7 +446,7 @@ def _normal(rows: Sequence[WeatherRow], place: Site) -> list[WeatherRow]:
     altitude = sun.position(times, place).altitude_deg
     beam, dhi = np.array([(row.dni, row.dhi) for row in rows]).reshape(-1, 2).T
     clear = sun.clearsky(times, place).dni_wm2
-    limit = np.where(altitude < 10.0, 1.1 * clear, IRRADIANCE_LIMITS_WM2[1])
+    limit = np.where(altitude < 10.0, 1.1 * clear, strict_csv.IRRADIANCE_LIMITS_WM2[1])
     dni = np.minimum(sun.dni_by_closure(beam, 0.0, altitude), limit)
     ghi = np.where(altitude > 2.0, beam + dhi, np.nan)
     return [
@@ -469,13 +461,14 @@ def _read_csv(path: Path, lines: list[str], site: Site) -> WeatherTable:
     ghi_wm2 is optional.
     """
     place, clock = _place_comment(path, lines, site)
-    table = numbered(lines)
-    names = split_header(path, table[0]) if table else []
-    check_names(path, names)
+    table = strict_csv.numbered(lines)
+    names = strict_csv.split_header(path, table[0]) if table else []
+    strict_csv.check_names(path, names)
     dated = "t_utc" in names
-    headings = [split_heading(name) for name in names]
-    check_names(path, [name.lower() for name, unit in headings if is_wm2(unit)])
-    quantities = {name.lower(): k for k, (name, unit) in enumerate(headings) if is_wm2(unit)}
+    headings = enumerate(strict_csv.split_heading(name) for name in names)
+    light = [(name.lower(), k) for k, (name, unit) in headings if strict_csv.is_wm2(unit)]
+    strict_csv.check_names(path, [name for name, _ in light])
+    quantities = dict(light)
     stamp = ("t_utc",) if dated else ("month", "day", "hour")
     missing = [name for name in stamp if name not in names]
     missing += [f"{name}_wm2" for name in ("dni", "dhi") if name not in quantities]
@@ -483,7 +476,7 @@ def _read_csv(path: Path, lines: list[str], site: Site) -> WeatherTable:
         expected = "columns t_utc (or month, day, hour), dni_wm2, dhi_wm2"
         remedy = "name the columns in the first row"
         raise InputError(path, f"no column {', '.join(missing)}", expected, remedy)
-    found = split_rows(path, table[1:], len(names))
+    found = strict_csv.split_rows(path, table[1:], len(names))
     at = [names.index(name) for name in stamp]
     # Hour 24 of 28 February belongs to 29 February only in a file with that day.
     leap = not dated and any((c[at[0]].lstrip("0"), c[at[1]]) == ("2", "29") for _, c in found)
@@ -493,7 +486,7 @@ def _read_csv(path: Path, lines: list[str], site: Site) -> WeatherTable:
             month, day, hour = (cells[k] for k in at)
             return _moment(("2024" if leap else "2023", month, day), hour)
         try:
-            return read_time(cells[at[0]], utc=True).astimezone(UTC)
+            return strict_csv.read_time(cells[at[0]], utc=True).astimezone(UTC)
         except (ValueError, OverflowError) as error:
             raise _CellError(str(error), "a UTC time such as 2027-03-20T15:30:00Z") from None
 

@@ -469,10 +469,8 @@ class Snapshots:
         with suppress(OSError, InputError):  # spoilt by hand: the plan before still holds
             stamp = self._session.plan.stat().st_mtime_ns
             if stamp != self._plan[0]:
-                self._plan = (
-                    stamp,
-                    sorted(read_plan(self._session.plan), key=lambda slot: slot.t_utc),
-                )
+                slots = sorted(read_plan(self._session.plan), key=lambda slot: slot.t_utc)
+                self._plan = stamp, slots
         return self._plan[1]
 
     def _states(self, slots: list[Slot], journal: JournalFollower, now: datetime) -> dict[str, str]:
