@@ -157,6 +157,7 @@ def test_each_stage_is_followed_by_its_next_command() -> None:
         "session": "s",
         "capture": {"owed": 3, "frames": 0, "done": 0},
         "merge": {"owed": 0},
+        "irradiance": {"rows": 0},
         "pair": {"owed": 0, "done": 0, "usable": 0},
         "train": {"models": []},
         "predict": {"years": []},
@@ -167,6 +168,7 @@ def test_each_stage_is_followed_by_its_next_command() -> None:
         {"capture": {"owed": 3, "frames": 9, "done": 3}},
         {"merge": {"owed": 3}},
         {"merge": {"owed": 0}, "pair": {"owed": 3, "done": 0, "usable": 0}},
+        {"irradiance": {"rows": 9}},
         {
             "pair": {"owed": 0, "done": 3, "usable": 3},
             "capture": {"owed": 0, "frames": 9, "done": 3},
@@ -177,8 +179,8 @@ def test_each_stage_is_followed_by_its_next_command() -> None:
     ):
         answer = answer | change
         steps.append(next_step(answer))
-    words = ["doctor", "capture", "merge", "pair", "train", "predict", "report", "open"]
-    assert [word in step for word, step in zip(words, steps, strict=True)] == [True] * 8
+    words = "doctor capture merge import pair train predict report open".split()
+    assert [word in step for word, step in zip(words, steps, strict=True)] == [True] * 9
 
 
 def _answers(*more: str) -> str:

@@ -255,12 +255,13 @@ def chart(levels: Levels, fit: LinearityFit) -> Chart:
 
     Values are relative to the block's mean, over the share of the full scale.
     """
-    corrected = levels.share * linearity_factor(levels.share, fit.coefficients)
+    light = levels.share[:, np.isfinite(levels.share).any(axis=0)]  # a block may be full throughout
+    corrected = light * linearity_factor(light, fit.coefficients)
     logs = []
-    for light, offset_s in ((levels.share, 0.0), (corrected, fit.offset_s)):
-        log = np.log(light / (levels.seconds[:, None] + offset_s))
+    for value, offset_s in ((light, 0.0), (corrected, fit.offset_s)):
+        log = np.log(value / (levels.seconds[:, None] + offset_s))
         logs.append((log - np.nanmean(log, axis=0)).ravel())
     good = np.isfinite(logs[0])
-    share, (before, after) = 100 * levels.share.ravel()[good], (log[good] for log in logs)
+    share, (before, after) = 100 * light.ravel()[good], (log[good] for log in logs)
     x, y = ("share of the full scale [%]", share), ("light over time", np.exp(before))
     return Chart(f"Linearity; held-out rms {100 * fit.u_rel:.2g} %", after, (), x, y, np.exp(after))

@@ -60,6 +60,10 @@ def next_step(answer: JsonTable) -> str:
     why = "because no slot is left and none was captured"
     steps = (
         (merge["owed"], f"fieldlum merge {root}"),
+        (
+            pair["owed"] and not answer["irradiance"]["rows"],
+            f"fieldlum import {root} --irradiance FILE",
+        ),
         (pair["owed"], f"fieldlum pair {root}"),
         (capture["owed"], f"fieldlum {during} {root}{after}"),
         (nothing_left, f"fieldlum plan {root} --replan, {why}"),

@@ -10,7 +10,7 @@ from msgspec import Meta
 
 from fieldlum.core.errors import InputError, did_you_mean
 from fieldlum.core.files import replacing
-from fieldlum.core.records import CameraSetup, Exposure, Slot
+from fieldlum.core.records import CameraSetup, Exposure, Slot, counted
 from fieldlum.core.strict_toml import NotNegative, Positive, Share, build, plain, read_toml
 from fieldlum.optics.photometry import rises
 from fieldlum.optics.projection import LensGeometry, angle_of_radius, judged_text, seen_by_lenses
@@ -445,7 +445,7 @@ def sun_text(slots: Sequence[Slot]) -> str:
     in_view = [slot for slot in slots if "sun-in-view" in slot.tags]
     if not in_view:
         return ""
-    text = f"the sun is in view of the lens in {len(in_view)} slots"
+    text = f"the sun is in view of the lens in {counted(len(in_view), 'slot')}"
     names = sorted({exposure.nd for slot in in_view for exposure in slot.exposures if exposure.nd})
     if names:
         return (

@@ -453,8 +453,8 @@ def _notes(decided: _Decided) -> tuple[str, ...]:
     notes = []
     if captures < MIN_CAPTURES:
         notes.append(
-            f"{captures} captures do not show where the sky is (at least {MIN_CAPTURES}): the "
-            "sun's disc has bounds only; capture overcast and clear hours"
+            f"where the sky is needs {MIN_CAPTURES} captures, here {captures}: the sun's disc has "
+            "bounds only; capture overcast and clear hours"
         )
     if not sky.any() and decided.bright.any():
         notes.append(

@@ -62,6 +62,7 @@ function duration(seconds) {
   return (h ? `${h}:${two(Math.floor(s / 60) % 60)}` : `${Math.floor(s / 60)}`) + `:${two(s % 60)}`;
 }
 function age(seconds) {
+  if (seconds < -120) return "at the end of the log"; // imported, beyond the last event
   return seconds < 120
     ? `${Math.round(seconds)} s ago`
     : seconds < 7200
