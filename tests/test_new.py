@@ -179,7 +179,7 @@ def test_each_stage_is_followed_by_its_next_command() -> None:
     ):
         answer = answer | change
         steps.append(next_step(answer))
-    words = "doctor capture merge import pair train predict report open".split()
+    words = ["doctor", "capture", "merge", "import", "pair", "train", "predict", "report", "open"]
     assert [word in step for word, step in zip(words, steps, strict=True)] == [True] * 9
 
 
