@@ -638,6 +638,7 @@ def test_a_netcdf_file_of_arm_has_the_values_and_times_of_scipy(tmp_path: Path) 
             {},
         ),
         ("f", {}, {"bit_1_assessment": "Indeterminate", "bit_2_assessment": "Bad"}),
+        ("f", {"valid_range": "0 to 1500"}, {"bit_2_assessment": "Bad"}),  # a text is no limit
         (
             "f",
             {},

@@ -231,9 +231,7 @@ def _netcdf(path: Path) -> _Table:
             stored = opened.load()
         since = [str(k) for k in stored.coords if " since " in str(stored[k].attrs.get("units"))]
         if len(since) != 1:
-            raise ValueError(
-                "no variable of times, or several, in units as 'days since 2019-07-05'"
-            )
+            raise ValueError("no variable of times, or several, in units such as 'days since'")
         of_time = stored[since[0]]
         calendar = str(of_time.attrs.get("calendar", "standard"))
         if calendar not in ("standard", "gregorian", "proleptic_gregorian"):
@@ -249,15 +247,14 @@ def _netcdf(path: Path) -> _Table:
             digits = f"{8 * numbers.dtype.itemsize} bits, enough for steps of {step_s:.2g} s"
             raise ValueError(f"times with {digits}")
         times = frame[since[0]].to_numpy().astype("M8[us]").tolist()
-    along = {str(name): v for name, v in frame.items() if v.dims == (since[0],)}
-    names = ["t_utc", *along]
+        along = {str(name): v for name, v in frame.items() if v.dims == (since[0],)}
+        bad = {name: _called_bad(stored, name) for name in along}
     units = ["", *(str(values.attrs.get("units", "")) for values in along.values())]
-    bad = {name: _called_bad(stored, name) for name in along}
-    columns = (values.where(~bad[name]).to_numpy() for name, values in along.items())
-    rows = zip(times, *(column.tolist() for column in columns), strict=True)
-    lines = [(number, ",".join(map(str, row))) for number, row in enumerate(rows, start=1)]
-    calls = {name: int(mask.sum()) for name, mask in bad.items()}
-    return _Table(names, units, lines, True, called_bad=calls)
+    columns = (values.where(~bad[name]).to_numpy().tolist() for name, values in along.items())
+    rows = enumerate(zip(times, *columns, strict=True), start=1)
+    lines = [(number, ",".join(map(str, row))) for number, row in rows]
+    counts = {name: int(mask.sum()) for name, mask in bad.items()}
+    return _Table(["t_utc", *along], units, lines, True, called_bad=counts)
 
 
 def _called_bad(stored: Any, name: str) -> Mask:
@@ -272,10 +269,16 @@ def _called_bad(stored: Any, name: str) -> Mask:
     if own.dtype.kind not in "iuf":
         return np.zeros(own.shape, bool)
     scale, offset = about.get("scale_factor", 1.0), about.get("add_offset", 0.0)
-    least, most = about.get("valid_range", (-math.inf, math.inf))
-    limits = [np.asarray(about.get(*of)) for of in (("valid_min", least), ("valid_max", most))]
-    # integers are in the unit of the stored numbers
-    low, high = (v if v.dtype.kind == "f" else v * scale + offset for v in limits)
+
+    def in_unit(limit: Any) -> float:
+        """Return a limit: integers are in the unit of the stored numbers; a text is none."""
+        if limit.dtype.kind in "iu":
+            return float(limit * scale + offset)
+        return float(limit) if limit.dtype.kind == "f" else math.nan
+
+    span = np.ravel(about.get("valid_range", (-math.inf, math.inf)))
+    least, most = about.get("valid_min", span[0]), about.get("valid_max", span[-1])
+    low, high = (in_unit(np.ravel(limit)[0]) for limit in (least, most))
     values = own.to_numpy() * scale + offset
     bad = (values > high) | (values < min(low, strict_csv.IRRADIANCE_LIMITS_WM2[0]))
     for flag in (f"qc_{name}", *str(about.get("ancillary_variables", "")).split()):
