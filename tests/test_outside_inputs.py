@@ -1006,6 +1006,21 @@ def test_a_voltage_becomes_irradiance_by_its_sensitivity(
 
 
 @pytest.mark.contract
+def test_a_day_file_with_the_line_ends_of_windows_is_whole(tmp_path: Path) -> None:
+    """Sent by mail, or through git; a cell that a spreadsheet changed fails its checksum."""
+    slot = Slot(datetime(2027, 3, 20, 16, 30, tzinfo=UTC), 30.0, 180.0, (Exposure(0.01, 5.6),))
+    session = create_session(tmp_path / "s", SiteFile(Site("x", 47.6, -122.3)), [slot], {})
+    logger_csv(tmp_path / "a.csv")
+    adopt_rows(session, tmp_path / "a.csv", None)
+    (path,) = day_files(session)
+    whole, content = read_day(path)[0], path.read_bytes()
+    path.write_bytes(b"\xef\xbb\xbf" + content.replace(b"\n", b"\r\n"))
+    assert read_day(path) == (whole, 0) and len(whole) == 60
+    path.write_bytes(content.replace(b",1.5,", b",1.6,", 1))
+    assert read_day(path)[1] == 1
+
+
+@pytest.mark.contract
 def test_a_changed_sensitivity_replaces_the_earlier_rows(tmp_path: Path) -> None:
     slot = Slot(datetime(2027, 3, 20, 16, 30, tzinfo=UTC), 30.0, 180.0, (Exposure(0.01, 5.6),))
     session = create_session(tmp_path / "s", SiteFile(Site("x", 47.6, -122.3)), [slot], {})

@@ -39,7 +39,7 @@ def encode_sample(sample: IrradianceSample) -> bytes:
 
 def decode_sample(line: bytes) -> IrradianceSample | None:
     """Return the sample in a complete and undamaged row; None for any other row."""
-    body, _, crc = line.rstrip(b"\n").rpartition(b",")
+    body, _, crc = line.rstrip(b"\r\n").rpartition(b",")  # Windows' line ends change no number
     try:
         if not line.endswith(b"\n") or len(crc) != 8 or int(crc, 16) != zlib.crc32(body):
             return None
@@ -114,6 +114,6 @@ def read_day(path: Path) -> tuple[list[IrradianceSample], int]:
             sample = decode_sample(line)
             if sample is not None:
                 samples.append(sample)
-            elif line != _DAY_HEADER:
+            elif line.removeprefix(b"\xef\xbb\xbf").rstrip() != _DAY_HEADER.rstrip():
                 damaged += 1
     return samples, damaged
