@@ -271,7 +271,7 @@ def _called_bad(stored: Any, name: str) -> Mask:
     scale, offset = about.get("scale_factor", 1.0), about.get("add_offset", 0.0)
 
     def in_unit(limit: Any) -> float:
-        """Return a limit: integers are in the unit of the stored numbers; a text is none."""
+        """Return a limit: integers are in the unit of the stored numbers; NaN for a text."""
         if limit.dtype.kind in "iu":
             return float(limit * scale + offset)
         return float(limit) if limit.dtype.kind == "f" else math.nan
