@@ -185,6 +185,14 @@ def test_rammg_of_one_step() -> None:
     assert local_contrast(image).mean() == pytest.approx(10 * share * 2 * 18 / 800)
 
 
+@pytest.mark.analytic
+def test_rammg_of_columns_is_that_of_the_first_of_five_levels() -> None:
+    # Half as many rows and columns average one bright and one dark column to the same grey.
+    image = np.zeros((64, 64))
+    image[:, ::2] = 10.0
+    assert rammg(image) == pytest.approx(local_contrast(image).mean() / 5)
+
+
 @pytest.mark.property
 def test_rammg_scales_with_luminance(maps: np.ndarray) -> None:
     assert rammg(7 * maps) == pytest.approx(7 * rammg(maps))
@@ -197,6 +205,10 @@ def test_regions() -> None:
     assert flat["uniformity"] == pytest.approx(1.0, rel=1e-4)
     assert flat["task_cdm2"] == pytest.approx(50.0, rel=1e-4)
     assert np.isnan(flat["window_to_task"]).all()
+    window = np.full((1, 90, 180), 50.0, np.float32)
+    window[0, 30:40, 80:100] = 6000.0  # above the task cone
+    ratio = region_ratios(window, region_weights(views))["window_to_task"][0]
+    assert ratio == pytest.approx([120.0, np.nan], rel=1e-4, nan_ok=True)
 
 
 # ---------------------------------------------------------------------------------------------- the

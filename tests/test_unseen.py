@@ -25,6 +25,7 @@ from fieldlum.optics.images import write_panorama, write_radiance_hdr
 from fieldlum.optics.profiles import coverage_text, load_camera_profile, turning_text
 from fieldlum.optics.projection import (
     LensGeometry,
+    equirect_rays,
     judged_text,
     seen_by_lenses,
     seen_shares,
@@ -40,7 +41,7 @@ from fieldlum.year.glare.metrics import (
 )
 from fieldlum.year.glare.picture_glare import picture_glare
 from fieldlum.year.glare.pictures import parse_view, picture_views
-from fieldlum.year.glare.sources import panorama_views
+from fieldlum.year.glare.sources import panorama_views, position_index
 from fieldlum.year.predict.year import report_hours
 
 HEIGHT, HEADING_DEG = 16, 180.0
@@ -94,6 +95,22 @@ def test_the_bounds_hold_any_even_light_in_the_unseen_part(level: float, turn: i
     )
     # The bounds sum sources pixel by pixel, the truth groups them, and levels are sampled.
     assert low[0, 0] - 0.005 <= truth[0, 0] <= high[0, 0] + 0.01
+
+
+@pytest.mark.analytic
+def test_unseen_sources_are_one_or_many() -> None:
+    """A small spot counts pixel by pixel, a ring as one source at its centre, the line of sight."""
+    rays = equirect_rays(180, 360, HEADING_DEG)
+    aside = np.array([-np.sin(np.pi / 3), -np.cos(np.pi / 3), 0.0])  # west of south
+    at_spot, ahead = rays @ aside > np.cos(np.radians(10.0)), -rays[..., 1]
+    ring = (ahead > 0.0) & (ahead < 0.5)
+    spot_sr = 2.0 * np.pi * (1.0 - np.cos(np.radians(10.0)))
+    for unseen, expected in (
+        (at_spot, spot_sr / float(position_index(np.radians(60.0), 0.0)) ** 2),
+        (ring, np.pi),  # sr between 60 and 90 degrees
+    ):
+        views = panorama_views(180, 360, HEADING_DEG, np.array([HEADING_DEG]), ~unseen)
+        assert view_coverage(views).unseen_sources[0] == pytest.approx(expected, rel=0.05)
 
 
 @pytest.mark.analytic

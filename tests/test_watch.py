@@ -36,7 +36,7 @@ from fieldlum.optics.images import write_panorama
 from fieldlum.session import DayFiles, Journal, Session, create_session, read_journal
 from fieldlum.session.files.sidecar import Sidecar
 from fieldlum.web.prediction_so_far import Moment, Worker, answer_table
-from fieldlum.web.server import Guard, qr_lines
+from fieldlum.web.server import Guard, prepare, qr_lines
 from fieldlum.web.snapshot import DayBins, JournalFollower, Snapshots
 
 HOSTILE = '<img src=x onerror="document.body.dataset.hacked=1">'
@@ -205,7 +205,7 @@ def test_other_hosts_origins_and_methods_are_refused(address: str, cookie: str) 
         "/picture/20270320T153000Z%00.png?low=1&high=9",
         "/picture/20270320T153000Z.png?low=9&high=1",
         "/picture/20270320T153000Z.png?low=nan&high=inf",
-        "/picture/20270320T153000Z.png?low=1&high=9&width=-5",
+        "/picture/20270320T153000Z.png?low=1&high=9&width=15",
         "/picture/20270320T153000Z.png",
         "/picture/19990320T153000Z.png?low=1&high=9",
         "/day/../session.toml",
@@ -219,6 +219,37 @@ def test_no_other_file_can_be_had(address: str, cookie: str, path: str) -> None:
     status, _, body = _ask(address, path, {"Cookie": cookie})
     assert status in (400, 404)
     assert len(body) < 200
+
+
+@pytest.mark.contract
+def test_the_smallest_picture_has_16_columns(session: Session, address: str, cookie: str) -> None:
+    slot = session.slots()[0].id
+    status, _, body = _ask(
+        address, f"/picture/{slot}.png?low=1&high=9&width=16", {"Cookie": cookie}
+    )
+    assert status == 200 and body.startswith(b"\x89PNG")
+
+
+@pytest.mark.contract
+def test_a_server_starts_again_at_its_port_while_old_connections_end() -> None:
+    first = prepare((), 0, lan=False)
+    client = socket.create_connection(first.socket.getsockname())
+    first.socket.accept()[0].close()  # the side that closes first waits a minute (TIME_WAIT)
+    first.socket.close()
+    client.close()
+    again = prepare((), int(first.address.rpartition(":")[2].partition("/")[0]), lan=False)
+    again.socket.close()
+
+
+@pytest.mark.contract
+def test_the_address_for_the_lan_can_be_opened() -> None:
+    served = prepare((), 0, lan=True)
+    try:
+        host, port = urlsplit(served.address).hostname or "", urlsplit(served.address).port
+        assert host != "0.0.0.0" and f"{host}:{port}" in served.app.hosts
+        socket.create_connection((host, port), timeout=20).close()
+    finally:
+        served.socket.close()
 
 
 @pytest.mark.slow
