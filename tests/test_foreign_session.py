@@ -11,6 +11,7 @@ import socket
 import struct
 import subprocess
 import sys
+import tarfile
 import tempfile
 from collections.abc import Callable
 from contextlib import suppress
@@ -39,6 +40,7 @@ from fieldlum.merge.shots import shots_of_slot
 from fieldlum.optics.images import read_exr, read_panorama, read_radiance_hdr
 from fieldlum.optics.raw import opened, read_jpeg
 from fieldlum.optics.raw.exif import tags_of
+from fieldlum.report.export_and_pack import Statement, pack
 from fieldlum.room.fit.scene_file import read_scene
 from fieldlum.room.scene.embedded_commands import what_runs
 from fieldlum.session import (
@@ -667,6 +669,65 @@ def test_lock_and_journal_do_not_follow_a_link(rig: Field, tmp_path: Path, name:
     with pytest.raises(OSError, match="symbolic link"):
         rig.run()
     assert precious.read_text() == "precious"
+
+
+def unpacked(folder: Path, session: Session, names: list[str]) -> list[Path]:
+    """Unpack the files of a session from an archive, as hard links to files next to it."""
+    victims = []
+    with tarfile.open(folder / "mail.tar", "w") as archive:
+        for number, name in enumerate(names):
+            victims.append(folder / f"{number}.txt")
+            victims[-1].write_text("precious\n")
+            member = tarfile.TarInfo(f"{session.root.name}/{name}")
+            member.type, member.linkname = tarfile.LNKTYPE, victims[-1].name
+            archive.addfile(member)
+            (session.root / name).unlink(missing_ok=True)
+    with tarfile.open(folder / "mail.tar") as archive:
+        archive.extractall(folder, filter="data")
+    assert all(victim.stat().st_nlink == 2 for victim in victims)
+    return victims
+
+
+def test_hard_links_of_an_archive_lead_to_no_file(rig: Field) -> None:
+    """The filter of Python, and GNU tar, unpack links to the files of the folder around."""
+    day = f"irradiance/{T0:%Y-%m-%d}.csv"
+    names = [".reserve", ".capture.lock", ".log.lock", ".journal.lock", day, "journal.jsonl.torn"]
+    victims = unpacked(rig.session.root.parent, rig.session, names)
+    rig.run()
+    assert [victim.read_text() for victim in victims] == ["precious\n"] * len(names)
+    assert len(list(rig.session.raw.glob("*/*.dng"))) == 9
+
+
+def test_a_journal_with_another_name_is_not_written(rig: Field) -> None:
+    victim = unpacked(rig.session.root.parent, rig.session, ["journal.jsonl"])[0]
+    words = ["status", str(rig.session.root), "--mark", SLOT, "lamp=on"]
+    result = CliRunner().invoke(main, words)
+    assert result.exit_code == InputError.exit_code and result.stderr.count("\n") == 1
+    assert "journal.jsonl: a file that has another name too (hard link)" in result.stderr
+    with pytest.raises(OSError, match="hard link"):
+        rig.run()
+    assert victim.read_text() == "precious\n"
+
+
+def test_what_is_packed_comes_from_the_session(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another program exchanges a file for a link after `pack` listed the files."""
+    session, secret = make_session(tmp_path / "s"), tmp_path / "secret"
+    secret.write_text("secret")
+    frame = session.capture_file(SLOT).with_name("00.txt")
+    frame.parent.mkdir(parents=True)
+    frame.touch()
+
+    def exchanged(session: Session) -> list[str]:
+        frame.unlink()
+        frame.symlink_to(secret)
+        return []
+
+    monkeypatch.setattr("fieldlum.report.export_and_pack._notes", exchanged)
+    with pytest.raises(OSError, match="symbolic link"):
+        pack(session, tmp_path / "a.zip", Statement("t", ("a",), "CC0-1.0", "p", "nobody"))
+    assert not (tmp_path / "a.zip").exists()
 
 
 @pytest.mark.slow

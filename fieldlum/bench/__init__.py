@@ -16,7 +16,7 @@ from fieldlum.core.records import JsonTable, counted
 from fieldlum.learn.model_kinds import MODELS
 from fieldlum.learn.models.scores import truth
 from fieldlum.learn.train import Trial, choose_model, day_folds
-from fieldlum.session import replacing, replacing_path
+from fieldlum.session import replacing_path, write_file
 from fieldlum.session.codec import write_csv
 
 
@@ -100,8 +100,7 @@ def run(
         parts.append(f"## Stress\n\n{markdown(cells)}")
     hours = f"{len(test)} hours of {test.source}" if test else "held-out days"
     head = f"# Benchmark of {data.source}\n\nMachine: {machine()}. {len(data)} captures"
-    with replacing(out / "bench.md", "w", encoding="utf-8") as file:
-        file.write(f"{head}; test: {hours}.\n\n" + "\n".join(parts))
+    write_file(out / "bench.md", f"{head}; test: {hours}.\n\n" + "\n".join(parts))
     return {"models": rows, "chosen": chosen.name, "reason": chosen.reason}
 
 

@@ -190,6 +190,6 @@ def _allocate(path: Path, size: int) -> None:
     """Create a file that occupies `size` bytes of the disk; file systems compress zeros."""
     if path.is_file() and path.stat().st_size == size:
         return
-    handle = open_inside(path.parent, path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
-    with os.fdopen(handle, "wb") as file:
+    with os.fdopen(open_inside(path.parent, path, os.O_WRONLY | os.O_CREAT), "wb") as file:
+        file.truncate()
         file.write(os.urandom(size))

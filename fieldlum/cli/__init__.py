@@ -42,6 +42,7 @@ DISK_TROUBLE = {
     **dict.fromkeys((errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.ELOOP, errno.ENXIO), _NAME),
     errno.EIO: "the disk or card does not answer: copy the readable files to another one",
     errno.ENAMETOOLONG: "choose shorter names",
+    errno.EMLINK: "use a copy of the folder (cp -r), whose files have one name each",
     errno.EOVERFLOW: "restore the file from a copy, or remove it",
 }
 

@@ -14,7 +14,7 @@ import click
 
 from fieldlum.cli.options import command_of
 from fieldlum.core.errors import InputError, did_you_mean
-from fieldlum.core.files import read_bytes
+from fieldlum.core.files import read_bytes, write_file
 from fieldlum.core.records import CameraSetup, Site, SiteFile
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ def command(
     )
     for note in filter(None, notes):
         click.echo(f"note: {note}")
-    site_file.write_text(site_text(setup), encoding="utf-8")
+    write_file(site_file, site_text(setup))
     load_site(site_file)
     dialogue.path.unlink(missing_ok=True)
     click.echo(f"written: {site_file}")
@@ -112,7 +112,7 @@ class Dialogue:
             except (InputError, ValueError) as error:
                 raise click.UsageError(str(error)) from None
             self.answers[question] = text
-            self.path.write_text(json.dumps(self.answers, ensure_ascii=False), encoding="utf-8")
+            write_file(self.path, json.dumps(self.answers, ensure_ascii=False))
             return value
 
         offered = self.answers.get(question, default)

@@ -33,8 +33,9 @@ def open_file(
 ) -> int:
     """Open a regular file by the flags of os.open, without waiting; return its handle.
 
-    folder: handle of the folder to which a relative path belongs; None for the current one. Raises
-    OSError for a folder, a pipe, a device, and a link that is not followed.
+    flags: without O_TRUNC, which would act before the checks; folder: handle of the folder to which
+    a relative path belongs; None for the current one. Raises OSError for a folder, a pipe, a
+    device, a link that is not followed, and when writing, for a file with several hard links.
     """
     # Absent on Windows, where a link needs a right that users do not have. O_NONBLOCK is for a
     # named pipe; it has no effect on files.
@@ -45,21 +46,31 @@ def open_file(
         handle = os.open(path, flags, 0o644, dir_fd=folder)
     except OSError as error:
         raise no_file if error.errno == errno.ENXIO else error from None
-    mode = os.fstat(handle).st_mode
-    if stat.S_ISREG(mode):
+    about = os.fstat(handle)
+    # An archive can hold a hard link to a file of the folder in which it is unpacked.
+    is_shared = about.st_nlink > 1 and flags & (os.O_WRONLY | os.O_RDWR) != 0
+    if stat.S_ISREG(about.st_mode) and not is_shared:
         return handle
     os.close(handle)
-    if stat.S_ISDIR(mode):
+    if stat.S_ISREG(about.st_mode):
+        raise OSError(errno.EMLINK, "a file that has another name too (hard link)", str(path))
+    if stat.S_ISDIR(about.st_mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     raise no_file
 
 
-def open_to_read(path: Path, maximum_bytes: int = MAX_FILE_BYTES) -> BufferedReader:
+def open_to_read(
+    path: Path,
+    maximum_bytes: int = MAX_FILE_BYTES,
+    opener: Callable[[str, int], int] | None = None,
+) -> BufferedReader:
     """Open a file for reading, and never wait for another program.
 
-    Raises OSError for a missing file, a pipe or device, and a file over `maximum_bytes`.
+    opener: as of `open`, None to follow links. Raises OSError for a missing file, a pipe or device,
+    and a file over `maximum_bytes`.
     """
-    file = open(path, "rb", opener=partial(open_file, follow_links=True))  # noqa: SIM115
+    follow = partial(open_file, follow_links=True)
+    file = open(path, "rb", opener=opener or follow)  # noqa: SIM115
     size = os.fstat(file.fileno()).st_size
     if size > maximum_bytes:
         file.close()
@@ -88,6 +99,13 @@ def replacing(path: Path, mode: str = "wb", **kwargs: Any) -> Iterator[IO[Any]]:
     """
     with replacing_path(path) as temporary, temporary.open(mode, **kwargs) as file:
         yield file
+
+
+def write_file(path: Path, content: bytes | str) -> Path:
+    """Write bytes, or a text in UTF-8, as `replacing` does; return `path`."""
+    with replacing(path) as file:
+        file.write(content.encode() if isinstance(content, str) else content)
+    return path
 
 
 def check_writable(folder: Path) -> None:

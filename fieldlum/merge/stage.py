@@ -27,9 +27,9 @@ from fieldlum.session import (
     Session,
     check_writable,
     remove_scraps,
-    replacing,
     replacing_path,
     sha256,
+    write_file,
 )
 from fieldlum.session.codec import change_of, current_note, digest, sealed, to_json, write_csv
 from fieldlum.session.files.capture_json import CaptureFile
@@ -333,8 +333,7 @@ def write_contact_sheets(session: Session, sidecars: Sequence[Sidecar]) -> None:
     zone = ZoneInfo(session.site_file().site.timezone)
     for first in range(0, len(sidecars), _PER_PAGE):
         sheet = _sheet(session, sidecars[first : first + _PER_PAGE], zone)
-        with replacing(session.panoramas / f"contact-{first // _PER_PAGE + 1}.png") as file:
-            file.write(png_of(sheet))
+        write_file(session.panoramas / f"contact-{first // _PER_PAGE + 1}.png", png_of(sheet))
 
 
 def _sheet(session: Session, sidecars: Sequence[Sidecar], zone: ZoneInfo) -> NDArray[np.uint8]:

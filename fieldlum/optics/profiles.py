@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from msgspec import Meta
 
 from fieldlum.core.errors import InputError, did_you_mean
-from fieldlum.core.files import replacing
+from fieldlum.core.files import write_file
 from fieldlum.core.records import CameraSetup, Exposure, Slot, counted
 from fieldlum.core.strict_toml import NotNegative, Positive, Share, build, plain, read_toml
 from fieldlum.optics.photometry import rises
@@ -407,8 +407,7 @@ def save_profile(path: Path, profile: CameraProfile) -> None:
     """Write a profile as TOML, over an existing file; the file appears complete or not at all."""
     import tomli_w
 
-    with replacing(path) as file:
-        file.write(tomli_w.dumps(plain(profile)).encode())
+    write_file(path, tomli_w.dumps(plain(profile)))
 
 
 def bracket_exposures(bracket: Bracket, filter_name: str = "") -> tuple[Exposure, ...]:

@@ -21,7 +21,7 @@ from fieldlum.plan.capture_days import Coverage, DaylightHours, today_at
 from fieldlum.plan.sheet import html, ics
 from fieldlum.room.scene.geometry import build
 from fieldlum.room.scene.trace import disc_visibility, sun_points
-from fieldlum.session import Session, create_session, replacing
+from fieldlum.session import Session, create_session, write_file
 from fieldlum.session.folder import PlanTable
 from fieldlum.sky import sun
 from fieldlum.weather import Weather
@@ -182,8 +182,7 @@ def write_calendar(session: Session, made_utc: datetime) -> None:
     """
     seconds, _, revision = _planned_cost(session)
     data = ics(session.slots(), session.site_file().site, seconds, made_utc, revision)
-    with replacing(session.root / "plan.ics") as file:
-        file.write(data)
+    write_file(session.root / "plan.ics", data)
 
 
 def write_sheets(
@@ -195,9 +194,8 @@ def write_sheets(
     if session.toml has no complete table [plan].
     """
     cost = _planned_cost(session)[:2]
-    with replacing(session.root / "plan.html") as file:
-        file.write(html(session.slots(), session.site_file(), cost, weather, notes).encode())
-    return session.root / "plan.html"
+    page = html(session.slots(), session.site_file(), cost, weather, notes)
+    return write_file(session.root / "plan.html", page)
 
 
 def _planned_cost(session: Session) -> tuple[float, float, int]:

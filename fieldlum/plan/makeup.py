@@ -9,7 +9,7 @@ import numpy as np
 from fieldlum.core.files import read_bytes
 from fieldlum.core.records import JsonTable, Site, SiteFile, Slot, listed, parse_utc, slot_id
 from fieldlum.plan.capture_days import hours_of, span, sun_band_percent
-from fieldlum.session import Session, replacing, sha256, update_session, write_plan
+from fieldlum.session import Session, sha256, update_session, write_file, write_plan
 from fieldlum.session.folder import PlanTable
 from fieldlum.session.plan_file import read_plan
 from fieldlum.session.slot_states import MAKEUP, made_up_for, read_slot_states
@@ -103,8 +103,7 @@ def run(session: Session, now_utc: datetime) -> JsonTable:
     due = [s for s in missed if all(m.t_utc + grace < now_utc for m in makeups.get(s.id, ()))]
     added, pairs, lost = make_up(due, slots, setup, now_utc)
     if added:
-        with replacing(_older_plan(session, about)) as file:
-            file.write(read_bytes(session.plan))
+        write_file(_older_plan(session, about), read_bytes(session.plan))
         ordered = sorted([*slots, *added], key=lambda slot: slot.t_utc)
         write_plan(session.plan, ordered, setup.site.timezone)
         about = _record(session, about)

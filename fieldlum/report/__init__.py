@@ -12,7 +12,7 @@ from fieldlum.learn.models import read_config
 from fieldlum.report import sections
 from fieldlum.report.assessor import assessor_page
 from fieldlum.report.page import Page, Section, Table, named, render
-from fieldlum.session import Session, remove_scraps, replacing
+from fieldlum.session import Session, remove_scraps, write_file
 from fieldlum.session.codec import change_of
 from fieldlum.session.files.model_files import HeldOutMaps, ScoresFile
 from fieldlum.session.files.pairs_csv import PairsFile
@@ -94,6 +94,4 @@ def run(session: Session, out: Path | None = None, *, for_assessor: bool = False
     remove_scraps(folder)
     page = folder / ("assessor.html" if for_assessor else "index.html")
     text = assessor_page(session, year) if for_assessor else _page(session, year)
-    with replacing(page, "w", encoding="utf-8") as file:
-        file.write(text)
-    return page
+    return write_file(page, text)

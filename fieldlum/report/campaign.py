@@ -15,7 +15,7 @@ from fieldlum.core.records import counted
 from fieldlum.core.strict_toml import build, read_toml
 from fieldlum.report.page import Page, Section, Table, chip, named, render
 from fieldlum.report.sections import exceeded_text
-from fieldlum.session import Session, open_session, replacing
+from fieldlum.session import Session, open_session, write_file
 from fieldlum.session.codec import to_json, write_object
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.files.predict_json import DirectionYear, PredictFile
@@ -138,8 +138,7 @@ def write_overview(campaign: CampaignFile, out: Path) -> tuple[Path, list[RoomOv
         progress(k, len(campaign.sessions), name)
         rooms.append(overview_of(campaign.path.parent, name))
     page = out / "index.html"
-    with replacing(page, "w", encoding="utf-8") as file:
-        file.write(_page(campaign.name, rooms))
+    write_file(page, _page(campaign.name, rooms))
     write_object(out / "overview.json", {"rooms": [to_json(room) for room in rooms]})
     return page, rooms
 

@@ -37,7 +37,7 @@ from fieldlum.optics.projection import (
 from fieldlum.report.page import comparison_png, png
 from fieldlum.room.scene.geometry import WALLS, wall_named
 from fieldlum.room.scene.view import look
-from fieldlum.session import Session, replacing
+from fieldlum.session import Session, write_file
 from fieldlum.session.codec import write_csv
 from fieldlum.session.panorama_sun import read_panorama_with_sun
 from fieldlum.sky.sun import hour_of_year
@@ -118,8 +118,7 @@ def compare(
 def _write(out: Path, rows: Sequence[JsonTable], picture: bytes) -> tuple[Path, Path]:
     files = out / "compare.csv", out / "compare.png"
     write_csv(files[0], rows)
-    with replacing(files[1]) as file:
-        file.write(picture)
+    write_file(files[1], picture)
     return files
 
 

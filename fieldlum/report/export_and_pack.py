@@ -21,7 +21,7 @@ import tomli_w
 
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.false_colour import png_of
-from fieldlum.core.files import read_bytes
+from fieldlum.core.files import open_to_read, read_bytes
 from fieldlum.core.progress import progress
 from fieldlum.core.records import Flag, Room, counted, listed
 from fieldlum.core.strict_toml import read_toml
@@ -33,10 +33,11 @@ from fieldlum.room.fit.scene_file import SCENE_TOML, read_scene
 from fieldlum.room.scene.geometry import build
 from fieldlum.room.scene.honeybee import MODEL_NAME, honeybee_model
 from fieldlum.room.scene.radiance import rad_text
-from fieldlum.session import Session, replacing, replacing_path
-from fieldlum.session.codec import write_csv
+from fieldlum.session import Session, replacing_path, write_file
+from fieldlum.session.codec import write_csv, write_object
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.panorama_sun import read_panorama_with_sun
+from fieldlum.session.safe_paths import open_inside
 from fieldlum.sky.sky_view.view import SkyView
 from fieldlum.version import __version__
 from fieldlum.year.glare.picture_glare import valid_pixels
@@ -113,8 +114,7 @@ def _sky(session: Session, out: Path) -> list[Path]:
     rays = direction(90.0 * (1.0 - radius), np.degrees(np.arctan2(-x, y)))
     share = view.shares(rays)[0]
     grey = np.where(np.isnan(share), 128.0, 255.0 * share) * (radius <= 1.0)
-    with replacing(picture) as file:
-        file.write(png_of(np.repeat(grey[..., None], 3, axis=2).astype(np.uint8)))
+    write_file(picture, png_of(np.repeat(grey[..., None], 3, axis=2).astype(np.uint8)))
     return [table, picture]
 
 
@@ -132,10 +132,8 @@ def _room(session: Session, out: Path, azimuths_deg: Sequence[float]) -> list[Pa
             found = "a file that export did not write"
             raise InputError(file, found, "another folder", "choose another --out")
     north = f"{_NORTH} {(room.wall_azimuth_deg + 180) % 360:g} deg from true north\n"
-    with replacing(path, "w", encoding="utf-8") as file:
-        file.write(north + rad_text(build(room)))
-    with replacing(model, "w", encoding="utf-8") as file:
-        json.dump(honeybee_model(room, azimuths_deg), file, indent=1)
+    write_file(path, north + rad_text(build(room)))
+    write_object(model, honeybee_model(room, azimuths_deg))
     return [path, model]
 
 
@@ -225,6 +223,9 @@ def pack(session: Session, out: Path, statement: Statement) -> list[str]:
     top, digests = session.root.resolve().name, []  # of ".", too
     with replacing_path(out) as draft, zipfile.ZipFile(draft, "w", zipfile.ZIP_STORED) as archive:
 
+        def open_own(name: str, flags: int) -> int:
+            return open_inside(session.root, Path(name), flags)
+
         def add(name: str, data: bytes) -> None:
             digests.append((name, hashlib.sha256(data).hexdigest()))
             archive.writestr(f"{top}/{name}", data)
@@ -233,7 +234,9 @@ def pack(session: Session, out: Path, statement: Statement) -> list[str]:
             add(name, text.encode())
         for number, path in enumerate(files):
             progress(number, len(files), "files")
-            add(path.relative_to(session.root).as_posix(), read_bytes(path))
+            # a link that another program makes meanwhile would publish a file of this computer
+            with open_to_read(path, opener=open_own) as file:
+                add(path.relative_to(session.root).as_posix(), file.read())
         manifest = "".join(f"{digest}  {name}\n" for name, digest in sorted(digests))
         archive.writestr(f"{top}/MANIFEST.sha256", manifest)
     return notes

@@ -17,7 +17,7 @@ from fieldlum.core.arrays import Floats32, Mask
 from fieldlum.core.false_colour import colour_table, luminance_ends, shared_scale
 from fieldlum.core.records import JsonTable
 from fieldlum.optics.projection import direction
-from fieldlum.session import replacing
+from fieldlum.session import write_file
 from fieldlum.year.glare.picture_glare import glare_answer
 from fieldlum.year.glare.pictures import Picture, picture_directions, read_picture
 from fieldlum.year.glare.sources import Sources
@@ -171,8 +171,7 @@ def write_png(path: Path, pictures: Sequence[MeasuredPicture], regions: Sequence
     figure, cells = picture_grid(maps, titles, len(maps), 6.4, scale)
     for axis, picture in zip(cells, pictures, strict=True):
         _draw_marks(axis, picture, regions)
-    with replacing(path) as file:
-        file.write(png(figure, 150))  # 960 pixels wide
+    write_file(path, png(figure, 150))  # 960 pixels wide
 
 
 def _draw_marks(axis, picture: MeasuredPicture, regions: Sequence[Region]) -> None:
@@ -234,8 +233,7 @@ def write_page(path: Path, pictures: Sequence[MeasuredPicture], rows: Sequence[J
             pixels += tag.format("u", k, encode_luminance(u[::_U_STEP, ::_U_STEP]))
     title = html.escape(", ".join(picture.name for picture in pictures)[:120])
     text = text.replace("@TITLE@", title).replace("@PIXELS@", pixels).replace("@DATA@", data)
-    with replacing(path, "w", encoding="utf-8") as file:
-        file.write(text)
+    write_file(path, text)
 
 
 def _about(picture: MeasuredPicture) -> JsonTable:

@@ -13,6 +13,7 @@ from fieldlum.core.files import (
     replacing_path,
     sha256,
     sync_folder,
+    write_file,
 )
 from fieldlum.session.day_files import DAY_COLUMNS, DayFiles, day_files, encode_sample, read_day
 from fieldlum.session.folder import (

@@ -15,12 +15,12 @@ from filelock import FileLock, Timeout
 from msgspec import Meta
 
 from fieldlum.core.errors import ChangedFileWarning, InputError, input_errors
-from fieldlum.core.files import read_bytes, replacing, sha256
+from fieldlum.core.files import read_bytes, sha256, write_file
 from fieldlum.core.records import SiteFile, Slot
 from fieldlum.core.strict_toml import read_toml
 from fieldlum.session.codec import convert
 from fieldlum.session.plan_file import PLAN_COLUMNS, read_plan, write_plan
-from fieldlum.session.safe_paths import is_plain, refuse_links
+from fieldlum.session.safe_paths import is_plain, open_inside, refuse_links
 from fieldlum.session.site_toml import site_from_table, site_table, with_paths_from
 from fieldlum.version import __version__
 
@@ -305,8 +305,7 @@ def update_session(session: Session, tables: SessionTable) -> None:
     import tomli_w
 
     before = session.table() if session.toml.exists() else {}
-    with replacing(session.toml) as file:
-        file.write(tomli_w.dumps({**before, **tables}).encode())
+    write_file(session.toml, tomli_w.dumps({**before, **tables}))
 
 
 def store_grace(session: Session, grace_s: float) -> None:
@@ -339,8 +338,10 @@ def sole_user(session: Session, purpose: Literal["capture", "log"]) -> Iterator[
         found, remedy = f"{other} {_LOCKED[purpose]} this session", "stop the other process first"
         raise InputError(session.root, found, "one process at a time", remedy) from None
     try:
-        with suppress(OSError):  # if the disk is full
-            path.write_text(f"{os.getpid()}\n", encoding="utf-8")
+        # if the disk is full
+        with suppress(OSError), os.fdopen(open_inside(path.parent, path, os.O_WRONLY), "w") as file:
+            file.write(f"{os.getpid()}\n")
+            file.truncate()
         yield
     finally:
         lock.release()

@@ -22,7 +22,7 @@ from fieldlum.optics.projection import direction
 from fieldlum.room.scene import sun_patches
 from fieldlum.room.scene.clicked import ClickedRoom, ClickGrid, clicks_from_rows, room_from_clicks
 from fieldlum.room.scene.drawing import compass_text, outline_pixels
-from fieldlum.session import Session, replacing, update_session
+from fieldlum.session import Session, update_session, write_file
 from fieldlum.session.site_toml import site_table
 from fieldlum.sky import sun
 from fieldlum.web.server import json_body, picture_routes, static_route
@@ -99,8 +99,7 @@ def save_room(session: Session, clicked: ClickedRoom, *, replace_room: bool) -> 
     path = session.root / "scene" / "clicked.toml"
     lines = ["# Written by fieldlum scene click. Standard uncertainties, from the clicks' pixels:"]
     lines += [f"#   {name} +- {u:.3g}" for name, u in clicked.u.items()]
-    with replacing(path, "w", encoding="utf-8") as file:
-        file.write("\n".join(lines) + "\n\n" + tomli_w.dumps(site_table(new)))
+    write_file(path, "\n".join(lines) + "\n\n" + tomli_w.dumps(site_table(new)))
     is_written = setup.room is None or replace_room
     if is_written:
         update_session(session, {"setup": site_table(new)})

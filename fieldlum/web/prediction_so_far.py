@@ -22,8 +22,8 @@ import psutil
 from fieldlum.core.errors import InputError
 from fieldlum.core.files import read_bytes
 from fieldlum.core.records import JsonTable, parse_utc, utc_text
-from fieldlum.session import Session, replacing
-from fieldlum.session.codec import to_json
+from fieldlum.session import Session
+from fieldlum.session.codec import to_json, write_object
 from fieldlum.session.files.predict_json import PredictFile
 from fieldlum.session.files.sidecar import Sidecar, newest_sidecar
 
@@ -138,8 +138,7 @@ class Worker:
             "warnings": [*year.model_warnings, *year.notes],
             "protection": to_json(year.protection),
         }
-        with replacing(self.folder / "answer.json", "w", encoding="utf-8") as file:
-            json.dump(answer, file)
+        write_object(self.folder / "answer.json", answer)
 
     def _run(self, name: str, *arguments: str) -> bool:
         """Run one command at the lowest priority and return whether it succeeded.
@@ -153,7 +152,9 @@ class Worker:
         out, notes = self.folder / f"{name}.out", self.folder / f"{name}.err"
         threads = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
         try:
-            with out.open("wb") as answer, notes.open("wb") as errors:
+            for path in (out, notes):
+                path.unlink(missing_ok=True)  # a link of this name would lead elsewhere
+            with out.open("xb") as answer, notes.open("xb") as errors:
                 process = psutil.Popen(
                     [*self.program, *arguments],
                     stdin=subprocess.DEVNULL,

@@ -12,6 +12,7 @@ from fieldlum.room.fit.apply_scene import with_patches, with_scene
 from fieldlum.room.fit.evidence import SceneEvidence
 from fieldlum.room.fit.scene_file import Scene
 from fieldlum.room.scene.drawing import write_room
+from fieldlum.session import replacing_path
 
 SHOWN_HOURS = 4  # chosen: one page in print
 FITTED_COLOUR, STATED_COLOUR = "#d62728", "#1f77b4"
@@ -28,9 +29,9 @@ def draw(folder: Path, data: Dataset, scene: Scene, evidence: SceneEvidence) -> 
     mpl.use("Agg")
     from matplotlib import pyplot
 
-    folder.mkdir(parents=True, exist_ok=True)
     figure = _overlay(data, scene, evidence)
-    figure.savefig(folder / "overlay.png", dpi=110, bbox_inches="tight")
+    with replacing_path(folder / "overlay.png") as temporary:
+        figure.savefig(temporary, dpi=110, bbox_inches="tight")
     pyplot.close(figure)
     heading_deg = (data.heading_deg + scene.north_deg) % 360.0
     camera = replace(data.setup.camera, heading_deg=heading_deg)

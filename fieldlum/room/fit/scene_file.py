@@ -7,7 +7,7 @@ from typing import Literal
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Room
 from fieldlum.core.strict_toml import build, plain, read_toml
-from fieldlum.session import replacing
+from fieldlum.session import write_file
 
 SCENE_TOML = "scene.toml"
 FORMAT = 1
@@ -55,11 +55,7 @@ def write_scene(folder: Path, scene: Scene) -> Path:
     """
     import tomli_w
 
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / SCENE_TOML
-    with replacing(path) as file:
-        file.write(tomli_w.dumps(plain(scene)).encode())
-    return path
+    return write_file(folder / SCENE_TOML, tomli_w.dumps(plain(scene)))
 
 
 def read_scene(folder: Path) -> Scene:

@@ -16,7 +16,7 @@ from fieldlum.core.records import Room, SiteFile
 from fieldlum.optics.projection import compass_name
 from fieldlum.room.scene.clicked import ClickGrid
 from fieldlum.room.scene.geometry import WALL_TURN_DEG, WALLS, build, upright
-from fieldlum.session import replacing
+from fieldlum.session import write_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,8 +32,7 @@ def compass_text(azimuth_deg: float) -> str:
 def write_room(setup: SiteFile, path: Path) -> bool:
     """Write the plan of a box room as SVG; return whether there is one. Raises as `room_svg`."""
     if drawing := room_svg(setup):
-        with replacing(path, "w", encoding="utf-8") as file:
-            file.write(drawing)
+        write_file(path, drawing)
     return bool(drawing)
 
 
