@@ -38,8 +38,6 @@ _ZONE = re.compile(r"((utc|gmt)_?)?offset|tz|(time_?)?zone")
 _DAY_OR_MONTH_FIRST = re.compile(r"(\d{1,2})([/.])(\d{1,2})\2(\d{4})[ T]+(.+)")
 _COMMA = re.compile(r" is '[+-]?[\d.]+,[\d,.]+'")
 _BAD = re.compile("bad|invalid|fail|error|missing")  # words of flag_meanings
-_STANDARD_TIME = "write standard time in all rows"
-_SAVE_AGAIN = "save it as CSV with commas between and points in the numbers"
 # Usual column names in loggers' programs and in ARM's netCDF files, without "avg"; digits,
 # underscores and case are ignored in the comparison.
 _USUAL = {
@@ -142,7 +140,8 @@ def _check_readable(path: Path, logger_file: LoggerFile) -> None:
         has_thousands = commas[0].endswith(strict_csv.THOUSANDS)
         kind = "thousands separators" if has_thousands else "decimal commas"
         found = f"{len(commas)} of {count + len(left_out)} rows have {kind}: {commas[0]}"
-        raise InputError(path, found, "numbers with a decimal point", _SAVE_AGAIN)
+        remedy = "save it as CSV with commas between and points in the numbers"
+        raise InputError(path, found, "numbers with a decimal point", remedy)
     if len(left_out) > count or not count:
         first = left_out[0] if left_out else "it has no rows"
         found = f"{len(left_out)} rows cannot be read, {count} can: {first}"
@@ -498,7 +497,10 @@ class _Clock:
         self._is_twelve = self._is_twelve and t.hour <= 12
         if before is None or t >= before:
             return
-        back, remedy = before - t, f"{_STANDARD_TIME}, or remove rows that occur twice"
+        back, remedy = (
+            before - t,
+            "write standard time in all rows, or remove rows that occur twice",
+        )
         found = f"the clock goes back from {before:%Y-%m-%d %H:%M} to {t:%H:%M}"
         if t.hour < 4 and timedelta(minutes=25) < back <= timedelta(hours=1):
             cause = "as at the end of summer time"

@@ -20,9 +20,11 @@ import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout, suppress
 from dataclasses import dataclass, replace
+from io import BufferedReader
 from pathlib import Path
+from shutil import copyfileobj
 from tempfile import TemporaryFile
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -189,12 +191,15 @@ def _decoded(file: BinaryIO, header: RadianceHeader, path: Path) -> Floats32:
     scanlines, width = header.counts
     plain = f"#?RADIANCE\nFORMAT={_RGBE}\n\n-Y {scanlines} +X {width}\n".encode()
     command = [radiance_program("pvalue"), "-h", "-H", "-df"]
-    with TemporaryFile() as decoded:  # a pipe would need the memory twice
-        content, quiet = plain + file.read(), subprocess.DEVNULL
-        subprocess.run(command, input=content, stdout=decoded, stderr=quiet, check=False)
-        decoded.seek(0)
-        values = np.fromfile(decoded, np.float32, 3 * scanlines * width)
-    count = values.size // (3 * width)
+    values = np.empty(3 * scanlines * width, np.float32)
+    with TemporaryFile() as coded:  # a pipe for both would need a thread
+        coded.write(plain)
+        copyfileobj(file, coded)
+        coded.seek(0)
+        quiet, pipe = subprocess.DEVNULL, subprocess.PIPE
+        with subprocess.Popen(command, stdin=coded, stdout=pipe, stderr=quiet) as process:
+            output = cast("BufferedReader", process.stdout)
+            count = output.readinto(values.data.cast("B")) // (12 * width)
     if count < scanlines:
         finding = f"the pixels are damaged, or end after scanline {count} of {scanlines}"
         raise InputError(path, finding, "all scanlines", "it is cut short: copy it again")
