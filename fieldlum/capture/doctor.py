@@ -234,10 +234,6 @@ def check_sun(session: Session, now_utc: datetime) -> Iterator[Finding]:
 CAMERA_CLOCK_WARN_S, CAMERA_CLOCK_FAIL_S = 5.0, DEFAULT_GRACE_S
 
 
-def _joined(*parts: str) -> str:
-    return " ".join(part for part in parts if part)
-
-
 def check_camera(session: Session, uri: str, now_utc: datetime) -> Iterator[Finding]:
     """Check that the camera opens, has the planned exposures, and is that of the profile.
 
@@ -293,7 +289,7 @@ def judge_camera(info: CameraInfo, uri: str, frames: int) -> Iterator[Finding]:
     space than planned.
     """
     make = "" if info.model.startswith(info.make) else info.make  # "Canon", "Canon EOS 5D"
-    who = _joined(make, info.model, info.serial) or info.kind
+    who = " ".join(filter(None, (make, info.model, info.serial))) or info.kind
     battery = f", battery {info.battery}" if info.battery else ""
     yield ok("camera", f"{who} answers at {uri}{battery}")
     yield _clock_of(info.clock_offset_s)
@@ -341,7 +337,7 @@ def check_meter(uri: str) -> Iterator[Finding]:
         return
     with closing(devices.open_meter(uri, clock=Clock())) as meter:
         info, reading = meter.info, meter.read()
-    who = _joined(info.model, info.serial) or info.kind
+    who = f"{info.model} {info.serial}".strip() or info.kind
     yield ok("meter", f"{who} answers: {reading.illuminance_lx:.4g} lx")
     if reading.low_battery:
         yield warn("meter", "the meter's battery is low: change it")
@@ -356,7 +352,7 @@ def judge_pyranometer(
     global irradiance only, lines without a checksum, and a calibration over two years ago are
     warnings.
     """
-    what, who = "pyranometer", _joined(info.model or info.kind, info.serial)
+    what, who = "pyranometer", f"{info.model or info.kind} {info.serial}".strip()
     parts = {"global": sample.ghi_wm2, "diffuse": sample.dhi_wm2, "direct": sample.dni_wm2}
     measured = {name: value for name, value in parts.items() if value is not None}
     reading = ", ".join(f"{name} {value:.0f}" for name, value in measured.items())
