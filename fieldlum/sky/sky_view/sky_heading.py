@@ -16,9 +16,9 @@ from fieldlum.sky.sky_view.sky_directions import BEAM_LX, usable_log
 _MIN_HOURS, _MIN_DIRECTIONS = 5, 10  # of the estimate, and of an hour in it; chosen
 _STEP_DEG = 0.1
 _HUBER = 1.5  # standard uncertainties, beyond which an hour counts less
-# Errors in rooms of other renderers (docs/sky-view.md) are 1.3 times the estimate's own; at least
-# 0.2 degrees, because the sun moves so far in the seconds of a bracket. Chosen.
-_TIMES, MIN_U_DEG = 1.5, 0.2
+# Errors in eight rooms of other renderers (docs/sky-view.md) are 2.0 times the estimate's own; at
+# least 0.2 degrees, because the sun moves so far in the seconds of a bracket. Chosen.
+_TIMES, MIN_U_DEG = 2.0, 0.2
 _NORMAL_MEDIAN = 0.455  # of chi squared with one degree of freedom
 
 
