@@ -257,7 +257,7 @@ def test_one_best_direction_in_headline_figures_and_pictures(page: Path, session
     year = predict.read_annual(session.annual / "transport")
     ends = predict.best_and_worst(year.summary.protection)
     assert ends is not None
-    best = annual_page.named(ends[0].azimuth_deg)
+    best = annual_page.direction_name(ends[0].azimuth_deg)
     kinds = predict.read_pictures(year.folder).kinds
     text = page.read_text("utf-8")
     assert f"Sit facing {best}" in text

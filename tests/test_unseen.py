@@ -203,7 +203,9 @@ def test_the_page_recommends_no_direction_that_was_not_seen(year: predict.Annual
     assert ends is not None
     best, worst = ends
     assert "not seen" not in (best.glare_class, worst.glare_class)
-    assert annual_page.named(best.azimuth_deg) in answer and "No result for views to" in why
+    assert (
+        annual_page.direction_name(best.azimuth_deg) in answer and "No result for views to" in why
+    )
     assert "not seen" in annual_page.polar(year).alt
     table = annual_page.directions_section(year).tables[0]
     assert any(row[1]["text"] == "not seen" and row[3] == "–" for row in table.rows)

@@ -11,7 +11,7 @@ from fieldlum.core.strict_csv import read_table
 from fieldlum.learn.models import read_config
 from fieldlum.report import sections
 from fieldlum.report.assessor import assessor_page
-from fieldlum.report.page import Page, Section, Table, named, render
+from fieldlum.report.page import Page, Section, Table, direction_name, render
 from fieldlum.session import Session, remove_scraps, write_file
 from fieldlum.session.codec import change_of
 from fieldlum.session.files.model_files import HeldOutMaps, ScoresFile

@@ -13,7 +13,7 @@ from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import SiteFile
 from fieldlum.optics import profiles
 from fieldlum.report import sections
-from fieldlum.report.page import Page, Section, Table, class_name, named, render, sentence
+from fieldlum.report.page import Page, Section, Table, class_name, direction_name, render, sentence
 from fieldlum.session import Session, sha256
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.version import __version__
@@ -37,7 +37,7 @@ _METHOD = (
 def _requirements(annual: Annual, zone: str) -> Table:
     directions = annual.summary.protection
     decided = [row for row in directions if row.certain]
-    classes = ", ".join(f"{named(row.azimuth_deg)} {class_name(row)}" for row in decided)
+    classes = ", ".join(f"{direction_name(row.azimuth_deg)} {class_name(row)}" for row in decided)
     found = f"decided in {len(decided)} of {len(directions)} directions: {classes or 'none'}"
     answers = [text for text in sections.disturbed(annual) if text != "–"]
     sdg = (

@@ -13,7 +13,7 @@ from fieldlum.core.errors import FieldlumError, InputError
 from fieldlum.core.progress import progress
 from fieldlum.core.records import counted
 from fieldlum.core.strict_toml import build, read_toml
-from fieldlum.report.page import Page, Section, Table, chip, named, render
+from fieldlum.report.page import Page, Section, Table, chip, direction_name, render
 from fieldlum.report.sections import exceeded_text
 from fieldlum.session import Session, open_session, write_file
 from fieldlum.session.codec import to_json, write_object
@@ -168,8 +168,8 @@ def _table(rooms: Sequence[RoomOverview]) -> Section:
         worst, best, glare = room.worst, room.best, ("–",) * 6
         if worst is not None and best is not None:
             hours = f"{worst.hours_over[_GLARE_DGP]} of {room.occupied_hours}"
-            glare = (named(worst.azimuth_deg), chip(worst), exceeded_text(worst), hours)
-            glare = (*glare, named(best.azimuth_deg), chip(best))
+            glare = (direction_name(worst.azimuth_deg), chip(worst), exceeded_text(worst), hours)
+            glare = (*glare, direction_name(best.azimuth_deg), chip(best))
         counts = (f"{room.captured} of {room.planned}", f"{room.to_do}", f"{room.failed}")
         body.append((room.session, *(("not read", "–", "–") if room.broken else counts), *glare))
     text = (

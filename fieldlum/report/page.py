@@ -27,7 +27,7 @@ from fieldlum.year.glare.standards import CLASSES
 NOTHING = 65535  # in a heat map's 16-bit cells: no daylight, or not predicted
 
 
-def named(azimuth_deg: float) -> str:
+def direction_name(azimuth_deg: float) -> str:
     """Return the compass name of a direction with its degrees, such as "S (180°)"."""
     return f"{compass_name(azimuth_deg)} ({azimuth_deg:.0f}°)"
 

@@ -15,7 +15,7 @@ from fieldlum.core.records import Site, SunSource, counted
 from fieldlum.optics import profiles
 from fieldlum.optics.projection import NOT_SEEN, PARTLY_SEEN
 from fieldlum.report import page
-from fieldlum.report.page import Figure, Section, Table, named, sentence
+from fieldlum.report.page import Figure, Section, Table, direction_name, sentence
 from fieldlum.session import Session
 from fieldlum.session.files.model_files import HeldOutMaps, ScoresFile
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
@@ -47,18 +47,18 @@ def answer(annual: Annual) -> tuple[str, str]:
             "Capture several headings (headings in SITE.toml), or use a lens that sees more.",
         )
     best, worst = ends
-    blind = [named(row.azimuth_deg) for row in rows if row.glare_class == NOT_SEEN]
+    blind = [direction_name(row.azimuth_deg) for row in rows if row.glare_class == NOT_SEEN]
     unseen = f"No result for views to {', '.join(blind)}: the camera saw less than half of them. "
-    advice = f"facing {named(best.azimuth_deg)}: {_class_words(best)}."
+    advice = f"facing {direction_name(best.azimuth_deg)}: {_class_words(best)}."
     doubtful = best.glare_class == "none" or (best.seen == PARTLY_SEEN and not best.certain)
     lead = "Least glare" if doubtful or annual.summary.weather.synthetic else "Sit"
     if annual.summary.weather.synthetic:
         lead = f"In a synthetic year only, {lead.lower()}"
     return (
         f"{lead} {advice}",
-        f"Facing {named(worst.azimuth_deg)}, disturbing glare (DGP above 0.40) comes in "
+        f"Facing {direction_name(worst.azimuth_deg)}, disturbing glare (DGP above 0.40) comes in "
         f"{worst.hours_over['0.40']} of {annual.summary.occupancy.hours} occupied hours of the "
-        f"year; facing {named(best.azimuth_deg)} in {best.hours_over['0.40']}. "
+        f"year; facing {direction_name(best.azimuth_deg)} in {best.hours_over['0.40']}. "
         f"{unseen if blind else ''}A class of EN 17037 is met when DGP exceeds 0.35 (high), 0.40 "
         "(medium) or 0.45 (minimum) in at most 5 % of the occupied hours. All of it holds for the "
         "camera's place: half a metre away, the window's edges are elsewhere.",
@@ -79,7 +79,9 @@ def polar(annual: Annual) -> Figure:
     """Return the polar plot, north up, of the DGP exceeded in 5 % of the occupied hours."""
     rows = annual.summary.protection
     figures = np.array([(r.azimuth_deg, r.dgp_exceeded, r.low, r.high) for r in rows], float)
-    spoken = ", ".join(f"{named(row.azimuth_deg)} {exceeded_text(row, NOT_SEEN)}" for row in rows)
+    spoken = ", ".join(
+        f"{direction_name(row.azimuth_deg)} {exceeded_text(row, NOT_SEEN)}" for row in rows
+    )
     what = "DGP exceeded in 5 % of the occupied hours, by view direction"
     band = "" if np.isnan(figures[:, 2]).all() else " The grey band is its 95 % interval."
     return Figure(
@@ -147,7 +149,7 @@ def directions_section(annual: Annual) -> Section:
         free = Share(100 - over.value, 100 - over.high, 100 - over.low).text()
         interval = "–" if row.low is None else f"{row.low:.2f} to {row.high:.2f}"
         figures = exceeded_text(row), interval, *hours, "–" if sdg == "–" else free, sdg
-        rows.append((named(row.azimuth_deg), of_class, settled, *figures))
+        rows.append((direction_name(row.azimuth_deg), of_class, settled, *figures))
     head = ("view direction", "class", "settled", "DGP in 5 %", "95 % interval")
     occupied = f"Occupied hours: {annual.summary.occupancy.text}."
     autonomy = (
@@ -182,7 +184,7 @@ def when_section(annual: Annual, zone: str) -> Section:
         layers,
         local[len(local) // 2].year,
         directions=[
-            named(a) if good else f"{named(a)}: not seen"
+            direction_name(a) if good else f"{direction_name(a)}: not seen"
             for a, good in zip(annual.azimuths_deg, annual.judged, strict=True)
         ],
         start=int(np.argmin(np.abs(annual.azimuths_deg - worst_deg))),
@@ -214,7 +216,7 @@ def looks_section(annual: Annual, pictures: Pictures, zone: str) -> Section:
         turned.append(np.roll(light, columns, axis=1))
         when = annual.t_utc[pictures.rows[k]].astimezone(ZoneInfo(zone)).strftime("%d %b %H:%M")
         share = names.get(share, "Highest glare")
-        titles.append(f"{share}, {which} direction {named(azimuth)}, {when}")
+        titles.append(f"{share}, {which} direction {direction_name(azimuth)}, {when}")
         if kind.startswith("highest of worst"):
             rows.append((_fisheyes(annual, pictures, k, when),))
     if turned:
@@ -238,7 +240,7 @@ def _fisheyes(annual: Annual, pictures: Pictures, k: int, when: str) -> Figure:
         light, heading = pictures.luminance_cdm2[k], pictures.heading_deg
         shown = panorama_to_fisheye(light, heading, azimuth, size=_FISHEYE_PX, sun=sun)
         views.append(np.where(outside, np.nan, shown))
-        titles.append(f"{named(azimuth)}  DGP {annual.views['dgp'][row, i]:.2f}")
+        titles.append(f"{direction_name(azimuth)}  DGP {annual.views['dgp'][row, i]:.2f}")
     what = f"View directions around the room in the hour of the highest DGP, {when} (predicted)."
     return Figure(page.png(page.picture_grid(views, titles, 5, 2.3)[0]), what, what)
 
@@ -257,7 +259,11 @@ def budget_section(annual: Annual, *, folded: bool = True) -> Section:
                 view[row["source"]] = f"{float(row['contribution']):.2g}"
         names = dict.fromkeys(["combined", *(name for view in views.values() for name in view)])
         rows = [
-            (named(float(azimuth)), f"{float(estimate):.3g}", *(view.get(n, "–") for n in names))
+            (
+                direction_name(float(azimuth)),
+                f"{float(estimate):.3g}",
+                *(view.get(n, "–") for n in names),
+            )
             for (azimuth, estimate), view in views.items()
         ]
         title = f"{figure}{'' if unit == '1' else f' [{unit}]'}"
@@ -314,7 +320,7 @@ def melanopic_section(annual: Annual, zone: str) -> Section:
     """Return the section with the shares of hours and days by view direction; zone: IANA name."""
     shares = zip(annual.azimuths_deg, annual.judged, melanopic_shares(annual, zone), strict=True)
     rows = [
-        (named(azimuth), hours.text(), *(share.text() for share in days))
+        (direction_name(azimuth), hours.text(), *(share.text() for share in days))
         for azimuth, good, (hours, days) in shares
         if good
     ]

@@ -108,7 +108,7 @@ def _places(
     return np.stack((row - 0.5, column - 0.5))
 
 
-def _at(maps: Array, places: Array) -> Array:
+def _interpolated(maps: Array, places: Array) -> Array:
     """Return a map [H, W] at places [2, H, W], linear between pixels, across the seam."""
     return map_coordinates(
         wrapped(maps), places + np.array((0.0, 1.0))[:, None, None], order=1, mode="nearest"
@@ -122,7 +122,7 @@ def turned_back(maps: Array, heading_deg: float, angles_deg: Array | Sequence[fl
     and roll [3], as in `CameraTurns`. Interpolation is linear between pixels. Pass ln L, so that a
     bright window does not spread over its frame.
     """
-    return _at(maps, _places(maps.shape, heading_deg, angles_deg))
+    return _interpolated(maps, _places(maps.shape, heading_deg, angles_deg))
 
 
 def interpolation_u(maps: Array, heading_deg: float, angles_deg: Array | Sequence[float]) -> Array:
@@ -138,7 +138,7 @@ def interpolation_u(maps: Array, heading_deg: float, angles_deg: Array | Sequenc
     mixed = (part * (1.0 - part)).max(axis=0)
     wide = wrapped(maps)
     contrast = (maximum_filter(wide, 3) - minimum_filter(wide, 3))[:, 1:-1]
-    return mixed * _at(contrast, places)
+    return mixed * _interpolated(contrast, places)
 
 
 # ----------------------------------------------------------------------------------------------

@@ -288,20 +288,20 @@ def world() -> int:
     return int(os.environ.get("WORLD_SIZE", "1"))
 
 
-def total(tensor: Tensor) -> Tensor:
+def sum_over_ranks(tensor: Tensor) -> Tensor:
     """Replace each value of `tensor`, in place, by its sum over all processes; return it."""
     if world() > 1:
         dist.all_reduce(tensor)
     return tensor
 
 
-def agreed(value: float, device: torch.device) -> float:
+def rank_0_value(value: float, device: torch.device) -> float:
     """Return in every process the value (such as the elapsed seconds) of the process with rank 0.
 
     So all processes decide equally when training ends. device: of this process.
     """
     shared = torch.tensor([value if rank() == 0 else 0.0], dtype=torch.float64, device=device)
-    return float(total(shared).item())
+    return float(sum_over_ranks(shared).item())
 
 
 # ----------------------------------------------------------------------------------------------
@@ -403,7 +403,7 @@ class Trainer:
         self.optimiser.param_groups[0]["lr"] = rate
         self.optimiser.zero_grad()
         own = self.sums(self.pixels, numbers)
-        parts = total(own.detach().double())
+        parts = sum_over_ranks(own.detach().double())
         error, target, count = parts.tolist()
         if not math.isfinite(error):
             return math.nan
@@ -411,7 +411,7 @@ class Trainer:
         (factor * own[0]).backward()
         for parameter in self.net.parameters():
             if parameter.grad is not None:
-                total(parameter.grad)
+                sum_over_ranks(parameter.grad)
         self.optimiser.step()
         return loss_value(parts)
 
@@ -419,7 +419,7 @@ class Trainer:
         """Return the loss of pairs of `pixels`, by index, which training does not use."""
         with torch.no_grad():
             parts = [self.sums(pixels, some).double() for some in numbers.split(self.largest)]
-        return loss_value(total(torch.stack(parts).sum(dim=0)))
+        return loss_value(sum_over_ranks(torch.stack(parts).sum(dim=0)))
 
     def pixels_per_s(self) -> float:
         """Return the measured speed of training; the first of four batches also compiles."""
@@ -495,7 +495,7 @@ def affordable_run(trainer: Trainer, budget_s: float | None) -> Run:
     count = len(trainer.pixels)
     pixels = float(PASSES * count)
     if budget_s is not None:
-        speed = agreed(trainer.pixels_per_s(), trainer.pixels.target.device)
+        speed = rank_0_value(trainer.pixels_per_s(), trainer.pixels.target.device)
         pixels = min(pixels, speed * budget_s)
     if pixels < count:
         raise NotEnoughDataError(
@@ -534,7 +534,7 @@ def fit(
     held_out = pixels_of(data.take(check), base, patch, device)
     trainer = Trainer(net, pixels_of(data.take(train), base, patch, device))
     if plan is None:
-        spent_s = agreed(time.monotonic() - started[0], device)
+        spent_s = rank_0_value(time.monotonic() - started[0], device)
         plan = affordable_run(trainer, budget_s and max(budget_s - spent_s, 0.0))
     run, best = replace(plan), trainer.weights()
     mark = data_digest(data.digest(), patch, seed, shape)
@@ -587,7 +587,7 @@ def _epoch(
         drawn = torch.randint(len(trainer.pixels), (run.batch_pixels,), generator=chance)
         loss = trainer.step(drawn.to(device), run.rate_now(budget_s))
         run.step += 1
-        run.elapsed_s = agreed(time.monotonic() - start_s, device)
+        run.elapsed_s = rank_0_value(time.monotonic() - start_s, device)
         share = run.share(budget_s)
         progress(int(1000 * share), 1000, f"loss {loss:.4f}  best {run.best:.4f}")
         if not math.isfinite(loss):

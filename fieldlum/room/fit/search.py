@@ -132,7 +132,7 @@ def search(
             before = value
             for _ in range(_TRIES):
                 step = -np.linalg.solve(normal + damping * scale, downhill)
-                trial = moved(guess, parameters, level * np.clip(step, -_REACH, _REACH))
+                trial = stepped(guess, parameters, level * np.clip(step, -_REACH, _REACH))
                 tried = cost.residuals(trial)
                 if tried is not None and float(tried @ tried) < value:
                     guess, found, value = trial, tried, float(tried @ tried)
@@ -144,7 +144,7 @@ def search(
     return guess, value
 
 
-def moved(guess: Guess, parameters: Sequence[Parameter], steps: Floats) -> Guess:
+def stepped(guess: Guess, parameters: Sequence[Parameter], steps: Floats) -> Guess:
     """Return the guess with each of k parameters changed by steps [k] times `Parameter.step`."""
     for p, count in zip(parameters, steps.tolist(), strict=True):
         guess = p.change(guess, count * p.step)
