@@ -313,6 +313,14 @@ def test_stage_writes_rows_suns_and_patches(tmp_path: Path, room: Room | None) -
             warn_if_changed(session.root / rows[0]["sunpatch"], "pair")
         pair.run(session)
         warn_if_changed(session.root / rows[0]["sunpatch"], "pair")
+        sidecar = (session.root / rows[0]["sunpatch"]).with_suffix(".json")
+        note = json.loads(sidecar.read_text())
+        del note["sha256"]  # of an earlier version, or of somebody else
+        sidecar.write_text(json.dumps(note))
+        shutil.copy(session.panorama_files()[0], session.root / rows[0]["sunpatch"])
+        pair.run(session)
+        again = read_panorama(session.root / rows[0]["sunpatch"])
+        np.testing.assert_array_equal(again.luminance_cdm2, patch.luminance_cdm2)
 
 
 @pytest.mark.contract

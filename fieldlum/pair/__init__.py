@@ -282,7 +282,7 @@ def write_patches(
         recipes.append((bracket.slot, recipe))
         files = session.sunpatch_sidecar(bracket.slot), session.sunpatch(bracket.slot)
         note = None if force else current_note(files[0], recipe, files[1:])
-        if note is None or note.get("sha256", "") not in ("", sha256(files[1])):
+        if note is None or note.get("sha256") != sha256(files[1]):
             missing.append(k)
     units = []
     for first_k in range(0, len(missing), SLOTS_A_UNIT):
