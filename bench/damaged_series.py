@@ -190,7 +190,7 @@ def _heard(
     for line, true in zip(lines, whole, strict=True):
         with suppress(FieldlumError):
             value = read(line)
-            if not deepcopy(form).unlike(body_of(line)):
+            if not deepcopy(form).difference(body_of(line)):
                 sound.append((value, read(true)))
     if not sound:
         raise FieldlumError("no sound line")
@@ -238,7 +238,7 @@ def learned(protocol: Protocol, ghi: Array, dhi: Array) -> LineForm:
     form = LineForm()
     for i in np.linspace(0, len(ghi) - 1, 60).astype(int):
         text = protocol.line(float(ghi[i]), float(dhi[i])).decode("ascii").strip()
-        if said := form.unlike(text.rpartition("*")[0] or text):
+        if said := form.difference(text.rpartition("*")[0] or text):
             raise AssertionError(f"an undamaged line was refused: {said}")
     return form
 

@@ -47,7 +47,7 @@ from fieldlum.devices import Camera, CameraInfo, open_pyranometer, spn1
 from fieldlum.devices.clock import FastClock
 from fieldlum.devices.gphoto import Child
 from fieldlum.session import Session, day_files, open_session, read_day, read_journal, sha256
-from fieldlum.session.slot_states import fold
+from fieldlum.session.slot_states import apply_events
 
 SITE = """
 [site]
@@ -421,7 +421,7 @@ def run_month(session: Session, faults: list[Fault], every_s: float) -> dict[str
 def audit(session: Session, faults: list[Fault], outcome: dict[str, Any], every_s: float) -> None:
     """Count what was lost, and check everything that was kept."""
     slots, events = session.slots(), read_journal(session)
-    states = fold(events)
+    states = apply_events(events)
     on_disk = Counter(sha256(p) for p in session.raw.rglob("*.raw"))
     acknowledged = {e["frame"]["sha256"] for e in events if e["event"] == "frame"}
     lost = acknowledged - set(on_disk)

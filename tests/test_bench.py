@@ -154,11 +154,11 @@ def test_a_turned_north_turns_the_sun_and_a_late_clock_moves_it_on() -> None:
     """15 minutes are 3.75 degrees of hour angle; near the equinox noon that is over 4
     degrees of azimuth.
     """
-    turned = stress.turned(TEST, 2.0)
+    turned = stress.wrong_north(TEST, 2.0)
     np.testing.assert_allclose(
         (turned.light.sun_azimuth_deg - TEST.light.sun_azimuth_deg) % 360.0, 2.0, atol=1e-9
     )
-    late = stress.late(TEST, 15.0)
+    late = stress.late_clock(TEST, 15.0)
     moved = (late.light.sun_azimuth_deg - TEST.light.sun_azimuth_deg) % 360.0
     assert (moved > 1.5).all() and (moved < 12.0).all()
 

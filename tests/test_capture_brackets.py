@@ -22,7 +22,7 @@ from fieldlum.session import (
     read_journal,
     sha256,
 )
-from fieldlum.session.slot_states import fold, slots_to_do
+from fieldlum.session.slot_states import apply_events, slots_to_do
 
 
 @pytest.mark.contract
@@ -115,7 +115,7 @@ def test_no_camera_at_the_start_is_said_at_once(rig: Field) -> None:
 
     with pytest.raises(DeviceError, match="no camera found"):
         rig.run(open_cam=refuse)
-    assert len(slots_to_do(rig.session.slots(), fold(read_journal(rig.session)))) == 3
+    assert len(slots_to_do(rig.session.slots(), apply_events(read_journal(rig.session)))) == 3
 
 
 @pytest.mark.contract

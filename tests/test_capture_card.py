@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from places import SEATTLE
 
 from fieldlum.capture import import_card
-from fieldlum.capture.import_card import of_the_session
+from fieldlum.capture.import_card import of_session_camera
 from fieldlum.capture.match_card import CardFrame, Group, Offset, clock_parts, offset_contradiction
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import CameraSetup, Exposure, SiteFile, Slot
@@ -24,7 +24,7 @@ from fieldlum.optics.profiles import load_camera_profile, save_profile
 from fieldlum.optics.raw import same_model
 from fieldlum.optics.raw.writing import write_dng, write_jpeg
 from fieldlum.session import Session, create_session, read_journal
-from fieldlum.session.slot_states import fold
+from fieldlum.session.slot_states import apply_events
 
 NOON = datetime(2027, 3, 14, 20, 30, tzinfo=UTC)  # of Seattle, on the day of its clock change
 LADDER = tuple(Exposure(t, 5.6) for t in (1 / 8, 1 / 60, 1 / 250))
@@ -232,7 +232,7 @@ def test_frames_of_two_cameras_never_make_one_bracket(tmp_path: Path) -> None:
     assert report.left_out == ("33 frames of EOS 5D: the session's camera is D850",)
     names = {
         frame.file[:3]
-        for state in fold(read_journal(session)).slots.values()
+        for state in apply_events(read_journal(session)).slots.values()
         for frame in state.frames
     }
     assert names == {"DSC"}
@@ -247,12 +247,12 @@ def test_two_bodies_of_one_model_are_two_cameras() -> None:
         ]
 
     body = load_camera_profile("").camera
-    mine, said = of_the_session([*frames("3001", 5), *frames("3002", 9)], body)
+    mine, said = of_session_camera([*frames("3001", 5), *frames("3002", 9)], body)
     assert {f.serial for f in mine} == {"3002"} and said == [
         "5 frames of D850 3001: the session's camera is D850 3002"
     ]
     silent = [*frames("3001", 5), *frames("", 9)]
-    assert of_the_session(silent, body) == (silent, [])
+    assert of_session_camera(silent, body) == (silent, [])
 
 
 @pytest.mark.slow
@@ -278,7 +278,7 @@ def test_the_profile_says_whose_frames_and_which_format(tmp_path: Path) -> None:
         assert import_card.run(session, tmp_path / "card", utc_offset_s=PST_S).frames == 12
         files = {
             frame.file
-            for state in fold(read_journal(session)).slots.values()
+            for state in apply_events(read_journal(session)).slots.values()
             for frame in state.frames
         }
         assert {(name[:3], name[-4:]) for name in files} == {

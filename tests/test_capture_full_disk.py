@@ -21,7 +21,7 @@ from tiny_field import FAST, T0, Field, TinyCamera, make_session
 from fieldlum.core.records import Exposure
 from fieldlum.devices.clock import FastClock
 from fieldlum.session import day_files, read_day, read_journal, sha256
-from fieldlum.session.slot_states import fold
+from fieldlum.session.slot_states import apply_events
 
 pytestmark = pytest.mark.property
 
@@ -81,7 +81,7 @@ def scenario(folder: Path, frame: int, seconds: float) -> dict[str, Any]:
         return made[-1]
 
     events = field.run(replace(FAST, reserve_bytes=RESERVE_BYTES), open_cam=open_camera)
-    states = fold(read_journal(field.session))
+    states = apply_events(read_journal(field.session))
     acknowledged = [
         e["frame"]["sha256"] for e in read_journal(field.session) if e["event"] == "frame"
     ]

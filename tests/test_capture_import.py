@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from places import SEATTLE
 
 from fieldlum.capture import import_card
-from fieldlum.capture.logger_import import add_samples, adopt_rows
+from fieldlum.capture.logger_import import add_samples, import_rows
 from fieldlum.capture.match_card import (
     CardFrame,
     Group,
@@ -33,7 +33,7 @@ from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import CameraSetup, Exposure, IrradianceSample, SiteFile, Slot
 from fieldlum.optics.raw.writing import write_jpeg
 from fieldlum.session import Session, create_session, day_files, read_day, read_journal, sha256
-from fieldlum.session.slot_states import fold
+from fieldlum.session.slot_states import apply_events
 
 DAWN = datetime(2027, 3, 20, 14, 30, tzinfo=UTC)
 LADDER = tuple(Exposure(t, 5.6) for t in (2.0, 1 / 2, 1 / 8, 1 / 30, 1 / 125))
@@ -203,7 +203,9 @@ def test_card_becomes_brackets_once(session: Session, tmp_path: Path) -> None:
     assert note["complete"] and note["t_open_utc"].startswith("2027-03-20T14:30:0")
     assert [f["exposure"]["shutter_s"] for f in note["frames"]] == [e.shutter_s for e in LADDER]
     assert all(sha256(session.raw / PLAN[0].id / f["file"]) == f["sha256"] for f in note["frames"])
-    assert [fold(read_journal(session)).slots[s.id].outcome for s in PLAN[:10]] == ["done"] * 10
+    assert [apply_events(read_journal(session)).slots[s.id].outcome for s in PLAN[:10]] == [
+        "done"
+    ] * 10
     again = import_card.run(session, folder.parent)
     assert (again.brackets, again.known) == (0, 10)
 
@@ -224,7 +226,7 @@ def test_a_card_told_another_clock_leaves_the_wrong_slots(session: Session, tmp_
     assert right.moved == wrong.slots and right.slots == tuple(slot.id for slot in PLAN[2:8])
     assert sorted(p.name for p in session.raw.glob("[0-9]*Z")) == [slot.id for slot in PLAN[2:8]]
     assert len(list((session.raw / "withdrawn").iterdir())) == 6 and not merged.exists()
-    states = fold(read_journal(session)).slots
+    states = apply_events(read_journal(session)).slots
     assert [states[slot.id].outcome for slot in PLAN[2:9]] == ["done"] * 6 + [""]
     again = import_card.run(session, tmp_path / "card", utc_offset_s=PDT_S)
     assert (again.brackets, again.known, again.moved) == (0, 6, ())
@@ -340,17 +342,17 @@ def test_a_file_told_anew_replaces_what_it_brought(session: Session, tmp_path: P
     file = tmp_path / "sky.csv"
     file.write_text(TABLE)
     names = {"ghi_wm2": "Sky_W"}
-    assert adopt_rows(session, file, -7 * 3600.0, names).rows == 120
+    assert import_rows(session, file, -7 * 3600.0, names).rows == 120
     clean = session.irradiance / "clean.csv"
     clean.write_text("made of the rows before")
-    again = adopt_rows(session, file, -8 * 3600.0, names)
+    again = import_rows(session, file, -8 * 3600.0, names)
     assert not clean.exists()
     assert (again.rows, again.withdrawn) == (120, 120)
     found = sorted((s.t_utc, s.ghi_wm2) for s in rows_of(session) if s.raw != "S 99.0")
     assert found[0] == (datetime(2027, 3, 20, 17, tzinfo=UTC), 309.0) and len(found) == 120
     assert [s for s in rows_of(session) if s.raw == "S 99.0"] == logged
     file.write_text(TABLE + "2027-03-20 11:00:00,400.0,0\n")
-    grown = adopt_rows(session, file, -8 * 3600.0, {**names, "dhi_wm2": "Shade_W"})
+    grown = import_rows(session, file, -8 * 3600.0, {**names, "dhi_wm2": "Shade_W"})
     assert (grown.rows, grown.withdrawn) == (121, 120)
     assert len(rows_of(session)) == 171
     kept = sorted((session.irradiance / "withdrawn").iterdir())
@@ -362,8 +364,8 @@ def test_night_rows_of_another_file_stay(session: Session, tmp_path: Path) -> No
     dark = "time,ghi_wm2\n" + "".join(f"2027-03-20 {h:02d}:00:00,0.0\n" for h in range(10))
     (tmp_path / "roof.csv").write_text(dark)
     (tmp_path / "mast.csv").write_text(dark)
-    assert adopt_rows(session, tmp_path / "roof.csv", 0.0).rows == 10
-    other = adopt_rows(session, tmp_path / "mast.csv", -8 * 3600.0)
+    assert import_rows(session, tmp_path / "roof.csv", 0.0).rows == 10
+    other = import_rows(session, tmp_path / "mast.csv", -8 * 3600.0)
     assert (other.rows, other.withdrawn) == (8, 0)  # two hours are there already
 
 

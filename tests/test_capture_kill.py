@@ -38,7 +38,7 @@ from fieldlum.optics.profiles import (
     save_profile,
 )
 from fieldlum.session import Session, create_session, day_files, read_day, read_journal, sha256
-from fieldlum.session.slot_states import fold
+from fieldlum.session.slot_states import apply_events
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork and SIGKILL")
 T0 = datetime(2027, 3, 20, 18, 30, tzinfo=UTC)
@@ -191,7 +191,7 @@ def test_capture_killed_twenty_times_equals_an_undisturbed_run(tmp_path: Path) -
         strip = {"profile": ""}
         calm_notes = {k: {**v, **strip} for k, v in notes_of(calm).items()}
         assert {k: {**v, **strip} for k, v in notes_of(session).items()} == calm_notes
-        outcomes = [state.outcome for state in fold(read_journal(session)).slots.values()]
+        outcomes = [state.outcome for state in apply_events(read_journal(session)).slots.values()]
         assert outcomes == ["done"] * 4
     for session, hashes, rows in acknowledged:
         assert hashes <= set(frames_of(session).values()), "an acknowledged frame is never lost"

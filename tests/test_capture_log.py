@@ -14,7 +14,7 @@ from tiny_field import FAST, LADDER, Field, TinyCamera, TinyPyranometer
 
 from fieldlum.capture.disk_writer import Recorder
 from fieldlum.capture.logger import log
-from fieldlum.capture.logger_import import adopt_rows
+from fieldlum.capture.logger_import import import_rows
 from fieldlum.capture.runner import Options, run
 from fieldlum.capture.steady_clock import SteadyClock
 from fieldlum.core.errors import DeviceError, InputError
@@ -29,7 +29,7 @@ from fieldlum.session import (
     sole_user,
     update_session,
 )
-from fieldlum.session.slot_states import fold
+from fieldlum.session.slot_states import apply_events
 
 
 @pytest.mark.contract
@@ -130,7 +130,10 @@ def test_threaded_log_runs_beside(tmp_path: Path) -> None:
         open_pyr=lambda: TinyPyranometer(fast),
     )
     samples = [s for path in day_files(session) for s in read_day(path)[0]]
-    assert len(samples) >= 3 and fold(read_journal(session)).slots[slots[0].id].outcome == "done"
+    assert (
+        len(samples) >= 3
+        and apply_events(read_journal(session)).slots[slots[0].id].outcome == "done"
+    )
 
 
 @pytest.mark.contract
@@ -165,7 +168,7 @@ def test_a_defect_within_the_log_is_told_once_and_ends_nothing(
     steady = SteadyClock(rig.clock, lambda: False)
     recorder = Recorder(rig.session, steady.now, 4096, flush=False)
     keeper: Keeper[Any] = Keeper(
-        "pyranometer", lambda: TinyPyranometer(rig.clock), steady, recorder.tell, 5.0
+        "pyranometer", lambda: TinyPyranometer(rig.clock), steady, recorder.write_event, 5.0
     )
     logger, polls, over = Logger(keeper, recorder, steady, 5.0), [], threading.Event()
 
@@ -207,10 +210,10 @@ def test_one_process_at_a_time_writes_irradiance(rig: Field, tmp_path: Path) -> 
         with pytest.raises(InputError, match="logs irradiance into this session"):
             rig.run()
         with pytest.raises(InputError, match="logs irradiance into this session"):
-            adopt_rows(rig.session, rows, None)
+            import_rows(rig.session, rows, None)
         run(rig.session, "tiny:", clock=rig.clock, options=FAST, open_cam=rig.open_camera)
     assert rig.outcomes() == ["done"] * 3, "a capture without a pyranometer needs no such lock"
-    assert adopt_rows(rig.session, rows, None).rows == 2
+    assert import_rows(rig.session, rows, None).rows == 2
 
 
 @pytest.mark.contract

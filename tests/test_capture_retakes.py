@@ -26,7 +26,7 @@ from fieldlum.session import (
     sha256,
 )
 from fieldlum.session.files.capture_json import CaptureFile
-from fieldlum.session.slot_states import fold
+from fieldlum.session.slot_states import apply_events
 
 EVEN_LIGHT = Panorama(np.full((46, 92), 100.0, np.float32), 180.0)
 
@@ -76,7 +76,7 @@ def test_a_frame_unlike_what_was_asked_is_taken_again_once(rig: Field) -> None:
     assert compare_exif(folder / "01_0.5s.dng", LADDER[1])[0] == "shutter 1 instead of 0.5", (
         "the first file is kept"
     )
-    assert sorted(f.instead_of for f in fold(journal).slots[folder.name].frames) == [
+    assert sorted(f.instead_of for f in apply_events(journal).slots[folder.name].frames) == [
         "",
         "",
         "01_0.5s.dng",

@@ -11,7 +11,7 @@ import pytest
 from faulty_clock import FaultyClock
 from tiny_field import FAST, T0, Field, TinyCamera
 
-from fieldlum.capture.runner import Live, refuse_a_clock_behind, refuse_what_is_not_offered, run
+from fieldlum.capture.runner import Live, refuse_early_clock, refuse_unavailable_exposures, run
 from fieldlum.capture.steady_clock import SteadyClock
 from fieldlum.core.errors import DeviceError, NotEnoughDataError
 from fieldlum.core.records import Exposure
@@ -93,7 +93,7 @@ def test_a_plan_that_the_camera_cannot_take_is_refused_at_the_start(rig: Field) 
     assert {event["event"] for event in read_journal(rig.session)} == {"close"}
     slots = rig.session.slots()
     begun = {slots[0].id: SlotState("done")}
-    refuse_what_is_not_offered(Choosy(rig.clock), slots, begun)
+    refuse_unavailable_exposures(Choosy(rig.clock), slots, begun)
 
 
 @pytest.mark.contract
@@ -158,11 +158,11 @@ def test_time_is_carried_over_a_restart_of_the_same_boot() -> None:
     clock.sleep(100.0)
     clock.step(3600.0)
     second = SteadyClock(clock, lambda: False, boot="b1")
-    second.carry_on(then, mark)
+    second.continue_from(then, mark)
     assert second.check() == [("clock-step", {"seconds": 3600.0, "followed": False})]
     assert second.now() == T0 + timedelta(seconds=100)
     third = SteadyClock(clock, lambda: False, boot="b2")
-    third.carry_on(then, mark)
+    third.continue_from(then, mark)
     assert third.check() == []
 
 
@@ -191,7 +191,7 @@ def test_a_clock_before_the_journal_is_refused(rig: Field) -> None:
 def test_two_seconds_before_the_journal_are_tolerated(behind_s: float, refused: bool) -> None:
     now = T0 - timedelta(seconds=behind_s)
     with pytest.raises(DeviceError, match="set the clock") if refused else nullcontext():
-        refuse_a_clock_behind(now, T0)
+        refuse_early_clock(now, T0)
 
 
 @pytest.mark.contract

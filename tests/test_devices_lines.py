@@ -201,7 +201,7 @@ def test_crc_of_a_line() -> None:
 def learned(*lines: str) -> LineForm:
     form = LineForm()
     for _ in range(60 // len(lines)):
-        assert [form.unlike(line) for line in lines] == [""] * len(lines)
+        assert [form.difference(line) for line in lines] == [""] * len(lines)
     return form
 
 
@@ -220,19 +220,19 @@ def learned(*lines: str) -> LineForm:
     ],
 )
 def test_a_line_unlike_all_before_it_is_noticed(lines: list[str], odd: str, said: str) -> None:
-    assert said in learned(*lines).unlike(odd)
+    assert said in learned(*lines).difference(odd)
 
 
 @pytest.mark.contract
 def test_a_form_that_varies_or_changes_for_good_is_no_damage() -> None:
-    assert not learned("G=812.4 T=24.1", "G=812 T=24.1").unlike("G=813 T=24.1"), (
+    assert not learned("G=812.4 T=24.1", "G=812 T=24.1").difference("G=813 T=24.1"), (
         "noughts that are not printed"
     )
-    assert not learned("G=812.4", "G=9.4", "G=1012.4").unlike("G=88.1"), (
+    assert not learned("G=812.4", "G=9.4", "G=1012.4").difference("G=88.1"), (
         "numbers that are not filled to a width"
     )
     form = learned("G=812.4 sky=clear")
-    assert [bool(form.unlike("G=812.4 sky=cloudy")) for _ in range(5)] == [
+    assert [bool(form.difference("G=812.4 sky=cloudy")) for _ in range(5)] == [
         True,
         True,
         False,
@@ -240,7 +240,7 @@ def test_a_form_that_varies_or_changes_for_good_is_no_damage() -> None:
         False,
     ]
     few = LineForm()
-    assert {few.unlike(text) for text in ("G=1.0", "G=1", "H=1", "G=1.00")} == {""}, (
+    assert {few.difference(text) for text in ("G=1.0", "G=1", "H=1", "G=1.00")} == {""}, (
         "too few to know"
     )
 
@@ -261,7 +261,7 @@ def test_a_form_that_varies_or_changes_for_good_is_no_damage() -> None:
 )
 def test_no_whole_line_is_refused(values: list[tuple[int, int]], how: str) -> None:
     form = LineForm()
-    assert not [said for g, t in values if (said := form.unlike(how.format(g / 10, t / 10)))]
+    assert not [said for g, t in values if (said := form.difference(how.format(g / 10, t / 10)))]
 
 
 @pytest.mark.contract

@@ -24,7 +24,7 @@ from hypothesis import strategies as st
 from scipy.io import netcdf_file
 
 from fieldlum.calibrate.fit_steps import read_table as read_readings
-from fieldlum.capture.logger_import import adopt_rows
+from fieldlum.capture.logger_import import import_rows
 from fieldlum.cli import main
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure, Site, SiteFile, Slot
@@ -1026,8 +1026,8 @@ def test_a_changed_sensitivity_replaces_the_earlier_rows(tmp_path: Path) -> None
     session = create_session(tmp_path / "s", SiteFile(Site("x", 47.6, -122.3)), [slot], {})
     lines = logger_csv(tmp_path / "a.csv", "t_utc,sun_mV,sky_mV")
     columns = {"ghi_wm2": "sun_mV"}
-    first = adopt_rows(session, tmp_path / "a.csv", None, columns, {"ghi_wm2": 50.0})
-    again = adopt_rows(session, tmp_path / "a.csv", None, columns, {"ghi_wm2": 100.0})
+    first = import_rows(session, tmp_path / "a.csv", None, columns, {"ghi_wm2": 50.0})
+    again = import_rows(session, tmp_path / "a.csv", None, columns, {"ghi_wm2": 100.0})
     assert (first.rows, again.rows, again.withdrawn) == (60, 60, 60)
     samples, _ = read_day(day_files(session)[0])
     assert samples[-1].ghi_wm2 == pytest.approx(885.0) and lines[60].endswith("88.5,29.5")
@@ -1370,11 +1370,11 @@ def test_a_clock_that_enters_summer_time_is_refused(
     civil = [t.astimezone(ZoneInfo(zone)).replace(tzinfo=None) for t in times]
     path = _clock_file(tmp_path / "a.csv", civil, "%Y-%m-%d %H:%M")
     with pytest.raises(InputError, match=f"to 03:00, as at the beginning of summer time in {zone}"):
-        adopt_rows(session, path, 3600.0 * hours)
+        import_rows(session, path, 3600.0 * hours)
     standard = [(t + timedelta(hours=hours)).replace(tzinfo=None) for t in times]
     some = standard[: 600 // minutes] + standard[660 // minutes :]
     _clock_file(path, some, "%Y-%m-%d %H:%M")
-    assert adopt_rows(session, path, 3600.0 * hours).rows == len(some)
+    assert import_rows(session, path, 3600.0 * hours).rows == len(some)
 
 
 @pytest.mark.contract

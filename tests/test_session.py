@@ -39,7 +39,7 @@ from fieldlum.session import (
 from fieldlum.session.day_files import decode_sample
 from fieldlum.session.journal import JournalEvent, damaged_lines, decode_event
 from fieldlum.session.plan_file import parse_exposure
-from fieldlum.session.slot_states import fold
+from fieldlum.session.slot_states import apply_events
 
 NOON = datetime(2027, 3, 20, 15, 30, tzinfo=UTC)
 SETUP = SiteFile(SEATTLE)
@@ -293,7 +293,7 @@ def test_lines_with_a_valid_checksum_and_wrong_types_are_named(session: Session)
     session.journal.write_bytes(b"".join([good[0], *wrong, good[1], b"1234 half a li"]))
     assert [dict(event)["index"] for event in read_journal(session)] == [0, 1]
     assert damaged_lines(session) == list(range(2, 2 + len(wrong)))
-    assert marks(session) == {} and fold(read_journal(session)).counts == {"frame": 2}
+    assert marks(session) == {} and apply_events(read_journal(session)).counts == {"frame": 2}
     text = "journal.jsonl has 15 damaged lines (2, 3, 4, 5, 6 and 10 more)"
     result = CliRunner().invoke(main, ["status", str(session.root)])
     assert result.exit_code == 0 and text in result.stdout
@@ -308,7 +308,7 @@ def test_no_value_of_an_event_breaks_the_ledger(value: object) -> None:
     row: dict[str, object] = {"event": "retake", "t_utc": "2027-03-20T15:30:00Z", "slot": "a"}
     for name in ("event", "t_utc", "slot", "attempt", "frame", "why", "state", "illuminance_lx"):
         if (event := decode_event(encode_line({**row, name: value}))) is not None:
-            fold([event])
+            apply_events([event])
 
 
 @pytest.mark.contract
@@ -318,7 +318,9 @@ def test_the_ledger_keeps_the_last_start_of_a_capture() -> None:
         {"event": kind, "t_utc": f"2027-03-20T15:3{minute}:00Z"}
         for minute, kind in enumerate(("open", "close", "open", "note"))
     ]
-    assert fold(events).last_open == events[2] and fold(events[3:]).last_open is None
+    assert (
+        apply_events(events).last_open == events[2] and apply_events(events[3:]).last_open is None
+    )
 
 
 @pytest.mark.contract

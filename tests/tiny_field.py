@@ -19,7 +19,7 @@ from fieldlum.session import (
     create_session,
     read_journal,
 )
-from fieldlum.session.slot_states import fold
+from fieldlum.session.slot_states import apply_events
 
 TINY_CAMERA = CameraInfo("tiny", serial="7")
 TINY_PYRANOMETER = InstrumentInfo("tiny", gives=())
@@ -103,5 +103,5 @@ class Field:
         return [event["event"] for event in read_journal(self.session)]
 
     def outcomes(self) -> list[str]:
-        states = fold(read_journal(self.session))
+        states = apply_events(read_journal(self.session))
         return [states.slots[slot.id].outcome for slot in self.session.slots()]

@@ -61,7 +61,7 @@ def with_light(data: Dataset, **columns: Floats) -> Dataset:
     return replace(data, light=replace(data.light, perez=None, **columns))
 
 
-def turned(data: Dataset, degrees: float) -> Dataset:
+def wrong_north(data: Dataset, degrees: float) -> Dataset:
     """Return the data with a wrong north: the sun's azimuth is `degrees` larger (clockwise).
 
     Sun patches are computed again for this sun, if there is a [room]; the maps do not change.
@@ -70,7 +70,7 @@ def turned(data: Dataset, degrees: float) -> Dataset:
     return _patched(with_light(data, sun_azimuth_deg=azimuth_deg))
 
 
-def late(data: Dataset, minutes: float) -> Dataset:
+def late_clock(data: Dataset, minutes: float) -> Dataset:
     """Return the data with the sun where it is `minutes` after the true time, as by a fast clock.
 
     Sun patches are computed again for this sun, if there is a [room]; the maps do not change.
@@ -166,8 +166,8 @@ def cases(data: Dataset, test: Dataset) -> Iterator[Case]:
     for seed in range(1, 5):
         yield Case(f"another seed ({seed})", data, test, seed=seed)
     low = (test.light.sun_altitude_deg < 10.0) & (test.light.dni_wm2 > 20.0)
-    yield from _asked("sun disc in view", data, test, test.disc_lx > 0.0)
-    yield from _asked("low sun, under 10 degrees", data, test, low)
+    yield from _if_enough("sun disc in view", data, test, test.disc_lx > 0.0)
+    yield from _if_enough("low sun, under 10 degrees", data, test, low)
     yield from _seasons(data, test)
     yield Case("pixel noise 5 %", noisy_pixels(data, 0.05, 1), test)
     yield Case("mixed sky: DNI off by 30 %, global kept", disagreeing(data, 0.3, 3), test)
@@ -177,7 +177,7 @@ def cases(data: Dataset, test: Dataset) -> Iterator[Case]:
         yield from _geometry(data, test)
 
 
-def _asked(name: str, data: Dataset, test: Dataset, rows: Mask) -> Iterator[Case]:
+def _if_enough(name: str, data: Dataset, test: Dataset, rows: Mask) -> Iterator[Case]:
     if rows.sum() >= MIN_HOURS:
         yield Case(name, data, test.take(rows))
 
@@ -212,9 +212,14 @@ def _geometry(data: Dataset, test: Dataset) -> Iterator[Case]:
     yield Case(base, _patched(data), _patched(test), base)
     for degrees in (0.2, 0.5, 1.0, 2.0):
         name = f"north off by {degrees:g} degrees"
-        yield Case(name, turned(data, degrees), turned(test, degrees), base)
+        yield Case(name, wrong_north(data, degrees), wrong_north(test, degrees), base)
     for minutes in (5, 15):
-        yield Case(f"clock off by {minutes} min", late(data, minutes), late(test, minutes), base)
+        yield Case(
+            f"clock off by {minutes} min",
+            late_clock(data, minutes),
+            late_clock(test, minutes),
+            base,
+        )
 
 
 # ----------------------------------------------------------------------------------------------

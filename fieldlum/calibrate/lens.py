@@ -93,7 +93,7 @@ def fit(targets: Targets, lens: Lens) -> LensFit:
     n, pose = len(targets.x_px), not targets.pose_known
     # the parameters of a lens with one free term, and its pose
     fit_steps.require(n, 8, "targets for a lens", "add targets all over the circle to the csv")
-    start = _posed(targets, lens) if pose else level_lens(lens)
+    start = _with_fitted_pose(targets, lens) if pose else level_lens(lens)
     # three targets a parameter
     models = {name: m for name, m in MODELS.items() if not m[1] or n >= 3 * (len(m[1]) + 5)}
 
@@ -226,15 +226,15 @@ def _warnings(
     return tuple(texts)
 
 
-def _posed(targets: Targets, lens: Lens) -> Lens:
+def _with_fitted_pose(targets: Targets, lens: Lens) -> Lens:
     """Return the lens with the pose that its targets give.
 
     This lets the fit succeed for a turned camera. The pose is the rotation from measured to true
     directions. Raises InputError if only mirrored directions fit, which means that a sign is wrong.
     """
     rays = lens_rays(level_lens(lens), targets.x_px, targets.y_px)
-    miss, turn = _turn(rays, targets.rays)
-    if _turn(rays * (-1.0, 1.0, 1.0), targets.rays)[0] < 0.5 * miss and miss > 0.1:
+    miss, turn = _rotation_between(rays, targets.rays)
+    if _rotation_between(rays * (-1.0, 1.0, 1.0), targets.rays)[0] < 0.5 * miss and miss > 0.1:
         finding = "the targets fit a lens only as a mirror image"
         remedy = "check the targets for a wrong sign, or for x and y exchanged"
         raise InputError(targets.source, finding, _WANTED, remedy)
@@ -242,7 +242,7 @@ def _posed(targets: Targets, lens: Lens) -> Lens:
     return replace(lens, azimuth_deg=-left, tilt_deg=tilt, roll_deg=roll)
 
 
-def _turn(directions: Array, true: Array) -> tuple[float, Any]:
+def _rotation_between(directions: Array, true: Array) -> tuple[float, Any]:
     """Return the median distance (chord) of directions [n, 3] after rotation, and the rotation.
 
     The rotation of scipy solves Wahba's problem (1965), with less weight for gross errors.

@@ -70,7 +70,7 @@ def steps_by_overlap(codes: NDArray[np.uint8], log_exposure: Floats, bracket: In
     present = [codes[bracket == index].any(axis=(0, 2)) for index in np.unique(bracket)]
     pairs = {pair for shown in present for pair in pairwise(np.flatnonzero(shown).tolist())}
     for _ in range(12 if len(codes) >= _MIN_PLACES else 0):  # the response adapts to the steps
-        further, u = _fitted(_light(codes, log_e), sorted(pairs))
+        further, u = _fitted(_log_light(codes, log_e), sorted(pairs))
         deviation = _without_stretch(deviation + further, u, np.diff(log_e))
         before, log_e = log_e, log_exposure + np.r_[0.0, np.cumsum(deviation)]
         if np.abs(log_e - before).max() < 2e-4:
@@ -83,7 +83,7 @@ def steps_by_overlap(codes: NDArray[np.uint8], log_exposure: Floats, bracket: In
     return Steps(log_exposure + np.r_[0.0, np.cumsum(_without_stretch(kept, u, step))], kept)
 
 
-def _light(codes: NDArray[np.uint8], log_e: Floats) -> Floats:
+def _log_light(codes: NDArray[np.uint8], log_e: Floats) -> Floats:
     """Return ln of light over exposure [places, exposures, 3]; NaN for codes that do not count."""
     light = np.full(codes.shape, np.nan)
     for colour in range(3):
@@ -233,11 +233,11 @@ def _flat_places(
     what = f"{paths[0].parent}: even places exposed well (JPEG codes {LOW} to {HIGH}) by two frames"
     require(len(flat), 50, what, "use steps of at most 2 EV, and picture walls and sky")
     brightness = codes[:, flat][..., 1].mean(axis=(0, 2)) + rng.uniform(0, 1e-3, len(flat))
-    chosen = flat[_spread(brightness, min(500, len(flat)))]  # more did not change the table
+    chosen = flat[_spread_indices(brightness, min(500, len(flat)))]  # more did not change the table
     return np.rint(codes[:, chosen].mean(axis=2)).astype(np.uint8).transpose(1, 0, 2), exposures
 
 
-def _spread(level: Floats, count: int) -> Indices:
+def _spread_indices(level: Floats, count: int) -> Indices:
     """Return at most `count` indices of `level` [n], spread over levels and over places.
 
     Half is spread evenly over the levels. Otherwise there would be too few bright places, which are

@@ -233,7 +233,7 @@ def fit(brackets: Sequence[Bracket], profile: CameraProfile) -> ShutterFit:
     at_start = pool(brackets, drift=False)
     rates = np.array([_drift_per_s(bracket, at_start) for bracket in brackets])
     u_drift_per_s = median_standard_error(robust_sigma(rates), len(rates))
-    delta, u = _levelled(steady, nominal, np.array(u_assumed), u_drift_per_s)
+    delta, u = _times_at_common_level(steady, nominal, np.array(u_assumed), u_drift_per_s)
     times, counts = [], []
     for k, time in enumerate(nominal):
         mine = [ratio for pair, ratio in steady.items() if time in pair]
@@ -270,7 +270,7 @@ def _held_out(brackets: Sequence[Bracket], pairs: Container[Pair]) -> Floats:
     return np.array(errors).T
 
 
-def _levelled(
+def _times_at_common_level(
     ratios: dict[Pair, TimeRatio], nominal: Sequence[float], u_prior: Floats, u_drift_per_s: float
 ) -> tuple[Floats, Floats]:
     """Return ln of true over assumed time [n], and its u.

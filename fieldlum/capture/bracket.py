@@ -71,7 +71,7 @@ class BracketCapture:
     def __post_init__(self) -> None:
         """Derive the slot's folder and its frames."""
         self.folder = self.session.capture_file(self.slot.id).parent
-        self.wanted = shots(self.slot.exposures, self.setup)
+        self.wanted = frame_requests(self.slot.exposures, self.setup)
 
     def take(self) -> SlotState:
         """Take the missing frames; return the final state, done or aborted.
@@ -80,23 +80,23 @@ class BracketCapture:
         """
         if (link := link_on_the_way(self.session.root, self.folder)) is not None:
             return self.abort(f"{link} is a symbolic link: replace it by a folder")
-        _sweep(self.folder)
+        _delete_temporary_files(self.folder)
         disk = Backoff()
         if self.state.outcome == "":
             self._start(1)
         while True:
-            self._refuse_old_frames()
+            self._restart_if_stale()
             if not self.state.frames:
                 self._read_meter()
             have = {frame.index for frame in self.state.frames}
             missing = [shot for shot in self.wanted if shot.index not in have]
             if not missing:
-                return self._complete()
+                return self._check_pixels()
             try:
                 frame = self._expose(missing[0])
             # A driver's defect may cost one frame, but must not end a capture of a month.
             except Exception as error:
-                self._failed(error)
+                self._handle_failure(error)
                 if disk_is_full(error):
                     can_go_on = self._wait_for_room(disk.next_s())
                 else:
@@ -104,11 +104,11 @@ class BracketCapture:
                 if not can_go_on:
                     return self.abort(error_text(error))
                 continue
-            if not self.recorder.tell("frame", slot=self.slot.id, frame=frame_fields(frame)):
+            if not self.recorder.write_event("frame", slot=self.slot.id, frame=frame_fields(frame)):
                 return self.abort("could not write the frame to the journal")
-            self._replace(frame)
+            self._store_in_state(frame)
             self.between(frame)
-            self._again(frame)
+            self._retake(frame)
 
     def resumable(self) -> bool:
         """Return whether all frames exist, or one ended at most a minute ago.
@@ -126,27 +126,27 @@ class BracketCapture:
         """
         frames = self.state.frames
         if link_on_the_way(self.session.root, self.folder) is None:
-            _sweep(self.folder)
+            _delete_temporary_files(self.folder)
             if frames:
                 with suppress(OSError):  # the journal has the same content
                     self._write()
-        self.recorder.tell("aborted", slot=self.slot.id, frames=len(frames), why=why)
+        self.recorder.write_event("aborted", slot=self.slot.id, frames=len(frames), why=why)
         return replace(self.state, outcome="aborted", why=why)
 
-    def _replace(self, frame: Frame) -> None:
+    def _store_in_state(self, frame: Frame) -> None:
         """Store a frame in the state, in place of an earlier one of its index."""
         others = (other for other in self.state.frames if other.index != frame.index)
         self.state = replace(self.state, frames=(*others, frame))
 
-    def _failed(self, error: Exception) -> None:
+    def _handle_failure(self, error: Exception) -> None:
         """Free the reserve after a full disk; drop the camera after another error of it."""
-        _sweep(self.folder)  # an incomplete frame takes up space
+        _delete_temporary_files(self.folder)  # an incomplete frame takes up space
         if disk_is_full(error):
             self.recorder.make_room()
         elif not isinstance(error, _Away):
             self.camera.mark_lost(error)
 
-    def _again(self, doubtful: Frame) -> None:
+    def _retake(self, doubtful: Frame) -> None:
         """Take a doubtful frame again while the slot's window is open.
 
         Both files remain; the second one is used. If an earlier second frame of this bracket is
@@ -159,16 +159,16 @@ class BracketCapture:
         try:
             second = self._expose(self.wanted[doubtful.index], instead_of=doubtful.file)
         except Exception as error:  # the doubtful frame is already in the journal, so it is used
-            self._failed(error)
+            self._handle_failure(error)
             return
         doubt = second.doubt or self.checks.pixels(self.folder / second.file)
         second = replace(second, doubt=doubt)
         fields = frame_fields(second)
-        if self.recorder.tell("retake", slot=self.slot.id, frame=fields, why=doubtful.doubt):
+        if self.recorder.write_event("retake", slot=self.slot.id, frame=fields, why=doubtful.doubt):
             self.between(second)
-            self._replace(second)
+            self._store_in_state(second)
 
-    def _complete(self) -> SlotState:
+    def _check_pixels(self) -> SlotState:
         """Read the pixels of each frame after the camera has finished; return the final state.
 
         Take a frame again if it does not open and the slot's window is still open. Second frames
@@ -180,25 +180,25 @@ class BracketCapture:
                 why := self.checks.pixels(self.folder / frame.file)
             ):
                 doubtful = replace(frame, doubt=why)
-                self._replace(doubtful)
-                self._again(doubtful)
+                self._store_in_state(doubtful)
+                self._retake(doubtful)
             self.between(None)
         frames = self.state.frames
         lost = [f for f in frames if f.doubt and self.checks.pixels(self.folder / f.file)]
         if not lost or len(frames) - len(lost) >= max(2, len(frames) / 2):  # `merge` needs so many
-            return self._finish()
+            return self._complete_bracket()
         shown = f"{lost[0].file}: {lost[0].doubt}"
         return self.abort(f"{len(lost)} of {len(frames)} frames cannot be read: {shown}")
 
     def _start(self, attempt: int) -> None:
-        self.recorder.tell("started", slot=self.slot.id, attempt=attempt)
+        self.recorder.write_event("started", slot=self.slot.id, attempt=attempt)
         self.state = SlotState("started", attempt)
 
-    def _refuse_old_frames(self) -> None:
+    def _restart_if_stale(self) -> None:
         """Start the bracket again if its pause is too long; move its frames to a subfolder."""
         if not self.state.frames or self.resumable():
             return
-        self.recorder.claim(1 << 14)  # a new folder with its entries
+        self.recorder.ensure_space(1 << 14)  # a new folder with its entries
         aside = self.folder / f"attempt-{self.state.attempt}"
         if aside.is_symlink():
             aside.unlink()
@@ -214,7 +214,7 @@ class BracketCapture:
         """Take one frame, check it, give it its final name, and return it."""
         if self.camera.get() is None:
             raise _Away("the camera is away")
-        self.recorder.claim(self.frame_bytes)
+        self.recorder.ensure_space(self.frame_bytes)
         self.folder.mkdir(parents=True, exist_ok=True)
         begun, boot, exposure = self.clock.now(), self.clock.boottime(), shot.exposure
         # Each try has its own file name, so that a frame which a hung camera delivers late cannot
@@ -265,7 +265,7 @@ class BracketCapture:
             self.between(None)
         return False
 
-    def _finish(self) -> SlotState:
+    def _complete_bracket(self) -> SlotState:
         self._read_meter()
         frames = self.state.frames
         notes = [f"{f.file} taken again" for f in frames if f.instead_of and not f.doubt]
@@ -283,7 +283,7 @@ class BracketCapture:
             self.recorder.make_room()  # frees the reserve; capture.json has a few kilobytes
             self._write()
         why = "; ".join(notes)
-        self.recorder.tell("done", slot=self.slot.id, frames=len(frames), why=why)
+        self.recorder.write_event("done", slot=self.slot.id, frames=len(frames), why=why)
         return replace(self.state, outcome="done", why=why)
 
     def _read_meter(self) -> None:
@@ -295,7 +295,7 @@ class BracketCapture:
         except Exception as error:  # as with the other devices
             self.meter.mark_lost(error)
             return
-        self.recorder.tell("illuminance", slot=self.slot.id, illuminance_lx=lux)
+        self.recorder.write_event("illuminance", slot=self.slot.id, illuminance_lx=lux)
         self.state = replace(self.state, illuminance_lx=(*self.state.illuminance_lx, lux))
 
     def _write(self) -> None:
@@ -305,7 +305,7 @@ class BracketCapture:
         write_capture(self.folder, self.slot, self.state, self.setup, info, complete=is_complete)
 
 
-def _sweep(folder: Path) -> None:
+def _delete_temporary_files(folder: Path) -> None:
     """Delete temporary files of frames that were never journalled."""
     with suppress(OSError):
         for scrap in folder.glob(".*"):
@@ -335,7 +335,7 @@ class FrameRequest:
         return f"{self.index:02d}_{self.exposure.shutter_s:.6g}s{turned}{nd}"
 
 
-def shots(exposures: Sequence[Exposure], setup: CameraSetup) -> tuple[FrameRequest, ...]:
+def frame_requests(exposures: Sequence[Exposure], setup: CameraSetup) -> tuple[FrameRequest, ...]:
     """Return the frames of a bracket: all exposures at the first heading, then at the next."""
     headings: tuple[float | None, ...] = setup.headings or (None,)
     pairs = [(exposure, heading) for heading in headings for exposure in exposures]

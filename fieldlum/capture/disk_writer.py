@@ -56,9 +56,9 @@ class Recorder:
         self.journal, self.days = Journal(session, flush=flush), DayFiles(session, flush=flush)
         self.full, self.rows = False, 0
         self.last_event = ""
-        self.refill()
+        self.restore_reserve()
 
-    def tell(self, event: str, **fields: Any) -> bool:
+    def write_event(self, event: str, **fields: Any) -> bool:
         """Write an event with the current time to the journal; return whether it is on the disk."""
         with self._lock:
             self.last_event = event
@@ -69,10 +69,10 @@ class Recorder:
             self._listen(event, now, fields)
         return durable
 
-    def tell_all(self, events: Iterable[tuple[str, EventFields]]) -> None:
-        """Write some events, each a name and its fields, as `tell` does."""
+    def write_events(self, events: Iterable[tuple[str, EventFields]]) -> None:
+        """Write some events, each a name and its fields, as `write_event` does."""
         for name, fields in events:
-            self.tell(name, **fields)
+            self.write_event(name, **fields)
 
     def sample(self, sample: IrradianceSample) -> bool:
         """Write a reading to its day file; return whether it is on the disk."""
@@ -89,7 +89,7 @@ class Recorder:
         usable = self._free_bytes() + reserved - self._reserve_bytes // 2
         return max(0, round(size) - usable)
 
-    def claim(self, size: float) -> None:
+    def ensure_space(self, size: float) -> None:
         """Make sure that a file of `size` bytes fits, if necessary by deleting the reserve file.
 
         Raises OSError (ENOSPC) if the file does not fit and leave half of the reserve's size free.
@@ -109,16 +109,16 @@ class Recorder:
     def make_room(self) -> None:
         """Delete the reserve file on a full disk, so that journal and rows can be written.
 
-        The event is journalled. Further calls do nothing until `refill` restores the reserve.
+        The event is journalled. Further calls do nothing until `restore_reserve`.
         """
         with self._lock:
             if not self.full:
                 self.full = True
                 with suppress(OSError):
                     self._reserve.unlink(missing_ok=True)
-                    self.tell("disk-full", bytes_free=self._free_bytes())
+                    self.write_event("disk-full", bytes_free=self._free_bytes())
 
-    def refill(self) -> None:
+    def restore_reserve(self) -> None:
         """Restore the reserve file and write what waits in memory; called before each bracket."""
         with self._lock:
             try:

@@ -10,8 +10,8 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from fieldlum.capture import match_card
-from fieldlum.capture.bracket import shots, write_capture
-from fieldlum.capture.logger_import import adopt_rows
+from fieldlum.capture.bracket import frame_requests, write_capture
+from fieldlum.capture.logger_import import import_rows
 from fieldlum.capture.match_card import CardFrame, Group, Match, Offset, Report
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.progress import progress
@@ -50,15 +50,15 @@ def run(
         rows, report = Report(), Report()
         if logger is not None:
             offset_s = utc_offset_s if logger_utc_offset_s is None else logger_utc_offset_s
-            rows = adopt_rows(session, logger, offset_s, columns, sensitivities)
+            rows = import_rows(session, logger, offset_s, columns, sensitivities)
         if folder is not None:
-            report = _adopt_card(session, folder, utc_offset_s)
+            report = _import_card(session, folder, utc_offset_s)
         left_out, notes = (*report.left_out, *rows.left_out), (*report.notes, *rows.notes)
         about = {"left_out": left_out, "notes": notes}
         return replace(report, rows=rows.rows, withdrawn=rows.withdrawn, **about)
 
 
-def _adopt_card(session: Session, folder: Path, utc_offset_s: float | None) -> Report:
+def _import_card(session: Session, folder: Path, utc_offset_s: float | None) -> Report:
     """Import the brackets in a card's folder that match the plan."""
     setup, slots = session.site_file(), session.slots()
     groups, left_out = _brackets(folder, setup, slots, utc_offset_s is not None)
@@ -66,28 +66,28 @@ def _adopt_card(session: Session, folder: Path, utc_offset_s: float | None) -> R
     notes: list[str] = []
     refused: list[InputError] = []
     zone = setup.site.timezone
-    for part in _parts(groups, slots, utc_offset_s, zone):
+    for part in _parts_of_one_clock(groups, slots, utc_offset_s, zone):
         try:
             offset = match_card.clock_offset(part, slots, setup, utc_offset_s)
         # The error of one campaign: a wrong date, or brackets of another plan.
         except InputError as error:
             refused.append(error)
-            whose = f"{_range(part[0])} and {len(part) - 1} brackets after it"
+            whose = f"{_file_range(part[0])} and {len(part) - 1} brackets after it"
             left_out.append(f"{whose}: {error.found}; {error.remedy}")
             continue
         clocks.append((part, offset))
         notes.append(match_card.exif_note(part, utc_offset_s))
         notes.append(match_card.offset_contradiction(part, slots, offset, zone))
     matches, others = match_card.match_groups(clocks, slots)
-    left_out += [f"{_range(group)}: {why}" for group, why in others]
+    left_out += [f"{_file_range(group)}: {why}" for group, why in others]
     if not matches:
         if refused:
             raise refused[0]
         found = f"none of {len(groups)} brackets matches the plan; {left_out[-1]}"
         raise NotEnoughDataError(f"{folder}: {found}; check --utc-offset and the plan")
     notes += match_card.clock_steps(clocks)
-    notes += [_lacking_text(match, setup.camera) for match in matches]
-    new, moved = _adopt_all(session, setup.camera, matches)
+    notes += [_missing_text(match, setup.camera) for match in matches]
+    new, moved = _import_brackets(session, setup.camera, matches)
     offsets = tuple(offset for _, offset in clocks)
     about = [{"camera_clock_minus_utc_s": round(o.seconds, 1), "how": o.how} for o in offsets]
     imported = session.table().get("imported", {})
@@ -116,18 +116,18 @@ def _brackets(
     files, others = card_files(folder)
     body = load_camera_profile(setup.camera.profile).camera
     frames, unread = read_card(files, lens_f_number=body.fixed_f_number)
-    frames, other_cameras = of_the_session(frames, body)
+    frames, other_cameras = of_session_camera(frames, body)
     frames, copies = without_edited(frames, (body.width_px, body.height_px))
     left_out = [*other_cameras, *copies, *unread, *others]
     if not frames:
         remedy = "check that this is the right card"
         raise NotEnoughDataError(f"{folder}: no usable frame; {left_out[0]}; {remedy}")
     exposures = slots[0].exposures if slots else ()
-    frames = match_card.as_shown(frames) if own_clock else frames
+    frames = match_card.in_camera_time(frames) if own_clock else frames
     return match_card.group_frames(frames, exposures, max(1, len(setup.camera.headings))), left_out
 
 
-def _parts(
+def _parts_of_one_clock(
     groups: Sequence[Group], slots: Sequence[Slot], utc_offset_s: float | None, zone: str
 ) -> list[list[Group]]:
     """Return the brackets in parts between which the camera's clock was set.
@@ -144,26 +144,26 @@ def _parts(
     return pieces
 
 
-def lacking(group: Group, slot: Slot, setup: CameraSetup) -> list[Exposure]:
+def missing_of_plan(group: Group, slot: Slot, setup: CameraSetup) -> list[Exposure]:
     """Return the planned exposures, counted once for each heading, that a card's bracket lacks."""
-    planned = [shot.exposure for shot in shots(slot.exposures, setup)]
+    planned = [shot.exposure for shot in frame_requests(slot.exposures, setup)]
     return match_card.missing_exposures(group, planned)
 
 
-def _lacking_text(match: Match, setup: CameraSetup) -> str:
+def _missing_text(match: Match, setup: CameraSetup) -> str:
     """Return a note on an incomplete bracket, or "".
 
     A frame that could be with or without a filter is used as one without it: `merge` finds it.
     """
-    missing = lacking(match.group, match.slot, setup)
+    missing = missing_of_plan(match.group, match.slot, setup)
     if not missing:
         return ""
     shown = listed([exposure_text(exposure) for exposure in missing], 3)
     where = f"missing frames of slot {match.slot.id}"
-    return f"{_range(match.group)}: {where}: {len(missing)} ({shown})"
+    return f"{_file_range(match.group)}: {where}: {len(missing)} ({shown})"
 
 
-def _adopt_all(
+def _import_brackets(
     session: Session, setup: CameraSetup, matches: Sequence[Match]
 ) -> tuple[list[Match], tuple[str, ...]]:
     """Import every bracket that the journal does not record as done.
@@ -171,16 +171,16 @@ def _adopt_all(
     Return the imported brackets, and the slots that an earlier import had filled wrongly.
     """
     with closing(Journal(session)) as journal:
-        moved = withdraw(session, journal, read_slot_states(session), matches)
+        moved = remove_misplaced(session, journal, read_slot_states(session), matches)
         states = read_slot_states(session)
         new = [m for m in matches if states.state(m.slot.id).outcome != "done"]
         for number, match in enumerate(new, start=1):
             progress(number, len(new), match.slot.id)
-            _adopt(session, setup, journal, match)
+            _import_bracket(session, setup, journal, match)
     return new, moved
 
 
-def _range(group: Group) -> str:
+def _file_range(group: Group) -> str:
     first, last = group.frames[0].path, group.frames[-1].path
     return f"{first}" if first == last else f"{first} to {last.name}"
 
@@ -190,7 +190,7 @@ def _text(path: Path) -> str:
     return str(path).encode("utf-8", "replace").decode()
 
 
-def _adopt(session: Session, setup: CameraSetup, journal: Journal, match: Match) -> None:
+def _import_bracket(session: Session, setup: CameraSetup, journal: Journal, match: Match) -> None:
     """Copy the frames of one bracket and journal them like captured ones."""
     slot, folder = match.slot, session.capture_file(match.slot.id).parent
     now = datetime.now(UTC)
@@ -216,7 +216,8 @@ def _adopt(session: Session, setup: CameraSetup, journal: Journal, match: Match)
         journal.append("frame", now, slot=slot.id, frame=frame_fields(frame))
         frames.append(frame)
     state = SlotState("done", 1, tuple(frames))
-    write_capture(folder, slot, state, setup, {}, complete=not lacking(match.group, slot, setup))
+    is_complete = not missing_of_plan(match.group, slot, setup)
+    write_capture(folder, slot, state, setup, {}, complete=is_complete)
     journal.append("done", now, slot=slot.id, frames=len(frames), why="imported")
 
 
@@ -231,7 +232,7 @@ def planned_frame(
     """
     exposure = group.frames[index].exposure
     before = sum(same_exposure(f.exposure, exposure) for f in group.frames[:index])
-    planned = shots(slot.exposures, setup)
+    planned = frame_requests(slot.exposures, setup)
     alike = [shot for shot in planned if same_exposure(shot.exposure, exposure)]
     if not alike:
         return exposure, setup.headings[0] if setup.headings else None
@@ -243,7 +244,7 @@ def planned_frame(
 # brackets that an earlier import, with another clock, put into wrong slots
 
 
-def withdraw(
+def remove_misplaced(
     session: Session, journal: Journal, states: SlotStates, matches: Sequence[Match]
 ) -> tuple[str, ...]:
     """Remove imported brackets whose frames now have another slot or time; return their slots' ids.
@@ -363,8 +364,8 @@ def without_edited(
     size = size_px if size_px in common else max(common, key=lambda s: common[s], default=size_px)
     other_size = {path for path, its in sizes.items() if its not in (size, (0, 0))}
     full = [frame for frame in frames if frame.path not in other_size]
-    counts = Counter(_form(frame.path) for frame in full)
-    rank = {frame.path: (counts[f := _form(frame.path)], -len(f)) for frame in full}
+    counts = Counter(_name_pattern(frame.path) for frame in full)
+    rank = {frame.path: (counts[f := _name_pattern(frame.path)], -len(f)) for frame in full}
     alike: dict[tuple[datetime, Exposure], list[CardFrame]] = {}
     for frame in full:
         key = frame.t_camera.replace(microsecond=0), frame.exposure
@@ -382,7 +383,7 @@ def without_edited(
     return [frame for frame in full if frame.path not in edited], notes
 
 
-def _form(path: Path) -> str:
+def _name_pattern(path: Path) -> str:
     """Return a file's name without suffix and with # for each digit, such as IMG_####."""
     return re.sub(r"\d", "#", path.stem)
 
@@ -394,7 +395,7 @@ def _note(paths: Sequence[Path], what: str) -> list[str]:
     return [f"{paths[0]}: {what}{more}"]
 
 
-def of_the_session(
+def of_session_camera(
     frames: Sequence[CardFrame], body: CameraBody
 ) -> tuple[list[CardFrame], list[str]]:
     """Return the frames of the session's camera in one format, and a note on each other camera.

@@ -78,7 +78,7 @@ class Logger:
         self._refused += len(lines)
 
     def _tell_bad(self, why: str) -> None:
-        self._recorder.tell("bad-reading", device=self.keeper.name, why=why)
+        self._recorder.write_event("bad-reading", device=self.keeper.name, why=why)
 
     @property
     def due_in_s(self) -> float:
@@ -141,7 +141,7 @@ def log(
         sole_user(session, "log"),
         closing(Recorder(session, steady.now, reserve=".reserve-log")) as recorder,
     ):
-        keeper = Keeper("pyranometer", opener, steady, recorder.tell, 60.0)
+        keeper = Keeper("pyranometer", opener, steady, recorder.write_event, 60.0)
         with closing(Logger(keeper, recorder, steady, every_s)) as logger:
             info = keeper.open_or_raise().info
             devices = session.table().get("devices", {})
@@ -150,7 +150,7 @@ def log(
             who = f"{info.model or info.kind} {info.serial}".strip()
             say(f"logging {who} every {every_s:g} s; stop with Ctrl-C")
             while rows is None or recorder.rows < rows:
-                recorder.tell_all(steady.check())
+                recorder.write_events(steady.check())
                 logger.poll_if_due()
                 clock.sleep(min(logger.due_in_s, 1.0))
     return recorder.rows

@@ -21,7 +21,7 @@ from fieldlum.session.day_files import DAY_COLUMNS, DayFiles, day_files, encode_
 from fieldlum.session.folder import LoggerFileTable
 
 
-def adopt_rows(
+def import_rows(
     session: Session,
     path: Path,
     utc_offset_s: float | None,
@@ -49,7 +49,7 @@ def adopt_rows(
         for other in before:
             if other != table and other["file"] == table["file"]:
                 with suppress(InputError):  # the file cannot be read in the earlier way any more
-                    withdrawn += withdraw(session, _read_as(path, other).samples)
+                    withdrawn += remove_rows(session, _read_as(path, other).samples)
         added = add_samples(session, logger_file.samples)
     if table not in before:
         update_session(session, {"logger_files": [*before, table]})
@@ -104,7 +104,7 @@ def add_samples(session: Session, samples: Iterable[IrradianceSample]) -> int:
     return added
 
 
-def withdraw(session: Session, samples: Iterable[IrradianceSample]) -> int:
+def remove_rows(session: Session, samples: Iterable[IrradianceSample]) -> int:
     """Remove the rows with the times and raw texts of `samples` from the day files.
 
     Return their number; samples without such a row are ignored. A changed day file's earlier

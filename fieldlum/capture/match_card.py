@@ -327,7 +327,7 @@ def _exif_offsets_s(groups: Sequence[Group]) -> tuple[float, ...]:
     return tuple(sorted(offset_s for offset_s in stated if offset_s is not None))
 
 
-def as_shown(frames: Sequence[CardFrame]) -> list[CardFrame]:
+def in_camera_time(frames: Sequence[CardFrame]) -> list[CardFrame]:
     """Return the frames with their times as the camera's clock showed them, not corrected by EXIF.
 
     A stated --utc-offset applies to the clock itself.
@@ -341,22 +341,23 @@ def exif_note(groups: Sequence[Group], stated_s: float | None) -> str:
     offsets_s = () if stated_s is None else _exif_offsets_s(groups)
     if stated_s is None or all(abs(offset_s - stated_s) <= 60.0 for offset_s in offsets_s):
         return ""
-    exif = f"EXIF states UTC {hms_list(offsets_s)}"
-    return f"--utc-offset {hms(stated_s)} was used, but {exif}: if that is right, import without it"
+    exif = f"EXIF states UTC {offsets_text(offsets_s)}"
+    stated = f"--utc-offset {offset_text(stated_s)} was used"
+    return f"{stated}, but {exif}: if that is right, import without it"
 
 
-def hms(seconds: float) -> str:
+def offset_text(seconds: float) -> str:
     """Return an offset [s] as +HH:MM or -HH:MM, with :SS if the seconds are not zero."""
     clock = f"{datetime.fromtimestamp(round(abs(seconds)), UTC):%H:%M:%S}"
     return ("-" if seconds < 0 else "+") + clock.removesuffix(":00")
 
 
-def hms_list(offsets_s: Sequence[float]) -> str:
+def offsets_text(offsets_s: Sequence[float]) -> str:
     """Return offsets [s] as text, such as "-08:00 and -07:00"."""
-    return " and ".join(hms(offset_s) for offset_s in offsets_s)
+    return " and ".join(offset_text(offset_s) for offset_s in offsets_s)
 
 
-def _near(groups: Sequence[Group], slots: Sequence[Slot], offset_s: float) -> int:
+def _near_slots(groups: Sequence[Group], slots: Sequence[Slot], offset_s: float) -> int:
     """Return the number of brackets that are near slots if the clock has this offset."""
     return int(np.sum(np.abs(late_s(groups, slots, offset_s)) <= WITHIN_S))
 
@@ -388,12 +389,12 @@ def clock_parts(groups: Sequence[Group], slots: Sequence[Slot], zone: str) -> li
     days = split_at_gaps(groups, _NIGHT_S)
     # The minutes of the quarter of an hour that fits all brackets best, and each full hour.
     base = next(iter(fitting_offsets(groups, slots)), 0.0) % 3600.0
-    hits = [[_near(day, slots, base + 3600.0 * hour) for hour in _HOURS] for day in days]
+    hits = [[_near_slots(day, slots, base + 3600.0 * hour) for hour in _HOURS] for day in days]
     civil_h = [
         _civil_h(after[0], zone, _CIVIL_NEAR) - _civil_h(before[-1], zone, -_CIVIL_NEAR)
         for before, after in pairwise(days)
     ]
-    paths = [_steadiest(np.array(hits), changes) for changes in ([0] * len(civil_h), civil_h)]
+    paths = [_best_path(np.array(hits), changes) for changes in ([0] * len(civil_h), civil_h)]
     path = max(paths, key=lambda path: sum(day[k] for day, k in zip(hits, path, strict=True)))
     starts = [k for k in range(len(days)) if k == 0 or path[k] != path[k - 1]]
     return [list(chain(*days[a:b])) for a, b in pairwise([*starts, len(days)])]
@@ -405,7 +406,7 @@ def _civil_h(group: Group, zone: str, later: timedelta) -> int:
     return round((moment.utcoffset() or timedelta()) / timedelta(hours=1))
 
 
-def _steadiest(hits: np.ndarray, civil_h: Sequence[int]) -> list[int]:
+def _best_path(hits: np.ndarray, civil_h: Sequence[int]) -> list[int]:
     """Return the best offset of each day, as an index of hours.
 
     hits [days, hours]: numbers of brackets near slots. Their sum is maximised, minus `_EVIDENCE`
@@ -455,7 +456,7 @@ def offset_contradiction(
     and a clock that was set between brackets. groups: in order of time; zone: IANA name.
     """
     shifts = [3600.0 * hour for hour in _HOURS]
-    hits = [_near(groups, slots, offset.seconds + s) for s in shifts]
+    hits = [_near_slots(groups, slots, offset.seconds + s) for s in shifts]
     as_it_is, best = hits[shifts.index(0.0)], int(np.argmax(hits))
     if hits[best] >= as_it_is + _EVIDENCE:
         return (

@@ -11,7 +11,7 @@ from shutil import disk_usage
 from typing import Any
 
 from fieldlum import devices
-from fieldlum.capture.bracket import NO_CHECKS, BracketCapture, FrameChecks, shots
+from fieldlum.capture.bracket import NO_CHECKS, BracketCapture, FrameChecks, frame_requests
 from fieldlum.capture.disk_writer import RESERVE_BYTES, Listen, Recorder
 from fieldlum.capture.logger import Logger
 from fieldlum.capture.reconnect import Keeper, error_text, plain_info
@@ -146,7 +146,7 @@ def run(
     return read_slot_states(session)
 
 
-def refuse_a_clock_behind(now_utc: datetime, last_utc: datetime) -> None:
+def refuse_early_clock(now_utc: datetime, last_utc: datetime) -> None:
     """Raise DeviceError if the clock is over 2 s before the last journal entry."""
     if now_utc < last_utc - timedelta(seconds=2):
         found = f"this computer's clock shows {now_utc:%Y-%m-%d %H:%M:%S} UTC"
@@ -154,7 +154,7 @@ def refuse_a_clock_behind(now_utc: datetime, last_utc: datetime) -> None:
         raise DeviceError(f"{found}, {last}: set the clock, then start again")
 
 
-def refuse_a_past_plan(
+def refuse_past_plan(
     slots: Sequence[Slot], before: SlotStates, now_utc: datetime, grace: timedelta
 ) -> None:
     """Raise NotEnoughDataError if every slot is past and the journal has no event of a slot.
@@ -169,7 +169,7 @@ def refuse_a_past_plan(
         raise NotEnoughDataError(f"the plan has no slot left: {found}; {remedy}")
 
 
-def refuse_what_is_not_offered(
+def refuse_unavailable_exposures(
     camera: Camera, slots: Sequence[Slot], states: Mapping[str, SlotState]
 ) -> None:
     """Raise DeviceError for planned exposures to which the camera cannot be set.
@@ -203,14 +203,14 @@ class _Runner:
         session, clock, options = self.session, self.clock, self.options
         self.setup = session.site_file()
         self._plan_stamp = 0
-        self._plan_stamp = self._stamp()  # before the plan is read, so that no change is missed
+        self._plan_stamp = self._plan_time()  # before the plan is read, so that no change is missed
         self.slots = session.slots()
         self.states = before = read_slot_states(session)
         if before.last_utc is not None:
             if before.last_open is not None:
-                clock.carry_on(parse_utc(before.last_open["t_utc"]), before.last_open)
-            refuse_a_clock_behind(clock.now(), before.last_utc)
-        refuse_a_past_plan(self.slots, before, clock.now(), timedelta(seconds=options.grace_s))
+                clock.continue_from(parse_utc(before.last_open["t_utc"]), before.last_open)
+            refuse_early_clock(clock.now(), before.last_utc)
+        refuse_past_plan(self.slots, before, clock.now(), timedelta(seconds=options.grace_s))
         reserve_bytes, how = options.reserve_bytes, {"flush": options.flush, "listen": self.listen}
         self.recorder = Recorder(session, clock.now, reserve_bytes, **how)
         self.camera = self._keeper("camera", self.open_cam)
@@ -218,11 +218,13 @@ class _Runner:
         self.meter: Keeper[IlluminanceMeter] | None = None
         self.frame_bytes, self.bytes_per_slot, self.last_frame = 0, 0.0, ""
         for slot in [slot for slot in self.slots if before.state(slot.id).frames][-1:]:
-            self._learn_sizes(slot, before.state(slot.id))
+            self._measure_sizes(slot, before.state(slot.id))
         self._state, self._next = "waiting", self._next_to_do()
 
     def _keeper(self, name: str, open_device: Callable[[], Any]) -> Keeper[Any]:
-        return Keeper(name, open_device, self.clock, self.recorder.tell, self.options.watchdog_s)
+        return Keeper(
+            name, open_device, self.clock, self.recorder.write_event, self.options.watchdog_s
+        )
 
     def open(
         self,
@@ -236,7 +238,7 @@ class _Runner:
         while: the brackets do not wait for it.
         """
         camera = self.camera.open_or_raise()
-        refuse_what_is_not_offered(camera, self.slots, self.states.slots)
+        refuse_unavailable_exposures(camera, self.slots, self.states.slots)
         about: DevicesTable = {"uris": uris, "camera": plain_info(camera.info)}
         if open_pyr is not None:
             keeper = self._keeper("pyranometer", open_pyr)
@@ -246,8 +248,10 @@ class _Runner:
             self.meter = self._keeper("meter", open_met)
             self._open_instrument(self.meter, about)
         mark, cut = self.clock.mark(), self.recorder.journal.cut_bytes
-        self.recorder.tell("open", **mark, pid=os.getpid(), fieldlum=__version__, cut_bytes=cut)
-        self.recorder.tell_all(self.clock.check())
+        self.recorder.write_event(
+            "open", **mark, pid=os.getpid(), fieldlum=__version__, cut_bytes=cut
+        )
+        self.recorder.write_events(self.clock.check())
         try:
             before = self.session.table().get("devices", {})
             update_session(self.session, {"devices": {**before, **about}})
@@ -307,8 +311,8 @@ class _Runner:
 
     def _next_to_do(self) -> Slot | None:
         """Return the next slot without an outcome; the plan may have changed during the capture."""
-        if self._stamp() != self._plan_stamp:
-            self._plan_stamp = self._stamp()
+        if self._plan_time() != self._plan_stamp:
+            self._plan_stamp = self._plan_time()
             with suppress(InputError, OSError):
                 slots = read_plan(self.session.plan)  # another command may be changing it
                 # A new plan removes no slot, but a damaged file would: then the earlier plan
@@ -317,7 +321,7 @@ class _Runner:
                     self.slots = slots
         return next(iter(slots_to_do(self.slots, self.states)), None)
 
-    def _stamp(self) -> int:
+    def _plan_time(self) -> int:
         try:
             return self.session.plan.stat().st_mtime_ns
         except OSError:
@@ -329,9 +333,9 @@ class _Runner:
         One more row is logged, so that rows surround the bracket.
         """
         self._state, slot = "capturing", bracket.slot
-        self.recorder.refill()
+        self.recorder.restore_reserve()
         if late_s > 10.0 and bracket.state.outcome == "":
-            self.recorder.tell("late", slot=slot.id, by_s=round(late_s, 1))
+            self.recorder.write_event("late", slot=slot.id, by_s=round(late_s, 1))
         try:
             state = bracket.take()
         except Exception as error:
@@ -341,7 +345,7 @@ class _Runner:
         if self.logger is not None and not self.options.threaded:
             self.clock.sleep(self.logger.due_in_s)
             self.logger.poll_if_due()
-        self._learn_sizes(slot, state)
+        self._measure_sizes(slot, state)
         return state
 
     def _too_late(self, bracket: BracketCapture, late_s: float) -> SlotState:
@@ -349,16 +353,16 @@ class _Runner:
         if bracket.state.outcome == "started":
             why = "interrupted, and not finished within the slot's window"
             return bracket.abort(f"{why} (now {late_s:.0f} s late)")
-        self.recorder.tell("missed", slot=slot, why=f"late by {late_s:.0f} s")
+        self.recorder.write_event("missed", slot=slot, why=f"late by {late_s:.0f} s")
         return SlotState("missed", why="late")
 
-    def _learn_sizes(self, slot: Slot, state: SlotState) -> None:
+    def _measure_sizes(self, slot: Slot, state: SlotState) -> None:
         folder, sizes = self.session.capture_file(slot.id).parent, list[int]()
         with suppress(OSError):
             sizes = [(folder / frame.file).stat().st_size for frame in state.frames]
         if sizes:
             self.frame_bytes = max(sizes)
-            count = len(shots(slot.exposures, self.setup.camera))
+            count = len(frame_requests(slot.exposures, self.setup.camera))
             self.bytes_per_slot = sum(sizes) / len(sizes) * count
 
     def _wait_until(self, t_utc: datetime) -> bool:
@@ -369,8 +373,8 @@ class _Runner:
         return self._sleep_until(t_utc)
 
     def _sleep_until(self, t_utc: datetime, *, log: bool = True) -> bool:
-        while self._stamp() == self._plan_stamp:  # until the plan changes
-            self.recorder.tell_all(self.clock.check())
+        while self._plan_time() == self._plan_stamp:  # until the plan changes
+            self.recorder.write_events(self.clock.check())
             wait_s = (t_utc - self.clock.now()).total_seconds()
             if wait_s <= 0:
                 return True
@@ -436,5 +440,5 @@ class _Runner:
         for device in (self.logger, self.meter, self.camera):
             if device is not None:
                 device.close()
-        self.recorder.tell("close", state=self._state)
+        self.recorder.write_event("close", state=self._state)
         self.recorder.close()

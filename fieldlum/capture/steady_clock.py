@@ -74,10 +74,10 @@ class SteadyClock(Clock):
         self._clock.sleep(seconds)
 
     def mark(self) -> EventFields:
-        """Return the boot's identifier and its boot time [s], for `carry_on` in a later process."""
+        """Return the boot's identifier and the time since it [s], for `continue_from`."""
         return {"boot_id": self._boot_id, "boottime_s": round(self.boottime(), 3)}
 
-    def carry_on(self, then: datetime, mark: Mapping[str, Any]) -> None:
+    def continue_from(self, then: datetime, mark: Mapping[str, Any]) -> None:
         """Continue the time of an earlier process, which was at `then` when it stored `mark`.
 
         Only within the same boot. `check` then detects a step between the two processes.

@@ -106,11 +106,11 @@ def command(
 def _summary(report: Report) -> list[str]:
     from statistics import median
 
-    from fieldlum.capture.match_card import hms, hms_list
+    from fieldlum.capture.match_card import offset_text, offsets_text
 
     lines = []
     for offset in report.offsets:
-        clock = hms_list(offset.exif_s) if offset.exif_s else hms(offset.seconds)
+        clock = offsets_text(offset.exif_s) if offset.exif_s else offset_text(offset.seconds)
         lines.append(f"camera clock: UTC {clock}, {offset.how}")
     lines = list(dict.fromkeys(lines))  # one line for campaigns with the same clock
     if report.late_s:

@@ -36,7 +36,7 @@ def calendar_day(text: str) -> datetime:
 DEVICES = ("camera", "pyranometer", "meter")
 
 
-def _opened(text: str) -> Session:
+def _open_session(text: str) -> Session:
     """Return the session of a folder."""
     from fieldlum.session import open_session
 
@@ -44,7 +44,7 @@ def _opened(text: str) -> Session:
 
 
 def _shared(
-    session: Annotated[Any, "SESSION", _opened],
+    session: Annotated[Any, "SESSION", _open_session],
     pairs: Annotated[Path, "SESSION|PAIRS.csv"],
     as_json: bool = False,
     force: bool = False,

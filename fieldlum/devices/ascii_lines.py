@@ -115,7 +115,7 @@ def load_ascii_profile(name: str) -> AsciiProfile:
     return profile
 
 
-def _bad(text: str | bytes, why: str) -> DeviceError:
+def _bad_line(text: str | bytes, why: str) -> DeviceError:
     remedy = "check cable and baud rate, or correct the profile or the instrument's program"
     return DeviceError(f"line {text[:60]!r} {why}; {remedy}")
 
@@ -130,9 +130,9 @@ def parse_line(profile: AsciiProfile, line: bytes) -> dict[str, float]:
     words = _WORDS[profile.form](profile, text)
     keys = [e.key for e in profile.entry]
     if missing := [key for key in keys if key not in words]:
-        raise _bad(text, f"has no key {', '.join(missing)}")
+        raise _bad_line(text, f"has no key {', '.join(missing)}")
     if profile.only and profile.form != "regex" and list(words) != keys:
-        raise _bad(text, f"has other keys; expected exactly {', '.join(keys)}, in this order")
+        raise _bad_line(text, f"has other keys; expected exactly {', '.join(keys)}, in this order")
     return {e.quantity: _value(words[e.key], e, text) for e in profile.entry}
 
 
@@ -143,10 +143,12 @@ def body_of(profile: AsciiProfile, line: bytes) -> str:
     ASCII text, or with a missing or wrong checksum.
     """
     if not line.endswith(b"\n") or len(line) > _MAX_LINE_BYTES:
-        raise _bad(line, f"of {len(line)} bytes has no line feed, or over {_MAX_LINE_BYTES} bytes")
+        raise _bad_line(
+            line, f"of {len(line)} bytes has no line feed, or over {_MAX_LINE_BYTES} bytes"
+        )
     data = line.rstrip(b"\r\n")
     if not data.isascii() or any(c < 32 and c != 9 for c in data):
-        raise _bad(line, "has bytes that are not ASCII text")
+        raise _bad_line(line, "has bytes that are not ASCII text")
     text = data.decode("ascii")
     if profile.checksum == "none":
         return text
@@ -154,9 +156,9 @@ def body_of(profile: AsciiProfile, line: bytes) -> str:
     data = body.removeprefix("$").encode("ascii")
     due = f"{reduce(xor, data, 0):02X}" if profile.checksum == "xor" else f"{crc16(data):04X}"
     if not star:
-        raise _bad(text, f"has no checksum; expected * and {len(due)} hexadecimal digits")
+        raise _bad_line(text, f"has no checksum; expected * and {len(due)} hexadecimal digits")
     if digits.upper() != due:
-        raise _bad(text, f"has the checksum *{digits[:8]}; expected *{due}")
+        raise _bad_line(text, f"has the checksum *{digits[:8]}; expected *{due}")
     return body
 
 
@@ -174,7 +176,7 @@ def crc16(data: bytes) -> int:
 def _by_regex(profile: AsciiProfile, text: str) -> Mapping[str, object]:
     match = re.fullmatch(profile.pattern, text, re.ASCII)
     if match is None:
-        raise _bad(text, "does not fit the pattern of the instrument's profile")
+        raise _bad_line(text, "does not fit the pattern of the instrument's profile")
     return match.groupdict()
 
 
@@ -183,7 +185,7 @@ def _by_keys(profile: AsciiProfile, text: str) -> Mapping[str, object]:
     words = [word.partition("=") for word in re.split(r"[,;\s]+", text.strip(" \t,;"))]
     values = {key: value for key, equals, value in words if key and equals}
     if len(values) < len(words):
-        raise _bad(text, "has a word that is not key=value, or a key twice")
+        raise _bad_line(text, "has a word that is not key=value, or a key twice")
     return values
 
 
@@ -200,7 +202,7 @@ def _by_json(profile: AsciiProfile, text: str) -> Mapping[str, object]:
     except (ValueError, RecursionError):
         parsed = None
     if not isinstance(parsed, dict):
-        raise _bad(text, "is not a JSON object with each key once")
+        raise _bad_line(text, "is not a JSON object with each key once")
     return parsed
 
 
@@ -220,13 +222,13 @@ def _value(word: object, entry: AsciiField, text: str) -> float:
         form = f" of {entry.width} characters" if entry.width is not None else ""
         form += f" with {entry.decimals} decimals" if entry.decimals is not None else ""
         form += f" and '{entry.unit}'" if entry.unit else ""
-        raise _bad(text, f"has {entry.key} {word!r}; expected a number{form}")
+        raise _bad_line(text, f"has {entry.key} {word!r}; expected a number{form}")
     value = entry.scale * float(match[0]) + entry.offset
     low, high = (MIN_WM2, MAX_WM2) if entry.quantity.endswith("_wm2") else _TEMPERATURES_C
     low = low if entry.lowest is None else entry.lowest
     high = high if entry.highest is None else entry.highest
     if not low <= value <= high:
-        raise _bad(text, f"has {entry.quantity} {value:g}; expected {low:g} to {high:g}")
+        raise _bad_line(text, f"has {entry.quantity} {value:g}; expected {low:g} to {high:g}")
     return value
 
 
@@ -257,7 +259,7 @@ class LineForm:
     def __init__(self) -> None:
         self._forms: deque[str] = deque(maxlen=_RECENT_LINES)
 
-    def unlike(self, text: str) -> str:
+    def difference(self, text: str) -> str:
         """Return how a line differs from the form of nearly all earlier lines, or ""; store it.
 
         The result is "" until 20 lines are known. After a permanent change of the form, two lines
@@ -318,7 +320,7 @@ class LineInstrument(Pyranometer):
             valid: list[tuple[str, dict[str, float]]] = []
             for line in self._lines():
                 try:
-                    valid.append(self._understood(line))
+                    valid.append(self._checked(line))
                 except DeviceError as error:
                     why = str(error)
                     self._refused.append(f"{why}; the line was {line!r}")
@@ -327,9 +329,9 @@ class LineInstrument(Pyranometer):
             if time.monotonic() > deadline:
                 raise DeviceError(f"{self._port.name}: {why}")
 
-    def _understood(self, line: bytes) -> tuple[str, dict[str, float]]:
+    def _checked(self, line: bytes) -> tuple[str, dict[str, float]]:
         values = parse_line(self._profile, line)
-        if reason := self._form.unlike(body_of(self._profile, line)):
+        if reason := self._form.difference(body_of(self._profile, line)):
             raise DeviceError(f"the line differs from earlier lines: {reason}; check the cable")
         return line.decode("ascii").strip(), values
 

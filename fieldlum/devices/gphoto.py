@@ -295,7 +295,7 @@ class _Driver:
             raise ValueError(f"{name}: {text} is not one of the camera's choices")
         if widget.get_value() != text:
             widget.set_value(text)
-            self._patiently(lambda: self._camera.set_single_config(name, widget))
+            self._while_busy(lambda: self._camera.set_single_config(name, widget))
         return self._camera.get_single_config(name).get_value()
 
     def expose(self, target: str, delete: bool) -> str:
@@ -307,7 +307,7 @@ class _Driver:
         for _ in range(50):  # discard events of earlier pictures
             if camera.wait_for_event(1)[0] == gp.GP_EVENT_TIMEOUT:
                 break
-        first = self._patiently(lambda: camera.capture(gp.GP_CAPTURE_IMAGE))
+        first = self._while_busy(lambda: camera.capture(gp.GP_CAPTURE_IMAGE))
         files = [(first.folder, first.name)]
         kind, data = camera.wait_for_event(_LATE_MS)
         while kind not in (gp.GP_EVENT_TIMEOUT, gp.GP_EVENT_CAPTURE_COMPLETE) and len(files) < 4:
@@ -325,7 +325,7 @@ class _Driver:
                 camera.file_delete(folder, name)
         return str(path)
 
-    def _patiently(self, work: Callable[[], Any]) -> Any:
+    def _while_busy(self, work: Callable[[], Any]) -> Any:
         """Call `work`; call it again while the camera is busy (GP_ERROR_CAMERA_BUSY)."""
         return retry(work, lambda error: getattr(error, "code", 0) == -110, 0.5)
 

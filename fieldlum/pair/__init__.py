@@ -63,13 +63,13 @@ class BracketInterval:
         return self.t_open_utc + (self.t_close_utc - self.t_open_utc) / 2
 
 
-def taken_brackets(session: Session) -> list[BracketInterval]:
+def merged_brackets(session: Session) -> list[BracketInterval]:
     """Return every panorama in order of time, with the interval of its capture.json.
 
     Without a capture.json the interval is half a minute. Brackets that share frames are marked: a
     card was imported twice with two clock offsets, and at least one of the two slots is wrong.
     """
-    brackets = [_taken(session, path) for path in session.panorama_files()]
+    brackets = [_bracket_of(session, path) for path in session.panorama_files()]
     slots_of: dict[str, list[str]] = {}
     for bracket in brackets:
         for frame in bracket.frames:
@@ -78,7 +78,7 @@ def taken_brackets(session: Session) -> list[BracketInterval]:
     return [replace(each, double_of=other) for each, other in zip(brackets, others, strict=True)]
 
 
-def _taken(session: Session, path: Path) -> BracketInterval:
+def _bracket_of(session: Session, path: Path) -> BracketInterval:
     slot = path.stem
     capture = CaptureFile.find(session.capture_file(slot))
     sidecar = Sidecar.find(session.sidecar(slot))
@@ -174,7 +174,7 @@ def run(session: Session, *, force: bool = False, scheduler: Scheduler = LOCAL) 
     truth/pairs.csv. Raises NotEnoughDataError if nothing is merged, InputError without
     irradiance/clean.csv or for light at night.
     """
-    brackets = taken_brackets(session)
+    brackets = merged_brackets(session)
     if not brackets:
         remedy = f"run fieldlum merge {session.root}"
         raise NotEnoughDataError(f"{session.panoramas}: no panorama to pair; {remedy}")
@@ -207,7 +207,7 @@ def _with_suns(
 ) -> list[PairRow]:
     """Write sky_view.exr and suns.csv, and with a room the patches; return the completed rows."""
     light = _light(session, brackets, rows)
-    shown = [_shown(b, float(lx)) for b, lx in zip(brackets, light.direct_lx, strict=True)]
+    shown = [_picture_sun(b, float(lx)) for b, lx in zip(brackets, light.direct_lx, strict=True)]
     view = write_sky_view(session, shown, light, setup.site, force=force)
     shares, by_view = shares_of_beam(view, setup.room, light)
     patches = write_patches(session, setup, brackets, light, force, scheduler)
@@ -237,7 +237,7 @@ def _light(session: Session, brackets: Sequence[BracketInterval], rows: Sequence
     return Light(times, dni, dhi, altitude, azimuth, states=states if any(states) else None)
 
 
-def _shown(bracket: BracketInterval, full_normal_lx: float) -> Shown:
+def _picture_sun(bracket: BracketInterval, full_normal_lx: float) -> Shown:
     """Return what the panorama of a bracket shows; only a caution if it cannot be read."""
     warn_if_changed(bracket.panorama)
     try:

@@ -12,7 +12,7 @@ from fieldlum.plan.capture_days import hours_of, span, sun_band_percent
 from fieldlum.session import Session, sha256, update_session, write_file, write_plan
 from fieldlum.session.folder import PlanTable
 from fieldlum.session.plan_file import read_plan
-from fieldlum.session.slot_states import MAKEUP, made_up_for, read_slot_states
+from fieldlum.session.slot_states import MAKEUP, makeups_by_slot, read_slot_states
 from fieldlum.sky import sun
 
 # Half of a day's change at the equinoxes, so that every passage of a declination has such a day.
@@ -94,9 +94,9 @@ def run(session: Session, now_utc: datetime) -> JsonTable:
     missed slots, and "with" the make-ups; revision: of the plan, 0 for the first.
     """
     now_utc = now_utc.astimezone(UTC)
-    about = _resumed(session)
+    about = _complete_interrupted_replan(session)
     setup, slots, captured = session.site_file(), session.slots(), captured_ids(session)
-    grace, makeups = session.grace, made_up_for(slots)
+    grace, makeups = session.grace, makeups_by_slot(slots)
     others = captured.union(makeup.id for several in makeups.values() for makeup in several)
     past = [s for s in slots if s.id not in others and s.t_utc + grace < now_utc]
     missed = [s for s in past if not any(m.id in captured for m in makeups.get(s.id, ()))]
@@ -106,7 +106,7 @@ def run(session: Session, now_utc: datetime) -> JsonTable:
         write_file(_older_plan(session, about), read_bytes(session.plan))
         ordered = sorted([*slots, *added], key=lambda slot: slot.t_utc)
         write_plan(session.plan, ordered, setup.site.timezone)
-        about = _record(session, about)
+        about = _record_plan(session, about)
     remaining = [slot for slot in slots if slot.id in captured or slot.t_utc + grace >= now_utc]
     versions = {"planned": slots, "without": remaining, "with": [*remaining, *added]}
     bands = {name: sun_band_percent(hours_of(some), setup.site) for name, some in versions.items()}
@@ -125,7 +125,7 @@ def _older_plan(session: Session, about: PlanTable) -> Path:
     return session.root / f"plan.{about.get('revision', 0)}.csv"
 
 
-def _record(session: Session, about: PlanTable) -> PlanTable:
+def _record_plan(session: Session, about: PlanTable) -> PlanTable:
     """Write the new plan's sha256 and length into session.toml; those of older plans remain."""
     older = [*about.get("older_sha256", []), about.get("sha256", "")]
     new: PlanTable = {
@@ -139,11 +139,11 @@ def _record(session: Session, about: PlanTable) -> PlanTable:
     return new
 
 
-def _resumed(session: Session) -> PlanTable:
+def _complete_interrupted_replan(session: Session) -> PlanTable:
     """Return the table [plan] of session.toml; first complete a re-plan that was interrupted."""
     about = session.table().get("plan", {})
     if _older_plan(session, about).exists() and sha256(session.plan) != about.get("sha256"):
-        return _record(session, about)
+        return _record_plan(session, about)
     return about
 
 

@@ -49,7 +49,7 @@ class SlotStates:
         return self.slots.get(slot, SlotState())
 
 
-def fold(events: Iterable[JournalEvent], states: SlotStates | None = None) -> SlotStates:
+def apply_events(events: Iterable[JournalEvent], states: SlotStates | None = None) -> SlotStates:
     """Return the state of all slots after some events; with `states`, add them to it in place.
 
     A capture resumes from this state only.
@@ -65,16 +65,16 @@ def fold(events: Iterable[JournalEvent], states: SlotStates | None = None) -> Sl
             states.last_open = event
         if "slot" in event:
             slot = event["slot"]
-            states.slots[slot] = _step(states.state(slot), kind, event)
+            states.slots[slot] = _after_event(states.state(slot), kind, event)
     return states
 
 
 def read_slot_states(session: Session) -> SlotStates:
     """Return the state of all slots, from the journal."""
-    return fold(read_journal(session))
+    return apply_events(read_journal(session))
 
 
-def _step(state: SlotState, kind: str, event: JournalEvent) -> SlotState:
+def _after_event(state: SlotState, kind: str, event: JournalEvent) -> SlotState:
     if kind == "started":
         # A second start of the same attempt continues it with its frames.
         attempt = int(event.get("attempt", 1))
@@ -115,7 +115,7 @@ def slots_ahead(session: Session, now_utc: datetime) -> list[Slot]:
 MAKEUP = "makeup:"  # tag, followed by the missed slot's id
 
 
-def made_up_for(slots: Sequence[Slot]) -> dict[str, list[Slot]]:
+def makeups_by_slot(slots: Sequence[Slot]) -> dict[str, list[Slot]]:
     """Return the make-up slots of each slot that has some, by the id of the original slot.
 
     The make-up of a missed make-up counts for the first missed slot.
@@ -136,7 +136,7 @@ def without_capture(slots: Sequence[Slot], captured: Collection[str]) -> tuple[i
 
     captured: ids of captured slots. Make-ups are not counted as slots.
     """
-    makeups = made_up_for(slots)
+    makeups = makeups_by_slot(slots)
     added = {makeup.id for several in makeups.values() for makeup in several}
     original = [slot.id for slot in slots if slot.id not in added]
     tried = ({slot, *(m.id for m in makeups.get(slot, ()))} for slot in original)

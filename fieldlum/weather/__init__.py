@@ -20,7 +20,7 @@ from fieldlum.optics.profiles import shipped
 from fieldlum.optics.projection import direction
 from fieldlum.sky import sun
 from fieldlum.weather.formats import WeatherRow, WeatherTable, read_table
-from fieldlum.weather.plausibility import STANDARD_TIME, check_hourly, check_sense
+from fieldlum.weather.plausibility import STANDARD_TIME, check_hourly, check_plausible
 from fieldlum.weather.year import TYPICAL_YEAR, Weather, synthetic_weather
 
 SYNTHETIC = "synthetic"  # used in place of a path: a synthetic year of the site
@@ -55,9 +55,9 @@ def read_weather(path: Path, site: Site, *, label_shift_min: float = 0.0) -> Wea
     year, gaps up to three hours. Longer gaps are left out and listed.
 
     Raises InputError for a row that cannot be read or irradiance outside -10 to 1600 W/m2, with the
-    line, for rows that are not an hour apart, a station over 300 km away, and what `check_sense`
-    finds: light at night, wrong units, exchanged columns, labels that are not at the middle of
-    their hour. Raises NotEnoughDataError without a single hour that has DNI and DHI.
+    line, for rows that are not an hour apart, a station over 300 km away, and what
+    `check_plausible` finds: light at night, wrong units, exchanged columns, labels that are not at
+    the middle of their hour. Raises NotEnoughDataError without a single hour that has DNI and DHI.
     """
     path = Path(path)
     if str(path) == SYNTHETIC:
@@ -85,7 +85,7 @@ def read_weather(path: Path, site: Site, *, label_shift_min: float = 0.0) -> Wea
     # Elsewhere the global irradiance was computed from the other two and proves nothing.
     stated = {row.when: value for row, value in zip(rows, columns[2], strict=True)}
     ghi = np.array([stated.get(t, math.nan) for t in weather.t_utc])
-    repairs += check_sense(path, weather, table.place or site, ghi)
+    repairs += check_plausible(path, weather, table.place or site, ghi)
     return replace(weather, repairs=tuple(repairs))
 
 

@@ -110,7 +110,7 @@ STANDARD_TIME = "write standard time"
 _SEASONS = (6, 7, 8), (12, 1, 2)  # no country sets its clocks within these months
 
 
-def check_sense(path: Path, weather: Weather, place: Site, ghi_wm2: Floats) -> list[str]:
+def check_plausible(path: Path, weather: Weather, place: Site, ghi_wm2: Floats) -> list[str]:
     """Raise InputError if the values or labels of a file cannot be true at `place`.
 
     Return a warning if some sunrises and sunsets are not those of `place`, and a note if the labels
@@ -132,7 +132,7 @@ def check_sense(path: Path, weather: Weather, place: Site, ghi_wm2: Floats) -> l
     doubt = _check_labels(path, weather, station, place)
     wrong = _wrong_column(weather, altitude, total, ghi_wm2)
     if wrong is not None and doubt:
-        raise _another_place(path, f"{doubt}; {wrong[0]}")
+        raise _place_error(path, f"{doubt}; {wrong[0]}")
     # Half an hour beside its sun, clear light at low altitudes looks like wrong columns.
     shift = _label_shift_min(weather, station) or 0.0
     is_moved, rounded = abs(shift) > MAX_SHIFT_MINUTES, 30 * round(shift / 30)
@@ -143,7 +143,7 @@ def check_sense(path: Path, weather: Weather, place: Site, ghi_wm2: Floats) -> l
         raise InputError(path, found, expected, f"check whether {cause}; {_CORRECT_COLUMNS}")
     text = "direct light of mornings and afternoons agrees"
     if wrong is not None:
-        raise _shifted(path, f"{text} only", rounded, "times at the middle of their hours")
+        raise _shift_error(path, f"{text} only", rounded, "times at the middle of their hours")
     notes = [f"WARNING: {doubt}; check that the file is of this place"] if doubt else []
     if is_moved:
         text += f" if all row times are moved by {shift:+.0f} min"
@@ -247,7 +247,7 @@ def _check_labels(path: Path, weather: Weather, station: _Sun, place: Site) -> s
     best = min(equal, key=lambda m: (abs(m - likeliest), abs(m)))
     if against[best] <= maximum and against[best] < 0.5 * against[0]:
         found += f"; only {against[best]} hours"
-        raise _shifted(path, found, best, f"at most {maximum} such hours in {edges // 2} days")
+        raise _shift_error(path, found, best, f"at most {maximum} such hours in {edges // 2} days")
     found += f" at {place.name}, and no shift of the row times explains them"
     dark = _against(np.minimum(light, 2.0), station, 0)  # 2 W/m2 contradict no night
     if dark > 0.9 * against[0]:
@@ -264,7 +264,7 @@ def _check_labels(path: Path, weather: Weather, station: _Sun, place: Site) -> s
         expected = "irradiance only while the sun is up"
         raise InputError(path, f"{found}{dhi:.3g} W/m2)", expected, remedy)
     if against[best] < 0.5 * against[0] or against[0] > _MAX_CONTRADICTIONS[1] * edges:
-        raise _another_place(path, found)
+        raise _place_error(path, found)
     return found
 
 
@@ -286,7 +286,7 @@ def _check_summer_time(path: Path, weather: Weather, light: Floats, station: _Su
         raise InputError(path, found, "one clock in all months", remedy)
 
 
-def _shifted(path: Path, found: str, shift_min: int, expected: str) -> InputError:
+def _shift_error(path: Path, found: str, shift_min: int, expected: str) -> InputError:
     is_zone = abs(shift_min) >= 180
     moved = f"{shift_min / 60:+.0f} h" if is_zone else f"{shift_min:+d} min"
     remedy = "check the file's time zone, and the sign of the site's longitude"
@@ -295,7 +295,7 @@ def _shifted(path: Path, found: str, shift_min: int, expected: str) -> InputErro
     return InputError(path, f"{found} with all row times moved by {moved}", expected, remedy)
 
 
-def _another_place(path: Path, found: str) -> InputError:
+def _place_error(path: Path, found: str) -> InputError:
     expected = "the sunrises and sunsets of the file's place"
     cause = "the direct light would be computed with the wrong sun"
     return InputError(path, found, expected, f"check that the file is of this place: {cause}")

@@ -123,11 +123,11 @@ class Worker:
         good = self._run("train", *fitting) and self._run("predict", *year)
         if good:
             with suppress(OSError, ValueError, KeyError, InputError):
-                self._keep(captured, annual)
+                self._write_answer(captured, annual)
         if not self._stop.is_set():
             self._answered_at = captured
 
-    def _keep(self, captured: int, annual: Path) -> None:
+    def _write_answer(self, captured: int, annual: Path) -> None:
         """Write the classes into answer.json."""
         year = PredictFile.read(annual)
         answer = {
@@ -165,7 +165,7 @@ class Worker:
                 )
                 with suppress(psutil.Error):  # 19 is the lowest priority of POSIX
                     process.nice(getattr(psutil, "IDLE_PRIORITY_CLASS", 19))
-                code = self._attended(process)
+                code = self._wait_with_pauses(process)
         finally:
             self.step = ""
         if code == 0:
@@ -175,21 +175,21 @@ class Worker:
             self.problem = (lines or [f"{name}: exit code {code}"])[-1][:400]
         return code == 0
 
-    def _attended(self, process: psutil.Popen) -> int | None:
+    def _wait_with_pauses(self, process: psutil.Popen) -> int | None:
         """Wait until a process ends, pause it near slots, and return its exit code."""
         stopped = False
         while True:
             with suppress(psutil.TimeoutExpired, subprocess.TimeoutExpired):
                 return process.wait(min(self.look_every_s, 1.0))
             if self._stop.is_set():
-                _each(process, "kill")
+                _signal_tree(process, "kill")
                 return process.wait()
             if self.moment().is_quiet == stopped:
-                _each(process, "resume" if stopped else "suspend")
+                _signal_tree(process, "resume" if stopped else "suspend")
                 stopped = not stopped
 
 
-def _each(process: psutil.Popen, act: str) -> None:
+def _signal_tree(process: psutil.Popen, act: str) -> None:
     """Kill, suspend or resume a process and its children; those that have ended are skipped."""
     with suppress(psutil.Error):
         for member in (process, *process.children(recursive=True)):

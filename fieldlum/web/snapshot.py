@@ -34,7 +34,7 @@ from fieldlum.session.day_files import decode_sample
 from fieldlum.session.files.sidecar import Sidecar
 from fieldlum.session.journal import JournalEvent, decode_event
 from fieldlum.session.plan_file import read_plan
-from fieldlum.session.slot_states import SETTLED, SlotStates, fold, made_up_for
+from fieldlum.session.slot_states import SETTLED, SlotStates, apply_events, makeups_by_slot
 from fieldlum.sky import sun
 from fieldlum.web.prediction_so_far import QUIET_BEFORE_S, Moment
 
@@ -94,7 +94,7 @@ class JournalFollower(LineTail):
         if (event := decode_event(line)) is None:
             return
         kind, device = event["event"], str(event.get("device", ""))
-        fold((event,), self.states)
+        apply_events((event,), self.states)
         if kind == "open":
             self.opened, self.away = event, {}
         elif kind == "close":
@@ -485,7 +485,7 @@ class Snapshots:
                 states[slot.id] = "running"
             else:
                 states[slot.id] = "to do" if slot.t_utc + grace >= now else "missed"
-        for missed, instead in made_up_for(slots).items():
+        for missed, instead in makeups_by_slot(slots).items():
             if states.get(missed) != "done" and any(states[s.id] == "done" for s in instead):
                 states[missed] = "made up"
         return states
