@@ -1011,7 +1011,7 @@ def test_a_day_file_with_the_line_ends_of_windows_is_whole(tmp_path: Path) -> No
     slot = Slot(datetime(2027, 3, 20, 16, 30, tzinfo=UTC), 30.0, 180.0, (Exposure(0.01, 5.6),))
     session = create_session(tmp_path / "s", SiteFile(Site("x", 47.6, -122.3)), [slot], {})
     logger_csv(tmp_path / "a.csv")
-    adopt_rows(session, tmp_path / "a.csv", None)
+    import_rows(session, tmp_path / "a.csv", None)
     (path,) = day_files(session)
     whole, content = read_day(path)[0], path.read_bytes()
     path.write_bytes(b"\xef\xbb\xbf" + content.replace(b"\n", b"\r\n"))
