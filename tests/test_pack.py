@@ -122,7 +122,14 @@ def test_a_session_named_by_a_dot_is_packed_below_its_name(
 
 @pytest.mark.contract
 @pytest.mark.parametrize(
-    "more", [["--title", " "], ["--licence", "CC BY"], ["--author", ""], ["--publisher", ""]]
+    "more",
+    [
+        ["--title", " "],
+        ["--licence", "CC BY"],
+        ["--licence", "free"],
+        ["--author", ""],
+        ["--publisher", ""],
+    ],
 )
 def test_an_empty_statement_is_a_usage_error(session: Session, more: list[str]) -> None:
     assert pack(session, *more).exit_code == 2

@@ -1,10 +1,10 @@
 """`fieldlum pack`: a session as an archive for publication."""
 
-import re
 from pathlib import Path
 from typing import Annotated
 
 import click
+from packaging.licenses import InvalidLicenseExpression, canonicalize_license_expression
 
 from fieldlum.cli.declared import FILE_PATH
 from fieldlum.cli.options import OpenSession, command_of
@@ -42,9 +42,12 @@ def command(
 
     if not all(text.strip() for text in (title, *authors, publisher, people)):
         raise click.UsageError("--title, --author, --publisher and --people: write a text")
-    if not re.fullmatch(r"[A-Za-z0-9.+-]+", licence):
-        raise click.BadParameter("write an SPDX identifier, like CC-BY-4.0", param_hint="--licence")
-    statement = Statement(title, authors, licence, publisher, people)
+    try:
+        spdx = canonicalize_license_expression(licence)
+    except InvalidLicenseExpression as error:
+        remedy = f"{error}; write an SPDX identifier, like CC-BY-4.0"
+        raise click.BadParameter(remedy, param_hint="--licence") from error
+    statement = Statement(title, authors, spdx, publisher, people)
     with progress("packing"):
         cautions = pack(session, archive, statement)
     notes(cautions)
