@@ -69,9 +69,7 @@ def read(archive: dict[str, NDArray], rows: NDArray) -> tuple[Dataset, NDArray[n
     )
     unknown = np.full(len(rows), np.nan)
     direct_lx = 179.0 * c[:, 7] * SUN_SOLID_ANGLE_SR
-    perez = PerezSky(
-        179.0 * c[:, 8], 179.0 * c[:, 9], c[:, 10:15], unknown, unknown, direct_lx, unknown
-    )
+    perez = PerezSky(179.0 * c[:, 8], 179.0 * c[:, 9], c[:, 10:15], unknown, direct_lx, unknown)
     whole = decode(archive["lum"][rows])
     codes = archive["sunpatch"][rows]
     patch = np.where(codes > 0, decode(codes), np.float32(0.0))

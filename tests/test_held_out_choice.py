@@ -13,6 +13,7 @@ from fieldlum.learn.models.held_out_choice import (
     HeldOutChoice,
     HeldOutErrors,
     beam_is_uncertain,
+    beam_variance,
     choice_weights,
     choose,
     difference,
@@ -133,6 +134,15 @@ def test_hours_of_a_doubted_beam_do_not_count_unless_they_are_needed() -> None:
     assert not beam_is_uncertain(replace(DATA, light=overcast)).any()
     marked = replace(DATA, uncertain=np.arange(len(DATA)) < 2)
     assert beam_is_uncertain(marked)[:2].all()
+
+
+@pytest.mark.analytic
+def test_a_faint_beam_has_the_offsets_of_two_readings() -> None:
+    """Two offsets of 2 W/m2: 5.66 in 500 W/m2 at 30 degrees, all of 2 W/m2 at 1 degree."""
+    light = DATA.light[:3]
+    altitude, dni = np.array([30.0, 1.0, 30.0]), np.array([500.0, 2.0, 0.0])
+    some = replace(light, sun_altitude_deg=altitude, dni_wm2=dni, dhi_wm2=np.zeros(3))
+    assert np.allclose(beam_variance(some), [2.0 * (2.0 / 250.0) ** 2, 1.0, 0.0])
 
 
 @pytest.mark.contract

@@ -13,6 +13,7 @@ from places import SEATTLE
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import CameraSetup, Room, SiteFile, Window, slot_id
 from fieldlum.learn import models
+from fieldlum.learn.models.held_out_choice import beam_variance, weight_of_variance
 from fieldlum.learn.models.training_data import Dataset
 from fieldlum.learn.train import model_notes
 from fieldlum.learn.transport import Transport, fit, seasons
@@ -29,6 +30,7 @@ from fieldlum.learn.transport.solve import (
 )
 from fieldlum.learn.transport.training_arrays import computed_light, training_arrays_of
 from fieldlum.optics.projection import equirect_rays
+from fieldlum.session.files.model_files import UsedScene
 from fieldlum.sky.daylight import light_at
 from fieldlum.sky.daylight_kernel import Kernel
 from fieldlum.sky.perez import reinhart_patches
@@ -141,7 +143,8 @@ def test_held_out_days_equal_fits_without_them(monkeypatch: pytest.MonkeyPatch) 
     covariance, second = second_covariance(arrays.features, arrays.features), np.empty_like(target)
     for day in np.unique(arrays.days):
         out, kept = arrays.days == day, arrays.days != day
-        noisy = covariance[np.ix_(kept, kept)] + SECOND_NOISE * np.eye(int(kept.sum()))
+        noise = SECOND_NOISE / weight_of_variance(arrays.unsure + beam_variance(arrays.light))
+        noisy = covariance[np.ix_(kept, kept)] + np.diag(noise[kept])
         second[out] = covariance[np.ix_(out, kept)] @ np.linalg.solve(noisy, residual[kept])
     assert np.allclose(held.luminance, first * np.exp(second) * unit, rtol=1e-6)
 
@@ -206,6 +209,25 @@ def test_unknown_gain_is_found_and_costs_little() -> None:
         log_mse(model.predict(TEST.light, TEST.patch_cdm2 / np.float32(3.7)).luminance_cdm2, TEST)
         < 1e-3
     )
+
+
+@pytest.mark.slow
+@pytest.mark.analytic
+def test_the_level_of_a_fitted_scene_is_learnt_too() -> None:
+    """Suns that no capture has meet other surfaces, whose own gains are then unknown."""
+    assert TRAIN.patch_cdm2 is not None
+    dark = replace(TRAIN, patch_cdm2=TRAIN.patch_cdm2 / np.float32(1.3))
+    scene: UsedScene = {
+        "north_deg": 0.0,
+        "clock_min": 0.0,
+        "chosen": "stated",
+        "stated": {},
+        "stated_heading_deg": TRAIN.heading_deg,
+    }
+    found, own = fit(replace(dark, scene=scene)), model_of_train()
+    assert isinstance(found, Transport) and isinstance(own, Transport)
+    assert found.patch_scale is not None and own.patch_scale is not None
+    assert found.patch_scale / own.patch_scale == pytest.approx(1.3, rel=1e-3)
 
 
 @pytest.mark.slow

@@ -445,7 +445,10 @@ def _described(data: Dataset, patch: Patch, seed: int) -> _Described:
         found = f"{counted(len(data), 'capture')}; light transport needs at least 3"
         raise NotEnoughDataError(f"{found}; capture more hours")
     progress(0, 100, "describing light")
-    arrays, scale = _scaled(data, patch)
+    arrays, scale = training_arrays_of(data, with_patch=patch != "none"), None
+    if arrays.patch is not None:
+        scale = patch_scale(arrays)
+        arrays = replace(arrays, patch=arrays.patch * np.float32(scale))
     kernel = Kernel(arrays.facades)
     progress(5, 100, "light between surfaces")
     physics, patch_light = physics_of(data.setup, data.heading_deg), None
@@ -521,18 +524,6 @@ def _fit(chosen: _Chosen) -> tuple[Transport, Array]:
         patch_light=of.patch_light,
     )
     return fitted, errors
-
-
-def _scaled(data: Dataset, patch: Patch) -> tuple[TrainingArrays, float | None]:
-    """Return the captures with patches at the level they show, and the factor on all patches.
-
-    The patches of a fitted scene have that level already. None without patches.
-    """
-    arrays = training_arrays_of(data, with_patch=patch != "none")
-    if arrays.patch is None:
-        return arrays, None
-    scale = 1.0 if data.scene is not None else patch_scale(arrays)
-    return replace(arrays, patch=arrays.patch * np.float32(scale)), scale
 
 
 def _compared(arrays: TrainingArrays, kernel: Kernel, perez: Features) -> _Inputs:

@@ -20,7 +20,7 @@ from threadpoolctl import threadpool_limits
 
 from fieldlum.core.arrays import Array, Floats, Floats32, Indices
 from fieldlum.core.statistics import cauchy_weights, nan_percentiles
-from fieldlum.learn.models.held_out_choice import HeldOutErrors
+from fieldlum.learn.models.held_out_choice import HeldOutErrors, beam_variance, weight_of_variance
 from fieldlum.learn.transport.training_arrays import MIN_CDM2, TrainingArrays, pixel_scale
 from fieldlum.sky.daylight_kernel import Features
 
@@ -355,10 +355,11 @@ def second_covariance(a: Features, b: Features) -> Array:
 def second_inverse(arrays: TrainingArrays) -> Array:
     """Return the inverse of the second stage's covariance plus noise, between captures, [n, n].
 
-    Hours of unsteady or unmeasured light have more noise.
+    Hours of unsteady or unmeasured light, and of a faint beam, have more noise.
     """
     own = second_covariance(arrays.features, arrays.features)
-    return np.linalg.inv(own + np.diag(SECOND_NOISE / arrays.sureness))
+    sureness = weight_of_variance(arrays.unsure + beam_variance(arrays.light))
+    return np.linalg.inv(own + np.diag(SECOND_NOISE / sureness))
 
 
 # ----------------------------------------------------------------------------------------------
