@@ -7,6 +7,7 @@ import importlib
 import json
 import re
 import shlex
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
@@ -146,3 +147,21 @@ def test_every_metric_has_its_key_and_every_metric_of_the_year_its_column() -> N
     text = (ROOT / "docs" / "file-formats.md").read_text(encoding="utf-8")
     in_year = (name for name, metric in METRICS.items() if metric.in_year)
     assert {name for name in in_year if f"`{name}@AZ`" not in text} == set()
+
+
+def test_the_conda_recipe_needs_what_the_package_needs() -> None:
+    conda = {
+        "matplotlib": "matplotlib-base",
+        "opencv-contrib-python-headless": "py-opencv",
+        "OpenEXR": "openexr-python",
+        "torch": "pytorch",
+        "tzdata": "python-tzdata",
+    }
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    wanted = [text.split(";")[0].split(">=") for text in project["dependencies"]]
+    recipe = (ROOT / "packaging" / "recipe.yaml").read_text()
+    assert re.findall(r"^    - (.+) >=(.+)$", recipe, re.M) == [
+        ("python", project["requires-python"][2:]),
+        *((conda.get(name, name), least) for name, least in wanted if name != "pyradiance"),
+    ]
+    assert f'version: "{project["version"]}"' in recipe
