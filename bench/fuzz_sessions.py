@@ -40,6 +40,7 @@ from fieldlum.room.scene import sun_patches
 from fieldlum.session import Session, create_session, open_session
 from fieldlum.session.files.capture_json import CaptureFile, Frame, frame_fields
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
+from fieldlum.session.folder import PlanTable
 from fieldlum.session.journal import Journal
 
 KINDS = ("journal", "capture.json", "session.toml", "pairs.csv")
@@ -74,7 +75,8 @@ def make_originals(folder: Path, profile: Path) -> dict[str, list[Path]]:
         Site("here", 47.6, -122.3, "America/Los_Angeles"), CameraSetup(profile=str(profile))
     )
     slots = [Slot(START + timedelta(hours=i), 10.0, 120.0, LADDER) for i in range(3)]
-    session = create_session(folder / "session", setup, slots, {"set": "test"})
+    plan = PlanTable(set="test", revision=0, seconds_per_slot=20.0, megabytes_per_slot=1.0)
+    session = create_session(folder / "session", setup, slots, plan)
     _captured(session)
     PairsFile(session.pairs, (PairRow(START, f"panoramas/{_CAPTURED}.exr", 1.0, 2.0),)).write()
     return {kind: [session.root / name, session.root, outside] for kind, name in _FILES.items()}

@@ -845,6 +845,13 @@ def test_an_impossible_exposure_is_no_frame(key: str, value: float) -> None:
         frame_from({**fields, "exposure": exposure})
 
 
+@pytest.mark.parametrize("seconds", [1e308, float("inf"), float("nan"), 10**400])
+def test_a_duration_that_no_clock_can_add_is_no_frame(seconds: float) -> None:
+    fields = dict(frame_fields(Frame(0, "00.dng", Exposure(1.0, 5.6), None, T0)))
+    with pytest.raises((ValueError, OverflowError)):
+        frame_from({**fields, "seconds": seconds})
+
+
 def test_a_journal_cannot_move_a_file_into_the_session(rig: Field, tmp_path: Path) -> None:
     thesis = rig.session.root.parent / "thesis.txt"
     thesis.write_text("precious")
@@ -915,6 +922,7 @@ def test_pairs_may_name_pictures_anywhere_outside_a_session(tmp_path: Path) -> N
         "plan = 5",
         "[plan]\nrevision = '../../x'",
         "[plan]\nolder_sha256 = [1]",
+        "[plan]\nseconds_per_slot = 1e308",
         "[capture]\ngrace_s = 'long'",
         "[capture]\ngrace_s = nan",
         "devices = []",

@@ -277,6 +277,8 @@ WRONG_EVENTS = (
     {"event": "done", "t_utc": "9999-12-31T23:59:59-12:00"},
     {"event": "done", "t_utc": "9999-12-31T23:59:59Z"},
     {"event": "done", "t_utc": "noon"},
+    {"event": "back", "t_utc": "2027-03-20T15:30:00Z", "after_s": 1e308},
+    {"event": "slept", "t_utc": "2027-03-20T15:30:00Z", "seconds": float("nan")},
     {"event": "done", "t_utc": "2027-03-20T15:30:00Z", "slot": ["a"]},
     {"event": "started", "t_utc": "2027-03-20T15:30:00Z", "slot": "a", "attempt": "first"},
     {"event": "illuminance", "t_utc": "2027-03-20T15:30:00Z", "slot": "a", "illuminance_lx": "5"},
@@ -294,7 +296,7 @@ def test_lines_with_a_valid_checksum_and_wrong_types_are_named(session: Session)
     assert [dict(event)["index"] for event in read_journal(session)] == [0, 1]
     assert damaged_lines(session) == list(range(2, 2 + len(wrong)))
     assert marks(session) == {} and apply_events(read_journal(session)).counts == {"frame": 2}
-    text = "journal.jsonl has 15 damaged lines (2, 3, 4, 5, 6 and 10 more)"
+    text = "journal.jsonl has 17 damaged lines (2, 3, 4, 5, 6 and 12 more)"
     result = CliRunner().invoke(main, ["status", str(session.root)])
     assert result.exit_code == 0 and text in result.stdout
     (finding,) = check_journal(session)

@@ -34,6 +34,8 @@ from fieldlum.core.strict_toml import convert
 T = TypeVar("T")
 Utc = Annotated[datetime, msgspec.Meta(tz=True)]
 """A time of a record: text with a time zone in the file."""
+Seconds = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
+"""A duration [s] under 32 years, which can be added to a time."""
 
 # What converting a damaged or foreign file can raise.
 _WRONG = (KeyError, TypeError, ValueError, AttributeError, ArithmeticError)

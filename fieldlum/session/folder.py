@@ -18,7 +18,7 @@ from fieldlum.core.errors import ChangedFileWarning, InputError, input_errors
 from fieldlum.core.files import read_bytes, sha256, write_file
 from fieldlum.core.records import SiteFile, Slot
 from fieldlum.core.strict_toml import read_toml
-from fieldlum.session.codec import convert
+from fieldlum.session.codec import Seconds, convert
 from fieldlum.session.plan_file import PLAN_COLUMNS, read_plan, write_plan
 from fieldlum.session.safe_paths import is_plain, open_inside, refuse_links
 from fieldlum.session.site_toml import site_from_table, site_table, with_paths_from
@@ -51,7 +51,7 @@ class PlanTable(TypedDict, total=False):
     slots: int
     first: date
     last: date
-    seconds_per_slot: float
+    seconds_per_slot: Seconds
     megabytes_per_slot: float
     sun_band_percent: float
     sha256: str

@@ -14,7 +14,7 @@ from fieldlum.core import files
 from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.records import counted, listed, parse_utc, utc_text
 from fieldlum.core.room_states import USAGE, merged_state
-from fieldlum.session.codec import convert
+from fieldlum.session.codec import Seconds, convert
 from fieldlum.session.files.capture_json import frame_from
 from fieldlum.session.folder import Session
 from fieldlum.session.safe_paths import open_inside
@@ -40,12 +40,12 @@ class JournalEvent(TypedDict, total=False):
     attempt: int
     frame: dict[str, Any]
     illuminance_lx: float
-    by_s: float
+    by_s: Seconds
     state: str
     text: str
     device: str
-    after_s: float
-    seconds: float
+    after_s: Seconds
+    seconds: Seconds
     bytes_free: int
     pid: int
     boot_id: str

@@ -9,7 +9,7 @@ from typing import Any
 from msgspec import field
 
 from fieldlum.core.records import Exposure, JsonTable
-from fieldlum.session.codec import JsonFile, Utc, convert, to_json
+from fieldlum.session.codec import JsonFile, Seconds, Utc, convert, to_json
 from fieldlum.session.safe_paths import is_plain
 
 
@@ -28,7 +28,7 @@ class Frame:
     exposure: Exposure
     heading_deg: float | None
     t_utc: Utc
-    seconds: float = 0.0
+    seconds: Seconds = 0.0
     sha256: str = ""
     doubt: str = ""
     instead_of: str = ""
