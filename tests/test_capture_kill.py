@@ -150,7 +150,7 @@ def notes_of(session: Session) -> dict[str, Any]:
     """capture.json of each slot, its times cut to the second.
 
     A bracket that continues after a kill has its times from the journal, which keeps milliseconds,
-    so that its middle may differ by one.
+    so that its middle may differ by one. How many frames still fit depends on the disk.
     """
     notes = {}
     for path in session.raw.glob("*/capture.json"):
@@ -159,6 +159,7 @@ def notes_of(session: Session) -> dict[str, Any]:
             frame["t_utc"] = frame["t_utc"][:19]
         notes[path.parent.name] = {
             **table,
+            "camera": {**table["camera"], "frames_left": None},
             "t_open_utc": table["t_open_utc"][:19],
             "t_mid_utc": table["t_mid_utc"][:19],
             "t_close_utc": "",

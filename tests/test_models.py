@@ -88,7 +88,7 @@ def test_a_step_has_the_gradient_of_the_loss(ranks: int, monkeypatch: pytest.Mon
         monkeypatch.setattr(dense, "rank", lambda k=k: k)
         sums.append(trainer.sums(pixels, numbers).detach().double())
     every = torch.stack(sums).sum(dim=0)
-    monkeypatch.setattr(dense, "total", lambda t: t.copy_(every) if t.shape == (3,) else t)
+    monkeypatch.setattr(dense, "sum_over_ranks", lambda t: t.copy_(every) if t.shape == (3,) else t)
     gradient = [torch.zeros_like(p) for p in net.parameters()]
     loss = 0.0
     for k in range(ranks):
