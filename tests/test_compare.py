@@ -123,7 +123,11 @@ def test_a_wrong_wall_is_named(measured: tuple[Session, Path, Path], tmp_path: P
 @pytest.mark.authority
 @pytest.mark.parametrize(("option", "figures"), [("-d", 2), ("-D", 2), ("", 1)])
 def test_lines_of_evalglare_are_compared_with_the_captures(
-    measured: tuple[Session, Path, Path], tmp_path: Path, option: str, figures: int
+    measured: tuple[Session, Path, Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    option: str,
+    figures: int,
 ) -> None:
     session, _, wrong = measured
     slot = slot_id(TIMES[3])
@@ -146,6 +150,11 @@ def test_lines_of_evalglare_are_compared_with_the_captures(
         compare(session, table, tmp_path, [170.0])
     table.write_text(line)
     with pytest.raises(InputError, match="no result below the name of a capture"):
+        compare(session, table, tmp_path, [170.0])
+    unseen = {"views": [{"dgp": None, "ev_lx": None}]}
+    monkeypatch.setattr("fieldlum.report.compare.picture_glare", lambda *_: unseen)
+    table.write_text(f"{slot}.hdr\n{line}")
+    with pytest.raises(InputError, match="that saw the view"):
         compare(session, table, tmp_path, [170.0])
 
 

@@ -174,6 +174,8 @@ def test_weights_follow_the_matrix_and_readings_of_a_spectrometer() -> None:
     assert chart.melanopic_u_rel == U_CHART and "5500 K" in line
     none, line = colour.with_melanopic(own, replace(colours, matrix=None), PROFILE, 1.0, None)
     assert none.melanopic_from_rgb == () and "--cct" in line
+    with pytest.raises(InputError, match="no colour matrix in the frame"):
+        colour.with_melanopic(own, replace(colours, matrix=None), PROFILE, 1.0, 5500.0)
 
 
 @pytest.mark.analytic

@@ -295,6 +295,10 @@ def test_sam_files_are_read_as_sam_and_pvlib_mean_them(tmp_path: Path) -> None:
     ]  # SAM's other names
     (tmp_path / "l.csv").write_text("\n".join(header))
     assert table(tmp_path / "l.csv").rows == without.rows
+    (tmp_path / "u.csv").write_text(
+        "t_utc,lat,lon,dni_wm2,dhi_wm2\n2023-06-01T12:00Z,52,5,700,90\n"
+    )
+    assert [row.dni for row in table(tmp_path / "u.csv").rows] == [700.0]  # not a header of SAM
     minute_0 = table(sam(tmp_path / "c.csv", "0"))
     assert minute_0.shift == HALF and "hour starts" in minute_0.notes[0]
     assert table(sam(tmp_path / "d.csv", source="TMY3")).typical and not without.typical
@@ -647,6 +651,11 @@ def test_a_netcdf_file_of_arm_has_the_values_and_times_of_scipy(tmp_path: Path) 
         (
             "f",
             {},
+            {"flag_values": np.arange(3, dtype=np.int32), "flag_meanings": "no_error night error"},
+        ),
+        (
+            "f",
+            {},
             {"flag_masks": np.array([1, 2], np.int32), "flag_meanings": "night sensor_failure"},
         ),
     ],
@@ -870,6 +879,9 @@ def test_a_column_of_offsets_counts_and_another_zone_is_named(tmp_path: Path, na
     path.write_text(f"time,{name},ghi_wm2\n2027-03-28 01:30,+01:00,5\n2027-03-28 03:30,+0200,6\n")
     times = [datetime(2027, 3, 28, hour, 30, tzinfo=UTC) for hour in (0, 1)]
     assert [s.t_utc for s in read_logger_file(path).samples] == times
+    stated = read_logger_file(path, timedelta(hours=5))
+    assert [s.t_utc for s in stated.samples] == times
+    assert f"offsets in column {name} count, not --utc-offset" in stated.notes[1]
     path.write_text(f"time,{name},ghi_wm2\n2027-03-28 01:30,CET,5\n")
     assert f"{name} (CET) is not used" in read_logger_file(path, timedelta(hours=1)).notes[1]
     with pytest.raises(InputError, match="state it with --utc-offset"):

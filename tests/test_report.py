@@ -21,6 +21,7 @@ from msgspec import structs
 from fieldlum import report
 from fieldlum.cli import main
 from fieldlum.core.arrays import Floats
+from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure, Slot
 from fieldlum.learn import train
 from fieldlum.report import sections as annual_page
@@ -364,6 +365,13 @@ def test_shares_of_the_year_with_enough_melanopic_light(tmp_path: Path) -> None:
     assert (hours.value, hours.low, hours.high) == (100.0, pytest.approx(90.2), 100.0)
     (table,) = budget_section(replace(year, folder=tmp_path)).tables
     assert table.head == ("facing", "estimate", "combined", MODEL.name) and len(table.rows) == 1
+    unknown = replace(of_budget, sources=(MODEL._replace(contribution=np.nan),))
+    write_budgets(tmp_path / BUDGET_FILE, [("x", unknown)])
+    assert budget_section(replace(year, folder=tmp_path)).tables[0].rows == []
+    text = (tmp_path / BUDGET_FILE).read_text()
+    (tmp_path / BUDGET_FILE).write_text(text.replace("],0,", "],,").replace(",0,100,", ",,100,"))
+    with pytest.raises(InputError, match="an uncertainty budget"):
+        budget_section(replace(year, folder=tmp_path))
     blank = dict.fromkeys(views, np.full((48, 1), np.nan))
     some = {"melanopic_edi_lx_estimate": np.full((48, 1), 200.0), "dgp": np.full((48, 1), 0.2)}
     guess = replace(year, views=blank | some)

@@ -353,6 +353,9 @@ def with_melanopic(
         expected = "a grey or white surface in daylight as the first reading"
         with input_errors(colours.places[0].path, expected, "correct it or --cct", ValueError):
             xyz = xyz_from_matrix(colours.matrix, colour.y_from_rgb, grey, cct_k)
+    elif cct_k is not None:
+        found, expected = "no colour matrix in the frame", "a raw frame with one, or a chart"
+        raise InputError(colours.places[0].path, found, expected, "omit --cct")
     elif colours.melanopic is not None and colour.rgb_to_radiance:
         xyz = to_xyz @ np.reshape(colour.rgb_to_radiance, (3, 3))
         xyz[1], line = colour.y_from_rgb, "melanopic: the profile's colours"

@@ -37,7 +37,7 @@ _TIMES = tuple(
 _ZONE = re.compile(r"((utc|gmt)_?)?offset|tz|(time_?)?zone")
 _DAY_OR_MONTH_FIRST = re.compile(r"(\d{1,2})([/.])(\d{1,2})\2(\d{4})[ T]+(.+)")
 _COMMA = re.compile(r" is '[+-]?[\d.]+,[\d,.]+'")
-_BAD = re.compile("bad|invalid|fail|error|missing")  # words of flag_meanings
+_BAD = re.compile("(?<!no_)(?<!not_)(bad|invalid|fail|error|missing)")  # words of flag_meanings
 # Usual column names in loggers' programs and in ARM's netCDF files, without "avg"; digits,
 # underscores and case are ignored in the comparison.
 _USUAL = {
@@ -349,6 +349,8 @@ def _read(
         notes.append(f"{count}, out of the valid range or flagged as bad")
     if clock.unread_zone:
         notes.append(f"column {clock.unread_zone} is not used: --utc-offset counts")
+    if clock.read_zone and utc_offset is not None:
+        notes.append(f"the offsets in column {clock.read_zone} count, not --utc-offset")
     if clock.is_utc and utc_offset is not None:
         notes.append(f"times of {clock.name} are UTC: no offset moves them")
     return LoggerFile(tuple(samples), (*damaged, *table.cut), tuple(notes))
@@ -463,7 +465,7 @@ class _Clock:
         if self.name.lower() == "time" and "date" in names:
             self._at.insert(0, names.index("date"))
         self._zone = next((k for k, name in enumerate(names) if _ZONE.fullmatch(name)), None)
-        self.unread_zone = ""
+        self.unread_zone = self.read_zone = ""
         self._order = self._date_order(line for _, line in table.lines if "/" in line)
 
     def utc(self, row: Sequence[str]) -> datetime:
@@ -476,6 +478,7 @@ class _Clock:
         if t.tzinfo is None and self._zone is not None:
             try:
                 t = t.replace(tzinfo=datetime.strptime(row[self._zone], "%z").tzinfo)
+                self.read_zone = self._names[self._zone]
             except ValueError:
                 self.unread_zone = f"{self._names[self._zone]} ({row[self._zone]})"
         if t.tzinfo is None:
@@ -497,10 +500,8 @@ class _Clock:
         self._is_twelve = self._is_twelve and t.hour <= 12
         if before is None or t >= before:
             return
-        back, remedy = (
-            before - t,
-            "write standard time in all rows, or remove rows that occur twice",
-        )
+        back = before - t
+        remedy = "write standard time in all rows, or remove rows that occur twice"
         found = f"the clock goes back from {before:%Y-%m-%d %H:%M} to {t:%H:%M}"
         if t.hour < 4 and timedelta(minutes=25) < back <= timedelta(hours=1):
             cause = "as at the end of summer time"

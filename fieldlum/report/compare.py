@@ -535,9 +535,10 @@ def _of_evalglare(session: Session, path: Path, azimuths_deg: Sequence[float]) -
             values = dict(zip(result["names"].lower().split(","), numbers, strict=True))
         for name in filter(_FIGURES.get, values):
             row = (hour, own[_FIGURES[name]], values[name])
-            rows.setdefault((azimuth, _FIGURES[name]), []).append(row)
+            if row[1] is not None and np.isfinite(values[name]):  # None where no lens saw the view
+                rows.setdefault((azimuth, _FIGURES[name]), []).append(row)
     if not rows and any(result["names"] for result in results):
-        found = f"no result below the name of a capture of {session.root}"
+        found = f"no result below the name of a capture of {session.root} that saw the view"
         remedy = "for f in *.hdr; do echo $f; evalglare -d $f; done"
         raise InputError(path, found, "20270320T193000Z-180.hdr, then its result", remedy)
     return [

@@ -254,7 +254,8 @@ def budget_section(annual: Annual, *, folded: bool = True) -> Section:
     for figure, unit in dict.fromkeys((row["figure"], row["unit"]) for row in budget):
         views: dict[tuple[str, str], dict[str, str]] = {}
         for row in budget:
-            if row["figure"] == figure and float(row["share_percent"] or 0) > 0.01:
+            share = float(row["share_percent"] or 0) if row["contribution"] else 0.0
+            if row["figure"] == figure and share > 0.01:
                 view = views.setdefault((row["azimuth_deg"], row["estimate"]), {})
                 view[row["source"]] = f"{float(row['contribution']):.2g}"
         names = dict.fromkeys(["combined", *(name for view in views.values() for name in view)])

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import date, timedelta
+from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any, Literal, Required, TypedDict, cast
 
@@ -179,8 +180,9 @@ class Session:
         One of the last five complete brackets may be larger, because the files of a camera may
         differ much from the profile's estimate.
         """
-        folders = [f for f in self.captured_folders() if self.capture_file(f.name).is_file()]
-        sizes = [sum(file.stat().st_size for file in f.glob("[!.]*")) for f in folders[-5:]]
+        folders = reversed(self.captured_folders())
+        latest = islice((f for f in folders if self.capture_file(f.name).is_file()), 5)
+        sizes = [sum(file.stat().st_size for file in f.glob("[!.]*")) for f in latest]
         planned = float(self.table().get("plan", {}).get("megabytes_per_slot", 0.0))
         return max(1e6 * planned, *sizes, 0.0)
 

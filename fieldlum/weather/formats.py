@@ -519,7 +519,7 @@ FORMATS: tuple[tuple[str, Callable[[Path, list[str], Site], WeatherTable]], ...]
     (r"\.epw\n|.*\n(?i:LOCATION),", _read_epw),
     (r".*\nLatitude \(decimal degrees\)", _read_pvgis),
     (r".*\n[\[{]", _read_pvgis_json),
-    (r".*\n(Source,|(?i:(.*,)?lat(itude)?,))", _read_sam),
+    (r".*\n(Source,|(?i:(?!.*dni)(.*,)?lat(itude)?,))", _read_sam),
     (r".*\n.*\n(.*ObservationTime\(LST\)|Date \(MM/DD/YYYY\))", _read_tmy3),
     ("", _read_csv),  # the last one: its errors explain the columns
 )

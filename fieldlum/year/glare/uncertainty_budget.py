@@ -284,8 +284,8 @@ def read_budgets(path: Path) -> list[dict[str, str]]:
     rows = [row for _, row in read_table(path, expected, remedy, needed=COLUMNS).dicts()]
     change_of(path)
     with input_errors(path, expected, remedy, ValueError):
-        names = "azimuth_deg", "contribution", "share_percent"
-        [float(row[name] or "nan") for row in rows for name in names]
+        [float(row["azimuth_deg"]) for row in rows]
+        [float(row[name] or 0) for row in rows for name in ("contribution", "share_percent")]
     return rows
 
 
