@@ -49,7 +49,7 @@ def main() -> None:
     ).direct_lx
     prepare = _cpu()
     sub = view.patch_rays(asked.height)
-    scene.look(setup.room, asked.height, setup.camera.heading_deg, sub)
+    scene.traced_view(setup.room, asked.height, setup.camera.heading_deg, sub)
     prepare = _cpu() - prepare
     wall, cpu = time.perf_counter(), _cpu()
     total = 0.0

@@ -12,7 +12,7 @@ from fieldlum.core.records import CameraSetup, Room, Site, SiteFile, Window, slo
 from fieldlum.learn.models.training_data import Dataset
 from fieldlum.room.fit.guess import Guess, guess_of
 from fieldlum.room.scene import sun_patches
-from fieldlum.room.scene.view import look
+from fieldlum.room.scene.view import traced_view
 from fieldlum.sky import sun
 from fieldlum.sky.daylight import Light
 
@@ -80,7 +80,7 @@ def window_captures(site: Site, height: int) -> Dataset:
     def rest_cdm2(light: Light) -> np.ndarray:
         facing = np.maximum(light.sun_direction @ np.array([0.0, -1.0, 0.0]), 0.0)
         base = 0.004 * light.diffuse_lx + 0.002 * facing * light.direct_lx
-        glass = look(ROOM, height, 180.0).sky
+        glass = traced_view(ROOM, height, 180.0).sky
         return base[:, None, None] + 0.3 * light.diffuse_lx[:, None, None] * glass
 
     return room_captures(site, ROOM, height, rest_cdm2)

@@ -71,7 +71,7 @@ def test_a_camera_sees_the_finer_part(tmp_path: Path) -> None:
     write_sky_picture(tmp_path / "a.npz", SkyPicture(light, np.isnan(light), grid))
     detail = read_sky_picture(tmp_path / "a.npz")
     panorama = DetailedPanorama(np.full((45, 90), 100.0, np.float32), 30.0, detail=detail)
-    view = optics.look(LENS, SENSOR, (45, 90), grid)
+    view = optics.lens_sampling(LENS, SENSOR, (45, 90), grid)
     image = optics.on_sensor(panorama, [view], SENSOR)[..., 0]
     x, y, _ = lens_pixels(LENS, SkyGrid(0.0, 0.0, 1.0, 0.0, 1, 1).rays()[0, 0])
     row, column = int(y), int(x)
@@ -92,7 +92,9 @@ def test_a_half_hidden_disc_is_half_a_disc() -> None:
     for attributes in ({}, {DISC_RAYS: marks}):
         dark = np.zeros((20, 40), np.float32)
         panorama = Panorama(dark, 180.0, sun=sun, attributes=attributes)
-        images.append(optics.on_sensor(panorama, [optics.look(lens, SENSOR, (20, 40))], SENSOR))
+        images.append(
+            optics.on_sensor(panorama, [optics.lens_sampling(lens, SENSOR, (20, 40))], SENSOR)
+        )
     full, half = (image[..., 0].astype(float) for image in images)
     assert half.sum() == pytest.approx(full.sum(), rel=1e-3)  # the source states the visible part
     assert half[:, :148].sum() < 0.02 * half.sum()

@@ -31,7 +31,7 @@ from fieldlum.plan.capture_days import (
     band_directions,
     coverage,
     daylight_hours,
-    set_days,
+    days_of_set,
     span,
 )
 from fieldlum.session import Journal, create_session, open_session
@@ -62,7 +62,7 @@ def year() -> DaylightHours:
 
 
 def _set(name: str) -> DaylightHours:
-    return daylight_hours(set_days(name, SEATTLE, date(2027, 1, 1), None, 2027, None), SEATTLE)
+    return daylight_hours(days_of_set(name, SEATTLE, date(2027, 1, 1), None, 2027, None), SEATTLE)
 
 
 # ----------------------------------------------------------------------------------------------

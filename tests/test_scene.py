@@ -159,7 +159,7 @@ def test_window_fraction_authority_rtrace(room: Room) -> None:
     with radiance.octree(radiance.rad_text(built), radiance.SKY_TEXT) as octree:
         seen = radiance.trace(octree, np.array(built.camera_m), built.to_room(rays))
     truth = radiance._pixel_mean(pixel, seen, height)
-    found = scene.look(room, height, heading).sky
+    found = scene.traced_view(room, height, heading).sky
     assert found.max() > 0.6
     assert np.abs(found - truth).max() < 0.12 and np.abs(found - truth).mean() < 2e-4
 

@@ -16,14 +16,14 @@ from fieldlum.room.fit.guess import WindowRect, guess_of
 from fieldlum.room.fit.parameters import glass_parameters, room_parameters, stated_albedo
 from fieldlum.room.fit.search import SceneCost, search
 from fieldlum.room.fit.window_view import window_view
-from fieldlum.room.scene.view import look
+from fieldlum.room.scene.view import traced_view
 from fieldlum.sky.daylight import Light
 
 EDGES = ("window 1 u0", "window 1 u1", "window 1 z0", "window 1 z1")
 
 
 def _skylight(room: Room, light: Light) -> np.ndarray:
-    glass = look(room, 46, 180.0, 8).sky
+    glass = traced_view(room, 46, 180.0, 8).sky
     return light.diffuse_lx[:, None, None] * (0.004 + 0.3 * glass)
 
 

@@ -204,9 +204,9 @@ def test_experience_of_like_suns_raises_the_expectation() -> None:
     wrong = np.where(sunny[of.tested], 20.0, 1.0) * of.guess_of
     of = replace(of, error_of=wrong, careful=False)
     guess = np.full(len(hours), 1e-3)
-    expected = of.experience(hours, hours, guess)
+    expected = of.expected_mse(hours, hours, guess)
     assert (expected[sunny] > 0.015).all() and (expected[hours.beam < 0.01] < 2e-3).all()
-    careful = replace(of, careful=True).experience(hours, hours, guess)
+    careful = replace(of, careful=True).expected_mse(hours, hours, guess)
     assert (careful >= expected).all()
 
 

@@ -183,7 +183,7 @@ def test_edges_and_bars_of_coarse_pictures_are_where_openness_puts_them() -> Non
     through = openness * full
     view = SkyView(grid, openness, 0 * full, full, full, 0 * full, full)
     fine = SkyGrid(36.0, -18.0, 0.125, 180.0, 288, 288)
-    mean = view.shares(fine.rays())[0].reshape(12, 24, 12, 24).mean(axis=(1, 3))
+    mean = view.beam_shares(fine.rays())[0].reshape(12, 24, 12, 24).mean(axis=(1, 3))
     assert mean[1:-1, :] == pytest.approx(through[1:-1, :], abs=0.04)
     for column, share in ((2.2, 0.0), (2.6, 0.8), (5.9, 0.8), (6.5, 0.8), (6.9, 0.0), (7.4, 0.8)):
         light = _at(view, 6.5, column)
@@ -202,7 +202,7 @@ def test_a_bar_within_a_pixel_can_be_anywhere_in_it() -> None:
     mixed = openness < 1.0
     view = SkyView(grid, openness, 0 * full, full, full, np.where(mixed, 0.0, full), full)
     fine = SkyGrid(36.0, -18.0, 0.125, 180.0, 288, 288)
-    _, low, high = view.shares(fine.rays())
+    _, low, high = view.beam_shares(fine.rays())
     assert (low[24:-24, 72:96] == 0.0).all() and (high[24:-24, 72:96] == 1.0).all()
     assert (low[24:-24, 100:164] == 1.0).all() and (low[24:-24, 168:176] == 1.0).all()
 
@@ -228,7 +228,7 @@ def test_a_slanted_bar_narrower_than_a_pixel_is_not_broken() -> None:
     openness = 1.0 - bar.reshape(12, 24, 12, 24).mean(axis=(1, 3), dtype=np.float32)
     full, grid = np.ones_like(openness), SkyGrid(36.0, -18.0, 3.0, 180.0, 12, 12)
     view = SkyView(grid, openness, 0 * full, full, full, 0 * full, full)
-    best = view.shares(SkyGrid(36.0, -18.0, 0.125, 180.0, 288, 288).rays())[0]
+    best = view.beam_shares(SkyGrid(36.0, -18.0, 0.125, 180.0, 288, 288).rays())[0]
     assert (best == 0.0).any(axis=0)[24:-24].all()
     assert (best == ~bar).mean() > 0.95
 

@@ -17,7 +17,7 @@ from fieldlum.learn.transport.solve import basis_of, fit_pixels, patch_scale
 from fieldlum.learn.transport.training_arrays import edge_weights, training_arrays_of
 from fieldlum.optics.images import read_panorama, write_panorama
 from fieldlum.room.fit.apply_scene import with_patches
-from fieldlum.room.scene.view import look
+from fieldlum.room.scene.view import traced_view
 from fieldlum.sky.daylight_kernel import Kernel
 
 SHAPE = (4, 8)
@@ -88,7 +88,7 @@ def test_ground_lit_in_most_hours_does_not_weaken_sun_patches(day: int) -> None:
     data = with_patches(window_captures(SEATTLE, 30))
     data = data.take(np.flatnonzero(data.days == np.unique(data.days)[day]))
     assert data.setup.room is not None and data.patch_cdm2 is not None
-    view = look(data.setup.room, 30, data.heading_deg)
+    view = traced_view(data.setup.room, 30, data.heading_deg)
     s = view.samples
     of_ground = np.isin(s.box, view.scene.of_kind("ground")) & ~s.mirrored
     share = np.bincount(s.pixel, np.where(of_ground, s.weight, 0.0), view.plain.size)

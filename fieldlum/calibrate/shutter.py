@@ -158,11 +158,12 @@ def readings_of(sidecar: Sidecar) -> list[ShutterReading]:
 def _reading(
     long: FrameQuality, short: FrameQuality, neighbour: NeighbourQuality
 ) -> ShutterReading | None:
+    """Return the ratio of two neighbouring frames; None for a filter, two ISOs or equal times."""
     a, b = long.exposure, short.exposure
     if a.nd or b.nd or abs(b.shutter_s / a.shutter_s - 1) < SAME_LABEL or a.iso != b.iso:
         return None
-    corrected = math.log(short.correction) - math.log(long.correction)
-    log_ratio = neighbour.residual_percent / 100 + corrected
+    log_correction = math.log(short.correction) - math.log(long.correction)
+    log_ratio = neighbour.residual_percent / 100 + log_correction
     seconds = (short.t_utc - long.t_utc).total_seconds() if short.t_utc and long.t_utc else 0.0
     pair, u_log = (a.shutter_s, b.shutter_s), neighbour.u_percent / 100
     return ShutterReading(pair, log_ratio, u_log, seconds) if math.isfinite(log_ratio) else None

@@ -255,7 +255,7 @@ def check_names(path: Path, names: Sequence[str]) -> None:
 def read_number(text: str, *, has_codes: bool = True) -> float:
     """Return the number in a cell, in the column's unit; NaN for texts of a missing value.
 
-    has_codes: numbers such as -9999 are codes of a missing value too, which voltages have not.
+    has_codes: whether numbers such as -9999 are missing values too; they are not in voltages.
     Raises ValueError for another text.
     """
     if text.lstrip("-").lower() in _NO_VALUE:

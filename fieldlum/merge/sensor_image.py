@@ -163,11 +163,11 @@ class SensorImage:
         """Return the geometry of one of the profile's lenses, in pixels of the crop."""
         return lens_geometry(lens, self.turn_deg, (self.crop.left, self.crop.top))
 
-    def light(self) -> tuple[Floats32, Mask]:
-        """Return the luminance of each pixel of the crop, and a mask of the clipped ones.
+    def luminance_and_clipped(self) -> tuple[Floats32, Mask]:
+        """Return the luminance of the crop's pixels [cd/m2], and a mask of the clipped ones.
 
-        Both are [height, width]. The luminance is not corrected for vignetting; in a mosaic it is
-        that by the pixel's own colour.
+        Both are [height, width]. The luminance is not corrected for vignetting; in a mosaic, each
+        pixel has the value of its own colour.
         """
         value, flags, shape = self.merged.value_cdm2, self.merged.flags, (self.crop.height, -1)
         if self.profile.camera.kind == "jpeg":

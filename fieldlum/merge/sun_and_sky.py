@@ -143,7 +143,7 @@ def sun_on_sensor(
     (image, lens), (x, y, angle) = lenses[number], places[number]
     if angle >= lens.half_angle_rad or np.isnan(disc.sigma_deg):
         return None
-    light, clipped = image.light()
+    light, clipped = image.luminance_and_clipped()
     px_per_rad = lens.radius_px / lens.half_angle_rad
     reach_px = 2.0 + px_per_rad * (SUN_RADIUS_RAD + _BLUR_RAD + 2.0 * pixel_rad)
     top, left = max(int(y - reach_px), 0), max(int(x - reach_px), 0)

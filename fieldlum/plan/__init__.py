@@ -74,7 +74,7 @@ def make_plan(setup: SiteFile, request: Request, weather: Weather | None = None)
     """
     site, room = setup.site, setup.room
     asked = request.start, request.year, request.days
-    days = capture_days.set_days(request.set, site, request.today, *asked)
+    days = capture_days.days_of_set(request.set, site, request.today, *asked)
     from_to = f"from {days[0]} to {days[-1]}"
     night = f"polar night: the sun does not rise at {site.name} ({site.latitude_deg:g} deg)"
     hours = capture_days.daylight_hours(days, site)

@@ -94,7 +94,7 @@ def _event_dates(
     return sorted(next(day for day in each if day >= first) for each in dates)
 
 
-def set_days(
+def days_of_set(
     name: str, site: Site, today: date, start: date | None, year: int | None, days: int | None
 ) -> list[date]:
     """Return the local standard dates of a capture set, in time order.

@@ -34,7 +34,7 @@ def _page(session: Session, year: Annual | None) -> str:
     answer, polar = "No year has been predicted yet.", None
     why = "Train a model and run fieldlum predict to get the answer here."
     if year is not None:
-        (answer, why), polar = sections.answer(year), sections.polar(year)
+        (answer, why), polar = sections.best_direction(year), sections.polar(year)
         shown += [sections.directions_section(year), sections.when_section(year, zone)]
         shown.append(sections.looks_section(year, read_pictures(year.folder), zone))
         shown.append(sections.melanopic_section(year, zone))

@@ -36,7 +36,7 @@ from fieldlum.optics.projection import (
 )
 from fieldlum.report.page import comparison_png, png
 from fieldlum.room.scene.geometry import WALLS, wall_named
-from fieldlum.room.scene.view import look
+from fieldlum.room.scene.view import traced_view
 from fieldlum.session import Session, write_file
 from fieldlum.session.codec import write_csv
 from fieldlum.session.panorama_sun import read_panorama_with_sun
@@ -132,7 +132,7 @@ def surface_names(room: Room, height: int, heading_deg: float) -> Array:
     height: rows H, W = 2H; heading_deg: azimuth of the centre column. The name is empty where
     neither box nor opening is, and within two pixels of an opening.
     """
-    view = look(room, height, heading_deg)
+    view = traced_view(room, height, heading_deg)
     names = np.full(2 * height**2, "", dtype=object)
     s, straight = view.samples, ~view.samples.mirrored
     pixel, box, axis = s.pixel[straight], s.box[straight], s.axis[straight]

@@ -104,7 +104,7 @@ def _sky(session: Session, out: Path) -> list[Path]:
     if view is None:
         return []
     altitude, azimuth = (part.ravel() for part in np.mgrid[0:91, 0:360].astype(float))
-    through = view.shares(direction(altitude, azimuth))
+    through = view.beam_shares(direction(altitude, azimuth))
     table, picture = out / "sky_view.csv", out / "sky_view_mask.png"
     names = ("altitude_deg", "azimuth_deg", "beam_share", "low", "high")
     rows = zip(altitude, azimuth, *through, strict=True)
@@ -112,7 +112,7 @@ def _sky(session: Session, out: Path) -> list[Path]:
     y, x = 2.0 * np.array(np.broadcast_arrays(*picture_centres(_FISHEYE_PX, _FISHEYE_PX)))
     radius = np.hypot(x, y)
     rays = direction(90.0 * (1.0 - radius), np.degrees(np.arctan2(-x, y)))
-    share = view.shares(rays)[0]
+    share = view.beam_shares(rays)[0]
     grey = np.where(np.isnan(share), 128.0, 255.0 * share) * (radius <= 1.0)
     write_file(picture, png_of(np.repeat(grey[..., None], 3, axis=2).astype(np.uint8)))
     return [table, picture]

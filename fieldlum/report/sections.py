@@ -34,8 +34,8 @@ _FISHEYE_PX = 220  # of a fisheye's edge: about its size on the page
 GA_DGP, SDG_DGP = 0.40, 0.38  # honeybee's and ClimateStudio's limits
 
 
-def answer(annual: Annual) -> tuple[str, str]:
-    """Return the view direction to sit in, and the reason, as text of the page.
+def best_direction(annual: Annual) -> tuple[str, str]:
+    """Return which way to face against glare, and the reason, as two texts of the page.
 
     If no direction was seen enough, both state this and what to capture.
     """

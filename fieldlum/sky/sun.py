@@ -238,7 +238,8 @@ def rise_transit_set(days: Sequence[date], site: Site) -> list[DayOfSun]:
         at = position(times, site)
         above = at.altitude_deg - RISE_ALTITUDE_DEG
         west = -direction(at.altitude_deg, at.azimuth_deg)[:, 0]
-        events.append(DayOfSun(*(_rising_through_0(v, times) for v in (above, west, -above))))
+        rise, transit, down = (_rising_through_0(v, times) for v in (above, west, -above))
+        events.append(DayOfSun(rise=rise, transit=transit, set=down))
     return events
 
 
@@ -305,7 +306,7 @@ def clearsky(times_utc: Sequence[datetime], site: Site) -> Irradiance:
     known = pd.DataFrame(angles, index=index)
     with _ignore_dayofyear_warning():
         table = place.get_clearsky(index, model="ineichen", solar_position=known)
-    return Irradiance(*(np.asarray(table[name], float) for name in ("ghi", "dni", "dhi")))
+    return Irradiance(**{f"{n}_wm2": np.asarray(table[n], float) for n in ("ghi", "dni", "dhi")})
 
 
 def dirint_dni(ghi_wm2: ArrayLike, times_utc: Sequence[datetime], site: Site) -> Floats:
@@ -386,7 +387,8 @@ def bsrn_limits(
     mu = np.maximum(np.sin(np.radians(altitude_deg)), 0.0)
     sa = np.asarray(extraterrestrial, float)
     low, terms = _BSRN[extreme]
-    return Limits(*((low, factor * sa * mu**power + offset) for factor, power, offset in terms))
+    ghi, dhi, dni = ((low, factor * sa * mu**power + offset) for factor, power, offset in terms)
+    return Limits(ghi_wm2=ghi, dhi_wm2=dhi, dni_wm2=dni)
 
 
 def too_weak(ghi_wm2: ArrayLike, altitude_deg: ArrayLike, extraterrestrial: ArrayLike) -> Mask:

@@ -42,9 +42,7 @@ class Weather:
 
     def __getitem__(self, index: ArrayLike | slice) -> Weather:
         rows = np.arange(len(self))[index]  # type: ignore[index]
-        light = {
-            f"{name}_wm2": getattr(self, f"{name}_wm2")[rows] for name in ("dni", "dhi", "ghi")
-        }
+        light = {name: getattr(self, name)[rows] for name in sun.Irradiance._fields}
         return replace(self, t_utc=tuple(self.t_utc[i] for i in rows), **light)
 
     def daylight(self) -> Weather:
@@ -63,9 +61,10 @@ class Weather:
         after = np.clip(np.searchsorted(times_s, seconds), 1, len(times_s) - 1)
         before = after - 1
         nearest = np.where(seconds - times_s[before] < times_s[after] - seconds, before, after)
-        outside = np.abs(seconds - times_s[nearest]) > 1800.5
+        outside = np.abs(seconds - times_s[nearest]) > 1800.5  # half an hour, and rounding
         values = (self.ghi_wm2, self.dni_wm2, self.dhi_wm2)
-        return sun.Irradiance(*(np.where(outside, np.nan, value[nearest]) for value in values))
+        ghi, dni, dhi = (np.where(outside, np.nan, value[nearest]) for value in values)
+        return sun.Irradiance(ghi_wm2=ghi, dni_wm2=dni, dhi_wm2=dhi)
 
     def _dated(self, t_utc: datetime) -> datetime:
         """Return the same moment of local standard time in this weather's own year."""

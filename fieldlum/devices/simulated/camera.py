@@ -244,7 +244,7 @@ class SimulatedCamera(Camera):
         self, turn_deg: float, panorama: tuple[int, int], grid: SkyGrid | None
     ) -> list[optics.LensSampling]:
         lenses = (linear_light.lens_geometry(lens, turn_deg) for lens in self._profile.lens)
-        return [optics.look(lens, self._shape, panorama, grid) for lens in lenses]
+        return [optics.lens_sampling(lens, self._shape, panorama, grid) for lens in lenses]
 
     def _shading_of(self, f_number: float) -> Floats32:
         """Return the vignetting on the sensor, [h, w] or [h, w, 1]."""

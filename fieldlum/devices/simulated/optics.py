@@ -38,7 +38,7 @@ class LensSampling:
     weights: csr_array
 
 
-def look(
+def lens_sampling(
     lens: LensGeometry,
     sensor: tuple[int, int],
     panorama: tuple[int, int],

@@ -20,7 +20,7 @@ from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import CameraSetup, Panorama, Room, Site, SiteFile, Window
 from fieldlum.optics import projection
-from fieldlum.room.scene import look
+from fieldlum.room.scene import traced_view
 from fieldlum.session import Session
 from fieldlum.session.files.irradiance_csv import CleanIrradiance
 from fieldlum.sky import sun
@@ -152,7 +152,7 @@ class Office:
         All surfaces indoors have one illuminance, by the average daylight factor of Crisp and
         Littlefair (1984) for windows that see 90 degrees of an overcast sky.
         """
-        view, room = look(self._room, _HEIGHT, self.setup.camera.heading_deg, 1), self._room
+        view, room = traced_view(self._room, _HEIGHT, self.setup.camera.heading_deg, 1), self._room
         w, d, h = room.width_m, room.depth_m, room.height_m
         glass = sum(np.ptp(o.u_m) * np.ptp(o.z_m) * o.transmittance for o in view.scene.openings)
         mean = (room.reflectance_ceiling + room.reflectance_floor + 2 * room.reflectance_walls) / 4

@@ -114,7 +114,7 @@ class Net(nn.Module):
 
 @dataclass(frozen=True, slots=True)
 class Inputs:
-    """Inputs of branch one for all pairs of one of n hours and one of P pixels.
+    """Inputs of branch one (docs/models.md) for n hours and P pixels, which it gets in pairs.
 
     pixel: x, y (0 to 1 from the left and the top) and encoded mean luminance [P, 3]; sky_patch:
     index of the nearest of 2305 sky patches, -1 at or below the horizon [P]; sun: altitude,

@@ -202,7 +202,7 @@ class Transport:
         )  # [n, P]
         weights = equirect_solid_angles(*self.seen.shape)[self.seen]
         guess = square.astype(float) @ (weights / weights.sum())  # [n]
-        expected = unsure.experience(features, self.captured, guess)
+        expected = unsure.expected_mse(features, self.captured, guess)
         wider = unsure.band * np.sqrt(expected / np.maximum(guess, 1e-12))
         sd = np.minimum(np.sqrt(square) * wider.astype(square.dtype)[:, None], 1.0)
         # a trusted hour is at most 1.5 times as far from the captures as any held-out day
@@ -605,9 +605,9 @@ class Uncertainty:
     the held-out errors, over their root mean square; slip_deg: displacement of computed from
     captured sun patches [deg], 0 if none is known; careful: True if errors grow away from captures
     by more than the variance shows: without sun patches, or with those of a stated or fitted room,
-    which are wrong in places. Of k tests, in which a captured hour was
-    predicted from other days or, if there are several, from other seasons: tested, index of the
-    capture; error_of, guess_of: log10 MSE, and its estimate without experience [k].
+    which are wrong in places. Of k tests, in which a captured hour was predicted from other days
+    or, if there are several, from other seasons: tested, index of the capture; error_of, guess_of:
+    log10 MSE, and its estimate before `expected_mse` [k].
     """
 
     inverse: Array
@@ -639,21 +639,21 @@ class Uncertainty:
         explained = np.einsum("ij,ij->i", cross @ self.second, cross)
         return np.maximum(hours.beam**2 - explained, 0.0) + SECOND_NOISE
 
-    def experience(self, hours: Features, captured: Features, guess: Array) -> Array:
-        """Return the log10 MSE to expect in m hours, [m].
+    def expected_mse(self, hours: Features, captured: Features, guess: Array) -> Array:
+        """Return the log10 MSE to expect in m `hours`, [m]: `guess` [m], corrected by the tests.
 
-        It is `guess` [m] times found over guessed errors, both summed over the tests with about the
-        same share of sun. If `careful`, it is at least the error of these tests, the geometric mean
-        of held-out days and seasons.
+        The factor is the tests' errors over their guesses, each summed with more weight for tests
+        with a like share of sun. captured: of the n captures. If `careful`, the result is at least
+        the weighted mean error of the tests (geometric mean over held-out days and seasons).
         """
         beam, n = captured.beam[self.tested], len(captured)
         # Hours with a tenth more or less sun are similar.
-        sky = np.exp(-0.5 * ((hours.beam[:, None] - beam) / 0.1) ** 2) + 1e-9
-        expected = guess * (sky @ self.error_of) / (sky @ self.guess_of)
+        like = np.exp(-0.5 * ((hours.beam[:, None] - beam) / 0.1) ** 2) + 1e-9
+        expected = guess * (like @ self.error_of) / (like @ self.guess_of)
         if not self.careful:
             return expected
         groups = [slice(start, start + n) for start in range(0, len(beam), n)]
-        means = [sky[:, g] @ self.error_of[g] / sky[:, g].sum(axis=1) for g in groups]
+        means = [like[:, g] @ self.error_of[g] / like[:, g].sum(axis=1) for g in groups]
         return np.maximum(expected, np.exp(np.log(means).mean(axis=0)))
 
 
@@ -664,7 +664,7 @@ def log10_variance(
     second: Array,
     noise: Floats32,
 ) -> Floats:
-    """Return the variance of log10 L before experience, [m, P]; at most that of a factor of ten.
+    """Return the variance of log10 L before `expected_mse`, [m, P]; at most of a factor of ten.
 
     surface_share: luminance of a usual surface (total light times pixel scale) over L [m, P];
     patch_share: luminance of the sun patch over L [m, P] times its relative standard deviation, or
@@ -722,7 +722,7 @@ def calibrate(
         careful=careful,
     )
     features, rows = arrays.features, out.tested
-    expected = out.experience(features[rows], features, guess)
+    expected = out.expected_mse(features[rows], features, guess)
     square = np.concatenate(squares) * (expected / guess)[:, None]
     sd = np.sqrt(square + LOG10_E**2 * arrays.unsure[rows, None])
     # the harder of days and seasons: a year has other seasons than the captures

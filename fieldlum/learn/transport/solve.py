@@ -346,7 +346,7 @@ def second_covariance(a: Features, b: Features) -> Array:
     """Return the covariance of the second stage between hours, [len(a), len(b)], without unit.
 
     It is the product of the sun's shares of the total light, times a factor that falls from 1 to 0
-    as the two directions of the sun differ. The second stage corrects such hours.
+    as the two directions of the sun differ: the second stage corrects the light of the sun.
     """
     cosine = np.clip(a.direction @ b.direction.T, -1.0, 1.0)
     return np.outer(a.beam, b.beam) * np.exp((cosine - 1.0) / SECOND_WIDTH**2)

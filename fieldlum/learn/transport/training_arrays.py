@@ -152,14 +152,14 @@ class PatchLight:
         return cls(np.maximum(np.percentile(share, 75, axis=1), 0.1 * share.max(axis=1)))
 
     def features(self, patch: Floats, light: Light, window: Mask) -> Floats32:
-        """Return the light of sun patches over the total light, in cells and as a sum, [n, c + 1].
+        """Return light of sun patches over total light: of c cells, and last of all, [n, c + 1].
 
-        patch: luminance of sun patches [n, H, W] cd/m2; window: mask [H, W], True at window pixels,
-        which do not count.
+        Both are scaled by `norms` and their weights. patch: luminance of sun patches [n, H, W]
+        cd/m2; window: mask [H, W], True at window pixels, which do not count.
         """
         cells = _patch_cells(patch, window)
-        total = (cells @ _cell_roots(patch.shape))[:, None]
-        both = np.hstack((CELL_WEIGHT * cells / self.norms[0], FLUX_WEIGHT * total / self.norms[1]))
+        flux = (cells @ _cell_roots(patch.shape))[:, None]  # the roots by which cells are divided
+        both = np.hstack((CELL_WEIGHT * cells / self.norms[0], FLUX_WEIGHT * flux / self.norms[1]))
         both[light.direct_lx == 0.0] = 0.0  # of a sun that no instrument measured
         return (both / light.total_lx[:, None]).astype(np.float32)
 
@@ -469,11 +469,11 @@ def _patch_ratios(arrays: TrainingArrays) -> tuple[Array, Array]:
 
 
 def _interpolated(sd: float, ratios: Array, directions: Array, wanted: Array) -> Array:
-    """Return the expected ln ratio in `wanted` [m, 3] of the skies of n captures, [n, m].
+    """Return the ln ratio to expect in the directions `wanted` [m, 3], for n captures, [n, m].
 
-    directions, wanted: unit vectors of measured and of predicted sky. The ratio is a field with the
-    standard deviation `sd`, smooth in direction. A patch that a capture does not show has a
-    variance without limit there.
+    ratios: ln of seen over usual luminance [n, k], NaN where a capture does not show the patch;
+    directions: unit vectors of these patches [k, 3]. The ratio is taken for a Gaussian field with
+    the standard deviation `sd`, smooth in direction.
     """
     shown = np.isfinite(ratios)  # [n, k]
     own, cross = (

@@ -231,7 +231,7 @@ def info_of(
         _check_value(path, value, own, quantity)
     description = text_of(tags, 270)
     filter_name = description.removeprefix("ND=") if description.startswith("ND=") else ""
-    exposure = Exposure(values[0], values[1], values[2], filter_name)
+    exposure = Exposure(shutter_s=values[0], f_number=values[1], iso=values[2], nd=filter_name)
     return FrameInfo(
         exposure, t_camera=_camera_time(tags), make=text_of(tags, 271), model=text_of(tags, 272)
     )

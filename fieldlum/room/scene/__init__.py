@@ -3,4 +3,4 @@
 from fieldlum.room.scene.geometry import build
 from fieldlum.room.scene.patches import sun_patches
 from fieldlum.room.scene.trace import disc_visibility
-from fieldlum.room.scene.view import look
+from fieldlum.room.scene.view import traced_view

@@ -14,7 +14,7 @@ from fieldlum.core.arrays import Floats32, Indices
 from fieldlum.core.progress import progress
 from fieldlum.core.records import Room
 from fieldlum.room.scene.trace import SunPoints
-from fieldlum.room.scene.view import look, patch_rays
+from fieldlum.room.scene.view import patch_rays, traced_view
 
 _HOURS = 64  # at a time; limits the memory
 
@@ -62,4 +62,4 @@ def sun_patches(
 
 @lru_cache(maxsize=2)  # units of one year ask for the same points again and again
 def _sun_points(room: Room, height: int, heading_deg: float, sub: int) -> SunPoints:
-    return look(room, height, heading_deg, sub).sun_points()
+    return traced_view(room, height, heading_deg, sub).sun_points()

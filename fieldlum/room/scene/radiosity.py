@@ -22,7 +22,7 @@ from fieldlum.optics import images, melanopic
 from fieldlum.optics.projection import equirect_rays
 from fieldlum.room.scene import trace
 from fieldlum.room.scene.geometry import BoxScene
-from fieldlum.room.scene.view import SceneView, SurfaceSamples, look, patch_rays
+from fieldlum.room.scene.view import SceneView, SurfaceSamples, patch_rays, traced_view
 from fieldlum.sky.daylight import Light
 from fieldlum.sky.perez import reinhart_index, reinhart_patches
 from fieldlum.sky.sun import horizontal_beam
@@ -331,7 +331,7 @@ class LitRoom:
         """Points of the pictures' direct sun, those of a model's patches, and the pieces'."""
         room, p, rays = box_room(self.setup), self.pieces, patch_rays(self.view.height)
         shown, given = (
-            look(room, self.view.height, self.view.heading_deg, count).sun_points()
+            traced_view(room, self.view.height, self.view.heading_deg, count).sun_points()
             for count in (rays + 1, rays)
         )
         points = p.position, p.axis[p.piece], p.sign[p.piece], p.share, p.piece
@@ -522,7 +522,7 @@ def lit_room(
     from scipy.sparse import csr_matrix
 
     how, heading = QUALITIES[quality], setup.camera.heading_deg % 360.0
-    view = look(box_room(setup), height, heading)
+    view = traced_view(box_room(setup), height, heading)
     scene, pieces = view.scene, cut_into_pieces(view.scene, how.piece_m)
     threads = min(workers or os.cpu_count() or 1, 8)
     s, faces = joined(view.samples)

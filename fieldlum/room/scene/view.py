@@ -93,7 +93,7 @@ def patch_rays(height: int) -> int:
 
 
 @lru_cache(maxsize=4)  # patches, windows and searches have different numbers of rays
-def look(room: Room, height: int, heading_deg: float, sub: int = 3) -> SceneView:
+def traced_view(room: Room, height: int, heading_deg: float, sub: int = 3) -> SceneView:
     """Trace the panorama of a box room from its camera, with sub x sub rays for each pixel.
 
     height : rows of the panorama; heading_deg : of its centre column. Raises InputError for an

@@ -240,20 +240,18 @@ def _write_irradiance(session: Session, weather: Weather, slots: Sequence[Slot])
             begin = start + timedelta(hours=hour)
             times += [begin, begin + timedelta(minutes=59, seconds=59)]
     light = weather.at(times)
-    ghi_wm2, dni_wm2, dhi_wm2 = (
-        np.nan_to_num(v) for v in (light.ghi_wm2, light.dni_wm2, light.dhi_wm2)
-    )
+    ghi, dni, dhi = map(np.nan_to_num, (light.ghi_wm2, light.dni_wm2, light.dhi_wm2))
     seconds = np.array([t.timestamp() for t in times])
-    truth = CleanIrradiance(seconds, ghi_wm2, dhi_wm2, dni_wm2)
+    truth = CleanIrradiance(seconds, ghi_wm2=ghi, dhi_wm2=dhi, dni_wm2=dni)
     truth.write(session.truth_irradiance)
 
 
 def write_pairs(
     session: Session, slots: Sequence[Slot], light: Light, lit: np.ndarray, weather: Weather
 ) -> None:
-    """Write a pair of rendered panorama and light for each slot; irradiance counts as measured.
+    """Write pairs.csv: the rendered panorama and the light of each slot, as if it was measured.
 
-    light: of all slots; lit: True for slots that were rendered [len(slots)]; the others get ok = 0.
+    light: of all slots; lit [len(slots)]: True for rendered ones, others get ok = 0; weather: GHI.
     """
     ghi = np.nan_to_num(weather.at([slot.t_utc for slot in slots]).ghi_wm2)
     columns = light.dni_wm2, light.dhi_wm2, ghi, light.sun_altitude_deg, light.sun_azimuth_deg

@@ -183,11 +183,11 @@ class SkyView:
         """Read a view; None for a missing file. Raises InputError for other content."""
         return cls.read(path) if path.is_file() else None
 
-    def shares(self, towards: Floats) -> Floats32:
-        """Return best, low and high shares of the beam in directions [..., 3], NaN if not seen.
+    def beam_shares(self, towards: Floats) -> Floats32:
+        """Return the share of the beam that arrives from directions: best, low and high, [3, ...].
 
-        towards: unit vectors, x east, y north, z up. The result is [3, ...]. Slats and leaves that
-        are finer than a pixel have their mean.
+        towards: unit vectors [..., 3], x east, y north, z up; NaN where nothing was seen. Slats and
+        leaves that are finer than a pixel have their mean.
         """
         grid, maps = self._sharp
         place = grid.pixels(towards)

@@ -82,7 +82,7 @@ def drawn_shares(
 
 def _over_disc(view: SkyView, suns: Floats) -> Floats:
     """Return the means of best, low and high over the disc, [3, n]; NaN if it is not seen."""
-    shares = view.shares(disc_points(suns))  # [3, n, 37]
+    shares = view.beam_shares(disc_points(suns))  # [3, n, 37]
     mean = np.nan_to_num(shares).mean(axis=2)
     return np.where(np.isnan(shares).mean(axis=2) > 0.5, np.nan, mean)
 

@@ -125,7 +125,7 @@ def panorama_views(
     azimuths_deg: ArrayLike,
     seen_mask: Mask | None = None,
 ) -> Views:
-    """Return the weights of a panorama's pixels in d view directions, the same for all hours.
+    """Return `Views` of a panorama: its pixels' weights in d view directions, for all hours.
 
     height, width : of the panorama in pixels; heading_deg : azimuth of its centre column;
     azimuths_deg : [d] view directions; azimuths are clockwise from north. seen_mask : pixels that a
@@ -139,16 +139,16 @@ def panorama_views(
     moments = np.empty((len(rays), 3, len(azimuths)), np.float32)
     frames = np.stack([view_frame(azimuth) for azimuth in azimuths])
     hemisphere = np.empty((5, len(azimuths)))
-    closure = _cosine_closure(height, width)
+    closure = _cosine_closure(height, width)  # so that a uniform hemisphere gives exactly pi
     for i, frame in enumerate(frames):
         right, up, cosine = angles_from_view(rays, frame)
         facing_sr = omega * (cosine > 0)
         weights = facing_sr * np.stack([cosine * closure, np.ones_like(up), right, up])
         hemisphere[:4, i] = weights.sum(axis=1)
         hemisphere[4, i] = (facing_sr / position_index(right, up) ** 2).sum()
-        illuminance[:, i], *parts = weights * seen
-        moments[:, :, i] = np.transpose(parts)
-    return Views(azimuths, frames, illuminance, moments, moments[:, 0] > 0.0, hemisphere)
+        illuminance[:, i], moments[:, :, i] = weights[0] * seen, (weights[1:] * seen).T
+    ahead = moments[:, 0] > 0.0
+    return Views(azimuths, frames, illuminance, moments, ahead, hemisphere)
 
 
 def _cosine_closure(height: int, width: int) -> float:
