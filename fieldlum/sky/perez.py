@@ -115,7 +115,7 @@ class PerezSky:
     diffuse_lx: Floats
 
     def __getitem__(self, index: object) -> PerezSky:
-        return PerezSky(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
+        return PerezSky(**{n: getattr(self, n)[index] for n in self.__dataclass_fields__})
 
 
 def _clearness_brightness(

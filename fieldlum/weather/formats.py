@@ -353,7 +353,8 @@ def _read_tmy2(path: Path, lines: list[str], site: Site) -> WeatherTable:
     with input_errors(path, expected, "download the file again", ValueError):
         latitude = (float(north) + float(minutes) / 60) * (-1 if ns == "S" else 1)
         longitude = (float(east) + float(more) / 60) * (-1 if ew == "W" else 1)
-    where = _place(path, [latitude, longitude, altitude, zone], expected, " ".join(name[9:-1]))
+    numbers = [latitude, longitude, altitude, zone]
+    place, clock = _place(path, numbers, expected, " ".join(name[9:-1]))
     width = len(lines[1].rstrip()) if len(lines) > 1 else 0
     for number, line in enumerate(lines[2:], start=3):
         if (characters := len(line.rstrip())) != width:
@@ -365,7 +366,7 @@ def _read_tmy2(path: Path, lines: list[str], site: Site) -> WeatherTable:
         return _moment((f"19{cells[0]}", *cells[1:3]), cells[3]) - timedelta(hours=1)
 
     rows = _rows(path, enumerate(cells, start=2), {"dni": 4, "dhi": 5, "ghi": 6}, start)
-    return WeatherTable(rows, True, *where, _HALF)
+    return WeatherTable(rows, typical=True, place=place, clock=clock, shift=_HALF)
 
 
 def _read_pvgis(path: Path, lines: list[str], site: Site) -> WeatherTable:

@@ -481,4 +481,4 @@ def _read(files: Sequence[Path]) -> tuple[Series, int]:
         progress(number, len(files), path.stem)
     days = days or [series_of([])]
     names = Series.__dataclass_fields__
-    return Series(*(np.concatenate([getattr(day, n) for day in days]) for n in names)), damaged
+    return Series(**{n: np.concatenate([getattr(d, n) for d in days]) for n in names}), damaged

@@ -123,9 +123,8 @@ def _grid_of(near: Mask, parts: int, heading_deg: float) -> tuple[SkyGrid, Mask]
     cut = near[rows[0] : rows[-1] + 1][:, (first + np.arange(span)) % (2 * height)]
     coarse = 180.0 / height
     start = (first + height) % (2 * height) - height
-    shape = (parts * len(cut), parts * span)
-    corner = float(90.0 - rows[0] * coarse), start * coarse - 180.0
-    grid = SkyGrid(*corner, coarse / parts, heading_deg, *shape)
+    top_deg, left_deg = float(90.0 - rows[0] * coarse), start * coarse - 180.0
+    grid = SkyGrid(top_deg, left_deg, coarse / parts, heading_deg, parts * len(cut), parts * span)
     return grid, cut.repeat(parts, axis=0).repeat(parts, axis=1)
 
 

@@ -160,7 +160,7 @@ class HeldOutMaps:
         """Return the hours of several tests as one object; None without any test."""
         if not parts:
             return None
-        return cls(*(np.concatenate([getattr(p, name) for p in parts]) for name in _ARRAYS))
+        return cls(**{n: np.concatenate([getattr(p, n) for p in parts]) for n in _ARRAYS})
 
     def write(self, folder: Path) -> None:
         """Write held_out.npz: at most 150 hours, spread evenly from best to worst prediction."""
@@ -181,7 +181,7 @@ class HeldOutMaps:
             return None
         remedy = "train the model again (fieldlum train)"
         with open_arrays(path, "held-out maps", remedy, HELD_OUT_FORMAT) as stored:
-            return cls(*(stored[name] for name in _ARRAYS))
+            return cls(**{name: stored[name] for name in _ARRAYS})
 
 
 _ARRAYS = tuple(field.name for field in fields(HeldOutMaps))

@@ -201,8 +201,8 @@ def glare_directions(
     terms = source_terms(sun_cdm2, np.asarray(SUN_SOLID_ANGLE_SR), right, up, sun_ev, background)
     all_ev = sun_ev.reshape(-1, *map_ev.shape).sum(axis=0)
     of_suns = terms.reshape(3, -1, *map_ev.shape).sum(axis=1)
-    sums = of_sources.swapaxes(0, 1) + of_suns
-    view = ViewSums(map_ev + all_ev, source_ev + all_ev, background, *sums)
+    contrast, dgi_sum, veiling_sum = of_sources.swapaxes(0, 1) + of_suns
+    view = ViewSums(map_ev + all_ev, source_ev + all_ev, background, contrast, dgi_sum, veiling_sum)
     parts = {"contrast": view.contrast, "sun_contrast": of_suns[0], "sun_ev_lx": all_ev}
     return parts | {name: metric.formula(view) for name, metric in METRICS.items()}
 

@@ -182,10 +182,10 @@ def _judged(
     shares = (
         [] if room.seen is None else projection.seen_shares(room.seen, room.heading_deg, azimuths)
     )
-    unsure = untrusted, untrusted + wide
+    rule = summary.inputs["occupancy"]
     summary = structs.replace(
         summary,
-        occupancy=YearOccupancy(summary.inputs["occupancy"], hours_used, count, *unsure),
+        occupancy=YearOccupancy(rule, hours_used, count, untrusted, untrusted + wide),
         seen_share=tuple(round(float(share), 3) for share in shares),
         u_scale_rel=u_rel,
         notes=(*_notes(summary, room, untrusted, wide), *_unseen_notes(rows)),
