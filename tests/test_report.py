@@ -325,7 +325,9 @@ def test_the_headline_advises_only_what_the_captures_and_the_weather_support(
 ) -> None:
     rows = (structs.replace(row, dgp_exceeded=0.3, low=0.2, high=0.5, hours_over={"0.40": 9}),)
     summary = PredictFile(weather=YearWeather("w", synthetic), protection=rows)
-    headline, _ = annual_page.answer(predict.Annual((), np.zeros(1), {}, {}, Path("x"), summary))
+    headline, _ = annual_page.best_direction(
+        predict.Annual((), np.zeros(1), {}, {}, Path("x"), summary)
+    )
     assert headline.startswith(lead), headline
 
 

@@ -192,13 +192,13 @@ def test_a_narrow_lens_gives_a_year_without_any_class(tmp_path: Path) -> None:
     year = predicted(tmp_path, narrow)
     assert {row.glare_class for row in year.summary.protection} == {"not seen"}
     assert predict.read_pictures(year.folder).kinds == ()
-    assert "No view direction can be judged" in annual_page.answer(year)[0]
+    assert "No view direction can be judged" in annual_page.best_direction(year)[0]
 
 
 @pytest.mark.slow
 @pytest.mark.contract
 def test_the_page_recommends_no_direction_that_was_not_seen(year: predict.Annual) -> None:
-    answer, why = annual_page.answer(year)
+    answer, why = annual_page.best_direction(year)
     ends = predict.best_and_worst(year.summary.protection)
     assert ends is not None
     best, worst = ends
@@ -220,7 +220,7 @@ def test_no_direction_at_all_is_said_and_not_drawn(year: predict.Annual) -> None
     blind = tuple(structs.replace(row, glare_class="not seen") for row in year.summary.protection)
     assert predict.best_and_worst(blind) is None
     nothing = replace(year, summary=structs.replace(year.summary, protection=blind))
-    assert "No view direction can be judged" in annual_page.answer(nothing)[0]
+    assert "No view direction can be judged" in annual_page.best_direction(nothing)[0]
 
 
 @pytest.mark.property
