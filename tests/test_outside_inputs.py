@@ -1454,14 +1454,16 @@ def test_missing_hours_that_are_zeros_are_named(tmp_path: Path, hours: slice) ->
 
 @pytest.mark.slow
 @pytest.mark.contract
-def test_a_few_days_without_satellite_images_are_missing(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("first", "days", "count"), [(3250, 3, 45), (8472, 1, 7)])
+def test_a_few_days_without_satellite_images_are_missing(
+    tmp_path: Path, first: int, days: int, count: int
+) -> None:
     """PVGIS writes them as zeros: in its year at 45 N, 8 E 45 hours, which pvlib returns as 0."""
     light = light_of(NORTH, hours_of(NORTH))
-    dark = slice(3250, 3250 + 72)
-    light[dark] = 0.0
+    light[first : first + 24 * days] = 0.0  # from 16 May, and 20 December
     weather = read_weather(write_epw(tmp_path / "a.epw", NORTH, light), NORTH)
-    assert "45 hours without any light by day count as missing" in weather.repairs[0]
-    assert len(weather) == 8760 - 45 and "45 missing hours left out" in weather.repairs[1]
+    assert f"{count} hours without any light by day count as missing" in weather.repairs[0]
+    assert len(weather) == 8760 - count and f"{count} missing hours left" in weather.repairs[1]
 
 
 @pytest.mark.contract

@@ -34,8 +34,9 @@ FAR_KM = 300.0
 _HOUR = timedelta(hours=1)
 # Zero offsets of pyrheliometers are smaller, and diffuse light by day is larger. Chosen.
 _LOWEST_BY_DAY_WM2 = -5.0
-# Labels that are an hour off, and days of another hemisphere, have dark hours with a lower sun.
-_HIGH_SUN_DEG = 25.0
+# Labels that are an hour off, and days of another hemisphere, have dark hours with a lower sun, but
+# light at noon. Chosen.
+_HIGH_SUN_DEG, _HIGH_NOON_DEG = 25.0, 10.0
 # Share of the hours with the sun up that may be dark: a year of PVGIS (45 N, 8 E) has 0.01. More
 # are another error. Chosen.
 _MAX_DARK_SHARE = 0.02
@@ -189,7 +190,9 @@ def _values(rows: list[WeatherRow], place: Site, repairs: list[str]) -> Floats:
         values[codes] = np.nan
     dark = (altitude > 0.0) & ~(values > 0.0).any(axis=0) & (values == 0.0).any(axis=0)
     hours = np.cumsum(~dark)  # one number for all dark hours in sequence
-    dark &= np.isin(hours, hours[dark & (altitude > _HIGH_SUN_DEG)])
+    is_noon = altitude >= np.maximum(np.roll(altitude, 1), np.roll(altitude, -1))
+    is_high = (altitude > _HIGH_SUN_DEG) | (is_noon & (altitude > _HIGH_NOON_DEG))
+    dark &= np.isin(hours, hours[dark & is_high])
     if 0 < dark.sum() <= _MAX_DARK_SHARE * (altitude > 0.0).sum():
         repairs.append(f"{int(dark.sum())} hours without any light by day count as missing")
         values[:, dark] = np.nan
