@@ -14,7 +14,7 @@ import sys
 import tarfile
 import tempfile
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
@@ -31,7 +31,7 @@ from fieldlum.calibrate.fit_charts import grey_picture
 from fieldlum.capture.notify import Message, _latest_contact_sheet, open_alerts
 from fieldlum.cli import main
 from fieldlum.core.errors import InputError
-from fieldlum.core.records import CameraSetup, Exposure, Room, SiteFile, slot_id
+from fieldlum.core.records import CameraSetup, Exposure, IrradianceSample, Room, SiteFile, slot_id
 from fieldlum.core.strict_csv import read_text
 from fieldlum.core.strict_toml import read_toml
 from fieldlum.devices.address_permission import permission_subject, require_permitted
@@ -55,11 +55,11 @@ from fieldlum.session import (
     update_session,
 )
 from fieldlum.session.codec import read_arrays, read_object, write_object
-from fieldlum.session.day_files import read_day
+from fieldlum.session.day_files import DayFiles, read_day
 from fieldlum.session.files.capture_json import CaptureFile, Frame, frame_fields, frame_from
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.session.folder import _checked_stems
-from fieldlum.session.journal import damaged_lines
+from fieldlum.session.journal import damaged_lines, mark_slot
 from fieldlum.session.permits import computer, config_folder, is_permitted, permit, subject
 from fieldlum.session.safe_paths import open_inside
 from fieldlum.sky.sky_view.view import SkyView
@@ -698,15 +698,37 @@ def test_hard_links_of_an_archive_lead_to_no_file(rig: Field) -> None:
     assert len(list(rig.session.raw.glob("*/*.dng"))) == 9
 
 
-def test_a_journal_with_another_name_is_not_written(rig: Field) -> None:
+def test_a_journal_with_another_name_is_copied_first(rig: Field) -> None:
+    good = rig.session.journal.read_bytes() if rig.session.journal.is_file() else b""
     victim = unpacked(rig.session.root.parent, rig.session, ["journal.jsonl"])[0]
     words = ["status", str(rig.session.root), "--mark", SLOT, "lamp=on"]
-    result = CliRunner().invoke(main, words)
-    assert result.exit_code == InputError.exit_code and result.stderr.count("\n") == 1
-    assert "journal.jsonl: a file that has another name too (hard link)" in result.stderr
-    with pytest.raises(OSError, match="hard link"):
-        rig.run()
-    assert victim.read_text() == "precious\n"
+    assert CliRunner().invoke(main, words).exit_code == 0
+    rig.run()
+    assert victim.read_text() == "precious\n" and not good
+    assert len(list(rig.session.raw.glob("*/*.dng"))) == 9
+
+
+def test_a_backup_of_hard_links_stops_no_capture(rig: Field) -> None:
+    """`cp -al` while a capture runs: it, a mark and a restart go on in the session's own files."""
+    day = rig.session.irradiance / f"{T0:%Y-%m-%d}.csv"
+    backup = rig.session.root.parent / "backup"
+    backup.mkdir()
+    with closing(Journal(rig.session)) as running, closing(DayFiles(rig.session)) as rows:
+        running.append("note", T0, text="before")
+        rows.append(IrradianceSample(T0, 1.0, 1.0, None, None, "", ""))
+        for path in (rig.session.journal, day):
+            os.link(path, backup / path.name)
+        mark_slot(rig.session, SLOT, "lamp=on")  # another process
+        with closing(DayFiles(rig.session)) as others:
+            others.append(IrradianceSample(T0 + timedelta(seconds=1), 2.0, 1.0, None, None, "", ""))
+        running.append("note", T0, text="after")
+        rows.append(IrradianceSample(T0 + timedelta(seconds=2), 3.0, 1.0, None, None, "", ""))
+    assert [e.get("text") for e in read_journal(rig.session)] == ["before", None, "after"]
+    assert [sample.ghi_wm2 for sample in read_day(day)[0]] == [1.0, 2.0, 3.0]
+    assert len(read_day(backup / day.name)[0]) == 1
+    rig.run()
+    assert len(list(rig.session.raw.glob("*/*.dng"))) == 9
+    assert (backup / "journal.jsonl").read_bytes().count(b"\n") == 1
 
 
 def test_what_is_packed_comes_from_the_session(

@@ -250,6 +250,24 @@ def cut_torn_tail(path: Path, is_valid: Callable[[bytes], bool]) -> int:
     return len(rest)
 
 
+def separate(path: Path) -> None:
+    """Give a file that has other names too, such as in a backup of hard links, a copy of its own.
+
+    The other names keep the earlier file. Raises OSError.
+    """
+    if path.is_file() and not path.is_symlink() and path.stat().st_nlink > 1:
+        write_file(path, read_bytes(path))
+
+
+def is_replaced(handle: int, path: Path) -> bool:
+    """Return whether another regular file has the name by which a handle was opened."""
+    try:
+        now = path.stat(follow_symlinks=False)
+    except OSError:
+        return False
+    return stat.S_ISREG(now.st_mode) and not os.path.samestat(os.fstat(handle), now)
+
+
 def append_complete(handle: int, data: bytes, *, flush: bool) -> None:
     """Append all of `data` to a file opened with O_APPEND; with `flush`, wait for the disk.
 

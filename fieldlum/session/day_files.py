@@ -9,7 +9,14 @@ from datetime import UTC
 from pathlib import Path
 
 from fieldlum.core.errors import InputError
-from fieldlum.core.files import append_complete, cut_torn_tail, open_to_read, sync_folder
+from fieldlum.core.files import (
+    append_complete,
+    cut_torn_tail,
+    is_replaced,
+    open_to_read,
+    separate,
+    sync_folder,
+)
 from fieldlum.core.records import IrradianceSample, parse_utc, utc_text
 from fieldlum.session.folder import Session
 from fieldlum.session.safe_paths import open_inside, refuse_link
@@ -67,7 +74,7 @@ class DayFiles:
     def append(self, sample: IrradianceSample) -> None:
         """Append a row. Raises OSError on a full disk, after removing a partly written row."""
         day = sample.t_utc.astimezone(UTC).strftime("%Y-%m-%d")
-        if day != self._day:
+        if day != self._day or is_replaced(self._handle, self._folder / f"{day}.csv"):
             self._open(day)
         append_complete(self._handle, encode_sample(sample), flush=self._flush)
 
@@ -75,6 +82,7 @@ class DayFiles:
         self.close()
         path = self._folder / f"{day}.csv"
         spoilt = False
+        separate(path)
         try:
             self.cut_bytes += cut_torn_tail(
                 path, lambda line: line == _DAY_HEADER or decode_sample(line) is not None

@@ -6,7 +6,7 @@ Several processes may append: a capture runs while `fieldlum status --mark` mark
 import os
 import threading
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, suppress
 from datetime import UTC, datetime
 from typing import Any, Required, TypedDict
 
@@ -65,14 +65,18 @@ class Journal:
         flush: with False, lines survive a killed process but not a power cut; used for simulated
         time.
         """
-        self._path, self._flush = session.journal, flush
+        self._root, self._path, self._flush = session.root, session.journal, flush
         self._lock = threading.Lock()
-        self._handle = open_inside(session.root, self._path, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
         self._lock_path = self._path.with_name(".journal.lock")
         with files.exclusive(self._lock_path):  # another process may be writing a line
+            self._handle = self._open()
             self.cut_bytes = files.cut_torn_tail(
                 self._path, lambda line: files.decode_line(line) is not None
             )
+
+    def _open(self) -> int:
+        files.separate(self._path)
+        return open_inside(self._root, self._path, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
 
     def append(self, event: str, t_utc: datetime, **fields: Any) -> None:
         """Append an event; with `flush` it is on the disk when this returns.
@@ -81,6 +85,10 @@ class Journal:
         """
         data = files.encode_line({"event": event, "t_utc": utc_text(t_utc), **fields})
         with self._lock, files.exclusive(self._lock_path):
+            if files.is_replaced(self._handle, self._path):  # by a process that separated it
+                with suppress(OSError):
+                    earlier, self._handle = self._handle, self._open()
+                    os.close(earlier)
             files.append_complete(self._handle, data, flush=self._flush)
 
     def close(self) -> None:
