@@ -541,11 +541,12 @@ def _of_evalglare(session: Session, path: Path, azimuths_deg: Sequence[float]) -
         found = f"no result below the name of a capture of {session.root} that saw the view"
         remedy = "for f in *.hdr; do echo $f; evalglare -d $f; done"
         raise InputError(path, found, "20270320T193000Z-180.hdr, then its result", remedy)
-    return [
-        _Shared(azimuth, figure, hours.astype(int), measured, _values(path, figure, modelled))
-        for (azimuth, figure), values in rows.items()
-        for hours, measured, modelled in [np.array(values, float).T]
-    ]
+    shared = []
+    for (azimuth, figure), values in rows.items():
+        hours, measured, modelled = np.array(values, float).T
+        modelled = _values(path, figure, modelled)
+        shared.append(_Shared(azimuth, figure, hours.astype(int), measured, modelled))
+    return shared
 
 
 def _of_hours(shared: Sequence[_Shared], note: Sequence[str], out: Path) -> Comparison:

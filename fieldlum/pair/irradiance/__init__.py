@@ -111,7 +111,7 @@ def series_of(samples: Sequence[IrradianceSample]) -> Series:
     same = (light == light[:, first]) | (np.isnan(light) & np.isnan(light[:, first]))
     marks[first[~same.all(axis=0)]] |= Mark.DOUBLE
     ghi, dhi, dni = light[:, keep]
-    return Series(t[keep], ghi, dhi, dni, marks[keep])
+    return Series(t[keep], ghi_wm2=ghi, dhi_wm2=dhi, dni_wm2=dni, marks=marks[keep])
 
 
 # ----------------------------------------------------------------------------------------------
@@ -162,7 +162,7 @@ def check(series: Series, altitude: Floats, top: Floats) -> Series:
     dhi = np.where(unknown, sun.dhi_by_closure(ghi, dni, altitude), dhi)
     beam = sun.horizontal_beam(dni, altitude)
     ghi = np.where(np.isfinite(dhi) & np.isfinite(dni) & np.isnan(ghi), dhi + beam, ghi)
-    return Series(series.t_unix_s, ghi, dhi, dni, marks)
+    return Series(series.t_unix_s, ghi_wm2=ghi, dhi_wm2=dhi, dni_wm2=dni, marks=marks)
 
 
 def _is_faint(t_unix_s: Floats, beam: Floats) -> Mask:
