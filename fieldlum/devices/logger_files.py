@@ -230,7 +230,7 @@ def _netcdf(path: Path) -> _Table:
             stored = opened.load()
         since = [str(k) for k in stored.coords if " since " in str(stored[k].attrs.get("units"))]
         if len(since) != 1:
-            raise ValueError("no variable of times, or several, in units such as 'days since'")
+            raise ValueError("not one variable of times in units such as 'days since 2019-07-05'")
         of_time = stored[since[0]]
         calendar = str(of_time.attrs.get("calendar", "standard"))
         if calendar not in ("standard", "gregorian", "proleptic_gregorian"):

@@ -471,8 +471,8 @@ def held_out_warnings(fitted: Fitted, data: Dataset) -> list[str]:
             f"WARNING: the held-out error of {listed(exceptions.tolist())} is over 4 times that of "
             "the median day: compare its light (irradiance/days.png) and pictures with other days. "
             "A blind, a lamp: mark it (fieldlum status SESSION --mark SLOT blind=half); wrong "
-            "irradiance: set ok = 0 in pairs.csv; then train again. Only light that no other day "
-            "has: nothing is wrong, and a capture of another such day makes that light certain"
+            "irradiance: set ok = 0 in pairs.csv; then train again. If no other day has such "
+            "light, nothing need be wrong: capture another day like it"
         )
     if is_untrusted(fitted, data):
         rms = 10.0 ** trimmed_mean(errors, weight) ** 0.5
