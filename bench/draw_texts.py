@@ -24,7 +24,6 @@ VERDICT_MODULES = (
     "merge/stage",
     "learn/train/",
     "room/fit/stage",
-    "room/fit/stated_box",
     "room/fit/fit",
     "year/glare/",
     "year/predict/year",

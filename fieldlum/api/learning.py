@@ -166,14 +166,14 @@ def load_pairs(
     (108, 230, 460)
     """
     from fieldlum.learn.models import training_data
-    from fieldlum.room.fit.stated_box import training_captures
+    from fieldlum.room.fit.apply_scene import apply_scene
     from fieldlum.session import Session
 
     source = pairs.root if isinstance(pairs, Session) else path_of(pairs, "pairs")
     stated = None if site is None else path_of(site, "site")
     with shown_by(progress):
         captures = training_data.with_sky_view(training_data.load_pairs(source, stated))
-        return training_captures(captures, source, scene, "absolute")[0]
+        return apply_scene(captures, source, scene, "absolute")[0]
 
 
 def fit(

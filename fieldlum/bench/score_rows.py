@@ -20,7 +20,6 @@ from fieldlum.learn.models.training_data import Dataset, load_pairs, with_sky_vi
 from fieldlum.learn.train import Spent, Trial, day_folds, evaluate_folds, fit_timed, patch_mode
 from fieldlum.optics.projection import equirect_rays
 from fieldlum.room.fit.apply_scene import apply_scene
-from fieldlum.room.fit.stated_box import training_captures, with_same_box
 from fieldlum.room.scene.geometry import build
 from fieldlum.room.scene.radiance import octree, rad_text, sun_text, trace
 
@@ -99,19 +98,17 @@ def load(
 
     pairs, test: sessions or csv files with the hours to train on and to test on; site: SITE.toml,
     None for that of the pairs. models: names, or folders of trained models. scene: "", "none" or
-    the folder of a scene. sky_view: a sky_view.exr, None for that of the pairs. Without a scene,
-    pairs with few clear hours choose between the stated box and no patch (`training_captures`),
-    also for `test`. Test hours that a model was trained on are omitted. Raises InputError for files
-    that cannot be used, NotEnoughDataError if no test hour is left.
+    the folder of a scene. sky_view: a sky_view.exr, None for that of the pairs. Test hours that a
+    model was trained on are omitted. Raises InputError for files that cannot be used,
+    NotEnoughDataError if no test hour is left.
     """
     specs = parse_specs(models)
     data = with_sky_view(load_pairs(pairs, site), sky_view)
-    data, _ = training_captures(data, pairs, scene, "absolute")
+    data, _ = apply_scene(data, pairs, scene, "absolute")
     if test is None:
         return BenchData(data, None, specs)
     others = load_pairs(test, site)
     others, _ = apply_scene(others, pairs, scene, "absolute")
-    others = with_same_box(others, data)
     folders = (spec.folder for spec in specs if spec.folder is not None)
     fresh = without_training_hours(replace(others, sky_view=data.sky_view), data, *folders)
     return BenchData(data, fresh, specs)

@@ -62,13 +62,13 @@ def command(
     """
     from fieldlum.learn.models.training_data import load_pairs, with_sky_view
     from fieldlum.learn.train import run
-    from fieldlum.room.fit.stated_box import training_captures
+    from fieldlum.room.fit.apply_scene import apply_scene
 
     folder = out or (pairs if pairs.is_dir() else pairs.parent) / "models" / model
     used: Any  # "absolute", "gain" or "none", as the captures allow
     with progress("reading pictures"):
         data = with_sky_view(load_pairs(pairs, site), sky_view)
-        data, used = training_captures(data, pairs, scene, patch)
+        data, used = apply_scene(data, pairs, scene, patch)
     with progress("training"):
         answer = run(data, model, budget_min=budget, patch=used, seed=seed, out=folder, force=force)
     print_answer(as_json, answer, _lines(answer))

@@ -246,7 +246,7 @@ def scene_evidence(
         raise NotEnoughDataError(
             f"{len(rows)} captures have direct sun of at least {SUNSHINE_WM2:.0f} W/m² on a "
             f"window, but at least {min_hours} are needed: capture clear hours; until then train "
-            f"uses the stated [room] or no sun patch, and states why"
+            "uses the stated [room]"
         )
     chosen, weights = _draw_pixels(data, guess, rows, pixels)
     sub = max(1, round(RAY_ROWS / data.shape[0]))
