@@ -13,6 +13,7 @@ import subprocess
 import sys
 import tarfile
 import tempfile
+import zlib
 from collections.abc import Callable
 from contextlib import closing, suppress
 from dataclasses import replace
@@ -31,8 +32,9 @@ from fieldlum.calibrate.fit_charts import grey_picture
 from fieldlum.capture.notify import Message, _latest_contact_sheet, open_alerts
 from fieldlum.cli import main
 from fieldlum.core.errors import InputError
+from fieldlum.core.files import encode_line
 from fieldlum.core.records import CameraSetup, Exposure, IrradianceSample, Room, SiteFile, slot_id
-from fieldlum.core.strict_csv import read_text
+from fieldlum.core.strict_csv import read_text, read_time
 from fieldlum.core.strict_toml import read_toml
 from fieldlum.devices.address_permission import permission_subject, require_permitted
 from fieldlum.devices.logger_files import read_logger_file
@@ -55,13 +57,14 @@ from fieldlum.session import (
     update_session,
 )
 from fieldlum.session.codec import read_arrays, read_object, write_object
-from fieldlum.session.day_files import DayFiles, read_day
+from fieldlum.session.day_files import DayFiles, decode_sample, read_day
 from fieldlum.session.files.capture_json import CaptureFile, Frame, frame_fields, frame_from
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
+from fieldlum.session.files.sidecar import Sidecar
 from fieldlum.session.folder import _checked_stems
-from fieldlum.session.journal import damaged_lines, mark_slot
+from fieldlum.session.journal import damaged_lines, decode_event, mark_slot
 from fieldlum.session.permits import computer, config_folder, is_permitted, permit, subject
-from fieldlum.session.safe_paths import open_inside
+from fieldlum.session.safe_paths import link_subject, open_inside
 from fieldlum.sky.sky_view.view import SkyView
 from fieldlum.web.snapshot import LineTail
 
@@ -363,6 +366,39 @@ def test_no_reader_waits_for_a_pipe_or_reads_a_huge_file(
             assert why in str(error)
         else:
             assert not answer
+
+
+@pytest.mark.parametrize("read", READERS)
+@pytest.mark.parametrize("link", ["raw", f"raw/{slot_id(T0)}", "panoramas/day", "models/a.exr"])
+def test_no_reader_follows_a_link_that_was_made_after_the_check(
+    tmp_path: Path, link: str, read: Callable[[Path], object]
+) -> None:
+    """Also when it leads to another session; a link that the user permits is followed."""
+    session = open_session(make_session(tmp_path / "s").root)
+    name = "s/raw/plan.csv" if link == "raw" else "plan.csv"
+    outside = make_session(tmp_path / "outside" / "s" / "raw").root
+    target = outside.parents[1] if link == "raw" else outside
+    place = session.root / link
+    place.parent.mkdir(exist_ok=True)
+    place.symlink_to(outside / name if place.suffix else target)
+    path = place if place.suffix else place / name
+    try:
+        answer = read(path)
+    except (InputError, OSError) as error:
+        assert "a symbolic link" in str(error)
+    else:
+        assert not answer
+    permit(link_subject(place, place.resolve()))
+    assert read_text(path, "") == (outside / "plan.csv").read_text()
+
+
+def test_no_result_is_written_behind_a_link_that_was_made_after_the_check(tmp_path: Path) -> None:
+    session = open_session(make_session(tmp_path / "s").root)
+    (tmp_path / "outside").mkdir()
+    session.panoramas.symlink_to(tmp_path / "outside")
+    with pytest.raises(OSError, match="a symbolic link"):
+        write_object(session.sidecar(SLOT), {})
+    assert not list((tmp_path / "outside").iterdir())
 
 
 @pytest.mark.slow
@@ -874,6 +910,27 @@ def test_a_duration_that_no_clock_can_add_is_no_frame(seconds: float) -> None:
         frame_from({**fields, "seconds": seconds})
 
 
+@pytest.mark.parametrize("year", ["0001", "1899", "2200", "9999"])
+def test_a_year_without_an_ephemeris_is_refused(tmp_path: Path, year: str) -> None:
+    t_utc = f"{year}-06-01T12:00:00Z"
+    fields = frame_fields(Frame(0, "00.dng", Exposure(1.0, 5.6), None, T0))
+    row = f"{t_utc},1,1,,,,".encode()
+    assert decode_sample(row + b",%08x\n" % zlib.crc32(row)) is None
+    assert decode_event(encode_line({"event": "note", "t_utc": t_utc})) is None
+    frames = {"frames": [fields], "t_open_utc": t_utc, "t_close_utc": t_utc}
+    measured = {"altitude_deg": 1.0, "azimuth_deg": 1.0, "sigma_deg": 1.0, "t_utc": t_utc}
+    reads: tuple[Callable[[], object], ...] = (
+        lambda: read_time(t_utc),
+        lambda: frame_from({**fields, "t_utc": t_utc}),
+        lambda: CaptureFile.from_table(frames, tmp_path / SLOT / "capture.json"),
+        lambda: Sidecar.from_table({"t_utc": t_utc}, tmp_path / "a.json"),
+        lambda: Sidecar.from_table({"sun": {"measured": measured}}, tmp_path / "a.json"),
+    )
+    for read in reads:
+        with pytest.raises((InputError, ValueError), match=f"time '?{int(year):d}|time '{year}"):
+            read()
+
+
 def test_a_journal_cannot_move_a_file_into_the_session(rig: Field, tmp_path: Path) -> None:
     thesis = rig.session.root.parent / "thesis.txt"
     thesis.write_text("precious")
@@ -945,6 +1002,8 @@ def test_pairs_may_name_pictures_anywhere_outside_a_session(tmp_path: Path) -> N
         "[plan]\nrevision = '../../x'",
         "[plan]\nolder_sha256 = [1]",
         "[plan]\nseconds_per_slot = 1e308",
+        "[plan]\nrevision = 1180591620717411303424",
+        "[[logger_files]]\nfile = 'x'\nutc_offset_s = 1e308",
         "[capture]\ngrace_s = 'long'",
         "[capture]\ngrace_s = nan",
         "devices = []",

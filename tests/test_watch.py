@@ -33,10 +33,17 @@ from fieldlum.core.files import encode_line
 from fieldlum.core.records import IrradianceSample, Panorama, SiteFile, Slot, utc_text
 from fieldlum.devices.clock import FastClock
 from fieldlum.optics.images import write_panorama
-from fieldlum.session import DayFiles, Journal, Session, create_session, read_journal
+from fieldlum.session import (
+    DayFiles,
+    Journal,
+    Session,
+    create_session,
+    read_journal,
+    update_session,
+)
 from fieldlum.session.files.sidecar import Sidecar
 from fieldlum.web.prediction_so_far import Moment, Worker, answer_table
-from fieldlum.web.server import Guard, prepare, qr_lines
+from fieldlum.web.server import Guard, _table, prepare, qr_lines
 from fieldlum.web.snapshot import DayBins, JournalFollower, Snapshots
 
 HOSTILE = '<img src=x onerror="document.body.dataset.hacked=1">'
@@ -341,6 +348,26 @@ def test_the_tables_hold_plan_verdicts_and_flags(session: Session) -> None:
     assert curve["flagged_bins"] == 1 and curve["impossible_bins"] == 1
     assert max(value for value in curve["dhi"] if value is not None) == 100.0
     json.dumps(state)
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize("offset", ["abc", float("nan"), 1e300])
+def test_what_a_camera_says_about_itself_does_not_stop_the_page(
+    tmp_path: Path, offset: str | float
+) -> None:
+    session = make_session(tmp_path / "s")
+    update_session(session, {"devices": {"camera": {"clock_offset_s": offset}}})
+    state = Snapshots(session).state()
+    assert json.dumps(state, allow_nan=False)
+
+
+@pytest.mark.contract
+def test_an_answer_that_no_page_can_show_is_said(tmp_path: Path) -> None:
+    session = make_session(tmp_path / "s")
+    (session.root / "watch").mkdir()
+    answer = '{"t_utc": "2027-03-20T06:00:00Z", "captures": NaN}'
+    (session.root / "watch" / "answer.json").write_text(answer)
+    assert _table(lambda: answer_table(session, None)).status_code == 503
 
 
 @pytest.mark.contract

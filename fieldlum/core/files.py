@@ -11,7 +11,6 @@ import uuid
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from functools import partial
 from io import BufferedReader
 from pathlib import Path
 from typing import IO, Any
@@ -43,7 +42,7 @@ def open_file(
     no_file = OSError(errno.ENXIO, "a pipe, socket or device, which is no file", str(path))
     try:
         flags |= sum(getattr(os, name, 0) for name in names)
-        handle = os.open(path, flags, 0o644, dir_fd=folder)
+        handle = os.open(path, flags, 0o666, dir_fd=folder)
     except OSError as error:
         raise no_file if error.errno == errno.ENXIO else error from None
     about = os.fstat(handle)
@@ -59,18 +58,22 @@ def open_file(
     raise no_file
 
 
-def open_to_read(
-    path: Path,
-    maximum_bytes: int = MAX_FILE_BYTES,
-    opener: Callable[[str, int], int] | None = None,
-) -> BufferedReader:
+def open_anywhere(path: Path, flags: int) -> int:
+    """Open a file as `open_file` does, and follow links."""
+    return open_file(path, flags, follow_links=True)
+
+
+opener = open_anywhere
+"""Opens each file that is read or replaced; fieldlum.session sets one that refuses links in it."""
+
+
+def open_to_read(path: Path, maximum_bytes: int = MAX_FILE_BYTES) -> BufferedReader:
     """Open a file for reading, and never wait for another program.
 
-    opener: as of `open`, None to follow links. Raises OSError for a missing file, a pipe or device,
-    and a file over `maximum_bytes`.
+    Raises OSError for a missing file, a pipe or device, a file over `maximum_bytes`, and a link in
+    a session that the user did not permit.
     """
-    follow = partial(open_file, follow_links=True)
-    file = open(path, "rb", opener=opener or follow)  # noqa: SIM115
+    file = open(path, "rb", opener=lambda _, flags: opener(path, flags))  # noqa: SIM115
     size = os.fstat(file.fileno()).st_size
     if size > maximum_bytes:
         file.close()
@@ -140,6 +143,7 @@ def replacing_path(path: Path) -> Iterator[Path]:
         path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{_RUN}.tmp.{path.name}")
     temporary.unlink(missing_ok=True)  # a link of this name would lead the writer elsewhere
+    os.close(opener(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL))
     try:
         yield temporary
         with temporary.open("rb+") as file:

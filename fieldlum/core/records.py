@@ -36,12 +36,25 @@ def utc_text(t_utc: datetime) -> str:
 def parse_time(text: str) -> datetime:
     """Return the time of an ISO text, naive if it has no offset.
 
-    Raises ValueError for another text, and for 06.30, which Python reads as 06:00:00.3.
+    Raises ValueError for another text, a year that `require_known_year` refuses, and for 06.30,
+    which Python reads as 06:00:00.3.
     """
     before, point, _ = text.replace(",", ".").partition(".")
     if point and not re.search(r"\d\d(:?)\d\d\1\d\d$", before):
         raise ValueError(f"time {text!r} has a point after hours or minutes")
-    return datetime.fromisoformat(text)
+    t = datetime.fromisoformat(text)
+    require_known_year(t)
+    return t
+
+
+def require_known_year(*times: datetime | None) -> None:
+    """Raise ValueError for a time outside the years 1900 to 2199.
+
+    The ephemeris has no other years, and pandas counts nanoseconds from 1677 to 2262.
+    """
+    for t in times:
+        if t is not None and not 1900 <= t.year < 2200:
+            raise ValueError(f"time {t:%Y-%m-%d}, expected 1900 to 2199")
 
 
 def parse_utc(text: str) -> datetime:

@@ -15,7 +15,15 @@ from numpy.typing import NDArray
 from fieldlum.core import scheduler as work
 from fieldlum.core.errors import FieldlumError, InputError, NotEnoughDataError
 from fieldlum.core.false_colour import RANGE_CDM2, UNSEEN_RGB, coloured, png_of
-from fieldlum.core.records import CLIPPED_SUN, JsonTable, Site, SunSource, counted, utc_text
+from fieldlum.core.records import (
+    CLIPPED_SUN,
+    JsonTable,
+    Site,
+    SunSource,
+    counted,
+    parse_utc,
+    utc_text,
+)
 from fieldlum.merge.bracket import MergeOptions, MergeResult, merge_shots
 from fieldlum.merge.shots import Shot, middle_of, shots_of_slot, verified
 from fieldlum.merge.sun_and_sky import disc_px, expected_sun_deg, mosaic_u_rel
@@ -132,7 +140,7 @@ def merge_slot(root: Path, job: _MergeJob) -> Verdict:
         shots = shots if untouched else verified(shots)
         capture = CaptureFile.find(session.capture_file(job.slot))
         t_of_frames = capture.t_mid_utc if capture is not None else middle_of(shots)
-        t_utc = t_of_frames or datetime.fromisoformat(job.slot)  # else the planned time
+        t_utc = t_of_frames or parse_utc(job.slot)  # else the planned time
         complete = capture is None or capture.complete
         recipe = _recipe(job, shots, t_utc, complete)
         before = None if job.force else _merged_before(session, job.slot, recipe)

@@ -21,7 +21,7 @@ import tomli_w
 
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.false_colour import png_of
-from fieldlum.core.files import open_to_read, read_bytes
+from fieldlum.core.files import read_bytes
 from fieldlum.core.progress import progress
 from fieldlum.core.records import Flag, Room, counted, listed
 from fieldlum.core.strict_toml import read_toml
@@ -37,7 +37,6 @@ from fieldlum.session import Session, replacing_path, write_file
 from fieldlum.session.codec import write_csv, write_object
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.panorama_sun import read_panorama_with_sun
-from fieldlum.session.safe_paths import open_inside
 from fieldlum.sky.sky_view.view import SkyView
 from fieldlum.version import __version__
 from fieldlum.year.glare.picture_glare import valid_pixels
@@ -154,7 +153,9 @@ def _pairs(session: Session, out: Path) -> list[Path]:
 
 def _netcdf(data: xr.Dataset, path: Path) -> Path:
     with replacing_path(path) as temporary:
-        data.to_netcdf(temporary, engine="scipy", format="NETCDF3_64BIT")
+        # xarray's integers have 32 bits there: 68 years of seconds
+        wide = {"time": {"dtype": "float64"}}
+        data.to_netcdf(temporary, engine="scipy", format="NETCDF3_64BIT", encoding=wide)
     return path
 
 
@@ -223,9 +224,6 @@ def pack(session: Session, out: Path, statement: Statement) -> list[str]:
     top, digests = session.root.resolve().name, []  # of ".", too
     with replacing_path(out) as draft, zipfile.ZipFile(draft, "w", zipfile.ZIP_STORED) as archive:
 
-        def open_own(name: str, flags: int) -> int:
-            return open_inside(session.root, Path(name), flags)
-
         def add(name: str, data: bytes) -> None:
             digests.append((name, hashlib.sha256(data).hexdigest()))
             archive.writestr(f"{top}/{name}", data)
@@ -234,9 +232,7 @@ def pack(session: Session, out: Path, statement: Statement) -> list[str]:
             add(name, text.encode())
         for number, path in enumerate(files):
             progress(number, len(files), "files")
-            # a link that another program makes meanwhile would publish a file of this computer
-            with open_to_read(path, opener=open_own) as file:
-                add(path.relative_to(session.root).as_posix(), file.read())
+            add(path.relative_to(session.root).as_posix(), read_bytes(path))
         manifest = "".join(f"{digest}  {name}\n" for name, digest in sorted(digests))
         archive.writestr(f"{top}/MANIFEST.sha256", manifest)
     return notes

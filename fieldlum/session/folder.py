@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import date, timedelta
+from functools import cache
 from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any, Literal, Required, TypedDict, cast
@@ -15,6 +16,7 @@ from typing import Annotated, Any, Literal, Required, TypedDict, cast
 from filelock import FileLock, Timeout
 from msgspec import Meta
 
+from fieldlum.core import files
 from fieldlum.core.errors import ChangedFileWarning, InputError, input_errors
 from fieldlum.core.files import read_bytes, sha256, write_file
 from fieldlum.core.records import SiteFile, Slot
@@ -48,7 +50,7 @@ class PlanTable(TypedDict, total=False):
     year: int
     count: int
     seed: int
-    revision: int
+    revision: Annotated[int, Meta(ge=0, le=1_000_000)]
     slots: int
     first: date
     last: date
@@ -77,7 +79,7 @@ class LoggerFileTable(TypedDict, total=False):
     """
 
     file: Required[str]
-    utc_offset_s: float
+    utc_offset_s: Annotated[float, Meta(ge=-86400.0, le=86400.0)]
     columns: dict[str, str]
     sensitivities: dict[str, float]
 
@@ -245,6 +247,7 @@ class Session:
 _MORE_STEMS = ("scene", "watch", "export", "compare", "room", "demo")
 
 
+@cache
 def _checked_stems() -> set[str]:
     """Return the entries of a session's folder in which a link is refused: pairs, session.
 
@@ -252,6 +255,19 @@ def _checked_stems() -> set[str]:
     """
     places = (place for place in vars(Session).values() if isinstance(place, _Place | _SlotPlace))
     return {place.top.partition(".")[0] for place in places} | set(_MORE_STEMS)
+
+
+def _open(path: Path, flags: int) -> int:
+    """Open a file anywhere, but in the checked entries of a session not through a link."""
+    place = Path(os.path.abspath(path))  # noqa: PTH100  (links remain)
+    # The outermost session: a link in it may lead to a folder with another session.toml.
+    for root, top in zip(reversed(place.parents), place.parts[1:], strict=True):
+        if top.partition(".")[0] in _checked_stems() and (root / "session.toml").exists():
+            return open_inside(root, place, flags)
+    return files.open_anywhere(path, flags)
+
+
+files.opener = _open
 
 
 def open_session(root: Path) -> Session:

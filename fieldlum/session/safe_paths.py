@@ -8,6 +8,7 @@ import errno
 import os
 import shlex
 from collections.abc import Container
+from itertools import accumulate
 from pathlib import Path, PurePosixPath
 
 from fieldlum.core.errors import InputError
@@ -106,23 +107,26 @@ def open_inside(root: Path, path: Path, flags: int) -> int:
     link that the user permitted leads to its target. root: of the session; flags: of os.open.
     Returns the handle. Raises OSError for a link.
     """
-    *folders, name = path.relative_to(root).parts
-    if (link := link_on_the_way(root, path.parent)) is not None:
-        raise OSError(errno.ELOOP, "a symbolic link in place of a folder", str(link))
+    if (link := link_on_the_way(root, path)) is not None:
+        raise OSError(errno.ELOOP, "a symbolic link, which is not followed", str(link))
     if os.open not in os.supports_dir_fd:  # Windows
         return open_file(path, flags)
-    place, handle = root, os.open(root, os.O_RDONLY | os.O_DIRECTORY)
+    *folders, place = (root / part for part in accumulate(path.relative_to(root).parts, Path))
+    handle = os.open(root, os.O_RDONLY | os.O_DIRECTORY)
     try:
         for folder in folders:
-            place = place / folder
-            target = place.resolve()
-            if not (place.is_symlink() and is_permitted(link_subject(place, target))):
-                target = Path(folder)
             how = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW
-            outer, handle = handle, os.open(target, how, dir_fd=handle)
+            outer, handle = handle, os.open(_step(folder), how, dir_fd=handle)
             os.close(outer)
-        return open_file(name, flags, folder=handle)
+        return open_file(_step(place), flags, folder=handle)
     except OSError as error:
         raise OSError(error.errno, error.strerror, str(path)) from None
     finally:
         os.close(handle)
+
+
+def _step(place: Path) -> Path:
+    """Return how to open a place from its folder: by name; a permitted link by its target."""
+    if place.is_symlink() and is_permitted(link_subject(place, target := place.resolve())):
+        return target
+    return Path(place.name)

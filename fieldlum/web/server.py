@@ -228,7 +228,7 @@ def _table(make: Callable[[], Mapping[str, object]]) -> Response:
     """Return the table of `make` as JSON; status 503 if the session cannot be read now."""
     try:
         return JSONResponse(make())
-    except (InputError, OSError) as error:
+    except (InputError, OSError, ValueError) as error:  # a number that JSON does not have
         return JSONResponse({"error": str(error)}, 503)
 
 

@@ -526,10 +526,11 @@ class Snapshots:
         table = self._session.table().get("devices", {})
         camera = table.get("camera", {})
         offset_s = camera.get("clock_offset_s")
+        is_known = isinstance(offset_s, int | float) and abs(offset_s) < 1e9  # of a file
         return {
             "camera": " ".join(str(camera.get(k, "")) for k in ("make", "model")).strip(),
             "camera_battery": str(camera.get("battery", "")),
-            "camera_clock_offset_s": None if offset_s is None else float(offset_s),
+            "camera_clock_offset_s": offset_s if is_known else None,
             "away": {name: utc_text(t) for name, t in journal.away.items()},
         }
 

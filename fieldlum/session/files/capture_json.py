@@ -8,7 +8,7 @@ from typing import Any
 
 from msgspec import field
 
-from fieldlum.core.records import Exposure, JsonTable
+from fieldlum.core.records import Exposure, JsonTable, require_known_year
 from fieldlum.session.codec import JsonFile, Seconds, Utc, convert, to_json
 from fieldlum.session.safe_paths import is_plain
 
@@ -32,6 +32,10 @@ class Frame:
     sha256: str = ""
     doubt: str = ""
     instead_of: str = ""
+
+    def __post_init__(self) -> None:
+        """Raise ValueError for a time outside the years of the ephemeris."""
+        require_known_year(self.t_utc)
 
 
 def frame_fields(frame: Frame) -> JsonTable:
@@ -73,6 +77,10 @@ class CaptureFile(JsonFile, frozen=True):
     heading_deg: float | None = None
     camera: dict[str, Any] = field(default_factory=dict)
     illuminance_lx: float | None = None
+
+    def __post_init__(self) -> None:
+        """Raise ValueError for a time outside the years of the ephemeris."""
+        require_known_year(self.t_open_utc, self.t_close_utc)
 
     @property
     def t_mid_utc(self) -> datetime:

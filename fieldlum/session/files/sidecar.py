@@ -14,7 +14,7 @@ from msgspec import Meta, Struct, field
 
 from fieldlum.core.errors import ChangedFileWarning, InputError
 from fieldlum.core.files import sha256
-from fieldlum.core.records import Exposure, JsonTable
+from fieldlum.core.records import Exposure, JsonTable, require_known_year
 from fieldlum.optics.photometry import ShutterLaw
 from fieldlum.session.codec import JsonFile, Utc, convert, read_object, to_json
 from fieldlum.session.folder import Session
@@ -201,6 +201,12 @@ class Sidecar(JsonFile, frozen=True):
     inputs: JsonTable = field(default_factory=dict)
     sha256: str = ""
     software: Mapping[str, Any] = {}
+
+    def __post_init__(self) -> None:
+        """Raise ValueError for a time outside the years of the ephemeris."""
+        measured = self.sun.measured if self.sun is not None else None
+        frames = (frame.t_utc for frame in self.report.frames)
+        require_known_year(self.t_utc, measured.t_utc if measured else None, *frames)
 
     def fits(self, panorama: Path) -> bool:
         """Return whether a panorama has the recorded content, or none is recorded."""
