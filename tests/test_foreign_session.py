@@ -33,8 +33,16 @@ from fieldlum.capture.notify import Message, _latest_contact_sheet, open_alerts
 from fieldlum.cli import main
 from fieldlum.core.errors import InputError
 from fieldlum.core.files import encode_line
-from fieldlum.core.records import CameraSetup, Exposure, IrradianceSample, Room, SiteFile, slot_id
-from fieldlum.core.strict_csv import read_text, read_time
+from fieldlum.core.records import (
+    CameraSetup,
+    Exposure,
+    IrradianceSample,
+    Room,
+    SiteFile,
+    parse_utc,
+    slot_id,
+)
+from fieldlum.core.strict_csv import read_text
 from fieldlum.core.strict_toml import read_toml
 from fieldlum.devices.address_permission import permission_subject, require_permitted
 from fieldlum.devices.logger_files import read_logger_file
@@ -918,9 +926,12 @@ def test_a_year_without_an_ephemeris_is_refused(tmp_path: Path, year: str) -> No
     assert decode_sample(row + b",%08x\n" % zlib.crc32(row)) is None
     assert decode_event(encode_line({"event": "note", "t_utc": t_utc})) is None
     frames = {"frames": [fields], "t_open_utc": t_utc, "t_close_utc": t_utc}
+    log = tmp_path / "log.csv"
+    log.write_text(f"t_utc,ghi_wm2\n{t_utc},1\n")
     measured = {"altitude_deg": 1.0, "azimuth_deg": 1.0, "sigma_deg": 1.0, "t_utc": t_utc}
     reads: tuple[Callable[[], object], ...] = (
-        lambda: read_time(t_utc),
+        lambda: parse_utc(t_utc),
+        lambda: read_logger_file(log),
         lambda: frame_from({**fields, "t_utc": t_utc}),
         lambda: CaptureFile.from_table(frames, tmp_path / SLOT / "capture.json"),
         lambda: Sidecar.from_table({"t_utc": t_utc}, tmp_path / "a.json"),

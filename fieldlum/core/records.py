@@ -36,15 +36,12 @@ def utc_text(t_utc: datetime) -> str:
 def parse_time(text: str) -> datetime:
     """Return the time of an ISO text, naive if it has no offset.
 
-    Raises ValueError for another text, a year that `require_known_year` refuses, and for 06.30,
-    which Python reads as 06:00:00.3.
+    Raises ValueError for another text, and for 06.30, which Python reads as 06:00:00.3.
     """
     before, point, _ = text.replace(",", ".").partition(".")
     if point and not re.search(r"\d\d(:?)\d\d\1\d\d$", before):
         raise ValueError(f"time {text!r} has a point after hours or minutes")
-    t = datetime.fromisoformat(text)
-    require_known_year(t)
-    return t
+    return datetime.fromisoformat(text)
 
 
 def require_known_year(*times: datetime | None) -> None:
@@ -60,13 +57,15 @@ def require_known_year(*times: datetime | None) -> None:
 def parse_utc(text: str) -> datetime:
     """Return the UTC time of an ISO text with an offset, such as that of `utc_text`.
 
-    Raises ValueError for another text and for a time without an offset.
+    Raises ValueError for another text, for a time without an offset, and for a year that
+    `require_known_year` refuses.
     """
     t = parse_time(text)
     if t.tzinfo is None:
         raise ValueError(
             f"time {text!r} has no time zone: write it as UTC, such as 2027-03-20T15:30:00Z"
         )
+    require_known_year(t)
     return t.astimezone(UTC)
 
 

@@ -20,7 +20,7 @@ from fieldlum.core import strict_csv
 from fieldlum.core.arrays import Mask
 from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.files import open_to_read
-from fieldlum.core.records import IrradianceSample, counted
+from fieldlum.core.records import IrradianceSample, counted, require_known_year
 from fieldlum.devices.ascii_lines import sample_of
 from fieldlum.devices.modbus import MAX_WM2, MIN_WM2
 from fieldlum.session import DAY_COLUMNS, read_day
@@ -475,6 +475,7 @@ class _Clock:
             places = (4, 3, 1) if part[2] == "." else self._order  # with points the day is first
             text = f"{'-'.join(part[k].zfill(2) for k in places)} {part[5]}"
         t = strict_csv.read_time(text, utc=self.is_utc)
+        require_known_year(t)
         if t.tzinfo is None and self._zone is not None:
             try:
                 t = t.replace(tzinfo=datetime.strptime(row[self._zone], "%z").tzinfo)
