@@ -24,6 +24,9 @@ from fieldlum.optics.raw import frame_files, is_jpeg, read_jpeg
 # Codes that count for the residual, and have weight in a merge: the profile's defaults.
 LOW, HIGH = Response().low_code, Response().high_code
 SMOOTH = (3000.0, 300.0, 30.0, 3.0)  # stiffness of the tables that are tried
+_DOES_NOT_HOLD = 255  # stands for the spread of a block with a code outside LOW to HIGH
+_PLACES_OF_STEP = 250  # the median of so many is 13 times as sure as one; chosen
+_MAX_SCATTER = 4.0  # chosen: a place with two frames passes with 99 % if it has only noise
 _MIN_PLACES = 20  # below it `fit_response` has no result
 _SYSTEMATIC = 0.0025  # of light: rounding of codes and stray light; bench/bracket_steps.py
 _LABEL_U = 0.05  # ln of light: prior of a label, of the order of rounding to thirds (6.7 %); chosen
@@ -197,6 +200,8 @@ def sample(
         own[:, np.searchsorted(grid, log_e)] = part
     codes = np.concatenate(of_brackets)
     bracket = np.repeat(np.arange(len(parts)), [len(own) for own in of_brackets])
+    steady = _is_steady(codes, grid)
+    codes, bracket = codes[steady], bracket[steady]
     steps = steps_by_overlap(codes, grid, bracket)
     files = tuple(path for paths in brackets for path in paths)
     return Places(codes, steps.log_exposure, bracket, law, steps, files)
@@ -207,16 +212,17 @@ def _flat_places(
 ) -> tuple[NDArray[np.uint8], list[Exposure]]:
     """Return the mean codes of a bracket's 3 x 3 blocks without an edge, inside the lens circles.
 
-    The result is [places, frames, 3], and the exposures by EXIF. At most 60 000 blocks on a grid
-    are read, one frame at a time, so that the memory needed does not grow with the sensor.
+    The result is [places, frames, 3], and the exposures by EXIF. At most 2 million blocks on a grid
+    are compared, one frame at a time. Half of the places are spread over the brightnesses, and each
+    pair of neighbouring exposures has up to `_PLACES_OF_STEP` that both show.
     """
     height, width = profile.camera.height_px, profile.camera.width_px
-    step = max(3, int(np.ceil(np.sqrt(height * width / 60_000))))
+    step = max(3, int(np.ceil(np.sqrt(height * width / 2_000_000))))
     y, x = np.mgrid[1 : height - 1 : step, 1 : width - 1 : step]
     at = [relative_radius(lens, x + 0.5, y + 0.5) for lens in profile.lens]
     inside = np.min(at, axis=0) < 0.95
     y, x = y[inside], x[inside]
-    blocks, exposures = [], []
+    levels, spreads, exposures = [], [], []
     for path in paths:
         frame = read_jpeg(path, camera_pixels=profile.camera.pixels)
         check_frame(path, frame.codes.shape, frame.model, profile)
@@ -225,16 +231,56 @@ def _flat_places(
             finding = f"f/{frame.exposure.f_number:g}, but the first frame has another aperture"
             raise InputError(path, finding, "the frames of one bracket", "remove this frame")
         around = [frame.codes[y + down, x + right] for down in (-1, 0, 1) for right in (-1, 0, 1)]
-        blocks.append(np.stack(around, axis=1))
-    codes = np.stack(blocks)  # [frames, places, 9, 3]
-    holds = ((codes >= LOW) & (codes <= HIGH)).all(axis=(2, 3))  # [frames, places]
-    spread = np.where(holds, np.ptp(codes[..., 1], axis=2), 0)  # of green
-    flat = np.flatnonzero((spread.max(axis=0) <= 9) & (holds.sum(axis=0) >= 2))
+        block = np.stack(around)  # [9, places, 3]
+        holds = ((block >= LOW) & (block <= HIGH)).all(axis=(0, 2))
+        levels.append(np.rint(block.mean(axis=0)).astype(np.uint8))
+        spreads.append(np.where(holds, np.ptp(block[..., 1], axis=0), _DOES_NOT_HOLD))  # of green
+    codes, spread = np.stack(levels), np.stack(spreads)  # [frames, places, 3], [frames, places]
+    held = spread < _DOES_NOT_HOLD
+    is_flat = ~held | (spread <= _noise_spread(spread, codes[..., 1])[codes[..., 1]])
+    flat = np.flatnonzero(is_flat.all(axis=0) & (held.sum(axis=0) >= 2))
     what = f"{paths[0].parent}: even places exposed well (JPEG codes {LOW} to {HIGH}) by two frames"
     require(len(flat), 50, what, "use steps of at most 2 EV, and picture walls and sky")
-    brightness = codes[:, flat][..., 1].mean(axis=(0, 2)) + rng.uniform(0, 1e-3, len(flat))
-    chosen = flat[_spread_indices(brightness, min(500, len(flat)))]  # more did not change the table
-    return np.rint(codes[:, chosen].mean(axis=2)).astype(np.uint8).transpose(1, 0, 2), exposures
+    brightness = codes[:, flat, 1].mean(axis=0) + rng.uniform(0, 1e-3, len(flat))
+    chosen = _spread_indices(brightness, min(500, len(flat)))  # more did not change the table
+    held, unevenness = held[:, flat], np.where(held, spread, 0)[:, flat].max(axis=0)
+    for first, second in pairwise(np.argsort([e.shutter_s * e.iso for e in exposures])):
+        both = held[first] & held[second]
+        lacking = max(0, _PLACES_OF_STEP - np.count_nonzero(both[chosen]))
+        others = np.setdiff1d(np.flatnonzero(both), chosen)
+        evenest = others[np.argsort(unevenness[others], kind="stable")[:lacking]]
+        chosen = np.concatenate([chosen, evenest])
+    return codes[:, flat[np.sort(chosen)]].transpose(1, 0, 2), exposures
+
+
+def _is_steady(codes: NDArray[np.uint8], log_exposure: Floats) -> Mask:
+    """Return which places keep their light in all frames; flickering lamps and leaves do not.
+
+    codes [places, exposures, 3]; log_exposure [exposures]. Their light scatters in each colour at
+    most `_MAX_SCATTER` times as much as that of most places. All are steady if they are too few.
+    """
+    steady = np.ones(len(codes), bool)
+    for own in codes.transpose(2, 0, 1) if len(codes) >= _MIN_PLACES else ():
+        scatter = residuals(fit_response(own, log_exposure)[0], own, log_exposure)
+        steady &= ~(scatter > _MAX_SCATTER**2 * np.nanmedian(scatter))
+    return steady
+
+
+def _noise_spread(spread: NDArray[np.uint8], level: NDArray[np.uint8]) -> Floats:
+    """Return the spread of 3 x 3 codes that noise explains at each mean code, [256].
+
+    spread, level : of the blocks [frames, places]. The same code has the same noise in all frames,
+    so that the frame decides whose quietest quarter of the blocks with such a code spreads least: a
+    lamp in a dark frame has only edges. Half as much again is noise too, and so are 9 codes.
+    """
+    limit, part = np.full(256, 9.0), level // 32
+    for k in range(8):
+        near = [
+            own[(own < _DOES_NOT_HOLD) & (of == k)] for own, of in zip(spread, part, strict=True)
+        ]
+        quiet = [float(np.quantile(some, 0.25)) for some in near if len(some) >= 200]
+        limit[32 * k : 32 * k + 32] = max(9.0, 1.5 * min(quiet, default=0.0))
+    return limit
 
 
 def _spread_indices(level: Floats, count: int) -> Indices:
