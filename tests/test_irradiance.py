@@ -14,10 +14,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from places import SEATTLE
-from tiny_field import T0, make_session
 
 from fieldlum.core.errors import NotEnoughDataError
-from fieldlum.core.records import IrradianceSample, Site, SiteFile, Slot, slot_id
+from fieldlum.core.records import IrradianceSample, Site, SiteFile, Slot
 from fieldlum.pair import irradiance
 from fieldlum.pair.irradiance import (
     Mark,
@@ -29,9 +28,7 @@ from fieldlum.pair.irradiance import (
     series_of,
     sky_geometry,
 )
-from fieldlum.pair.irradiance.days_picture import draw_days
 from fieldlum.session import DayFiles, Session, create_session, day_files, open_session
-from fieldlum.session.files.irradiance_csv import CleanIrradiance
 from fieldlum.sky import log_clock_offset, sun
 
 NOON = datetime(2027, 6, 21, 20, 10, tzinfo=UTC)
@@ -487,59 +484,6 @@ def test_nothing_logged_is_not_enough(tmp_path: Path) -> None:
     made = create_session(tmp_path / "s", SiteFile(SEATTLE), [Slot(NOON, 60.0, 180.0, ())], {})
     with pytest.raises(NotEnoughDataError, match="no irradiance"):
         irradiance.run(made)
-
-
-# ----------------------------------------------------------------------------------------------
-# day curves
-
-
-@pytest.mark.analytic
-@pytest.mark.parametrize("rows", [1, 60])
-def test_the_picture_of_days_shows_rows_brackets_and_sunrise_at_their_hours(
-    tmp_path: Path, rows: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """T0 is 07:30 in standard time; the sun rises near 06:15, near the equinox."""
-    import matplotlib.figure
-
-    figures: list[matplotlib.figure.Figure] = []
-
-    def keep(figure: matplotlib.figure.Figure, path: Path, **_: object) -> None:
-        figures.append(figure)
-        path.touch()
-
-    monkeypatch.setattr(matplotlib.figure.Figure, "savefig", keep)
-    session = make_session(tmp_path / "s")
-    session.capture_file(slot_id(T0)).parent.mkdir(parents=True)
-    t, texts = T0.timestamp() + 60.0 * np.arange(rows), np.full(rows, "", object)
-    light = np.full(rows, 100.0)
-    CleanIrradiance(t, light, light, light, texts, texts).write(session.clean_irradiance)
-    draw_days(session, force=True)
-    axes = figures[0].axes[0]
-    (brackets,) = (line for line in axes.lines if line.get_marker() == "_")
-    assert np.asarray(brackets.get_xydata()) == pytest.approx(np.array([[0.0, 7.5]]))
-    assert list(axes.get_yticks()) == [0, 6, 12, 18, 24]
-    shown = np.ma.filled(np.ma.asarray(axes.images[0].get_array()), np.nan)
-    assert np.flatnonzero(np.isfinite(shown[:, 0])).tolist() == list(range(90, 90 + -(-rows // 5)))
-    assert np.nanmax(shown) == 100.0
-    lines = np.concatenate([path.vertices for path in axes.collections[0].get_paths()])
-    assert lines[:, 0].min() == -0.5 and lines[:, 0].max() == 0.5
-    assert lines[:, 1].min() == pytest.approx(6.25, abs=0.2)
-
-
-@pytest.mark.slow
-@pytest.mark.contract
-def test_pair_draws_the_days_once(tmp_path: Path) -> None:
-    session = make_session(tmp_path / "s")
-    rows = 60
-    t = T0.timestamp() + 60.0 * np.arange(rows)
-    light = np.linspace(100.0, 200.0, rows)
-    flags = np.array([""] * (rows - 1) + ["spike"], object)
-    source = np.array(["measured"] * rows, object)
-    CleanIrradiance(t, light, light, light, source, flags).write(session.clean_irradiance)
-    path = draw_days(session)
-    assert path is not None and path.read_bytes().startswith(b"\x89PNG")
-    before = path.stat().st_mtime_ns
-    assert draw_days(session) == path and path.stat().st_mtime_ns == before
 
 
 @pytest.mark.analytic

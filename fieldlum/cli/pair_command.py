@@ -19,15 +19,12 @@ def command(session: OpenSession, scheduler_text: str = "local", force: bool = F
     from fieldlum import pair
     from fieldlum.core.records import counted
     from fieldlum.pair import irradiance
-    from fieldlum.pair.irradiance.days_picture import draw_days
     from fieldlum.sky.sky_view.view import SkyView
 
     scheduler = scheduler_of(scheduler_text)
     with terminal.progress("irradiance"):
         health = irradiance.run(session, force=force)
     terminal.notes(health.warnings)
-    if (picture := draw_days(session, force=force)) is not None:
-        terminal.say(f"irradiance of each day: {picture}")
     with terminal.progress("pair"):
         pairs = pair.run(session, force=force, scheduler=scheduler)
     usable = sum(p.ok for p in pairs)

@@ -469,7 +469,7 @@ def held_out_warnings(fitted: Fitted, data: Dataset) -> list[str]:
     if len(exceptions):
         texts.append(
             f"WARNING: the held-out error of {listed(exceptions.tolist())} is over 4 times that of "
-            "the median day: compare its light (irradiance/days.png) and pictures with other days. "
+            "the median day: compare its irradiance (clean.csv) and pictures with other days. "
             "A blind, a lamp: mark it (fieldlum status SESSION --mark SLOT blind=half); wrong "
             "irradiance: set ok = 0 in pairs.csv; then train again. If no other day has such "
             "light, nothing need be wrong: capture another day like it"
