@@ -19,7 +19,7 @@ from fieldlum.optics.projection import altitude_azimuth_deg, rotation
 from fieldlum.sky import sun
 from fieldlum.sky.daylight import light_at
 from fieldlum.sky.sky_view.estimate_from_captures import Captured, partly_hidden
-from fieldlum.sky.sky_view.measured_discs import MeasuredDiscs, scaled
+from fieldlum.sky.sky_view.measured_discs import MeasuredDiscs, scaled, sun_earlier
 from fieldlum.sky.sky_view.pose import STATED_SD, CameraPose, open_combination, pose_of_discs
 from fieldlum.sky.sun_disc import SUN_RADIUS_RAD, add_source
 
@@ -89,6 +89,18 @@ def test_a_heading_that_a_scene_corrects_is_not_corrected_twice() -> None:
     stated, corrected = CameraPose(axis_deg=AXIS_DEG), CameraPose(axis_deg=AXIS_DEG + 4.6)
     assert column_deg(stated.turned(4.6, 0.5)) == pytest.approx(column_deg(corrected), abs=0.2)
     assert stated.turned(4.6, 0.5).heading_sd_deg < 0.5
+
+
+@pytest.mark.analytic
+def test_a_clock_that_a_scene_corrects_leaves_captured_discs_in_place() -> None:
+    at = sun.position(list(TIMES), SEATTLE)
+    suns = sun.direction(at.apparent_altitude_deg, at.azimuth_deg)
+    by_discs = pose_of_discs(measured(np.array([2.0, 1.0, -0.6, 0.002]), 6), SEATTLE, AXIS_DEG)
+    earlier = sun_earlier(suns, 6.0, SEATTLE.latitude_deg)  # 1.5 degrees about the pole
+    shown = by_discs.at_clock(6.0, SEATTLE.latitude_deg).in_pictures(earlier)
+    assert shown == pytest.approx(by_discs.in_pictures(suns), abs=1e-9)
+    stated = CameraPose(axis_deg=AXIS_DEG)  # knows nothing of the clock
+    assert stated.at_clock(6.0, SEATTLE.latitude_deg) == stated
 
 
 @pytest.mark.slow

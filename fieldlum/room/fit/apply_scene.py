@@ -89,8 +89,9 @@ def with_scene(data: Dataset, scene: Scene, *, source: Path | str = SCENE_TOML) 
     if scene.chosen == "stated":
         return with_patches(replace(data, scene=about))
     turned = corrected(data, scene.north_deg, scene.clock_min, scene.room)
+    u_deg, latitude_deg = scene.u.get("north_deg", STATED_SD[0]), data.setup.site.latitude_deg
     view = data.sky_view and data.sky_view.turned(
-        scene.north_deg, scene.u.get("north_deg", STATED_SD[0])
+        scene.north_deg, u_deg, scene.clock_min, latitude_deg
     )
     return with_patches(replace(turned, scene=about, sky_view=view))
 

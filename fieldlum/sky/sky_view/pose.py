@@ -12,8 +12,20 @@ import numpy as np
 
 from fieldlum.core.arrays import Floats
 from fieldlum.core.records import JsonTable, Site
-from fieldlum.optics.projection import rotation
-from fieldlum.sky.sky_view.measured_discs import MIN_DISCS, MeasuredDiscs, PoseFit, fit_pose, scaled
+from fieldlum.optics.projection import (
+    altitude_azimuth_deg,
+    direction,
+    rotation,
+    signed_angle_deg,
+)
+from fieldlum.sky.sky_view.measured_discs import (
+    MIN_DISCS,
+    MeasuredDiscs,
+    PoseFit,
+    fit_pose,
+    scaled,
+    sun_earlier,
+)
 
 # Standard uncertainties of a stated pose: a compass near steel is within 5 degrees (two standard
 # deviations), a spirit level on a camera within 1 degree, a lens profile within 1 %. Chosen.
@@ -101,6 +113,22 @@ class CameraPose:
         rest_deg, axis_deg = self.heading_deg - north_deg, (self.axis_deg + north_deg) % 360.0
         restated = replace(self, heading_deg=rest_deg, axis_deg=axis_deg)
         return restated._updated(-rest_deg, u_deg)
+
+    def at_clock(self, late_min: float, latitude_deg: float) -> CameraPose:
+        """Return the pose that keeps its discs in place if their times were `late_min` too late.
+
+        A pose without discs does not change. latitude_deg: of the site.
+        """
+        if not self.discs or not late_min:
+            return self
+        stated = rotation(self.heading_deg, self.tilt_deg, self.roll_deg, self.axis_deg)
+        ahead, right = direction(0.0, self.axis_deg + np.array([0.0, 90.0]))
+        view, side = sun_earlier(np.stack([ahead, right]) @ stated.T, late_min, latitude_deg)
+        tilt_deg, azimuth_deg = altitude_azimuth_deg(view)
+        roll_deg = -np.degrees(np.arcsin(side[2] / np.cos(np.radians(tilt_deg))))
+        heading_deg = signed_angle_deg(azimuth_deg - self.axis_deg)
+        values = np.array([heading_deg, tilt_deg, roll_deg, self.lens_scale])
+        return self.moved(values, np.asarray(self.covariance), self.discs)
 
     def _updated(self, by_deg: float, u_deg: float) -> CameraPose:
         """Return the pose after a measured correction to its heading (Kalman)."""

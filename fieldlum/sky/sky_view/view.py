@@ -84,15 +84,19 @@ class SkyView:
         """Openness times transmittance, [h, w]: the share of the beam that arrives."""
         return self.openness * self.transmittance
 
-    def turned(self, north_deg: float, u_deg: float) -> SkyView:
-        """Return the view with a corrected heading.
+    def turned(
+        self, north_deg: float, u_deg: float, late_min: float = 0.0, latitude_deg: float = 0.0
+    ) -> SkyView:
+        """Return the view with a corrected heading and clock.
 
-        north_deg: to add to the stated heading; u_deg: its standard uncertainty.
+        north_deg: to add to the stated heading; u_deg: its standard uncertainty; late_min: by how
+        much the captures' times were too late; latitude_deg: of the site.
         """
         heading_deg = (self.grid.heading_deg + north_deg) % 360.0
         grid = replace(self.grid, heading_deg=heading_deg)
-        others = tuple(other.turned(north_deg, u_deg) for other in self.others)
-        return replace(self, grid=grid, pose=self.pose.turned(north_deg, u_deg), others=others)
+        pose = self.pose.at_clock(late_min, latitude_deg).turned(north_deg, u_deg)
+        others = (v.turned(north_deg, u_deg, late_min, latitude_deg) for v in self.others)
+        return replace(self, grid=grid, pose=pose, others=tuple(others))
 
     def where(self, known: Mask, base: SkyView) -> SkyView:
         """Return the view with the values of `base` where it is not `known` [h, w]."""
