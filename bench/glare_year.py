@@ -76,7 +76,13 @@ def main() -> None:
         f"{len(light)} hours, {width} x {height}, {args.views} directions; fit {fit_s:.1f} s",
         file=sys.stderr,
     )
-    room = ModelRoom(data.setup, height, width, data.heading_deg, patch is not None)
+    room = ModelRoom(
+        setup=data.setup,
+        height=height,
+        width=width,
+        heading_deg=data.heading_deg,
+        needs_patch=patch is not None,
+    )
     table = year(fitted, room, light, args.views, args.sample, whole / len(light))
     print(
         f"| {whole} hours ({len(light)} computed), {width} x {height}, {args.views} directions | "

@@ -37,7 +37,10 @@ def memory_mb() -> float:
 def sample(i: int) -> IrradianceSample:
     ghi = 300.0 + (i * 7919 % 4000) / 10.0
     return IrradianceSample(
-        START + timedelta(seconds=5 * i), ghi, 0.3 * ghi, raw=f"S {ghi:.1f}, {0.3 * ghi:.1f},1"
+        START + timedelta(seconds=5 * i),
+        ghi_wm2=ghi,
+        dhi_wm2=0.3 * ghi,
+        raw=f"S {ghi:.1f}, {0.3 * ghi:.1f},1",
     )
 
 
@@ -67,7 +70,7 @@ def cut_everywhere(session: Session) -> tuple[int, int]:
         path.write_bytes(whole[:cut])
         log = DayFiles(session)
         last = samples[-1].t_utc + timedelta(seconds=1)
-        log.append(IrradianceSample(last, 1.0))
+        log.append(IrradianceSample(last, ghi_wm2=1.0))
         log.close()
         kept, broken = read_day(path)
         whole_lines = whole[:cut].count(b"\n") - 1

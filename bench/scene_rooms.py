@@ -253,7 +253,14 @@ def late(light: Light, minutes: float) -> Light:
     altitude = np.degrees(np.arcsin(suns[:, 2]))
     azimuth = np.degrees(np.arctan2(suns[:, 0], suns[:, 1])) % 360.0
     times = tuple(t + timedelta(minutes=minutes) for t in light.t_utc)
-    return Light(times, light.dni_wm2, light.dhi_wm2, altitude, azimuth, light.perez)
+    return Light(
+        t_utc=times,
+        dni_wm2=light.dni_wm2,
+        dhi_wm2=light.dhi_wm2,
+        sun_altitude_deg=altitude,
+        sun_azimuth_deg=azimuth,
+        perez=light.perez,
+    )
 
 
 def with_box(data: Dataset, room: Room | None) -> Dataset:

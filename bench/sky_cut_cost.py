@@ -61,7 +61,14 @@ class Window:
         bars = ((rows // 10) % 4 == 0) | ((columns // 10) % 20 == 0)
         noise = np.random.default_rng(0).normal(1.0, 0.01, bars.shape)
         light = (np.where(bars, 60.0, 3000.0) * noise).astype(np.float32)
-        grid = SkyGrid(45.0, -35.0, 0.05, 180.0, *light.shape)
+        grid = SkyGrid(
+            first_altitude_deg=45.0,
+            first_azimuth_deg=-35.0,
+            step_deg=0.05,
+            heading_deg=180.0,
+            height=light.shape[0],
+            width=light.shape[1],
+        )
         room = np.full((115, 230), 40.0, np.float32)
         detail = SkyPicture(light, np.zeros(light.shape, bool), grid)
         self.panorama = DetailedPanorama(room, 180.0, detail=detail)
@@ -72,7 +79,7 @@ class Window:
 
     def irradiance(self, t_utc: datetime) -> SimulatedLight:
         """Return no irradiance."""
-        return SimulatedLight(0.0, 0.0, 0.0)
+        return SimulatedLight(ghi_wm2=0.0, dhi_wm2=0.0, dni_wm2=0.0)
 
 
 def exposures(profile: CameraProfile) -> list[Exposure]:

@@ -117,7 +117,7 @@ class OneScene:
 
     def irradiance(self, t_utc: datetime) -> SimulatedLight:
         """Return no irradiance."""
-        return SimulatedLight(0.0, 0.0, 0.0)
+        return SimulatedLight(ghi_wm2=0.0, dhi_wm2=0.0, dni_wm2=0.0)
 
 
 @dataclass(frozen=True)

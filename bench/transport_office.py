@@ -82,7 +82,15 @@ def read(archive: dict[str, NDArray], rows: NDArray) -> tuple[Dataset, NDArray[n
         [f"2027-{int(m):02d}-{int(d):02d}" for m, d in zip(months, dates, strict=True)],
         "datetime64[D]",
     )
-    light = Light(times, c[:, 3], c[:, 4], altitude, azimuth, perez, refraction=False)
+    light = Light(
+        t_utc=times,
+        dni_wm2=c[:, 3],
+        dhi_wm2=c[:, 4],
+        sun_altitude_deg=altitude,
+        sun_azimuth_deg=azimuth,
+        perez=perez,
+        refraction=False,
+    )
     seen, steady = np.ones(maps.shape[1:], bool), np.zeros(len(rows))
     slots = tuple(slot_id(t) for t in times)
     return Dataset(light, maps, patch, disc, HEADING_DEG, days, slots, SETUP, seen, steady), whole

@@ -50,11 +50,11 @@ def room_captures(
     times = [t for t, u in zip(times, up, strict=True) if u]
     count = len(times)
     light = Light(
-        tuple(times),
-        np.where(np.arange(count) % 4 == 3, 0.0, 700.0),
-        np.full(count, 90.0),
-        at.altitude_deg[up],
-        at.azimuth_deg[up],
+        t_utc=tuple(times),
+        dni_wm2=np.where(np.arange(count) % 4 == 3, 0.0, 700.0),
+        dhi_wm2=np.full(count, 90.0),
+        sun_altitude_deg=at.altitude_deg[up],
+        sun_azimuth_deg=at.azimuth_deg[up],
     )
     setup = SiteFile(site, CameraSetup(heading_deg=180.0), room)
     patch = sun_patches(

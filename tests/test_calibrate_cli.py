@@ -34,7 +34,7 @@ class Still:
         return self._panorama
 
     def irradiance(self, t_utc: datetime) -> SimulatedLight:
-        return SimulatedLight(0.0, 0.0, 0.0)
+        return SimulatedLight(ghi_wm2=0.0, dhi_wm2=0.0, dni_wm2=0.0)
 
 
 TRUTH = load_camera_profile("sim-fisheye")

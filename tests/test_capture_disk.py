@@ -78,7 +78,7 @@ def test_a_moved_folder_and_a_spoilt_day_file_do_not_end_the_log(rig: Field) -> 
         spoilt.read_bytes().replace(b",", b";").removesuffix(b"\n")
     )  # as a spreadsheet saves it
     spoilt.write_bytes(before)
-    days.append(IrradianceSample(datetime(2027, 3, 21, 23, tzinfo=UTC), 7.0))
+    days.append(IrradianceSample(datetime(2027, 3, 21, 23, tzinfo=UTC), ghi_wm2=7.0))
     days.close()
     samples, broken = read_day(spoilt)
     assert spoilt.read_bytes().startswith(before) and [row.ghi_wm2 for row in samples] == [7.0]

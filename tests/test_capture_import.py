@@ -296,11 +296,14 @@ def test_what_cannot_be_imported_is_said(session: Session, tmp_path: Path) -> No
 
 @pytest.mark.contract
 def test_logger_rows_are_added_once(session: Session) -> None:
-    rows = [IrradianceSample(DAWN + timedelta(minutes=i), 300.0 + i) for i in range(1000)]
+    rows = [IrradianceSample(DAWN + timedelta(minutes=i), ghi_wm2=300.0 + i) for i in range(1000)]
     assert add_samples(session, rows) == 1000
-    assert add_samples(session, [*rows, IrradianceSample(DAWN - timedelta(minutes=1), 1.0)]) == 1
+    assert (
+        add_samples(session, [*rows, IrradianceSample(DAWN - timedelta(minutes=1), ghi_wm2=1.0)])
+        == 1
+    )
     assert sum(len(read_day(p)[0]) for p in day_files(session)) == 1001
-    later = IrradianceSample(DAWN + timedelta(days=1), 5.0)
+    later = IrradianceSample(DAWN + timedelta(days=1), ghi_wm2=5.0)
     assert add_samples(session, [later, later, replace(later, ghi_wm2=6.0)]) == 2
 
 
@@ -337,7 +340,9 @@ def rows_of(session: Session) -> list[IrradianceSample]:
 @pytest.mark.contract
 def test_a_file_told_anew_replaces_what_it_brought(session: Session, tmp_path: Path) -> None:
     """A wrong --utc-offset or column is no dead end, and takes nothing else away."""
-    logged = [IrradianceSample(DAWN + timedelta(seconds=i), 99.0, raw="S 99.0") for i in range(50)]
+    logged = [
+        IrradianceSample(DAWN + timedelta(seconds=i), ghi_wm2=99.0, raw="S 99.0") for i in range(50)
+    ]
     add_samples(session, logged)
     file = tmp_path / "sky.csv"
     file.write_text(TABLE)

@@ -35,7 +35,7 @@ class Still:
         return self.panorama
 
     def irradiance(self, t_utc: datetime) -> SimulatedLight:
-        return SimulatedLight(0.0, 0.0, 0.0)
+        return SimulatedLight(ghi_wm2=0.0, dhi_wm2=0.0, dni_wm2=0.0)
 
 
 def uniform(level_cdm2: float, heading_deg: float = 180.0, height: int = 46) -> Panorama:
@@ -229,8 +229,10 @@ def test_truth_folder(tmp_path: Path) -> None:
     )
     world = TruthWorld(tmp_path)
     assert world.scene(START).luminance_cdm2[0, 0] == 5.0
-    assert world.irradiance(START) == SimulatedLight(150.0, 60.0, 300.0)
-    assert world.irradiance(datetime(2027, 3, 21, 8, tzinfo=UTC)) == SimulatedLight(0.0, 0.0, 0.0)
+    assert world.irradiance(START) == SimulatedLight(ghi_wm2=150.0, dhi_wm2=60.0, dni_wm2=300.0)
+    assert world.irradiance(datetime(2027, 3, 21, 8, tzinfo=UTC)) == SimulatedLight(
+        ghi_wm2=0.0, dhi_wm2=0.0, dni_wm2=0.0
+    )
     with pytest.raises(DeviceError, match="no simulated panorama within 45 min"):
         world.scene(datetime(2027, 3, 21, 8, tzinfo=UTC))
     (tmp_path / "irradiance.csv").write_text("t_utc,ghi_wm2\n2027-03-20T19:00:00Z,many\n")

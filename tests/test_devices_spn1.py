@@ -85,7 +85,10 @@ class Wire:
     """Answers as the simulated SPN1, with a fault in between."""
 
     def __init__(self, light: SimulatedLight | None = None, noise_wm2: float = 0.0) -> None:
-        self.light, self.sent = light or SimulatedLight(812.4, 104.9, 900.0), b""
+        self.light, self.sent = (
+            light or SimulatedLight(ghi_wm2=812.4, dhi_wm2=104.9, dni_wm2=900.0),
+            b"",
+        )
         self.fault: Callable[[bytes], bytes] = lambda reply: reply
         self._sky = SimulatedSpn1(self, self, 1, noise_wm2)  # type: ignore[arg-type]
 
@@ -139,7 +142,7 @@ def test_the_real_driver_reads_the_simulated_bytes() -> None:
 
 @pytest.mark.analytic
 def test_total_below_diffuse_is_marked() -> None:
-    with spn1(Wire(SimulatedLight(50.0, 60.0, 0.0))) as device:
+    with spn1(Wire(SimulatedLight(ghi_wm2=50.0, dhi_wm2=60.0, dni_wm2=0.0))) as device:
         assert device.read().status == "total below diffuse"
 
 
@@ -228,7 +231,7 @@ def test_the_rest_of_a_late_reply_is_not_the_next_one() -> None:
         wire.fault = lambda reply: reply if reply == b"\xaf" else reply[:7]
         with pytest.raises(DeviceError):
             device.read()
-        wire.light = SimulatedLight(400.0, 300.0, 100.0)
+        wire.light = SimulatedLight(ghi_wm2=400.0, dhi_wm2=300.0, dni_wm2=100.0)
         wire.fault = lambda reply: b"4, 104.9,1\r\xaf" if reply == b"\xaf" else reply
         with pytest.raises(DeviceError, match="when woken"):
             device.read()

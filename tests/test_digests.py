@@ -44,7 +44,9 @@ def pairs(folder: Path) -> Path:
 def clean(folder: Path) -> Path:
     text = np.array(["measured"], object)
     t, ghi, dhi, dni = (np.array([x]) for x in (NOON.timestamp(), 300.0, 120.0, 231.0))
-    CleanIrradiance(t, ghi, dhi, dni, text, text).write(folder / "clean.csv")
+    CleanIrradiance(
+        t_unix_s=t, ghi_wm2=ghi, dhi_wm2=dhi, dni_wm2=dni, source=text, flags=text
+    ).write(folder / "clean.csv")
     return folder / "clean.csv"
 
 
@@ -179,7 +181,17 @@ def test_an_edited_plan_sidecar_or_sky_view_is_reported(tmp_path: Path) -> None:
     with pytest.warns(ChangedFileWarning, match=sidecar.name):
         Sidecar.read(sidecar)
     share = np.zeros((16, 32), np.float32)
-    view = SkyView(SkyGrid(90.0, 0.0, 11.25, 180.0, 16, 32), **dict.fromkeys(CHANNELS, share))
+    view = SkyView(
+        SkyGrid(
+            first_altitude_deg=90.0,
+            first_azimuth_deg=0.0,
+            step_deg=11.25,
+            heading_deg=180.0,
+            height=16,
+            width=32,
+        ),
+        **dict.fromkeys(CHANNELS, share),
+    )
     view.write(tmp_path / "sky_view.exr")
     SkyView.read(tmp_path / "sky_view.exr")
     note = tmp_path / "sky_view.exr.sha256"

@@ -232,25 +232,35 @@ def test_a_simulated_raw_camera_fills_the_disk_with_two_bytes_a_pixel(tmp_path: 
 @pytest.mark.contract
 def test_pyranometer_readings() -> None:
     spn1 = InstrumentInfo("spn1", "SPN1", "A1", calibration_date="2026-06-01", gives=("ghi", "dhi"))
-    good = every(doctor.judge_pyranometer, spn1, IrradianceSample(NOON, 500.0, 80.0), SEATTLE)
+    good = every(
+        doctor.judge_pyranometer, spn1, IrradianceSample(NOON, ghi_wm2=500.0, dhi_wm2=80.0), SEATTLE
+    )
     assert [f.verdict for f in good] == ["ok"]
     night = every(
-        doctor.judge_pyranometer, spn1, IrradianceSample(NOON + timedelta(hours=12), 500.0), SEATTLE
+        doctor.judge_pyranometer,
+        spn1,
+        IrradianceSample(NOON + timedelta(hours=12), ghi_wm2=500.0),
+        SEATTLE,
     )
     assert "fail" in [f.verdict for f in night]
     wrong = InstrumentInfo("ascii", "rig", calibration_date="2022")
     with pytest.raises(InputError, match="profile of the pyranometer rig: date '2022'"):
-        every(doctor.judge_pyranometer, wrong, IrradianceSample(NOON, 500.0), SEATTLE)
+        every(doctor.judge_pyranometer, wrong, IrradianceSample(NOON, ghi_wm2=500.0), SEATTLE)
     old = InstrumentInfo("smp", calibration_date="2022-01-01")
     said = " ".join(
         f.text
         for f in every(
-            doctor.judge_pyranometer, old, IrradianceSample(NOON, 500.0, status="9"), SEATTLE
+            doctor.judge_pyranometer,
+            old,
+            IrradianceSample(NOON, ghi_wm2=500.0, status="9"),
+            SEATTLE,
         )
     )
     assert "reports a fault" in said and "only global" in said and "years ago" in said
     rig = InstrumentInfo("ascii", gives=("ghi", "dhi"), guard=FORM_ALONE)
-    told = every(doctor.judge_pyranometer, rig, IrradianceSample(NOON, 500.0, 80.0), SEATTLE)
+    told = every(
+        doctor.judge_pyranometer, rig, IrradianceSample(NOON, ghi_wm2=500.0, dhi_wm2=80.0), SEATTLE
+    )
     assert [f.verdict for f in told] == [
         "ok",
         "warn",

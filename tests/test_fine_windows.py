@@ -67,13 +67,30 @@ def test_a_camera_sees_the_finer_part(tmp_path: Path) -> None:
     light = np.full((40, 40), 100.0, np.float32)
     light[20] = 900.0
     light[:10, :10] = np.nan
-    grid = SkyGrid(20.0, -20.0, 1.0, 30.0, 40, 40)
+    grid = SkyGrid(
+        first_altitude_deg=20.0,
+        first_azimuth_deg=-20.0,
+        step_deg=1.0,
+        heading_deg=30.0,
+        height=40,
+        width=40,
+    )
     write_sky_picture(tmp_path / "a.npz", SkyPicture(light, np.isnan(light), grid))
     detail = read_sky_picture(tmp_path / "a.npz")
     panorama = DetailedPanorama(np.full((45, 90), 100.0, np.float32), 30.0, detail=detail)
     view = optics.lens_sampling(LENS, SENSOR, (45, 90), grid)
     image = optics.on_sensor(panorama, [view], SENSOR)[..., 0]
-    x, y, _ = lens_pixels(LENS, SkyGrid(0.0, 0.0, 1.0, 0.0, 1, 1).rays()[0, 0])
+    x, y, _ = lens_pixels(
+        LENS,
+        SkyGrid(
+            first_altitude_deg=0.0,
+            first_azimuth_deg=0.0,
+            step_deg=1.0,
+            heading_deg=0.0,
+            height=1,
+            width=1,
+        ).rays()[0, 0],
+    )
     row, column = int(y), int(x)
     strip = image[row - 4 : row + 5, column]
     # 1.61 pixels a degree, of three samples each: the strip is 5 samples high instead of 4.83

@@ -82,7 +82,7 @@ def test_a_line_of_journal_and_log_is_on_the_disk_when_append_returns(
         journal.append("done", T0, slot="a")
         about = session.journal.stat()
         assert (("flush", about.st_ino, about.st_size) in disk.events) == flush
-        days.append(IrradianceSample(T0 + timedelta(seconds=number), 500.0))
+        days.append(IrradianceSample(T0 + timedelta(seconds=number), ghi_wm2=500.0))
         about = (session.irradiance / f"{T0:%Y-%m-%d}.csv").stat()
         assert (("flush", about.st_ino, about.st_size) in disk.events) == flush
     journal.close()

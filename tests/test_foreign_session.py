@@ -759,14 +759,38 @@ def test_a_backup_of_hard_links_stops_no_capture(rig: Field) -> None:
     backup.mkdir()
     with closing(Journal(rig.session)) as running, closing(DayFiles(rig.session)) as rows:
         running.append("note", T0, text="before")
-        rows.append(IrradianceSample(T0, 1.0, 1.0, None, None, "", ""))
+        rows.append(
+            IrradianceSample(
+                T0, ghi_wm2=1.0, dhi_wm2=1.0, dni_wm2=None, temperature_c=None, status="", raw=""
+            )
+        )
         for path in (rig.session.journal, day):
             os.link(path, backup / path.name)
         mark_slot(rig.session, SLOT, "lamp=on")  # another process
         with closing(DayFiles(rig.session)) as others:
-            others.append(IrradianceSample(T0 + timedelta(seconds=1), 2.0, 1.0, None, None, "", ""))
+            others.append(
+                IrradianceSample(
+                    T0 + timedelta(seconds=1),
+                    ghi_wm2=2.0,
+                    dhi_wm2=1.0,
+                    dni_wm2=None,
+                    temperature_c=None,
+                    status="",
+                    raw="",
+                )
+            )
         running.append("note", T0, text="after")
-        rows.append(IrradianceSample(T0 + timedelta(seconds=2), 3.0, 1.0, None, None, "", ""))
+        rows.append(
+            IrradianceSample(
+                T0 + timedelta(seconds=2),
+                ghi_wm2=3.0,
+                dhi_wm2=1.0,
+                dni_wm2=None,
+                temperature_c=None,
+                status="",
+                raw="",
+            )
+        )
     assert [e.get("text") for e in read_journal(rig.session)] == ["before", None, "after"]
     assert [sample.ghi_wm2 for sample in read_day(day)[0]] == [1.0, 2.0, 3.0]
     assert len(read_day(backup / day.name)[0]) == 1

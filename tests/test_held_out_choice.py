@@ -34,8 +34,8 @@ def errors(
     """Forty hours of four days; each candidate's errors differ by `spread` of their size."""
     noise = 1.0 + spread * np.random.default_rng(seed).standard_normal((3, HOURS))
     day = np.repeat(np.arange(4), HOURS // 4)
-    values = np.array([dgp, ev, log10])[:, None] * noise
-    return HeldOutErrors(*values, day, np.ones(HOURS))
+    a, b, c = np.array([dgp, ev, log10])[:, None] * noise
+    return HeldOutErrors(dgp=a, ev=b, log10=c, day=day, weight=np.ones(HOURS))
 
 
 @pytest.mark.analytic
@@ -77,7 +77,8 @@ def test_the_standard_error_is_that_of_repeated_draws() -> None:
         day = np.repeat(np.arange(9), 12)
         both = np.abs(1.0 + 0.3 * rng.standard_normal((2, 9)).repeat(12, axis=1))
         one, two = (
-            HeldOutErrors(b, b, b, day, np.ones(108)) for b in both + 0.1 * rng.random((2, 108))
+            HeldOutErrors(dgp=b, ev=b, log10=b, day=day, weight=np.ones(108))
+            for b in both + 0.1 * rng.random((2, 108))
         )
         gap, error = difference(one, two, "dgp")
         gaps.append(gap)
@@ -89,7 +90,14 @@ def trial(name: str, dgp: np.ndarray, log10: np.ndarray, data: Dataset = DATA) -
     blank = {f.name: np.full(len(data), np.nan) for f in fields(Scores)}
     more = {"dgp_mae": dgp, "ev_error": dgp, "mse_weighted": log10, "day": data.days}
     more |= {"weight": choice_weights(data), "slots": data.slots, "maps": None}
-    return Trial(name, Scores(**blank | more), 1.0, 1.0, len(data), 5)
+    return Trial(
+        name=name,
+        scores=Scores(**blank | more),
+        fit_s=1.0,
+        fit_cpu_s=1.0,
+        n_train=len(data),
+        folds=5,
+    )
 
 
 @pytest.mark.contract

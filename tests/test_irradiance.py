@@ -42,7 +42,9 @@ def checked(samples: list[IrradianceSample]) -> irradiance.Series:
 def at(
     seconds: float, ghi: float | None, dhi: float | None = None, dni: float | None = None
 ) -> IrradianceSample:
-    return IrradianceSample(NOON + timedelta(seconds=seconds), ghi, dhi, dni)
+    return IrradianceSample(
+        NOON + timedelta(seconds=seconds), ghi_wm2=ghi, dhi_wm2=dhi, dni_wm2=dni
+    )
 
 
 @pytest.mark.analytic
@@ -60,7 +62,10 @@ def test_a_zero_offset_is_no_sun(offset: float, known: bool) -> None:
     noise = 0.5 * np.random.default_rng(0).standard_normal(60)
     times = [evening + timedelta(seconds=5 * k) for k in range(60)]
     series = checked(
-        [IrradianceSample(t, 13.0 + offset + e, 13.0) for t, e in zip(times, noise, strict=True)]
+        [
+            IrradianceSample(t, ghi_wm2=13.0 + offset + e, dhi_wm2=13.0)
+            for t, e in zip(times, noise, strict=True)
+        ]
     )
     assert (series.dni_wm2 > 0.0).all() == known and series.dni_wm2.any() == known
 
@@ -94,7 +99,7 @@ def test_diffuse_and_global_follow_where_they_are_missing() -> None:
         (at(0, 1600.0, 100.0), Mark.EXTREME),
         (at(0, 300.0, 400.0), Mark.DIFFUSE),
         (at(0, 900.0, 100.0, 300.0), Mark.CLOSURE),
-        (IrradianceSample(NOON, 500.0, 100.0, status="ADC overflow"), Mark.STATUS),
+        (IrradianceSample(NOON, ghi_wm2=500.0, dhi_wm2=100.0, status="ADC overflow"), Mark.STATUS),
     ],
 )
 def test_what_cannot_be_is_marked(sample: IrradianceSample, mark: Mark) -> None:
@@ -255,7 +260,7 @@ def test_lone_global_is_decomposed_and_says_so() -> None:
     ]
     sky = sun.clearsky(times, SEATTLE)
     series = series_of(
-        [IrradianceSample(t, float(g)) for t, g in zip(times, sky.ghi_wm2, strict=True)]
+        [IrradianceSample(t, ghi_wm2=float(g)) for t, g in zip(times, sky.ghi_wm2, strict=True)]
     )
     altitude, top = sky_geometry(series.t_unix_s, SEATTLE)
     found = derive(check(series, altitude, top), altitude, SEATTLE)
@@ -270,7 +275,7 @@ def test_night_offset_is_told_and_not_subtracted() -> None:
     night = datetime(2027, 6, 21, 8, tzinfo=UTC)
     series = series_of(
         [
-            IrradianceSample(night + timedelta(seconds=5 * i), -2.5 - 0.1 * (i % 3))
+            IrradianceSample(night + timedelta(seconds=5 * i), ghi_wm2=-2.5 - 0.1 * (i % 3))
             for i in range(50)
         ]
     )
@@ -325,7 +330,9 @@ def test_an_hour_of_daylight_saving_is_told(tmp_path: Path) -> None:
     made = create_session(tmp_path / "s", SiteFile(SEATTLE), [Slot(NOON, 60.0, 180.0, ())], {})
     log = DayFiles(made, flush=False)
     for when, value in zip(*logged(SEATTLE, datetime(2027, 6, 18, tzinfo=UTC), 2), strict=True):
-        log.append(IrradianceSample(datetime.fromtimestamp(when + 3600.0, UTC), float(value)))
+        log.append(
+            IrradianceSample(datetime.fromtimestamp(when + 3600.0, UTC), ghi_wm2=float(value))
+        )
     log.close()
     told = irradiance.run(made)
     (text,) = (said for said in told.warnings if "min from solar noon: check" in said)
@@ -354,7 +361,9 @@ def test_global_alone_without_neighbours_is_not_decomposed(tmp_path: Path) -> No
     """DIRINT gave no direct at all there: 700 W/m2 of a high sun, all of them diffuse, and
     nothing said so.
     """
-    lone = series_of([IrradianceSample(NOON + timedelta(hours=i), 700.0 + i) for i in range(3)])
+    lone = series_of(
+        [IrradianceSample(NOON + timedelta(hours=i), ghi_wm2=700.0 + i) for i in range(3)]
+    )
     altitude, top = sky_geometry(lone.t_unix_s, SEATTLE)
     found = derive(check(lone, altitude, top), altitude, SEATTLE)
     assert np.isnan(found.dni_wm2).all() and np.isnan(found.dhi_wm2).all()
@@ -407,7 +416,7 @@ def test_what_most_rows_by_day_have_in_common_is_told(ghi: float, dhi: float, sa
 def test_a_night_offset_that_blanks_the_nights_is_told() -> None:
     night = datetime(2027, 6, 21, 8, tzinfo=UTC)
     series = series_of(
-        [IrradianceSample(night + timedelta(seconds=5 * i), -5.0) for i in range(50)]
+        [IrradianceSample(night + timedelta(seconds=5 * i), ghi_wm2=-5.0) for i in range(50)]
     )
     altitude, top = sky_geometry(series.t_unix_s, SEATTLE)
     told = health(series, check(series, altitude, top), altitude, top, 0, SEATTLE)
@@ -498,7 +507,12 @@ def test_a_few_rows_at_the_end_have_the_period_of_those_before() -> None:
 def test_the_share_of_rows_that_close_is_printed() -> None:
     """75 minutes with three components, which contradict each other by half in the first 25."""
     rows = [
-        IrradianceSample(at(5.0 * i, 0, 0).t_utc, 800.0 * (1.5 if i < 300 else 1.0), 150.0, 0.0)
+        IrradianceSample(
+            at(5.0 * i, 0, 0).t_utc,
+            ghi_wm2=800.0 * (1.5 if i < 300 else 1.0),
+            dhi_wm2=150.0,
+            dni_wm2=0.0,
+        )
         for i in range(900)
     ]
     series = series_of(rows)

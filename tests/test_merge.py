@@ -182,7 +182,7 @@ class StillWorld:
         return self.panorama
 
     def irradiance(self, t_utc: datetime) -> SimulatedLight:
-        return SimulatedLight(0.0, 0.0, 0.0)
+        return SimulatedLight(ghi_wm2=0.0, dhi_wm2=0.0, dni_wm2=0.0)
 
 
 def photograph(

@@ -93,7 +93,7 @@ def test_frames_of_one_shutter_time_or_filter_err_together() -> None:
     )
     assert (c[0, 1], c[1, 2], c[0, 2]) == pytest.approx((0.004**2, 0.02**2, 0.0))
     tied = fit_ratios(
-        [PairRatio(0, 1, 0.02, 1e-5, 999)], c[:2, :2]
+        [PairRatio(long=0, short=1, log_ratio=0.02, u_log=1e-5, pixels=999)], c[:2, :2]
     )  # a filter 2 % off, found by its overlap
     assert tied.correction[1] / tied.correction[0] == pytest.approx(np.exp(0.02), rel=1e-4)
     assert tied.u_log == pytest.approx([0.004, 0.004], rel=0.02)

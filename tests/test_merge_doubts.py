@@ -152,7 +152,7 @@ def test_priors_that_are_contradicted_widen() -> None:
     """Birge's ratio: corrections of -5 and +5 % where 0.3 % was expected leave the level unsure
     by percents.
     """
-    pairs = [PairRatio(0, 1, 0.1, 5e-4, 999)]
+    pairs = [PairRatio(long=0, short=1, log_ratio=0.1, u_log=5e-4, pixels=999)]
     prior = np.eye(2) * 0.003**2
     wild, calm = fit_ratios(pairs, prior), fit_ratios([replace(pairs[0], log_ratio=0.003)], prior)
     assert np.log(wild.correction) == pytest.approx([-0.05, 0.05], abs=0.002)
@@ -169,7 +169,12 @@ def test_the_noise_of_pairs_is_no_disagreement() -> None:
     """
     rng, left = np.random.default_rng(4), []
     for _ in range(200):
-        pairs = [PairRatio(i, i + 1, float(0.01 * rng.normal()), 0.01, 999) for i in range(7)]
+        pairs = [
+            PairRatio(
+                long=i, short=i + 1, log_ratio=float(0.01 * rng.normal()), u_log=0.01, pixels=999
+            )
+            for i in range(7)
+        ]
         left.append(unexplained_u(fit_ratios(pairs, WEAK), 0.0) ** 2)
     alone = np.mean([np.var(np.cumsum(0.01 * rng.normal(size=8))) for _ in range(200)])
     assert (
@@ -180,7 +185,9 @@ def test_the_noise_of_pairs_is_no_disagreement() -> None:
 @pytest.mark.analytic
 def test_small_steps_add_up() -> None:
     """Seven neighbours that agree within 2 % each, all to one side, lie 14 % apart."""
-    pairs = [PairRatio(i, i + 1, 0.02, 0.001, 999) for i in range(7)]
+    pairs = [
+        PairRatio(long=i, short=i + 1, log_ratio=0.02, u_log=0.001, pixels=999) for i in range(7)
+    ]
     free = fit_ratios(pairs, WEAK)
     found = np.log(free.correction)
     assert found == pytest.approx(0.02 * (np.arange(8) - 3.5), abs=0.003)

@@ -310,7 +310,7 @@ class SteadyPyranometer(Pyranometer):
         self.clock = clock
 
     def read(self) -> IrradianceSample:
-        return IrradianceSample(self.clock.now(), 500.0, 100.0)
+        return IrradianceSample(self.clock.now(), ghi_wm2=500.0, dhi_wm2=100.0)
 
 
 @pytest.mark.slow

@@ -43,7 +43,13 @@ class _KeepsPatch:
 
 def predicted_patch(light: Light) -> np.ndarray:
     model = _KeepsPatch()
-    room = ModelRoom(OFFICE, HEIGHT, 2 * HEIGHT, OFFICE.camera.heading_deg, needs_patch=True)
+    room = ModelRoom(
+        setup=OFFICE,
+        height=HEIGHT,
+        width=2 * HEIGHT,
+        heading_deg=OFFICE.camera.heading_deg,
+        needs_patch=True,
+    )
     list(blocks(cast("Any", model), room, light))
     return model.patch[0]
 
@@ -51,8 +57,14 @@ def predicted_patch(light: Light) -> np.ndarray:
 @pytest.mark.analytic
 def test_a_turned_camera_sees_the_sun_where_its_pictures_show_it() -> None:
     """In a uniform picture a heading 10 degrees too low is a view direction 10 degrees higher."""
-    room = ModelRoom(OFFICE, HEIGHT, 2 * HEIGHT, OFFICE.camera.heading_deg, needs_patch=False)
-    turned = replace(room, pose=CameraPose(10.0, covariance=4 * ((0.0,) * 4,)))
+    room = ModelRoom(
+        setup=OFFICE,
+        height=HEIGHT,
+        width=2 * HEIGHT,
+        heading_deg=OFFICE.camera.heading_deg,
+        needs_patch=False,
+    )
+    turned = replace(room, pose=CameraPose(heading_deg=10.0, covariance=4 * ((0.0,) * 4,)))
     shown = np.full((1, HEIGHT, 2 * HEIGHT), 2000.0, np.float32)
     known = np.zeros((1, HEIGHT, 2 * HEIGHT), np.float32)
     error = np.full(1, 0.01)

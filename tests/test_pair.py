@@ -54,7 +54,12 @@ def log(seconds: np.ndarray, ghi: np.ndarray, every: float = 5.0) -> CleanIrradi
     t = NOON.timestamp() + seconds * every
     n = len(t)
     return CleanIrradiance(
-        t, ghi, 0.2 * ghi, 0.9 * ghi, np.array(["measured"] * n, object), np.array([""] * n, object)
+        t_unix_s=t,
+        ghi_wm2=ghi,
+        dhi_wm2=0.2 * ghi,
+        dni_wm2=0.9 * ghi,
+        source=np.array(["measured"] * n, object),
+        flags=np.array([""] * n, object),
     )
 
 
@@ -187,7 +192,12 @@ def test_a_loggers_clock_in_daylight_saving_shows_as_light_at_night(shift_h: int
     clear = sun.clearsky([datetime.fromtimestamp(s, UTC) for s in t], SEATTLE)
     texts = np.array([""] * len(t), object)
     logged = CleanIrradiance(
-        t + 3600.0 * shift_h, clear.ghi_wm2, clear.dhi_wm2, clear.dni_wm2, texts, texts
+        t_unix_s=t + 3600.0 * shift_h,
+        ghi_wm2=clear.ghi_wm2,
+        dhi_wm2=clear.dhi_wm2,
+        dni_wm2=clear.dni_wm2,
+        source=texts,
+        flags=texts,
     )
     if shift_h == 0:
         pair.check_night(Path("clean.csv"), logged, SEATTLE)
@@ -239,7 +249,9 @@ def make_session(folder: Path, room: Room | None, hours: int = 2) -> Session:
     for slot in slots:
         for i in range(-12, 24):
             days.append(
-                IrradianceSample(slot.t_utc + timedelta(seconds=5 * i), 280.0 + i % 3, 60.0)
+                IrradianceSample(
+                    slot.t_utc + timedelta(seconds=5 * i), ghi_wm2=280.0 + i % 3, dhi_wm2=60.0
+                )
             )
         _bracket(session, slot.t_utc)
     days.close()

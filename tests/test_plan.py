@@ -179,7 +179,9 @@ def test_cost_counts_headings_and_filters(profile: str, tmp_path: Path) -> None:
 def test_weather_of_other_dates_is_not_enough_data(profile: str, name: str) -> None:
     times = tuple(datetime(2025, 6, day, 20, tzinfo=UTC) for day in range(1, 6))
     light = np.full(5, 100.0)
-    weather = Weather("june", SEATTLE, times, light, light, 2 * light, typical=False)
+    weather = Weather(
+        "june", SEATTLE, t_utc=times, dni_wm2=light, dhi_wm2=light, ghi_wm2=2 * light, typical=False
+    )
     setup = SiteFile(SEATTLE, CameraSetup(profile=profile))
     with pytest.raises(NotEnoughDataError, match="the weather file has no daylight"):
         plan.make_plan(setup, plan.Request(name, TODAY, year=2027, days=5), weather)

@@ -117,7 +117,13 @@ def test_damaged_pictures_are_an_input_error(tmp_path: Path) -> None:
 def test_blocks_do_not_change_the_answer(year: Annual, model: Path, weather: Path) -> None:
     """Predicting hours one by one gives what blocks gave."""
     config = models.read_config(model)
-    room = ModelRoom(DATA.setup, config.height, config.width, config.heading_deg or 0.0, False)
+    room = ModelRoom(
+        setup=DATA.setup,
+        height=config.height,
+        width=config.width,
+        heading_deg=config.heading_deg or 0.0,
+        needs_patch=False,
+    )
     light = light_of(read_weather(weather, DATA.setup.site).daylight())
     found = list(blocks(models.load(model), room, light[[3]]))
     import xarray as xr
@@ -138,7 +144,14 @@ def test_a_sky_view_from_elsewhere_decides_the_disc(
     year: Annual, model: Path, weather: Path, tmp_path: Path
 ) -> None:
     """Half of the beam arrives from everywhere; workers predict with the same disc."""
-    grid = SkyGrid(90.0, -180.0, 5.0, 0.0, 18, 72)
+    grid = SkyGrid(
+        first_altitude_deg=90.0,
+        first_azimuth_deg=-180.0,
+        step_deg=5.0,
+        heading_deg=0.0,
+        height=18,
+        width=72,
+    )
     full = np.ones((18, 72), np.float32)
     view = SkyView(grid, full, 0 * full, 9 * full, 0.5 * full, 0.4 * full, 0.6 * full, 9)
     view.write(tmp_path / "hall.exr")

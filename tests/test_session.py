@@ -130,7 +130,11 @@ def test_a_plan_with_an_impossible_exposure_is_an_input_error(
 @given(st.text(), st.text(), st.one_of(st.none(), st.floats(-10, 1500)))
 @settings(deadline=None)
 def test_day_row_holds_any_text_on_one_line(status: str, raw: str, ghi: float | None) -> None:
-    line = encode_sample(IrradianceSample(NOON, ghi, None, 3.5, None, status, raw))
+    line = encode_sample(
+        IrradianceSample(
+            NOON, ghi_wm2=ghi, dhi_wm2=None, dni_wm2=3.5, temperature_c=None, status=status, raw=raw
+        )
+    )
     assert line.count(b"\n") == 1 and line.endswith(b"\n")
     back = decode_sample(line)
     assert back is not None and back.t_utc == NOON and back.dni_wm2 == 3.5
@@ -143,7 +147,9 @@ def test_day_row_holds_any_text_on_one_line(status: str, raw: str, ghi: float | 
 def test_a_changed_byte_is_never_read(at: int, byte: int) -> None:
     for line, decode in (
         (
-            encode_sample(IrradianceSample(NOON, 812.4, 104.9, raw="S 812.4, 104.9,1")),
+            encode_sample(
+                IrradianceSample(NOON, ghi_wm2=812.4, dhi_wm2=104.9, raw="S 812.4, 104.9,1")
+            ),
             decode_sample,
         ),
         (
@@ -212,13 +218,13 @@ def test_day_files_split_at_utc_midnight_and_recover(session: Session) -> None:
     log = DayFiles(session)
     late = datetime(2027, 3, 20, 23, 59, 58, tzinfo=UTC)
     for i in range(4):
-        log.append(IrradianceSample(late + timedelta(seconds=i), float(i)))
+        log.append(IrradianceSample(late + timedelta(seconds=i), ghi_wm2=float(i)))
     log.close()
     assert [p.name for p in day_files(session)] == ["2027-03-20.csv", "2027-03-21.csv"]
     second = day_files(session)[1]
     second.write_bytes(second.read_bytes()[:-3])
     log = DayFiles(session)
-    log.append(IrradianceSample(late + timedelta(seconds=9), 9.0))
+    log.append(IrradianceSample(late + timedelta(seconds=9), ghi_wm2=9.0))
     log.close()
     samples, broken = read_day(second)
     assert ([s.ghi_wm2 for s in samples], broken) == ([2.0, 9.0], 0)

@@ -61,7 +61,7 @@ def test_the_frames_give_the_law_whatever_the_response(true: str, bend: float, s
     seen = np.log(by_law[true]) * (1 + bend) - np.log(by_law[labels.law])
     seen += 0.005 * np.random.default_rng(seed).standard_normal(len(nominal))
     pairs = [
-        PairRatio(i, j, seen[j] - seen[i], 1e-3, 1000)
+        PairRatio(long=i, short=j, log_ratio=seen[j] - seen[i], u_log=1e-3, pixels=1000)
         for i in range(len(nominal))
         for j in range(i + 1, min(i + 4, len(nominal)))
     ]
@@ -75,7 +75,10 @@ def test_frames_that_scatter_do_not_decide() -> None:
     labels = law_of_labels(FULL_STOPS_S)
     by_law = {law: true_times_s(FULL_STOPS_S, law) for law in LAWS}
     seen = (-0.63, -0.11, -0.48, -0.66, -0.65, -0.76)  # ln ratios between neighbours, measured
-    pairs = [PairRatio(i, i + 1, ratio, 0.003, 1000) for i, ratio in enumerate(seen)]
+    pairs = [
+        PairRatio(long=i, short=i + 1, log_ratio=ratio, u_log=0.003, pixels=1000)
+        for i, ratio in enumerate(seen)
+    ]
     found = law_of_frames(by_law, labels, pairs)
     assert (found.law, found.decided_by) == ("third-stops", "labels")
 

@@ -66,7 +66,7 @@ class _World:
         return self.panorama
 
     def irradiance(self, t_utc: datetime) -> SimulatedLight:
-        return SimulatedLight(0.0, 0.0, 0.0)
+        return SimulatedLight(ghi_wm2=0.0, dhi_wm2=0.0, dni_wm2=0.0)
 
 
 @pytest.mark.slow
@@ -74,7 +74,14 @@ class _World:
 def test_merge_keeps_bars_that_the_panorama_cannot_show(tmp_path: Path) -> None:
     """Bars 2 degrees apart before a sky of 3 000 cd/m2, in a panorama of 3.9 degrees."""
     profile = load_camera_profile("sim-fisheye")
-    grid = SkyGrid(40.0, -24.0, 0.25, 180.0, 160, 192)
+    grid = SkyGrid(
+        first_altitude_deg=40.0,
+        first_azimuth_deg=-24.0,
+        step_deg=0.25,
+        heading_deg=180.0,
+        height=160,
+        width=192,
+    )
     bars = np.where((np.arange(160) // 4) % 2 == 0, 3000.0, 30.0).astype(np.float32)
     light = np.repeat(bars[:, None], 192, axis=1)
     panorama = DetailedPanorama(

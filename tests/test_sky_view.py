@@ -24,7 +24,14 @@ from fieldlum.sky.sky_view.view import CHANNELS, SkyView
 from fieldlum.sky.sky_view.visible_disc import disc_lx, disc_of_hours, disc_source, drawn_shares
 
 SITE = Site("place", 45.0, 8.0)
-GRID = SkyGrid(32.0, -16.0, 1.0, 180.0, 32, 32)  # 32 x 32 degrees around the south
+GRID = SkyGrid(
+    first_altitude_deg=32.0,
+    first_azimuth_deg=-16.0,
+    step_deg=1.0,
+    heading_deg=180.0,
+    height=32,
+    width=32,
+)  # 32 x 32 degrees around the south
 
 
 def _light(days: int = 9) -> Light:
@@ -179,10 +186,27 @@ def test_edges_and_bars_of_coarse_pictures_are_where_openness_puts_them() -> Non
     openness = np.ones((12, 12), np.float32)
     openness[:, :2], openness[:, 2] = 0.0, 0.6  # open from column 2.4
     openness[:, 6], openness[:, 7] = 0.75, 0.92  # a bar from column 6.75 to 7.08
-    full, grid = np.full_like(openness, 0.8), SkyGrid(36.0, -18.0, 3.0, 180.0, 12, 12)
+    full, grid = (
+        np.full_like(openness, 0.8),
+        SkyGrid(
+            first_altitude_deg=36.0,
+            first_azimuth_deg=-18.0,
+            step_deg=3.0,
+            heading_deg=180.0,
+            height=12,
+            width=12,
+        ),
+    )
     through = openness * full
     view = SkyView(grid, openness, 0 * full, full, full, 0 * full, full)
-    fine = SkyGrid(36.0, -18.0, 0.125, 180.0, 288, 288)
+    fine = SkyGrid(
+        first_altitude_deg=36.0,
+        first_azimuth_deg=-18.0,
+        step_deg=0.125,
+        heading_deg=180.0,
+        height=288,
+        width=288,
+    )
     mean = view.beam_shares(fine.rays())[0].reshape(12, 24, 12, 24).mean(axis=(1, 3))
     assert mean[1:-1, :] == pytest.approx(through[1:-1, :], abs=0.04)
     for column, share in ((2.2, 0.0), (2.6, 0.8), (5.9, 0.8), (6.5, 0.8), (6.9, 0.0), (7.4, 0.8)):
@@ -198,10 +222,27 @@ def test_a_bar_within_a_pixel_can_be_anywhere_in_it() -> None:
     openness = np.ones((12, 12), np.float32)
     openness[:, 3] = 0.77
     openness[:, 7], openness[:, 8] = 0.88, 0.89
-    full, grid = np.ones_like(openness), SkyGrid(36.0, -18.0, 3.0, 180.0, 12, 12)
+    full, grid = (
+        np.ones_like(openness),
+        SkyGrid(
+            first_altitude_deg=36.0,
+            first_azimuth_deg=-18.0,
+            step_deg=3.0,
+            heading_deg=180.0,
+            height=12,
+            width=12,
+        ),
+    )
     mixed = openness < 1.0
     view = SkyView(grid, openness, 0 * full, full, full, np.where(mixed, 0.0, full), full)
-    fine = SkyGrid(36.0, -18.0, 0.125, 180.0, 288, 288)
+    fine = SkyGrid(
+        first_altitude_deg=36.0,
+        first_azimuth_deg=-18.0,
+        step_deg=0.125,
+        heading_deg=180.0,
+        height=288,
+        width=288,
+    )
     _, low, high = view.beam_shares(fine.rays())
     assert (low[24:-24, 72:96] == 0.0).all() and (high[24:-24, 72:96] == 1.0).all()
     assert (low[24:-24, 100:164] == 1.0).all() and (low[24:-24, 168:176] == 1.0).all()
@@ -226,9 +267,28 @@ def test_a_slanted_bar_narrower_than_a_pixel_is_not_broken() -> None:
     row, column = (np.mgrid[:288, :288] + 0.5) / 24.0
     bar = np.abs(row - 4.0 - column / 3.0) < 0.25
     openness = 1.0 - bar.reshape(12, 24, 12, 24).mean(axis=(1, 3), dtype=np.float32)
-    full, grid = np.ones_like(openness), SkyGrid(36.0, -18.0, 3.0, 180.0, 12, 12)
+    full, grid = (
+        np.ones_like(openness),
+        SkyGrid(
+            first_altitude_deg=36.0,
+            first_azimuth_deg=-18.0,
+            step_deg=3.0,
+            heading_deg=180.0,
+            height=12,
+            width=12,
+        ),
+    )
     view = SkyView(grid, openness, 0 * full, full, full, 0 * full, full)
-    best = view.beam_shares(SkyGrid(36.0, -18.0, 0.125, 180.0, 288, 288).rays())[0]
+    best = view.beam_shares(
+        SkyGrid(
+            first_altitude_deg=36.0,
+            first_azimuth_deg=-18.0,
+            step_deg=0.125,
+            heading_deg=180.0,
+            height=288,
+            width=288,
+        ).rays()
+    )[0]
     assert (best == 0.0).any(axis=0)[24:-24].all()
     assert (best == ~bar).mean() > 0.95
 
@@ -254,13 +314,26 @@ def _at(view: SkyView, row: float, column: float) -> Light:
     altitude = view.grid.first_altitude_deg - row * view.grid.step_deg
     azimuth = view.grid.heading_deg + view.grid.first_azimuth_deg + column * view.grid.step_deg
     one = LIGHT[[int(np.argmax(LIGHT.dni_wm2))]]
-    at = np.array([altitude]), np.array([azimuth])
-    return Light(one.t_utc, one.dni_wm2, one.dhi_wm2, *at, refraction=False)
+    return Light(
+        t_utc=one.t_utc,
+        dni_wm2=one.dni_wm2,
+        dhi_wm2=one.dhi_wm2,
+        sun_altitude_deg=np.array([altitude]),
+        sun_azimuth_deg=np.array([azimuth]),
+        refraction=False,
+    )
 
 
 def _edge_view(heading_sd_deg: float) -> SkyView:
     """An open right half with sharp edges at 0.1 degrees."""
-    grid = SkyGrid(30.0, -10.0, 0.1, 180.0, 200, 200)
+    grid = SkyGrid(
+        first_altitude_deg=30.0,
+        first_azimuth_deg=-10.0,
+        step_deg=0.1,
+        heading_deg=180.0,
+        height=200,
+        width=200,
+    )
     openness = np.zeros((200, 200), np.float32)
     openness[:, 100:] = 1.0
     full = np.full_like(openness, 0.8)
@@ -284,11 +357,11 @@ def test_the_disc_is_a_mean_and_the_heading_doubts_its_edge() -> None:
     sure = drawn_shares(_edge_view(0.0), near, np.random.default_rng(0), 64)[:, 0]
     assert (sure > 0.75).all()
     weak = Light(
-        near.t_utc,
-        np.array([1.5]),
-        near.dhi_wm2,
-        near.sun_altitude_deg,
-        near.sun_azimuth_deg,
+        t_utc=near.t_utc,
+        dni_wm2=np.array([1.5]),
+        dhi_wm2=near.dhi_wm2,
+        sun_altitude_deg=near.sun_altitude_deg,
+        sun_azimuth_deg=near.sun_azimuth_deg,
         refraction=False,
     )
     disc = disc_of_hours(view, weak)  # within the readings' errors: no picture shows such a disc

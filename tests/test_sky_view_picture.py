@@ -25,7 +25,14 @@ def test_a_picture_is_read_as_it_was_written(tmp_path: Path) -> None:
     """Luminance returns to 0.04 %, from a dark leaf to the sun's disc; a gap remains NaN."""
     light = np.array([[0.3, 2e3, 1.6e9], [np.nan, 0.0, 17.0]], np.float32)
     clipped = np.array([[False, False, True], [False, True, False]])
-    grid = SkyGrid(40.05, -12.3, 0.05, 193.0, 2, 3)
+    grid = SkyGrid(
+        first_altitude_deg=40.05,
+        first_azimuth_deg=-12.3,
+        step_deg=0.05,
+        heading_deg=193.0,
+        height=2,
+        width=3,
+    )
     write_sky_picture(tmp_path / "a.sky.npz", SkyPicture(light, clipped, grid, 12.5))
     back = read_sky_picture(tmp_path / "a.sky.npz")
     assert back.grid == grid and back.dark_cdm2 == 12.5

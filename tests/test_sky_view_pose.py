@@ -52,7 +52,8 @@ def test_six_discs_give_the_pose() -> None:
     at = sun.position(list(TIMES), SEATTLE)
     suns = sun.direction(at.apparent_altitude_deg, at.azimuth_deg)
     shown = pose.in_pictures(suns)
-    true = CameraPose(*values, axis_deg=AXIS_DEG).in_pictures(suns)
+    names = ("heading_deg", "tilt_deg", "roll_deg", "lens_scale")
+    true = CameraPose(**dict(zip(names, values, strict=True)), axis_deg=AXIS_DEG).in_pictures(suns)
     assert np.degrees(np.linalg.norm(shown - true, axis=1)).max() < 0.05
     assert pose.true_directions(shown) == pytest.approx(suns, abs=1e-9)
     assert CameraPose.from_table(json.loads(json.dumps(asdict(pose)))) == pose

@@ -93,7 +93,7 @@ def _session(folder: Path) -> Session:
         t = T0 + timedelta(minutes=k)
         status = HOSTILE if k == 5 else ""
         ghi = 5000.0 if k == 20 else 300.0 + k
-        days.append(IrradianceSample(t, ghi, 100.0, 400.0, status=status))
+        days.append(IrradianceSample(t, ghi_wm2=ghi, dhi_wm2=100.0, dni_wm2=400.0, status=status))
     days.close()
     (session.root / "watch").mkdir()
     answer = json.dumps(_answer(0.36, 12))
@@ -408,7 +408,7 @@ def test_followed_files_give_what_a_whole_reading_gives(tmp_path: Path) -> None:
     days = DayFiles(plain)
     bins = DayBins(plain.irradiance / f"{T0:%Y-%m-%d}.csv")
     for k in range(10):
-        days.append(IrradianceSample(T0 + timedelta(seconds=12 * k), 100.0 + k))
+        days.append(IrradianceSample(T0 + timedelta(seconds=12 * k), ghi_wm2=100.0 + k))
         bins.update()
     assert np.nansum(bins.means[:, 0]) == pytest.approx(104.5)
     days.close()

@@ -118,7 +118,14 @@ def test_clear_sky_noon_stands_at_the_hour_centre(tmp_path) -> None:
     """
     times = _year().t_utc
     clear = sun.clearsky(times, SEATTLE)
-    year = weather.Weather("clear", SEATTLE, times, clear.dni_wm2, clear.dhi_wm2, clear.ghi_wm2)
+    year = weather.Weather(
+        "clear",
+        SEATTLE,
+        t_utc=times,
+        dni_wm2=clear.dni_wm2,
+        dhi_wm2=clear.dhi_wm2,
+        ghi_wm2=clear.ghi_wm2,
+    )
     _write_epw(tmp_path / "clear.epw", year)
     found = weather.read_weather(tmp_path / "clear.epw", SEATTLE)
     day = slice(24 * 171, 24 * 172)

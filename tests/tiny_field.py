@@ -64,7 +64,7 @@ class TinyPyranometer(Pyranometer):
     def read(self) -> IrradianceSample:
         self.count += 1
         self.fault(self.count)
-        return IrradianceSample(self.clock.now(), 500.0 + self.count, 100.0)
+        return IrradianceSample(self.clock.now(), ghi_wm2=500.0 + self.count, dhi_wm2=100.0)
 
     def close(self) -> None: ...
 

@@ -1,5 +1,6 @@
 """Read the pairs of a benchmark; compute the rows of its score table."""
 
+import math
 import os
 import time
 from collections.abc import Sequence
@@ -148,7 +149,14 @@ def score_row(
         trial = evaluate_folds(spec.name, data, folds, patch=patch, seed=seed, budget_s=budget_s)
     else:
         fitted, spent, count = _fitted(spec, data, patch, seed, budget_s)
-        trial = Trial(spec.name, evaluate(fitted, test), *spent, count, 0)
+        trial = Trial(
+            name=spec.name,
+            scores=evaluate(fitted, test),
+            fit_s=spent.wall_s,
+            fit_cpu_s=spent.cpu_s,
+            n_train=count,
+            folds=0,
+        )
     row = {
         "name": spec.label,
         "fit_s": trial.fit_s,
@@ -169,7 +177,8 @@ def _fitted(
         return fitted, spent, len(data)
     config = models.read_config(spec.folder)
     about = config.state.get("dense_training", {})
-    spent = Spent(*(float(about.get(name, float("nan"))) for name in ("seconds", "cpu_seconds")))
+    wall_s, cpu_s = (float(about.get(name, math.nan)) for name in ("seconds", "cpu_seconds"))
+    spent = Spent(wall_s=wall_s, cpu_s=cpu_s)
     return models.load(spec.folder), spent, len(config.training.slots)
 
 

@@ -74,7 +74,7 @@ def from_table(path: Path) -> Targets:
     """
     names = ("x_px", "y_px", "azimuth_deg", "altitude_deg")
     x, y, azimuth, altitude = fit_steps.columns(fit_steps.read_table(path, names), *names)
-    return Targets(x, y, direction(altitude, azimuth), path)
+    return Targets(x_px=x, y_px=y, rays=direction(altitude, azimuth), source=path)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -120,10 +120,14 @@ def fit(targets: Targets, lens: Lens) -> LensFit:
     missed, angle = _misses(fitted, targets)
     _check(fitted, missed[inliers], angle[inliers], targets)
     new = replace(_rounded(fitted), **({} if pose else _pose_of(lens)))
-    rms_deg = choice.rms * lens.full_angle_deg / 2 / fitted.radius_px
-    widest_deg = float(np.degrees(angle[inliers].max()))
-    warnings = _warnings(targets, missed, inliers, new, lens)
-    return LensFit(new, choice.rms, rms_deg, widest_deg, choice, warnings)
+    return LensFit(
+        new,
+        rms_px=choice.rms,
+        rms_deg=choice.rms * lens.full_angle_deg / 2 / fitted.radius_px,
+        widest_deg=float(np.degrees(angle[inliers].max())),
+        choice=choice,
+        warnings=_warnings(targets, missed, inliers, new, lens),
+    )
 
 
 def level_lens(lens: Lens) -> Lens:
@@ -315,7 +319,7 @@ def fit_boards(
     level = level_lens(lens)
     poses = np.concatenate([_board_pose(level, c, points) for c in corners])
     _, poses, _ = _solve(level, MODELS["four terms"], x, y, rays_of, poses, pose=False)
-    targets = Targets(x, y, rays_of(poses), "chessboard", pose_known=True)
+    targets = Targets(x_px=x, y_px=y, rays=rays_of(poses), source="chessboard", pose_known=True)
     start = fit(targets, lens)
     powers = tuple(i + 1 for i, c in enumerate(start.lens.coefficients) if c)
     model, own = (start.lens.mapping, powers), level_lens(start.lens)
@@ -467,6 +471,6 @@ def circle_chart(found: Circle, source: Path) -> Chart:
     right, down = found.edge - np.array([[x], [y]])
     turn, away = np.degrees(np.arctan2(down, right)), np.hypot(right, down)
     title = f"centre {x:.1f}, {y:.1f}, radius {radius:.1f} px, uncertainty {found.u_px:.1f} px"
-    places = [Place(source, *point) for point in found.edge.T.tolist()]
+    places = [Place(source, x_px, y_px) for x_px, y_px in found.edge.T.tolist()]
     around, edge = ("direction from the centre [deg]", turn), ("distance of the edge [px]", away)
     return Chart(title, away / radius - 1.0, places, around, edge, np.full(len(away), radius))

@@ -354,9 +354,10 @@ def fit(places: Places) -> ResponseFit:
         caution = "CAUTION: check that camera and light did not change; take the bracket again"
         choice = replace(choice, line=f"{choice.line}. {caution}")
     kind: Any = model if isinstance(model, str) else "table"
-    curves = [tuple(np.round(table, 7).tolist()) for table in tables if kind == "table"]
-    u_rel = round(max(choice.rms, 0.001), 5)
-    response = Response(kind, *curves, low_code=low, high_code=HIGH, u_rel=u_rel)
+    response = Response(kind, low_code=low, high_code=HIGH, u_rel=round(max(choice.rms, 0.001), 5))
+    if kind == "table":
+        red, green, blue = (tuple(np.round(table, 7).tolist()) for table in tables)
+        response = replace(response, red=red, green=green, blue=blue)
     return ResponseFit(response, tuple(rms), choice)
 
 

@@ -100,7 +100,9 @@ def _reading(
         image = illuminance_lx(light, heading_deg, at.y, at.x, picture.sun)
     u_rel, label = math.hypot(row["u_rel"], u_image), f"{at.path.stem} {at.x:g}/{at.y:g} deg"
     meter = float(spot or plane or 0.0)
-    return LuminanceReading(kind, label, meter, image * to_k, u_rel, at), u_image
+    return LuminanceReading(
+        kind, label, meter=meter, image=image * to_k, u_rel=u_rel, place=at
+    ), u_image
 
 
 def _to_k(file: Path, picture: Panorama, profile: CameraProfile) -> float:

@@ -154,7 +154,7 @@ def read_levels(paths: Sequence[Path], profile: CameraProfile) -> Levels:
         blocks.append(_blocks(mosaic, profile))
         seconds.append(true_shutter_s(mosaic.exposure.shutter_s, profile)[0])
     share, weight = np.array(blocks).transpose(1, 0, 2)
-    return Levels(share, weight, np.array(seconds), tuple(paths))
+    return Levels(share=share, weight=weight, seconds=np.array(seconds), frames=tuple(paths))
 
 
 def _blocks(mosaic: Mosaic, profile: CameraProfile) -> Floats:
@@ -197,11 +197,15 @@ def fit(levels: Levels) -> LinearityFit:
         unit="% of light",
         negligible=0.04 * _REPEATS,
     )
-    coefficients = tuple(round(float(a), 7) for a in solution[1:])
     u_offset = float(np.sqrt(covariance[0, 0]))
     sure = abs(solution[0]) > 4.0 * u_offset
-    offset = float(f"{solution[0]:.4g}") if sure else 0.0
-    return LinearityFit(coefficients, offset, u_offset, max(round(choice.rms, 5), _REPEATS), choice)
+    return LinearityFit(
+        tuple(round(float(a), 7) for a in solution[1:]),
+        offset_s=float(f"{solution[0]:.4g}") if sure else 0.0,
+        u_offset_s=u_offset,
+        u_rel=max(round(choice.rms, 5), _REPEATS),
+        choice=choice,
+    )
 
 
 def _residuals(solution: Floats, levels: Levels, rows: Mask, of: Mask) -> Floats:

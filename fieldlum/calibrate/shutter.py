@@ -164,9 +164,11 @@ def _reading(
         return None
     log_correction = math.log(short.correction) - math.log(long.correction)
     log_ratio = neighbour.residual_percent / 100 + log_correction
+    if not math.isfinite(log_ratio):
+        return None
     seconds = (short.t_utc - long.t_utc).total_seconds() if short.t_utc and long.t_utc else 0.0
     pair, u_log = (a.shutter_s, b.shutter_s), neighbour.u_percent / 100
-    return ShutterReading(pair, log_ratio, u_log, seconds) if math.isfinite(log_ratio) else None
+    return ShutterReading(pair, log_ratio=log_ratio, u_log=u_log, seconds=seconds)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -191,8 +193,13 @@ def _pair_ratio(values: Floats) -> TimeRatio:
     """Return the ratio of a pair; values [3, brackets] : log ratio, its u, seconds."""
     median, noise, seconds = np.median(values, axis=1).tolist()
     apart, n = robust_sigma(values[0]), values.shape[1]
-    error = math.hypot(median_standard_error(max(apart, noise), n), U_FRAME_RATIO)
-    return TimeRatio(median, math.sqrt(max(apart**2 - noise**2, 0.0)), error, n, seconds)
+    return TimeRatio(
+        median=median,
+        spread=math.sqrt(max(apart**2 - noise**2, 0.0)),
+        error=math.hypot(median_standard_error(max(apart, noise), n), U_FRAME_RATIO),
+        brackets=n,
+        seconds=seconds,
+    )
 
 
 def _drift_per_s(bracket: Bracket, pooled: dict[Pair, TimeRatio]) -> float:

@@ -108,7 +108,8 @@ def reading(picture: Panorama, profile: CameraProfile, row: fit_steps.CsvRow) ->
     nearest = int(np.argmax([axis @ toward for axis in axes]))
     use = (rays @ axes[nearest] >= np.cos(profile.lens[nearest].half_angle_rad)) & (flux > 0)
     away = np.arccos(np.clip(rays[use] @ toward, -1.0, 1.0))
-    return StrayReading(Place(row["panorama"], *at_deg), stray, away, flux[use])
+    place = Place(row["panorama"], at_deg[0], at_deg[1])
+    return StrayReading(place, stray, away, flux[use])
 
 
 def fit(readings: Sequence[StrayReading], source: Path | str = "stray") -> StrayFit:

@@ -13,6 +13,7 @@ from fieldlum.cli.declared import EXISTING_PATH
 from fieldlum.cli.options import CaptureSet, Year, calendar_day, command_of
 
 if TYPE_CHECKING:
+    from fieldlum import plan
     from fieldlum.core.records import SiteFile
     from fieldlum.session import Session
     from fieldlum.weather import Weather
@@ -52,6 +53,7 @@ def command(
       --out: The session folder to write.
       --replan: Add make-up slots for the missed ones.
     """
+    from fieldlum import plan
     from fieldlum.session import open_session
     from fieldlum.session.site_toml import load_site
     from fieldlum.weather import read_weather
@@ -86,18 +88,18 @@ def command(
     if session is not None:
         answer, sentences = _replanned(session, weather)
     else:
-        assert out is not None
-        answer, sentences = _planned(setup, (set_, day, year, days, count), weather, out)
+        assert out is not None and set_ is not None
+        today = plan.today_at(site, datetime.now(UTC))
+        asked = plan.Request(set_, today, start=day, year=year, days=days, count=count)
+        answer, sentences = _planned(setup, asked, weather, out)
     terminal.print_answer(as_json, answer, sentences)
 
 
 def _planned(
-    setup: SiteFile, asked: tuple, weather: Weather | None, out: Path
+    setup: SiteFile, request: plan.Request, weather: Weather | None, out: Path
 ) -> tuple[dict, list[str]]:
     from fieldlum import plan
 
-    set_, *dates = asked
-    request = plan.Request(set_, plan.today_at(setup.site, datetime.now(UTC)), *dates)
     _permit_room(setup)
     with terminal.progress("choosing hours"):
         session, planned = plan.run(setup, request, out, weather)

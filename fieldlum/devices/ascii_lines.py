@@ -237,7 +237,7 @@ def sample_of(t_utc: datetime, values: Mapping[str, float | None], raw: str) -> 
 
     raw : the instrument's own text, stored with the sample.
     """
-    return IrradianceSample(t_utc, **{"ghi_wm2": None, **values}, raw=raw)
+    return IrradianceSample(t_utc=t_utc, **{"ghi_wm2": None, **values}, raw=raw)
 
 
 # ----------------------------------------------------------------------------------------------

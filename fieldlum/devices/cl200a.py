@@ -144,7 +144,7 @@ class _FramedMeter(IlluminanceMeter):
         line = SerialLine(bits=7 if parity == "E" else 8, parity=parity)
         self._port = SerialPort(place, line, timeout_s=1.5)
         kind, model = self.model.replace("-", "").lower(), f"Konica Minolta {self.model}"
-        self.info = InstrumentInfo(kind, model, port=self._port.name, gives=("illuminance",))
+        self.info = InstrumentInfo(kind, model=model, port=self._port.name, gives=("illuminance",))
         with closed_on_error(self):
             self._answer(PC_MODE)
             sleep(_PAUSE_S)

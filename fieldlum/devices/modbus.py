@@ -284,7 +284,7 @@ class ModbusPyranometer(Pyranometer):
         answers = {what: self._ask(unit, self._profile.poll) for what, unit in self._units.items()}
         warm = (d.values.get("temperature_c") for d, _ in answers.values())
         return IrradianceSample(
-            t_utc,
+            t_utc=t_utc,
             **{f"{what}_wm2": d.values["irradiance_wm2"] for what, (d, _) in answers.items()},
             temperature_c=next((t for t in warm if t is not None), None),
             status="; ".join(f"{what}: {d.status}" for what, (d, _) in answers.items() if d.status),

@@ -54,7 +54,9 @@ class ReplayCamera(Camera):
         self._clock = clock
         self._left = frames_of(folder)
         first = self._left[0][1]
-        self.info = CameraInfo("replay", first.make, first.model, frames_left=len(self._left))
+        self.info = CameraInfo(
+            "replay", make=first.make, model=first.model, frames_left=len(self._left)
+        )
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
         """Copy the next unused frame with this exposure to `target` plus its suffix.

@@ -15,6 +15,7 @@ import re
 import signal
 import subprocess
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -60,7 +61,7 @@ class FrameMetadata(Struct, frozen=True):
         """
         iso = ISO_OF_GAIN_1 * self.analogue_gain
         is_as_asked = abs(iso / asked.iso - 1.0) <= GAIN_TOLERANCE
-        return Exposure(self.shutter_s, asked.f_number, asked.iso if is_as_asked else iso, asked.nd)
+        return replace(asked, shutter_s=self.shutter_s, iso=asked.iso if is_as_asked else iso)
 
 
 def parse_metadata(text: str) -> FrameMetadata:
@@ -100,7 +101,8 @@ class RpicamCamera(Camera):
             listed = ", ".join(f"{n} ({name})" for n, name in cameras.items())
             listed = listed or "none: check the ribbon cable, then restart"
             raise DeviceError(f"rpicam: no camera {self._number}; {PROGRAM} names {listed}")
-        self.info = CameraInfo("rpicam", "Raspberry Pi", cameras[self._number], clock_offset_s=0.0)
+        model = cameras[self._number]
+        self.info = CameraInfo("rpicam", make="Raspberry Pi", model=model, clock_offset_s=0.0)
         self._taken: dict[Path, Exposure] = {}
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:

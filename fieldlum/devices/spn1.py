@@ -9,7 +9,6 @@ import re
 from collections.abc import Callable
 from datetime import datetime
 from itertools import combinations
-from typing import Any
 
 from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import IrradianceSample
@@ -90,7 +89,9 @@ def agreed_sample(t_utc: datetime, ask: Callable[[], bytes]) -> IrradianceSample
         disagree = f"no two answers of the instrument agree: {', '.join(texts)}; check the cable"
         raise DeviceError(disagree if valid else why)
     status = "total below diffuse" if total < diffuse - NOISE_WM2 else ""
-    return IrradianceSample(t_utc, total, diffuse, status=status, raw=" | ".join(texts))
+    return IrradianceSample(
+        t_utc=t_utc, ghi_wm2=total, dhi_wm2=diffuse, status=status, raw=" | ".join(texts)
+    )
 
 
 def parse_status(reply: bytes) -> tuple[str, str]:
@@ -126,9 +127,15 @@ class Spn1(Pyranometer):
             self._port.write(b"I")
             reply = self._port.read(400)  # its lines have no end mark: until the timeout
             firmware, serial = parse_status(reply.removeprefix(b"I"))
-        how: dict[str, Any] = {"port": self._port.name, "gives": ("ghi", "dhi")}
-        what = "spn1", "Delta-T SPN1", serial, firmware
-        self.info = InstrumentInfo(*what, **how, guard="asked twice")
+        self.info = InstrumentInfo(
+            kind="spn1",
+            model="Delta-T SPN1",
+            serial=serial,
+            firmware=firmware,
+            port=self._port.name,
+            gives=("ghi", "dhi"),
+            guard="asked twice",
+        )
 
     def read(self) -> IrradianceSample:
         """Return a reading; see `agreed_sample`. Raises DeviceError also for silence."""

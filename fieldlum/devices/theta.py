@@ -51,10 +51,12 @@ class ThetaCamera(Camera):
         options = self._options(*offers, "remainingPictures", "dateTimeZone")
         self._offers = [_numbers(options.get(name)) for name in offers]
         level, rest = state.get("batteryLevel"), options.get("remainingPictures")
-        names = "manufacturer", "model", "serialNumber", "firmwareVersion"
         self.info = CameraInfo(
-            "theta",
-            *(str(about.get(name, "")) for name in names),
+            kind="theta",
+            make=str(about.get("manufacturer", "")),
+            model=str(about.get("model", "")),
+            serial=str(about.get("serialNumber", "")),
+            firmware=str(about.get("firmwareVersion", "")),
             battery=f"{100 * level:.0f} %" if isinstance(level, int | float) else "",
             clock_offset_s=self._clock_offset(options.get("dateTimeZone")),
             frames_left=rest if isinstance(rest, int) else None,

@@ -71,7 +71,7 @@ def lens_crop(profile: CameraProfile) -> Crop:
         finding = "no lens circle of the profile is on the sensor"
         remedy = "correct centre_px and radius_px of [[lens]] in the profile"
         raise InputError(body.name, finding, "lens circles on the sensor", remedy)
-    return Crop(int(top), int(left), int(bottom - top), int(right - left))
+    return Crop(top=int(top), left=int(left), height=int(bottom - top), width=int(right - left))
 
 
 @dataclass(slots=True)

@@ -111,9 +111,14 @@ def _samples(
     total = np.bincount(pixel, own, pixels)
     full = weight.reshape(last - first, sub, width, across).sum(axis=(1, 3)).ravel()
     share = own / total[pixel]
-    mean_angle = np.asarray(np.bincount(pixel, share * angle.ravel()[at], pixels), float)
-    coverage = total / np.maximum(full, 1e-30)
-    return _Samples(pixel, x.ravel()[at], y.ravel()[at], share, coverage, mean_angle)
+    return _Samples(
+        pixel,
+        x=x.ravel()[at],
+        y=y.ravel()[at],
+        share=share,
+        coverage=total / np.maximum(full, 1e-30),
+        angle_rad=np.asarray(np.bincount(pixel, share * angle.ravel()[at], pixels), float),
+    )
 
 
 def _matrix(samples: _Samples, lattice: _Lattice, sensor_shape: tuple[int, int]) -> Any:

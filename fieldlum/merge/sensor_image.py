@@ -72,7 +72,8 @@ def seen_noise(samples: Sequence[Rows], correction: Floats) -> SeenNoise:
     scatter = np.mean((table @ factors - 1.0) ** 2)
     u = np.sqrt(np.diag(np.linalg.pinv(table.T @ table)) * scatter)
     sure = factors > np.maximum(1.44, 1.0 + 3.0 * u)
-    return SeenNoise(*np.where(sure, factors, 1.0).tolist())
+    shot_factor, read_factor = np.where(sure, factors, 1.0).tolist()
+    return SeenNoise(shot=shot_factor, read=read_factor)
 
 
 def _steps(long: Rows, short: Rows, correction: float) -> list[tuple[float, float, float]]:

@@ -76,7 +76,7 @@ def take_out_disc(
         luminance_cdm2=without_disc(light, disc),
         u_cdm2=u_cdm2,
         flags=flags,
-        sun=SunSource(altitude_deg, azimuth_deg, disc.normal_lx, 1.0, origin),
+        sun=SunSource(altitude_deg, azimuth_deg, disc.normal_lx, origin=origin),
         rgb=rgb,
     )
     return without, disc

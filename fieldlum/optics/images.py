@@ -430,8 +430,9 @@ def _sun_text(sun: SunSource) -> str:
 
 
 def _sun_parse(text: str) -> SunSource:
-    altitude, azimuth, normal, fraction, origin = text.split(maxsplit=4)
-    return SunSource(float(altitude), float(azimuth), float(normal), float(fraction), origin)
+    *numbers, origin = text.split(maxsplit=4)
+    altitude, azimuth, normal, fraction = map(float, numbers)
+    return SunSource(altitude, azimuth, normal, visible_fraction=fraction, origin=origin)
 
 
 # ----------------------------------------------------------------------------------------------

@@ -97,7 +97,7 @@ LAWS = (THIRD_STOPS, HALF_STOPS, EXACT)
 _GRIDS = {THIRD_STOPS: ((3,), 0.07), HALF_STOPS: ((2,), 0.12), AUTO: ((3, 2), 0.07)}
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PairRatio:
     """The measured exposure ratio of two frames.
 

@@ -417,8 +417,10 @@ def bracket_exposures(bracket: Bracket, filter_name: str = "") -> tuple[Exposure
     """
 
     def group(times_s: Sequence[float], name: str) -> list[Exposure]:
-        exposures = (bracket.f_number, bracket.iso, name)
-        return [Exposure(t, *exposures) for t in sorted(times_s, reverse=True)]
+        return [
+            Exposure(shutter_s=t, f_number=bracket.f_number, iso=bracket.iso, nd=name)
+            for t in sorted(times_s, reverse=True)
+        ]
 
     filtered = group(bracket.nd_shutter_s, filter_name) if filter_name else []
     return (*group(bracket.shutter_s, ""), *filtered)

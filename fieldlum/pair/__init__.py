@@ -92,9 +92,17 @@ def _bracket_of(session: Session, path: Path) -> BracketInterval:
     else:
         opened, closed, meter_lx = capture.t_open_utc, capture.t_close_utc, capture.illuminance_lx
         frames, complete = capture.frames, complete and capture.complete
-    hashes = frozenset(frame.sha256 for frame in frames if frame.sha256)
-    taken = BracketInterval(slot, path, opened, closed, meter_lx, complete, hashes)
-    return replace(taken, sun_u_percent=sun_u_percent, clipped_percent=clipped_percent)
+    return BracketInterval(
+        slot,
+        path,
+        t_open_utc=opened,
+        t_close_utc=closed,
+        meter_lx=meter_lx,
+        complete=complete,
+        frames=frozenset(frame.sha256 for frame in frames if frame.sha256),
+        sun_u_percent=sun_u_percent,
+        clipped_percent=clipped_percent,
+    )
 
 
 def _slot_time(path: Path) -> datetime:
@@ -233,8 +241,14 @@ def _light(session: Session, brackets: Sequence[BracketInterval], rows: Sequence
     states = tuple(marked.get(bracket.slot, "") for bracket in brackets)
     numbers = [(r.dni_wm2, r.dhi_wm2, r.sun_altitude_deg, r.sun_azimuth_deg) for r in rows]
     dni, dhi, altitude, azimuth = np.array(numbers).reshape(-1, 4).T
-    times = tuple(row.t_utc for row in rows)
-    return Light(times, dni, dhi, altitude, azimuth, states=states if any(states) else None)
+    return Light(
+        t_utc=tuple(row.t_utc for row in rows),
+        dni_wm2=dni,
+        dhi_wm2=dhi,
+        sun_altitude_deg=altitude,
+        sun_azimuth_deg=azimuth,
+        states=states if any(states) else None,
+    )
 
 
 def _picture_sun(bracket: BracketInterval, full_normal_lx: float) -> Shown:

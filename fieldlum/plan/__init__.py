@@ -143,8 +143,14 @@ def make_slots(
     slots = []
     for i, (t_utc, altitude, azimuth) in enumerate(zip(hours.t_utc, *angles, strict=True)):
         tags = (seasons[days[i]], *(name for name, rows in tagged.items() if rows[i]))
-        tags = tuple(tag for tag in tags if tag)
-        slots.append(Slot(t_utc, float(altitude), float(azimuth), tuple(exposures), tags))
+        slot = Slot(
+            t_utc,
+            sun_altitude_deg=float(altitude),
+            sun_azimuth_deg=float(azimuth),
+            exposures=tuple(exposures),
+            tags=tuple(tag for tag in tags if tag),
+        )
+        slots.append(slot)
     return tuple(sorted(slots, key=lambda slot: slot.t_utc))
 
 

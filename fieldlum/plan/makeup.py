@@ -1,6 +1,7 @@
 """Plan make-up slots: repeat a missed hour on a later day with the same path of the sun."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -77,7 +78,8 @@ def _first_free(
         if slot_id(times[i]) not in occupied:
             tags = (*(tag for tag in slot.tags if not tag.startswith(MAKEUP)), MAKEUP + slot.id)
             altitude, azimuth = float(at.altitude_deg[i]), float(at.azimuth_deg[i])
-            return Slot(times[i], altitude, azimuth, slot.exposures, tags), float(off[i])
+            angles = {"sun_altitude_deg": altitude, "sun_azimuth_deg": azimuth}
+            return replace(slot, t_utc=times[i], **angles, tags=tags), float(off[i])
     return None
 
 

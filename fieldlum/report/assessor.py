@@ -20,10 +20,10 @@ from fieldlum.version import __version__
 from fieldlum.year.predict import Annual
 from fieldlum.year.predict.melanopic import WELL_EDI_LX
 
-_ABOUT = (
-    "What each requirement asks, what was found, and what is missing",
+_SUBJECT = "What each requirement asks, what was found, and what is missing"
+_CAUTION = (
     "Nothing on this page is certified. Words in the column of findings are those of the predicted "
-    "year; “cannot tell” means that the interval spans the limit.",
+    "year; “cannot tell” means that the interval spans the limit."
 )
 _METHOD = (
     "A camera captured luminance maps of the room under many suns and skies, while irradiance was "
@@ -133,4 +133,5 @@ def assessor_page(session: Session, annual: Annual | None) -> str:
         ("occupied hours", f"{occupancy.hours}"),
     )
     title = f"{site.name}: glare and daylight for an assessor"
-    return render(Page(title, *_ABOUT, facts, shown, sections.warnings_of(session, annual)))
+    warnings, why = sections.warnings_of(session, annual), _CAUTION
+    return render(Page(title, _SUBJECT, why, facts=facts, sections=shown, warnings=warnings))

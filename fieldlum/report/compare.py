@@ -509,7 +509,8 @@ def _compare_hours(
         modelled = columns[figure, azimuth].to_numpy(float)
         ok = np.isfinite(measured) & np.isfinite(modelled)
         if ok.any():
-            shared.append(_Shared(azimuth, figure, hours[both][ok], measured[ok], modelled[ok]))
+            values = {"measured": measured[ok], "model": modelled[ok]}
+            shared.append(_Shared(azimuth, figure, hours[both][ok], **values))
     if not shared:
         raise InputError(path, "no value in daylight hours", "numbers in dgp or ev", "export them")
     if weather := annual.summary.inputs.get("weather"):
@@ -544,8 +545,8 @@ def _of_evalglare(session: Session, path: Path, azimuths_deg: Sequence[float]) -
     shared = []
     for (azimuth, figure), values in rows.items():
         hours, measured, modelled = np.array(values, float).T
-        modelled = _values(path, figure, modelled)
-        shared.append(_Shared(azimuth, figure, hours.astype(int), measured, modelled))
+        pair = {"measured": measured, "model": _values(path, figure, modelled)}
+        shared.append(_Shared(azimuth, figure, hours.astype(int), **pair))
     return shared
 
 

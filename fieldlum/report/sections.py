@@ -126,7 +126,7 @@ def _hours_over(annual: Annual, limit: float) -> list[Share]:
     of_scale = 1.96 * annual.summary.u_scale_rel * dgp_per_scale(dgp, ev_lx)
     low, high = dgp - np.hypot(dgp - low, of_scale), dgp + np.hypot(high - dgp, of_scale)
     shares = [100.0 * (values > limit).sum(axis=0) / count for values in (dgp, low, high)]
-    return [Share(*map(float, row)) for row in zip(*shares, strict=True)]
+    return [Share(float(v), low=float(a), high=float(b)) for v, a, b in zip(*shares, strict=True)]
 
 
 def disturbed(annual: Annual) -> list[str]:
@@ -309,7 +309,8 @@ def melanopic_shares(annual: Annual, zone: str) -> list[tuple[Share, list[Share]
                 end[name][k] = np.clip(at[name][k] + u_share, 0.0, 100.0)
 
     def share(name: str, k: int) -> Share:
-        return Share(*(float(part[name][k]) for part in (at, *ends)))
+        value, low, high = (float(part[name][k]) for part in (at, *ends))
+        return Share(value, low=low, high=high)
 
     return [
         (share(melanopic.ENOUGH_HOURS, k), [share(name, k) for name in melanopic.ENOUGH_DAYS])

@@ -51,8 +51,9 @@ def decode_sample(line: bytes) -> IrradianceSample | None:
         if not line.endswith(b"\n") or len(crc) != 8 or int(crc, 16) != zlib.crc32(body):
             return None
         t_utc, *figures, status, raw = next(csv.reader([body.decode()]))
-        ghi, dhi, dni, temperature = (float(text) if text else None for text in figures)
-        return IrradianceSample(parse_utc(t_utc), ghi, dhi, dni, temperature, status, raw)
+        names = "ghi_wm2", "dhi_wm2", "dni_wm2", "temperature_c"
+        values = {n: float(v) if v else None for n, v in zip(names, figures, strict=True)}
+        return IrradianceSample(parse_utc(t_utc), **values, status=status, raw=raw)
     except (ValueError, StopIteration):
         return None
 

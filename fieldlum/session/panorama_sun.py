@@ -53,7 +53,9 @@ class SunRow:
     def source(self) -> SunSource:
         """The sun as a `SunSource`."""
         lx, share = self.normal_illuminance_lx, self.visible_fraction
-        return SunSource(self.altitude_deg, self.azimuth_deg, lx, share, self.origin)
+        return SunSource(
+            self.altitude_deg, self.azimuth_deg, lx, visible_fraction=share, origin=self.origin
+        )
 
 
 def write_suns(path: Path, rows: Sequence[SunRow]) -> None:

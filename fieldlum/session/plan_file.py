@@ -76,9 +76,16 @@ def read_plan(path: Path) -> list[Slot]:
 
 def _slot(cells: Mapping[str, str]) -> Slot:
     """Return the slot of a line. Raises ValueError for a wrong cell or a name of another time."""
-    angles_deg = float(cells["sun_altitude_deg"]), float(cells["sun_azimuth_deg"])
+    altitude_deg, azimuth_deg = (float(cells[f"sun_{n}_deg"]) for n in ("altitude", "azimuth"))
     exposures = tuple(parse_exposure(t) for t in cells["exposures"].split(";") if t.strip())
-    slot = Slot(parse_utc(cells["t_utc"]), *angles_deg, exposures, tuple(cells["tags"].split()))
-    if slot.id != cells["slot"] or not all(map(math.isfinite, angles_deg)):
-        raise ValueError(f"slot {cells['slot']} with t_utc {cells['t_utc']}, angles {angles_deg}")
+    slot = Slot(
+        t_utc=parse_utc(cells["t_utc"]),
+        sun_altitude_deg=altitude_deg,
+        sun_azimuth_deg=azimuth_deg,
+        exposures=exposures,
+        tags=tuple(cells["tags"].split()),
+    )
+    if slot.id != cells["slot"] or not math.isfinite(altitude_deg + azimuth_deg):
+        angles = altitude_deg, azimuth_deg
+        raise ValueError(f"slot {cells['slot']} with t_utc {cells['t_utc']}, angles {angles}")
     return slot

@@ -64,7 +64,8 @@ def position(times_utc: Sequence[datetime], site: Site) -> SunPosition:
     place = site.latitude_deg, site.longitude_deg, site.altitude_m
     # the checks of a weather year ask for the same hours again; a longer series is not stored
     spa = _spa if len(index) <= 366 * 24 else _spa.__wrapped__
-    return SunPosition(*spa(index.as_unit("ns").asi8.tobytes(), *place).copy())
+    angles = spa(index.as_unit("ns").asi8.tobytes(), *place).copy()
+    return SunPosition(**dict(zip(SunPosition._fields, angles, strict=True)))
 
 
 @lru_cache(maxsize=32)
@@ -284,11 +285,11 @@ def extraterrestrial_wm2(times_utc: Sequence[datetime]) -> Floats:
 
 
 class Irradiance(NamedTuple):
-    """Global horizontal, direct normal, diffuse horizontal irradiance [n] W/m2; NaN: unknown."""
+    """Global and diffuse horizontal, direct normal irradiance [n] W/m2; NaN: unknown."""
 
     ghi_wm2: Floats
-    dni_wm2: Floats
     dhi_wm2: Floats
+    dni_wm2: Floats
 
 
 def clearsky(times_utc: Sequence[datetime], site: Site) -> Irradiance:
@@ -306,7 +307,7 @@ def clearsky(times_utc: Sequence[datetime], site: Site) -> Irradiance:
     known = pd.DataFrame(angles, index=index)
     with _ignore_dayofyear_warning():
         table = place.get_clearsky(index, model="ineichen", solar_position=known)
-    return Irradiance(**{f"{n}_wm2": np.asarray(table[n], float) for n in ("ghi", "dni", "dhi")})
+    return Irradiance(**{f"{n}_wm2": np.asarray(table[n], float) for n in ("ghi", "dhi", "dni")})
 
 
 def dirint_dni(ghi_wm2: ArrayLike, times_utc: Sequence[datetime], site: Site) -> Floats:

@@ -77,14 +77,13 @@ def read_weather(path: Path, site: Site, *, label_shift_min: float = 0.0) -> Wea
     shift = table.shift + timedelta(minutes=label_shift_min)
     with input_errors(path, "times from year 1 to 9999", "correct the dates", OverflowError):
         rows = _in_order(path, _in_utc(table, shift, site, repairs))
-    columns = _values(rows, table.place or site, repairs)
+    ghi, dhi, dni = _values(rows, table.place or site, repairs)
     check_hourly(path, [row.when for row in rows])
     name = f"{path.name} ({table.place.name})" if table.place else path.name
-    weather = _fill_gaps(
-        path, Weather(name, site, (), *columns, typical=table.typical), rows, repairs
-    )
+    weather = Weather(name, site, (), ghi_wm2=ghi, dhi_wm2=dhi, dni_wm2=dni, typical=table.typical)
+    weather = _fill_gaps(path, weather, rows, repairs)
     # Elsewhere the global irradiance was computed from the other two and proves nothing.
-    stated = {row.when: value for row, value in zip(rows, columns[2], strict=True)}
+    stated = {row.when: value for row, value in zip(rows, ghi, strict=True)}
     ghi = np.array([stated.get(t, math.nan) for t in weather.t_utc])
     repairs += check_plausible(path, weather, table.place or site, ghi)
     return replace(weather, repairs=tuple(repairs))
@@ -178,12 +177,12 @@ def _in_order(path: Path, rows: list[WeatherRow]) -> list[WeatherRow]:
 
 
 def _values(rows: list[WeatherRow], place: Site, repairs: list[str]) -> Floats:
-    """Return DNI, DHI and GHI of all rows, [3, n], W/m2; set negative readings to zero, listed.
+    """Return GHI, DHI and DNI of all rows, [3, n], W/m2; set negative readings to zero, listed.
 
     Clearly negative ones by day are no offset of an instrument but a code, such as -9: missing. So
     are a few hours by day without any light, which PVGIS writes for days without satellite images.
     """
-    values = np.array([(row.dni, row.dhi, row.ghi) for row in rows]).T  # (3, n)
+    values = np.array([(row.ghi, row.dhi, row.dni) for row in rows]).T  # [3, n]
     altitude = sun.position([row.when for row in rows], place).altitude_deg
     if (codes := (values < _LOWEST_BY_DAY_WM2) & (altitude > 10.0)).any():
         repairs.append(f"{int(codes.any(axis=0).sum())} hours negative by day count as missing")

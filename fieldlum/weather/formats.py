@@ -51,9 +51,9 @@ class WeatherRow(NamedTuple):
 
     line: int
     when: datetime
-    dni: float
-    dhi: float
     ghi: float
+    dhi: float
+    dni: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,13 +143,12 @@ def _rows(
 
     Raises InputError, with the line, for a cell that cannot be read.
     """
-    at = {q: columns.get(q) for q in _HEADINGS}
-    headings = [(k, q.upper() if k is None or not names else names[k]) for q, k in at.items()]
-    rows = []
+    headings = {q: names[k] if names else q.upper() for q, k in columns.items()}
+    missing, rows = dict.fromkeys(_HEADINGS, math.nan), []
     for line, cells in lines:
         try:
-            light = (math.nan if k is None else _number(name, cells[k]) for k, name in headings)
-            rows.append(WeatherRow(line, when(cells), *light))
+            light = {q: _number(headings[q], cells[k]) for q, k in columns.items()}
+            rows.append(WeatherRow(line, when(cells), **missing | light))
         except _CellError as error:
             found, expected = error.args
             raise InputError(path, f"line {line}: {found}", expected, "correct that row") from None

@@ -30,9 +30,9 @@ class Weather:
     name: str
     site: Site
     t_utc: tuple[datetime, ...]
-    dni_wm2: Floats
-    dhi_wm2: Floats
     ghi_wm2: Floats
+    dhi_wm2: Floats
+    dni_wm2: Floats
     repairs: tuple[str, ...] = ()
     typical: bool = True
     synthetic: bool = False
@@ -51,7 +51,7 @@ class Weather:
         return self[up & (self.dni_wm2 + self.dhi_wm2 > 0.0)]
 
     def at(self, times_utc: Sequence[datetime]) -> sun.Irradiance:
-        """Return GHI, DNI and DHI of the hour around any moments, [n] each, W/m2; NaN without one.
+        """Return GHI, DHI and DNI of the hour around any moments, [n] each, W/m2; NaN without one.
 
         A typical year serves for every year; 29 February has the weather of the 28th.
         """
@@ -62,9 +62,8 @@ class Weather:
         before = after - 1
         nearest = np.where(seconds - times_s[before] < times_s[after] - seconds, before, after)
         outside = np.abs(seconds - times_s[nearest]) > 1800.5  # half an hour, and rounding
-        values = (self.ghi_wm2, self.dni_wm2, self.dhi_wm2)
-        ghi, dni, dhi = (np.where(outside, np.nan, value[nearest]) for value in values)
-        return sun.Irradiance(ghi_wm2=ghi, dni_wm2=dni, dhi_wm2=dhi)
+        values = {name: getattr(self, name)[nearest] for name in sun.Irradiance._fields}
+        return sun.Irradiance(**{n: np.where(outside, np.nan, v) for n, v in values.items()})
 
     def _dated(self, t_utc: datetime) -> datetime:
         """Return the same moment of local standard time in this weather's own year."""

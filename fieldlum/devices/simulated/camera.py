@@ -168,8 +168,8 @@ class SimulatedCamera(Camera):
         body, lens = profile.camera, profile.lens[0].name
         self._shape, self._is_jpeg = (body.height_px, body.width_px), body.kind == "jpeg"
         about: dict[str, Any] = {"lens": lens, "clock_offset_s": clock_offset_s}
-        about["frames_left"] = frames_left
-        self.info = CameraInfo("sim", body.make, body.model, f"SIM{seed:04d}", **about)
+        about |= {"frames_left": frames_left, "serial": f"SIM{seed:04d}"}
+        self.info = CameraInfo("sim", make=body.make, model=body.model, **about)
         self._views = lru_cache(maxsize=8)(self._views_of)
         self._shading = lru_cache(maxsize=8)(self._shading_of)
         self._last: tuple[Panorama, float, Floats32] | None = None

@@ -83,9 +83,9 @@ class TruthWorld:
         now = t_utc.timestamp()
         times = self._light.t_unix_s
         if not times[0] <= now <= times[-1]:
-            return SimulatedLight(0.0, 0.0, 0.0)
-        columns = self._light.ghi_wm2, self._light.dhi_wm2, self._light.dni_wm2
-        return SimulatedLight(*(float(np.interp(now, times, column)) for column in columns))
+            return SimulatedLight(ghi_wm2=0.0, dhi_wm2=0.0, dni_wm2=0.0)
+        columns = {name: getattr(self._light, name) for name in SimulatedLight._fields}
+        return SimulatedLight(**{n: float(np.interp(now, times, v)) for n, v in columns.items()})
 
 
 def _read_panorama(path: Path) -> Panorama:
@@ -140,7 +140,8 @@ class Office:
         dni = float(clear.dni_wm2[0]) * max(1.0 - 1.4 * clouds, 0.0)
         scattered = float(clear.dhi_wm2[0]) * (1.0 + 1.6 * clouds * (1.0 - clouds))
         dhi = scattered + 0.25 * clouds * float(clear.ghi_wm2[0])
-        return SimulatedLight(dhi + dni * max(float(np.sin(altitude)), 0.0), dhi, dni)
+        ghi = dhi + dni * max(float(np.sin(altitude)), 0.0)
+        return SimulatedLight(ghi_wm2=ghi, dhi_wm2=dhi, dni_wm2=dni)
 
     def scene(self, t_utc: datetime) -> Panorama:
         """Return the panorama at a time; it is computed for the start of the minute."""

@@ -27,7 +27,7 @@ TRIM = 0.05
 CRITERIA = {"dgp": "DGP", "ev": "Ev", "log10": "log10 luminance"}
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class HeldOutErrors:
     """Errors of one candidate in n held-out hours, [n] each, NaN where not computed.
 

@@ -82,7 +82,13 @@ class Scores:
     @property
     def errors(self) -> HeldOutErrors:
         """The errors by which models are chosen."""
-        return HeldOutErrors(self.dgp_mae, self.ev_error, self.mse_weighted, self.day, self.weight)
+        return HeldOutErrors(
+            dgp=self.dgp_mae,
+            ev=self.ev_error,
+            log10=self.mse_weighted,
+            day=self.day,
+            weight=self.weight,
+        )
 
 
 def join(parts: Sequence[Scores]) -> Scores:

@@ -70,7 +70,7 @@ def day_folds(data: Dataset) -> list[Mask]:
     return list(held_out_masks(groups, min(count, 5))) if count > 1 else []
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Trial:
     """The test of one model on held-out days.
 
@@ -139,10 +139,14 @@ def evaluate_folds(
         fitted, spent = fit_timed(name, data.take(~held), budget_s=share, **options)
         parts.append(evaluate(fitted, truth(data.take(held))))
         times.append(spent)
-    count = round(len(data) - np.mean([held.sum() for held in folds]))
     wall_s, cpu_s = np.mean(times, axis=0).tolist()
     return Trial(
-        name, scores=join(parts), fit_s=wall_s, fit_cpu_s=cpu_s, n_train=count, folds=len(parts)
+        name=name,
+        scores=join(parts),
+        fit_s=wall_s,
+        fit_cpu_s=cpu_s,
+        n_train=round(len(data) - np.mean([held.sum() for held in folds])),
+        folds=len(parts),
     )
 
 

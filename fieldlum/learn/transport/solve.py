@@ -412,8 +412,10 @@ def hold_out(arrays: TrainingArrays, basis: Basis, noise: float) -> HeldOutFit:
     floored = (np.maximum(values, 1.0) for values in (luminance, arrays.luminance))
     error = ~arrays.filled * np.subtract(*(np.log10(values) for values in floored))
     unknown, log10 = np.full(len(luminance), np.nan), (error**2).mean(axis=1)
-    errors = HeldOutErrors(unknown, unknown, log10, arrays.days, arrays.sureness, trim=0.0)
-    return HeldOutFit(luminance, error, scale, errors)
+    errors = HeldOutErrors(
+        dgp=unknown, ev=unknown, log10=log10, day=arrays.days, weight=arrays.sureness, trim=0.0
+    )
+    return HeldOutFit(luminance=luminance, error=error, scale=scale, errors=errors)
 
 
 def _hold_out_some(

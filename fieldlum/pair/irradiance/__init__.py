@@ -431,7 +431,12 @@ def clean_of(series: Series) -> CleanIrradiance:
     flags = np.array([mark_text(int(marks)) for marks in kinds], object)[which]
     source = np.where(series.marks & Mark.DERIVED, DERIVED, MEASURED).astype(object)
     return CleanIrradiance(
-        series.t_unix_s, series.ghi_wm2, series.dhi_wm2, series.dni_wm2, source=source, flags=flags
+        t_unix_s=series.t_unix_s,
+        ghi_wm2=series.ghi_wm2,
+        dhi_wm2=series.dhi_wm2,
+        dni_wm2=series.dni_wm2,
+        source=source,
+        flags=flags,
     )
 
 

@@ -81,21 +81,22 @@ def room_parameters(guess: Guess, clock_sd_min: float = CLOCK_SD_MIN) -> list[Pa
     sets the scale of all lengths. Nor is the room's height.
     """
     reach = CLOCK_REACH_MIN
-    level = (_STEP_DEG / 2.0, LEVEL_SD_DEG)
     sides = [max(LENGTH_SD_SHARE * side, 0.03) for side in guess.size_m]
     return [
-        Parameter("north_deg", ("north_deg",), _STEP_DEG, NORTH_SD_DEG),
-        Parameter("clock_min", ("clock_min",), 2.0, clock_sd_min, -reach, reach),
-        Parameter("tilt_deg", ("tilt_deg",), *level),
-        Parameter("roll_deg", ("roll_deg",), *level),
-        Parameter("wall_azimuth_deg", ("wall_azimuth_deg",), _STEP_DEG, NORTH_SD_DEG),
-        Parameter("width_m", ("size_m", 0), _STEP_M, sides[0]),
-        Parameter("depth_m", ("size_m", 1), _STEP_M, sides[1]),
-        Parameter("camera_x_m", ("camera_m", 0), _STEP_M, CAMERA_SD_M),
-        Parameter("camera_y_m", ("camera_m", 1), _STEP_M, CAMERA_SD_M),
-        Parameter("thickness_m", ("thickness_m",), _STEP_M, THICKNESS_SD_M, 0.01),
+        Parameter("north_deg", ("north_deg",), _STEP_DEG, sd=NORTH_SD_DEG),
+        Parameter("clock_min", ("clock_min",), 2.0, sd=clock_sd_min, minimum=-reach, maximum=reach),
+        Parameter("tilt_deg", ("tilt_deg",), _STEP_DEG / 2.0, sd=LEVEL_SD_DEG),
+        Parameter("roll_deg", ("roll_deg",), _STEP_DEG / 2.0, sd=LEVEL_SD_DEG),
+        Parameter("wall_azimuth_deg", ("wall_azimuth_deg",), _STEP_DEG, sd=NORTH_SD_DEG),
+        Parameter("width_m", ("size_m", 0), _STEP_M, sd=sides[0]),
+        Parameter("depth_m", ("size_m", 1), _STEP_M, sd=sides[1]),
+        Parameter("camera_x_m", ("camera_m", 0), _STEP_M, sd=CAMERA_SD_M),
+        Parameter("camera_y_m", ("camera_m", 1), _STEP_M, sd=CAMERA_SD_M),
+        Parameter("thickness_m", ("thickness_m",), _STEP_M, sd=THICKNESS_SD_M, minimum=0.01),
         *(
-            Parameter(f"window {k + 1} {of[0]}{end}", ("windows", k, of, end), _STEP_M, EDGE_SD_M)
+            Parameter(
+                f"window {k + 1} {of[0]}{end}", ("windows", k, of, end), _STEP_M, sd=EDGE_SD_M
+            )
             for k in range(len(guess.windows))
             for of in ("u_m", "z_m")
             for end in (0, 1)
@@ -107,7 +108,10 @@ def glass_parameters(guess: Guess) -> list[Parameter]:
     """Return the transmittances of several windows; one cannot be separated from albedos."""
     paths = [("windows", k, "transmittance") for k in range(len(guess.windows))]
     several = paths if len(paths) > 1 else []
-    return [Parameter(f"window {p[1] + 1} glass", p, 0.1, GLASS_SD, 0.05, 0.92) for p in several]
+    return [
+        Parameter(f"window {p[1] + 1} glass", p, 0.1, sd=GLASS_SD, minimum=0.05, maximum=0.92)
+        for p in several
+    ]
 
 
 def bar_parameters(number: int) -> list[Parameter]:
@@ -134,12 +138,11 @@ def solid_parameters(guess: Guess, number: int) -> list[Parameter]:
             continue
         beyond = axis < 2 and of == "low_m" and solid.low_m[axis] >= guess.size_m[axis]
         before = axis < 2 and of == "high_m" and solid.high_m[axis] <= 0.0
-        limits = guess.size_m[axis] if beyond else -np.inf, 0.0 if before else np.inf
-        name = f"solid {number + 1} {of[0]}{'xyz'[axis]}"
-        faces.append(Parameter(name, ("solids", number, of, axis), step, np.inf, *limits))
-    albedo = Parameter(
-        f"solid {number + 1} albedo", ("solids", number, "albedo"), 0.1, np.inf, 0.03, 0.9
-    )
+        minimum, maximum = guess.size_m[axis] if beyond else -np.inf, 0.0 if before else np.inf
+        name, path = f"solid {number + 1} {of[0]}{'xyz'[axis]}", ("solids", number, of, axis)
+        faces.append(Parameter(name, path, step, minimum=minimum, maximum=maximum))
+    name, path = f"solid {number + 1} albedo", ("solids", number, "albedo")
+    albedo = Parameter(name, path, 0.1, minimum=0.03, maximum=0.9)
     return faces if outside else [*faces, albedo]
 
 

@@ -81,7 +81,7 @@ def sample_slots(
     times = [day.t_utc[k] for k in rows]
     at = sun.position(times, setup.site)
     return [
-        Slot(t, float(a), float(z), ())
+        Slot(t, sun_altitude_deg=float(a), sun_azimuth_deg=float(z), exposures=())
         for t, a, z in zip(times, at.altitude_deg, at.azimuth_deg, strict=True)
     ]
 
@@ -152,7 +152,12 @@ def run(
         "synthetic_weather": weather.synthetic,
     }
     update_session(session, {"simulation": about})
-    return Simulated(len(missing), int(lit.sum()) - len(missing), int((~lit).sum()), weather.name)
+    return Simulated(
+        rendered=len(missing),
+        kept=int(lit.sum()) - len(missing),
+        dark=int((~lit).sum()),
+        weather=weather.name,
+    )
 
 
 def render_slots(folder: Path, job: _Job) -> None:
@@ -242,7 +247,7 @@ def _write_irradiance(session: Session, weather: Weather, slots: Sequence[Slot])
     light = weather.at(times)
     ghi, dni, dhi = map(np.nan_to_num, (light.ghi_wm2, light.dni_wm2, light.dhi_wm2))
     seconds = np.array([t.timestamp() for t in times])
-    truth = CleanIrradiance(seconds, ghi_wm2=ghi, dhi_wm2=dhi, dni_wm2=dni)
+    truth = CleanIrradiance(t_unix_s=seconds, ghi_wm2=ghi, dhi_wm2=dhi, dni_wm2=dni)
     truth.write(session.truth_irradiance)
 
 

@@ -123,8 +123,14 @@ def _grid_of(near: Mask, parts: int, heading_deg: float) -> tuple[SkyGrid, Mask]
     cut = near[rows[0] : rows[-1] + 1][:, (first + np.arange(span)) % (2 * height)]
     coarse = 180.0 / height
     start = (first + height) % (2 * height) - height
-    top_deg, left_deg = float(90.0 - rows[0] * coarse), start * coarse - 180.0
-    grid = SkyGrid(top_deg, left_deg, coarse / parts, heading_deg, parts * len(cut), parts * span)
+    grid = SkyGrid(
+        first_altitude_deg=float(90.0 - rows[0] * coarse),
+        first_azimuth_deg=start * coarse - 180.0,
+        step_deg=coarse / parts,
+        heading_deg=heading_deg,
+        height=parts * len(cut),
+        width=parts * span,
+    )
     return grid, cut.repeat(parts, axis=0).repeat(parts, axis=1)
 
 

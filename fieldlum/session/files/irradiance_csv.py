@@ -17,7 +17,7 @@ _FIGURES = ("t_utc", "ghi_wm2", "dhi_wm2", "dni_wm2")
 _AROUND_ROWS = 30  # rows on each side for the usual time between rows; not measured
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class CleanIrradiance:
     """Irradiance with three components: arrays [n] in order of time [W/m2]; NaN is unusable.
 
@@ -58,11 +58,10 @@ class CleanIrradiance:
         expected = f"the columns {', '.join((*_FIGURES, *texts))}"
         table = read_columns(path, expected, remedy)
         with input_errors(path, expected, remedy, ValueError, KeyError):
-            words = [table[name].astype(object) for name in texts]
-            return cls(
-                *(table[name].astype(float) for name in _FIGURES),
-                *(np.where(text == text, text, "") for text in words),
-            )
+            words = {name: table[name].astype(object) for name in texts}
+            cells = {name: np.where(text == text, text, "") for name, text in words.items()}
+            times, *light = (table[name].astype(float) for name in _FIGURES)
+            return cls(t_unix_s=times, **dict(zip(_FIGURES[1:], light, strict=True)), **cells)
 
     @classmethod
     def read_truth(cls, path: Path) -> CleanIrradiance:

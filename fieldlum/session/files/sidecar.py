@@ -54,7 +54,7 @@ class FrameQuality(Struct, frozen=True):
     @property
     def exposure(self) -> Exposure:
         """The exposure of the frame."""
-        return Exposure(self.shutter_s, self.f_number, self.iso, self.nd)
+        return Exposure(shutter_s=self.shutter_s, f_number=self.f_number, iso=self.iso, nd=self.nd)
 
 
 class NeighbourQuality(Struct, frozen=True):

@@ -307,10 +307,21 @@ def _decided(
     u = np.minimum(np.hypot(u, _SCALE_SD * openness), 1.0)
     count = np.where(stack.dark, len(light), stack.placed(seen.count))
     blind = np.isnan(ratio) & ~stack.dark
-    transmittance = np.where(stack.dark, 0.0, pane)
-    channels = np.stack([openness, u, count, transmittance, low, high])  # as `CHANNELS`
-    arrays = np.where(blind, np.nan, channels).astype(np.float32)
-    view = SkyView(stack.grid, *arrays, captures=len(light), pose=pose)
+
+    def channel(values: Floats) -> Floats32:
+        return np.where(blind, np.nan, values).astype(np.float32)
+
+    view = SkyView(
+        stack.grid,
+        openness=channel(openness),
+        u=channel(u),
+        count=channel(count),
+        transmittance=channel(np.where(stack.dark, 0.0, pane)),
+        low=channel(low),
+        high=channel(high),
+        captures=len(light),
+        pose=pose,
+    )
     return _Decided(view, sky, bright, scatters, reference)
 
 

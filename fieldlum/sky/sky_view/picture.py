@@ -27,7 +27,7 @@ _LOG10_RANGE = (-2.0, 10.0)
 _MAX_CODE = 65535
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SkyGrid:
     """An equirectangular part of the sphere, with square pixels in altitude and azimuth.
 
@@ -130,5 +130,12 @@ def cut_panorama(panorama: Panorama) -> SkyPicture:
     light = panorama.seen_cdm2[:rows]
     flags = np.zeros(light.shape, np.uint16) if panorama.flags is None else panorama.flags[:rows]
     clipped = (flags & (Flag.CLIPPED_HIGH | Flag.BLOOM)) > 0
-    grid = SkyGrid(90.0, -180.0, step_deg, panorama.heading_deg, rows, width)
+    grid = SkyGrid(
+        first_altitude_deg=90.0,
+        first_azimuth_deg=-180.0,
+        step_deg=step_deg,
+        heading_deg=panorama.heading_deg,
+        height=rows,
+        width=width,
+    )
     return SkyPicture(light, clipped, grid)

@@ -40,7 +40,7 @@ _CONTRADICTION = 3.5
 _OPEN_DEG = 0.1  # a combination less certain than this is stated; half of the disc's radius
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class CameraPose:
     """The pose of a camera: corrections of the stated one, with their covariance.
 
@@ -86,10 +86,17 @@ class CameraPose:
 
         discs: number of discs that determine it.
         """
-        rows = tuple(tuple(map(float, row)) for row in covariance)
         heading, tilt, roll, scale = map(float, values)
-        notes = (*self.notes, *notes)
-        return CameraPose(heading, tilt, roll, scale, rows, self.axis_deg, discs, notes)
+        return CameraPose(
+            heading_deg=heading,
+            tilt_deg=tilt,
+            roll_deg=roll,
+            lens_scale=scale,
+            covariance=tuple(tuple(map(float, row)) for row in covariance),
+            axis_deg=self.axis_deg,
+            discs=discs,
+            notes=(*self.notes, *notes),
+        )
 
     def with_heading(self, by_deg: float, u_deg: float) -> CameraPose:
         """Return the pose with a measured correction to its heading; what is correlated follows.

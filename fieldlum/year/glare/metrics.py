@@ -202,7 +202,14 @@ def glare_directions(
     all_ev = sun_ev.reshape(-1, *map_ev.shape).sum(axis=0)
     of_suns = terms.reshape(3, -1, *map_ev.shape).sum(axis=1)
     contrast, dgi_sum, veiling_sum = of_sources.swapaxes(0, 1) + of_suns
-    view = ViewSums(map_ev + all_ev, source_ev + all_ev, background, contrast, dgi_sum, veiling_sum)
+    view = ViewSums(
+        ev_lx=map_ev + all_ev,
+        source_ev_lx=source_ev + all_ev,
+        background_cdm2=background,
+        contrast=contrast,
+        dgi_sum=dgi_sum,
+        veiling_sum=veiling_sum,
+    )
     parts = {"contrast": view.contrast, "sun_contrast": of_suns[0], "sun_ev_lx": all_ev}
     return parts | {name: metric.formula(view) for name, metric in METRICS.items()}
 
@@ -282,7 +289,7 @@ def _sun_angles(sun: Floats, views: Views) -> tuple[Floats, Floats, Floats]:
 # Ev), so that the lower bound is not always at 0 cd/m2.
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ViewCoverage:
     """The seen and unseen parts of d view directions.
 
@@ -329,7 +336,12 @@ def view_coverage(views: Views) -> ViewCoverage:
     # the centre is at most 90 degrees from the line of sight
     shrink = np.minimum(1.0 / area, 0.5 * np.pi / np.maximum(np.hypot(right, up), 1e-30))
     together = area / position_index(right * shrink, up * shrink) ** 2
-    return ViewCoverage(share, illuminance, np.maximum(apart, together), seen_words(share))
+    return ViewCoverage(
+        seen_share=share,
+        unseen_illuminance=illuminance,
+        unseen_sources=np.maximum(apart, together),
+        words=seen_words(share),
+    )
 
 
 def brightest_cdm2(luminance_cdm2: Floats, views: Views) -> Floats:

@@ -194,7 +194,7 @@ HOW = f'state the true view, such as --view "{EXAMPLE_VIEW}" for a fisheye that 
 _MAX_DEG = {"a": 360.0, "h": 180.0, "s": 359.0, "v": 179.0}
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PictureView:
     """A Radiance view, which gives the direction of each point of a picture.
 
@@ -357,7 +357,15 @@ def parse_view(text: str, source: Path, heading_deg: float = 0.0) -> PictureView
     up = up - forward * float(up @ forward)
     shift, lift = (float(numbers(name, 0.0)[0]) for name in ("vs", "vl"))
     up /= np.linalg.norm(up)
-    return PictureView(kind, forward, up, angles[0], angles[1], shift, lift)
+    return PictureView(
+        kind=kind,
+        forward=forward,
+        up=up,
+        horizontal_deg=angles[0],
+        vertical_deg=angles[1],
+        shift=shift,
+        lift=lift,
+    )
 
 
 # ----------------------------------------------------------------------------------------------

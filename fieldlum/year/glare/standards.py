@@ -68,7 +68,8 @@ class DgpUncertainty(NamedTuple):
 
     def hours(self, rows: Mask) -> DgpUncertainty:
         """Return the uncertainty of the hours for which the mask `rows` [n] is True."""
-        return DgpUncertainty(self.words, *(part[..., rows, :] for part in self[1:]))
+        arrays = {name: getattr(self, name)[..., rows, :] for name in DgpUncertainty._fields[1:]}
+        return self._replace(**arrays)
 
 
 def class_of(dgp_exceeded: float) -> str:

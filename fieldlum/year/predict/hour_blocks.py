@@ -82,7 +82,7 @@ class HourBlock:
         return trusted
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ModelRoom:
     """Site and room for which a model was trained, the size of its maps, and mirrors of the sun.
 
@@ -128,11 +128,18 @@ def room_of(config: ModelConfig, folder: Path) -> ModelRoom:
     seen_mask = seen_of(folder)
     if seen_mask is not None and seen_mask.shape != (height, width):
         seen_mask = None  # `blocks` rejects the maps of such a model
-    mirrors = read_mirrors(folder, config)
     view = SkyView.find(folder / SKY_VIEW)
-    pose = view.pose if view else CameraPose(axis_deg=heading)
-    known = setup, height, width, heading, needs_patch, seen_mask, mirrors, view
-    return ModelRoom(*known, pose=pose)
+    return ModelRoom(
+        setup=setup,
+        height=height,
+        width=width,
+        heading_deg=heading,
+        needs_patch=needs_patch,
+        seen=seen_mask,
+        mirrors=read_mirrors(folder, config),
+        sky_view=view,
+        pose=view.pose if view else CameraPose(axis_deg=heading),
+    )
 
 
 def blocks(
@@ -267,12 +274,15 @@ class HourFigures(NamedTuple):
 
 def joined(parts: Sequence[HourFigures]) -> HourFigures:
     """Return the figures of all parts, in their order."""
-    hours, views, (words, *_) = parts[0]
-    arrays = zip(*(part.uncertainty[1:] for part in parts), strict=True)
+    first, doubts = parts[0], [part.uncertainty for part in parts]
+    arrays = {
+        name: np.concatenate([getattr(doubt, name) for doubt in doubts], axis=-2)
+        for name in DgpUncertainty._fields[1:]
+    }
     return HourFigures(
-        {name: np.concatenate([part.hours[name] for part in parts]) for name in hours},
-        {name: np.concatenate([part.views[name] for part in parts]) for name in views},
-        DgpUncertainty(words, *(np.concatenate(each, axis=-2) for each in arrays)),
+        {name: np.concatenate([part.hours[name] for part in parts]) for name in first.hours},
+        {name: np.concatenate([part.views[name] for part in parts]) for name in first.views},
+        first.uncertainty._replace(**arrays),
     )
 
 
@@ -344,7 +354,9 @@ class HourJudge:
             "expected_log10_mse": block.prediction.expected_mse,
             "disturbed_share": disturbed_share(figures["dgp"]),
         }
-        uncertainty = DgpUncertainty(coverage.words, minimum, maximum, drawn, u_maps)
+        uncertainty = DgpUncertainty(
+            coverage.words, minimum=minimum, maximum=maximum, drawn=drawn, u_maps=u_maps
+        )
         return HourFigures(hours, figures, uncertainty)
 
 

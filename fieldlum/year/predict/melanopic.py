@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 _TYPICAL, _PRIOR = np.array([1.0, 0.25, 0.95]), 2.0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class MelanopicYear:
     """The ratio of melanopic to photopic light by hour and view direction, from n captures.
 
@@ -156,8 +156,15 @@ def fit_year(
         covariance = kernel(features, features) + 1e-2 * np.eye(len(used))
         relative = photopic_lx[rows] / used.total_lx[:, None]
         coefficients = np.linalg.solve(covariance, relative)
-        start = _TYPICAL, np.ones(0), 0.0, u_camera_rel
-        year = MelanopicYear(kernel, features, coefficients, *start)
+        year = MelanopicYear(
+            kernel=kernel,
+            captured=features,
+            coefficients=coefficients,
+            weights=_TYPICAL,
+            factors=np.ones(0),
+            u_fit_rel=0.0,
+            u_camera_rel=u_camera_rel,
+        )
         weights, factors = _solve(_parts(used, year.sun_shares(used)), ratio[rows])
         return replace(year, weights=weights, factors=factors)
 

@@ -185,7 +185,13 @@ def _judged(
     rule = summary.inputs["occupancy"]
     summary = structs.replace(
         summary,
-        occupancy=YearOccupancy(rule, hours_used, count, untrusted, untrusted + wide),
+        occupancy=YearOccupancy(
+            rule,
+            hours=hours_used,
+            lit=count,
+            untrusted_share=untrusted,
+            unsure_share=untrusted + wide,
+        ),
         seen_share=tuple(round(float(share), 3) for share in shares),
         u_scale_rel=u_rel,
         notes=(*_notes(summary, room, untrusted, wide), *_unseen_notes(rows)),
