@@ -20,7 +20,7 @@ from coding import coded, write_hdr
 from light import COARSE, FINE, Renderer, coarse_mean, suns_of, to_room
 from make_case import HEAD
 from numpy.typing import NDArray
-from rooms import FULL_LIGHT, SKY_VIEW, Place, Window, room
+from rooms import Place, Window, room
 from skies import Hour, directions, sky_cdm2, year_of_hours
 
 Array = NDArray[Any]
@@ -268,7 +268,7 @@ def _iso(hour: Hour) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("out", type=Path)
-    parser.add_argument("names", nargs="+", choices=[*SKY_VIEW, *FULL_LIGHT])
+    parser.add_argument("names", nargs="+", help="of rooms.py, or lot-N")
     parser.add_argument("--fine", action="store_true")
     parser.add_argument("--rounds", type=int, default=4, help="of 4 camera rays a fine pixel")
     parser.add_argument("--paths", type=int, default=4, help="times 256 paths a coarse pixel")

@@ -34,7 +34,7 @@ class Place:
     about: str
     latitude: float
     longitude: float
-    hours_east: int
+    hours_east: float
     timezone: str
     wall_azimuth_deg: float
     heading_deg: float
@@ -553,7 +553,100 @@ FULL_LIGHT: dict[str, Callable[[], Place]] = {
 }
 UNSEEN = ("corner", "deep", "tropical", "attic")  # not looked at before the end
 
+# ----------------------------------------------------------------------------------------------
+# rooms by lot
+
+_SITES = (
+    (-43.5, 172.6, 12, "Pacific/Auckland"), (-34.6, -58.4, -3, "America/Argentina/Buenos_Aires"),
+    (-26.2, 28.0, 2, "Africa/Johannesburg"), (-12.0, -77.0, -5, "America/Lima"),
+    (9.9, -84.1, -6, "America/Costa_Rica"), (19.1, 72.9, 5.5, "Asia/Kolkata"),
+    (25.0, 121.5, 8, "Asia/Taipei"), (33.4, -112.1, -7, "America/Phoenix"),
+    (39.9, 32.9, 3, "Europe/Istanbul"), (43.7, -79.4, -5, "America/Toronto"),
+    (47.4, 8.5, 1, "Europe/Zurich"), (50.1, 14.4, 1, "Europe/Prague"),
+    (55.9, -3.2, 0, "Europe/London"), (57.7, 12.0, 1, "Europe/Stockholm"),
+    (61.2, -149.9, -9, "America/Anchorage"),
+)  # fmt: skip
+
+
+def _drawn_windows(rng: np.random.Generator, wall: str, length_m: float) -> list[Window]:
+    """Return one or two windows in a wall."""
+    count = 1 + int(length_m > 4.0 and rng.random() < 0.45)
+    part_m, windows = length_m / count, []
+    sill = rng.uniform(0.1, 1.0)
+    for k in range(count):
+        width = part_m * rng.uniform(0.45, 0.8)
+        bars = int(width // rng.uniform(0.9, 1.6))
+        height = min(rng.uniform(1.2, 2.2), 2.35 - sill)
+        windows.append(
+            Window(
+                wall, part_m * k + rng.uniform(0.1, 0.9) * (part_m - width), width, sill, height,
+                panes=int(rng.choice([1, 2])), transmittance=rng.choice([0.97, 0.9, 0.6]),
+                mullions=tuple(width * (i + 1) / (bars + 1) for i in range(bars)),
+                transoms=(height * 0.65,) if rng.random() < 0.3 else (),
+            )
+        )  # fmt: skip
+    return windows
+
+
+def drawn(seed: int) -> Place:
+    """Return a room by lot, so that nobody chose it or looked at it."""
+    rng = np.random.default_rng([2026, seed])
+    latitude, longitude, east, zone = _SITES[rng.integers(len(_SITES))]
+    size = (rng.uniform(3.4, 8.0), rng.uniform(3.8, 8.5), rng.uniform(2.5, 3.3))
+    equator = 180.0 if latitude > 0 else 0.0
+    azimuth = (equator + rng.uniform(-80, 80)) % 360
+    windows = _drawn_windows(rng, "south", size[0])
+    if rng.random() < 0.35:
+        windows += _drawn_windows(rng, str(rng.choice(["west", "east"])), size[1])
+    camera = (size[0] * rng.uniform(0.3, 0.7), size[1] * rng.uniform(0.25, 0.6), 1.25)
+    place = Place(
+        f"Room {seed} by lot.", latitude, longitude, east, zone, round(azimuth, 1),
+        round((azimuth + rng.uniform(-15, 15)) % 360, 1), size, camera, windows,
+        thickness=rng.uniform(0.2, 0.45), ground_m=-float(rng.choice([0.3, 3.3, 6.5, 12.0])),
+        seed=1000 + seed,        north_error_deg=rng.uniform(0.5, 3.0),
+    )  # fmt: skip
+    textures = [
+        (rng.uniform(0.15, 0.6), rng.uniform(0.1, 0.4)) if rng.random() < 0.4 else ()
+        for _ in range(2)
+    ]
+    shell(
+        place, walls=rng.uniform(0.45, 0.8), ceiling=rng.uniform(0.65, 0.85),
+        floor=rng.uniform(0.12, 0.45),
+        frame=rng.uniform(0.15, 0.7), ground=rng.choice([0.1, 0.2, 0.3, 0.75]),
+        floor_gloss=rng.choice([0.0, 0.0, 0.1]), floor_texture=textures[0],
+        wall_texture=textures[1],
+    )  # fmt: skip
+    for _ in range(rng.integers(0, 4)):
+        x, y = rng.uniform(0.1, 0.6, 2) * size[:2]
+        table(place, x, y, rng.uniform(0.8, 1.8), rng.uniform(0.6, 0.9))
+    if rng.random() < 0.4:
+        x, y = rng.uniform(0.6, 0.8, 2) * size[:2]
+        _round(place, x, y, rng.uniform(0.4, 0.9))
+    if rng.random() < 0.5:
+        depth, high = rng.uniform(0.3, 0.6), rng.uniform(1.0, 2.2)
+        along = rng.uniform(0.3, 0.7) * size[1]
+        place.groups["cupboard"] = Group(
+            rng.uniform(0.2, 0.7), quads=[box((0.0, along, 0.0), (depth, along + 1.5, high))]
+        )
+    if rng.random() < 0.2:
+        w = windows[0]
+        low, high = w.sill_m + w.height_m * rng.uniform(0.3, 0.6), w.sill_m + w.height_m - 0.03
+        along = w.start_m + 0.02, w.start_m + w.width_m - 0.02
+        blind = place.groups.setdefault("slat", Group(0.6))
+        blind.quads += slats(along, (low, high), -0.08, 0.05, 0.045, rng.uniform(15, 45))
+    for _ in range(rng.integers(0, 3)):
+        x, y, wide = rng.uniform(-25, 15), -rng.uniform(9, 40), rng.uniform(6, 25)
+        height = place.ground_m + rng.uniform(3, 16)
+        light = rng.choice([0.2, 0.4, 0.7])
+        building(place, (x, y - 8), (x + wide, y), height, light, name=f"house_{100 * light:.0f}")
+    for k in range(rng.integers(0, 3)):
+        x, y = rng.uniform(-2, size[0] + 2), -rng.uniform(4.5, 11)
+        tree(place, x, y, rng.uniform(0.5, 3.5), rng.uniform(1.4, 2.6), 2200, 1000 * seed + k)
+    return place
+
 
 def room(name: str) -> Place:
-    """Build a room by its name."""
+    """Build a room by its name; lot-N is the N-th room by lot."""
+    if name.startswith("lot-"):
+        return drawn(int(name.removeprefix("lot-")))
     return (SKY_VIEW | FULL_LIGHT)[name]()

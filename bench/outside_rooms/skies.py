@@ -78,7 +78,7 @@ class Hour:
         return self.dhi_wm2 * (115.0 + 25.0 * float(clear))
 
 
-def year_of_hours(latitude: float, longitude: float, hours_east: int, seed: int) -> list[Hour]:
+def year_of_hours(latitude: float, longitude: float, hours_east: float, seed: int) -> list[Hour]:
     """Return the hours of a synthetic year with the sun above 3 degrees."""
     rng = np.random.default_rng(seed)
     local = pd.date_range(f"{YEAR}-01-01 00:30", f"{YEAR}-12-31 23:30", freq="h")
