@@ -1,5 +1,6 @@
 """Training data: strict reading, the sun's disc by energy."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +13,8 @@ from fieldlum.core.records import Flag, Panorama
 from fieldlum.learn.models.training_data import _discs, load_pairs
 from fieldlum.optics.images import write_panorama, write_radiance_hdr
 from fieldlum.optics.projection import equirect_rays
+from fieldlum.sky.picture_axes import sun_elsewhere
+from fieldlum.sky.sun_disc import add_disc
 
 DATA = dataset(("2027-03-20", "2027-06-21"))
 
@@ -211,3 +214,51 @@ def test_discs_of_adjacent_days_in_the_same_pixel_count_once_for_the_pose() -> N
         assert len(discs) == len(data)
         weights.append((discs.sigma_deg**-2).sum())
     assert weights[1] == pytest.approx(weights[0], rel=0.02)
+
+
+@pytest.mark.analytic
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ("none", ""),
+        ("turned", "turned by 7. degrees; expected .* heading_deg in the middle; set heading_deg"),
+        ("upside down", "that is upside down; expected the zenith on top"),
+        ("about its axis", "that is turned about its axis by 180; expected the zenith on top"),
+        ("mirrored", "WARNING: .* mirrored left to right: mirror it"),
+    ],
+)
+def test_pictures_with_other_axes_are_found_by_their_suns(
+    tmp_path: Path, change: str, said: str
+) -> None:
+    """Panoramas of other programs may be mirrored, upside down, or begin elsewhere."""
+    data = dataset(("2027-03-20", "2027-06-21"), height=48)
+    light = data.light
+    high = (light.apparent_altitude_deg > 15.0) & (light.direct_lx > 1e4)
+    assert high.sum() > 3
+    disc_lx = np.where(high, 0.7 * light.direct_lx, 0.0)
+    maps = add_disc(data.luminance_cdm2, light, disc_lx, data.heading_deg)
+    maps = {
+        "none": maps,
+        "turned": np.roll(maps, round(70 / 360 * 96), axis=2),
+        "upside down": maps[:, ::-1],
+        "about its axis": maps[:, ::-1, ::-1],
+        "mirrored": maps[:, :, ::-1],
+    }[change]
+    path = write_pairs(tmp_path, replace(data, luminance_cdm2=maps), sun_in_map=True)
+    if said.startswith("WARNING") or not said:
+        notes = " ".join(load_pairs(path).notes)
+        assert re.search(said, notes) if said else "the sun's disc in" not in notes
+    else:
+        with pytest.raises(InputError, match=said):
+            load_pairs(path)
+
+
+@pytest.mark.analytic
+def test_a_single_clipped_spot_is_a_sun_elsewhere() -> None:
+    """Without a filter the disc is clipped, and its energy is not known."""
+    light, clipped = np.full((90, 180), 1e3, np.float32), np.zeros((90, 180), bool)
+    light[29:31, 119:121], clipped[29:31, 119:121] = 1e5, True
+    at = sun_elsewhere(light, 180.0, 8e4, clipped)
+    assert at == pytest.approx((30.0, 240.0), abs=1.0)
+    clipped[40:60, 20:50] = True
+    assert sun_elsewhere(light, 180.0, 8e4, clipped) is None

@@ -537,6 +537,18 @@ def test_without_a_usual_capture_the_most_frequent_state_stands_for_it() -> None
 
 
 @pytest.mark.analytic
+@pytest.mark.parametrize(("factor", "warned"), [(1 / 179, True), (0.1, False), (2.5, True)])
+def test_pictures_in_another_unit_are_told_by_the_sky_in_the_window(
+    factor: float, warned: bool
+) -> None:
+    """W/sr/m2 taken for cd/m2 are 179 times too dark; no glass makes the sky brighter."""
+    openness = np.zeros((32, 32))
+    openness[4:28, 4:28] = 1.0
+    notes = " ".join(_view(factor * _pictures(openness)).notes)
+    assert ("WARNING: the sky in the window has" in notes) == warned
+
+
+@pytest.mark.analytic
 def test_few_captures_give_bounds_and_say_what_to_capture() -> None:
     light, pictures = LIGHT[[0, 5, 9]], _pictures(np.ones((32, 32)))[[0, 5, 9]]
     clipped = np.zeros((32, 32), bool)

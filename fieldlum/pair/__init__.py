@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from fieldlum.core.errors import FieldlumError, InputError, NotEnoughDataError, input_errors
-from fieldlum.core.records import Panorama, Site, SiteFile, parse_utc, utc_text
+from fieldlum.core.records import Flag, Panorama, Site, SiteFile, parse_utc, utc_text
 from fieldlum.core.scheduler import LOCAL, Scheduler, UnitOutcome, WorkUnit, run_each
 from fieldlum.core.strict_toml import plain
 from fieldlum.optics.images import read_panorama, write_panorama
@@ -31,6 +31,8 @@ from fieldlum.session.panorama_sun import SunRow, write_suns
 from fieldlum.sky import sun
 from fieldlum.sky.daylight import Light
 from fieldlum.sky.log_clock_offset import lit_at_night
+from fieldlum.sky.picture_axes import sun_elsewhere
+from fieldlum.sky.sky_view.sky_directions import BEAM_LX
 
 _CLIPPED_PERCENT = 50.0  # more of the view says little about the room; chosen
 
@@ -261,7 +263,14 @@ def _picture_sun(bracket: BracketInterval, full_normal_lx: float) -> Shown:
     sun, caution = measured_sun(panorama, full_normal_lx, bracket.meter_lx)
     seen = np.isfinite(panorama.seen_cdm2)
     recorded_lx = panorama.sun.normal_illuminance_lx if panorama.sun else 0.0
-    return Shown(bracket.slot, sun, recorded_lx, caution, seen, panorama.heading_deg)
+    heading_deg, at = panorama.heading_deg, None
+    if sun is not None:
+        at = sun.altitude_deg, sun.azimuth_deg
+    elif full_normal_lx > BEAM_LX:
+        flags = panorama.flags
+        clipped = None if flags is None else (flags & Flag.CLIPPED_HIGH) > 0
+        at = sun_elsewhere(panorama.luminance_cdm2, heading_deg, full_normal_lx, clipped)
+    return Shown(bracket.slot, sun, recorded_lx, caution, seen, heading_deg, at)
 
 
 # ----------------------------------------------------------------------------------------------

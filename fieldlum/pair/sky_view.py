@@ -20,6 +20,7 @@ from fieldlum.pair.sun_strength import is_measured
 from fieldlum.session import Session, replacing_path, sha256
 from fieldlum.session.codec import data_digest
 from fieldlum.sky.daylight import Light
+from fieldlum.sky.picture_axes import wrong_axes
 from fieldlum.sky.sky_view.estimate_from_captures import Captured, sky_view_of
 from fieldlum.sky.sky_view.measured_discs import read_discs
 from fieldlum.sky.sky_view.picture import SkyPicture, cut_panorama, read_sky_picture
@@ -38,7 +39,8 @@ class Shown:
     """What the panorama of one usable bracket shows.
 
     sun: None without one; recorded_lx: its illuminance in the panorama's file; seen [H, W]: pixels
-    with a value, None for a panorama that cannot be read; heading_deg: azimuth of the middle.
+    with a value, None for a panorama that cannot be read; heading_deg: azimuth of the middle;
+    sun_at_deg: altitude and azimuth of the sun or of what may be the sun, None without.
     """
 
     slot: str
@@ -47,6 +49,7 @@ class Shown:
     caution: str = ""
     seen: Mask | None = None
     heading_deg: float = 0.0
+    sun_at_deg: tuple[float, float] | None = None
 
     @property
     def measured_lx(self) -> float:
@@ -110,13 +113,26 @@ def write_sky_view(
     except NotEnoughDataError:
         session.sky_view.unlink(missing_ok=True)
         return None
-    view = replace(view, inputs=inputs)
+    notes = (*view.notes, *_notes_on_axes(captures, light))
+    view = replace(view, inputs=inputs, notes=notes)
     view.write(session.sky_view)
     suns = view.pose.in_pictures(light.apparent_sun_direction[shares != 0.0])
     overcast = captures[int(np.argmax(light.dhi_wm2 - light.dni_wm2))].slot
     picture = session.sky_view.with_suffix(".png")
     draw(picture, view, read_panorama(session.panorama(overcast)), suns)
     return view
+
+
+def _notes_on_axes(captures: Sequence[Shown], light: Light) -> list[str]:
+    """Return a warning if suns are elsewhere in several panoramas than the heading states."""
+    rows = [k for k, capture in enumerate(captures) if capture.sun_at_deg is not None]
+    if not rows:
+        return []
+    suns = np.stack([light.apparent_altitude_deg, light.sun_azimuth_deg], axis=1)[rows]
+    shown = np.array([captures[k].sun_at_deg for k in rows])
+    pixel_deg = 180.0 / len(captures[0].seen) if captures[0].seen is not None else 1.0
+    wrong = wrong_axes(suns, shown, captures[0].heading_deg, pixel_deg)
+    return [f"WARNING: {wrong.found}: {wrong.remedy}"] if wrong and wrong.sure else []
 
 
 def is_outdated(session: Session, view: SkyView) -> bool:

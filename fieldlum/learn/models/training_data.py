@@ -36,9 +36,11 @@ from fieldlum.session.panorama_sun import read_panorama_with_sun, suns_of
 from fieldlum.session.site_toml import load_site, site_table
 from fieldlum.sky import sun
 from fieldlum.sky.daylight import Light
+from fieldlum.sky.picture_axes import DISC_SHARE, sun_elsewhere, wrong_axes
 from fieldlum.sky.sky_view.estimate_from_captures import Captured, sky_view_of
 from fieldlum.sky.sky_view.measured_discs import NO_DISCS, MeasuredDiscs
 from fieldlum.sky.sky_view.picture import SkyPicture, cut_panorama
+from fieldlum.sky.sky_view.sky_directions import BEAM_LX
 from fieldlum.sky.sky_view.view import NAME as SKY_VIEW
 from fieldlum.sky.sky_view.view import SkyView
 from fieldlum.sky.sun_disc import find_disc, without_disc
@@ -301,6 +303,7 @@ def _assemble(path: Path, rows: list[PairRow], setup: SiteFile, notes: list[str]
     for k in (k for k, row in enumerate(rows) if row.sun_in_map):
         at = float(light.apparent_altitude_deg[k]), float(azimuth[k])
         take_disc_out(data, k, at, shown_place(*at, heading, turns.angles_deg[k]))
+    notes += _notes_on_axes(path, data)
     assert data.counts is not None
     align(data.luminance_cdm2, has_value, data.counts, heading, turns)
     counts = joined_counts(data.counts, has_value)
@@ -317,6 +320,33 @@ def _assemble(path: Path, rows: list[PairRow], setup: SiteFile, notes: list[str]
         notes.append(f"no {SKY_VIEW}: coarse maps decide the sun's disc; run fieldlum pair again")
     data = replace(data, seen=seen_mask, notes=tuple(notes), counts=counts, sky_view=view)
     return data if turns.aligned.all() else data.take(turns.aligned)
+
+
+def _notes_on_axes(path: Path, data: Dataset) -> list[str]:
+    """Return a warning if discs show that the pictures' axes are not as stated.
+
+    Raises InputError if it is sure. data: with the discs at the sun's place taken out.
+    """
+    light, suns, shown = data.light, [], []
+    for k in np.flatnonzero(light.direct_lx > BEAM_LX):
+        at = float(light.apparent_altitude_deg[k]), float(light.sun_azimuth_deg[k])
+        beam_lx = float(light.direct_lx[k])
+        place = sun_elsewhere(data.luminance_cdm2[k], data.heading_deg, beam_lx)
+        if place is None and data.disc_lx[k] > DISC_SHARE * beam_lx:
+            place = at
+        if place is not None:
+            suns.append(at)
+            shown.append(place)
+    if not suns:
+        return []
+    pixel_deg = 180.0 / data.shape[0]
+    wrong = wrong_axes(np.array(suns), np.array(shown), data.heading_deg, pixel_deg)
+    if wrong is None:
+        return []
+    if wrong.sure:
+        expected = "the zenith on top, azimuth clockwise to the right, heading_deg in the middle"
+        raise InputError(path, wrong.found, expected, wrong.remedy)
+    return [f"WARNING: {wrong.found}: {wrong.remedy}"]
 
 
 def _slots(rows: Sequence[PairRow]) -> tuple[str, ...]:
@@ -555,7 +585,8 @@ def with_sky_view(data: Dataset, file: Path | None = None) -> Dataset:
     captured = Captured(light, read, data.disc_lx / np.maximum(light.direct_lx, 1.0))
     site, discs = data.setup.site, _discs(data)
     view = sky_view_of(captured, discs, site, data.heading_deg)
-    return replace(data, sky_view=view)
+    warnings = (note for note in view.notes if note.startswith("WARNING"))
+    return replace(data, sky_view=view, notes=(*data.notes, *warnings))
 
 
 def _discs(data: Dataset) -> MeasuredDiscs:

@@ -63,6 +63,9 @@ _SHADED, _HALF_SHADED = 0.33, 0.6
 # Shares of the sky in view: so dark that a capture is through a blind; and worth a note. Chosen.
 _COVERED_SHARE, _SOME_SKY = 0.2, 0.02
 _NEW_YEAR = date(2027, 1, 1).toordinal()  # of a year without a leap day
+# Of the sky's luminance, in the window: more passes no opening, whatever the errors above; less is
+# darker than electrochromic glass, and 1/179 is what W/sr/m2 taken for cd/m2 give. Chosen.
+_TOO_BRIGHT, _TOO_DARK = 1.4, 0.01
 _OF_SEASON = 12  # captures of a season that decide its leaves; fewer widen the bounds; chosen
 _BRACKET_S = 300.0  # a disc's frame is within this of its capture's time; chosen
 _MAX_VALUES = 60_000_000  # captures times directions in memory: 240 MB; chosen
@@ -461,7 +464,13 @@ def _bounds(
 
 def _notes(decided: _Decided) -> tuple[str, ...]:
     sky, scatters, captures = decided.sky, decided.scatters, decided.view.captures
-    notes = []
+    level, notes = decided.reference.brightest, []
+    if level > _TOO_BRIGHT or level < _TOO_DARK:
+        notes.append(
+            f"WARNING: the sky in the window has {level:.2g} of the luminance that the measured "
+            "irradiance gives it: check the pictures' unit (cd/m2; W/sr/m2 are 179 times less), "
+            "the camera's factor k and the diffuse irradiance"
+        )
     if captures < MIN_CAPTURES:
         notes.append(
             f"where the sky is needs {MIN_CAPTURES} captures, here {captures}: the sun's disc has "
