@@ -210,7 +210,7 @@ class Heard:
     ) -> list[Message]:
         self.sent.clear()
         live = SimpleNamespace(t_utc=t_utc, disk_days=disk_days, ghi_wm2=ghi_wm2)
-        self.alerts.look(live)  # type: ignore[arg-type]
+        self.alerts.check(live)  # type: ignore[arg-type]
         return list(self.sent)
 
 
@@ -330,7 +330,7 @@ def test_a_capture_reports_and_no_secret_is_written(session: Session, tmp_path: 
                 "steady:",
                 clock=clock,
                 options=options,
-                watch=remote.look,
+                watch=remote.check,
                 listen=remote.listen,
                 trusted=lambda: False,
                 open_cam=DeadCamera,

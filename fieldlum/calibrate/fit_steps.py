@@ -295,6 +295,7 @@ def own_mosaic(path: Path, profile: CameraProfile) -> Mosaic:
 
 
 def _from_mosaic(path: Path, profile: CameraProfile) -> LinearFrame:
+    """Return a raw frame at half its size, the two greens averaged, in cd/m2 at the profile's k."""
     mosaic = own_mosaic(path, profile)
     rows, columns = (n // 2 * 2 for n in mosaic.counts.shape)
     planes = [mosaic.counts[r:rows:2, c:columns:2] for r, c in channel_positions(mosaic.cfa)]

@@ -214,6 +214,10 @@ def _check(lens: Lens, missed: Array, angle: Array, targets: Targets) -> None:
 def _warnings(
     targets: Targets, missed: Array, inliers: Array, new: Lens, before: Lens
 ) -> tuple[str, ...]:
+    """Return warnings of omitted targets, and of a pose over 30 degrees from the profile's.
+
+    missed [n]: distances of targets from the fit [px]; inliers: indices of the targets used.
+    """
     far = [
         f"{targets.x_px[i]:g}, {targets.y_px[i]:g} (off by {missed[i]:.0f} px)"
         for i in np.setdiff1d(np.arange(len(missed)), inliers)

@@ -86,6 +86,7 @@ def from_table(path: Path, profile: CameraProfile, lens: int = 0) -> Samples:
 
 
 def _from_patches(path: Path, profile: CameraProfile) -> Samples:
+    """Return the samples of a csv: places of equal light, or of known ratio (column reference)."""
     rows = fit_steps.read_table(
         path, ("file", "x_px", "y_px"), {"radius_px": 12.0, "reference": 1.0}
     )

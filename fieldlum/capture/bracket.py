@@ -266,6 +266,10 @@ class BracketCapture:
         return False
 
     def _complete_bracket(self) -> SlotState:
+        """Write capture.json and the journal's entry of a bracket with all its frames.
+
+        Doubts about frames, and about what the darkest one shows, become the reason `why`.
+        """
         self._read_meter()
         frames = self.state.frames
         notes = [f"{f.file} taken again" for f in frames if f.instead_of and not f.doubt]

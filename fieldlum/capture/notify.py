@@ -237,7 +237,7 @@ class Alerts:
     device that reconnects needs at most two tries of 30 s; a single missed slot can be due to a
     slow bracket before it).
 
-    `listen` takes journal events, `look` the state of the capture; both return at once. Events come
+    `listen` takes journal events, `check` the capture's state; both return at once. Events come
     from the capture and from the thread that logs irradiance, so a lock guards the alerts. name,
     timezone: of the site; send: sends a message; beat: sends a heartbeat; contact_sheet: called for
     a daily summary, returns the picture to attach, or None.
@@ -287,7 +287,7 @@ class Alerts:
                 free = f"The disk has {fields.get('bytes_free', 0) / 1e6:.0f} MB free."
                 self._send("the disk is full", free, once=t_utc)
 
-    def look(self, live: Live) -> None:
+    def check(self, live: Live) -> None:
         """Send the messages that are due by time: lost devices, low disk, the daily summary."""
         with self._lock:
             self._new_day(live.t_utc)
@@ -307,6 +307,7 @@ class Alerts:
                     self._send("the disk is nearly full", body)
 
     def _outcome(self, event: str, t_utc: datetime, fields: EventFields) -> None:
+        """Count a settled slot; send a message for clipped frames and for two misses in a row."""
         slot, why = fields.get("slot", ""), fields.get("why", "")
         self._counts[event] += 1
         with suppress(ValueError):

@@ -373,6 +373,10 @@ class _Runner:
         return self._sleep_until(t_utc)
 
     def _sleep_until(self, t_utc: datetime, *, log: bool = True) -> bool:
+        """Sleep and log until a time; return whether it came before the plan was changed.
+
+        log: whether the pyranometer is read in the meantime.
+        """
         while self._plan_time() == self._plan_stamp:  # until the plan changes
             self.recorder.write_events(self.clock.check())
             wait_s = (t_utc - self.clock.now()).total_seconds()

@@ -180,6 +180,7 @@ def lens(
 
 
 def _by_circle(frame: Path, profile: CameraProfile, index: int) -> FittedPart:
+    """Return centre and radius of lens `index` by the edge of the image circle in one frame."""
     from fieldlum.calibrate import lens as lenses
     from fieldlum.optics.linear_light import check_frame
 
@@ -197,6 +198,7 @@ def _by_circle(frame: Path, profile: CameraProfile, index: int) -> FittedPart:
 def _by_targets(
     sources: Paths, profile: CameraProfile, index: int, chessboard: tuple[float, ...] | None
 ) -> FittedPart:
+    """Return lens `index` by a csv of targets or by frames of a chessboard (columns, rows)."""
     from fieldlum.calibrate import lens as lenses
 
     start, notes = profile.lens[index], []

@@ -93,7 +93,7 @@ def command(
     ):
 
         def watch(live: Live) -> None:
-            remote.look(live)
+            remote.check(live)
             display(live)
 
         states = capture.run(

@@ -202,6 +202,11 @@ def surplus_cause(cells: Sequence[str], count: int, right: Sequence[Sequence[str
 
 
 def _decimal_commas(cells: Sequence[str], count: int, right: Sequence[Sequence[str]]) -> bool:
+    """Return whether a line with too many cells can be one with decimal commas.
+
+    That is: its surplus cells are decimals after an integer, and it lacks the decimal points that
+    lines of the right length have.
+    """
     surplus, pairs, k = len(cells) - count, 0, 0
     while k + 1 < len(cells):
         pair = _INTEGER.fullmatch(cells[k]) and cells[k + 1].isdecimal()

@@ -217,7 +217,7 @@ def _with_suns(
 ) -> list[PairRow]:
     """Write sky_view.exr and suns.csv, and with a room the patches; return the completed rows."""
     light = _light(session, brackets, rows)
-    shown = [_picture_sun(b, float(lx)) for b, lx in zip(brackets, light.direct_lx, strict=True)]
+    shown = [_shown_by(b, float(lx)) for b, lx in zip(brackets, light.direct_lx, strict=True)]
     view = write_sky_view(session, shown, light, setup.site, force=force)
     shares, by_view = shares_of_beam(view, setup.room, light)
     patches = write_patches(session, setup, brackets, light, force, scheduler)
@@ -253,8 +253,11 @@ def _light(session: Session, brackets: Sequence[BracketInterval], rows: Sequence
     )
 
 
-def _picture_sun(bracket: BracketInterval, full_normal_lx: float) -> Shown:
-    """Return what the panorama of a bracket shows; only a caution if it cannot be read."""
+def _shown_by(bracket: BracketInterval, full_normal_lx: float) -> Shown:
+    """Return the sun and the seen pixels of a bracket's panorama; a caution if it is not readable.
+
+    full_normal_lx: illuminance of the unhidden disc, on a plane normal to it.
+    """
     warn_if_changed(bracket.panorama)
     try:
         panorama = read_panorama(bracket.panorama)

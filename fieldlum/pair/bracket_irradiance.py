@@ -80,6 +80,7 @@ def _stale_text(log: CleanIrradiance, near: slice, start: float, end: float, sta
 
 
 def _statistics(log: CleanIrradiance, rows: Mask) -> BracketIrradiance:
+    """Return mean irradiance and steadiness (range over mean of the global) of the masked rows."""
     ghi, dhi, dni = (value[rows] for value in (log.ghi_wm2, log.dhi_wm2, log.dni_wm2))
     mean, spread = float(ghi.mean()), float(np.ptp(ghi))
     steadiness = spread / mean if mean > 1.0 else 0.0

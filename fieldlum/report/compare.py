@@ -152,6 +152,7 @@ def surface_names(room: Room, height: int, heading_deg: float) -> Array:
 
 
 def _compare_pictures(session: Session, model: Path, out: Path) -> Comparison:
+    """Return ratios of a model's pictures to captures of the same slots; draw the three worst."""
     measured = {path.stem: path for path in session.panorama_files()}
     pictures = sorted(p for p in model.iterdir() if p.suffix.lower() in PICTURES)
     shared = [path for path in pictures if path.stem in measured]
@@ -488,6 +489,11 @@ def hours_begun(path: Path, times: Floats, daylight: Mask) -> tuple[Array, list[
 def _compare_hours(
     annual: Annual, model: pd.DataFrame, zone: str, path: Path, out: Path
 ) -> Comparison:
+    """Return the differences of a model's hourly figures and those of the predicted year.
+
+    model: a column for each (figure, azimuth [deg]), rows by hour of the year; zone: of the year's
+    standard time. Raises InputError without common hours, and for hours of another clock.
+    """
     row_of = np.full(int(_DAYS.sum()) * 24, -1)
     row_of[[hour_of_year(t, zone) for t in annual.t_utc]] = np.arange(len(annual))
     hours, note = hours_begun(path, model.index.to_numpy(float), row_of >= 0)

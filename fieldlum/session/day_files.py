@@ -80,6 +80,7 @@ class DayFiles:
         append_complete(self._handle, encode_sample(sample), flush=self._flush)
 
     def _open(self, day: str) -> None:
+        """Open the file of a UTC day to append to it; move an incomplete last line away."""
         self.close()
         path = self._folder / f"{day}.csv"
         spoilt = False

@@ -75,6 +75,7 @@ def read_slot_states(session: Session) -> SlotStates:
 
 
 def _after_event(state: SlotState, kind: str, event: JournalEvent) -> SlotState:
+    """Return the state of a slot after one more event of the journal."""
     if kind == "started":
         # A second start of the same attempt continues it with its frames.
         attempt = int(event.get("attempt", 1))

@@ -150,6 +150,10 @@ class Kernel:
     def _sum(
         self, a: Features, b: Features, product: Callable[[Array, Array], Floats], near: Floats
     ) -> Floats:
+        """Return the sum of the kernel's terms, each a `product` of a feature of two sets of hours.
+
+        near: factor on the facades' term by the angle between two suns, in the product's shape.
+        """
         beams, grounds = ((f.beam[:, None] for f in (a, b)), (_ground(f) for f in (a, b)))
         k = self.constant * (1.0 + product(*beams) + product(*grounds))
         k += self.sky * product(a.sky, b.sky)

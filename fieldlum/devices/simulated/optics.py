@@ -131,8 +131,8 @@ def _fine_channels(detail: SkyPicture, flat: Floats32, panorama: Panorama) -> Fl
 def on_sensor(panorama: Panorama, views: list[LensSampling], sensor: tuple[int, int]) -> Floats32:
     """Return the mean R, G, B of each sensor pixel [cd/m2], [h, w, 3], or grey [h, w, 1].
 
-    The sun's disc is included; pixels outside the lenses are 0. views : from `look`, one for each
-    lens; sensor : (height, width). The lens's blur applies to a panorama with a finer part.
+    The sun's disc is included; pixels outside the lenses are 0. views : by `lens_sampling`, one for
+    each lens; sensor : (height, width). The lens's blur applies to a panorama with a finer part.
     """
     from scipy.ndimage import gaussian_filter
 

@@ -92,8 +92,8 @@ def difference(candidate: HeldOutErrors, other: HeldOutErrors, name: str) -> tup
     a, b, weight, day = a[rows], b[rows], candidate.weight[rows], candidate.day[rows]
     trim = candidate.trim
     mean = trimmed_mean(a, weight, trim) - trimmed_mean(b, weight, trim)
-    near = np.minimum(a, limit_of(a, weight, trim)) - np.minimum(b, limit_of(b, weight, trim))
-    error = standard_error(near * weight / weight.mean(), day)
+    cut_a, cut_b = (np.minimum(v, limit_of(v, weight, trim)) for v in (a, b))  # winsorised
+    error = standard_error((cut_a - cut_b) * weight / weight.mean(), day)
     return mean, float(np.nan_to_num(error)) / (1.0 - trim)
 
 

@@ -199,6 +199,10 @@ def sun_of_rows(path: Path, rows: Sequence[PairRow], site: Site) -> tuple[Floats
 
 
 def _check_irradiance(path: Path, rows: Sequence[PairRow], altitude_deg: Floats) -> None:
+    """Raise InputError for the first row that is impossible with a sun over `CLEAR_SUN_DEG`.
+
+    altitude_deg: of the sun [n]. Limits: BSRN's, and `sun.too_weak`.
+    """
     top = sun.extraterrestrial_wm2([row.t_utc for row in rows])
     dni, dhi = np.array([(row.dni_wm2, row.dhi_wm2) for row in rows]).T
     limits = sun.bsrn_limits(altitude_deg, top)
@@ -286,6 +290,10 @@ def load_pairs(where: Path | Session, site: Path | None = None) -> Dataset:
 
 
 def _assemble(path: Path, rows: list[PairRow], setup: SiteFile, notes: list[str]) -> Dataset:
+    """Return the captures of usable rows: pictures aligned, the disc taken out, gaps filled.
+
+    Captures whose camera turned too far to be aligned are left out; what was done goes into notes.
+    """
     altitude, azimuth = sun_of_rows(path, rows, setup.site)
     light = Light(
         t_utc=tuple(row.t_utc for row in rows),

@@ -253,12 +253,12 @@ def fit_chunk(arrays: TrainingArrays, scale: Array, basis: Basis, noise: float) 
     response, weights = target, arrays.trust / np.maximum(target, dark) ** 2
     b, gains = solve(basis, columns, response, weights, noise)
     for _ in range(ROUNDS):
-        near = _near(target, basis, b, columns, gains)
-        error = np.log(target / near)
-        weights = arrays.trust * cauchy_weights(error, ROBUST_WIDTH) / np.maximum(near, dark) ** 2
-        response = near * (1.0 + error)
+        fitted = _fitted(target, basis, b, columns, gains)
+        error = np.log(target / fitted)
+        weights = arrays.trust * cauchy_weights(error, ROBUST_WIDTH) / np.maximum(fitted, dark) ** 2
+        response = fitted * (1.0 + error)
         b, gains = solve(basis, columns, response, weights, noise)
-    error = np.log(target / _near(target, basis, b, columns, gains))
+    error = np.log(target / _fitted(target, basis, b, columns, gains))
     error = arrays.trust * np.clip(error, -2.0 * ROBUST_WIDTH, 2.0 * ROBUST_WIDTH)
     level = np.exp(error.sum(axis=0) / np.maximum(arrays.trust.sum(axis=0), 1e-9))[:, None]
     b, gains = b * level, gains * level
@@ -270,7 +270,7 @@ def fit_chunk(arrays: TrainingArrays, scale: Array, basis: Basis, noise: float) 
     return ChunkFit(columns, target, response, weights, b, gains, minimum)
 
 
-def _near(target: Array, basis: Basis, b: Array, columns: Columns, gains: Array) -> Array:
+def _fitted(target: Array, basis: Basis, b: Array, columns: Columns, gains: Array) -> Array:
     """Return the fit [n, P], within a factor of five of the target."""
     fitted = basis.values @ b.T + np.einsum("knp,pk->np", columns.values, gains)
     return np.clip(fitted, 0.2 * target, 5.0 * target)
@@ -299,6 +299,7 @@ def fit_pixels(
     inverse = second_inverse(arrays)
 
     def fit_part(part: slice) -> None:
+        """Fit a chunk of pixels and store its coefficients, noise and solved residuals in `out`."""
         chunk = arrays[part]
         fit = fit_chunk(chunk, scale[part], basis, noise)
         out.b[part], out.minimum[part] = fit.b, fit.minimum

@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
@@ -36,18 +36,29 @@ _TIME = re.compile(
     r"\s*(Z|[+-]\d{2}:?\d{2})?"
 )
 _UTC_OFFSET = re.compile(r"Z|[+-](?:0\d|1[0-4]):?[0-5]\d")  # civil time is within 14 h of UTC
-_Quantity = tuple[str, str, str, str, float, float]
-_QUANTITIES: tuple[_Quantity, ...] = (
-    # name, tag of exiftool, example, unit, least and largest possible value; chosen
-    ("exposure time", "ExposureTime", "1/250", " s", 1e-7, 1e5),
-    ("f-number", "FNumber", "5.6", "", 0.3, 1e3),
-    ("ISO", "ISO", "100", "", 1.0, 1e7),
-)
 # First bytes of Panasonic (RW2) and Olympus (ORF) files, and those of a TIFF with the same content.
 TIFF_VARIANTS = {b"IIU\0": b"II*\0", b"IIRO": b"II*\0", b"IIRS": b"II*\0", b"MMOR": b"MM\0*"}
 
 Tags = Mapping[int, Any]
 """Values of EXIF tags by number, as Pillow reads them."""
+
+
+class _Quantity(NamedTuple):
+    """A part of an exposure: name, tag of exiftool, an example of it, and possible values."""
+
+    name: str
+    tag: str
+    example: str
+    minimum: float
+    maximum: float
+    unit: str = ""
+
+
+_QUANTITIES = (  # the limits are chosen
+    _Quantity("exposure time", "ExposureTime", "1/250", minimum=1e-7, maximum=1e5, unit=" s"),
+    _Quantity("f-number", "FNumber", "5.6", minimum=0.3, maximum=1e3),
+    _Quantity("ISO", "ISO", "100", minimum=1.0, maximum=1e7),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,8 +253,8 @@ def _check_value(path: Path, value: float, stated: float, quantity: _Quantity) -
 
     stated : by exposures.csv, 0 if it has none.
     """
-    name, tag, example, unit, low, high = quantity
-    remedy = f"write it with: exiftool -{tag}={example} FILE"
+    name, unit, low, high = quantity.name, quantity.unit, quantity.minimum, quantity.maximum
+    remedy = f"write it with: exiftool -{quantity.tag}={quantity.example} FILE"
     found = f"{name} {value:g}{unit} in the EXIF"
     if not value:
         remedy = f"{remedy}; or state it in {EXPOSURES_CSV} in the frame's folder"

@@ -270,6 +270,7 @@ def _window(guess: Guess, rect: WindowRect) -> Window:
 
 
 def _bar_obstruction(guess: Guess, bar: Bar, albedo: float) -> Obstruction:
+    """Return a glazing bar as a box in room axes; albedo: its reflectance."""
     rect = guess.windows[bar.window]
     axis, side = WALLS[rect.wall]
     inner = guess.size_m[axis] if side else 0.0

@@ -101,6 +101,7 @@ def clicks_from_rows(rows: Any) -> list[Click]:
 
 
 def _click(where: str, line: int, row: Any) -> Click:
+    """Return a click from its row of the file. Raises InputError for a wrong cell."""
     expected = f"a kind of {', '.join(KINDS)}; numbers x_px and y_px; 1 to 50 for a window"
     try:
         click = convert({**row, "window": row.get("window") or 0, "line": line}, Click)
@@ -145,6 +146,7 @@ def room_from_clicks(
 
 
 def _check(clicks: Sequence[Click], grid: ClickGrid, where: str) -> None:
+    """Raise InputError for a click off the panorama or on a wrong side, and for too few."""
     for click in clicks:
         place = f"{where}:{click.line}"
         if not (0 <= click.x_px <= grid.width_px and 0 <= click.y_px <= grid.height_px):
@@ -317,6 +319,11 @@ def _fit(
     grid: ClickGrid,
     h: float,
 ) -> ClickedRoom:
+    """Return the room whose corners are nearest to the clicks, by robust least squares in pixels.
+
+    start: values as for `_Corner.point`; corners: the corner of each click, None for an unused one;
+    h: height of the camera [m]. Uncertainties follow from `CLICK_PX`.
+    """
     from scipy.optimize import least_squares
 
     used = [(click, c) for click, c in zip(clicks, corners, strict=True) if c is not None]

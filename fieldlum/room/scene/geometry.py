@@ -252,6 +252,7 @@ def wall_named(wall: str, wall_azimuth_deg: float) -> str:
 
 
 def _opening(room: Room, window: Window, where: str) -> Opening:
+    """Return the hole of a window in its wall. Raises InputError for one outside of the wall."""
     axis, side = WALLS[window.wall]
     length = room.width_m if axis == 1 else room.depth_m
     top = window.sill_m + window.height_m

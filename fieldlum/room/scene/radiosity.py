@@ -221,6 +221,11 @@ def _form_factors(
     step, columns = max(1, _RAYS_A_RUN // rays), FIRST_PIECE + len(pieces)
 
     def gathered(start: int) -> Any:
+        """Return what the rays of points from `start` on end at, as weights [points, columns].
+
+        Columns: sky patches, the ground outside and pieces of surfaces; a row sums up to pi, the
+        irradiance by a luminance of 1.
+        """
         origin, up = position[start : start + step], normal[start : start + step]
         toward = _hemispheres(up, rays, np.random.default_rng(start))
         rows, at, weights = [], [], []

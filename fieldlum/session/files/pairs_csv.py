@@ -126,6 +126,10 @@ def _refuse_foreign_pictures(path: Path, rows: Iterable[PairRow]) -> None:
 
 
 def _row(path: Path, line: int, cells: dict[str, str]) -> PairRow:
+    """Return the record of a line; of one with ok = 0 only time, panorama and reason.
+
+    Raises InputError for a wrong cell and for irradiance outside the limits.
+    """
     where = f"{path}: line {line}"
     if cells.get("ok", "").lower() in ("0", "0.0", "false", "no"):
         moment = NO_TIME

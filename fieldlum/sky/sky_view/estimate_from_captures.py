@@ -215,6 +215,10 @@ class _Stack:
 def _stack(
     captured: Captured, seen: Callable[[Floats], Mask] | None, usual: SkyView | None
 ) -> _Stack:
+    """Return the captures' luminances in the directions of one grid, as many as fit in memory.
+
+    seen: which directions [p, 3] a lens saw; usual: an earlier view, whose grid is taken over.
+    """
     count = len(captured.light)
     samples = [captured.read(k) for k in sorted({0, count // 2, count - 1})]
     largest = max((picture.grid for picture in samples), key=lambda grid: grid.height * grid.width)
@@ -287,8 +291,8 @@ def _decided(
     sky = (spread < _FOLLOWS) & (relative > _PANE_SHARE)
     pane = np.minimum(pane_transmittance(ratio, sky, step_deg), 1.0)  # [h, w]
     openness, u = np.where(sky, np.clip(ratio / pane, 0.0, 1.0), 0.0), np.zeros(sky.shape)
-    mixed = _near(sky) & ~np.isnan(ratio) & (openness < _OPEN)
-    shut = stack.kept & ~_near(sky)
+    mixed = _sky_and_edge(sky) & ~np.isnan(ratio) & (openness < _OPEN)
+    shut = stack.kept & ~_sky_and_edge(sky)
     if mixed.any() and shut.any():
         at, front = stack.columns[mixed.ravel()], stack.columns[_nearest(shut)[mixed]]
         open_sky = reference.sky(light, rays[at]) * pane[mixed].astype(np.float32)
@@ -425,8 +429,8 @@ def _turned(stack: _Stack, view: SkyView) -> CameraPose:
     return view.pose if correction is None else view.pose.with_heading(*correction)
 
 
-def _near(sky: Mask) -> Mask:
-    """Return the pixels that are sky or touch it."""
+def _sky_and_edge(sky: Mask) -> Mask:
+    """Return a mask [h, w] of the pixels that are sky or touch it, diagonally too."""
     from scipy.ndimage import binary_dilation
 
     return np.asarray(binary_dilation(sky, np.ones((3, 3))), bool)
@@ -463,6 +467,7 @@ def _bounds(
 
 
 def _notes(decided: _Decided) -> tuple[str, ...]:
+    """Return sentences for the user on what the captures do not decide, and which would."""
     sky, scatters, captures = decided.sky, decided.scatters, decided.view.captures
     level, notes = decided.reference.brightest, []
     if level > _TOO_BRIGHT or level < _TOO_DARK:

@@ -164,21 +164,21 @@ class SkyView:
             raise InputError(path, "no such file", _EXPECTED, _REMEDY)
         change_of(path)
         try:
-            about, every = _content(path)
+            about, views = _content(path)
             if about["format"] > FORMAT:
                 raise ValueError(f"format {about['format']}, this fieldlum reads 1 to {FORMAT}")
             grid = SkyGrid(**about["grid"])
-            for arrays in every:
+            for arrays in views:
                 _check(grid, arrays, about.get("frame", FRAME))
             stated = about.get("pose")
             pose = CameraPose.from_table(stated) if stated else CameraPose()
             more = {name: about[name] for name in ("captures", "inputs", "state") if name in about}
             others = tuple(
                 cls(grid, **arrays, **{**table, "days": tuple(table["days"])}, pose=pose)
-                for arrays, table in zip(every[1:], about.get("others", ()), strict=True)
+                for arrays, table in zip(views[1:], about.get("others", ()), strict=True)
             )
             notes = tuple(about.get("notes", ()))
-            return cls(grid, **every[0], **more, pose=pose, notes=notes, others=others)
+            return cls(grid, **views[0], **more, pose=pose, notes=notes, others=others)
         except Exception as error:  # OpenEXR raises RuntimeError, UnicodeDecodeError and others
             raise InputError(path, reason_of(error), _EXPECTED, _REMEDY) from None
 
@@ -317,9 +317,10 @@ def _shortest_edges(openness: Floats32, factor: int) -> Floats32:
 def _blurred(
     values: Floats32, factor: int, blur: Callable[[Floats32, float], Floats32]
 ) -> Floats32:
-    """Return a fine map after `blur`, which gets it in steps as fine as blurs need.
+    """Return a map [h, w] blurred at a reduced size, for speed.
 
-    blur: a function of a map and the size of a pixel of the sky view in it.
+    factor: pixels of the map across one of the sky view; blur: a function of the reduced map and of
+    `factor` in it.
     """
     import cv2
 

@@ -83,6 +83,7 @@ def read_picture(path: Path, view_options: str = "", part: str = "") -> Picture:
 
 
 def _read_hdr(path: Path, view_options: str) -> Picture:
+    """Return a Radiance picture with its view: view_options, else its header's; else a panorama."""
     image = images.read_radiance_hdr(path)
     header = image.header
     text = view_options or header.view
@@ -113,6 +114,7 @@ def _check_views(header: images.RadianceHeader, path: Path) -> None:
 
 
 def _read_exr(path: Path, view_options: str, part: str) -> Picture:
+    """Return an EXR picture, or its part, with its view: view_options, else the stated one."""
     picture, stated = images.read_exr(path, part)
     is_panorama = stated == "equirect" and not view_options
     if is_panorama:
