@@ -1,6 +1,7 @@
 """Would the tests notice a fault? A seeded sample of small changes to modules that promise much.
 
     python bench/mutation_sample.py [--mutants 200] [--seed 1] [--minutes 60] [--first 0] [--part P]
+        [--fast]
 
 Each mutant has one change: a comparison, an arithmetic sign, a number, a truth value, a negated
 condition, `and` for `or`, or a statement without effect in place of a call. The tests named in
@@ -33,7 +34,7 @@ from typing import NamedTuple
 ROOT = Path(__file__).resolve().parent.parent
 PARTS = {  # modules of a part, and the tests that should notice a fault in them, fast ones first
     "session": (
-        ("session/*.py", "session/files/*.py"),
+        ("core/files.py", "session/*.py", "session/files/*.py"),
         "test_flushed test_digests test_session_files test_session test_capture_disk "
         "test_hostile_models test_frame_changes test_foreign_session test_pair",
     ),
@@ -156,8 +157,11 @@ def _replaced(text: str, node: ast.AST, other: ast.AST) -> str:
     return "".join(lines[:first]) + head + new + tail + "".join(lines[last + 1 :])
 
 
-def caught(copy: Path, part: str) -> bool:
-    """Return whether a test of the part fails, or hangs, in the copy of the package."""
+def caught(copy: Path, part: str, *, fast: bool) -> bool:
+    """Return whether a test of the part fails, or hangs, in the copy of the package.
+
+    fast: without the tests marked slow.
+    """
     child = os.fork()
     if child == 0:
         os.setsid()
@@ -173,7 +177,7 @@ def caught(copy: Path, part: str) -> bool:
         resource.setrlimit(resource.RLIMIT_CPU, (CPU_S, CPU_S))
         code = 1
         try:
-            for marks in ("not slow", "slow"):
+            for marks in ("not slow", "slow")[: 1 if fast else 2]:
                 options = ["-x", "-q", "-p", "no:cacheprovider", "-m", marks]
                 code = int(pytest.main([*options, *tests_of(part)]))
                 code = 0 if code == pytest.ExitCode.NO_TESTS_COLLECTED else code
@@ -202,6 +206,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="place in the sample to begin at")
     parser.add_argument("--minutes", type=float, default=600.0)
     parser.add_argument("--part", choices=PARTS, action="append", help="only this part")
+    parser.add_argument("--fast", action="store_true", help="leave out tests marked slow")
     asked = parser.parse_args()
     for name in ("cv2", "pandas", "pvlib", "pytest", "scipy.stats", "starlette"):
         importlib.import_module(name)  # once for all forked processes
@@ -221,7 +226,7 @@ def main() -> None:
         ignored = shutil.ignore_patterns(".git", ".venv", "__pycache__", "_build", ".*_cache")
         shutil.copytree(ROOT, copy, ignore=ignored, symlinks=True)
         for part in asked.part or PARTS:
-            if caught(copy, part):
+            if caught(copy, part, fast=asked.fast):
                 print((copy.parent / "output.txt").read_text("utf-8", "replace")[-4000:])
                 sys.exit(f"the tests of {part} fail without a change")
         print(f"{len(every)} mutants, sample of {len(sample)}", file=sys.stderr, flush=True)
@@ -232,7 +237,7 @@ def main() -> None:
             place = copy / mutant.path
             whole = place.read_text(encoding="utf-8")
             place.write_text(mutant.source, encoding="utf-8")
-            noticed = caught(copy, mutant.part)
+            noticed = caught(copy, mutant.part, fast=asked.fast)
             place.write_text(whole, encoding="utf-8")
             counts[mutant.part, noticed] += 1
             if not noticed:

@@ -16,7 +16,7 @@ from fieldlum.core.errors import ChangedFileWarning
 from fieldlum.core.records import Panorama
 from fieldlum.optics.images import write_panorama
 from fieldlum.session import sha256
-from fieldlum.session.codec import sealed, write_csv
+from fieldlum.session.codec import current_note, sealed, write_csv
 from fieldlum.session.files.hourly_csv import HOUR_COLUMNS, VIEW_COLUMNS, HourlyFile
 from fieldlum.session.files.irradiance_csv import CleanIrradiance
 from fieldlum.session.files.model_files import ScoresFile
@@ -148,6 +148,24 @@ def test_pairs_carry_the_warning_into_training_and_commands_print_it(tmp_path: P
     table.write_text(table.read_text().replace("231", "131"))
     with pytest.warns(ChangedFileWarning):
         assert "delete pairs.csv.sha256" in PairsFile.read(table).warnings[0]
+
+
+@pytest.mark.contract
+def test_a_result_that_is_kept_or_shown_is_reported_too(tmp_path: Path) -> None:
+    """A stage that finds its result up to date does not read all of it; `info` reads any csv."""
+    note, table = predict(tmp_path), hourly(tmp_path)
+    inputs = PredictFile.read(tmp_path).inputs
+    for path in (note, table):
+        whole = path.read_text()
+        path.write_text(whole.replace("231", "131"))
+        with pytest.warns(ChangedFileWarning, match=f"{path.name}: the content changed after"):
+            assert current_note(note, inputs, [table]) is not None
+        path.write_text(whole)
+    table.write_text(whole.replace("231", "131"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("default")
+        result = CliRunner().invoke(main, ["info", str(table)])
+    assert result.stderr.startswith(f"WARNING: {table}: the content changed after fieldlum wrote")
 
 
 @pytest.mark.contract

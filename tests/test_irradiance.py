@@ -450,6 +450,9 @@ def test_stage_writes_clean_csv_and_keeps_it(session: Session) -> None:
     )
     before = clean.stat().st_mtime_ns
     assert irradiance.run(session) == told and clean.stat().st_mtime_ns == before
+    note = session.irradiance_health
+    note.write_text(note.read_text().replace('"rows": 100', '"rows": "x"'))
+    assert irradiance.run(session) == told
     log = DayFiles(session, flush=False)
     log.append(at(900, 805.0, 150.0))
     log.close()

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import warnings
 import zipfile
 from datetime import UTC, datetime
 from pathlib import Path
@@ -16,6 +17,7 @@ from fieldlum.cli import main
 from fieldlum.core.records import CameraSetup, Flag, Panorama, SiteFile, Slot
 from fieldlum.optics.images import write_panorama
 from fieldlum.session import Session, create_session
+from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 
 NOON = datetime(2027, 3, 20, 20, 0, tzinfo=UTC)
 ID = "20270320T200000Z"
@@ -68,6 +70,16 @@ def test_a_packed_session_has_metadata_and_checksums_and_no_addresses(session: S
     for line in content["MANIFEST.sha256"].decode().splitlines():
         digest, _, name = line.partition("  ")
         assert hashlib.sha256(content[name]).hexdigest() == digest
+
+
+@pytest.mark.contract
+def test_a_table_that_was_changed_is_not_packed_silently(session: Session) -> None:
+    """The archive has no pairs.csv.sha256."""
+    PairsFile(session.pairs, (PairRow(NOON, f"panoramas/{ID}.exr", 231.0, 120.0),)).write()
+    session.pairs.write_text(session.pairs.read_text().replace("231", "131"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("default")
+        assert f"WARNING: {session.pairs}: the content changed" in pack(session).stderr
 
 
 @pytest.mark.contract

@@ -62,6 +62,7 @@ def describe(path: Path, part: str = "") -> Facts:
     if the file is missing, invalid or of an unknown kind.
     """
     from fieldlum.optics.profiles import camera_names, find_camera_profile
+    from fieldlum.session.codec import change_of
 
     if not path.exists() and str(path) in camera_names():
         path = find_camera_profile(str(path))
@@ -71,6 +72,7 @@ def describe(path: Path, part: str = "") -> Facts:
         near = did_you_mean(str(path), camera_names())
         raise InputError(path, "no such file or folder", remedy=f"check the path{near}")
     suffix = path.suffix.lower()
+    change_of(path)
     if suffix == ".exr":
         return _exr(path, part)
     readers = {".hdr": _radiance, ".toml": _toml, ".csv": _csv, ".jpg": _jpeg, ".jpeg": _jpeg}

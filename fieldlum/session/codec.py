@@ -92,15 +92,21 @@ def current_note(note: Path, inputs: object, outputs: Iterable[Path] = ()) -> Js
 
     note: JSON file that is written after the result, with its inputs under the key `inputs`;
     without that key all of it is the inputs; inputs: plain values that JSON can store; outputs: the
-    result's files. A damaged note counts as missing, so that the result is computed again.
+    result's files. A damaged note counts as missing, so that the result is computed again. Warns of
+    a file that changed after it was written, with ChangedFileWarning.
     """
+    files = list(outputs)
     try:
         table = json.loads(read_bytes(note))
         recorded = table.get("inputs", table)
     except (OSError, ValueError, AttributeError, RecursionError):
         return None
     same = recorded == json.loads(json.dumps(inputs))
-    return table if same and all(path.is_file() for path in outputs) else None
+    if not same or not all(path.is_file() for path in files):
+        return None
+    for path in (note, *files):
+        change_of(path)
+    return table
 
 
 def digest(value: object) -> str:

@@ -1,6 +1,7 @@
 """Convert the day files of a session to one quality-checked series, irradiance/clean.csv."""
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from enum import IntFlag
@@ -454,7 +455,8 @@ def run(session: Session, *, force: bool = False) -> Health:
     inputs = {"recipe": _RECIPE, "files": digests, "site": asdict(site)}
     table = None if force else current_note(note, inputs, [clean])
     if table is not None:
-        return convert(table, Health)
+        with suppress(ValueError):  # somebody edited it
+            return convert(table, Health)
     raw, damaged = _read(files)
     if len(raw) == 0:
         cause = f"all {damaged} logged lines are damaged" if damaged else "no irradiance was logged"
