@@ -1,22 +1,25 @@
 """How far off melanopic EDI from camera colour is, under daylight, lamps and both.
 
-Thirteen cameras of measured spectral sensitivities look at CIE daylight behind three glazings that
-the coefficients have not seen, at the LEDs of CIE 015:2018, at halogen (Planck, 3000 K), at equal
-parts of daylight and lamp, and at measured daylight. A chart under daylight or the colour matrix
-that raw converters publish calibrates each. The uncertainties come from ten of the cameras.
+Cameras of measured spectral sensitivities look at CIE daylight behind glazings that neither the
+coefficients nor the uncertainties have seen, at the LED of CIE 015:2018, at halogen (Planck,
+3000 K), at lamps of IES TM-30-15, at daylight with lamps, and at measured daylight. A chart under
+daylight or the colour matrix that raw converters publish calibrates each. Three cameras and half of
+the glazings and lamps are kept unseen. The first lines are the constants of the package.
 
     python bench/melanopic.py DATA            # DATA has camera_sensitivities and jeti_spectra
     python bench/melanopic.py DATA --chart fieldlum/calibrate/chart_daylight.csv
-    python bench/melanopic.py DATA --lamps IESTM30_15_Sspds.dat   # nm, then a column a lamp
+    python bench/melanopic.py DATA --lamps IESTM30_15_Sspds.dat IESTM30_15_Sinfo.txt
+    python bench/melanopic.py DATA --cameras FOLDER   # more sensitivities, for the constants
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -36,17 +39,44 @@ MATRICES = {
     "Nikon_D5100": (8198, -2239, -724, -4871, 12389, 2798, -1043, 2050, 7181),
     "Nikon_D700": (8139, -2171, -663, -8747, 16541, 2295, -1925, 2008, 8093),
     "Pentax_K-5": (8713, -2833, -743, -4342, 11900, 2772, -722, 1543, 6247),
+    "Canon_20D": (6599, -537, -891, -8071, 15783, 2424, -1983, 2234, 7462),
+    "Canon_1DMarkIII": (6291, -540, -976, -8350, 16145, 2311, -1714, 1858, 7326),
+    "Canon_300D": (8250, -2044, -1127, -8092, 15606, 2664, -2893, 3453, 8348),
+    "Canon_50D": (4920, 616, -593, -6493, 13964, 2784, -1774, 3178, 7005),
+    "Canon_600D": (6461, -907, -882, -4300, 12184, 2378, -819, 1944, 5931),
+    "Canon_60D": (6719, -994, -925, -4408, 12426, 2211, -887, 2129, 6051),
+    "Nikon_D200": (8367, -2248, -763, -8758, 16447, 2422, -1527, 1550, 8053),
+    "Nikon_D3": (8139, -2171, -663, -8747, 16541, 2295, -1925, 2008, 8093),
+    "Nikon_D300s": (9030, -1992, -715, -8465, 16302, 2255, -2689, 3217, 8069),
+    "Nikon_D40": (6992, -1668, -806, -8138, 15748, 2543, -874, 850, 7897),
+    "Nikon_D50": (7732, -2422, -789, -8238, 15884, 2498, -859, 783, 7330),
+    "Nikon_D80": (8629, -2410, -883, -9055, 16940, 2171, -1490, 1363, 8520),
+    "Nikon_D90": (7309, -1403, -519, -8474, 16008, 2622, -2434, 2826, 8064),
+    "Olympus_E-PL2": (15030, -5552, -1806, -3987, 12387, 1767, -592, 1670, 7023),
+    "Pentax_Q": (11731, -4169, -1267, -2015, 10727, 1473, -217, 1492, 4870),
     "SONY_NEX-5N": (5991, -1456, -455, -4764, 12135, 2980, -707, 1425, 6701),
 }
 TINTS = ("grey", "bronze")
 TABLE = Path(__file__).with_suffix(".csv")
-SPECTRA = np.genfromtxt(TABLE, delimiter=",", names=True, skip_header=9)
+SPECTRA = np.genfromtxt(TABLE, delimiter=",", names=True, skip_header=11)
 NM = SPECTRA["wavelength_nm"]
 XYZ = np.stack([SPECTRA[name] for name in ("xbar", "ybar", "zbar")], axis=1)
 PATCHES = np.stack([SPECTRA[f"patch_{i}"] for i in range(1, 25)])
-SETTINGS = ("daylight", "daylight, 10 mm tinted glass", "daylight and lamp", "lamp")
-SETTINGS += ("measured daylight",)
-HEAD = "| light | mean, % | rms, % | largest, % | in the 95 % interval, % |\n|---|---|---|---|---|"
+CCT_K = (4000, 5000, 6500, 8000, 12_000, 20_000)
+CHART_K = (5000.0, 6500.0)
+CARD = "grey or bronze glass, a white card read behind it"
+HEAD = (
+    "| light | mean, % | rms, % | largest, % | in the 95 % interval, % | its half width, % |\n"
+    "|---|---|---|---|---|---|"
+)
+
+
+class Setting(NamedTuple):
+    """Light of a row, and what was stated about it."""
+
+    spectra: Floats
+    clear_glass: bool = False
+    lamps: bool | None = None
 
 
 def daylight(cct_k: float) -> Floats:
@@ -91,31 +121,62 @@ def normalised(spectra: Iterable[Floats]) -> Floats:
     return rows / (rows @ SPECTRA["ybar"])[:, None]
 
 
-def held_out(jeti: Floats) -> dict[str, Floats]:
-    glazings = (
-        SPECTRA["t_comfort_select_r42"] * glass("clear", 6),
-        SPECTRA["t_energy_advantage"] * glass("clear", 4),
-        glass("green", 6),
-    )
-    day = [daylight(t) * g for t in (4000, 5000, 6500, 8000, 12_000, 20_000) for g in glazings]
-    tinted = [daylight(t) * glass(k, 10) for t in range(4000, 20_001, 4000) for k in TINTS]
+def pane(name: str) -> Floats:
+    """Transmittance of a coated pane and a clear one."""
+    return SPECTRA[f"t_{name}"] * glass("clear", 6)
+
+
+def clear_panes() -> list[Floats]:
+    """Glazings for the uncertainties that a person may call clear, low-e or solar control."""
+    coated = ("loe_180", "climaguard_premium2", "solarban_r67", "vne_63", "sb70_pacifica")
+    return [np.ones_like(NM), glass("clear", 6), glass("clear", 6, 3), *map(pane, coated)]
+
+
+def other_panes() -> list[Floats]:
+    """Grey and bronze glass, a film, and a coating on grey glass, for the uncertainties."""
+    thick = [glass(kind, 12) for kind in TINTS]
+    thin = [glass(kind, 6) * glass("clear", 6) for kind in TINTS]
+    return [*thin, *thick, SPECTRA["t_solar_bronze_20"], pane("stopray_titanium_34t")]
+
+
+def behind(panes: Sequence[Floats]) -> Floats:
+    return normalised([daylight(t) * g for t in CCT_K for g in panes])
+
+
+def held_out(jeti: Floats) -> dict[str, Setting]:
+    coated = SPECTRA["t_energy_advantage"] * glass("clear", 4)
+    day = behind((pane("comfort_select_r42"), coated, glass("green", 6)))
+    more = [pane(name) for name in ("solar_e_arctic_blue", "e366_sgp", "ve_12m")]
+    more = behind([*more, SPECTRA["t_stratobel_iplus_top"], SPECTRA["t_float_4_8"]])
+    tinted = behind([glass(kind, 10) for kind in TINTS])
     lamps = [SPECTRA[name] for name in (SPECTRA.dtype.names or ()) if name.startswith("led")]
-    day, lamps = normalised(day), normalised([*lamps, planck(3000.0)])
+    lamps = normalised([*lamps, planck(3000.0)])
     both = mixed(day[6:9], lamps)
-    sets = (day, normalised(tinted), both, lamps, normalised(jeti))
-    return dict(zip(SETTINGS, sets, strict=True))
+    return {
+        "daylight": Setting(day, True, False),
+        "daylight, nothing stated": Setting(day),
+        "five more glazings, one blue": Setting(more, True, False),
+        "daylight, 10 mm grey or bronze glass": Setting(tinted, lamps=False),
+        "half daylight, half lamp": Setting(both, True, True),
+        "half daylight, half lamp, nothing stated": Setting(both),
+        "lamp": Setting(lamps, True, True),
+        "lamp, nothing stated": Setting(lamps),
+        "measured behind electrochromic glass": Setting(normalised(jeti), lamps=False),
+    }
 
 
-def mixed(day: Floats, lamps: Floats) -> Floats:
-    """Each daylight with each lamp, of equal illuminance."""
-    return normalised([a + b for a in day for b in lamps])
+def mixed(day: Floats, lamps: Floats, share: float = 0.5) -> Floats:
+    """Each daylight with each lamp, which gives a share of the illuminance."""
+    return normalised([(1 - share) * a + share * b for a in day for b in lamps])
 
 
-def more_lamps(path: Path, day: Floats) -> dict[str, Floats]:
-    """Lamps of a table [wavelengths, 1 + lamps]: alone, and with equal parts of daylight."""
-    nm, *columns = np.genfromtxt(path, delimiter=",").T
-    lamps = normalised(np.interp(NM, nm, column, left=0, right=0) for column in columns)
-    return {"more lamps": lamps, "daylight and more lamps": mixed(day, lamps)}
+def read_lamps(table: Path, names: Path) -> Floats:
+    """LED, fluorescent and incandescent lamps of IES TM-30-15, [lamps, wavelengths]."""
+    nm, *columns = np.genfromtxt(table, delimiter=",").T
+    kinds = [line.split(",")[2].strip() for line in names.read_text("latin-1").splitlines()[1:]]
+    usual = [kind.startswith(("LED", "Fluo", "Incand")) for kind in kinds]
+    rows = (np.interp(NM, nm, c, left=0, right=0) for c in np.array(columns)[usual])
+    return normalised(rows)
 
 
 def read_jeti(folder: Path) -> Floats:
@@ -149,11 +210,15 @@ def calibrated(
     colours = colour.Colours(rgb, colour.chart_xyz()[:, 1], np.full(24, 0.03), places)
     y = colour.fit(colours, profile).y_from_rgb
     if matrix is None:
-        xyz = colour.xyz_from_chart(rgb, y, cct_k)
-    else:
-        of_grey = (rgb[18], cct_k) if grey else (rgb.mean(axis=0), None)
-        xyz = colour.xyz_from_matrix(np.reshape(matrix, (3, 3)) / 1e4, y, *of_grey)
-    return xyz[1], melanopic.MELANOPIC_FROM_XYZ @ xyz
+        return xyz_weights(colour.xyz_from_chart(rgb, y, cct_k), melanopic.MELANOPIC_FROM_XYZ)
+    of_grey = (rgb[18], cct_k) if grey else (rgb.mean(axis=0), None)
+    xyz = colour.xyz_from_matrix(np.reshape(matrix, (3, 3)) / 1e4, y, *of_grey)
+    from_matrix = melanopic.BY_WHITE if grey else melanopic.BY_MATRIX
+    return xyz_weights(xyz, from_matrix[0])
+
+
+def xyz_weights(xyz: Floats, from_xyz: Floats) -> tuple[Floats, Floats]:
+    return xyz[1], from_xyz @ xyz
 
 
 def by_white_card(sensitivity: Floats, tint: str, seed: int) -> tuple[Floats, Floats, float]:
@@ -178,88 +243,164 @@ def by_white_card(sensitivity: Floats, tint: str, seed: int) -> tuple[Floats, Fl
     parts = rgb * 50.0 / rgb.max(), y_read * 50.0 / y.max(), np.full(4, 0.02), places[:4]
     read = colour.Colours(*parts, melanopic=melanopic_read * 50.0 / y.max())
     fit = colour.fit(read, profile)
-    new = replace(new, y_from_rgb=fit.y_from_rgb)
+    new = replace(new, y_from_rgb=fit.y_from_rgb, u_rel=fit.u_rel)
     new, _ = colour.with_melanopic(new, read, profile, fit.scale, None)
     return np.array(new.y_from_rgb), np.array(new.melanopic_from_rgb), new.melanopic_u_rel
 
 
 def card_row(cameras: Iterable[Floats]) -> str:
     """One row of the table: daylight behind the glass where the card was read, six seeds."""
-    errors, inside = [], []
+    off, u = [], []
     for sensitivity in cameras:
         for seed, tint in product(range(6), TINTS):
-            y, weights, u = by_white_card(sensitivity, tint, seed)
-            spectra = normalised(daylight(k) * glass(tint, 10) for k in range(4000, 20_001, 4000))
+            y, weights, u_rel = by_white_card(sensitivity, tint, seed)
+            spectra = behind([glass(tint, 10)])
             rgb = spectra @ sensitivity
             estimate = rgb @ weights / (rgb @ y)
-            off = estimate / ratio(spectra) - 1
-            errors += off.tolist()
-            inside += (np.abs(off) <= 1.96 * melanopic.ratio_u_rel(estimate, u)).tolist()
-    return cells(SETTINGS[1], errors, inside)
+            off += (estimate / ratio(spectra) - 1).tolist()
+            u += melanopic.ratio_u_rel(estimate, u_rel, lamps=False).tolist()
+    return cells(CARD, np.array(off), np.array(u))
 
 
-def row(name: str, spectra: Floats, cases: list[tuple[Floats, Floats, Floats]], u: float) -> str:
+Case = tuple[Floats, Floats, Floats]  # sensitivities, weights of luminance and melanopic luminance
+
+
+def ratios(case: Case, spectra: Floats) -> Floats:
+    """The camera's estimate."""
+    sensitivity, y, weights = case
+    rgb = spectra @ sensitivity
+    return rgb @ weights / (rgb @ y)
+
+
+def row(name: str, light: Setting, cases: list[Case], u: float) -> str:
     """One row of the table: errors of the ratio, and how often the 95 % interval holds it."""
-    errors, inside = [], []
-    for sensitivity, y, weights in cases:
-        rgb = spectra @ sensitivity
-        estimate = rgb @ weights / (rgb @ y) * (melanopic.LAMP_RATIO if "lamp" in name else 1.0)
-        off = estimate / ratio(spectra) - 1
-        u_rel = melanopic.ratio_u_rel(estimate, u, lamps="lamp" in name)
-        errors += off.tolist()
-        inside += (np.abs(off) <= 1.96 * u_rel).tolist()
-    return cells(name, errors, inside)
+    estimate = np.concatenate([ratios(case, light.spectra) for case in cases])
+    estimate *= melanopic.LAMP_RATIO if light.lamps else 1.0
+    off = estimate / np.tile(ratio(light.spectra), len(cases)) - 1
+    if not light.clear_glass:
+        u = float(np.hypot(u, melanopic.U_GLASS))
+    return cells(name, off, melanopic.ratio_u_rel(estimate, u, lamps=light.lamps))
 
 
-def cells(name: str, errors: list[float], inside: list[bool]) -> str:
-    off = 100 * np.array(errors)
-    return (
-        f"| {name} | {off.mean():+.1f} | {np.sqrt(np.mean(off**2)):.1f} | {np.abs(off).max():.1f} "
-        f"| {100 * np.mean(inside):.0f} |"
-    )
+def cells(name: str, off: Floats, u: Floats) -> str:
+    held = 100 * np.mean(np.abs(off) <= 1.96 * u)
+    figures = off.mean(), np.sqrt(np.mean(off**2)), np.abs(off).max(), 1.96 * u.mean()
+    mean, rms, largest, half = (100 * figure for figure in figures)
+    return f"| {name} | {mean:+.1f} | {rms:.1f} | {largest:.1f} | {held:.0f} | {half:.0f} |"
+
+
+METHODS = (  # title, u behind clear glass, matrices, whether a white surface is read
+    ("chart under daylight", melanopic.BY_CHART[1], None, False),
+    ("colour matrix only", melanopic.BY_MATRIX[1], MATRICES, False),
+    ("colour matrix and a white surface", melanopic.BY_WHITE[1], MATRICES, True),
+)
+
+
+def cases_of(
+    cameras: Mapping[str, Floats],
+    names: Iterable[str],
+    matrices: Mapping[str, tuple[int, ...]] | None,
+    grey: bool,
+) -> dict[str, list[Case]]:
+    """The calibrations of each camera by two daylights."""
+    own = dict.fromkeys(names) if matrices is None else matrices
+    return {
+        name: [
+            (cameras[name], *calibrated(cameras[name], own[name], k, grey=grey)) for k in CHART_K
+        ]
+        for name in names
+        if name in own
+    }
+
+
+def print_constants(cameras: dict[str, Floats], lamps: Floats | None) -> None:
+    """Print the coefficients, and what u has to be: 95 % over 1.96."""
+    light = learned()
+    fits = {"X, Y, Z": light @ XYZ / (light @ XYZ)[:, 1:2]}
+    for title, spectra, white in (
+        ("the matrix's", behind(clear_panes()[:6]), False),
+        ("the matrix's and white", light, True),
+    ):
+        relative = []
+        for name in sorted(set(MATRICES) & set(cameras) - set(UNSEEN)):
+            y = calibrated(cameras[name], None, 6500.0)[0].tolist()
+            rgb = (PATCHES * daylight(6500.0)) @ cameras[name]
+            of_grey = (daylight(6500.0) @ cameras[name], 6500.0) if white else (rgb.mean(0), None)
+            xyz = colour.xyz_from_matrix(np.reshape(MATRICES[name], (3, 3)) / 1e4, y, *of_grey)
+            found = spectra @ cameras[name] @ xyz.T
+            relative.append(found / found[:, 1:2] / ratio(spectra)[:, None])
+        fits[f"{title} X, Y, Z ({len(relative)} cameras)"] = np.concatenate(relative)
+    fits["X, Y, Z"] = fits["X, Y, Z"] / ratio(light)[:, None]
+    for title, relative in fits.items():
+        fitted = np.linalg.lstsq(relative, np.ones(len(relative)), rcond=None)[0]
+        off = relative @ fitted - 1
+        print(f"melanopic from {title}: {np.round(fitted, 4)}, rms {100 * off.std():.1f} %")
+    print(f"lm per W of melanopic D65: {1e3 * ratio_lm():.4f} mW/lm (CIE S 026: 1.3262)")
+    names = sorted(set(cameras) - set(UNSEEN))
+    for title, _, matrices, grey in METHODS:
+        known = cases_of(cameras, names, matrices, grey)
+        for glazing, panes in (("clear", clear_panes()), ("other", other_panes())):
+            worst = [0.0]
+            for each in panes:
+                spectra = behind([each])
+                off = [
+                    max(np.abs(ratios(case, spectra) / ratio(spectra) - 1).max() for case in cases)
+                    for cases in known.values()
+                ]
+                worst.append(float(np.quantile(off, 0.95)) / 1.96)
+            print(f"u, {title}, {len(known)} cameras, {glazing} glass: {100 * max(worst):.1f} %")
+    if lamps is not None:
+        known = cases_of(cameras, names, None, False)
+        print_lamps([case for each in known.values() for case in each], lamps)
+
+
+def print_lamps(cases: list[Case], lamps: Floats) -> None:
+    """Print what u has to be by the estimated ratio, for the odd lamps with used daylight."""
+    half, day = lamps[::2], behind([*clear_panes()[1:], glass("grey", 6)])[::3]
+    for light in (0.25, 0.5, 0.75, 1.0):
+        spectra = half if light == 1.0 else mixed(day, half, light)
+        estimate = np.concatenate([ratios(case, spectra) for case in cases[::3]])
+        true = np.tile(ratio(spectra), len(cases[::3]))
+        texts = []
+        for low in np.arange(0.3, 1.25, 0.1):
+            near = (estimate >= low) & (estimate < low + 0.1)
+            if near.sum() > 20:
+                off = estimate[near] / true[near] - 1
+                texts.append(f"{low + 0.05:.2f}: {100 * np.quantile(np.abs(off), 0.95) / 1.96:.0f}")
+        print(f"u, {100 * light:.0f} % lamp, by ratio, %: {', '.join(texts)}")
+        print(f"  mean of true over estimated ratios {np.mean(true / estimate):.3f}")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("data", type=Path)
     parser.add_argument("--chart", type=Path, help="write the chart's X, Y, Z under daylight here")
-    parser.add_argument("--lamps", type=Path, help="spectra of more lamps")
+    parser.add_argument("--lamps", type=Path, nargs=2, help="spectra of lamps, and their kinds")
+    parser.add_argument("--cameras", type=Path, help="more sensitivities")
     options = parser.parse_args()
-    light = learned()
-    relative = light @ XYZ / ratio(light)[:, None]
-    fitted = np.linalg.lstsq(relative, np.ones(len(light)), rcond=None)[0]
-    off = light @ XYZ @ fitted / ratio(light) - 1
-    print(f"melanopic from X, Y, Z: {np.round(fitted, 4)}, rms {100 * off.std():.1f} %")
-    print(f"lm per W of melanopic D65: {1e3 * ratio_lm():.4f} mW/lm (CIE S 026: 1.3262)")
     if options.chart:
         parts = [(PATCHES * SPECTRA[s]) @ XYZ for s in ("S0", "S1", "S2")]  # [24, 3] each
         write_chart(options.chart, np.stack(parts, axis=1))
     cameras = read_cameras(options.data / "camera_sensitivities")
+    more = read_cameras(options.cameras) if options.cameras else {}
+    lamps = read_lamps(*options.lamps) if options.lamps else None
+    print_constants(more | cameras, lamps)
     settings = held_out(read_jeti(options.data / "jeti_spectra"))
-    if options.lamps:
-        settings |= more_lamps(options.lamps, settings["daylight"][6:9])
-    for title, u, matrices in (
-        ("chart under daylight", melanopic.U_CHART, dict.fromkeys(cameras)),
-        ("colour matrix only", melanopic.U_MATRIX, MATRICES),
-        ("colour matrix and a white surface", melanopic.U_CHART, MATRICES),
-    ):
-        grey = "white" in title
-        for group in (sorted(set(cameras) - set(UNSEEN)), UNSEEN):
-            cases = [
-                (cameras[name], *calibrated(cameras[name], matrices[name], cct_k, grey=grey))
-                for name in group
-                if name in matrices
-                for cct_k in (5000.0, 6500.0)
-            ]
-            kind = "unseen" if group is UNSEEN else "used for u"
-            print(f"\n{title}, {len(cases) // 2} cameras {kind}\n")
-            print(HEAD)
-            for name, spectra in settings.items():
-                print(row(name, spectra, cases, u))
-
-    for group in (sorted(set(cameras) - set(UNSEEN)), UNSEEN):
-        print(f"\na white card behind 10 mm tinted glass, {len(group)} cameras\n\n{HEAD}")
-        print(card_row(cameras[name] for name in group))
+    if lamps is not None:
+        day = settings["daylight"].spectra[6:9]
+        for stated, light in (("", (True, True)), (", nothing stated", (False, None))):
+            settings[f"other half of TM-30's lamps{stated}"] = Setting(lamps[1::2], *light)
+            half = Setting(mixed(day, lamps[1::2]), *light)
+            settings[f"half daylight, half one of these{stated}"] = half
+    groups = (("used for u", sorted(set(cameras) - set(UNSEEN))), ("unseen", UNSEEN))
+    for title, u, matrices, grey in METHODS:
+        for kind, names in groups:
+            known = cases_of(cameras, names, matrices, grey)
+            print(f"\n{title}, {len(known)} cameras {kind}\n\n{HEAD}")
+            for name, light in settings.items():
+                print(row(name, light, [case for each in known.values() for case in each], u))
+            if matrices is None:
+                print(card_row(cameras[name] for name in names))
 
 
 def ratio_lm() -> float:

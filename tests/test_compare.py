@@ -31,6 +31,7 @@ from fieldlum.optics.images import (
     write_radiance_hdr,
 )
 from fieldlum.report.compare import (
+    _of_surfaces,
     _where,
     compare,
     hours_begun,
@@ -328,12 +329,28 @@ def test_8760_rows_without_a_time_are_the_hours_of_a_year(tmp_path: Path) -> Non
 
 @pytest.mark.analytic
 def test_a_wall_is_named_but_not_a_reveal_whose_pixels_are_edges() -> None:
-    def text(**ratios: float) -> str:
+    def text(leaks: float = 1.0, **ratios: float) -> str:
         names = {"all": 1.0, "floor": 0.98, "ceiling": 1.02, "W wall": 1.0} | ratios
-        return " ".join(_where([{"name": k, "ratio": v, "pictures": 4} for k, v in names.items()]))
+        means = {k: {"measured_cdm2": 100.0, "model_cdm2": 100.0 * v} for k, v in names.items()}
+        means["W wall"]["model_cdm2"] *= leaks
+        rows = ({"name": k, "ratio": v, "pictures": 4} | means[k] for k, v in names.items())
+        return " ".join(_where(list(rows)))
 
     assert "No surface differs" in text(reveal=1.3, frame=0.7)
     assert "E wall: the model is 70 % too dark" in text(**{"E wall": 0.3, "reveal": 1.3})
+    coarse = text(leaks=1.4)
+    assert "No surface differs" in coarse and "W wall: the model's mean is 40 % too b" in coarse
+    assert "coarse" not in text()
+
+
+@pytest.mark.analytic
+def test_the_ratio_of_a_surface_is_that_of_its_median_pixel() -> None:
+    names, light = np.full((4, 10), "N wall", object), np.full((4, 10), 50.0)
+    model = 0.8 * light
+    model[:, 7:] = 400.0  # light that leaks along the window
+    whole, wall = _of_surfaces("slot", names, light, model, np.full((4, 10), 0.1))
+    assert wall["ratio"] == pytest.approx(0.8) and wall["model_cdm2"] == pytest.approx(148.0)
+    assert whole["ratio"] == pytest.approx(148.0 / 50.0)
 
 
 @pytest.mark.contract

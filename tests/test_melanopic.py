@@ -20,10 +20,11 @@ from fieldlum.merge.bracket import floating_white_balance
 from fieldlum.merge.shots import Shot
 from fieldlum.optics.images import RADIANCE_CHROMATICITIES, rgb_to_xyz, write_panorama
 from fieldlum.optics.melanopic import (
+    BY_CHART,
+    BY_MATRIX,
     LAMP_RATIO,
     MELANOPIC_FROM_XYZ,
-    U_CHART,
-    U_LAMP,
+    U_GLASS,
     attribute_text,
     daylight_xy,
     melanopic_edi,
@@ -114,14 +115,13 @@ def test_the_skys_colour_is_that_of_radiances_perezlum_c(dni: float, dhi: float)
 def test_edi_of_a_uniform_room_with_a_sun() -> None:
     picture, weights = coloured(D65), np.full((128, 1), np.pi / 128)
     sun = SunSource(30.0, 180.0, 5000.0)
-    edi, u = melanopic_edi(picture, np.full(128, 100.0), weights, sun, np.array([1000.0]))
+    of_map = picture, np.full(128, 100.0), weights
+    edi, u = melanopic_edi(*of_map, sun, np.array([1000.0]), lamps=False)
     expected = 100.0 * np.pi + 1000.0 * sun_melanopic_ratio(30.0)
     assert edi == pytest.approx(expected, rel=0.005) and u is not None
-    of_map = 100.0 * np.pi * np.hypot(0.03, 0.03)
-    assert u[0] == pytest.approx(
-        np.hypot(of_map, 0.07 * 1000 * sun_melanopic_ratio(30.0)), rel=0.02
-    )
-    lit, _ = melanopic_edi(picture, np.full(128, 100.0), weights, None, np.zeros(1), lamps=True)
+    u_map = 100.0 * np.pi * np.hypot(0.03, 0.03)
+    assert u[0] == pytest.approx(np.hypot(u_map, 0.07 * 1000 * sun_melanopic_ratio(30.0)), rel=0.02)
+    lit, _ = melanopic_edi(*of_map, None, np.zeros(1), lamps=True)
     assert lit == pytest.approx(LAMP_RATIO * 100.0 * np.pi, rel=0.005)  # of 208 LED, in the mean
     plain = replace(picture, attributes={})
     edi, u = melanopic_edi(plain, np.full(128, 100.0), weights, None, np.zeros(1))
@@ -130,13 +130,12 @@ def test_edi_of_a_uniform_room_with_a_sun() -> None:
 
 @pytest.mark.property
 def test_light_that_may_be_a_lamps_is_less_certain() -> None:
-    u = ratio_u_rel(np.array([1.1, 0.85, 0.78, 0.70, 0.45]), 0.025)
-    assert (
-        (np.diff(u) >= 0).all()
-        and u[0] == 0.025
-        and u[-1] == pytest.approx(np.hypot(0.025, U_LAMP))
-    )
-    assert ratio_u_rel(np.array([1.1]), 0.025, lamps=True)[0] == u[-1]
+    ratio = np.array([1.4, 1.05, 0.85, 0.65, 0.45])
+    for lamps in (None, True):
+        u = ratio_u_rel(ratio, 0.025, lamps=lamps)
+        assert (np.diff(u) >= 0).all() and u[0] == 0.025
+        assert u[-1] == pytest.approx(np.hypot(0.025, 0.21))
+    assert ratio_u_rel(ratio, 0.025, lamps=False) == pytest.approx(0.025)
 
 
 @pytest.mark.analytic
@@ -163,15 +162,18 @@ def test_weights_follow_the_matrix_and_readings_of_a_spectrometer() -> None:
     colours = colour.Colours(rgb, rgb @ CAMERA[1], np.full(12, 0.01), places, matrix)
     own = Colour(tuple(CAMERA[1].tolist()))
     table, line = colour.with_melanopic(own, colours, PROFILE, 1.0, None)
-    assert table.melanopic_from_rgb == pytest.approx(MELANOPIC_FROM_XYZ @ CAMERA, abs=1e-5)
-    assert "colour matrix" in line and table.melanopic_u_rel == 0.06
+    assert table.melanopic_from_rgb == pytest.approx(BY_MATRIX[0] @ CAMERA, abs=1e-5)
+    assert "colour matrix; glass not stated" in line
+    assert table.melanopic_u_rel == pytest.approx(np.hypot(BY_MATRIX[1], U_GLASS), abs=1e-4)
+    table, line = colour.with_melanopic(own, colours, PROFILE, 1.0, None, clear_glass=True)
+    assert "glass" not in line and table.melanopic_u_rel == BY_MATRIX[1]
     read = replace(colours, melanopic=rgb @ truth)
     table, line = colour.with_melanopic(own, read, PROFILE, 1.0, None)
     assert table.melanopic_from_rgb == pytest.approx(truth, abs=0.02)
-    assert "12 readings" in line and table.melanopic_u_rel == 0.02
+    assert "12 readings" in line and table.melanopic_u_rel == pytest.approx(0.0283, abs=1e-4)
     patches = replace(colours, rgb=rng.uniform(1, 9, (24, 3)), of_chart=True)
-    chart, line = colour.with_melanopic(own, patches, PROFILE, 1.0, 5500.0)
-    assert chart.melanopic_u_rel == U_CHART and "5500 K" in line
+    chart, line = colour.with_melanopic(own, patches, PROFILE, 1.0, 5500.0, clear_glass=True)
+    assert chart.melanopic_u_rel == BY_CHART[1] and "5500 K" in line
     none, line = colour.with_melanopic(own, replace(colours, matrix=None), PROFILE, 1.0, None)
     assert none.melanopic_from_rgb == () and "--cct" in line
     with pytest.raises(InputError, match="no colour matrix in the frame"):
@@ -231,7 +233,7 @@ def test_glare_states_melanopic_edi_with_its_uncertainty(tmp_path: Path) -> None
     write_panorama(tmp_path / "a.exr", coloured(D65))
     write_panorama(tmp_path / "b.exr", replace(coloured(D65), attributes={}))
     run = CliRunner().invoke(
-        main, ["glare", str(tmp_path / "a.exr"), str(tmp_path / "b.exr"), "--json"]
+        main, ["glare", str(tmp_path / "a.exr"), str(tmp_path / "b.exr"), "--no-lamps", "--json"]
     )
     measured, estimate = (json.loads(line) for line in run.stdout.splitlines())
     assert measured["melanopic_der"] == "colour" and estimate["melanopic_der"] == "D65, assumed"

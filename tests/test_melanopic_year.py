@@ -12,7 +12,7 @@ from fieldlum.core.arrays import Floats
 from fieldlum.core.records import Panorama, Site
 from fieldlum.learn import models
 from fieldlum.optics.images import read_panorama, write_panorama
-from fieldlum.optics.melanopic import U_LAMP, U_SUN_RATIO, attribute_text
+from fieldlum.optics.melanopic import LAMP_RATIO, U_SUN_RATIO, attribute_text, ratio_u_rel
 from fieldlum.session.files.hourly_csv import HOUR_COLUMNS, VIEW_COLUMNS, HourlyFile
 from fieldlum.sky.daylight import Light, light_at
 from fieldlum.sky.daylight_kernel import facades_of
@@ -46,37 +46,70 @@ def eye(hours: Light) -> tuple[Floats, Floats]:
     return sky * np.array([0.05, 0.02]), sun * (0.004 + 0.01 * ahead)
 
 
-def coloured(hours: Light, weights: Floats, factors: Floats, seed: int = 0) -> MelanopicYear:
-    """A fit to captures whose sky and sun have known colours; with noise if there is a seed."""
+def mixture(hours: Light, weights: Floats, factors: Floats, lamp_lx: Floats) -> tuple[Floats, ...]:
+    """Light at the eye, its ratio, and the shares of sun and lamps, [n, 2] each."""
     sky, sun = eye(hours)
-    share = sun / (sky + sun)
-    ratio = np.einsum("ndk,k,d->nd", _parts(hours, share), weights, factors)
+    whole = sky + sun + lamp_lx[:, None]
+    shares = sun / whole, lamp_lx[:, None] / whole
+    return whole, np.einsum("ndk,k,d->nd", _parts(hours, *shares), weights, factors), *shares
+
+
+def coloured(
+    hours: Light, weights: Floats, factors: Floats, seed: int = 0, lamp_lx: float = 0.0
+) -> MelanopicYear:
+    """A fit to captures whose sky and sun have known colours; with noise if there is a seed."""
+    on = np.array([text == "lamp=on" for text in hours.states or ("",) * len(hours)])
+    whole, ratio, *_ = mixture(hours, weights, factors, lamp_lx * on)
     if seed:
         ratio = ratio * np.exp(0.05 * np.random.default_rng(seed).normal(size=ratio.shape))
-    days = [t.toordinal() for t in hours.t_utc]
-    edi = (sky + sun) * ratio
     u_camera = {"scale": 0.0 if seed else 0.03}
-    return fit_year(hours, sky + sun, edi, days, u_camera, facades_of(None))
+    return fit_year(hours, whole, whole * ratio, u_camera, facades_of(None))
 
 
 @pytest.mark.analytic
 def test_the_ratio_of_sky_sun_and_direction_comes_back() -> None:
     hours = light(80)
     up = hours[hours.sun_altitude_deg > 3.0]
-    weights, factors = np.array([0.9, 0.4, 0.8]), np.array([1.0, 1.05])
+    weights, factors = np.array([0.9, 0.4, 0.8, 0.6]), np.array([1.0, 1.05])
     found = coloured(up, weights, factors)
-    sky, sun = eye(up)
-    np.testing.assert_allclose(found.sun_shares(up), sun / (sky + sun), atol=0.05)
-    ratio = np.einsum("ndk,k,d->nd", _parts(up, sun / (sky + sun)), weights, factors)
+    _, ratio, sun, _ = mixture(up, weights, factors, np.zeros(len(up)))
+    np.testing.assert_allclose(found.shares(up)[0], sun, atol=0.05)
+    assert not found.shares(up)[1].any()
     assert np.std(found.ratio(up) / ratio - 1.0) < 0.02
     assert 0.03 < found.u_rel < 0.04
     assert coloured(up, weights, factors, seed=3).u_rel == pytest.approx(0.05, rel=0.25)
 
 
 @pytest.mark.analytic
+def test_lamps_have_their_own_ratio_and_uncertainty() -> None:
+    hours = light(160)
+    up = hours[hours.sun_altitude_deg > 3.0]
+    up = replace(up, states=tuple(("lamp=on", "")[k % 2] for k in range(len(up))))
+    weights, factors = np.array([1.0, 0.2, 0.9, 0.5]), np.array([1.0, 1.05])
+    found = coloured(up, weights, factors, lamp_lx=500.0)
+    lit = np.arange(len(up)) % 2 == 0
+    whole, ratio, _, lamp = mixture(up, weights, factors, 500.0 * lit)
+    assert np.abs(found.shares(up)[1] - lamp).mean() < 0.03
+    assert np.std(found.ratio(up) / ratio - 1.0) < 0.04
+    views, none = {"ev_lx": whole, "sun_ev_lx": 0.0 * whole}, 0.0 * whole
+    stated = replace(up, states=tuple(("lamp=on", "lamp=off")[k % 2] for k in range(len(up))))
+    figures = found.figures(stated, views, none, whole[None], none)
+    factor = figures["melanopic_edi_lx"] / whole / found.ratio(up)
+    assert factor == pytest.approx(np.where(lit, LAMP_RATIO, 1.0)[:, None] + none)  # as `glare`
+    u_lamp = figures["edi_by_lamps_lx"] / figures["edi_of_map_lx"]
+    assert u_lamp[lit] == pytest.approx(ratio_u_rel(found.ratio(up), 0.0)[lit])  # counted once
+    assert not u_lamp[~lit].any()
+    of_all = [*found.u_camera_rel.values(), found.u_fit_rel]
+    u = figures["u_melanopic_edi_lx"] / figures["edi_of_map_lx"]
+    assert u == pytest.approx(np.sqrt(u_lamp**2 + np.sum(np.square(of_all))))
+    unmarked = found.figures(up, views, none, whole[None], none)
+    assert (unmarked["edi_by_lamps_lx"] >= figures["edi_by_lamps_lx"]).all()  # a lamp may be on
+
+
+@pytest.mark.analytic
 def test_the_visible_sun_has_its_own_colour_and_uncertainty() -> None:
-    hours = light(4)
-    year = coloured(hours, np.array([1.0, 0.0, 1.0]), np.ones(2))
+    hours = replace(light(4), states=("lamp=off",) * 4)
+    year = coloured(hours, np.array([1.0, 0.0, 1.0, 0.6]), np.ones(2))
     views = {"ev_lx": np.full((4, 2), 1500.0), "sun_ev_lx": np.full((4, 2), 500.0)}
     ev, none = views["ev_lx"], np.zeros((4, 2))
     figures = year.figures(hours, views, np.full((4, 2), 0.1), ev[None], none)
@@ -84,9 +117,6 @@ def test_the_visible_sun_has_its_own_colour_and_uncertainty() -> None:
     assert (of_sun > 0).all() and (of_sun < 0.9 * 500.0).all()
     u = figures["u_melanopic_edi_lx"]
     assert (u > 0.1 * 1000.0 * year.ratio(hours)).all()
-    lit = year.figures(replace(hours, states=("lamp=on", "") * 2), views, none, ev[None], none)
-    assert lit["edi_by_model_lx"][0] == pytest.approx(U_LAMP * lit["edi_of_map_lx"][0])
-    assert not lit["edi_by_model_lx"][1].any()
     hidden = year.figures(hours, views, none, np.stack([ev, ev - 500.0]), none)
     assert (hidden["u_melanopic_edi_lx"] > 0.7 * of_sun).all()  # the disc is seen or not
     half_seen = year.figures(hours, views, none, ev[None], ev)
@@ -113,7 +143,7 @@ def test_the_budget_of_the_year_sums_to_monte_carlo_through_the_chain() -> None:
     hours = every[every.sun_altitude_deg > 0.0]
     day, captures = YearHours.of(hours.t_utc, "America/Los_Angeles", 365), light(80)
     captures = captures[captures.sun_altitude_deg > 3.0]
-    year = coloured(captures, np.array([1.0, 0.2, 0.9]), np.ones(2))
+    year = coloured(captures, np.array([1.0, 0.2, 0.9, 0.6]), np.ones(2))
     year = replace(year, u_fit_rel=0.06, u_camera_rel={"scale": 0.04, "melanopic weight": 0.025})
     sky, sun = eye(hours)
     sky, disc = 0.6 * sky, sun * (rng.uniform(size=sun.shape) < 0.3)
@@ -122,13 +152,14 @@ def test_the_budget_of_the_year_sums_to_monte_carlo_through_the_chain() -> None:
     drawn = np.array([sky + disc * on for on in seen])
     figures = year.figures(hours, views, u_map, drawn, np.zeros(sky.shape))
     budgets = edi_budget(year, figures, day, np.array([0.0, 90.0]))
-    assert len(budgets) == 2 * 5 and all(len(b.sources) == 8 for b in budgets)
+    assert len(budgets) == 2 * 5 and all(len(b.sources) == 9 for b in budgets)
     of_map = figures["edi_of_map_lx"]
     of_sun, shares = figures["melanopic_edi_lx"] - of_map, []
     for k in range(1500):
         model, fit = (year_errors(sky.shape, rng) for _ in range(2))
         scale, weight, lx, air = rng.standard_normal(4) * (0.04, 0.025, 0.05, U_SUN_RATIO)
         edi = of_map * (1 + 0.12 * model) * (1 + 0.06 * fit) * (1 + scale) * (1 + weight)
+        edi += figures["edi_by_lamps_lx"] * rng.standard_normal()
         shares.append(day.shares(edi + of_sun * (1 + lx) * (1 + air) * seen[k % 64]))
     for budget in budgets:
         values = np.array([s[budget.figure][int(budget.azimuth_deg // 90)] for s in shares])

@@ -18,8 +18,8 @@ from fieldlum.calibrate.fit_charts import Chart, Place
 from fieldlum.core.arrays import Array, Floats, Mask
 from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.strict_csv import lines_of, read_number, read_text
+from fieldlum.optics import melanopic
 from fieldlum.optics.images import RADIANCE_CHROMATICITIES, rgb_to_xyz
-from fieldlum.optics.melanopic import MELANOPIC_FROM_XYZ, U_CHART, U_MATRIX, daylight_xy
 from fieldlum.optics.profiles import CameraProfile, Colour
 
 # Weight of the prior relative to one reading, from strong to weak; candidates of the selection.
@@ -97,9 +97,9 @@ def from_table(path: Path, profile: CameraProfile) -> Colours:
         figures = np.array([read_spectrum(row["spectrum"]) for row in rows]).T
     else:
         figures = fit_steps.columns(rows, *light)
-    y, *melanopic = figures
+    y, *edi = figures
     matrix = next((f.colour_matrix for f in frames.values() if f.colour_matrix is not None), None)
-    return Colours(rgb, y, u_rel, places, matrix, melanopic[0] if melanopic else None)
+    return Colours(rgb, y, u_rel, places, matrix, edi[0] if edi else None)
 
 
 def read_spectrum(path: Path) -> tuple[float, float]:
@@ -127,8 +127,8 @@ def read_spectrum(path: Path) -> tuple[float, float]:
             figures.append(weights @ np.interp(nm, own_nm, values))
     if not figures:
         raise InputError(path, "no spectrum", expected, remedy)
-    y, melanopic = np.mean(figures, axis=0).tolist()
-    return y, melanopic
+    y, edi = np.mean(figures, axis=0).tolist()
+    return y, edi
 
 
 def _patch(
@@ -302,7 +302,7 @@ def daylight_parts(cct_k: float) -> Floats:
     """
     if not 4000.0 <= cct_k <= 25_000.0:
         raise ValueError(f"{cct_k:g} K: CIE daylight is defined from 4000 to 25 000 K")
-    x, y = daylight_xy(cct_k)
+    x, y = melanopic.daylight_xy(cct_k)
     m = 0.0241 + 0.2562 * x - 0.7341 * y
     m1 = (-1.3515 - 1.7703 * x + 5.9114 * y) / m
     m2 = (0.0300 - 31.4424 * x + 30.0717 * y) / m
@@ -321,7 +321,7 @@ def xyz_from_matrix(
     """
     inverse = np.linalg.inv(matrix)
     if cct_k is not None:
-        x, y = daylight_xy(cct_k)
+        x, y = melanopic.daylight_xy(cct_k)
         gains = matrix @ np.array([x, y, 1.0 - x - y]) / grey
         if max(gains / gains[1]) > 1.5 or min(gains / gains[1]) < 1 / 1.5:
             raise ValueError(f"gains of {gains / gains[1]} on a surface that should be grey")
@@ -332,23 +332,29 @@ def xyz_from_matrix(
 
 
 def with_melanopic(
-    colour: Colour, colours: Colours, profile: CameraProfile, scale: float, cct_k: float | None
+    colour: Colour,
+    colours: Colours,
+    profile: CameraProfile,
+    scale: float,
+    cct_k: float | None,
+    clear_glass: bool = False,
 ) -> tuple[Colour, str]:
     """Return the profile's table with colours and a melanopic weight, and a line on their origin.
 
-    colour : with the fitted y_from_rgb. scale : of that fit. cct_k : correlated colour temperature
-    of the daylight on a chart, or on the grey first reading, None if unknown. X, Y, Z come from the
+    colour : with the fitted y_from_rgb and its u. scale : of that fit. cct_k : correlated colour
+    temperature of the daylight on a chart, or on the grey first reading, None if unknown.
+    clear_glass : the camera's rooms have no grey or bronze glass and no film. X, Y, Z come from the
     chart, else from the colour matrix in the frames. The weight follows from X, Y, Z, and from
     readings of a spectrometer if there are any. Without any of these, the table has none.
     """
-    u_rel, to_xyz = U_MATRIX, rgb_to_xyz(RADIANCE_CHROMATICITIES)
+    by, to_xyz = melanopic.BY_MATRIX, rgb_to_xyz(RADIANCE_CHROMATICITIES)
     if cct_k is not None and colours.of_chart:
-        xyz, u_rel = xyz_from_chart(colours.rgb, colour.y_from_rgb, cct_k), U_CHART
+        xyz, by = xyz_from_chart(colours.rgb, colour.y_from_rgb, cct_k), melanopic.BY_CHART
         line = f"melanopic: chart under daylight of {cct_k:g} K"
     elif colours.matrix is not None:
         grey, line = colours.rgb.mean(axis=0), "melanopic: the file's colour matrix"
         if cct_k is not None:
-            grey, u_rel = colours.rgb[0], U_CHART
+            grey, by = colours.rgb[0], melanopic.BY_WHITE
             line += f", with a grey surface in daylight of {cct_k:g} K"
         expected = "a grey or white surface in daylight as the first reading"
         with input_errors(colours.places[0].path, expected, "correct it or --cct", ValueError):
@@ -362,14 +368,18 @@ def with_melanopic(
     else:
         none = replace(colour, melanopic_from_rgb=(), melanopic_u_rel=0.0)
         return none, "melanopic: none; use a chart with --cct, or raw frames with a colour matrix"
-    weights = MELANOPIC_FROM_XYZ @ xyz
+    weights, u_rel = by[0] @ xyz, by[1]
     if colours.melanopic is not None:
         start = replace(profile.colour, y_from_rgb=tuple(weights.tolist()))
         read = replace(colours, y=colours.melanopic, matrix=None)
         found = fit(read, replace(profile, colour=start))
         weights = np.array(found.y_from_rgb) * found.scale / scale
-        u_rel = max(found.u_rel, fit_steps.READING_U)
+        # the ratio has the errors of both readings
+        u_rel = float(np.hypot(*np.maximum((found.u_rel, colour.u_rel), fit_steps.READING_U)))
         line = f"{line}, then {len(read.y)} readings"
+    elif not clear_glass:
+        u_rel = float(np.hypot(u_rel, melanopic.U_GLASS))
+        line += "; glass not stated (--clear-glass)"
     table = replace(
         colour,
         rgb_to_radiance=tuple(np.round(np.linalg.inv(to_xyz) @ xyz, 6).ravel().tolist()),

@@ -189,7 +189,11 @@ def fit(samples: Samples) -> VignettingFit:
     _check(samples)
     near = ~_contradicting(samples)
     r, value, u = (x[near] for x in (samples.r, samples.value, samples.u_rel))
-    _refuse_rising(r, value, u, samples.frames[0])
+    axis, change = np.polynomial.polynomial.polyfit(r**2, value, 1, w=1.0 / (u * value))
+    if (rise := float(change / axis)) > MAX_ERROR:  # a common error: corrections, not losses
+        finding = f"the readings rise by {100 * rise:.0f} % from the axis to the edge"
+        remedy = "state readings, not correction factors"
+        raise InputError(samples.frames[0], finding, "a loss towards the edge", remedy)
     groups = np.unique(np.round(r, 3), return_inverse=True)[1]
     orders = [order for order in ORDERS if order // 2 + 1 <= max(len(np.unique(groups)) // 2, 1)]
     _, theta, choice = fit_steps.fit_and_choose(
@@ -249,19 +253,6 @@ def _contradicting(samples: Samples) -> Mask:
         near = away < 0.02 if (away < 0.02).any() else (away < 0.12) & (r[i] < r.max())
         outliers[i] = near.any() and np.median(np.abs(off[near])) < MAX_ERROR / 2
     return outliers
-
-
-def _refuse_rising(r: Array, value: Array, u_rel: Array, source: Path) -> None:
-    """Raise InputError for values that rise, which are corrections and not losses.
-
-    This sign error is common: the result would darken where it should brighten.
-    """
-    axis, change = np.polynomial.polynomial.polyfit(r**2, value, 1, w=1.0 / (u_rel * value))
-    rise = float(change / axis)
-    if rise > MAX_ERROR:
-        finding = f"the readings rise by {100 * rise:.0f} % from the axis to the edge"
-        remedy = "state readings, not correction factors"
-        raise InputError(source, finding, "a loss towards the edge", remedy)
 
 
 def with_curve(lens: Lens, f_number: float, vignetting: VignettingFit) -> Lens:

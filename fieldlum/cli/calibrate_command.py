@@ -279,6 +279,7 @@ def colour(
     sources: Annotated[Path, "SPOTS.csv|FRAME", EXISTING_PATH],
     corners: Annotated[Any, numbers(8, ",")] = None,
     cct_k: Annotated[float | None, click.FloatRange(4000, 25_000)] = None,
+    clear_glass: bool = False,
 ) -> FittedPart:
     """Fit luminance and melanopic light by spot readings or a chart.
 
@@ -294,6 +295,7 @@ def colour(
       --corners X,Y,...: Chart corners in FRAME, from the dark skin patch clockwise: 8 numbers.
       --cct K: Correlated colour temperature of the daylight on the chart, or on the grey surface of
           the first row, for melanopic light.
+      --clear-glass: Rooms have clear, low-e or solar-control glass, not grey, bronze or film.
     """
     from fieldlum.calibrate import colour as fits
 
@@ -306,7 +308,7 @@ def colour(
     if is_table and abs(fit.scale - 1) > 0.03:
         notes.append(f"the readings multiply k by {fit.scale:.3f}: run fieldlum calibrate scale")
     new = replace(profile.colour, y_from_rgb=fit.y_from_rgb, u_rel=round(fit.u_rel, 5))
-    new, line = fits.with_melanopic(new, colours, profile, fit.scale, cct_k)
+    new, line = fits.with_melanopic(new, colours, profile, fit.scale, cct_k, clear_glass)
     files = dict.fromkeys([sources, *(at.path for at in colours.places)])
     lines = [fit.choice.line, line]
     return FittedPart({"colour": new}, lines, files, fits.chart(colours, fit), notes)

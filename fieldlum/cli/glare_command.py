@@ -43,7 +43,7 @@ def command(
     budget_path: Annotated[Path | None, FILE_PATH] = None,
     json_lines: bool = False,
     reference: bool = False,
-    lamps: bool = False,
+    lamps: bool | None = None,
     force: bool = False,
 ) -> None:
     """Compute glare of pictures (.exr, .hdr) or of a session's captures.
@@ -68,7 +68,8 @@ def command(
       --budget FILE: Write each source of uncertainty of DGP, Ev, melanopic EDI and the pixel ahead
           as a csv (GUM), for each panorama and view.
       --reference: Also run evalglare and show its result.
-      --lamps: Electric light is on: melanopic EDI is 4 % lower, and less certain.
+      --lamps/--no-lamps: Electric light is on (melanopic EDI is 4 % lower), or off (it is more
+          certain).
     """
     if budget_path is not None and (view_options or part or calibrate_ev_lx is not None):
         raise click.UsageError(
@@ -99,7 +100,7 @@ def command(
             print_answer(json_lines, answer, _lines(answer))
             if budget_path is not None:
                 seen = [view["azimuth_deg"] for view in answer["views"] if view["dgp"] is not None]
-                budgets += [(str(path), row) for row in budget_of_file(path, seen, lamps=lamps)]
+                budgets += [(str(path), row) for row in budget_of_file(path, seen, lamps)]
         except InputError as error:
             say(f"fieldlum glare: {error}")
             bad += 1

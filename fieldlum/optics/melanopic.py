@@ -14,15 +14,19 @@ from fieldlum.core.records import Panorama, SunSource
 # Melanopic EDI over X, Y and Z: least squares over CIE daylight of 4000 to 25000 K through eight
 # glazings of Rubin 1985 and from three walls; rms 1.7 % (bench/melanopic.py).
 MELANOPIC_FROM_XYZ = np.array([-0.7898, 1.1566, 0.5489])
-# Relative standard uncertainty of the ratio under daylight (bench/melanopic.py): of XYZ by a chart
-# under daylight, and by the colour matrix in a raw file.
-U_CHART, U_MATRIX = 0.03, 0.06
-# Under lamps, from their spectra: the same, and the mean of true over estimated ratios, with 0 to
-# 100 % of light by one of 208 LED of IES TM-30-15, the rest daylight (the same bench, ten cameras).
-U_LAMP, LAMP_RATIO = 0.20, 0.96
-# Ratios of light that may be a lamp's: daylight behind clear glass is above the first, most lamps
-# are below the second (the same bench).
-_DAYLIGHT_RATIO, _LAMP_RATIO = 0.85, 0.70
+# The weights of X, Y and Z and the relative standard uncertainty of the ratio under daylight: by a
+# chart; by the colour matrices of 22 cameras, which see too little blue light, with the gains of a
+# white surface and without; and what glass adds that may be grey, bronze or a film. Each u covers
+# 95 % of 28 cameras (22 matrices) at their worst of six daylights behind the worst of 8 and 14
+# glazings (the same bench).
+BY_CHART = MELANOPIC_FROM_XYZ, 0.025
+BY_WHITE = np.array([-0.7351, 1.0703, 0.5794]), 0.035
+BY_MATRIX = np.array([-1.0546, 1.4292, 0.5542]), 0.07
+# By the ratio, what light that may be a lamp's adds: 95 % of 139 lamps of IES TM-30-15 (LED,
+# fluorescent, incandescent), of 25 to 100 % of the light; and the mean of true over estimated
+# ratios of LED alone and with daylight (the same bench).
+_LAMP_RATIOS, _U_LAMPS = (0.65, 0.85, 1.05, 1.25), (0.21, 0.17, 0.09, 0.0)
+U_GLASS, LAMP_RATIO = 0.055, 0.96
 # Melanopic over photopic illuminance of direct sunlight: 0.94 exp(-0.058 air mass), within 2 % of
 # SPECTRL2 (Bird and Riordan 1986) with an aerosol depth of 0.1 and air mass 1 to 15.
 _SUN_RATIO, _SUN_RATIO_DECAY = 0.94, 0.058
@@ -66,27 +70,25 @@ def melanopic_edi(
     sun: SunSource | None,
     sun_ev_lx: Floats,
     *,
-    lamps: bool = False,
+    lamps: bool | None = None,
 ) -> tuple[Floats, Floats | None]:
     """Return melanopic EDI and its standard uncertainty in d view directions, [d] each, in lx.
 
     luminance_cdm2 : of the pixels, flat [n], without the sun. weights_sr [n, d] : solid angle times
     cosine. sun : separate from the pixels, with the illuminance sun_ev_lx [d] in each direction.
-    lamps : electric light is known to be on; the map's part is then `LAMP_RATIO` of that by colour,
-    because the spectra of most LED have a gap at 480 nm. Without calibrated colour the first result
-    is the illuminance, an estimate with the spectrum of D65, and the second is None. Errors of all
-    pixels count as equal in sign.
+    lamps : electric light is on, or off; None if unknown. With it the map's part is `LAMP_RATIO` of
+    that by colour, because the spectra of most LED have a gap at 480 nm. Without calibrated colour
+    the first result is the illuminance, an estimate with the spectrum of D65, and the second is
+    None. Errors of all pixels count as equal in sign.
     """
     map_lx = luminance_cdm2 @ weights_sr
     colour = melanopic_ratio(panorama)
     if colour is None:
         return map_lx + sun_ev_lx, None
     edi = (luminance_cdm2 * colour[0].ravel()) @ weights_sr * (LAMP_RATIO if lamps else 1.0)
-    if panorama.u_cdm2 is None:
-        u_map = np.full_like(map_lx, np.nan)
-    else:
-        u_map = np.nan_to_num(panorama.u_cdm2.ravel()) @ weights_sr
-        u_map /= np.maximum(panorama.luminance_cdm2.ravel() @ weights_sr, 1e-9)
+    own_lx, u = panorama.luminance_cdm2.ravel() @ weights_sr, panorama.u_cdm2
+    u_map = np.nan if u is None else np.nan_to_num(u.ravel()) @ weights_sr
+    u_map = u_map / np.maximum(own_lx, 1e-9)
     u_map = np.hypot(u_map, ratio_u_rel(edi / np.maximum(map_lx, 1e-9), colour[1], lamps=lamps))
     sun_edi = sun_ev_lx * (np.zeros(1) if sun is None else sun_melanopic_ratio(sun.altitude_deg))
     return edi + sun_edi, np.hypot(edi * u_map, sun_edi * U_SUN)
@@ -106,14 +108,13 @@ def _air_mass(altitude_deg: Floats | float) -> Floats:
     return 1.0 / (np.sin(np.radians(altitude)) + 0.50572 * (altitude + 6.07995) ** -1.6364)
 
 
-def ratio_u_rel(ratio: Floats, u_rel: float, *, lamps: bool = False) -> Floats:
+def ratio_u_rel(ratio: Floats, u_rel: float, *, lamps: bool | None = None) -> Floats:
     """Return the relative standard uncertainty of melanopic ratios [...], in their shape.
 
-    u_rel : under daylight. lamps : electric light is known to be on. Light with a low ratio may be
-    a lamp's, whose spectrum does not follow from its colour.
+    u_rel : under daylight. lamps : electric light is on, or off; None if unknown. The spectrum of a
+    lamp does not follow from its colour, but few lamps have the colour of a blue sky.
     """
-    share = np.clip((_DAYLIGHT_RATIO - ratio) / (_DAYLIGHT_RATIO - _LAMP_RATIO), 0.0, 1.0)
-    return np.hypot(u_rel, U_LAMP * (np.ones_like(share) if lamps else share))
+    return np.hypot(u_rel, np.interp(ratio, _LAMP_RATIOS, _U_LAMPS) * (lamps is not False))
 
 
 # ----------------------------------------------------------------------------------------------

@@ -20,6 +20,7 @@ from fieldlum.version import __version__
 from fieldlum.year.predict import Annual
 from fieldlum.year.predict.melanopic import WELL_EDI_LX
 
+_ITEMS = "item", "value"
 _SUBJECT = "What each requirement asks, what was found, and what is missing"
 _CAUTION = (
     "Nothing on this page is certified. Words in the column of findings are those of the predicted "
@@ -79,11 +80,7 @@ def _instruments(session: Session, setup: SiteFile) -> Table:
         ("camera's place", f"{setup.camera.height_m:g} m above the floor"),
         ("captures used", f"{len(times)}{span}"),
     ]
-    return _words(rows, "Instruments and calibrations")
-
-
-def _words(rows: list[tuple[str, str]], title: str = "") -> Table:
-    return Table(("item", "value"), rows, title, words=True)
+    return Table(_ITEMS, rows, "Instruments and calibrations", words=True)
 
 
 def _camera_rows(profile: profiles.CameraProfile) -> list[tuple[str, str]]:
@@ -124,7 +121,7 @@ def assessor_page(session: Session, annual: Annual | None) -> str:
         sections.budget_section(annual, folded=False),
         Section("method", "Method", " ".join((_METHOD, *map(sentence, summary.notes[:1])))),
         Section("instruments", "What was measured", tables=(_instruments(session, setup),)),
-        Section("versions", "Versions and files", tables=(_words(versions),)),
+        Section("versions", "Versions and files", tables=(Table(_ITEMS, versions, words=True),)),
         Section("signatures", "Signatures", tables=(signatures,)),
     )
     facts = (

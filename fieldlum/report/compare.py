@@ -79,9 +79,10 @@ class Comparison(NamedTuple):
     """The result of `compare`: tables, and sentences that say where and when the model errs.
 
     surfaces: name, mean luminances measured_cdm2 and model_cdm2, and the median ratio of model over
-    measured with its quartiles low and high, over a number of pictures. directions: azimuth_deg
-    (clockwise from true north), figure (of hourly.csv), number of shared hours, means measured and
-    model, mean_abs difference; over, model_over: hours of disturbing glare (None for Ev).
+    measured (of the median pixel) with its quartiles low and high, over a number of pictures.
+    directions: azimuth_deg (clockwise from true north), figure (of hourly.csv), number of shared
+    hours, means measured and model, mean_abs difference; over, model_over: hours of disturbing
+    glare (None for Ev).
     """
 
     surfaces: list[JsonTable]
@@ -227,16 +228,21 @@ def _on_one_grid(
 def _of_surfaces(
     slot: str, names: Array, light: Floats, model_light: Floats, weight: Floats
 ) -> list[JsonTable]:
-    """Return a row of compare.csv for "all", and for each surface that both pictures show."""
-    rows = []
+    """Return a row of compare.csv for "all", and for each surface that both pictures show.
+
+    The ratio of a surface is that of its median pixel: a material changes it, light that leaks
+    through a coarse ambient cache near a window does not.
+    """
+    rows, ratios = [], model_light / np.maximum(light, 0.01)
     for name in ("all", *sorted(set(names.ravel()) - {""})):
         w = weight if name == "all" else np.where(names == name, weight, 0.0)
         if w.sum() < 0.005:  # sr; about 4 degrees wide
             continue
         measured, model = (round(float((w * a).sum() / w.sum()), 2) for a in (light, model_light))
-        ratio = max(round(model / max(measured, 0.01), 4), 1e-4)
+        median = np.quantile(ratios, 0.5, weights=w, method="inverted_cdf")
+        ratio = round(model / max(measured, 0.01) if name == "all" else float(median), 4)
         row = {"slot": slot, "surface": name, "measured_cdm2": measured, "model_cdm2": model}
-        rows.append(row | {"ratio": ratio})
+        rows.append(row | {"ratio": max(ratio, 1e-4)})
     return rows
 
 
@@ -278,8 +284,8 @@ def _where(surfaces: Sequence[JsonTable]) -> list[str]:
         text.append(
             f"{name}: the model is {_off(ratio)}, other surfaces {_off(usual)}: its reflectance in "
             f"the model is probably too {'high' if ratio > usual else 'low'} (about "
-            f"{ratio / usual:.2f} times the true one), or it is another material there. If the "
-            "window is in it, render first with more bounces and a finer cache (-ab, -aa, -ar)."
+            f"{ratio / usual:.2f} times the true one), or it is another material there; or, of a "
+            "wall with the window, too few bounces (-ab)."
         )
     elif abs(np.log(usual)) > np.log1p(_ALIKE_REL):
         text.append(
@@ -287,6 +293,13 @@ def _where(surfaces: Sequence[JsonTable]) -> list[str]:
         )
     else:
         text.append(f"No surface differs from the others by over {100 * _ALIKE_REL:.0f} %.")
+    for s in parts:
+        mean = s["model_cdm2"] / max(s["measured_cdm2"], 0.01)
+        if abs(np.log(mean / s["ratio"])) > np.log1p(_ALIKE_REL):
+            text.append(
+                f"{s['name']}: the model's mean is {_off(mean)}, its median pixel "
+                f"{_off(s['ratio'])}: rendered coarsely; use a finer cache (-aa, -ar)."
+            )
     return text
 
 
@@ -511,7 +524,12 @@ def _compare_hours(
         raise InputError(path, found, f"hours of standard time in {zone}", remedy)
     shared, columns = [], model.loc[both]
     for figure, azimuth in columns:
-        measured = annual.views[figure][row_of[hours[both]], _same_view(annual, azimuth, path)]
+        off_deg = np.abs(signed_angle_deg(annual.azimuths_deg - azimuth))
+        if off_deg.min() > 6.0:
+            expected = f"one of the views {', '.join(f'{a:g}' for a in annual.azimuths_deg)}"
+            remedy = "predict that view: fieldlum predict --views 36"
+            raise InputError(path, f"a view to {azimuth:.0f} deg", expected, remedy)
+        measured = annual.views[figure][row_of[hours[both]], int(np.argmin(off_deg))]
         modelled = columns[figure, azimuth].to_numpy(float)
         ok = np.isfinite(measured) & np.isfinite(modelled)
         if ok.any():
@@ -560,16 +578,6 @@ def _of_hours(shared: Sequence[_Shared], note: Sequence[str], out: Path) -> Comp
     files = _write(out, [row for part in shared for row in part.rows()], _hours_png(shared))
     text = [*(part.text() for part in shared), *note]
     return Comparison([], [part.direction() for part in shared], text, files)
-
-
-def _same_view(annual: Annual, azimuth_deg: float, path: Path) -> int:
-    """Return the index of the predicted view within 6 degrees of a direction."""
-    off = np.abs(signed_angle_deg(annual.azimuths_deg - azimuth_deg))
-    if off.min() > 6.0:
-        expected = f"one of the views {', '.join(f'{a:g}' for a in annual.azimuths_deg)}"
-        remedy = "predict that view: fieldlum predict --views 36"
-        raise InputError(path, f"a view to {azimuth_deg:.0f} deg", expected, remedy)
-    return int(np.argmin(off))
 
 
 class _Shared(NamedTuple):

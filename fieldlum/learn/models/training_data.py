@@ -301,7 +301,7 @@ def _assemble(path: Path, rows: list[PairRow], setup: SiteFile, notes: list[str]
         dhi_wm2=np.array([row.dhi_wm2 for row in rows]),
         sun_altitude_deg=altitude,
         sun_azimuth_deg=azimuth,
-        states=_states(path, rows),
+        states=states_of(path, rows),
         refraction=_refraction(path, rows),
     )
     data, has_value = read_pictures(path, rows, setup, light)
@@ -365,7 +365,7 @@ def _slots(rows: Sequence[PairRow]) -> tuple[str, ...]:
     return tuple(slot_id(row.t_utc) for row in rows)
 
 
-def _states(path: Path, rows: list[PairRow]) -> tuple[str, ...] | None:
+def states_of(path: Path, rows: list[PairRow]) -> tuple[str, ...] | None:
     """Return the room's state in each row, from the csv's column and the marks in the journal.
 
     Return None if the room is in its usual state in all rows. Raises InputError for an unknown

@@ -499,7 +499,7 @@ class LitRoom:
         luminance = rendering.luminance_cdm2[k]
         if rendering.colour is not None:
             rgb = rendering.colour[k] * luminance[..., None] / images.RADIANCE_LM_PER_W
-            of_rgb = melanopic.MELANOPIC_FROM_XYZ @ _TO_XYZ, np.eye(3), melanopic.U_CHART
+            of_rgb = melanopic.MELANOPIC_FROM_XYZ @ _TO_XYZ, np.eye(3), melanopic.BY_CHART[1]
             about[melanopic.ATTRIBUTE] = melanopic.attribute_text(*of_rgb)
         return Panorama(luminance, heading, t_utc=t_utc, sun=sun, rgb=rgb, attributes=about)
 

@@ -52,7 +52,7 @@ def picture_glare(
     view_options: str = "",
     part: str = "",
     measured_ev_lx: float | None = None,
-    lamps: bool = False,
+    lamps: bool | None = None,
 ) -> JsonTable:
     """Return the object that `glare --json` prints for a .hdr or .exr picture.
 
@@ -60,10 +60,9 @@ def picture_glare(
     fisheye's own. reference : add evalglare's figures. view_options : Radiance's options that
     replace the view in the file; "" to use the file's. part : name of the part, layer or stereo
     view of an .exr; "" for the only one. measured_ev_lx : scale the picture so that its first view
-    has this vertical illuminance; None for no scaling. lamps : electric light is on, so that
-    melanopic EDI is less certain. Keys: `glare_answer`. Raises InputError for an unusable picture,
-    for azimuths other than the own one of a picture that is no panorama, or if a picture to scale
-    has no light in its first view.
+    has this vertical illuminance; None for no scaling. lamps : of `melanopic_edi`. Keys:
+    `glare_answer`. Raises InputError for an unusable picture, for azimuths other than the own one
+    of a picture that is no panorama, or if a picture to scale has no light in its first view.
     """
     picture = pictures.read_picture(path, view_options, part)
     judge = partial(glare_answer, picture, path, azimuths_deg, lamps=lamps)
@@ -99,7 +98,7 @@ def glare_answer(
     *,
     reference: bool = False,
     factor: float = 1.0,
-    lamps: bool = False,
+    lamps: bool | None = None,
 ) -> tuple[JsonTable, Sources]:
     """Return the `glare` answer of a picture with its luminance times `factor`, and its sources.
 
@@ -135,7 +134,13 @@ def glare_answer(
         pixels, sun = take_out_sun(pixels, heading_deg, sun)
         views = panorama_views(height, width, heading_deg, azimuths, seen_mask)
     else:
-        _check_azimuths(view.azimuth_deg, azimuths_deg, path)
+        off_deg = projection.signed_angle_deg(np.asarray(azimuths_deg) - view.azimuth_deg)
+        if np.abs(off_deg).max(initial=0.0) > 1e-3:
+            found = (
+                f"--view-azimuth with a picture of one view direction, {view.azimuth_deg:.1f} deg"
+            )
+            expected = "--view-azimuth only with a panorama"
+            raise InputError(path, found, expected, "remove --view-azimuth")
         views = pictures.picture_views(view, height, width, seen_mask)
         share = min(1.0, float(views.moments[:, 0].sum(dtype=float)) / (2.0 * np.pi))
     sources = glare_sources(pixels, views)
@@ -166,7 +171,7 @@ def _view_rows(
     views: Views,
     sources: Sources,
     sun: SunSource | None,
-    lamps: bool,
+    lamps: bool | None,
 ) -> list[dict[str, Any]]:
     """Return the figures of each direction. pixels : luminance [H, W] without the sun."""
     rays = None if sun is None else projection.direction(sun.altitude_deg, sun.azimuth_deg)[None]
@@ -239,14 +244,6 @@ def _add_reference(
             heading_deg, azimuth_deg = picture.panorama.heading_deg, row["azimuth_deg"]
             shown = pictures.panorama_to_fisheye(pixels, heading_deg, azimuth_deg, sun=sun)
             row["reference"] = pictures.reference_glare(shown)._asdict()
-
-
-def _check_azimuths(azimuth_deg: float, asked: Sequence[float], path: Path) -> None:
-    """Raise InputError for view directions other than the picture's own."""
-    if asked and np.abs(projection.signed_angle_deg(np.asarray(asked) - azimuth_deg)).max() > 1e-3:
-        found = f"--view-azimuth with a picture that has one view direction, {azimuth_deg:.1f} deg"
-        expected = "--view-azimuth only with a panorama"
-        raise InputError(path, found, expected, "remove --view-azimuth")
 
 
 # ----------------------------------------------------------------------------------------------

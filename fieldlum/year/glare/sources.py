@@ -139,7 +139,10 @@ def panorama_views(
     moments = np.empty((len(rays), 3, len(azimuths)), np.float32)
     frames = np.stack([view_frame(azimuth) for azimuth in azimuths])
     hemisphere = np.empty((5, len(azimuths)))
-    closure = _cosine_closure(height, width)  # so that a uniform hemisphere gives exactly pi
+    # so that a uniform hemisphere gives exactly pi: the cosine in the middle of a pixel is slightly
+    # larger than its mean over the pixel
+    facing = np.clip(-equirect_rays(height, width, 180.0).reshape(-1, 3)[:, 1], 0.0, None)
+    closure = float(np.pi / (omega @ facing))
     for i, frame in enumerate(frames):
         right, up, cosine = angles_from_view(rays, frame)
         facing_sr = omega * (cosine > 0)
@@ -149,16 +152,6 @@ def panorama_views(
         illuminance[:, i], moments[:, :, i] = weights[0] * seen, (weights[1:] * seen).T
     ahead = moments[:, 0] > 0.0
     return Views(azimuths, frames, illuminance, moments, ahead, hemisphere)
-
-
-def _cosine_closure(height: int, width: int) -> float:
-    """Return the factor with which a uniform sphere gives exactly pi.
-
-    The cosine in the middle of a pixel is slightly larger than its mean over the pixel.
-    """
-    rays = equirect_rays(height, width, 180.0).reshape(-1, 3)
-    cosine = np.clip(-rays[:, 1], 0.0, None)
-    return float(np.pi / (equirect_solid_angles(height, width).ravel() @ cosine))
 
 
 # ----------------------------------------------------------------------------------------------

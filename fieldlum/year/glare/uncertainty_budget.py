@@ -85,7 +85,7 @@ class _Scene(NamedTuple):
     luminance_cdm2: Floats
     sun: SunSource | None
     azimuths_deg: Floats
-    lamps: bool = False
+    lamps: bool | None = None
 
     def figures(
         self, more_cdm2: Floats | float = 0.0, more_sun: float = 0.0, turn_deg: float = 0.0
@@ -116,7 +116,7 @@ class _Scene(NamedTuple):
         return {name: np.abs(up[name] - down[name]) / 2 for name in up}
 
 
-def budget_of_file(path: Path, azimuths_deg: Sequence[float], *, lamps: bool) -> list[Budget]:
+def budget_of_file(path: Path, azimuths_deg: Sequence[float], lamps: bool | None) -> list[Budget]:
     """Return `picture_budget` of a panorama on disk, with the heading's u by its session.
 
     It is that of the sky view's pose, else the one of a compass. Raises InputError for an unusable
@@ -137,12 +137,12 @@ def picture_budget(
     azimuths_deg: Sequence[float],
     u_heading_deg: float,
     *,
-    lamps: bool = False,
+    lamps: bool | None = None,
 ) -> list[Budget]:
     """Return the budgets of DGP, Ev, melanopic EDI and the pixel ahead, in each view direction.
 
     panorama: with its sun; path: names it in errors. u_heading_deg: standard uncertainty of its
-    heading; lamps: electric light is on. A picture without `u_percent` (of an earlier version or
+    heading; lamps: as of `melanopic_edi`. A picture without `u_percent` (of an earlier version or
     another program) has one source for the complete uncertainty of its pixels, which then counts as
     shared by all of them. Raises InputError for pixels that are not finite, or without uncertainty.
     """

@@ -1,10 +1,9 @@
 """Predict melanopic EDI of a year from the colours of the captures.
 
-Sky and sun have their own colours. The ratio of melanopic to photopic light in a view direction is
-that of the sky times its share in the illuminance, plus that of the sun times the rest, times a
-factor of the direction for the colours of glass and walls. The captures give sky, sun and factors;
-the sun's share is that of a kernel fit to the captures' vertical illuminance, so that no map is
-predicted for it.
+Sky, sun and lamps have their own colours. The ratio of melanopic to photopic light in a view
+direction is the sum of theirs times their shares in the illuminance, times a factor of the
+direction for the colours of glass and walls. The captures give the ratios and factors; the shares
+are those of a kernel fit to the captures' vertical illuminance, so that no map is predicted for it.
 """
 
 from __future__ import annotations
@@ -19,18 +18,14 @@ import numpy as np
 
 from fieldlum.core.arrays import Array, Floats, Mask
 from fieldlum.core.errors import NotEnoughDataError
-from fieldlum.core.room_states import is_lit
+from fieldlum.core.room_states import OFF, is_lit
+from fieldlum.learn.models.training_data import states_of
+from fieldlum.optics import melanopic
 from fieldlum.optics.images import read_panorama
-from fieldlum.optics.melanopic import (
-    U_LAMP,
-    U_SUN,
-    U_SUN_RATIO,
-    melanopic_ratio,
-    sun_melanopic_ratio,
-)
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
+from fieldlum.sky import daylight_kernel
 from fieldlum.sky.daylight import MIN_LX, Light, light_at
-from fieldlum.sky.daylight_kernel import Facades, Features, Kernel, facades_of, light_features
+from fieldlum.sky.daylight_kernel import LAMP_LX, Facades, Features, Kernel
 from fieldlum.sky.sun import horizontal_beam, standard_time
 from fieldlum.year.glare import uncertainty_budget as budget
 from fieldlum.year.glare.metrics import map_ev_lx
@@ -39,10 +34,12 @@ from fieldlum.year.glare.sources import panorama_views
 if TYPE_CHECKING:
     from fieldlum.year.predict.hour_blocks import ModelRoom
 
+Figures = Mapping[str, Floats]
+
 # Where captures do not decide: the ratio of an overcast sky, what a clear sky adds, and the sun's
-# over `sun_melanopic_ratio` (fits to two simulated rooms with a coloured sky), with the weight of
-# _PRIOR captures.
-_TYPICAL, _PRIOR = np.array([1.0, 0.25, 0.95]), 2.0
+# over `sun_melanopic_ratio` (fits to two simulated rooms with a coloured sky), and that of lamps by
+# their colour (white LED of 3000 to 5000 K: 0.5 to 0.8), with the weight of _PRIOR captures.
+_TYPICAL, _PRIOR = np.array([1.0, 0.25, 0.95, 0.65]), 2.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,8 +47,8 @@ class MelanopicYear:
     """The ratio of melanopic to photopic light by hour and view direction, from n captures.
 
     kernel, captured : covariance between hours, and the captures' features; coefficients [n, d] :
-    kernel(hours, captured) @ coefficients is Ev over the total light outside. weights [3] : of an
-    overcast sky, of a sky's clearness, and of the sun; factors [d] : of the view directions;
+    kernel(hours, captured) @ coefficients is Ev over the total light outside. weights [4] : of an
+    overcast sky, of a sky's clearness, of the sun and of lamps; factors [d] : of the directions;
     u_fit_rel : relative standard uncertainty by days held out; u_camera_rel : by each part of the
     camera's calibration.
     """
@@ -69,92 +66,97 @@ class MelanopicYear:
         """Relative standard uncertainty of the ratio and of the camera."""
         return float(np.hypot(self.u_fit_rel, np.linalg.norm([*self.u_camera_rel.values()])))
 
-    def sun_shares(self, light: Light) -> Floats:
-        """Return the share (0 to 1) of the sun in the light that reaches the eye, [n, d].
+    def shares(self, light: Light) -> tuple[Floats, Floats]:
+        """Return the shares (0 to 1) of the sun and of lamps in the light at the eye, [n, d] each.
 
-        It is that of the light in the same hours without their sun, by the same kernel.
+        They are what the same kernel lacks in the same hours without the sun, or without lamps.
         """
-        shade = _without_sun(light)
-        of_all, of_sky = (
-            np.maximum(self.kernel(light_features(part), self.captured) @ self.coefficients, 0.0)
-            * part.total_lx[:, None]
-            for part in (light, shade)
-        )
-        share = 1.0 - of_sky / np.maximum(of_all, MIN_LX)
-        return np.clip(share, 0.0, 1.0) * (light.direct_lx > 0.0)[:, None]
+
+        def ev_lx(of: Light) -> Floats:
+            values = self.kernel(_features(of), self.captured) @ self.coefficients
+            return np.maximum(values, 0.0) * of.total_lx[:, None]
+
+        whole = np.maximum(ev_lx(light), MIN_LX)
+        less = _without_sun(light), replace(light, states=None)
+        sun, lamp = (np.clip(1.0 - ev_lx(part) / whole, 0.0, 1.0) for part in less)
+        return np.minimum(sun, 1.0 - lamp), lamp
 
     def ratio(self, light: Light) -> Floats:
-        """Return the ratio in n hours, [n, d]."""
-        parts = _parts(light, self.sun_shares(light))
-        return np.einsum("ndk,k,d->nd", parts, self.weights, self.factors)
+        """Return the ratio by colour in n hours, [n, d]."""
+        return _parts(light, *self.shares(light)) @ self.weights * self.factors
 
     def figures(
-        self,
-        light: Light,
-        views: Mapping[str, Floats],
-        u_map_rel: Floats,
-        drawn_ev_lx: Floats,
-        unseen_lx: Floats,
+        self, light: Light, views: Figures, u_map_rel: Floats, drawn_lx: Floats, unseen_lx: Floats
     ) -> dict[str, Floats]:
         """Return melanopic EDI and its standard uncertainty, by column of hourly.csv, [n, d] each.
 
         views : figures of the hours, with `ev_lx` and `sun_ev_lx`; u_map_rel [n, d] : relative
-        standard uncertainty of the map's part of `ev_lx`; drawn_ev_lx [m, n, d] : Ev in draws of
-        the sun's disc; unseen_lx [n, d] : the most that the unseen part of the view adds to Ev.
-        The further keys are what `edi_budget` needs. Hours with a lamp on have `U_LAMP` too, as
-        part of the model's.
+        standard uncertainty of the map's part of `ev_lx`; drawn_lx [m, n, d] : Ev in draws of the
+        sun's disc; unseen_lx [n, d] : the most that the unseen part of the view adds to Ev.
+        The further keys are what `edi_budget` needs. In hours with a lamp on the ratio is
+        `LAMP_RATIO` of that by colour; in hours that are not marked as without one it may be.
         """
-        ratio, states = self.ratio(light), light.states or ("",) * len(light)
-        u_lamp_rel = U_LAMP * np.array([[is_lit(text)] for text in states])
-        u_map_rel = np.hypot(u_map_rel, u_lamp_rel)
+        by_colour, states = self.ratio(light), light.states or ("",) * len(light)
+        may_be_lit = np.array([[OFF not in text] for text in states])
+        u_lamp_rel = melanopic.ratio_u_rel(by_colour, 0.0) * may_be_lit
+        ratio = by_colour * np.where(_lit(light), melanopic.LAMP_RATIO, 1.0)
         of_map = (views["ev_lx"] - views["sun_ev_lx"]) * ratio
-        sun_ratio = sun_melanopic_ratio(light.apparent_altitude_deg)[:, None]
+        sun_ratio = melanopic.sun_melanopic_ratio(light.apparent_altitude_deg)[:, None]
         of_sun = views["sun_ev_lx"] * sun_ratio
-        drawn = ((drawn_ev_lx - views["ev_lx"]) * sun_ratio).astype(np.float32)
+        drawn = ((drawn_lx - views["ev_lx"]) * sun_ratio).astype(np.float32)
         unseen = unseen_lx * ratio / np.sqrt(3.0)  # rms of 0 to this, about 0
-        parts = of_map * np.hypot(self.u_rel, u_map_rel), of_sun * U_SUN, unseen
+        of_ratio = np.sqrt(self.u_rel**2 + u_map_rel**2 + u_lamp_rel**2)
+        parts = of_map * of_ratio, of_sun * melanopic.U_SUN, unseen
         u = np.sqrt(sum(part**2 for part in parts) + (drawn**2).mean(axis=0))
         return {
             "melanopic_edi_lx": of_map + of_sun,
             "u_melanopic_edi_lx": u,
             "edi_of_map_lx": of_map,
             "edi_by_model_lx": of_map * u_map_rel,
+            "edi_by_lamps_lx": of_map * u_lamp_rel,
             "edi_of_unseen_lx": unseen,
             "edi_by_disc_lx": np.moveaxis(drawn, 0, -1),  # [n, d, m]
         }
 
 
-def _parts(light: Light, sun_share: Floats) -> Floats:
-    """Return what the weights multiply, [n, d, 3]."""
+def _lit(light: Light) -> Mask:
+    """Return in which hours a lamp is on, [n, 1]."""
+    return np.array([[is_lit(text)] for text in light.states or ("",) * len(light)])
+
+
+def _features(light: Light) -> Features:
+    """Return the features of hours, with one for lamps."""
+    lamps = _lit(light) * (LAMP_LX / light.total_lx)[:, None]
+    return replace(daylight_kernel.light_features(light), lamps=lamps)
+
+
+def _parts(light: Light, sun_share: Floats, lamp_share: Floats) -> Floats:
+    """Return what the weights multiply, [n, d, 4]."""
     beam = horizontal_beam(light.dni_wm2, light.sun_altitude_deg)
     clear = (beam / np.maximum(beam + light.dhi_wm2, 1.0))[:, None]
-    sky = 1.0 - sun_share
-    sun = sun_share * sun_melanopic_ratio(light.apparent_altitude_deg)[:, None]
-    return np.stack([sky, sky * clear, sun], axis=-1)
+    sky = 1.0 - sun_share - lamp_share
+    sun = sun_share * melanopic.sun_melanopic_ratio(light.apparent_altitude_deg)[:, None]
+    return np.stack([sky, sky * clear, sun, lamp_share], axis=-1)
 
 
 def fit_year(
-    light: Light,
-    photopic_lx: Floats,
-    melanopic_lx: Floats,
-    days: Sequence[int],
-    u_camera_rel: Mapping[str, float],
-    facades: Facades,
+    light: Light, ev_lx: Floats, edi_lx: Floats, u_camera_rel: Mapping[str, float], facades: Facades
 ) -> MelanopicYear:
-    """Fit photopic and melanopic light at the eye in n captures and d directions.
+    """Fit the light at the eye in n captures and d directions.
 
-    light : of the captures; photopic_lx, melanopic_lx : vertical illuminance without the sun's
-    disc, [n, d]; days [n] : number of the day of each, for holding days out; u_camera_rel :
-    relative standard uncertainty by each part of the camera's calibration; facades : of the room.
+    light : of the captures; ev_lx, edi_lx : vertical illuminance and melanopic EDI without the
+    sun's disc, [n, d]; u_camera_rel : relative standard uncertainty by each part of the camera's
+    calibration; facades : of the room. Days are held out.
     """
-    day, ratio, errors = np.array(days), melanopic_lx / photopic_lx, []
+    ratio, errors = edi_lx / ev_lx, []
+    day = np.array([t.toordinal() for t in light.t_utc])
 
     def fitted(rows: Mask) -> MelanopicYear:
         kernel, used = Kernel(facades), light[rows]
-        features = light_features(used)
+        features = _features(used)
         # The variance of a capture is the middle one of the transport model's `NOISES`.
         covariance = kernel(features, features) + 1e-2 * np.eye(len(used))
-        relative = photopic_lx[rows] / used.total_lx[:, None]
+        relative = ev_lx[rows] / used.total_lx[:, None]
         coefficients = np.linalg.solve(covariance, relative)
         year = MelanopicYear(
             kernel=kernel,
@@ -165,7 +167,7 @@ def fit_year(
             u_fit_rel=0.0,
             u_camera_rel=u_camera_rel,
         )
-        weights, factors = _solve(_parts(used, year.sun_shares(used)), ratio[rows])
+        weights, factors = _solve(_parts(used, *year.shares(used)), ratio[rows])
         return replace(year, weights=weights, factors=factors)
 
     for held in np.unique(day):
@@ -177,9 +179,10 @@ def fit_year(
 
 
 def _solve(parts: Floats, ratio: Floats) -> tuple[Floats, Floats]:
-    """Return the weights [3] by relative least squares, and the factors [d]."""
-    rows = (parts / ratio[..., None]).reshape(-1, 3)
-    pull = np.sqrt(_PRIOR * ratio.shape[1]) * np.eye(3) * np.sqrt((rows**2).mean(axis=0))
+    """Return the weights [4] by relative least squares, and the factors [d]."""
+    rows = (parts / ratio[..., None]).reshape(-1, len(_TYPICAL))
+    size = np.maximum(np.sqrt((rows**2).mean(axis=0)), 1e-3)  # of no use without lamps
+    pull = np.sqrt(_PRIOR * ratio.shape[1]) * np.diag(size)
     stacked = np.concatenate([rows, pull]), np.concatenate([np.ones(len(rows)), pull @ _TYPICAL])
     weights = np.linalg.lstsq(*stacked, rcond=None)[0]
     count = len(ratio)
@@ -197,11 +200,11 @@ def _without_sun(light: Light) -> Light:
 
 def has_colour(pairs: Path) -> bool:
     """Return whether the first picture of a pairs.csv has melanopic colour."""
-    first = next((row for row in PairsFile.find(pairs).usable if row.panorama), None)
-    picture = None if first is None else pairs.parent / first.panorama
-    if picture is None or not picture.is_file():
-        return False
-    return melanopic_ratio(read_panorama(picture)) is not None
+    first = [pairs.parent / row.panorama for row in PairsFile.find(pairs).usable if row.panorama][
+        :1
+    ]
+    pictures = (read_panorama(path) for path in first if path.is_file())
+    return any(melanopic.melanopic_ratio(picture) is not None for picture in pictures)
 
 
 def year_of_captures(
@@ -217,26 +220,24 @@ def year_of_captures(
     # at most 80 captures are read, which limits the time
     step = -(-len(usable) // 80) if usable else 1
     rows: list[PairRow] = []
-    photopic, melanopic, u_rel = [], [], 0.0
+    eye_lx, u_rel = [], 0.0
     for row in usable[::step]:
         picture = read_panorama(pairs.parent / row.panorama)
-        colour = melanopic_ratio(picture)
+        colour = melanopic.melanopic_ratio(picture)
         if colour is None:
             continue
         light = np.maximum(np.nan_to_num(picture.luminance_cdm2), 0.0)
-        both = map_ev_lx(np.stack([light, light * colour[0]]), views)
-        photopic.append(np.maximum(both[0], MIN_LX))
-        melanopic.append(both[1])
+        eye_lx.append(map_ev_lx(np.stack([light, light * colour[0]]), views))
         rows, u_rel = [*rows, row], max(u_rel, colour[1])
     if not rows:
         raise NotEnoughDataError(f"{pairs}: no picture has melanopic colour; merge them again")
     dni, dhi = (np.array([getattr(row, name) for row in rows]) for name in ("dni_wm2", "dhi_wm2"))
     light = light_at([row.t_utc for row in rows], room.setup.site, dni, dhi)
-    days, facades = [row.t_utc.toordinal() for row in rows], facades_of(room.setup.room)
+    light = replace(light, states=states_of(pairs, rows))
+    ev_lx, edi_lx = np.moveaxis(np.array(eye_lx), 1, 0)
     u_parts_rel = {**u_camera_rel, "melanopic weight": u_rel}
-    if lit := np.mean([is_lit(row.state) for row in rows]):
-        u_parts_rel["spectrum of lamps"] = float(U_LAMP * lit)
-    return fit_year(light, np.array(photopic), np.array(melanopic), days, u_parts_rel, facades)
+    facades = daylight_kernel.facades_of(room.setup.room)
+    return fit_year(light, np.maximum(ev_lx, MIN_LX), edi_lx, u_parts_rel, facades)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -288,22 +289,25 @@ class YearHours:
 
 
 def edi_budget(
-    colours: MelanopicYear, views: Mapping[str, Floats], hours: YearHours, azimuths_deg: Floats
+    colours: MelanopicYear, views: Figures, hours: YearHours, azimuths_deg: Floats
 ) -> list[budget.Budget]:
     """Return the budgets of `YearHours.shares`, for each direction.
 
     views: results of `MelanopicYear.figures` for all hours. Another year's weather is not in it.
     """
     edi, of_map = views["melanopic_edi_lx"], views["edi_of_map_lx"]
-    share, of_sun, u_fit = budget.of_share, edi - of_map, colours.u_fit_rel
+    share, of_sun, u_sun = budget.of_share, edi - of_map, melanopic.U_SUN_RATIO
+    u_fit = colours.u_fit_rel
+    u_lamp = float(views["edi_by_lamps_lx"].sum() / max(of_map.sum(), MIN_LX))  # the mean
     fit = share("ratio by sky, sun and direction", "A", u_fit, budget.MODEL.shared_by)
     at, more = hours.shares(edi), hours.shares(edi + views["edi_of_unseen_lx"])
     changes = [
         (budget.MODEL, views["edi_by_model_lx"]),
         (fit, of_map * u_fit),
+        (share("spectrum of lamps", "B", u_lamp), views["edi_by_lamps_lx"]),
         *budget.camera_changes(colours.u_camera_rel, of_map),
         (share("illuminance of the sun's disc", "B", budget.U_DISC), of_sun * budget.U_DISC),
-        (share("colour of the sun's disc", "B", U_SUN_RATIO), of_sun * U_SUN_RATIO),
+        (share("colour of the sun's disc", "B", u_sun), of_sun * u_sun),
         (budget.DISC_SEEN, np.moveaxis(views["edi_by_disc_lx"], -1, 0)),
     ]
     unseen = budget.UNSEEN, {name: more[name] - at[name] for name in at}

@@ -89,7 +89,10 @@ def run(
     """
     config, session = read_config(model_folder), session_of(model_folder)
     room = hour_blocks.room_of(config, model_folder)
-    check_session(model_folder, room, config.scene)
+    for found, there in () if session is None else _differences(session, room, config.scene):
+        expected = f"{there}, as in this session"
+        remedy = "merge, pair and train again, or use the model that was trained on this session"
+        raise InputError(model_folder, f"a model {found}", expected, remedy)
     folder = out or default_folder(model_folder)
     occupancy = default_occupancy() if occupancy_path is None else read_occupancy(occupancy_path)
     lit = None if not lamps else Occupancy("off") if lamps == "off" else read_occupancy(Path(lamps))
@@ -110,7 +113,10 @@ def run(
     colours = None
     if coloured is not None:
         colours = melanopic.year_of_captures(coloured.pairs, room, azimuths, camera_u_rel(coloured))
-    _delete_earlier_year(folder)
+    # an interruption must not leave the hours of one weather file with the classes of another
+    (folder / "predict.json").unlink(missing_ok=True)
+    for name in (hour_blocks.NAME, hour_blocks.DRAFT):
+        shutil.rmtree(folder / name, ignore_errors=True)
     folder.mkdir(parents=True, exist_ok=True)
     store = hour_blocks.begin_maps(folder, len(light), room) if maps else None
     how = {"store": store, "melanopic": colours, "seed": seed, "scheduler": scheduler}
@@ -303,25 +309,15 @@ def default_folder(model_folder: Path) -> Path:
     return model_folder.parent.parent / "annual" / model_folder.resolve().name
 
 
-def check_session(model_folder: Path, room: ModelRoom, scene: UsedScene | None = None) -> None:
-    """Raise InputError if a model was trained for another place, camera, room or picture format.
-
-    It is compared with the session whose folder `models` contains it; a model elsewhere is not
-    checked. The place may differ by 0.01 degrees, the heading of the first panorama by 0.1 degrees;
-    its size in pixels must be equal. scene: the fitted scene in the model's config.json, if any;
-    then the room and heading as stated before the fit are compared.
-    """
-    session = session_of(model_folder)
-    for found, there in () if session is None else _differences(session, room, scene):
-        expected = f"{there}, as in this session"
-        remedy = "merge, pair and train again, or use the model that was trained on this session"
-        raise InputError(model_folder, f"a model {found}", expected, remedy)
-
-
 def _differences(
     session: Session, room: ModelRoom, scene: UsedScene | None
 ) -> Iterator[tuple[str, str]]:
-    """Yield what a model states and what its session has, for each difference."""
+    """Yield what a model states and what its session has, for each difference.
+
+    The place may differ by 0.01 degrees, the heading of the first panorama by 0.1 degrees; its size
+    in pixels must be equal. scene: the fitted scene in the model's config.json, if any; then the
+    room and heading as stated before the fit are compared.
+    """
     setup, mine = session.site_file(), room.setup.site
     places = [(s.latitude_deg, s.longitude_deg) for s in (mine, setup.site)]
     if np.abs(np.subtract(places[0], places[1])).max() > 0.01:
@@ -380,16 +376,6 @@ def _already(folder: Path, inputs: Mapping[str, object]) -> Annual | None:
         if same and ((folder / hour_blocks.NAME).is_dir() or not needs_maps):
             return read_annual(folder)
     return None
-
-
-def _delete_earlier_year(folder: Path) -> None:
-    """Delete predict.json and maps.zarr, if any, so that `folder` no longer holds a complete year.
-
-    Otherwise an interruption could leave the hours of one weather file with the classes of another.
-    """
-    (folder / "predict.json").unlink(missing_ok=True)
-    for name in (hour_blocks.NAME, hour_blocks.DRAFT):
-        shutil.rmtree(folder / name, ignore_errors=True)
 
 
 # ----------------------------------------------------------------------------------------------
