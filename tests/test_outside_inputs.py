@@ -785,9 +785,19 @@ def test_every_column_in_wm2_is_listed(
         ("t_utc,ghi_wm2\n2027-03-20T16:00Z,5\nx\ny\nz\n", "3 rows cannot be read, 1 can"),
         ("t_utc,ghi (kW/m2)\n2027-03-20T16:00Z,0.5\n", "columns t_utc, ghi"),
         ("t_utc,ghi_wm2\n", "no row could be read: it has no rows"),
-        ("t_utc;ghi_wm2\n2027-03-20T16:00Z;5,1\n", "columns separated by ';'"),
+        ("when;ghi_wm2\n2027-03-20T16:00Z;5,1\n", "columns when, ghi_wm2; expected a column t_utc"),
+        (
+            "t_utc;ghi_wm2\n2027-03-20T16:00Z;950,5\n2027-03-20T16:01Z;1.003,6\n"
+            "2027-03-20T16:02Z;1.004,7\n2027-03-20T16:03Z;950,5\n",
+            "2 of 4 rows have thousands separators",
+        ),
+        (
+            "t_utc,ghi_wm2,dhi_wm2\n2027-03-20T16:00Z,5,1\nt_utc,dhi_wm2,ghi_wm2\n",
+            "line 3: other column names",
+        ),
+        ("time,ghi_wm2\n27/03/20 16:00,5\n", "day and year cannot be distinguished"),
         ('"TOA5";"a"\n"TIMESTAMP";"GHI"\n', "columns separated by ';'"),
-        ("Plot Title: roof\nt_utc,ghi_wm2\n2027-03-20T16:00Z,5\n", "remove the lines above"),
+        ("Plot Title: roof\nwhen,ghi_wm2\n2027-03-20T16:00Z,5\n", "remove the lines above"),
     ],
 )
 def test_each_refusal_states_its_cause(tmp_path: Path, text: str, found: str) -> None:
@@ -907,11 +917,70 @@ def test_a_point_after_the_hour_is_no_fraction_of_a_second(tmp_path: Path, text:
 
 
 @pytest.mark.contract
-@pytest.mark.parametrize("head", ["TIMESTAMP (UTC+1)", "Date Time (GMT-08:00)", "date"])
-def test_the_remedy_for_a_local_clock_does_not_make_it_utc(tmp_path: Path, head: str) -> None:
-    (tmp_path / "a.csv").write_text(f"{head},ghi_wm2\n2027-03-20 06:00:00,160\n")
+@pytest.mark.parametrize(
+    ("head", "hours"),
+    [("TIMESTAMP (UTC+1)", 1), ("Date Time, GMT-08:00", -8), ("Date/Time (UTC)", 0), ("date", 2)],
+)
+def test_a_zone_in_the_heading_counts(tmp_path: Path, head: str, hours: int) -> None:
+    (tmp_path / "a.csv").write_text(f'"{head}",ghi_wm2\n2027-03-20 06:00:00,160\n')
+    read = read_logger_file(tmp_path / "a.csv", timedelta(hours=2))
+    assert read.samples[0].t_utc == datetime(2027, 3, 20, 6, tzinfo=UTC) - timedelta(hours=hours)
+    assert any("--utc-offset" in n or "no offset" in n for n in read.notes) == (hours != 2)
+    (tmp_path / "a.csv").write_text("when,ghi_wm2\n2027-03-20 06:00:00,160\n")
     with pytest.raises(InputError, match="t_utc if its times are in UTC, else time, and state"):
         read_logger_file(tmp_path / "a.csv", timedelta(0))
+
+
+PANGAEA = (
+    "/* DATA DESCRIPTION:\nCitation:\tDoe, J (2020): Basic measurements of radiation\n"
+    "Parameter(s):\tDATE/TIME (Date/Time) * GEOCODE\n*/\n"
+    "Date/Time\tHeight [m]\tSWD [W/m**2]\tSWD std dev [±]\tDIR [W/m**2]\tDIF [W/m**2]\n"
+)
+HOBO = '"Plot Title: roof"\n"#","Date Time, GMT+00:00","{}, W/m² (LGR S/N: 2, SEN S/N: 1)","Note"\n'
+OF_PROGRAMS = {
+    "PANGAEA": (PANGAEA, "{t:%Y-%m-%dT%H:%M}\t2\t{g}\t1.5\t300.5\t{d}"),
+    "HOBOware": (HOBO.format("Solar Radiation"), "7,{t:%m/%d/%y %I:%M:%S %p},{g},"),
+    "HOBOware in German": (
+        HOBO.format("Global").replace('","', '";"'),
+        "7;{t:%d.%m.%y %H:%M};{g};",
+    ),
+    "a spreadsheet in German": (
+        "Datum;Uhrzeit;GHI (W/m²);DHI (W/m²)\n",
+        "{t:%d.%m.%Y;%H:%M};{g};{d}",
+    ),
+    "a spreadsheet in French": ("Date;Heure;GHI (W/m²);DHI (W/m²)\n", "{t:%d/%m/%Y;%H:%M};{g};{d}"),
+    "a spreadsheet in Chinese": ("日期,时间,GHI (W/m²)\n", "{t:%Y/%m/%d,%H:%M},{g}"),
+    "LabVIEW": ("Time\tGHI (W/m2)\tDHI (W/m2)\n", "{t:%Y-%m-%d %H:%M}\t{g}\t{d}"),
+    "MIDC": ("DATE (MM/DD/YYYY),LST,Global [W/m^2]\n", "{t:%m/%d/%Y,%H:%M},{g}"),
+}
+
+
+@pytest.mark.authority
+@pytest.mark.parametrize("comma", [False, True])
+@pytest.mark.parametrize("program", OF_PROGRAMS)
+def test_tables_with_other_separators_titles_and_commas(
+    tmp_path: Path, program: str, comma: bool
+) -> None:
+    """Expected: the numbers and moments of which Python's format writes each row."""
+    head, form = OF_PROGRAMS[program]
+    times = [datetime(2027, 3, 20, 6, tzinfo=UTC) + timedelta(minutes=k) for k in range(60)]
+    numbers = [(f"{900 + 2.5 * k:.1f}", f"{40 + 0.5 * k:.1f}") for k in range(60)]
+    is_comma = comma and not {",", "2"} & set(form)
+    rows = [
+        form.format(
+            t=t, g=g.replace(".", ",") if is_comma else g, d=d.replace(".", ",") if is_comma else d
+        )
+        for t, (g, d) in zip(times, numbers, strict=True)
+    ]
+    path = tmp_path / "a.csv"
+    path.write_text(
+        head + "\n".join(rows) + "\n", encoding="utf-8-sig" if "HOBO" in program else "utf-8"
+    )
+    read = read_logger_file(path, timedelta(0))
+    assert [s.t_utc for s in read.samples] == times and not read.left_out
+    assert [s.ghi_wm2 for s in read.samples] == [float(g) for g, _ in numbers]
+    if "{d}" in form:
+        assert [s.dhi_wm2 for s in read.samples] == [float(d) for _, d in numbers]
 
 
 @pytest.mark.contract
@@ -1444,7 +1513,7 @@ def test_a_hazy_sky_is_no_horizontal_plane(latitude_deg: float) -> None:
 
 @pytest.mark.slow
 @pytest.mark.contract
-@pytest.mark.parametrize("hours", [slice(4000, 4300), slice(0, 8760, 9)])
+@pytest.mark.parametrize("hours", [slice(4000, 4300), slice(0, 8760, 9), slice(0, 8760)])
 def test_missing_hours_that_are_zeros_are_named(tmp_path: Path, hours: slice) -> None:
     light = light_of(NORTH, hours_of(NORTH))
     light[hours] = 0.0

@@ -111,6 +111,32 @@ def test_an_iso_of_65535_alone_is_none(tmp_path: Path) -> None:
         read_exif(path)
 
 
+@pytest.mark.contract
+@pytest.mark.parametrize(
+    ("program", "shown", "iso"),
+    [
+        ("exiftool", "Exposure Time                   : 1/60\nISO                   : 64\n", 64.0),
+        ("exiv2", "Exposure time   : 1/60 s\nAperture        : F5.6\nISO speed       : 64\n", 64.0),
+        ("exiftool", "ISO                     : 65535\n", 0.0),
+        ("exiv2", "ISO speed       : \n", 0.0),
+    ],
+)
+def test_an_iso_of_the_makers_notes_is_that_of_exiftool_or_exiv2(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, program: str, shown: str, iso: float
+) -> None:
+    """The texts are what both print for Casio.jpg of exiftool's own tests."""
+    (tmp_path / program).write_text(f"#!/bin/sh\nprintf '{shown}'\n")
+    (tmp_path / program).chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    rest = {k: v for k, v in GOOD.items() if k != 34855}
+    path = jpeg(tmp_path / "f.jpg", exif_segment(rest))
+    if not iso:
+        with pytest.raises(InputError, match="no ISO in the EXIF"):
+            read_exif(path)
+        return
+    assert read_exif(path).exposure == read_jpeg(path).exposure == Exposure(1 / 60, 5.6, iso)
+
+
 @pytest.mark.authority
 @pytest.mark.parametrize(
     ("tags", "when"),

@@ -91,7 +91,7 @@ def test_what_windows_editors_save_is_read_or_named(tmp_path: Path) -> None:
         tmp_path / "site.toml",
         '[site]\nname = "Büro"\nlatitude_deg = 1.0\nlongitude_deg = 2.0\n',
     )
-    path.write_bytes(text.encode("utf-8-sig"))
+    path.write_bytes(text.replace("\n", "\r").encode("utf-8-sig"))
     assert load_site(path).site.name == "Büro"
     for encoding in ("cp1252", "utf-16"):
         path.write_bytes(text.encode(encoding))

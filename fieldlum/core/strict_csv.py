@@ -30,6 +30,7 @@ _MAX_ZERO_BYTES = 0.25
 IRRADIANCE_LIMITS_WM2 = (-10.0, 1600.0)
 COMMAS = ", because numbers have decimal commas"
 THOUSANDS = ", because numbers have commas between thousands"
+POINTS = ", because other numbers have decimal commas"
 _INTEGER = re.compile(r"[+-]?\d+")
 _GROUP, _THREE = re.compile(r"[+-]?[1-9]\d{0,2}"), re.compile(r"\d{3}(\.\d*)?")
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?")
@@ -42,6 +43,7 @@ _MISSING = {s * m for s in (-1.0, 1.0) for m in (9999.0, 99999.0, 999999.0, 6999
 }
 _YEAR_FIRST = re.compile(r"(\d{4})([/.-])(\d{1,2})\2(\d{1,2})(?=[ T]|$)")
 _HOUR = re.compile(r"(?<=\d[ T])(\d{1,2})((?::\d\d){1,2})(?: ?([AaPp])\.?(?:[Mm]\.?)?$)?")
+_SERIAL = re.compile(r"\(LGR S/N: [^()]*\)$")  # of the logger, as HOBOware writes it
 _WM2 = {"w/m2", "wm-2", "wm2", "w/m-2", "w/m\ufffd", "w/m?"}
 _MICROVOLTS = {"v": 1e6, "mv": 1e3, "uv": 1.0, "µv": 1.0, "μv": 1.0}
 
@@ -303,6 +305,7 @@ def split_heading(heading: str) -> tuple[str, str]:
     name, unit = _in_brackets(heading)
     if unit:
         return (name, unit) if is_unit(unit) else (heading.strip(), "")
+    heading = _SERIAL.sub("", heading)
     words = re.split(r"[\s_]+", heading.strip())
     for k in range(max(len(words) - 4, 1), len(words)):  # "Watts per square meter" has four words
         if is_unit(unit := " ".join(words[k:])):
@@ -318,7 +321,7 @@ def stated_unit(heading: str) -> str:
 
 def _in_brackets(heading: str) -> tuple[str, str]:
     """Return the name and the text in brackets at the end of a heading; ("", "") without one."""
-    inner = heading.strip().rstrip(")]} \t")
+    inner = _SERIAL.sub("", heading).strip().rstrip(")]} \t")
     start = max(inner.rfind(mark) for mark in "([{") + 1
     unit = inner[start:].strip()
     is_last = start > 0 and not set(")]}") & set(unit)

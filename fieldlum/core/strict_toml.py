@@ -138,8 +138,9 @@ def read_toml(path: Path) -> TomlTable:
         found = f"more than {_MAX_BYTES / 1e6:.0f} MB"
         raise InputError(path, found, "a TOML file", "check the path of the file")
     try:
-        # Editors of Windows write a byte order mark before the text.
-        table = tomllib.loads(data.decode("utf-8-sig").replace("\r\n", "\n"))
+        # Editors of Windows write a byte order mark before the text, some of a Mac CR alone.
+        text = data.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
+        table = tomllib.loads(text)
         json.dumps(table, default=str)  # fails at a depth at which other readers fail too
         return table
     except UnicodeDecodeError as error:

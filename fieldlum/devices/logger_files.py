@@ -30,12 +30,23 @@ _MAX_TIME_STEP_S = 1.0
 _MAX_ROWS = 5_000_000  # two months of seconds, in 3 GB of memory
 _NETCDF = b"CDF"  # first bytes of a classic netCDF file (its format's specification)
 QUANTITIES = ("ghi_wm2", "dhi_wm2", "dni_wm2", "temperature_c")
-# Names of columns of times, without spaces: in UTC, and others.
-_TIMES = tuple(
-    map(re.compile, (r"((t|time|timestamp|date/?time)[_(]?)?utc\)?", r"timestamp|date/?time|time"))
-)
+# Names of columns of times, of dates and of times of day, without spaces, brackets and a zone.
+_TIMES = {
+    "stamp": {
+        *("timestamp", "tmstamp", "datetime", "date/time", "date_time", "日時", "horodatage"),
+        *("datum/zeit", "datumzeit", "dateheure", "date/heure"),
+    },
+    "date": {"date", "datum", "fecha", "data", "日期", "日付"},
+    "hour": {
+        *("time", "zeit", "uhrzeit", "heure", "hora", "ora", "tijd", "时间", "時刻"),
+        *("lst", "est", "cst", "mst", "pst"),
+    },
+}
+_NAME_ZONE = re.compile(r"[,_(\[]*(?:utc|gmt)([+-]\d\d?(?::?\d\d)?)?[)\]]?$")
 _ZONE = re.compile(r"((utc|gmt)_?)?offset|tz|(time_?)?zone")
-_DAY_OR_MONTH_FIRST = re.compile(r"(\d{1,2})([/.])(\d{1,2})\2(\d{4})[ T]+(.+)")
+_DAY_OR_MONTH_FIRST = re.compile(r"(\d{1,2})([/.-])(\d{1,2})\2(\d{4}|\d\d)[ T]+(.+)")
+_MARKS = ",;\t|"
+_PANGAEA = "/* DATA DESCRIPTION:"  # PANGAEA writes all times in UTC
 _COMMA = re.compile(r" is '[+-]?[\d.]+,[\d,.]+'")
 _BAD = re.compile("(?<!no_)(?<!not_)(bad|invalid|fail|error|missing)")  # words of flag_meanings
 # Usual column names in loggers' programs and in ARM's netCDF files, without "avg"; digits,
@@ -44,9 +55,10 @@ _USUAL = {
     "ghi_wm2": {
         *("ghi", "global", "slrw", "solarwm", "total", "solarradiation", "globalhorizontal"),
         "downshorthemisp",
+        "swd",
     },
     "dhi_wm2": {"dhi", "diffuse", "dif", "diff", "diffusehorizontal", "downshortdiffusehemisp"},
-    "dni_wm2": {"dni", "direct", "directnormal", "shortdirectnormal"},
+    "dni_wm2": {"dni", "direct", "directnormal", "shortdirectnormal", "dir"},
     "temperature_c": {"ptempc", "airtc", "bodytemp"},
 }
 
@@ -70,7 +82,7 @@ class _Table:
 
     is_logger : whether a logger's program wrote it, which states the unit of each column and puts
     no spaces around cells; cut : a text on an incomplete last line; called_bad : how many values of
-    a column the file itself calls bad.
+    a column the file itself calls bad; mark : between cells; in_utc : whether all times are in UTC.
     """
 
     names: list[str]
@@ -79,6 +91,8 @@ class _Table:
     is_logger: bool = False
     cut: tuple[str, ...] = ()
     called_bad: Mapping[str, int] = field(default_factory=dict)
+    mark: str = ","
+    in_utc: bool = False
 
     def usual(self) -> list[str]:
         """Return the letters of each name, "" for a column of a csv that is not in W/m2."""
@@ -134,10 +148,10 @@ def read_logger_file(
 def _check_readable(path: Path, logger_file: LoggerFile) -> None:
     """Raise InputError for decimal commas, and for fewer readable than damaged rows."""
     count, left_out = len(logger_file.samples), logger_file.left_out
-    marks = strict_csv.COMMAS, strict_csv.THOUSANDS
+    marks = strict_csv.COMMAS, strict_csv.THOUSANDS, strict_csv.POINTS
     commas = [t for t in left_out if t.endswith(marks) or _COMMA.search(t)]
     if len(commas) > 1:
-        has_thousands = commas[0].endswith(strict_csv.THOUSANDS)
+        has_thousands = commas[0].endswith(marks[1:])
         kind = "thousands separators" if has_thousands else "decimal commas"
         found = f"{len(commas)} of {count + len(left_out)} rows have {kind}: {commas[0]}"
         remedy = "save it as CSV with commas between and points in the numbers"
@@ -201,18 +215,50 @@ def _csv(path: Path, text: str) -> _Table:
     if not lines:
         expected = "a header with t_utc and one or more of ghi_wm2, dhi_wm2, dni_wm2"
         raise InputError(path, "an empty file", expected, "copy the file from the logger again")
-    names = strict_csv.split_header(path, lines[0])
+    above, mark = _header(lines)
+    lines = lines[above:]
+    names = strict_csv.split_header(path, lines[0], mark)
     with suppress(ValueError):
         strict_csv.read_time(names[0])
         numbers = ["time", *(str(k) for k in range(2, len(names) + 1))]
-        return _Table(numbers, [""] * len(names), lines)
+        return _Table(numbers, [""] * len(names), lines, mark=mark)
     units = [strict_csv.stated_unit(name) for name in names]
-    below = [cell.strip(' "') for _, line in lines[1:2] for cell in line.split(",")]
+    below = [cell.strip(' "') for _, line in lines[1:2] for cell in line.split(mark)]
     are_units = any("/" in cell or strict_csv.is_unit(cell) for cell in below)
     if are_units and len(below) == len(names) and not re.search(r"\d\d", lines[1][1]):
         units = [cell or unit for cell, unit in zip(below, units, strict=True)]
         del lines[1]
-    return _Table(names, units, lines[1:])
+    return _Table(names, units, lines[1:], mark=mark, in_utc=text.startswith(_PANGAEA))
+
+
+def _header(lines: Sequence[strict_csv.Line]) -> tuple[int, str]:
+    """Return how many lines are above the column names, such as a title, and the separator.
+
+    The names are the first line with one of a time, below lines with other numbers of cells; the
+    first line if there is none.
+    """
+    for above, (_, line) in enumerate(lines[:200]):
+        mark = _mark_of(line)
+        with suppress(ValueError):
+            names = strict_csv.split_row(line, mark)
+            has_time = {"stamp", "hour"} & set(map(_kind_of_time, names))
+            if len(names) > 1 and has_time:
+                counts = {line.count(mark) for _, line in lines[:above]}
+                return (0, ",") if line.count(mark) in counts else (above, mark)
+    return 0, _mark_of(lines[0][1])
+
+
+def _mark_of(line: str) -> str:
+    return max(_MARKS, key=re.sub('"[^"]*"', "", line).count)
+
+
+def _kind_of_time(name: str) -> str:
+    """Return which times a column has by its name: a key of `_TIMES`, or "" for none."""
+    plain = name.lower().replace(" ", "")
+    word = re.sub(r"[(\[][^()]*[)\]]$", "", _NAME_ZONE.sub("", plain))
+    if word in ("", "t") and word != plain:
+        return "stamp"
+    return next((kind for kind, words in _TIMES.items() if word in words), "")
 
 
 def _netcdf(path: Path) -> _Table:
@@ -329,16 +375,22 @@ def _read(
     at = _columns(path, table, asked)
     factor, notes = _factors(path, table, at, sensitivities)
     clock = _Clock(path, table, utc_offset)
+    has_commas = _has_decimal_commas(table, at.values())
     samples: list[IrradianceSample] = []
     right: list[list[str]] = []
     damaged: list[str] = []
     for number, line in table.lines:
         try:
-            row = strict_csv.split_row(line, padded=not table.is_logger)
+            row = strict_csv.split_row(line, table.mark, padded=not table.is_logger)
             if len(row) != len(names):
-                why = strict_csv.surplus_cause(row, len(names), right[-50:])
+                is_plain = table.mark == ","
+                why = strict_csv.surplus_cause(row, len(names), right[-50:]) if is_plain else ""
                 raise ValueError(f"{len(row)} values, expected {len(names)}{why}")
-            values = {q: _number(row[i], q, factor.get(q, 1.0)) for q, i in at.items()}
+            if clock.name in row and row != names:
+                raise InputError(
+                    path, f"line {number}: other column names", "one table", "split it"
+                )
+            values = {q: _number(row[i], q, factor.get(q, 1.0), has_commas) for q, i in at.items()}
             raw = ",".join(row[i] for i in sorted(at.values()))
             samples.append(sample_of(clock.utc(row), values, raw))
             right.append(row)
@@ -354,6 +406,16 @@ def _read(
     if clock.is_utc and utc_offset is not None:
         notes.append(f"times of {clock.name} are UTC: no offset moves them")
     return LoggerFile(tuple(samples), (*damaged, *table.cut), tuple(notes))
+
+
+def _has_decimal_commas(table: _Table, columns: Iterable[int]) -> bool:
+    """Return whether more numbers have a decimal comma than a point; never with commas between."""
+    points = 0
+    for _, line in table.lines if table.mark != "," else ():
+        with suppress(ValueError, IndexError):
+            row = strict_csv.split_row(line, table.mark)
+            points += sum(("." in row[k]) - ("," in row[k]) for k in columns)
+    return points < 0
 
 
 def _columns(path: Path, table: _Table, asked: Mapping[str, str]) -> dict[str, int]:
@@ -424,12 +486,17 @@ def _factors(
     return factor, [f"columns: {used}{unused}", *notes]
 
 
-def _number(text: str, quantity: str, factor: float) -> float | None:
+def _number(text: str, quantity: str, factor: float, has_commas: bool) -> float | None:
     """Return a logger's number times a factor; None for a missing value.
 
-    A number may be followed by W/m2. Raises ValueError for a text that is not a number, and for an
-    irradiance (a `quantity` that ends in _wm2) outside -200 to 4000 W/m2.
+    A number may be followed by W/m2. has_commas: decimals have a comma, and a point is an error.
+    Raises ValueError for a text that is not a number, and for an irradiance (a `quantity` that ends
+    in _wm2) outside -200 to 4000 W/m2.
     """
+    if has_commas:
+        if "." in text:
+            raise ValueError(f"{quantity} is '{text}'{strict_csv.POINTS}")
+        text = text.replace(",", ".")
     own, unit = strict_csv.split_heading(text) if " " in text else (text, "")
     text = own if factor == 1.0 and strict_csv.is_wm2(unit) and quantity.endswith("_wm2") else text
     try:
@@ -455,25 +522,38 @@ class _Clock:
         self._path, self._utc_offset, self._names = path, utc_offset, table.names
         self._before: datetime | None = None
         self._is_twelve = True
-        kinds = [[k for k, n in enumerate(names) if kind.fullmatch(n)] for kind in _TIMES]
-        self._at = [*kinds[0], *kinds[1]][:1]
-        if not self._at:
-            found = f"columns {', '.join(table.names)[:120]}"
+        zones = [_NAME_ZONE.search(name) for name in names]
+        kinds = list(map(_kind_of_time, names))
+        stamps, dates, hours = (
+            [k for k, own in enumerate(kinds) if own == kind] for kind in _TIMES
+        )
+        others = [[dates[0], hours[0]]] if dates and hours else [[k] for k in (*dates, *hours)]
+        found = [*([k] for k in stamps), *others]
+        if not found:
+            columns = f"columns {', '.join(table.names)[:120]}"
             remedy = "name it t_utc if its times are in UTC, else time, and state --utc-offset"
-            raise InputError(path, found, "a column t_utc or time", remedy)
-        self.name, self.is_utc = table.names[self._at[0]], bool(kinds[0])
-        if self.name.lower() == "time" and "date" in names:
-            self._at.insert(0, names.index("date"))
+            raise InputError(path, columns, "a column t_utc or time", remedy)
+        in_utc = {k for k, zone in enumerate(zones) if zone and not zone[1]}
+        self._at = min(found, key=in_utc.isdisjoint)  # the first one in UTC, else the first one
+        self.name = table.names[self._at[-1]]
+        self.is_utc = table.in_utc or not in_utc.isdisjoint(self._at)
         self._zone = next((k for k, name in enumerate(names) if _ZONE.fullmatch(name)), None)
         self.unread_zone = self.read_zone = ""
-        self._order = self._date_order(line for _, line in table.lines if "/" in line)
+        if stated := next((zone[1] for k in self._at if (zone := zones[k]) and zone[1]), ""):
+            hour, _, minute = stated[1:].partition(":")
+            self._utc_offset = int(f"{stated[0]}1") * timedelta(
+                hours=int(hour), minutes=int(minute or 0)
+            )
+            self.read_zone = self.name
+        self._order = self._date_order(table)
 
     def utc(self, row: Sequence[str]) -> datetime:
         """Return the time of a row. Raises ValueError for a text that is no time."""
         text = " ".join(row[k] for k in self._at)
         if part := _DAY_OR_MONTH_FIRST.fullmatch(text):
             places = (4, 3, 1) if part[2] == "." else self._order  # with points the day is first
-            text = f"{'-'.join(part[k].zfill(2) for k in places)} {part[5]}"
+            year, month, day = (part[k].zfill(2) for k in places)
+            text = f"{year if len(year) == 4 else f'20{year}'}-{month}-{day} {part[5]}"
         t = strict_csv.read_time(text, utc=self.is_utc)
         require_known_year(t)
         if t.tzinfo is None and self._zone is not None:
@@ -512,18 +592,27 @@ class _Clock:
             return
         raise InputError(self._path, f"{found}, {cause}", "one clock in all rows", remedy)
 
-    def _date_order(self, lines: Iterable[str]) -> tuple[int, int, int]:
-        """Return the places of year, month and day in dates such as 13/12/2015, from 1."""
+    def _date_order(self, table: _Table) -> tuple[int, int, int]:
+        """Return the places of year, month and day in dates such as 13/12/2015, from 1.
+
+        With two digits the year could be first too, except if the second number is above 12.
+        """
         dates: list[re.Match[str]] = []
-        for line in lines:
+        for count, (_, line) in enumerate(table.lines):
+            if count > 20 and not dates:
+                break
             with suppress(ValueError, IndexError):
-                row = strict_csv.split_row(line)
-                if part := _DAY_OR_MONTH_FIRST.fullmatch(" ".join(row[k] for k in self._at)):
+                row = strict_csv.split_row(line, table.mark)
+                part = _DAY_OR_MONTH_FIRST.fullmatch(" ".join(row[k] for k in self._at))
+                if part and part[2] != ".":
                     dates.append(part)
         day_first = any(int(part[1]) > 12 for part in dates)
-        if dates and day_first == any(int(part[3]) > 12 for part in dates):
+        month_first = any(int(part[3]) > 12 for part in dates)
+        if dates and (day_first == month_first or (day_first and len(dates[0][4]) == 2)):
             why = "whose day and month cannot be distinguished, because no number is above 12"
-            why = "some with the day first and some with the month first" if day_first else why
+            why = "whose day and year cannot be distinguished" if day_first else why
+            if day_first and month_first:
+                why = "some with the day first and some with the month first"
             found = f"dates such as {dates[0][0].split()[0]}, {why}"
             remedy = "write the year first, or import the file together with a later day"
             raise InputError(self._path, found, "dates such as 2015-12-01", remedy)

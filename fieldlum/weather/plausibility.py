@@ -124,6 +124,9 @@ def check_plausible(path: Path, weather: Weather, place: Site, ghi_wm2: Floats) 
     total = weather.dhi_wm2 + sun.horizontal_beam(weather.dni_wm2, altitude)
     share = float(total.sum() / max(sun.clearsky(weather.t_utc, place).ghi_wm2.sum(), 1.0))
     low, high = _SHARE_OF_CLEAR
+    up = altitude > sun.CLEAR_SUN_DEG
+    if share < low and (dark := int((total[up] == 0.0).sum())) > 0.5 * up.sum():
+        raise _dark_error(path, dark)
     if not low <= share <= high:
         found = f"the sum of irradiance is {share:.2g} times that of cloudless skies at "
         remedy = f"check whether values are in kW or kJ; {_CORRECT_COLUMNS}"
@@ -251,9 +254,7 @@ def _check_labels(path: Path, weather: Weather, station: _Sun, place: Site) -> s
     found += f" at {place.name}, and no shift of the row times explains them"
     dark = _against(np.minimum(light, 2.0), station, 0)  # 2 W/m2 contradict no night
     if dark > 0.9 * against[0]:
-        expected = "diffuse light while the sun is up"
-        remedy = "leave cells of missing hours empty; check that the file is of this place"
-        raise InputError(path, f"{dark} hours have no light while the sun is up", expected, remedy)
+        raise _dark_error(path, dark)
     hours = station.t_unix_s / 3600.0 + place.longitude_deg / 15.0
     midnight = np.abs((hours + 12.0) % 24.0 - 12.0) < 1.5  # no day of a wrong latitude reaches it
     lit = midnight & (station.altitude_deg() < -8.0) & (light > 3.0)
@@ -293,6 +294,12 @@ def _shift_error(path: Path, found: str, shift_min: int, expected: str) -> Input
     if not is_zone:
         remedy = f"{_LABELS}; if the labels are wrong, use --label-shift {shift_min:+d}"
     return InputError(path, f"{found} with all row times moved by {moved}", expected, remedy)
+
+
+def _dark_error(path: Path, count: int) -> InputError:
+    expected = "diffuse light while the sun is up"
+    remedy = "leave cells of missing hours empty; check that the file is of this place"
+    return InputError(path, f"{count} hours have no light while the sun is up", expected, remedy)
 
 
 def _place_error(path: Path, found: str) -> InputError:

@@ -24,6 +24,7 @@ from fieldlum.optics.raw.exif import (
     TIFF_VARIANTS,
     FrameInfo,
     Tags,
+    by_other_program,
     info_of,
     numbers,
     roll_deg_of,
@@ -295,7 +296,8 @@ def read_mosaic(path: Path, *, lens_f_number: float = 0.0) -> Mosaic:
 def read_exif(path: Path, *, lens_f_number: float = 0.0) -> FrameInfo:
     """Return the exposure, time and camera of a JPEG or raw frame by its EXIF.
 
-    For a raw frame LibRaw provides values that the EXIF lacks. lens_f_number : f-number to use if
+    For a raw frame LibRaw provides values that the EXIF lacks, for a JPEG exiftool or exiv2 where
+    it is installed. lens_f_number : f-number to use if
     the frame states none; with 0 a missing one is an error. Raises InputError without exposure
     time, f-number or ISO.
     """
@@ -303,6 +305,8 @@ def read_exif(path: Path, *, lens_f_number: float = 0.0) -> FrameInfo:
     with suppress(InputError):
         return info_of(path, tags, lens_f_number=lens_f_number)
     if is_jpeg(path):
+        with suppress(InputError):
+            return info_of(path, tags, by_other_program(path), lens_f_number=lens_f_number)
         _codes(path, MAX_CAMERA_PIXELS)  # damage is the cause, if the file is damaged
         return info_of(path, tags, lens_f_number=lens_f_number)
     with opened(path) as raw:
@@ -330,11 +334,10 @@ def read_jpeg(path: Path, *, camera_pixels: int = 0) -> JpegFrame:
     to 500 million), and at least `MAX_PIXELS`. Raises InputError for a file that cannot be read, is
     no complete JPEG, has more pixels, or whose EXIF lacks exposure time, f-number or ISO.
     """
-    tags = tags_of(path)
+    tags_of(path)  # whose errors name an empty or a missing file
     # Before the EXIF, because a cut file may lack it as well.
     codes = _codes(path, max(MAX_PIXELS, min(camera_pixels, MAX_CAMERA_PIXELS)))
-    info = info_of(path, tags)
-    return JpegFrame(**_fields(info), codes=codes)
+    return JpegFrame(**_fields(read_exif(path)), codes=codes)
 
 
 def jpeg_size(path: Path) -> tuple[int, int]:

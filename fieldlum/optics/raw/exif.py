@@ -2,6 +2,8 @@
 
 import mmap
 import re
+import shutil
+import subprocess
 import warnings
 from collections.abc import Mapping
 from contextlib import suppress
@@ -28,6 +30,7 @@ _ROLL_DEG = {1: 0.0, 3: 180.0, 6: 90.0, 8: -90.0}
 # value of its 16 bits: recommended exposure index, standard output sensitivity, ISO speed (EXIF
 # 2.32, 4.6.5; of the last three a file has those that its SensitivityType names, in this order).
 _ISO, *_OTHER_ISO = 34855, 34866, 34865, 34867
+_NO_ISO = 65535.0
 # Time, fraction of a second, offset from UTC: of the exposure, its digitisation, the file.
 _TIME_TAGS = ((36867, 37521, 36881), (36868, 37522, 36882), (306, 37520, 36880))
 # Year, month, day by : / - or . as cameras and editors write them, then the time of day.
@@ -36,6 +39,12 @@ _TIME = re.compile(
     r"\s*(Z|[+-]\d{2}:?\d{2})?"
 )
 _UTC_OFFSET = re.compile(r"Z|[+-](?:0\d|1[0-4]):?[0-5]\d")  # civil time is within 14 h of UTC
+# Programs that read makers' notes, with arguments, and the lines of both that count.
+_READERS = ("exiftool", "-ExposureTime", "-FNumber", "-ISO"), ("exiv2",)
+_READ = tuple(
+    re.compile(rf"^(?:{name})\s*: F?(\d[\d.]*)(?:/(\d+))?", re.IGNORECASE | re.MULTILINE)
+    for name in ("exposure time", "f number|aperture", "iso|iso speed")
+)
 # First bytes of Panasonic (RW2) and Olympus (ORF) files, and those of a TIFF with the same content.
 TIFF_VARIANTS = {b"IIU\0": b"II*\0", b"IIRO": b"II*\0", b"IIRS": b"II*\0", b"MMOR": b"MM\0*"}
 
@@ -216,7 +225,26 @@ def _iso(tags: Tags) -> float:
     iso = next(iter(numbers(tags, _ISO)), 0.0)
     others = (numbers(tags, number) for number in _OTHER_ISO)
     stated = (values[0] for values in others if values and values[0] > 0)
-    return next(stated, 0.0) if iso in (0.0, 65535.0) else iso
+    return next(stated, 0.0) if iso in (0.0, _NO_ISO) else iso
+
+
+def by_other_program(path: Path) -> tuple[float, float, float]:
+    """Return shutter time [s], f-number and ISO by exiftool or exiv2; 0 for what they lack.
+
+    Some cameras state the ISO in their maker's notes alone, which Pillow does not read. Without one
+    of these programs all are 0.
+    """
+    for program, *options in _READERS:
+        if command := shutil.which(program):
+            with suppress(OSError, subprocess.SubprocessError):
+                call = [command, *options, str(path.absolute())]
+                shown = subprocess.run(
+                    call, capture_output=True, text=True, timeout=30, check=False
+                )
+                found = [pattern.search(shown.stdout) for pattern in _READ]
+                time, f, iso = (float(m[1]) / float(m[2] or 1) if m else 0.0 for m in found)
+                return time, f, 0.0 if iso == _NO_ISO else iso
+    return _NO_EXPOSURE
 
 
 def info_of(
