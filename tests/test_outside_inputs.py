@@ -951,6 +951,8 @@ OF_PROGRAMS = {
     "a spreadsheet in French": ("Date;Heure;GHI (W/m²);DHI (W/m²)\n", "{t:%d/%m/%Y;%H:%M};{g};{d}"),
     "a spreadsheet in Chinese": ("日期,时间,GHI (W/m²)\n", "{t:%Y/%m/%d,%H:%M},{g}"),
     "LabVIEW": ("Time\tGHI (W/m2)\tDHI (W/m2)\n", "{t:%Y-%m-%d %H:%M}\t{g}\t{d}"),
+    "pandas": (",ghi_wm2,dhi_wm2\n", "{t:%Y-%m-%d %H:%M:%S}+00:00,{g},{d}"),
+    "HOBOconnect": ('#,Date-Time (UTC),"Solar Radiation , W/m²"\n', "7,{t:%m/%d/%Y %H:%M:%S},{g}"),
     "MIDC": ("DATE (MM/DD/YYYY),LST,Global [W/m^2]\n", "{t:%m/%d/%Y,%H:%M},{g}"),
 }
 
@@ -1388,6 +1390,9 @@ def test_times_of_several_countries(tmp_path: Path, form: str, country: str) -> 
         ("2027-03-20 12:00 AM", datetime(2027, 3, 20, tzinfo=UTC)),
         ("2027-03-20 12:15:00 p.m.", datetime(2027, 3, 20, 12, 15, tzinfo=UTC)),
         ("2027/3/2 1:00p", datetime(2027, 3, 2, 13, tzinfo=UTC)),
+        ("202703201600", datetime(2027, 3, 20, 16, tzinfo=UTC)),
+        ("1805558400", datetime(2027, 3, 20, 16, tzinfo=UTC)),
+        ("1805558400500", datetime(2027, 3, 20, 16, 0, 0, 500000, tzinfo=UTC)),
     ],
 )
 def test_ends_and_halves_of_days(text: str, t: datetime) -> None:

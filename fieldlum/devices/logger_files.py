@@ -30,15 +30,15 @@ _MAX_TIME_STEP_S = 1.0
 _MAX_ROWS = 5_000_000  # two months of seconds, in 3 GB of memory
 _NETCDF = b"CDF"  # first bytes of a classic netCDF file (its format's specification)
 QUANTITIES = ("ghi_wm2", "dhi_wm2", "dni_wm2", "temperature_c")
-# Names of columns of times, of dates and of times of day, without spaces, brackets and a zone.
+# Letters of the names of columns of times, of dates and of times of day, without a zone.
 _TIMES = {
     "stamp": {
-        *("timestamp", "tmstamp", "datetime", "date/time", "date_time", "日時", "horodatage"),
-        *("datum/zeit", "datumzeit", "dateheure", "date/heure"),
+        *("timestamp", "tmstamp", "datetime", "datetimestamp", "referencetimestamp", "messdatum"),
+        *("datumzeit", "dateheure", "horodatage", "日時"),
     },
-    "date": {"date", "datum", "fecha", "data", "日期", "日付"},
+    "date": {"date", "datum", "dato", "fecha", "data", "日期", "日付"},
     "hour": {
-        *("time", "zeit", "uhrzeit", "heure", "hora", "ora", "tijd", "时间", "時刻"),
+        *("time", "zeit", "uhrzeit", "heure", "hora", "ora", "tijd", "tid", "czas", "时间", "時刻"),
         *("lst", "est", "cst", "mst", "pst"),
     },
 }
@@ -211,6 +211,7 @@ def _csv(path: Path, text: str) -> _Table:
 
     A second line of units counts before units in the names.
     """
+    text = re.sub(r"(?m)^#(?=[,;\t])", '"#"', text)  # a column of numbers, and no comment
     lines = strict_csv.numbered(strict_csv.lines_of(text))
     if not lines:
         expected = "a header with t_utc and one or more of ghi_wm2, dhi_wm2, dni_wm2"
@@ -255,8 +256,8 @@ def _mark_of(line: str) -> str:
 def _kind_of_time(name: str) -> str:
     """Return which times a column has by its name: a key of `_TIMES`, or "" for none."""
     plain = name.lower().replace(" ", "")
-    word = re.sub(r"[(\[][^()]*[)\]]$", "", _NAME_ZONE.sub("", plain))
-    if word in ("", "t") and word != plain:
+    word = re.sub(r"[(\[][^()]*[)\]]$|\W|_", "", _NAME_ZONE.sub("", plain))
+    if word in ("", "t") and _NAME_ZONE.search(plain):
         return "stamp"
     return next((kind for kind, words in _TIMES.items() if word in words), "")
 
@@ -528,7 +529,8 @@ class _Clock:
             [k for k, own in enumerate(kinds) if own == kind] for kind in _TIMES
         )
         others = [[dates[0], hours[0]]] if dates and hours else [[k] for k in (*dates, *hours)]
-        found = [*([k] for k in stamps), *others]
+        unnamed = [[0]] if not names[0] else []  # the index of a table, as pandas writes it
+        found = [*([k] for k in stamps), *others] or unnamed
         if not found:
             columns = f"columns {', '.join(table.names)[:120]}"
             remedy = "name it t_utc if its times are in UTC, else time, and state --utc-offset"
