@@ -245,6 +245,27 @@ def test_pvgis_in_json_is_the_csv(tmp_path: Path) -> None:
         table(tmp_path / "b.json")
 
 
+@pytest.mark.slow
+@pytest.mark.contract
+def test_a_wea_file_of_radiance_has_the_hours_of_the_epw(tmp_path: Path) -> None:
+    """Written as epw2wea does it, with longitude and zone to the west; units 2 are luminance."""
+    light = light_of(WEST, hours_of(WEST))
+    head = "place Town_USA\nlatitude 33.80\nlongitude 118.10\ntime_zone 120\nsite_elevation 10.0\n"
+    rows = [
+        f"{t.month} {t.day} {t.hour + 0.5:.3f} {dni:.1f} {dhi:.1f}"
+        for t, (dni, dhi, _) in zip(hours_of(WEST), light, strict=True)
+    ]
+    path = tmp_path / "a.wea"
+    path.write_text(head + "\n".join(["weather_data_file_units 1", *rows]) + "\n")
+    a = read_weather(path, WEST)
+    b = read_weather(write_epw(tmp_path / "a.epw", WEST, light), WEST)
+    assert a.t_utc == b.t_utc and a.repairs == b.repairs == ()
+    assert (a.dni_wm2 == b.dni_wm2).all() and (a.dhi_wm2 == b.dhi_wm2).all()
+    path.write_text(path.read_text().replace("units 1", "units 2"))
+    with pytest.raises(InputError, match="weather_data_file_units 2; expected 1"):
+        table(path, WEST)
+
+
 def sam(path: Path, minute: str | None = None, source: str = "NSRDB") -> Path:
     keys = "Source,Location ID,City,State,Country,Latitude,Longitude,Time Zone,Elevation"
     names = "Year,Month,Day,Hour,GHI,DNI,DHI,Tdry" + (",Minute" if minute else "")

@@ -368,6 +368,27 @@ def _read_tmy2(path: Path, lines: list[str], site: Site) -> WeatherTable:
     return WeatherTable(rows, typical=True, place=place, clock=clock, shift=_HALF)
 
 
+def _read_wea(path: Path, lines: list[str], site: Site) -> WeatherTable:
+    """Return the rows of a .wea file of Radiance: the middles of hours, in standard time.
+
+    Its longitude and time zone are degrees, positive to the west (gendaymtx's manual).
+    """
+    words = (line.partition(" ") for line in lines[:6])
+    about = {key: value.strip() for key, _, value in words}
+    if (unit := about.get("weather_data_file_units", "?")) != "1":
+        expected = "1: direct normal and diffuse horizontal irradiance in W/m2"
+        raise InputError(path, f"weather_data_file_units {unit}", expected, "write it again")
+    keys = ("latitude", "longitude", "site_elevation", "time_zone")
+    with input_errors(path, f"{', '.join(keys)} in the header", _AGAIN, KeyError, ValueError):
+        latitude, west, altitude, zone = (float(about[key]) for key in keys)
+    numbers = [latitude, -west, altitude, -zone / 15.0]
+    place, clock = _place(path, numbers, "a place", about["place"])
+    cells = [(k, ",".join(line.split())) for k, line in strict_csv.numbered(lines[6:], 7)]
+    found = strict_csv.split_rows(path, cells, 5)
+    rows = _rows(path, found, {"dni": 3, "dhi": 4}, lambda c: _moment(("2023", *c[:2]), c[2]))
+    return WeatherTable(rows, True, place, clock)
+
+
 def _read_pvgis(path: Path, lines: list[str], site: Site) -> WeatherTable:
     """Return the rows of a csv of PVGIS, a typical year or an hourly series.
 
@@ -517,6 +538,7 @@ def _place_comment(path: Path, lines: list[str], site: Site) -> tuple[Site | Non
 FORMATS: tuple[tuple[str, Callable[[Path, list[str], Site], WeatherTable]], ...] = (
     (r"\.tm2\n", _read_tmy2),
     (r"\.epw\n|.*\n(?i:LOCATION),", _read_epw),
+    (r".*\nplace .*\nlatitude ", _read_wea),
     (r".*\nLatitude \(decimal degrees\)", _read_pvgis),
     (r".*\n[\[{]", _read_pvgis_json),
     (r".*\n(Source,|(?i:(?!.*dni)(.*,)?lat(itude)?,))", _read_sam),
