@@ -76,7 +76,9 @@ def test_a_line_of_journal_and_log_is_on_the_disk_when_append_returns(
     tmp_path: Path, disk: DiskLayer, flush: bool
 ) -> None:
     session = make_session(tmp_path / "s", slots=1)
+    disk.events.clear()
     journal, days = Journal(session, flush=flush), DayFiles(session, flush=flush)
+    assert disk.flushed_after(0, session.root) == flush, "with its name"
     for number in range(2):
         disk.events.clear()
         journal.append("done", T0, slot="a")
@@ -85,6 +87,7 @@ def test_a_line_of_journal_and_log_is_on_the_disk_when_append_returns(
         days.append(IrradianceSample(T0 + timedelta(seconds=number), ghi_wm2=500.0))
         about = (session.irradiance / f"{T0:%Y-%m-%d}.csv").stat()
         assert (("flush", about.st_ino, about.st_size) in disk.events) == flush
+        assert disk.flushed_after(0, session.irradiance) == (flush and number == 0)
     journal.close()
     days.close()
 

@@ -97,7 +97,8 @@ class DayFiles:
         try:
             if spoilt or os.fstat(handle).st_size == 0:
                 append_complete(handle, b"\n" * spoilt + _DAY_HEADER, flush=self._flush)
-                sync_folder(self._folder)
+                if self._flush:
+                    sync_folder(self._folder)
         except OSError:
             os.close(handle)
             raise

@@ -76,7 +76,10 @@ class Journal:
 
     def _open(self) -> int:
         files.separate(self._path)
-        return open_inside(self._root, self._path, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
+        handle = open_inside(self._root, self._path, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
+        if self._flush:
+            files.sync_folder(self._root)
+        return handle
 
     def append(self, event: str, t_utc: datetime, **fields: Any) -> None:
         """Append an event; with `flush` it is on the disk when this returns.
