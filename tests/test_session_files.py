@@ -29,6 +29,7 @@ from fieldlum.session.files.model_files import MAX_MAPS, HeldOutMaps, ModelConfi
 from fieldlum.session.files.pairs_csv import PairRow, PairsFile
 from fieldlum.session.files.predict_json import PredictFile
 from fieldlum.session.files.sidecar import MergeReport, Sidecar
+from fieldlum.session.panorama_sun import SunRow, read_suns, write_suns
 
 NOON = datetime(2027, 12, 21, 20, 0, tzinfo=UTC)
 SLOT = Slot(NOON, 18.0, 180.0, (Exposure(0.01, 5.6),))
@@ -239,3 +240,33 @@ def test_an_npz_with_an_impossible_array_is_refused(
         archive.writestr("a.npy", head.getvalue() + b"eight by")
     with pytest.raises(NPZ_ERRORS):
         read_arrays(tmp_path / "a.npz")
+
+
+@pytest.mark.contract
+def test_suns_of_a_newer_version_are_refused(tmp_path: Path) -> None:
+    row = SunRow("panoramas/a.exr", 30.0, 180.0, 231.0, 1.0, "dni", 0.0)
+    write_suns(tmp_path / "suns.csv", [row])
+    assert read_suns(tmp_path / "suns.csv") == {row.panorama: row}
+    write_suns(tmp_path / "suns.csv", [row, replace(row, format=99)])
+    with pytest.raises(InputError, match="newer fieldlum"):
+        read_suns(tmp_path / "suns.csv")
+
+
+@pytest.mark.contract
+def test_only_optional_keys_of_a_report_are_left_out_when_empty() -> None:
+    empty, full = MergeReport().table(), MergeReport(lost=("a.dng",)).table()
+    assert "lost" not in empty and "shutter_law" not in empty
+    assert empty["frames"] == [] and empty["clipped_percent"] is None
+    assert full == {**empty, "lost": ["a.dng"]}
+
+
+@pytest.mark.contract
+def test_arrays_may_expand_by_16_mib(tmp_path: Path) -> None:
+    """0.1.0 compressed the mask of seen pixels of its models."""
+    for size, is_read in ((15 * 2**20, True), (17 * 2**20, False)):
+        np.savez_compressed(tmp_path / "a.npz", seen=np.zeros(size, bool))
+        if is_read:
+            assert len(read_arrays(tmp_path / "a.npz")["seen"]) == size
+        else:
+            with pytest.raises(ValueError, match="it is compressed"):
+                read_arrays(tmp_path / "a.npz")
