@@ -7,10 +7,9 @@ The names of the Python API are loaded from `fieldlum.api` when they are first u
 # ruff: noqa: F403, F405
 from typing import TYPE_CHECKING, Any
 
-from fieldlum.version import __version__
-
 if TYPE_CHECKING:
     from fieldlum.api import *
+    from fieldlum.version import __version__
 
 # The list of the API. `fieldlum.api` imports each name; a test compares them.
 __all__ = [
@@ -39,9 +38,9 @@ def __getattr__(name: str) -> Any:
     """Load a name of the API (PEP 562)."""
     if name not in __all__:
         raise AttributeError(f"module 'fieldlum' has no attribute '{name}'")
-    from fieldlum import api
+    from fieldlum import api, version
 
-    return getattr(api, name)
+    return getattr(version if name == "__version__" else api, name)
 
 
 def __dir__() -> list[str]:

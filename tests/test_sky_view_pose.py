@@ -142,6 +142,8 @@ def test_no_disc_is_the_stated_pose() -> None:
     pose = pose_of_discs(none, SEATTLE, 90.0)
     assert pose.values.tolist() == [0.0, 0.0, 0.0, 0.0] and pose.heading_sd_deg == 2.5
     assert "would settle" in pose.notes[0]
+    (note,) = pose.with_heading(1.0, 0.3).notes  # no contradiction to "as stated"
+    assert "used: +1.0 +- 0.3; level as stated, to 1 degrees" in note
 
 
 @pytest.mark.property

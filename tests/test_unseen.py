@@ -42,7 +42,7 @@ from fieldlum.year.glare.metrics import (
 from fieldlum.year.glare.picture_glare import picture_glare
 from fieldlum.year.glare.pictures import parse_view, picture_views
 from fieldlum.year.glare.sources import panorama_views, position_index
-from fieldlum.year.predict.year import report_hours
+from fieldlum.year.predict.year import report_hours, unsure_hours
 
 HEIGHT, HEADING_DEG = 16, 180.0
 LENS = LensGeometry((0.0, 0.0), 100.0, 180.0, "equidistant")
@@ -182,6 +182,11 @@ def test_a_year_has_no_figure_behind_the_camera(year: predict.Annual) -> None:
     assert any("have no result" in note and "0° (N)" in note for note in year.about["notes"])
     again = predict.read_annual(year.folder)
     assert not again.judged[5] and again.judged[0]
+    # wide bounds of partly seen directions are no doubt about the fully seen ones
+    sure = replace(again, hours=again.hours | {"trusted": np.ones(len(again))})
+    for seen in ("seen", "partly seen"):
+        rows = [structs.replace(row, seen=seen) for row in sure.summary.protection]
+        assert unsure_hours(sure, rows)[1].any() == (seen == "seen")
 
 
 @pytest.mark.slow

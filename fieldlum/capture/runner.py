@@ -98,8 +98,8 @@ def prepare(session: Session, *, fast: bool) -> tuple[Clock, Options]:
     states = read_slot_states(session)
     slots = slots_to_do(session.slots(), states)
     first = slots[0].t_utc - timedelta(seconds=60) if slots else datetime.now(UTC)
-    # four rows of irradiance at 5 s before a slot
-    options = Options(grace_s=grace_s, log_around_s=20.0, threaded=False, flush=False)
+    # four rows of irradiance at 5 s before a slot; a simulated device does not hang, it computes
+    options = Options(grace_s, log_around_s=20.0, threaded=False, watchdog_s=3600.0, flush=False)
     return FastClock(states.last_utc or first), options
 
 
@@ -151,7 +151,8 @@ def refuse_early_clock(now_utc: datetime, last_utc: datetime) -> None:
     if now_utc < last_utc - timedelta(seconds=2):
         found = f"this computer's clock shows {now_utc:%Y-%m-%d %H:%M:%S} UTC"
         last = f"before the last journal entry ({last_utc:%Y-%m-%d %H:%M:%S})"
-        raise DeviceError(f"{found}, {last}: set the clock, then start again")
+        remedy = "set the clock, or state --clock fast again for a simulated capture"
+        raise DeviceError(f"{found}, {last}: {remedy}")
 
 
 def refuse_past_plan(

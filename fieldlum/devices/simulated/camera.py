@@ -170,7 +170,6 @@ class SimulatedCamera(Camera):
         about: dict[str, Any] = {"lens": lens, "clock_offset_s": clock_offset_s}
         about |= {"frames_left": frames_left, "serial": f"SIM{seed:04d}"}
         self.info = CameraInfo("sim", make=body.make, model=body.model, **about)
-        self._views = lru_cache(maxsize=8)(self._views_of)
         self._shading = lru_cache(maxsize=8)(self._shading_of)
         self._last: tuple[Panorama, float, Floats32] | None = None
 
@@ -240,7 +239,7 @@ class SimulatedCamera(Camera):
             self._last = (panorama, heading_deg, image)
         return self._last[2]
 
-    def _views_of(
+    def _views(
         self, turn_deg: float, panorama: tuple[int, int], grid: SkyGrid | None
     ) -> list[optics.LensSampling]:
         lenses = (linear_light.lens_geometry(lens, turn_deg) for lens in self._profile.lens)

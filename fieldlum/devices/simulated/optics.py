@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -38,6 +39,7 @@ class LensSampling:
     weights: csr_array
 
 
+@lru_cache(maxsize=8)  # also for a camera that is opened again: 20 megapixels take 16 s
 def lens_sampling(
     lens: LensGeometry,
     sensor: tuple[int, int],

@@ -110,7 +110,9 @@ class CameraPose:
             return replace(self, notes=(*self.notes, note))
         after = self._updated(by_deg, u_deg)
         used = f"{text}; used: {after.heading_deg:+.1f} +- {after.heading_sd_deg:.1f}"
-        return replace(after, notes=(*self.notes, used))
+        if not self.discs:
+            used += f"; level as stated, to {2 * STATED_SD[1]:g} degrees"
+        return replace(after, notes=(*(n for n in self.notes if n != _NO_DISC), used))
 
     def turned(self, north_deg: float, u_deg: float) -> CameraPose:
         """Return the pose relative to a stated heading that is corrected by `north_deg` +- `u_deg`.

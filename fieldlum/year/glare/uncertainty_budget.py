@@ -31,7 +31,7 @@ from fieldlum.year.glare.sources import panorama_views
 # relative u of a disc's illuminance by DNI: luminous efficacy and glass together; not measured
 U_DISC = 0.05
 BUDGET_FILE = "budget.csv"  # of a predicted year
-_NORMAL = "normal"
+_NORMAL, CAMERA = "normal", "camera"
 
 
 class Source(NamedTuple):
@@ -190,7 +190,14 @@ def of_share(name: str, kind: str, u_rel: float, shared_by: str = "all hours") -
 
 def camera_changes(u_rel: Mapping[str, float], figure: Floats) -> list[tuple[Source, Floats]]:
     """Return each part of the camera's calibration, with what its u adds to a figure, [n, d]."""
-    return [(of_share(f"camera {name}", "B", u), u * figure) for name, u in u_rel.items()]
+    return [(of_share(f"{CAMERA} {name}", "B", u), u * figure) for name, u in u_rel.items()]
+
+
+def camera_share(budgets: Sequence[Budget]) -> float:
+    """Return the camera's calibration's share of the variances of `budgets`, 0 to 1."""
+    sources = [source for each in budgets for source in each.sources]
+    camera = sum(s.contribution**2 for s in sources if s.name.startswith(CAMERA))
+    return camera / max(sum(s.contribution**2 for s in sources), 1e-12)
 
 
 def budgets_of_year(

@@ -184,11 +184,11 @@ def _judged(
     rows = protection(dgp, u, hours_used, azimuths, rng, u_rel * dgp_per_scale(dgp, ev_lx))
     budgets = budget.year_budget(dgp, ev_lx, u, hours_used, azimuths, camera)
     count = int(used.sum())
-    untrusted, wide = (float(hours.sum()) / max(count, 1) for hours in unsure_hours(annual))
+    untrusted, wide = (float(hours.sum()) / max(count, 1) for hours in unsure_hours(annual, rows))
     shares = (
         [] if room.seen is None else projection.seen_shares(room.seen, room.heading_deg, azimuths)
     )
-    rule = summary.inputs["occupancy"]
+    rule, notes = summary.inputs["occupancy"], _notes(summary, room, untrusted, wide)
     summary = structs.replace(
         summary,
         occupancy=YearOccupancy(
@@ -200,7 +200,7 @@ def _judged(
         ),
         seen_share=tuple(round(float(share), 3) for share in shares),
         u_scale_rel=u_rel,
-        notes=(*_notes(summary, room, untrusted, wide), *_unseen_notes(rows)),
+        notes=(*notes, *_camera_note(budgets), *_unseen_notes(rows)),
         protection=rows,
     )
     return replace(annual, summary=summary), budgets
@@ -401,14 +401,23 @@ def _unseen_notes(rows: Sequence[DirectionYear]) -> Iterator[str]:
             yield f"the view directions {named} {meaning}"
 
 
-def unsure_hours(annual: Annual) -> tuple[Mask, Mask]:
+def _camera_note(budgets: Sequence[budget.Budget]) -> Iterator[str]:
+    if (share := budget.camera_share(budgets)) > 0.5:
+        yield (
+            f"{100 * share:.0f} % of the variance behind the classes' intervals is the camera's "
+            "calibration (budget.csv): fieldlum calibrate makes them smaller"
+        )
+
+
+def unsure_hours(annual: Annual, rows: Sequence[DirectionYear]) -> tuple[Mask, Mask]:
     """Return the lit occupied hours with an untrusted map, and the others with a wide interval.
 
-    An interval of DGP is wide if its 95 % are wider than 0.2 in a direction that was seen. Masks
-    over all hours of `annual`, [n].
+    An interval of DGP is wide if its 95 % are wider than 0.2 in a direction that was fully seen;
+    `_unseen_notes` has the others. Masks over all hours of `annual`, [n].
     """
     untrusted = annual.occupied & (annual.hours["trusted"] < 1)
-    gap = (annual.views["dgp_high"] - annual.views["dgp_low"])[:, annual.judged]
+    full = [row.seen == projection.SEEN for row in rows]
+    gap = (annual.views["dgp_high"] - annual.views["dgp_low"])[:, full]
     widest = np.nan_to_num(gap).max(axis=1, initial=0.0)
     return untrusted, annual.occupied & ~untrusted & (widest > _WIDE_DGP)
 
@@ -434,9 +443,9 @@ def _notes(summary: PredictFile, room: ModelRoom, untrusted: float, wide: float)
             f"DGP is uncertain in {100 * (untrusted + wide):.0f} % of the occupied hours with "
             f"daylight. In {100 * untrusted:.0f} % no similar light was captured, {mirror}or the "
             f"model expects a large error. In {100 * wide:.0f} % the 95 % interval is wider than "
-            f"{_WIDE_DGP:g} in some direction: often the sky view does not decide whether the "
-            "sun's disc is seen; capture clear hours with the sun in a window, which also give the "
-            "camera's heading"
+            f"{_WIDE_DGP:g} in a fully seen direction: often the sky view does not decide whether "
+            "the sun's disc is seen; capture clear hours with the sun in a window, which also give "
+            "the camera's heading"
         )
     return notes
 
