@@ -44,7 +44,7 @@ RANKS = (
         "year.glare",
     },
     {"bench", "learn.models", "learn.train", "learn.transport", "room.fit", "year.predict"},
-    {"api", "cli", "demo", "report", "report.campaign", "web"},
+    {"__main__", "api", "cli", "demo", "report", "report.campaign", "web"},
 )
 RANK = {module: rank for rank, modules in enumerate(RANKS) for module in modules}
 STAGES = 4
