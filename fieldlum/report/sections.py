@@ -69,7 +69,7 @@ def _class_words(row: DirectionYear) -> str:
     name = f"{row.glare_class} protection"
     words = f"{'worse than minimum protection' if row.glare_class == 'none' else name} from glare"
     if row.seen == PARTLY_SEEN and not row.certain:
-        words += ", for the part of the view that was seen,"
+        words += " for the seen part of the view"
     if row.low is None:
         return f"{words}; this model cannot state a confidence"
     return words if row.certain else f"{words} is likeliest, but the captures do not decide it yet"
