@@ -75,7 +75,7 @@ def main() -> None:
         assert scene.chosen == "fitted", scene.verdict
         cases = {
             "stated box": (with_box(user, stated), with_box(test, stated)),
-            "fitted scene": (chosen, with_fitted(test, found.scene, captures=False)),
+            "fitted scene": (chosen, with_fitted(test, found, captures=False)),
         }
         for label, (data, hours) in cases.items():
             mse, year = glare_of(data, hours)

@@ -152,14 +152,13 @@ def judge_room(path: Path, draw: int, hours: Array | None, wanted: argparse.Name
     scene = judged_scene(user, found)
     cpu = time.process_time() - begin
     if wanted.pictures:
-        used = found.used(user)
-        draw_scene(wanted.pictures / path.stem, used, found.scene, scene_evidence(used, stated))
+        draw_scene(wanted.pictures / path.stem, user, found, scene_evidence(user, stated))
     pairs = {
         "none": (with_box(user, None), with_box(test, None)),
         "stated": (with_box(user, stated), with_box(test, stated)),
         "fitted": (
-            fitted(user, found.scene, captures=True),
-            fitted(test, found.scene, captures=False),
+            fitted(user, found, captures=True),
+            fitted(test, found, captures=False),
         ),
         "exact geometry": exact_pair(path, *exact, clock),
         "exact patches": exact,
@@ -168,7 +167,7 @@ def judge_room(path: Path, draw: int, hours: Array | None, wanted: argparse.Name
     seen = draw_pixels(user, np.random.default_rng(9), wanted.scored)
     scores = {name: score_of(*pair, seen) for name, pair in pairs.items()}
     errors = {name: score.error for name, score in scores.items()}
-    off = offsets(path, found.scene, stated, north, clock)
+    off = offsets(path, found, stated, north, clock)
     return Judged(path.stem, draw, errors, scene, off, cpu, scores.get(scene.chosen))
 
 

@@ -19,7 +19,6 @@ from fieldlum.room import scene
 from fieldlum.room.fit import stage
 from fieldlum.room.fit.apply_scene import with_patches
 from fieldlum.room.fit.evidence import scene_evidence
-from fieldlum.room.fit.fit import SceneFit
 from fieldlum.room.fit.scene_file import Scene
 from fieldlum.room.fit.stage import choose_geometry, directions_apart, expected_year
 from fieldlum.room.fit.sunny_hours import direct_on_windows_lx, sunny_hours
@@ -210,10 +209,10 @@ def test_a_scene_that_explains_little_says_so() -> None:
     assert chosen == "fitted" and "leave 60 %" in reason
 
 
-def _fit_of(captures: Dataset) -> SceneFit:
+def _fit_of(captures: Dataset) -> Scene:
     """A fit whose misfits speak for the fitted scene, which is the true room."""
     misfit = {"none": 0.3, "stated": 0.2, "fitted": 0.1}
-    scene = Scene(
+    return Scene(
         north_deg=0.0,
         clock_min=0.0,
         room=ROOM,
@@ -224,7 +223,6 @@ def _fit_of(captures: Dataset) -> SceneFit:
         hours=20,
         misfit=misfit,
     )
-    return SceneFit(scene, np.empty(0, np.intp))
 
 
 STATED = replace(CAPTURES, patch_cdm2=None, setup=replace(CAPTURES.setup, room=SHIFTED))
@@ -256,8 +254,6 @@ def test_too_few_directions_of_the_sun_are_not_trusted() -> None:
 def test_a_choice_by_few_clear_hours_is_not_trusted(monkeypatch: pytest.MonkeyPatch) -> None:
     year = YearExpectation(3e-3, 0.9, 150)
     monkeypatch.setattr(stage, "expected_year", lambda *_args, **_more: year)
-    fit = _fit_of(STATED)
-    fit = replace(fit, scene=replace(fit.scene, hours=15))
-    scene_ = stage.judged_scene(STATED, fit)
+    scene_ = stage.judged_scene(STATED, replace(_fit_of(STATED), hours=15))
     assert scene_.chosen == "fitted" and not scene_.trusted
     assert any("until there are 18" in note for note in scene_.notes)

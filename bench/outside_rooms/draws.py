@@ -71,9 +71,8 @@ def judge(case: Path, draws: list[float]) -> None:
     for draw in draws:
         evidence.DRAW = draw
         begin = time.process_time()
-        found = fit_scene(data, room)
+        scene = fit_scene(data, room)
         cpu = time.process_time() - begin
-        scene = found.scene
         captures = with_scene(data, scene)
         assert captures.patch_cdm2 is not None
         first = captures.patch_cdm2 if first is None else first

@@ -55,14 +55,13 @@ def fit(
           set by NTP.
     """
     from fieldlum.learn.models.training_data import load_pairs
-    from fieldlum.learn.train.outliers import find_changes
     from fieldlum.room.fit.stage import run
 
     folder = out or (pairs if pairs.is_dir() else pairs.parent) / "scene"
     with progress("reading pictures"):
         data = load_pairs(pairs, site)
     with progress("fitting the scene"):
-        scene, files = run(data, folder, clock_sd_min=clock_sd, find_changes=find_changes)
+        scene, files = run(data, folder, clock_sd_min=clock_sd)
     print_answer(as_json, answer_of(scene), _lines(scene))
     notes(() if as_json else scene.notes)
     say("written: " + ", ".join(str(file) for file in files))

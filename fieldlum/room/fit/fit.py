@@ -7,17 +7,15 @@ lowers the misfit of all sunny hours most, if its gain exceeds its standard erro
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from fieldlum.core.arrays import Floats, Indices
-from fieldlum.core.errors import NotEnoughDataError
+from fieldlum.core.arrays import Floats
 from fieldlum.core.progress import progress
 from fieldlum.core.records import Room
-from fieldlum.room.fit.apply_scene import corrected, with_patches
 from fieldlum.room.fit.elements import KINDS, Kind
 from fieldlum.room.fit.evidence import PIXELS, SceneEvidence, scene_evidence
 from fieldlum.room.fit.guess import Guess, guess_of, room_of
@@ -37,9 +35,6 @@ if TYPE_CHECKING:
     from fieldlum.learn.models.training_data import Dataset
     from fieldlum.room.fit.pose_prior import PosePrior
 
-# Fewer captures of a changed room hardly move a robust search, and imperfect patches, as of trees,
-# can make one look changed. Chosen.
-_FEWEST_CHANGED = 3
 OPEN_WALL_DEG = 0.5  # chosen: a window's edge 3 m from the camera is 3 cm off
 # Clocks from which searches start if their uncertainty is over a minute: slightly beyond the
 # prior's 5 minutes; chosen.
@@ -52,22 +47,6 @@ SURE = 1.0  # standard errors over hours by which an element lowers the cost; ch
 MODEL_ERROR = 4.0
 
 
-@dataclass(frozen=True)
-class SceneFit:
-    """A fitted scene that no verdict has judged yet.
-
-    scene: with chosen "fitted" and an empty verdict; misfit: mean of `SceneEvidence.misfit`.
-    changed: indices of captures of a changed room, which were not used [k].
-    """
-
-    scene: Scene
-    changed: Indices
-
-    def used(self, data: Dataset) -> Dataset:
-        """Return the captures that the fit used; data: all that it was given."""
-        return data.take(np.setdiff1d(np.arange(len(data)), self.changed))
-
-
 def fit_scene(
     data: Dataset,
     room: Room,
@@ -75,39 +54,25 @@ def fit_scene(
     pose: PosePrior | None = None,
     clock_sd_min: float = CLOCK_SD_MIN,
     pixels: int = PIXELS,
-    find_changes: Callable[..., Any] | None = None,
-) -> SceneFit:
+) -> Scene:
     """Find the scene that explains the sun patches of the captures, starting from the stated box.
 
-    pose: camera pose and clock from the sun's discs, if any. clock_sd_min: standard uncertainty of
-    the stated times; it is ignored with `pose`, which includes it. pixels: number to sample.
-    find_changes: `learn.train.outliers.find_changes`; if it finds captures of a changed room
-    with the scene's patches, the search is repeated without them. Raises InputError for a room that
-    is not a box, has no window or is impossible, NotEnoughDataError for fewer than six captures
-    with direct sun on a window.
+    Return it with chosen "fitted", an empty verdict, and the mean of `SceneEvidence.misfit`. pose:
+    camera pose and clock from the sun's discs, if any. clock_sd_min: standard uncertainty of the
+    stated times; it is ignored with `pose`, which includes it. pixels: number to sample. Captures
+    of a changed room, as with a lamp or a blind, hardly move the robust search. Raises InputError
+    for a room that is not a box, has no window or is impossible, NotEnoughDataError for fewer than
+    six captures with direct sun on a window.
     """
-
-    def searched(captures: Dataset) -> SceneSearch:
-        progress(0, 100, "light below the patches")
-        found = SceneSearch(captures, room, pose, clock_sd_min, pixels)
-        found.run(lambda done, text: progress(done, 100, text))
-        return found
-
     with threadpool_limits(1, user_api="blas"):
-        found = searched(data)
-        changed = np.empty(0, np.intp)
-        if find_changes is not None:
-            changed = _changed_captures(found, find_changes)
-        if len(changed):
-            try:
-                found = searched(data.take(np.setdiff1d(np.arange(len(data)), changed)))
-            except NotEnoughDataError:
-                changed = changed[:0]
+        progress(0, 100, "light below the patches")
+        found = SceneSearch(data, room, pose, clock_sd_min, pixels)
+        found.run(lambda done, text: progress(done, 100, text))
         progress(90, 100, "uncertainties")
         u = found.uncertainties()
     progress(100, 100, "")
     guess, parameters = found.guess, found.parameters
-    scene = Scene(
+    return Scene(
         north_deg=guess.north_deg,
         clock_min=guess.clock_min,
         room=true_room(guess, room, found.albedo),
@@ -120,9 +85,8 @@ def fit_scene(
         before={p.name: p.measured(found.start) for p in parameters},
         after={p.name: p.measured(guess) for p in parameters},
         u=u,
-        notes=tuple(_notes(u, found.evidence, len(changed), len(data))),
+        notes=tuple(_notes(u, found.evidence)),
     )
-    return SceneFit(scene, changed)
 
 
 class SceneSearch:
@@ -285,23 +249,8 @@ def true_room(guess: Guess, stated: Room, albedo: Floats) -> Room:
     )
 
 
-def _changed_captures(found: SceneSearch, find_changes: Callable[..., Any]) -> Indices:
-    """Return the captures with a lamp, or that contradict the other days, under a scene's patches.
-
-    They are indices from 0 [k]; none if they are fewer than three.
-    """
-    guess = found.guess
-    room = true_room(guess, found.room, found.albedo)
-    lit = with_patches(corrected(found.data, guess.north_deg, guess.clock_min, room))
-    changes = find_changes(lit, with_patch=True)
-    changed = np.empty(0, np.intp)
-    if changes is not None:
-        changed = np.union1d(changes.lamp, changes.unexplained)
-    return changed if len(changed) >= _FEWEST_CHANGED else changed[:0]
-
-
-def _notes(u: dict[str, float], evidence: SceneEvidence, changed: int, count: int) -> list[str]:
-    """Return sentences for the user; changed: number of the `count` captures that are left out."""
+def _notes(u: dict[str, float], evidence: SceneEvidence) -> list[str]:
+    """Return sentences for the user."""
     notes = []
     if u["north_deg"] > 0.2 and u["clock_min"] > 0.8:
         notes.append(
@@ -317,10 +266,5 @@ def _notes(u: dict[str, float], evidence: SceneEvidence, changed: int, count: in
         notes.append(
             "sunny hours on fewer than three days: the uncertainties do not "
             "include differences between days; capture more days"
-        )
-    if changed:
-        notes.append(
-            f"in {changed} of {count} captures a lamp was on, or the light contradicts the "
-            "other days: the fit does not use them; see the warnings of train"
         )
     return notes

@@ -1,9 +1,8 @@
 """Run a scene fit from captures to scene.toml and pictures (`fieldlum scene fit`)."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from fieldlum.room.fit.apply_scene import with_scene
 from fieldlum.room.fit.checks import check_captures, reversed_compass_note
 from fieldlum.room.fit.draw_scene import draw
 from fieldlum.room.fit.evidence import scene_evidence
-from fieldlum.room.fit.fit import SceneFit, fit_scene
+from fieldlum.room.fit.fit import fit_scene
 from fieldlum.room.fit.parameters import CLOCK_SD_MIN
 from fieldlum.room.fit.pose_prior import pose_note, pose_of, prior_of
 from fieldlum.room.fit.scene_file import Chosen, Scene, write_scene
@@ -27,20 +26,16 @@ from fieldlum.sky.sky_view.measured_discs import read_discs
 
 
 def run(
-    data: Dataset,
-    out: Path,
-    *,
-    clock_sd_min: float = CLOCK_SD_MIN,
-    find_changes: Callable[..., Any] | None = None,
+    data: Dataset, out: Path, *, clock_sd_min: float = CLOCK_SD_MIN
 ) -> tuple[Scene, list[Path]]:
     """Fit the scene of captures and write scene.toml, overlay.png and plan.svg; return their paths.
 
     out: the folder, created if needed. Centres of the sun's disc that merge measured are used if
-    there are at least three. find_changes: see `fit_scene`. clock_sd_min: standard uncertainty of
-    the captures' times. Raises InputError without a `[room]`, for one that is not a box, has no
-    window or is impossible, for captures that contradict it (`checks.check_captures`), and for a
-    damaged sidecar; NotEnoughDataError for fewer than six captures with direct sun on a window.
-    Nothing is written then.
+    there are at least three. clock_sd_min: standard uncertainty of the captures' times. Raises
+    InputError without a `[room]`, for one that is not a box, has no window or is impossible, for
+    captures that contradict it (`checks.check_captures`), and for a damaged sidecar;
+    NotEnoughDataError for fewer than six captures with direct sun on a window. Nothing is written
+    then.
     """
     room = data.setup.room
     if room is None:
@@ -53,34 +48,26 @@ def run(
     pose = pose_of(discs, data.setup.site, data.heading_deg, clock_sd_min)
     note = reversed_compass_note(data, room)
     try:
-        fit = fit_scene(
-            data,
-            room,
-            pose=pose and prior_of(pose),
-            clock_sd_min=clock_sd_min,
-            find_changes=find_changes,
-        )
+        fitted = fit_scene(data, room, pose=pose and prior_of(pose), clock_sd_min=clock_sd_min)
     except NotEnoughDataError as error:
         raise NotEnoughDataError(f"{error}; {note}" if note else str(error)) from None
     notes = [] if pose is None else [pose_note(pose, len(discs))]
     notes += [note] if note else []
-    scene = judged_scene(data, fit)
+    scene = judged_scene(data, fitted)
     scene = replace(scene, notes=(*notes, *scene.notes))
-    used = fit.used(data)
-    pictures = draw(out, used, fit.scene, scene_evidence(used, room))
+    pictures = draw(out, data, fitted, scene_evidence(data, room))
     return scene, [write_scene(out, scene), *pictures]
 
 
-def judged_scene(data: Dataset, fit: SceneFit) -> Scene:
-    """Return the fit as a scene, with the geometry of the smallest misfit and its expected error.
+def judged_scene(data: Dataset, fitted: Scene) -> Scene:
+    """Return a fitted scene with the geometry of the smallest misfit, and its expected error.
 
     The scene is trusted if there are enough sunny hours (`why_untrusted`), and if the model trusts
     at least half of a year's hours. With fewer than three directions of the sun, the expected error
-    is unknown (None). data: all captures that the fit was given.
+    is unknown (None). data: the captures of the fit.
     """
-    data = fit.used(data)
-    chosen, reason = choose_geometry(fit.scene.misfit)
-    scene = replace(fit.scene, chosen=chosen, verdict=reason)
+    chosen, reason = choose_geometry(fitted.misfit)
+    scene = replace(fitted, chosen=chosen, verdict=reason)
     why = why_untrusted(data, scene.stated_room, scene.hours)
     if why:
         scene = replace(scene, trusted=False, notes=(*scene.notes, why))
