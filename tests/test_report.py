@@ -379,4 +379,9 @@ def test_shares_of_the_year_with_enough_melanopic_light(tmp_path: Path) -> None:
     guess = replace(year, views=blank | some)
     ((hours, days),) = melanopic_shares(guess, "UTC")
     assert hours.text() == "0 %" and [share.value for share in days] == [100.0, 100.0, 100.0, 0.0]
-    assert melanopic_section(guess, "UTC").text.startswith("An estimate")
+    text = melanopic_section(guess, "UTC").text
+    assert text.startswith("An estimate") and "Daylight alone" in text
+    for lamps, words in (("", "Intervals allow for lamps"), ("off", "Daylight alone")):
+        stated = PredictFile(days=2, inputs={"lamps": lamps})
+        seen = replace(year, views=views | {"dgp": some["dgp"]}, summary=stated)
+        assert words in melanopic_section(seen, "UTC").text

@@ -52,7 +52,7 @@ def _requirements(annual: Annual, zone: str) -> Table:
         edi = f"best direction: {best[0].text()} of the hours"
         limits = zip(WELL_EDI_LX, best[1], strict=True)
         days = (f"{limit:.0f} lx on {share.text()} of the days" for limit, share in limits)
-        well = f"best direction, daylight alone: {', '.join(days)}"
+        well = f"best direction: {', '.join(days)}"
     words = {"found": found, "sdg": sdg, "edi": edi, "well": well, "hours": len(annual)}
     text = Path(__file__).with_name("requirements.toml").read_text(encoding="utf-8")
     rows = [

@@ -336,8 +336,12 @@ def melanopic_section(annual: Annual, zone: str) -> Section:
         "electrochromic glass it is 11 to 17 % too high. Calibrate the camera's colour (fieldlum "
         "calibrate colour), then merge and predict again."
     )
+    lit = annual.summary.inputs.get("lamps")
+    light = "Lamps as stated" if lit else "Intervals allow for lamps (predict --lamps states them)"
+    if lit == "off" or not has_melanopic(annual):
+        light = "Daylight alone"
     text = (
-        f"{origin} Daylight alone, at the camera's place and height; hours of local standard time. "
+        f"{origin} {light}; at the camera's place and height; hours of local standard time. "
         "250 lx from 06:00 to 19:00 is the advice of Brown et al. 2022. WELL v2 L03 asks for 136 "
         "or 250 lx in the four hours from 09:00 to 13:00, with enhanced daylight for 109 or 163 lx."
     )
