@@ -36,7 +36,7 @@ PARTS = {  # modules of a part, and the tests that should notice a fault in them
     "session": (
         ("core/files.py", "session/*.py", "session/files/*.py"),
         "test_flushed test_digests test_session_files test_session test_capture_disk "
-        "test_hostile_models test_frame_changes test_foreign_session test_pair",
+        "test_hostile_models test_frame_changes test_foreign_session test_pair test_new",
     ),
     "merge/estimator": (
         ("merge/estimator.py",),

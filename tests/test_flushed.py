@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 from tiny_field import FAST, T0, Field, make_session
 
+from fieldlum.core.files import encode_line
 from fieldlum.core.records import IrradianceSample
 from fieldlum.session import DayFiles, Journal, replacing
 
@@ -90,6 +91,18 @@ def test_a_line_of_journal_and_log_is_on_the_disk_when_append_returns(
         assert disk.flushed_after(0, session.irradiance) == (flush and number == 0)
     journal.close()
     days.close()
+
+
+@pytest.mark.contract
+def test_a_journal_without_its_torn_line_is_on_the_disk(tmp_path: Path, disk: DiskLayer) -> None:
+    session = make_session(tmp_path / "s", slots=1)
+    Journal(session).close()
+    session.journal.write_bytes(encode_line({"event": "note"}) + b"half a li")
+    disk.events.clear()
+    Journal(session, flush=False).close()
+    about = session.journal.stat()
+    assert ("flush", about.st_ino, about.st_size) in disk.events
+    assert session.journal.read_bytes() == encode_line({"event": "note"})
 
 
 @pytest.mark.contract

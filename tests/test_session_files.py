@@ -6,6 +6,7 @@ import io
 import json
 import math
 import zipfile
+from contextlib import closing
 from dataclasses import fields, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -18,10 +19,19 @@ from places import SEATTLE
 from fieldlum.capture import doctor, prepare
 from fieldlum.capture.status import status
 from fieldlum.core.errors import InputError
-from fieldlum.core.records import Exposure, SiteFile, Slot
+from fieldlum.core.files import cut_torn_tail
+from fieldlum.core.records import Exposure, IrradianceSample, SiteFile, Slot
 from fieldlum.plan import makeup
-from fieldlum.session import Session, create_session, sha256, store_grace, update_session
-from fieldlum.session.codec import NPZ_ERRORS, read_arrays
+from fieldlum.session import (
+    DAY_COLUMNS,
+    DayFiles,
+    Session,
+    create_session,
+    sha256,
+    store_grace,
+    update_session,
+)
+from fieldlum.session.codec import NPZ_ERRORS, open_arrays, read_arrays
 from fieldlum.session.files.capture_json import CaptureFile, Frame
 from fieldlum.session.files.hourly_csv import HOUR_COLUMNS, VIEW_COLUMNS, HourlyFile
 from fieldlum.session.files.irradiance_csv import CleanIrradiance
@@ -270,3 +280,39 @@ def test_arrays_may_expand_by_16_mib(tmp_path: Path) -> None:
         else:
             with pytest.raises(ValueError, match="it is compressed"):
                 read_arrays(tmp_path / "a.npz")
+
+
+@pytest.mark.contract
+def test_a_day_file_begins_with_its_columns_also_after_foreign_lines(session: Session) -> None:
+    header, day = ",".join(DAY_COLUMNS), session.irradiance / f"{NOON:%Y-%m-%d}.csv"
+    for before in ("", "saved;by\na;spreadsheet\n1;2\n"):
+        session.irradiance.mkdir(exist_ok=True)
+        day.write_text(before)
+        with closing(DayFiles(session, flush=False)) as files:
+            files.append(IrradianceSample(NOON, 500.0))
+        lines = day.read_text().removeprefix(before).strip().splitlines()
+        assert lines[0] == header and len(lines) == 2
+
+
+@pytest.mark.contract
+def test_two_lines_without_a_checksum_are_torn_and_three_are_another_file(tmp_path: Path) -> None:
+    path = tmp_path / "a.jsonl"
+    path.write_bytes(b"torn\n" * 2)
+    assert cut_torn_tail(path, lambda line: False) == 10 and not path.read_bytes()
+    path.write_bytes(b"other\n" * 3)
+    with pytest.raises(InputError, match="no valid line"):
+        cut_torn_tail(path, lambda line: False)
+    assert path.read_bytes() == b"other\n" * 3
+
+
+@pytest.mark.contract
+def test_stored_pictures_may_expand_by_one_gib(tmp_path: Path) -> None:
+    """The archive states what it expands to; nothing is expanded."""
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
+        archive.writestr("a.npy", b"eight by")
+        archive.infolist()[0].file_size = 2**30 + 2**20
+    with (
+        pytest.raises(InputError, match="it is compressed"),
+        open_arrays(tmp_path / "a.npz", "", ""),
+    ):
+        pass
