@@ -103,6 +103,34 @@ def test_a_uniform_sky_through_tinted_and_clear_glass() -> None:
 
 
 @pytest.mark.analytic
+def test_a_strip_of_two_half_open_pixels_has_the_glass_of_wider_panes() -> None:
+    """No pixel of it is all open: its own brightness does not tell the glass from the openness."""
+    openness = np.zeros((32, 32))
+    openness[2:14, 4:28], openness[20:22, 4:28] = 1.0, 0.4
+    view = _view(_pictures(openness))
+    assert view.openness[20:22, 5:27] == pytest.approx(0.4, abs=0.06)
+    assert view.transmittance[20:22, 5:27] == pytest.approx(0.8, rel=0.12)
+
+
+@pytest.mark.analytic
+def test_captured_discs_correct_the_glass_as_far_as_they_are_surer_than_the_sky() -> None:
+    """One disc moves it a part of the way; of two the larger counts, as an edge hides a part."""
+    pictures = _pictures(np.ones((32, 32)), 0.6)
+    suns = np.array(GRID.pixels(LIGHT.apparent_sun_direction))
+    inside = (np.abs(suns - 16.0) < 12.0).all(axis=0) & (LIGHT.direct_lx > 10_000.0)
+    first, second = np.flatnonzero(inside)[:2]
+
+    def glass(shares: dict[int, float]) -> float:
+        given = np.full(len(LIGHT), np.nan)
+        given[list(shares)] = list(shares.values())
+        return float(np.median(_view(pictures, given).transmittance[8:24, 8:24]))
+
+    without, one = glass({}), glass({first: 0.8})
+    assert without + 0.3 * (0.8 - without) < one < 0.8
+    assert one - 0.01 < glass({first: 0.8, second: 0.5}) < 0.8
+
+
+@pytest.mark.analytic
 def test_slats_have_their_share_although_they_are_not_black() -> None:
     """Mixed pixels are separated into sky and foreground."""
     openness = np.zeros((32, 32))

@@ -35,7 +35,7 @@ from fieldlum.sky.sky_view.sky_directions import (
 )
 from fieldlum.sky.sky_view.sky_heading import MIN_U_DEG, heading_by_sky
 from fieldlum.sky.sky_view.view import LENS_PIXEL_DEG, REACH_DAYS, SkyView
-from fieldlum.sky.sky_view.visible_disc import CLEAR_GLASS, disc_of_hours
+from fieldlum.sky.sky_view.visible_disc import CLEAR_GLASS, disc_of_hours, efficacy_u
 from fieldlum.sky.sun import OBLIQUITY_DEG, SUN_SOLID_ANGLE_SR, celestial_pole
 from fieldlum.sky.sun_disc import SUN_RADIUS_RAD
 
@@ -46,6 +46,7 @@ _OPEN = 0.9  # openness that counts as all open; chosen
 # Luminous efficacy (5 %), camera scale (5 %), pyranometer (5 %) and the mean of real skies against
 # Perez's (12 %), together; this scale is common to all directions.
 _SCALE_SD = 0.2
+_DISC_U = 0.15  # of a captured disc over that of the view, by edges and the beam; chosen
 # Spread of the logarithm of the ratio to the sky, relative to that against other light, below which
 # a direction follows the sky, and above which it does not. Sky reaches 0.3, sunlit facades 1.0
 # (rooms of docs/sky-view.md).
@@ -555,17 +556,21 @@ _DARK = "dark"  # what a capture through a blind shows
 
 
 def _gain(view: SkyView, captured: Captured) -> float:
-    """Return the factor of the transmittance by three captured discs or more; 1 for fewer."""
+    """Return the factor of the transmittance by captured discs, as far as they are surer; else 1.
+
+    Low suns count less, because their luminous efficacy is uncertain. Of two discs the larger
+    counts, of more the 60th percentile: an edge may hide a part.
+    """
     disc = disc_of_hours(view, captured.light)
     sure = captured.disc_share > _SHUT
     sure &= (disc.low_lx > 0.5 * disc.best_lx) & (disc.best_lx > 0.0)
-    if sure.sum() < 3:
+    if not sure.any():
         return 1.0
-    beam_lx = captured.light.direct_lx[sure]
-    ratio = captured.disc_share[sure] * beam_lx / disc.best_lx[sure]
-    # strong beams: a weak one's efficacy is uncertain, and it causes little glare
-    gain = np.quantile(ratio, 0.5, weights=beam_lx, method="inverted_cdf")
-    return float(np.clip(gain, 0.5, 1.5))
+    light = captured.light[sure]
+    off = np.log(captured.disc_share[sure] * light.direct_lx / disc.best_lx[sure])
+    weight = 1.0 / (_DISC_U**2 + efficacy_u(light) ** 2)
+    gain = -np.quantile(-off, 0.4, weights=weight, method="inverted_cdf")
+    return float(np.clip(np.exp(gain / (1.0 + 1.0 / (weight.sum() * _SCALE_SD**2))), 0.5, 1.5))
 
 
 def _scaled(view: SkyView, gain: float, without: Mask) -> SkyView:
@@ -640,9 +645,9 @@ def pane_transmittance(through: Floats, sky: Mask, step_deg: float) -> Floats:
 
     through: openness times transmittance, which is the result if no pane is large enough; sky: mask
     of the directions that follow the sky; step_deg: size of a pixel. Connected directions are one
-    pane.
+    pane. One under three pixels wide may have no open pixel: it is as clear as the nearest wider.
     """
-    from scipy.ndimage import gaussian_filter, label
+    from scipy.ndimage import binary_erosion, gaussian_filter, label
 
     labels = np.empty(sky.shape, np.int32)
     count = int(label(sky, np.ones((3, 3)), output=labels))  # pyright: ignore[reportArgumentType]
@@ -661,6 +666,12 @@ def pane_transmittance(through: Floats, sky: Mask, step_deg: float) -> Floats:
         mean = gaussian_filter(np.where(open_, through, 0.0), sigma, truncate=3.0)
         smooth = np.where(weight > 1e-6, mean / np.maximum(weight, 1e-9), bright)
         level[inside] = np.maximum(smooth, _OPEN_SHARE * bright)[inside]
+    inner = np.asarray(binary_erosion(sky, np.ones((3, 3))), bool)
+    wide = np.intersect1d(large, labels[inner])
+    if len(wide):
+        narrow = np.isin(labels, np.setdiff1d(large, wide))
+        like_wide = level.flat[_nearest(np.isin(labels, wide))]
+        level[narrow] = np.maximum(like_wide, through)[narrow]
     of_large = np.isin(labels, large)
     nearest = _nearest(of_large)
     far = np.hypot(*(np.unravel_index(nearest, sky.shape) - np.indices(sky.shape)))
