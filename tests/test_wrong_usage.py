@@ -56,6 +56,9 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
             text = text.replace("America/Los_Angeles", "Pacific")
         (folder / f"{name}.toml").write_text(text, encoding="utf-8")
     (folder / "broken.toml").write_text("[site\nname = ", encoding="utf-8")
+    nikon = (shipped("calibration") / "nikon-8mm-uncalibrated.toml").read_text(encoding="utf-8")
+    fuji = nikon.replace("[sensor]\n", '[sensor]\ncfa = "XTRANS"\n')
+    (folder / "xtrans.toml").write_text(fuji, encoding="utf-8")
     (folder / "empty").mkdir()
     (folder / "empty.csv").write_text("", encoding="utf-8")
     (folder / "text.hdr").write_text("no picture", encoding="utf-8")
@@ -134,6 +137,7 @@ CASES = [
     ("view @/empty", "session", 3),
     ("view @/fish.hdr --region square:1,2", "rect:x,y,w,h", 2),
     ("view @/fish.hdr --out @/o.gif", "gif", 2),
+    ("info @/xtrans.toml", "'XTRANS'; expected one of RGGB", 3),
     ("info rpi-hq", "did you mean 'rpi-hq-fisheye-uncalibrated'", 3),
     ("info @/text.exr", "text.exr", 3),
     ("new @/good.toml", "good.toml", 3),

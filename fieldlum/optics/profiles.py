@@ -61,7 +61,7 @@ class Sensor:
     than stated. bad_px: (column, row) of pixels that are never used.
     """
 
-    cfa: str = "RGGB"
+    cfa: Literal["RGGB", "BGGR", "GRBG", "GBRG"] = "RGGB"
     black_dn: _OfColours = (0.0, 0.0, 0.0, 0.0)
     saturation_dn: _OfColours = (65535.0, 65535.0, 65535.0, 65535.0)
     white_dn: float = 65535.0
