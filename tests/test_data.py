@@ -14,6 +14,7 @@ from fieldlum.learn.models.training_data import _discs, load_pairs
 from fieldlum.optics.images import write_panorama, write_radiance_hdr
 from fieldlum.optics.projection import equirect_rays
 from fieldlum.sky.picture_axes import sun_elsewhere
+from fieldlum.sky.sun import horizontal_beam
 from fieldlum.sky.sun_disc import add_disc
 
 DATA = dataset(("2027-03-20", "2027-06-21"))
@@ -262,3 +263,32 @@ def test_a_single_clipped_spot_is_a_sun_elsewhere() -> None:
     assert at == pytest.approx((30.0, 240.0), abs=1.0)
     clipped[40:60, 20:50] = True
     assert sun_elsewhere(light, 180.0, 8e4, clipped) is None
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize(
+    ("dhi", "factor", "said"),
+    [
+        ("dhi_wm2", 1.0, ""),
+        ("dhi_wm2", 1.4, "global is 1.40 times diffuse plus direct on the horizontal"),
+        ("ghi_wm2", 1.0, "times the light above the atmosphere|global is 0"),
+    ],
+)
+def test_exchanged_columns_of_irradiance_are_named(
+    pairs: Path, dhi: str, factor: float, said: str
+) -> None:
+    """A global irradiance in the column of another component is a possible value of each."""
+    light = DATA.light
+    columns = {"dni_wm2": light.dni_wm2, "dhi_wm2": light.dhi_wm2}
+    beam = horizontal_beam(light.dni_wm2, light.sun_altitude_deg)
+    columns["ghi_wm2"] = light.dhi_wm2 + beam
+    head, *rows = (line.split(",") for line in pairs.read_text().splitlines())
+    for k, row in enumerate(rows):
+        row[2:4] = f"{columns['dni_wm2'][k]:.1f}", f"{columns[dhi][k]:.1f}"
+        row.append(f"{factor * columns['ghi_wm2'][k]:.1f}")
+    pairs.write_text("\n".join(",".join(row) for row in ([*head, "ghi_wm2"], *rows)))
+    if said:
+        with pytest.raises(InputError, match=said):
+            load_pairs(pairs)
+    else:
+        assert len(load_pairs(pairs)) == len(DATA)

@@ -89,7 +89,8 @@ def wrong_axes(
         return None
     count = counted(int(elsewhere.sum()), "capture")
     turn_deg = float(np.median(signed_angle_deg(shown_deg[:, 1] - azimuth)))
-    heading = f"set heading_deg = {(heading_deg - turn_deg) % 360.0:.0f}"
+    true_deg = (heading_deg - turn_deg) % 360.0
+    heading = f"set heading_deg = {true_deg:.0f}, if clock and place are right"
     high = int((elsewhere & (altitude > _LOW_SUN_DEG)).sum())
     mirror = "mirror it (or is there a mirror on a side wall?)"
     turn = f"turned by {turn_deg:.0f} degrees", heading
