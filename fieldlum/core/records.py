@@ -17,6 +17,7 @@ from fieldlum.core.strict_toml import Positive
 # Largest picture that is read, unless a camera's profile states more: 0.5 GB of JPEG codes, 1.9 GB
 # of float32 colours. The largest sensors in use have 150 million pixels.
 MAX_PIXELS = 160_000_000
+Cfa = Literal["RGGB", "BGGR", "GRBG", "GBRG"]  # Bayer mosaics: the top left 2 x 2 pixels
 # ----------------------------------------------------------------------------------------------
 # time
 

@@ -10,7 +10,7 @@ from msgspec import Meta
 
 from fieldlum.core.errors import InputError, did_you_mean
 from fieldlum.core.files import write_file
-from fieldlum.core.records import CameraSetup, Exposure, Slot, counted
+from fieldlum.core.records import CameraSetup, Cfa, Exposure, Slot, counted
 from fieldlum.core.strict_toml import NotNegative, Positive, Share, build, plain, read_toml
 from fieldlum.optics.photometry import rises
 from fieldlum.optics.projection import LensGeometry, angle_of_radius, judged_text, seen_by_lenses
@@ -61,7 +61,7 @@ class Sensor:
     than stated. bad_px: (column, row) of pixels that are never used.
     """
 
-    cfa: Literal["RGGB", "BGGR", "GRBG", "GBRG"] = "RGGB"
+    cfa: Cfa = "RGGB"
     black_dn: _OfColours = (0.0, 0.0, 0.0, 0.0)
     saturation_dn: _OfColours = (65535.0, 65535.0, 65535.0, 65535.0)
     white_dn: float = 65535.0

@@ -47,8 +47,7 @@ _MAX_DARK_SHARE = 0.02
 
 
 def read_weather(path: Path, site: Site, *, label_shift_min: float = 0.0) -> Weather:
-    """Read an EPW, TMY3, TMY2, PVGIS, NSRDB, SAM, SolarAnywhere, .wea or CSV file as hours at
-    `site`.
+    """Read a weather file of any format of `formats` as hours at `site`.
 
     label_shift_min : minutes added to the times that the file states, for labels that are known to
     be wrong; listed in `.repairs`. The path ``synthetic`` gives a synthetic year of the site.

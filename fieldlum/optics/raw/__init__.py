@@ -11,7 +11,7 @@ import warnings
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from fieldlum.core.arrays import Floats, Indices
 from fieldlum.core.errors import InputError, kind_of, library_messages
 from fieldlum.core.files import open_to_read
-from fieldlum.core.records import MAX_PIXELS
+from fieldlum.core.records import MAX_PIXELS, Cfa
 from fieldlum.optics.raw.exif import (
     TIFF_VARIANTS,
     FrameInfo,
@@ -55,7 +55,7 @@ class Mosaic(FrameInfo):
     """
 
     counts: NDArray[np.uint16]
-    cfa: str
+    cfa: Cfa
     black_dn: tuple[float, ...]
     white_dn: float
     colour_matrix: Floats | None = None
@@ -211,7 +211,7 @@ def _libraw_exposure(raw: Any) -> tuple[float, float, float]:
     return other.shutter_speed or 0.0, other.aperture or 0.0, float(other.iso_speed or 0.0)
 
 
-def _pattern(path: Path, raw: Any) -> tuple[str, Indices]:
+def _pattern(path: Path, raw: Any) -> tuple[Cfa, Indices]:
     """Return the colours and LibRaw's colour indices of the top left 2 x 2 visible pixels.
 
     Raises InputError without a Bayer mosaic.
@@ -226,8 +226,8 @@ def _pattern(path: Path, raw: Any) -> tuple[str, Indices]:
         index = np.asarray(raw.raw_colors_visible[:2, :2], int)
         letters = raw.color_desc.decode()
         cfa = "".join(letters[i] if i < len(letters) else "?" for i in index.ravel())
-        if cfa in ("RGGB", "BGGR", "GRBG", "GBRG"):
-            return cfa, index
+        if cfa in get_args(Cfa):
+            return cast("Cfa", cfa), index
         found = f"a mosaic of the colour filters {cfa}"
     expected = "a Bayer mosaic, of 2 x 2 filters: one red, two green, one blue"
     raise InputError(path, found, expected, "use a camera with a Bayer sensor")
