@@ -135,6 +135,14 @@ def test_band_is_the_solstice_band() -> None:
     )  # 41 steps of declination
 
 
+@pytest.mark.analytic
+def test_all_hours_of_a_weather_year_have_all_its_skies(weather: Weather) -> None:
+    """Direct and diffuse irradiance of plan and year are compared, each with its own kind."""
+    year = daylight_hours((date(2027, 1, 1) + timedelta(days=k) for k in range(365)), SEATTLE)
+    every = coverage(year, SEATTLE, weather).irradiance_percent
+    assert every is not None and every > 99.0
+
+
 @pytest.mark.slow
 @pytest.mark.property
 def test_coverage_grows_with_the_set(weather: Weather) -> None:

@@ -224,8 +224,8 @@ def coverage(hours: DaylightHours, site: Site, weather: Weather | None = None) -
         return Coverage(band)
     at = sun.position(weather.t_utc, site)
     lit = (at.altitude_deg > 0) & (weather.dhi_wm2 > 0)
-    _, *planned = weather.at(hours.t_utc)
-    skies = np.stack(planned)[:, np.isfinite(planned[0])]
+    planned = weather.at(hours.t_utc)
+    skies = np.stack([planned.dni_wm2, planned.dhi_wm2])[:, np.isfinite(planned.dni_wm2)]
     captured = np.isin(_cells([weather.dni_wm2[lit], weather.dhi_wm2[lit]]), _cells(skies))
     near = near_planned(sun.direction(at.altitude_deg[lit], at.azimuth_deg[lit]), hours)
     return Coverage(band, 100.0 * float(captured.mean()), 100.0 * float((captured & near).mean()))

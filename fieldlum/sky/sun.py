@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from datetime import UTC, date, datetime, time, timedelta
 from functools import lru_cache
 from itertools import pairwise
@@ -284,7 +285,8 @@ def extraterrestrial_wm2(times_utc: Sequence[datetime]) -> Floats:
         return np.asarray(get_extra_radiation(pandas_index(times_utc)), float)
 
 
-class Irradiance(NamedTuple):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Irradiance:
     """Global and diffuse horizontal, direct normal irradiance [n] W/m2; NaN: unknown."""
 
     ghi_wm2: Floats

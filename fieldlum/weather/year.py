@@ -19,6 +19,9 @@ TYPICAL_YEAR = 2027
 _HOUR = timedelta(hours=1)
 
 
+_LIGHT = ("ghi_wm2", "dhi_wm2", "dni_wm2")
+
+
 @dataclass(frozen=True, slots=True)
 class Weather:
     """Hours of irradiance in time order; t_utc is the middle of each hour. Arrays [n] in W/m2.
@@ -42,7 +45,7 @@ class Weather:
 
     def __getitem__(self, index: ArrayLike | slice) -> Weather:
         rows = np.arange(len(self))[index]  # type: ignore[index]
-        light = {name: getattr(self, name)[rows] for name in sun.Irradiance._fields}
+        light = {name: getattr(self, name)[rows] for name in _LIGHT}
         return replace(self, t_utc=tuple(self.t_utc[i] for i in rows), **light)
 
     def daylight(self) -> Weather:
@@ -62,7 +65,7 @@ class Weather:
         before = after - 1
         nearest = np.where(seconds - times_s[before] < times_s[after] - seconds, before, after)
         outside = np.abs(seconds - times_s[nearest]) > 1800.5  # half an hour, and rounding
-        values = {name: getattr(self, name)[nearest] for name in sun.Irradiance._fields}
+        values = {name: getattr(self, name)[nearest] for name in _LIGHT}
         return sun.Irradiance(**{n: np.where(outside, np.nan, v) for n, v in values.items()})
 
     def _dated(self, t_utc: datetime) -> datetime:
