@@ -14,6 +14,9 @@ from fieldlum.core.records import Obstruction, Room, Window
 from fieldlum.optics.projection import rotation
 from fieldlum.room.scene.geometry import WALLS, Span, build, room_axes, window_bars
 
+# thinner ones only explain noise; chosen
+_THIN_SOLID_M, _THIN_BAR_M = 0.04, 0.01
+
 
 @dataclass(frozen=True, slots=True)
 class WindowRect:
@@ -112,6 +115,32 @@ def is_possible(guess: Guess) -> bool:
             for low, high in spans
         )
     )
+
+
+def thickened(guess: Guess) -> Guess:
+    """Return the guess with solids at least 4 cm and bars at least 1 cm thick.
+
+    Without it a search would stop at the first element that becomes thinner than this.
+    """
+    bars = tuple(
+        replace(bar, span_m=_wide(bar.span_m, _THIN_BAR_M), depth_m=_wide(bar.depth_m, _THIN_BAR_M))
+        for bar in guess.bars
+    )
+    spans = [
+        [_wide(span, _THIN_SOLID_M) for span in zip(solid.low_m, solid.high_m, strict=True)]
+        for solid in guess.solids
+    ]
+    solids = tuple(
+        Solid((x[0], y[0], z[0]), (x[1], y[1], z[1]), solid.albedo)
+        for solid, (x, y, z) in zip(guess.solids, spans, strict=True)
+    )
+    return replace(guess, bars=bars, solids=solids)
+
+
+def _wide(span: Span, width: float) -> Span:
+    """Return an interval of at least this width, with the same middle."""
+    short = max(width - (span[1] - span[0]), 0.0) / 2.0
+    return span[0] - short, span[1] + short
 
 
 def is_outside(guess: Guess, solid: Solid) -> bool:

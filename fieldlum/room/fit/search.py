@@ -10,7 +10,7 @@ import numpy as np
 
 from fieldlum.core.arrays import Floats, Floats32
 from fieldlum.room.fit.evidence import WIDTH, SceneEvidence
-from fieldlum.room.fit.guess import Guess, is_possible
+from fieldlum.room.fit.guess import Guess, is_possible, thickened
 from fieldlum.room.fit.parameters import POSE_NAMES, Parameter
 from fieldlum.room.fit.renderer import SHELL
 
@@ -148,7 +148,7 @@ def stepped(guess: Guess, parameters: Sequence[Parameter], steps: Floats) -> Gue
     """Return the guess with each of k parameters changed by steps [k] times `Parameter.step`."""
     for p, count in zip(parameters, steps.tolist(), strict=True):
         guess = p.change(guess, count * p.step)
-    return guess
+    return thickened(guess)
 
 
 def _slopes(
