@@ -105,7 +105,7 @@ def main() -> None:
     rng = np.random.default_rng(0)
     everything = []
     for name, setup in ROOMS.items():
-        weather = synthetic_weather(setup.site).daylight(3.0)
+        weather = synthetic_weather(setup.site).daylight()
         rows = np.sort(rng.choice(len(weather), args.hours, replace=False))
         part = weather[rows]
         truth = lit_room(setup, height=args.height, quality=args.quality, workers=1)

@@ -43,7 +43,7 @@ def plain(truth: simulate.LitRoom, light: Light, pixels: np.ndarray, bounces: in
             f"0 {side} 180"
         )
     lamp = radiance.sun_text(toward, float(light.direct_lx[0])) if light.direct_lx[0] > 0 else ""
-    _, rays = view.pixel_rays(truth.height, truth.view.heading_deg, 1)
+    _, rays = view.pixel_rays(truth.view.height, truth.view.heading_deg, 1)
     rays = built.to_room(rays[pixels])
     stream = np.concatenate(
         (np.broadcast_to(np.array(built.camera_m), rays.shape), rays), axis=1

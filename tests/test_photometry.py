@@ -1,5 +1,7 @@
 """Exposure arithmetic, response curves, exposure ratios, vignetting and illuminance."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -204,7 +206,7 @@ def test_ratios_of_a_bracket_and_a_pair_that_contradicts() -> None:
         for j in range(i + 1, 4):
             pair = _pair(float(np.exp(truth[j] - truth[i])), 1.0, rng)
             assert pair is not None
-            pairs.append(type(pair)(i, j, pair.log_ratio, pair.u_log, pair.pixels))
+            pairs.append(replace(pair, long=i, short=j))
     fit = fit_ratios(pairs, np.diag(prior_u_log(np.array([1.0, 0.1, 1 / 2000, 1 / 4000])) ** 2))
     found = np.log(fit.correction)
     assert found - found[0] == pytest.approx(truth, abs=1e-3)
