@@ -13,7 +13,7 @@ from fieldlum.core.records import Flag, Panorama
 from fieldlum.learn.models.training_data import _discs, load_pairs
 from fieldlum.optics.images import write_panorama, write_radiance_hdr
 from fieldlum.optics.projection import equirect_rays
-from fieldlum.sky.picture_axes import sun_elsewhere
+from fieldlum.sky.picture_axes import sun_elsewhere, wrong_axes
 from fieldlum.sky.sun import horizontal_beam
 from fieldlum.sky.sun_disc import add_disc
 
@@ -225,7 +225,7 @@ def test_discs_of_adjacent_days_in_the_same_pixel_count_once_for_the_pose() -> N
         ("turned", "turned by 7. degrees; expected .* heading_deg in the middle; set heading_deg"),
         ("upside down", "that is upside down; expected the zenith on top"),
         ("about its axis", "that is turned about its axis by 180; expected the zenith on top"),
-        ("mirrored", "WARNING: .* mirrored left to right: mirror it"),
+        ("mirrored", "WARNING: .* mirrored left to right: mirror the pictures"),
     ],
 )
 def test_pictures_with_other_axes_are_found_by_their_suns(
@@ -259,10 +259,11 @@ def test_a_single_clipped_spot_is_a_sun_elsewhere() -> None:
     """Without a filter the disc is clipped, and its energy is not known."""
     light, clipped = np.full((90, 180), 1e3, np.float32), np.zeros((90, 180), bool)
     light[29:31, 119:121], clipped[29:31, 119:121] = 1e5, True
-    at = sun_elsewhere(light, 180.0, 8e4, clipped)
+    at = sun_elsewhere(light, 180.0, 8e4, clipped, 29.0)
     assert at == pytest.approx((30.0, 240.0), abs=1.0)
+    assert sun_elsewhere(light[::-1], 180.0, 8e4, clipped[::-1], 29.0) is None  # in a desk
     clipped[40:60, 20:50] = True
-    assert sun_elsewhere(light, 180.0, 8e4, clipped) is None
+    assert sun_elsewhere(light, 180.0, 8e4, clipped, 29.0) is None
 
 
 @pytest.mark.contract
@@ -292,3 +293,18 @@ def test_exchanged_columns_of_irradiance_are_named(
             load_pairs(pairs)
     else:
         assert len(load_pairs(pairs)) == len(DATA)
+
+
+@pytest.mark.analytic
+@pytest.mark.parametrize(("hours_deg", "sure"), [((0.0, 0.3), False), ((0.0, 30.0), True)])
+def test_a_mirror_at_one_time_of_the_day_is_no_turn(
+    hours_deg: tuple[float, ...], sure: bool
+) -> None:
+    """On consecutive days a mirror, a facade of glass or a lamp stands at the same place."""
+    suns = np.array([(30.0, 150.0 + by) for by in hours_deg])
+    wrong = wrong_axes(suns, suns + np.array([0.0, 60.0]), 180.0, 0.8)
+    assert wrong is not None and wrong.sure is sure
+    assert ("unless a mirror shows the sun" in wrong.remedy) is not sure
+    in_mirror = np.array([(30.0, 350.0 - azimuth) for _, azimuth in suns])
+    mirrored = wrong_axes(suns, in_mirror, 180.0, 0.8)
+    assert mirrored is not None and not mirrored.sure

@@ -183,10 +183,14 @@ def test_a_year_has_no_figure_behind_the_camera(year: predict.Annual) -> None:
     again = predict.read_annual(year.folder)
     assert not again.judged[5] and again.judged[0]
     # wide bounds of partly seen directions are no doubt about the fully seen ones
-    sure = replace(again, hours=again.hours | {"trusted": np.ones(len(again))})
-    for seen in ("seen", "partly seen"):
-        rows = [structs.replace(row, seen=seen) for row in sure.summary.protection]
-        assert unsure_hours(sure, rows)[1].any() == (seen == "seen")
+    low, high = again.views["dgp_low"], again.views["dgp_high"].copy()
+    high[:, 0] = low[:, 0]  # facing 180, the only fully seen direction
+    trusted = again.hours | {"trusted": np.ones(len(again))}
+    sure = replace(again, hours=trusted, views=again.views | {"dgp_high": high})
+    own = sure.summary.protection
+    assert not unsure_hours(sure, own)[1].any()
+    rows = [structs.replace(row, seen="partly seen") for row in own]
+    assert unsure_hours(sure, rows)[1].any()  # none is fully seen: the others decide
 
 
 @pytest.mark.slow

@@ -217,7 +217,11 @@ def _with_suns(
 ) -> list[PairRow]:
     """Write sky_view.exr and suns.csv, and with a room the patches; return the completed rows."""
     light = _light(session, brackets, rows)
-    shown = [_shown_by(b, float(lx)) for b, lx in zip(brackets, light.direct_lx, strict=True)]
+    expected = zip(light.direct_lx, light.apparent_altitude_deg, strict=True)
+    shown = [
+        _shown_by(bracket, float(lx), float(altitude))
+        for bracket, (lx, altitude) in zip(brackets, expected, strict=True)
+    ]
     view = write_sky_view(session, shown, light, setup.site, force=force)
     shares, by_view = shares_of_beam(view, setup.room, light)
     patches = write_patches(session, setup, brackets, light, force, scheduler)
@@ -253,10 +257,11 @@ def _light(session: Session, brackets: Sequence[BracketInterval], rows: Sequence
     )
 
 
-def _shown_by(bracket: BracketInterval, full_normal_lx: float) -> Shown:
+def _shown_by(bracket: BracketInterval, full_normal_lx: float, altitude_deg: float) -> Shown:
     """Return the sun and the seen pixels of a bracket's panorama; a caution if it is not readable.
 
-    full_normal_lx: illuminance of the unhidden disc, on a plane normal to it.
+    full_normal_lx: illuminance of the unhidden disc, on a plane normal to it; altitude_deg: of the
+    apparent sun.
     """
     warn_if_changed(bracket.panorama)
     try:
@@ -272,7 +277,8 @@ def _shown_by(bracket: BracketInterval, full_normal_lx: float) -> Shown:
     elif full_normal_lx > BEAM_LX:
         flags = panorama.flags
         clipped = None if flags is None else (flags & Flag.CLIPPED_HIGH) > 0
-        at = sun_elsewhere(panorama.luminance_cdm2, heading_deg, full_normal_lx, clipped)
+        light = panorama.luminance_cdm2
+        at = sun_elsewhere(light, heading_deg, full_normal_lx, clipped, altitude_deg)
     return Shown(bracket.slot, sun, recorded_lx, caution, seen, heading_deg, at)
 
 

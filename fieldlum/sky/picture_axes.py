@@ -27,7 +27,7 @@ DISC_SHARE = 0.4
 _LOW_SUN_DEG = 10.0
 _HALO_DEG = 1.5  # of a clipped disc, at most (`sun_disc`)
 _WITHIN_DEG = 6.0  # of a compass near steel, and a degree for level and clock
-_SURE_DISCS = 2  # one spot may be a mirror or a lamp; chosen
+_SURE_DISCS = 2  # chosen
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,12 +40,17 @@ class WrongAxes:
 
 
 def sun_elsewhere(
-    luminance_cdm2: Floats, heading_deg: float, beam_lx: float, clipped: Mask | None = None
+    luminance_cdm2: Floats,
+    heading_deg: float,
+    beam_lx: float,
+    clipped: Mask | None = None,
+    altitude_deg: float = 0.0,
 ) -> tuple[float, float] | None:
     """Return altitude and azimuth [deg] of what only the sun can be in a map [H, W], or None.
 
-    It is a disc with `DISC_SHARE` of the beam, or the only clipped spot that is not larger than the
-    sun's halo. The disc at the sun's place is taken out before. clipped [H, W]: None if unknown.
+    It is a disc with `DISC_SHARE` of the beam; or the only clipped spot, of the size of the sun's
+    halo and near `altitude_deg`, that of the sun: a polished desk shows it below the horizon. The
+    disc at the sun's place is taken out before. clipped [H, W]: None if unknown.
     """
     disc = find_disc(luminance_cdm2, heading_deg)
     if disc is not None and disc.normal_lx > DISC_SHARE * beam_lx:
@@ -64,7 +69,8 @@ def sun_elsewhere(
     if np.degrees(np.arccos(np.clip(rays @ middle, -1, 1)).max()) > _HALO_DEG + 180.0 / height:
         return None
     at = altitude_azimuth_deg(middle)
-    return float(at[0]), float(at[1]) % 360.0
+    is_high = abs(float(at[0]) - altitude_deg) < _WITHIN_DEG
+    return (float(at[0]), float(at[1]) % 360.0) if is_high else None
 
 
 def wrong_axes(
@@ -92,13 +98,15 @@ def wrong_axes(
     true_deg = (heading_deg - turn_deg) % 360.0
     heading = f"set heading_deg = {true_deg:.0f}, if clock and place are right"
     high = int((elsewhere & (altitude > _LOW_SUN_DEG)).sum())
-    mirror = "mirror it (or is there a mirror on a side wall?)"
     turn = f"turned by {turn_deg:.0f} degrees", heading
+    # Elsewhere at one time of the day, a mirror, a facade of glass or a lamp shows the same place.
+    apart_deg = np.abs(signed_angle_deg(ahead[elsewhere] - ahead[elsewhere][:, None])).max()
+    turns = int(elsewhere.sum()) if apart_deg > 2.0 * within_deg else 0
     every = (
-        (explained(altitude, ahead + turn_deg), *turn, int(elsewhere.sum())),
+        (explained(altitude, ahead + turn_deg), *turn, turns),
         (explained(-altitude, ahead), "upside down", "exchange top and bottom", high),
         (explained(-altitude, -ahead), "turned about its axis by 180", "turn it back", high),
-        (explained(altitude, -ahead), "mirrored left to right", mirror, 0),
+        (explained(altitude, -ahead), "mirrored left to right", "mirror the pictures", 0),
     )
     likely = [each for each in every if each[0].all()]
     if not likely:
@@ -110,4 +118,6 @@ def wrong_axes(
     )
     found = f"the sun's disc in {count} is where a picture shows it that is {kinds}"
     sure = len(likely) == 1 and likely[0][3] >= _SURE_DISCS
-    return WrongAxes(found, remedies, sure)
+    return WrongAxes(
+        found, remedies if sure else f"{remedies}, unless a mirror shows the sun", sure
+    )

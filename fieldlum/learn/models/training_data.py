@@ -205,7 +205,9 @@ _CLOSES = 1.25  # three times BSRN's limit of 8 %; a clock that is off is named 
 def _check_irradiance(path: Path, rows: Sequence[PairRow], altitude_deg: Floats) -> None:
     """Raise InputError for the first row that is impossible with a sun over `CLEAR_SUN_DEG`.
 
-    altitude_deg: of the sun [n]. Limits: BSRN's, and `sun.too_weak`.
+    altitude_deg: of the sun [n]. Limits: BSRN's, and `sun.too_weak`. Exchanged columns show in the
+    median of rows with direct sun: more light than above the atmosphere, or a global irradiance
+    that is not diffuse plus direct.
     """
     top = sun.extraterrestrial_wm2([row.t_utc for row in rows])
     dni, dhi = np.array([(row.dni_wm2, row.dhi_wm2) for row in rows]).T

@@ -412,11 +412,13 @@ def _camera_note(budgets: Sequence[budget.Budget]) -> Iterator[str]:
 def unsure_hours(annual: Annual, rows: Sequence[DirectionYear]) -> tuple[Mask, Mask]:
     """Return the lit occupied hours with an untrusted map, and the others with a wide interval.
 
-    An interval of DGP is wide if its 95 % are wider than 0.2 in a direction that was fully seen;
-    `_unseen_notes` has the others. Masks over all hours of `annual`, [n].
+    An interval of DGP is wide if its 95 % are wider than 0.2 in a direction that was fully seen
+    (`_unseen_notes` has the others); if none was, in any that is judged. Masks over all hours of
+    `annual`, [n].
     """
     untrusted = annual.occupied & (annual.hours["trusted"] < 1)
     full = [row.seen == projection.SEEN for row in rows]
+    full = full if any(full) else annual.judged
     gap = (annual.views["dgp_high"] - annual.views["dgp_low"])[:, full]
     widest = np.nan_to_num(gap).max(axis=1, initial=0.0)
     return untrusted, annual.occupied & ~untrusted & (widest > _WIDE_DGP)
