@@ -28,6 +28,7 @@ from fieldlum.core.records import (
     Slot,
     SunSource,
     Window,
+    parse_utc,
     slot_id,
     utc_text,
 )
@@ -43,6 +44,8 @@ from fieldlum.session.files.pairs_csv import PAIR_COLUMNS, PairRow, PairsFile, w
 from fieldlum.session.files.sidecar import warn_if_changed
 from fieldlum.session.panorama_sun import SunRow, read_panorama_with_sun
 from fieldlum.sky import sun
+from fieldlum.sky.sky_view.view import SkyView
+from fieldlum.sky.sun_disc import add_source
 from fieldlum.year.glare.picture_glare import picture_glare
 
 NOON = datetime(2027, 12, 21, 20, 0, tzinfo=UTC)
@@ -333,6 +336,27 @@ def test_stage_writes_rows_suns_and_patches(tmp_path: Path, room: Room | None) -
         pair.run(session)
         again = read_panorama(session.root / rows[0]["sunpatch"])
         np.testing.assert_array_equal(again.luminance_cdm2, patch.luminance_cdm2)
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize("turn_deg", [0.0, 90.0])
+def test_a_heading_that_is_90_degrees_off_is_named_with_the_true_one(
+    tmp_path: Path, turn_deg: float
+) -> None:
+    """Merge takes out the sun at its place alone: one elsewhere stays in the panorama."""
+    session = make_session(tmp_path / "s", None, hours=4)
+    for file in session.panorama_files():
+        t_utc = parse_utc(file.stem)
+        at = sun.position([t_utc], SEATTLE)
+        place = at.altitude_deg, at.azimuth_deg + turn_deg
+        shown = add_source(np.full((1, 90, 180), 50.0, np.float32), place, np.array([6e4]), 180.0)
+        write_panorama(file, Panorama(shown[0], 180.0, t_utc=t_utc))
+        side = session.sidecar(file.stem)
+        note = json.loads(side.read_text()) | {"size_bytes": file.stat().st_size}
+        side.write_text(json.dumps(note))
+    pair.run(session)
+    notes = " ".join(SkyView.read(session.sky_view).notes)
+    assert ("turned by 90 degrees: set heading_deg = 90" in notes) == (turn_deg != 0.0)
 
 
 @pytest.mark.contract
