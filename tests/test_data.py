@@ -309,11 +309,11 @@ def test_a_mirror_at_one_time_of_the_day_is_no_turn(
 ) -> None:
     """On consecutive days a mirror, a facade of glass or a lamp stands at the same place."""
     suns = np.array([(30.0, 150.0 + by) for by in hours_deg])
-    wrong = wrong_axes(suns, suns + np.array([0.0, 60.0]), 180.0, 0.8)
+    wrong = wrong_axes(suns, suns + np.array([0.0, 60.0]), 180.0, 225)
     assert wrong is not None and wrong.sure is sure
     assert ("unless a mirror shows the sun" in wrong.remedy) is not sure
     in_mirror = np.array([(30.0, 350.0 - azimuth) for _, azimuth in suns])
-    mirrored = wrong_axes(suns, in_mirror, 180.0, 0.8)
+    mirrored = wrong_axes(suns, in_mirror, 180.0, 225)
     assert mirrored is not None and not mirrored.sure
 
 

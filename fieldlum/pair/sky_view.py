@@ -113,7 +113,7 @@ def write_sky_view(
     except NotEnoughDataError:
         session.sky_view.unlink(missing_ok=True)
         return None
-    notes = (*view.notes, *_notes_on_axes(captures, light))
+    notes = (*view.notes, *_notes_on_heading(captures, light))
     view = replace(view, inputs=inputs, notes=notes)
     view.write(session.sky_view)
     suns = view.pose.in_pictures(light.apparent_sun_direction[shares != 0.0])
@@ -123,15 +123,13 @@ def write_sky_view(
     return view
 
 
-def _notes_on_axes(captures: Sequence[Shown], light: Light) -> list[str]:
+def _notes_on_heading(captures: Sequence[Shown], light: Light) -> list[str]:
     """Return a warning if suns are elsewhere in several panoramas than the heading states."""
     rows = [k for k, capture in enumerate(captures) if capture.sun_at_deg is not None]
-    if not rows:
-        return []
     suns = np.stack([light.apparent_altitude_deg, light.sun_azimuth_deg], axis=1)[rows]
-    shown = np.array([captures[k].sun_at_deg for k in rows])
-    pixel_deg = 180.0 / len(captures[0].seen) if captures[0].seen is not None else 1.0
-    wrong = wrong_axes(suns, shown, captures[0].heading_deg, pixel_deg)
+    shown = [captures[k].sun_at_deg for k in rows]
+    height = len(captures[0].seen) if captures[0].seen is not None else 1
+    wrong = wrong_axes(suns, shown, captures[0].heading_deg, height)
     return [f"WARNING: {wrong.found}: {wrong.remedy}"] if wrong and wrong.sure else []
 
 

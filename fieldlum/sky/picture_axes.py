@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.ndimage import label
 
 from fieldlum.core.arrays import Floats, Mask
@@ -74,27 +75,29 @@ def sun_elsewhere(
 
 
 def wrong_axes(
-    suns_deg: Floats, shown_deg: Floats, heading_deg: float, pixel_deg: float
+    suns_deg: ArrayLike, shown_deg: ArrayLike, heading_deg: float, rows: int
 ) -> WrongAxes | None:
     """Return what explains discs away from the sun's place; None without such a disc.
 
     suns_deg, shown_deg [n, 2]: apparent altitude and azimuth of the sun, and those at which the
-    pictures show a disc of at least `DISC_SHARE` of the beam, clockwise from north by heading_deg.
+    pictures, of `rows` pixels, show what `sun_elsewhere` finds, or a disc at the sun's place.
+    heading_deg: stated azimuth of their centre column. All azimuths are clockwise from north.
     """
-    altitude, azimuth = suns_deg.T
+    suns, shown = (np.reshape(np.asarray(each, float), (-1, 2)) for each in (suns_deg, shown_deg))
+    altitude, azimuth = suns.T
     ahead = signed_angle_deg(azimuth - heading_deg)
-    within_deg = max(_WITHIN_DEG, 2.5 * pixel_deg)
+    within_deg = max(_WITHIN_DEG, 2.5 * 180.0 / rows)
 
     def explained(altitude_deg: Floats, ahead_deg: Floats) -> Mask:
-        across = signed_angle_deg(heading_deg + ahead_deg - shown_deg[:, 1])
+        across = signed_angle_deg(heading_deg + ahead_deg - shown[:, 1])
         across = across * np.cos(np.radians(altitude_deg))
-        return np.hypot(altitude_deg - shown_deg[:, 0], across) < within_deg
+        return np.hypot(altitude_deg - shown[:, 0], across) < within_deg
 
     elsewhere = ~explained(altitude, ahead)
     if not elsewhere.any():
         return None
     count = counted(int(elsewhere.sum()), "capture")
-    turn_deg = float(np.median(signed_angle_deg(shown_deg[:, 1] - azimuth)))
+    turn_deg = float(np.median(signed_angle_deg(shown[:, 1] - azimuth)))
     true_deg = (heading_deg - turn_deg) % 360.0
     heading = f"set heading_deg = {true_deg:.0f}, if clock and place are right"
     high = int((elsewhere & (altitude > _LOW_SUN_DEG)).sum())

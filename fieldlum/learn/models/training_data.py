@@ -366,10 +366,7 @@ def _notes_on_axes(path: Path, data: Dataset) -> list[str]:
         if place is not None:
             suns.append(at)
             shown.append(place)
-    if not suns:
-        return []
-    pixel_deg = 180.0 / data.shape[0]
-    wrong = wrong_axes(np.array(suns), np.array(shown), data.heading_deg, pixel_deg)
+    wrong = wrong_axes(suns, shown, data.heading_deg, data.shape[0])
     if wrong is None:
         return []
     if wrong.sure:
