@@ -125,11 +125,10 @@ def write_sky_view(
 
 def _notes_on_heading(captures: Sequence[Shown], light: Light) -> list[str]:
     """Return a warning if suns are elsewhere in several panoramas than the heading states."""
-    rows = [k for k, capture in enumerate(captures) if capture.sun_at_deg is not None]
-    suns = np.stack([light.apparent_altitude_deg, light.sun_azimuth_deg], axis=1)[rows]
-    shown = [captures[k].sun_at_deg for k in rows]
+    shown = {k: at for k, capture in enumerate(captures) if (at := capture.sun_at_deg) is not None}
+    suns = np.stack([light.apparent_altitude_deg, light.sun_azimuth_deg], axis=1)[[*shown]]
     height = len(captures[0].seen) if captures[0].seen is not None else 1
-    wrong = wrong_axes(suns, shown, captures[0].heading_deg, height)
+    wrong = wrong_axes(suns, [*shown.values()], captures[0].heading_deg, height)
     return [f"WARNING: {wrong.found}: {wrong.remedy}"] if wrong and wrong.sure else []
 
 
