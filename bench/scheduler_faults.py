@@ -17,6 +17,7 @@ import signal
 import sys
 import threading
 import time
+import warnings
 from collections.abc import Callable
 from datetime import timedelta, timezone
 from pathlib import Path
@@ -167,7 +168,6 @@ def faults(
     expected = contents(folders)
     for folder in folders:
         shutil.rmtree(folder)
-    notes: list[str] = []
     place = asked.folder.resolve() / f"cluster-{title.split()[1]}"
     shutil.rmtree(place, ignore_errors=True)
     other = other_version(place)
@@ -175,13 +175,15 @@ def faults(
         made.worker("other", source=other)
         if full is not None:
             full_disk(made, full)
-        how = parse_scheduler(str(made.file), notes.append)
+        how = parse_scheduler(str(made.file))
         stop = threading.Event()
         killer = threading.Thread(target=kill_some, args=(made, asked.kill_every, stop))
         killer.start()
         start_s = time.monotonic()
         try:
-            work(how)
+            with warnings.catch_warnings(record=True) as notes:
+                warnings.simplefilter("always")
+                work(how)
         finally:
             stop.set()
             killer.join()
@@ -192,7 +194,11 @@ def faults(
     extra = found.keys() - expected.keys()
     print(f"{title}: {took_s:.0f} s, {killed} workers killed, one stopped; {len(expected)} files")
     print(f"  different or missing: {len(wrong)}, not in the run of one process: {len(extra)}")
-    for text in [*wrong[:3], *sorted(extra)[:3], *dict.fromkeys(notes)]:
+    for text in [
+        *wrong[:3],
+        *sorted(extra)[:3],
+        *dict.fromkeys(str(note.message) for note in notes),
+    ]:
         print(f"  {text}")
     sys.stdout.flush()
 

@@ -20,7 +20,6 @@ from fieldlum.core.scheduler import Scheduler
 from fieldlum.optics.profiles import shipped
 from fieldlum.optics.projection import compass_name
 from fieldlum.session import Session, open_session
-from fieldlum.session.codec import write_object
 from fieldlum.session.files.irradiance_csv import CleanIrradiance
 from fieldlum.session.files.model_files import TrainAnswer
 from fieldlum.session.files.pairs_csv import PairsFile
@@ -161,7 +160,7 @@ def run(
     workers: int = 2,
     weather: Path | None = None,
 ) -> Outcome:
-    """Run all stages in `folder`, write demo.json, and return the outcome.
+    """Run all stages in `folder`, and return the outcome.
 
     preset: a name in `PRESETS`. weather: a weather file; None: the shipped Seattle year. show:
     called with the name of each stage, returns a context manager that shows its progress.
@@ -204,7 +203,4 @@ def run(
         annual, _ = predict.run(model, weather, seed=1, scheduler=pool)
     with stage("report"):
         page = report.run(session)
-    outcome = Outcome(page, seconds, _figures(session, scores, annual))
-    table = {"preset": preset, "seconds": seconds, "figures": outcome.figures, "scores": scores}
-    write_object(folder / "demo.json", table)
-    return outcome
+    return Outcome(page, seconds, _figures(session, scores, annual))

@@ -10,7 +10,7 @@ from fieldlum.cli import main
 from fieldlum.cli.options import picture_height
 
 CONTEXT = click.Context(main)
-SHARED = ("as_json", "force", "scheduler_text", "site", "session")
+SHARED = ("as_json", "force", "scheduler", "site", "session")
 
 
 def _commands() -> dict[str, click.Command]:

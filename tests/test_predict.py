@@ -218,7 +218,7 @@ def test_a_year_cut_off_by_a_kill_is_no_year(
         with pytest.raises(KeyboardInterrupt):
             run(model, other, out=tmp_path)
     assert not (tmp_path / "maps.zarr").exists()
-    with pytest.raises(InputError, match=r"no predict.json"):
+    with pytest.raises(InputError, match=r"predict.json: No such file"):
         read_annual(tmp_path)
     assert run(model, weather, out=tmp_path)[1]
 

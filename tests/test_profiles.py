@@ -48,7 +48,7 @@ def _site(tmp_path: Path, text: str) -> Path:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"latitude_deg": 147.0}, r"latitude_deg = '147.0'.*<= 90.0 \(south is negative\)"),
+        ({"latitude_deg": 147.0}, r"latitude_deg = '147.0'.*<= 90.0"),
         ({"longitude_deg": 190.0}, "longitude_deg = '190.0'"),
         ({"timezone": "America/Seatle"}, "unknown time zone 'America/Seatle'"),
         ({"lattitude_deg": 1.0}, "unknown key 'lattitude_deg'; did you mean 'latitude_deg'"),

@@ -196,7 +196,7 @@ CASES = [
     ("train @/good.exr --site @/good.toml", "an OpenEXR picture; expected a csv", 3),
     ("train @/sky.csv --site @/good.toml", "no column panorama", 3),
     ("train @/session --budget nan", "nan is not a finite number", 2),
-    ("predict @/session --weather synthetic", "no config.json", 3),
+    ("predict @/session --weather synthetic", "config.json: No such file", 3),
     (
         "glare @/true.JPG",
         "a JPEG picture; expected a luminance .hdr or .exr; merge photos: fieldlum merge",

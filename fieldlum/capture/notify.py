@@ -20,7 +20,7 @@ from zoneinfo import ZoneInfo
 
 from fieldlum.capture.reconnect import Backoff
 from fieldlum.capture.runner import Live
-from fieldlum.core.errors import InputError, input_errors, install_text
+from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.files import read_bytes
 from fieldlum.core.records import parse_utc
 from fieldlum.session import Session
@@ -141,20 +141,16 @@ def read_targets(option: str, *, name: str = "--notify") -> tuple[tuple[str, ...
 def apprise_post(targets: Sequence[str], source: Path | str = "targets") -> Post:
     """Return a function that sends one message to all targets, and returns whether all succeeded.
 
-    Raises InputError without the package apprise and for a target that it does not understand, with
-    the target's number but without its text. source: what states the targets, for errors.
+    Raises InputError for a target that apprise does not understand, with the target's number but
+    without its text. source: what states the targets, for errors.
     """
     logging.getLogger("apprise").setLevel(logging.CRITICAL)  # its log lines contain addresses
-    try:
-        with warnings.catch_warnings():  # one of its services imports a deprecated module
-            warnings.simplefilter("ignore", DeprecationWarning)
-            import apprise
+    with warnings.catch_warnings():  # one of its services imports a deprecated module
+        warnings.simplefilter("ignore", DeprecationWarning)
+        import apprise
 
-            sender = apprise.Apprise()
-            understood = [sender.add(target) for target in targets]
-    except ImportError:
-        found, remedy = "messages cannot be sent", install_text("notify")
-        raise InputError(source, found, "the package apprise", remedy) from None
+        sender = apprise.Apprise()
+        understood = [sender.add(target) for target in targets]
     if not all(understood):
         number = f"{understood.index(False) + 1} of {len(understood)}"
         expected = "an address such as mailto://, ntfy:// or tgram://"

@@ -27,8 +27,13 @@ COMMANDS = (
 )
 
 INTERRUPTED = 130  # 128 + SIGINT, as POSIX shells report Ctrl-C
-# May be missing on a small computer that only captures; see pyproject.toml.
-COMPUTE_PACKAGES = ("numba", "torch", "pyradiance")
+# Packages that may be missing, and the extra of pyproject.toml that has each. A small computer that
+# only captures lacks those of `compute`.
+EXTRAS = {
+    **dict.fromkeys(("numba", "torch", "pyradiance"), "compute"),
+    **dict.fromkeys(("starlette", "uvicorn"), "web"),
+    **{"distributed": "cluster", "apprise": "notify"},
+}
 
 # Errors of a folder or a disk, which can happen in any command and which no stage can correct.
 _ELSEWHERE = "change its permissions, or choose another place"
@@ -63,8 +68,10 @@ class _CommandGroup(InOrder):
         """Run the command; print expected errors as one line and exit with their code."""
         _hold_standard_files()
         code = errors.InputError.exit_code
+        # Python processes import nothing from the current folder: it may be somebody's session.
+        os.environ["PYTHONSAFEPATH"] = "1"
         try:
-            with _warnings_as_notes(), _children_import_nothing_here():
+            with _warnings_as_notes():
                 return super().invoke(ctx)
         except errors.FieldlumError as error:
             text, code = str(error), error.exit_code
@@ -74,11 +81,10 @@ class _CommandGroup(InOrder):
             place = f"{error.filename}: " if error.filename else ""
             text = f"{place}{error.strerror or error}; {DISK_TROUBLE[error.errno]}"
         except ModuleNotFoundError as error:
-            if error.name not in COMPUTE_PACKAGES:
+            if error.name not in EXTRAS:
                 raise
-            missing = f"the package {error.name} is not installed"
-            only = "this fieldlum was installed for captures only"
-            text = f"{missing}: {only}; {errors.install_text('compute')}"
+            how = errors.install_text(EXTRAS[error.name])
+            text = f"the package {error.name} is not installed; {how}"
         except MemoryError as error:
             text = f"{errors.reason_of(error)}: look for a file of excessive size"
         except KeyboardInterrupt:
@@ -90,26 +96,15 @@ class _CommandGroup(InOrder):
 
 
 @contextmanager
-def _children_import_nothing_here() -> Iterator[None]:
-    """Let Python processes import nothing from the current folder: it may be somebody's session."""
-    before = os.environ.setdefault("PYTHONSAFEPATH", "")
-    os.environ["PYTHONSAFEPATH"] = "1"
-    try:
-        yield
-    finally:
-        os.environ["PYTHONSAFEPATH"] = before
-
-
-@contextmanager
 def _warnings_as_notes() -> Iterator[None]:
-    """Print warnings without control codes on stderr, that of a changed file as one line, once."""
+    """Print warnings without control codes on stderr, those of fieldlum as one line, once."""
     with warnings.catch_warnings():
-        show, changes = warnings.showwarning, set[str]()
+        show, shown = warnings.showwarning, set[str]()
 
         def note(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
-            if issubclass(category, errors.ChangedFileWarning):
-                if str(message) not in changes:
-                    changes.add(str(message))
+            if issubclass(category, errors.Caution):
+                if str(message) not in shown:
+                    shown.add(str(message))
                     say(f"WARNING: {message}")
             else:
                 show(printable(str(message)), category, *place, **more)

@@ -155,17 +155,9 @@ def _flat(table: Facts, prefix: str = "") -> Facts:
 
 
 def _csv(path: Path) -> Facts:
-    from fieldlum.session import PLAN_COLUMNS, read_plan
-
     lines = read_bytes(path).decode(errors="replace").splitlines()
     head, *rows = [line for line in lines if not line.startswith("#")] or [""]
-    if tuple(head.split(",")) != PLAN_COLUMNS:
-        return {"kind": "table", "rows": len(rows), "columns": head}
-    slots = read_plan(path)
-    days = sorted({slot.t_utc.date() for slot in slots})
-    span = f"{days[0]} to {days[-1]}" if days else "empty"
-    frames = len(slots[0].exposures) if slots else 0
-    return {"kind": "plan", "slots": len(slots), "days_utc": span, "frames_per_slot": frames}
+    return {"kind": "table", "rows": len(rows), "columns": head}
 
 
 def _jpeg(path: Path) -> Facts:

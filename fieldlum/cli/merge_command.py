@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import click
 
-from fieldlum.cli.options import command_of, new_file, picture_height, scheduler_of
+from fieldlum.cli.options import command_of, new_file, picture_height
 from fieldlum.cli.terminal import notes, print_answer, progress, say
 from fieldlum.core.errors import InputError
 
@@ -28,7 +28,7 @@ def command(
     projection: Literal["equirect", "fisheye"] = "equirect",
     heading: Annotated[float, click.FloatRange(-360, 360)] = 180.0,
     fit: bool | None = None,
-    scheduler_text: str = "local",
+    scheduler: Any = "local",
     force: bool = False,
     as_json: bool = False,
 ) -> None:
@@ -77,7 +77,6 @@ def command(
     profile = load_camera_profile(session.site_file().camera.profile)
     notes(filter(None, [uncalibrated_text(profile)]))
     options = merge.MergeOptions(picture_height(size or _present_size(session)), fit=fit)
-    scheduler = scheduler_of(scheduler_text)
     with progress("Merge"):
         verdicts = merge.run(session, options, scheduler=scheduler, force=force)
     lines = [f"{v.slot} {v.state}: {v.text}" for v in verdicts]

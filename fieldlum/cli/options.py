@@ -43,6 +43,12 @@ def _open_session(text: str) -> Session:
     return open_session(PATH.convert(text, None, None))
 
 
+def _scheduler(text: str) -> Scheduler:
+    from fieldlum.core.scheduler import parse_scheduler
+
+    return parse_scheduler(text)
+
+
 def _shared(
     session: Annotated[Any, "SESSION", _open_session],
     pairs: Annotated[Path, "SESSION|PAIRS.csv"],
@@ -55,7 +61,7 @@ def _shared(
     site: Path | None = None,
     scene: str = "",
     sky_view: Annotated[Path | None, FILE_PATH] = None,
-    scheduler_text: str = "local",
+    scheduler: Annotated[Any, _scheduler] = "local",
     part: str = "",
 ) -> None:
     """Declare the options and arguments that several commands share, by name.
@@ -148,14 +154,6 @@ def new_file(path: Path | None, force: bool) -> None:
     if path is not None and path.exists() and not force:
         remedy = "choose another name, or replace it by --force"
         raise InputError(path, "the file exists already", "a new file", remedy)
-
-
-def scheduler_of(text: str) -> Scheduler:
-    """Return the scheduler for the text of --scheduler. Raises InputError for an unknown text."""
-    from fieldlum.cli.terminal import say
-    from fieldlum.core.scheduler import parse_scheduler
-
-    return parse_scheduler(text, say)
 
 
 # Width by height of maps as in Liu, Colburn and Inanici 2020, and of a fisheye: evalglare's usual

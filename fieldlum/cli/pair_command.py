@@ -1,15 +1,16 @@
 """`fieldlum pair`: match panoramas with irradiance, sun and sun patches."""
 
 from collections import Counter
+from typing import Any
 
 import click
 
 from fieldlum.cli import terminal
-from fieldlum.cli.options import OpenSession, command_of, scheduler_of
+from fieldlum.cli.options import OpenSession, command_of
 
 
 @command_of("pair")
-def command(session: OpenSession, scheduler_text: str = "local", force: bool = False) -> None:
+def command(session: OpenSession, scheduler: Any = "local", force: bool = False) -> None:
     """Match panoramas with irradiance and sun; write the sky view.
 
     \b
@@ -21,7 +22,6 @@ def command(session: OpenSession, scheduler_text: str = "local", force: bool = F
     from fieldlum.pair import irradiance
     from fieldlum.sky.sky_view.view import SkyView
 
-    scheduler = scheduler_of(scheduler_text)
     with terminal.progress("irradiance"):
         health = irradiance.run(session, force=force)
     terminal.notes(health.warnings)

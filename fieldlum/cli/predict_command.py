@@ -1,11 +1,11 @@
 """`fieldlum predict`: run a weather year through a trained model."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import click
 
-from fieldlum.cli.options import command_of, scheduler_of
+from fieldlum.cli.options import command_of
 from fieldlum.cli.terminal import print_answer, progress, say
 
 
@@ -20,7 +20,7 @@ def command(
     occupancy_path: Path | None = None,
     lamps: str = "",
     sky_view: Path | None = None,
-    scheduler_text: str = "local",
+    scheduler: Any = "local",
     force: bool = False,
     as_json: bool = False,
 ) -> None:
@@ -60,7 +60,7 @@ def command(
             sky_view=sky_view,
             force=force,
             label_shift_min=label_shift_min,
-            scheduler=scheduler_of(scheduler_text),
+            scheduler=scheduler,
         )
     summary = annual.summary
     notes = [f"note: {text}" for text in (*summary.weather.repairs, *summary.notes)]

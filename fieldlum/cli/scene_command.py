@@ -128,9 +128,9 @@ def click_corners(
           [default: the session's]
       --port: Port of the page; 0 takes a free one.
     """
+    from fieldlum.web import click_room, server
+
     height_m = camera_height_m or session.site_file().camera.height_m
-    with terminal.web_library():
-        from fieldlum.web import click_room, server
     picture = click_room.ClickedPicture.of(session, slot)
     if csv_path is None:
         served = server.prepare(click_room.click_routes(picture, height_m), port, lan=False)

@@ -6,14 +6,14 @@ from datetime import UTC, datetime
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import click
 from click.core import ParameterSource
 
 from fieldlum.cli import terminal
 from fieldlum.cli.declared import EXISTING_PATH
-from fieldlum.cli.options import DEFAULT_SIZE, CaptureSet, command_of, picture_height, scheduler_of
+from fieldlum.cli.options import DEFAULT_SIZE, CaptureSet, command_of, picture_height
 
 if TYPE_CHECKING:
     from fieldlum.core.records import SiteFile
@@ -34,7 +34,7 @@ def command(
     quality: Literal["draft", "quick", "paper"] | None = None,
     colour: bool = False,
     seed: int = 1,
-    scheduler_text: str = "local",
+    scheduler: Any = "local",
     force: bool = False,
     as_json: bool = False,
 ) -> None:
@@ -89,7 +89,7 @@ def command(
     assert session is not None
     render = partial(simulate.run, session, weather, height=height, quality=chosen, force=force)
     with terminal.progress("simulating"):
-        result = render(coloured=colour, scheduler=scheduler_of(scheduler_text))
+        result = render(coloured=colour, scheduler=scheduler)
     answer = {"session": str(session.root), "rendered": result.rendered, "kept": result.kept}
     answer |= {"dark": result.dark, "weather": result.weather, "size": size, "quality": chosen}
     dark = f", {result.dark} slots without light" if result.dark else ""

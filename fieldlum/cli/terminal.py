@@ -1,7 +1,6 @@
 """Print JSON on stdout, notes and progress on stderr; keep long commands running."""
 
 import json
-import math
 import signal
 import sys
 import time
@@ -11,27 +10,20 @@ from typing import Any
 
 import click
 
-from fieldlum.core.errors import InputError, install_text
 from fieldlum.core.progress import Progress, shown_by
 
 # Seconds before the first line of progress in a log, and between lines; chosen.
 FIRST_LINE_S, LINE_EVERY_S = 2.0, 60.0
 
 
-def _finite(value: Any) -> Any:
-    """Return a value that JSON can store: null for NaN and infinity, plain numbers for numpy's."""
-    if isinstance(value, dict):
-        return {str(k): _finite(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(v) for v in value]
-    if hasattr(value, "tolist"):
-        return _finite(value.tolist())
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+def _plain(value: Any) -> Any:
+    return value.tolist() if hasattr(value, "tolist") else str(value)
 
 
 def emit_json(answer: Any) -> None:
-    """Print exactly one JSON object on one line of stdout."""
-    text = json.dumps(_finite(answer), ensure_ascii=False, default=str)
+    """Print exactly one JSON object on one line of stdout, with null for NaN and infinity."""
+    finite = json.loads(json.dumps(answer, default=_plain), parse_constant=lambda _: None)
+    text = json.dumps(finite, ensure_ascii=False)
     click.echo("".join(c if c.isprintable() else json.dumps(c)[1:-1] for c in text))
 
 
@@ -110,18 +102,6 @@ def unattended() -> Iterator[None]:
     finally:
         for number, how in before.items():
             signal.signal(number, how)
-
-
-@contextmanager
-def web_library() -> Iterator[None]:
-    """Guard imports in a `with` block: InputError if the optional web server is missing."""
-    try:
-        yield
-    except ModuleNotFoundError as error:
-        if error.name not in ("starlette", "uvicorn"):
-            raise
-        remedy = install_text("web")
-        raise InputError("fieldlum[web]", "no web server is installed", remedy=remedy) from None
 
 
 @contextmanager

@@ -38,9 +38,8 @@ def command(
       --compute/--no-compute: Merge new brackets and compute the prediction so far, at
           lowest priority between slots.
     """
-    with terminal.web_library():
-        from fieldlum.web.server import prepare, watch_routes
     from fieldlum.web.prediction_so_far import Worker
+    from fieldlum.web.server import prepare, watch_routes
     from fieldlum.web.snapshot import Snapshots
 
     if weather != "synthetic" and not Path(weather).is_file():

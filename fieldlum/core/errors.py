@@ -56,7 +56,11 @@ class NotEnoughDataError(FieldlumError):
     exit_code = 5
 
 
-class ChangedFileWarning(UserWarning):
+class Caution(UserWarning):
+    """A warning to the user, which the command line prints as one line."""
+
+
+class ChangedFileWarning(Caution):
     """A file of a session differs from what fieldlum wrote: edited by hand, or damaged."""
 
 

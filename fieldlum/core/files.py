@@ -77,15 +77,14 @@ def open_to_read(path: Path, maximum_bytes: int = MAX_FILE_BYTES) -> BufferedRea
     size = os.fstat(file.fileno()).st_size
     if size > maximum_bytes:
         file.close()
-        limit = f"the limit of {maximum_bytes / 2**30:g} GiB"
-        found = f"{size / 2**30:.1f} GiB, more than {limit}"
+        found = f"{size / 2**20:.1f} MiB, more than the limit of {maximum_bytes / 2**20:g} MiB"
         raise OSError(errno.EOVERFLOW, found, str(path))
     return file
 
 
-def read_bytes(path: Path) -> bytes:
+def read_bytes(path: Path, maximum_bytes: int = MAX_FILE_BYTES) -> bytes:
     """Return the content of a file. Raises the errors of `open_to_read`."""
-    with open_to_read(path) as file:
+    with open_to_read(path, maximum_bytes) as file:
         return file.read()
 
 

@@ -14,12 +14,13 @@ import os
 import sys
 import threading
 import time
+import warnings
 from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -28,7 +29,7 @@ from urllib.parse import urlsplit
 
 from threadpoolctl import threadpool_limits
 
-from fieldlum.core.errors import InputError, NotEnoughDataError, input_errors, install_text
+from fieldlum.core.errors import Caution, InputError, NotEnoughDataError, input_errors
 from fieldlum.core.files import read_bytes
 from fieldlum.core.progress import progress, quiet, shown_by
 from fieldlum.optics.profiles import shipped
@@ -50,34 +51,29 @@ _WORKER_ERRNOS |= {errno.EIO, errno.EROFS, errno.ENOMEM, errno.EMFILE}
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
-def _silent(text: str) -> None:
-    """Show nothing."""
-
-
 @dataclass(frozen=True, slots=True)
 class Scheduler:
     """Where units of work run: in some processes here, or on the Dask scheduler at an address.
 
-    address: tcp:// or tls://, "" for this computer. say: shows one sentence to the user.
+    address: tcp:// or tls://, "" for this computer.
     """
 
     processes: int = 1
     address: str = ""
-    say: Callable[[str], None] = field(default=_silent, compare=False)
 
 
 LOCAL = Scheduler()
 
 
-def parse_scheduler(text: str, say: Callable[[str], None] = _silent) -> Scheduler:
+def parse_scheduler(text: str) -> Scheduler:
     """Return the scheduler that `text` names: local, processes:N (or N), an address or FILE.json.
 
-    Raises InputError for any other text and for a FILE.json that cannot be used. Warns through
-    `say` about an address that other computers can reach without TLS.
+    Raises InputError for any other text and for a FILE.json that cannot be used. Warns of an
+    address that other computers can reach without TLS.
     """
     count = "1" if text == "local" else text.removeprefix("processes:")
     if count.isdigit() and int(count) > 0:
-        return Scheduler(int(count), say=say)
+        return Scheduler(int(count))
     address = text
     if text.endswith(".json"):
         remedy = "let dask scheduler --scheduler-file write the file"
@@ -88,11 +84,10 @@ def parse_scheduler(text: str, say: Callable[[str], None] = _silent) -> Schedule
         at = urlsplit(address)
         if at.scheme in ("tcp", "tls") and at.hostname and at.port and "@" not in at.netloc:
             if at.scheme == "tcp" and not _is_loopback(at.hostname):
-                say(
-                    f"WARNING: {address} has no TLS and is not on this computer: anyone who can "
-                    "reach that port can run programs on its workers. Use tls:// (docs/scale.md)."
-                )
-            return Scheduler(address=address, say=say)
+                text = f"{address} has no TLS and is not on this computer: anyone who can reach "
+                text += "that port can run programs on its workers. Use tls:// (docs/scale.md)."
+                warnings.warn(text, Caution, stacklevel=2)
+            return Scheduler(address=address)
     forms = "local, processes:N, tcp://HOST:PORT, tls://HOST:PORT or FILE.json"
     raise InputError("--scheduler", f"'{address}'", forms, "correct it, or omit --scheduler")
 
@@ -174,7 +169,7 @@ def run_units(
     if not waiting:
         return
     if scheduler.address:
-        outcomes = _on_cluster(waiting, scheduler)
+        outcomes = _on_cluster(waiting, scheduler.address)
     else:
         outcomes = _in_processes(waiting, count) if count > 1 else map(_here, waiting)
     for done, outcome in enumerate(outcomes, start=1):
@@ -354,7 +349,7 @@ def software() -> dict[str, str]:
     return facts
 
 
-def _on_cluster(units: list[WorkUnit], scheduler: Scheduler) -> Iterator[UnitOutcome]:
+def _on_cluster(units: list[WorkUnit], address: str) -> Iterator[UnitOutcome]:
     """Run units on the workers of a Dask scheduler, which runs a killed worker's units elsewhere.
 
     A worker with other software, stale files or a full disk gets no unit a second time. Raises
@@ -362,10 +357,10 @@ def _on_cluster(units: list[WorkUnit], scheduler: Scheduler) -> Iterator[UnitOut
     """
     avoided: dict[str, str] = {}  # worker, and why it gets no more units
     tries, running = Counter[str](), dict[Future[Any], tuple[WorkUnit, set[str]]]()
-    with _connect(scheduler) as client:
+    with _connect(address) as client:
 
         def submit(unit: WorkUnit) -> None:
-            places = _usable(client, scheduler, avoided)
+            places = _usable(client, address, avoided)
             executor = client.get_executor(workers=sorted(places) or None, pure=False)
             running[executor.submit(_perform_here, task_of(unit))] = unit, places
 
@@ -377,7 +372,8 @@ def _on_cluster(units: list[WorkUnit], scheduler: Scheduler) -> Iterator[UnitOut
                 (unit, _), (worker, value, trouble, error) = running.pop(future), _answer(future)
                 if worker and trouble and worker not in avoided:
                     avoided[worker] = trouble
-                    scheduler.say(f"worker {worker}: {trouble}; it gets no further units")
+                    text = f"worker {worker}: {trouble}; it gets no further units"
+                    warnings.warn(text, Caution, stacklevel=2)
                 if not trouble:
                     yield UnitOutcome(unit, value, error)
                 elif tries[unit.name] < RETRIES:
@@ -391,7 +387,7 @@ def _on_cluster(units: list[WorkUnit], scheduler: Scheduler) -> Iterator[UnitOut
                     future.cancel()
 
 
-def _usable(client: Any, scheduler: Scheduler, avoided: dict[str, str]) -> set[str]:
+def _usable(client: Any, address: str, avoided: dict[str, str]) -> set[str]:
     """Return the workers that are not avoided; the empty set if none is, so that any may do."""
     end_s = time.monotonic() + REPLACED_S
     while avoided:
@@ -401,7 +397,7 @@ def _usable(client: Any, scheduler: Scheduler, avoided: dict[str, str]) -> set[s
             worker, why = next(iter(avoided.items()))
             finding = f"no usable worker is left (worker {worker}: {why})"
             remedy = "finished units are stored; start the command again"
-            raise InputError(scheduler.address, finding, remedy=remedy)
+            raise InputError(address, finding, remedy=remedy)
         time.sleep(1.0)
     return set()
 
@@ -414,28 +410,25 @@ def _answer(future: Future[Any]) -> tuple[str, Any, str, BaseException | None]:
     return ("", None, "", error) if error else (*future.result(), None)
 
 
-def _connect(scheduler: Scheduler) -> Any:
+def _connect(address: str) -> Any:
     """Return a Dask client; certificates of tls:// are those of Dask's own configuration.
 
-    Raises InputError without dask or if no scheduler answers, NotEnoughDataError without a worker.
+    Raises InputError if no scheduler answers, NotEnoughDataError without a worker.
     """
+    from distributed import Client
+
     try:
-        from distributed import Client
-    except ImportError:
-        remedy = install_text("cluster")
-        raise InputError("--scheduler", "dask is not installed", remedy=remedy) from None
-    try:
-        client = Client(scheduler.address, timeout=CONNECT_S, set_as_default=False, name="fieldlum")
+        client = Client(address, timeout=CONNECT_S, set_as_default=False, name="fieldlum")
     except (OSError, TimeoutError, ValueError) as error:
         finding = f"no scheduler answers ({type(error).__name__})"
         remedy = "start one with: dask scheduler --host 127.0.0.1, or check the certificates"
-        raise InputError(scheduler.address, finding, remedy=remedy) from None
+        raise InputError(address, finding, remedy=remedy) from None
     try:
         client.wait_for_workers(1, timeout=PATIENCE_S)
     except TimeoutError:
         client.close()
         raise NotEnoughDataError(
-            f"{scheduler.address}: no worker for {PATIENCE_S:.0f} s; start one with: dask worker "
+            f"{address}: no worker for {PATIENCE_S:.0f} s; start one with: dask worker "
             "ADDRESS; finished units are stored, so start the command again"
         ) from None
     return client

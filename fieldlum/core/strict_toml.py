@@ -16,7 +16,7 @@ import msgspec
 from msgspec import Meta
 
 from fieldlum.core.errors import InputError, did_you_mean, input_errors, kind_of
-from fieldlum.core.files import open_to_read
+from fieldlum.core.files import read_bytes
 
 T = TypeVar("T")
 TomlTable = dict[str, Any]
@@ -27,7 +27,7 @@ Share = Annotated[float, Meta(ge=0.0, lt=1.0)]
 """Numbers of a table whose range is checked when it is built."""
 
 # bytes; the largest file of fieldlum has some kB, but /dev/zero has no end; chosen
-_MAX_BYTES = 4_000_000
+_MAX_BYTES = 4 * 2**20
 _WORDS = {
     "float": "a number",
     "int": "an integer",
@@ -42,7 +42,6 @@ _KINDS = {
     "setup": ("the session.toml of a session", "name its folder"),
     "lens": ("a camera profile", "name a shipped one or a file, as [camera] of SITE.toml does"),
 }
-_SIGNS = {"latitude_deg": " (south is negative)", "longitude_deg": " (west is negative)"}
 
 
 def convert(value: object, kind: type[T], *, strict: bool = False) -> T:
@@ -70,7 +69,7 @@ def _reason(text: str, value: Any) -> str:
     if place and not text.startswith("no entry"):
         for index, key in re.findall(r"\[(\d+)\]|([^.\[\]]+)", place):
             value = value[key or int(index)]
-        return f"{place} = {str(value)[:60]!r}, {text}{_SIGNS.get(place.rpartition('.')[2], '')}"
+        return f"{place} = {str(value)[:60]!r}, {text}"
     return f"{text} in {place}" if place else text
 
 
@@ -127,16 +126,10 @@ def _is_record(kind: Any) -> bool:
 def read_toml(path: Path) -> TomlTable:
     """Return the content of a TOML file as nested dicts.
 
-    Raises InputError if the file is missing, over 4 MB, not UTF-8, not TOML, or nested too deeply.
+    Raises InputError if the file is missing, over 4 MiB, not UTF-8, not TOML, or nested too deeply.
     """
-    with (
-        input_errors(path, "a readable TOML file", "check the path of the file", OSError),
-        open_to_read(path) as file,
-    ):
-        data = file.read(_MAX_BYTES + 1)
-    if len(data) > _MAX_BYTES:
-        found = f"more than {_MAX_BYTES / 1e6:.0f} MB"
-        raise InputError(path, found, "a TOML file", "check the path of the file")
+    with input_errors(path, "a readable TOML file", "check the path of the file", OSError):
+        data = read_bytes(path, _MAX_BYTES)
     try:
         # Editors of Windows write a byte order mark before the text, some of a Mac CR alone.
         text = data.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")

@@ -148,8 +148,6 @@ class JsonFile(msgspec.Struct, frozen=True):
     @classmethod
     def read(cls, place: Path) -> Self:
         """Read a file, or NAME in a folder. Raises InputError for a missing or an invalid file."""
-        if cls.NAME and not (place / cls.NAME).is_file():
-            raise InputError(place, f"no {cls.NAME} in this folder", cls.EXPECTED, cls.REMEDY)
         path = place / cls.NAME
         return cls.from_table(read_object(path, cls.EXPECTED, cls.REMEDY), path)
 

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from zoneinfo import ZoneInfo
 
-from fieldlum.core.errors import InputError, input_errors
+from fieldlum.core.errors import input_errors
 from fieldlum.core.records import Exposure, Slot, parse_utc, shutter_text, utc_text
 from fieldlum.core.strict_csv import read_table
 from fieldlum.session.codec import convert, write_csv
@@ -63,10 +63,8 @@ def read_plan(path: Path) -> list[Slot]:
 
     Raises InputError for a missing file or other content.
     """
-    if not path.is_file():
-        remedy = "restore it, or plan a new session: fieldlum plan SITE.toml --set 9-day --out DIR"
-        raise InputError(path, "no such file", "the plan of a session", remedy)
-    expected, remedy = f"columns {', '.join(PLAN_COLUMNS)}", "restore the plan from a copy"
+    expected = f"columns {', '.join(PLAN_COLUMNS)}"
+    remedy = "restore the plan from a copy, or plan a new session"
     slots: list[Slot] = []
     for line, cells in read_table(path, expected, remedy, needed=PLAN_COLUMNS).dicts():
         with input_errors(f"{path}: line {line}", expected, remedy, ValueError, ArithmeticError):

@@ -47,10 +47,7 @@ class CleanIrradiance:
 
         Raises InputError for a missing file or other content.
         """
-        if not path.is_file():
-            remedy = "log or import it (fieldlum log, fieldlum import), then run fieldlum pair"
-            raise InputError(path, "no such file", "quality-checked irradiance", remedy)
-        remedy = "delete the file and run fieldlum pair, which writes it again"
+        remedy = "log or import irradiance, then run fieldlum pair, which writes the file again"
         return cls._read(path, ("source", "flags"), remedy)
 
     @classmethod
