@@ -21,7 +21,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scene_rooms import measured, with_box
 
 from fieldlum import plan
 from fieldlum.core.records import CameraSetup, Obstruction, Room, Site, SiteFile, Window
@@ -30,6 +29,7 @@ from fieldlum.learn.models.held_out_choice import CRITERIA, beam_is_uncertain
 from fieldlum.learn.models.training_data import Dataset, load_pairs
 from fieldlum.learn.train import choose_model, day_folds, evaluate_folds, notes_of
 from fieldlum.room import simulate
+from fieldlum.room.fit.apply_scene import with_patches
 from fieldlum.session import open_session
 from fieldlum.sky import sun
 from fieldlum.year.glare.metrics import glare_directions
@@ -109,6 +109,32 @@ def as_paired(data: Dataset, seed: int) -> Dataset:
     return replace(data, light=replace(light, dni_wm2=dni, dhi_wm2=dhi)).take(usable)
 
 
+def measured(room: Room, rng: np.random.Generator) -> Room:
+    """The box as a user states it: no bars, no furniture, every length a little off."""
+
+    def off(sd: float) -> float:
+        return float(sd * rng.standard_normal())
+
+    def edges_off(w: Window) -> Window:
+        return replace(
+            w,
+            left_m=w.left_m + off(0.04),
+            width_m=w.width_m + off(0.04),
+            sill_m=w.sill_m + off(0.04),
+            height_m=w.height_m + off(0.04),
+        )
+
+    return replace(
+        room,
+        width_m=room.width_m * (1.0 + off(0.015)),
+        depth_m=room.depth_m * (1.0 + off(0.015)),
+        camera_x_m=room.camera_x_m + off(0.05),
+        camera_y_m=room.camera_y_m + off(0.05),
+        wall_thickness_m=room.wall_thickness_m + off(0.03),
+        window=tuple(edges_off(w) for w in room.window),
+    )
+
+
 def dgp_of(maps: Array, year: Dataset) -> Array:
     """Return DGP in ten directions with the true disc, [n, 10]."""
     azimuths = view_azimuths_deg(year.heading_deg)
@@ -125,7 +151,8 @@ def judge(out: Path, seed: int) -> dict[str, Any]:
         data = load_pairs(out / str(seed) / name / "truth" / "pairs.csv")
         assert data.setup.room is not None
         tape = measured(data.setup.room, np.random.default_rng([50, seed]))
-        parts[name] = with_box(data, replace(tape, obstruction=()))
+        room = replace(tape, obstruction=())
+        parts[name] = with_patches(replace(data, setup=replace(data.setup, room=room)))
     days, year = as_paired(parts["days"], seed), parts["year"]
     trials = [
         evaluate_folds(name, days, day_folds(days), patch="absolute", seed=0) for name in TRIED

@@ -1,4 +1,4 @@
-"""Predicted glare of many hours against its truth: for `scene_glare.py` and `hard_campaign.py`."""
+"""Predicted glare of many hours against its truth, for `hard_campaign.py`."""
 
 from __future__ import annotations
 
