@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 
 from fieldlum.core.statistics import (
     is_no_worse,
-    median,
     median_standard_error,
     nan_percentiles,
     robust_sigma,
@@ -24,17 +23,6 @@ def test_robust_sigma_of_normal_values_with_gross_errors() -> None:
     values[:2000] = 1e6
     assert robust_sigma(values) == pytest.approx(2.0 * 1.15, rel=0.04)  # 10 % of gross errors
     assert robust_sigma([-3.0, 3.0, 3.0], 0.0) == pytest.approx(1.4826 * 3.0)
-
-
-@pytest.mark.authority
-@pytest.mark.parametrize("kind", [np.float32, np.float64])
-def test_the_median_is_that_of_numpy(kind: type) -> None:
-    for count in (1, 2, 3, 50, 1001):
-        values = RNG.normal(size=count).astype(kind)
-        for gross in (0.0, np.inf, np.nan):
-            values[count // 3] = gross
-            np.testing.assert_array_equal(median(values), np.median(values))
-    assert np.isnan(median(np.empty(0)))
 
 
 @pytest.mark.analytic

@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 
 from fieldlum.api.measurement import path_of, place
 from fieldlum.core.errors import InputError, input_errors
-from fieldlum.core.progress import Progress, quiet, shown_by
 from fieldlum.core.records import Site, SiteFile, parse_utc
 
 if TYPE_CHECKING:
@@ -130,7 +129,6 @@ def load_pairs(
     site: str | Path | None = None,
     *,
     scene: str = "",
-    progress: Progress = quiet,
 ) -> Dataset:
     """Read captured hours with their irradiance for training, as `fieldlum train` does.
 
@@ -143,8 +141,6 @@ def load_pairs(
     scene
         A folder that `fieldlum scene fit` wrote; "none" ignores any scene; "" uses scene/ next to
         the pairs, if it exists.
-    progress
-        Called as progress(done, total, text).
 
     Returns
     -------
@@ -171,9 +167,8 @@ def load_pairs(
 
     source = pairs.root if isinstance(pairs, Session) else path_of(pairs, "pairs")
     stated = None if site is None else path_of(site, "site")
-    with shown_by(progress):
-        captures = training_data.with_sky_view(training_data.load_pairs(source, stated))
-        return apply_scene(captures, source, scene, "absolute")[0]
+    captures = training_data.with_sky_view(training_data.load_pairs(source, stated))
+    return apply_scene(captures, source, scene, "absolute")[0]
 
 
 def fit(
@@ -184,7 +179,6 @@ def fit(
     budget_min: float = 10.0,
     seed: int = 0,
     out: str | Path | None = None,
-    progress: Progress = quiet,
 ) -> RoomModel:
     """Fit a model of the room to captured hours.
 
@@ -204,8 +198,6 @@ def fit(
         Seed of everything random; it is stored in the model folder.
     out
         A model folder for weights.npz, config.json and scores.json; None writes nothing.
-    progress
-        Called as progress(done, total, text).
 
     Returns
     -------
@@ -232,8 +224,7 @@ def fit(
         raise InputError("data", f"{data!r:.60}", "pairs from fieldlum.load_pairs", "call it first")
     with nullcontext(out) if out is not None else TemporaryDirectory() as where:
         folder = path_of(where, "out")
-        with shown_by(progress):
-            train.run(data, model, budget_min=budget_min, patch=patch, seed=seed, out=folder)
+        train.run(data, model, budget_min=budget_min, patch=patch, seed=seed, out=folder)
         return load_model(folder)
 
 
@@ -339,7 +330,6 @@ def predict_year(
     occupancy_file: str | Path | None = None,
     label_shift_min: float = 0.0,
     force: bool = False,
-    progress: Progress = quiet,
 ) -> Annual:
     """Predict every daylight hour of a weather year, with glare in directions all around.
 
@@ -362,8 +352,6 @@ def predict_year(
         Added to the times in the weather file, where its labels are known to be off. [min]
     force
         Predict again even if the folder has this year from the same inputs.
-    progress
-        Called as progress(done, total, text).
 
     Returns
     -------
@@ -386,14 +374,13 @@ def predict_year(
     """
     from fieldlum.year import predict
 
-    with shown_by(progress):
-        return predict.run(
-            path_of(model_folder, "model_folder"),
-            path_of(weather_file),
-            out=None if out is None else path_of(out, "out"),
-            maps=maps,
-            views=views,
-            occupancy_path=None if occupancy_file is None else path_of(occupancy_file),
-            label_shift_min=label_shift_min,
-            force=force,
-        ).annual
+    return predict.run(
+        path_of(model_folder, "model_folder"),
+        path_of(weather_file),
+        out=None if out is None else path_of(out, "out"),
+        maps=maps,
+        views=views,
+        occupancy_path=None if occupancy_file is None else path_of(occupancy_file),
+        label_shift_min=label_shift_min,
+        force=force,
+    ).annual

@@ -9,7 +9,6 @@ from datetime import UTC, date, datetime
 from pathlib import Path
 
 from fieldlum.core.errors import InputError, input_errors
-from fieldlum.core.progress import Progress, quiet, shown_by
 from fieldlum.core.records import JsonTable, Panorama, Site, SiteFile
 from fieldlum.merge import MergeResult
 from fieldlum.optics.profiles import CameraProfile
@@ -309,7 +308,6 @@ def merge_frames(
     height: int = 230,
     heading_deg: float = 180.0,
     fit: bool | None = None,
-    progress: Progress = quiet,
 ) -> MergeResult:
     """Merge one bracket of raw or JPEG files to a luminance panorama.
 
@@ -325,8 +323,6 @@ def merge_frames(
         Where the camera faced, clockwise from true north; the panorama's centre column.
     fit
         Estimate the exposure ratios from the frames; None: for raw frames only.
-    progress
-        Called as progress(done, total, text).
 
     Returns
     -------
@@ -353,8 +349,7 @@ def merge_frames(
     files = [files] if isinstance(files, str | Path) else files
     shots = merge.shots_of_files([path_of(f) for f in files], camera.camera.fixed_f_number)
     options = merge.MergeOptions(height=height, fit=fit)
-    with shown_by(progress):
-        return merge.merge_shots(shots, camera, options, heading_deg=heading_deg)
+    return merge.merge_shots(shots, camera, options, heading_deg=heading_deg)
 
 
 def evaluate_glare(

@@ -34,30 +34,13 @@ def _every(camera: str, out: Path, picture: Path | None = None, as_json: bool = 
     """
 
 
-_TABLES = {  # columns of figures that are tables
-    "points": {
-        "reading": ("reading", "<"),
-        "meter": ("meter", ".4g"),
-        "picture": ("picture", ".4g"),
-        "off_percent": ("meter less picture [%]", "+.2f"),
-    },
-    "times": {
-        "nominal_s": ("nominal [s]", ".6g"),
-        "true_s": ("true [s]", ".6g"),
-        "off_percent": ("from the profile [%]", "+.2f"),
-        "u_rel": ("u (relative)", ".2g"),
-        "brackets": ("brackets", "d"),
-    },
-}
-
-
 @dataclass(frozen=True, slots=True)
 class FittedPart:
     """What a fit changes in the profile, and what is printed about it.
 
     changed : fields of the profile. lines : one about each fit, stored in the profile. frames :
     files whose sha256 is stored. chart : of the fit. notes : for the user, on stderr. figures :
-    further ones of the answer, printed; those in `_TABLES` as a table.
+    further ones of the answer, printed except lists.
     """
 
     changed: dict[str, Any]
@@ -107,12 +90,9 @@ def _run(
     if picture:
         draw(new.chart, picture)
     save_calibration(out, profile, new.frames, new.lines, datetime.now(UTC).date(), **new.changed)
-    lines = []
-    for name in _TABLES.keys() & new.figures:
-        lines += terminal.table_lines(new.figures[name], _TABLES[name], "  ")
     answer = {**plain(new.changed), **new.figures, "why": new.lines, "profile": str(out)}
-    shown = [f"{name}: {value}" for name, value in new.figures.items() if name not in _TABLES]
-    terminal.print_answer(as_json, answer, [*lines, *new.lines, *shown, f"wrote {out}"])
+    shown = [f"{name}: {v}" for name, v in new.figures.items() if not isinstance(v, list)]
+    terminal.print_answer(as_json, answer, [*new.lines, *shown, f"wrote {out}"])
 
 
 def _part(fit: Callable[..., FittedPart]) -> click.Command:
@@ -343,10 +323,11 @@ def scale(
     warning = scales.check_level(fit, profile, sources)
     points, gates = [], []
     for r, off in zip(readings, np.round(100 * fit.residual, 2).tolist(), strict=True):
-        row = r.label, r.meter, r.image * fit.factor, off
-        points.append(dict(zip(_TABLES["points"], row, strict=True)))
+        picture = r.image * fit.factor
+        row = {"reading": r.label, "meter": r.meter, "picture": picture, "off_percent": off}
+        points.append(row)
         if r.kind != "spot":
-            gates.append(illuminance_verdict(r.image * fit.factor, r.meter))
+            gates.append(illuminance_verdict(picture, r.meter))
     k, u = round(profile.scale.k * fit.factor, 5), round(fit.u_rel, 4)
     figures = {"points": points, "k": k, "u_rel": u, "factor": fit.factor, "far": fit.far}
     figures["illuminance"] = gates

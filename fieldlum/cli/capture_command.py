@@ -180,13 +180,7 @@ def _counts(live: Live) -> str:
 def simulated() -> Iterator[Watch]:
     """Yield a function that shows the progress of simulated time, with the real time left."""
     with terminal.progress("capture") as show:
-        before: list[int] = []  # slots to do before each call, which follows a slot
-
-        def watch(live: Live) -> None:
-            before.append(live.left + 1)
-            show(before[0] - live.left, before[0], _counts(live))
-
-        yield watch
+        yield lambda live: show(live.planned - live.left, live.planned, _counts(live))
 
 
 @contextmanager

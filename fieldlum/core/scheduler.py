@@ -7,7 +7,6 @@ that of a Dask client. Only `_on_cluster` imports dask.
 
 import errno
 import hashlib
-import ipaddress
 import json
 import multiprocessing
 import os
@@ -83,20 +82,13 @@ def parse_scheduler(text: str) -> Scheduler:
     with suppress(ValueError):
         at = urlsplit(address)
         if at.scheme in ("tcp", "tls") and at.hostname and at.port and "@" not in at.netloc:
-            if at.scheme == "tcp" and not _is_loopback(at.hostname):
+            if at.scheme == "tcp" and at.hostname not in ("localhost", "127.0.0.1", "::1"):
                 text = f"{address} has no TLS and is not on this computer: anyone who can reach "
                 text += "that port can run programs on its workers. Use tls:// (docs/scale.md)."
                 warnings.warn(text, Caution, stacklevel=2)
             return Scheduler(address=address)
     forms = "local, processes:N, tcp://HOST:PORT, tls://HOST:PORT or FILE.json"
     raise InputError("--scheduler", f"'{address}'", forms, "correct it, or omit --scheduler")
-
-
-def _is_loopback(host: str) -> bool:
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
 
 
 # ----------------------------------------------------------------------------------------------

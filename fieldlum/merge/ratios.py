@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fieldlum.core.arrays import Floats, Floats32
-from fieldlum.core.statistics import MAD_TO_SIGMA, median, robust_sigma
+from fieldlum.core.statistics import MAD_TO_SIGMA, robust_sigma
 from fieldlum.merge.estimator import Rows
 from fieldlum.merge.linear_frames import RawSignal, Signal, scaled
 from fieldlum.merge.shots import Shot, exposure_covariance, times_by_law
@@ -70,11 +70,11 @@ def pair_ratio(
     predicted = y_long * assumed_ratio
     r = y_short / predicted
     weight = 1.0 / (short_variance / predicted**2 + long_variance / y_long**2 + 1e-6)
-    root, centre, before, robust = np.sqrt(weight), median(r), np.inf, weight
+    root, centre, before, robust = np.sqrt(weight), np.median(r), np.inf, weight
     spread = 1.0
     for _ in range(8):
         pull = np.abs(r - centre) * root
-        spread = max(1.0, MAD_TO_SIGMA * median(pull))
+        spread = max(1.0, MAD_TO_SIGMA * np.median(pull))
         robust = weight * np.minimum(1.0, _HUBER_SIGMA * spread / np.maximum(pull, 1e-12))
         before, centre = centre, float((robust * r).sum() / robust.sum())
         if abs(centre - before) < 1e-7 * centre:  # a millionth of what a frame's ratio can show

@@ -12,7 +12,7 @@ from scipy.optimize import nnls
 
 from fieldlum.core.arrays import Floats, Floats32, Indices, Mask
 from fieldlum.core.records import Flag
-from fieldlum.core.statistics import median, robust_sigma
+from fieldlum.core.statistics import robust_sigma
 from fieldlum.merge.estimator import Merged, Rows, merge_signals
 from fieldlum.merge.linear_frames import Crop, RawSignal, Saturation, Signal, lens_crop, read_frames
 from fieldlum.merge.ratios import Exposures, RatioCurve, compare, exposures_of, take_samples
@@ -99,7 +99,8 @@ def _steps(long: Rows, short: Rows, correction: float) -> list[tuple[float, floa
     steps = np.array_split(np.argsort(y_long), int(np.clip(len(at) // 200, 1, 12)))
     large = [step for step in steps if len(step) >= 200]
     measured = [max(robust_sigma(off[k]) ** 2 - rounded_dn2, rounded_dn2) for k in large]
-    return [(median(shot[k]), median(read[k]), m) for k, m in zip(large, measured, strict=True)]
+    typical = [(float(np.median(shot[k])), float(np.median(read[k]))) for k in large]
+    return [(*pair, m) for pair, m in zip(typical, measured, strict=True)]
 
 
 # ----------------------------------------------------------------------------------------------

@@ -17,7 +17,6 @@ import cv2
 import numpy as np
 
 from fieldlum.core.arrays import Array, Floats, Floats32, Mask
-from fieldlum.core.statistics import median
 from fieldlum.optics.projection import LensGeometry, lens_rays, radius_of_angle, relative_radius
 from fieldlum.optics.turn_fit import fit_turn
 from fieldlum.session.files.sidecar import ShiftQuality
@@ -144,7 +143,7 @@ def _tracked(long: ReducedFrame, short: ReducedFrame) -> tuple[Floats, Floats]:
 
 def _grey(small: ReducedFrame, common: Mask) -> Array:
     """Return a frame as 8-bit levels of ln light; 128 for the median, and outside of `common`."""
-    middle = median(small.log_light[common]) if common.any() else 0.0
+    middle = np.median(small.log_light[common]) if common.any() else 0.0
     # 40 levels for a factor of e: one of the 256 is 2.5 % of light, and the range is 9 EV.
     levels = np.where(common, 40.0 * (small.log_light - middle), 0.0)
     return np.clip(np.rint(levels) + 128, 0, 255).astype(np.uint8)

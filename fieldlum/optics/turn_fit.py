@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fieldlum.core.arrays import Floats, Indices
-from fieldlum.core.statistics import MAD_TO_SIGMA, cauchy_weights, median
+from fieldlum.core.statistics import MAD_TO_SIGMA, cauchy_weights
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ def fit_turn(
         unknowns = inverse @ (columns.T @ (used * values))
         rest = values - columns @ unknowns
         size = np.abs(rest) * np.sqrt(base)
-        sigma = MAD_TO_SIGMA * median(size) + 1e-30
+        sigma = MAD_TO_SIGMA * np.median(size) + 1e-30
         robust = base * cauchy_weights(size, 2.0 * sigma)
     scores = np.stack([np.bincount(block, used * rest * c) for c in columns.T])
     half = inverse @ scores / scale[:, None]  # [k, blocks]
