@@ -7,10 +7,16 @@ from fieldlum.cli.terminal import table_lines
 
 @pytest.mark.contract
 def test_a_table_is_aligned_and_leaves_empty_columns_out() -> None:
-    rows = [{"name": "mean", "error": 0.25, "n": 3}, {"name": "transport", "error": None, "n": 12}]
-    columns = {"name": ("model", "<"), "error": ("error", ".2e"), "x": ("x", "d"), "n": ("n", "d")}
-    assert table_lines(rows, columns, "  ") == [
-        "  model         error   n",
-        "  mean       2.50e-01   3",
-        "  transport         -  12",
+    rows = [
+        {"name": "mean", "error": 0.25, "n": 3, "ev_lx": 23456.7},
+        {"name": "transport", "error": None, "n": 12, "ev_lx": 2.34567e-5},
     ]
+    names = ("name", "error", "x", "n", "ev_lx")
+    expected = [
+        "  name       error   n     ev_lx",
+        "  mean        0.25   3     23457",
+        "  transport      -  12  2.35e-05",
+    ]
+    assert table_lines(rows, names, "  ") == expected
+    assert table_lines(rows, indent="  ") == expected
+    assert table_lines([]) == []

@@ -40,7 +40,7 @@ class FittedPart:
 
     changed : fields of the profile. lines : one about each fit, stored in the profile. frames :
     files whose sha256 is stored. chart : of the fit. notes : for the user, on stderr. figures :
-    further ones of the answer, printed except lists.
+    further ones of the answer, printed; `points` and `times` as a table.
     """
 
     changed: dict[str, Any]
@@ -91,8 +91,11 @@ def _run(
         draw(new.chart, picture)
     save_calibration(out, profile, new.frames, new.lines, datetime.now(UTC).date(), **new.changed)
     answer = {**plain(new.changed), **new.figures, "why": new.lines, "profile": str(out)}
-    shown = [f"{name}: {v}" for name, v in new.figures.items() if not isinstance(v, list)]
-    terminal.print_answer(as_json, answer, [*new.lines, *shown, f"wrote {out}"])
+    lines = [*new.lines]
+    for name, value in new.figures.items():
+        is_table = name in ("points", "times")
+        lines += terminal.table_lines(value, indent="  ") if is_table else [f"{name}: {value}"]
+    terminal.print_answer(as_json, answer, [*lines, f"wrote {out}"])
 
 
 def _part(fit: Callable[..., FittedPart]) -> click.Command:

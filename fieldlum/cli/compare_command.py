@@ -7,26 +7,6 @@ from fieldlum.cli.declared import EXISTING_PATH
 from fieldlum.cli.options import Azimuths, OpenSession, command_of
 from fieldlum.cli.terminal import print_answer, progress, say, table_lines
 
-_SURFACES = {
-    "name": ("surface", "<"),
-    "measured_cdm2": ("measured [cd/m2]", ".0f"),
-    "model_cdm2": ("model", ".0f"),
-    "ratio": ("model/measured", ".2f"),
-    "low": ("quartiles", ".2f"),
-    "high": ("", ".2f"),
-    "pictures": ("pictures", "d"),
-}
-_DIRECTIONS = {
-    "azimuth_deg": ("view [°]", ".0f"),
-    "figure": ("figure", "<"),
-    "hours": ("hours", "d"),
-    "measured": ("measured", ".3f"),
-    "model": ("model", ".3f"),
-    "mean_abs": ("mean abs. diff.", ".3f"),
-    "over": ("DGP > 0.40", "d"),
-    "model_over": ("model", "d"),
-}
-
 
 @command_of("compare")
 def command(
@@ -61,7 +41,6 @@ def command(
     with progress("comparing"):
         found = compare(session, result, out or session.root / "compare", view_azimuths, annual)
     answer = {name: value for name, value in found._asdict().items() if name != "files"}
-    lines = table_lines(found.surfaces, _SURFACES) if found.surfaces else []
-    lines = lines or table_lines(found.directions, _DIRECTIONS)
+    lines = table_lines(found.surfaces or found.directions)
     print_answer(as_json, answer, [*lines, *found.text])
     say("written: " + ", ".join(str(path) for path in found.files))

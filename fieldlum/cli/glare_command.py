@@ -18,18 +18,10 @@ from fieldlum.core.records import JsonTable
 if TYPE_CHECKING:
     from fieldlum.year.glare.uncertainty_budget import Budget
 
-_COLUMNS = {
-    "azimuth_deg": ("view [°]", ".1f"),
-    "dgp": ("DGP", ".3f"),
-    "dgps": ("DGPs", ".3f"),
-    "ev_lx": ("Ev", ".0f"),
-    "melanopic_edi_lx": ("m-EDI", ".0f"),
-    "u_melanopic_edi_lx": ("±u", ".0f"),
-    "ugr": ("UGR", ".1f"),
-    "dgi": ("DGI", ".1f"),
-    "window_to_task": ("window:task", ".1f"),
-    "text": ("verdict", "<"),
-}
+_COLUMNS = (
+    *("azimuth_deg", "dgp", "dgp_low", "dgp_high", "dgps", "ev_lx", "melanopic_edi_lx"),
+    *("u_melanopic_edi_lx", "ugr", "dgi", "window_to_task", "verdict"),
+)
 
 
 @command_of("glare")
@@ -128,26 +120,18 @@ def csv_rows(answer: JsonTable) -> list[dict[str, object]]:
 def _lines(answer: JsonTable) -> Iterator[str]:
     from fieldlum.session.panorama_sun import SUN_FROM
 
-    yield f"{answer['file']}  (DGP, DGPs: 0 to 1; Ev, melanopic EDI: lx)"
+    yield answer["file"]
     if "calibration_factor" in answer:
         yield f"  scaled by {answer['calibration_factor']:.4g} to the measured illuminance"
     if (sun := answer["sun"]) is not None:
         source = SUN_FROM.get(str(sun["origin"]), str(sun["origin"]))
         yield f"  the sun's disc: {sun['normal_illuminance_lx']:.0f} lx normal to it, {source}"
-    rows = []
-    for view in answer["views"]:
-        low, high = view.get("dgp_low"), view.get("dgp_high")
-        bounds = "" if low is None or high is None else f", DGP {low:.3f} to {high:.3f}"
-        rows.append({**view, "text": f"{view['verdict']}{bounds}"})
-    yield from table_lines(rows, _COLUMNS, "  ")
-    for view in answer["views"]:
-        if r := view.get("reference"):
-            figures = f"DGP {r['dgp']:.3f}, Ev {r['ev_lx']:.0f} lx, UGR {r['ugr']:.1f}"
-            how = f"DGI {r['dgi']:.1f}, {r['sources']} sources ({r['version']}; {r['flags']})"
-            yield f"  {view['azimuth_deg']:.1f}° evalglare: {figures}, {how}"
+    yield from table_lines(answer["views"], _COLUMNS, "  ")
+    if others := [view["reference"] for view in answer["views"] if view.get("reference")]:
+        yield from ("  evalglare:", *table_lines(others, indent="  "))
     share = answer["disturbed_share"]
     if share is not None and len(answer["views"]) > 1:
         yield f"  disturbing (DGP above 0.40) in {100 * share:.0f} % of the seen directions"
     by_colour = answer["melanopic_der"] == "colour"
     how = "the camera's colour" if by_colour else "an estimate: Ev with the spectrum of D65"
-    yield f"  m-EDI by {how}"
+    yield f"  melanopic EDI by {how}"

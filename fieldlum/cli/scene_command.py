@@ -22,14 +22,6 @@ def command() -> None:
     """Find the room's geometry, north and clock error from captures."""
 
 
-_COLUMNS = {
-    "name": ("", "<"),
-    "stated": ("stated", ".3f"),
-    "fitted": ("fitted", ".3f"),
-    "u": ("uncertainty", ".3f"),
-}
-
-
 @command_of("fit", command)
 def fit(
     pairs: Path,
@@ -93,7 +85,7 @@ def _lines(scene: Scene) -> list[str]:
         for name, value in scene.after.items()
     ]
     furniture = f"bars and furniture: {len(scene.room.obstruction)}"
-    lines = [*table_lines(rows, _COLUMNS), furniture, scene.verdict]
+    lines = [*table_lines(rows), furniture, scene.verdict]
     if scene.expected_log10_mse is not None:
         doubt = "" if scene.trusted else " (not trusted)"
         lines.append(f"expected log10 MSE over a year: {scene.expected_log10_mse:.1e}{doubt}")

@@ -40,25 +40,29 @@ def print_answer(as_json: bool, answer: Any, lines: Iterable[str]) -> None:
 
 
 def table_lines(
-    rows: Iterable[Mapping[str, Any]], columns: Mapping[str, tuple[str, str]], indent: str = ""
+    rows: Iterable[Mapping[str, Any]], names: Iterable[str] = (), indent: str = ""
 ) -> list[str]:
-    """Return rows as an aligned table: numbers to the right, "-" for None.
+    """Return rows as an aligned table: numbers to the right, texts to the left, "-" for None.
 
-    columns: heading and format of each key, such as {"dgp": ("DGP", ".3f")}; a text has the format
-    "<", and is to the left. A column without any value is omitted. indent: before each line.
+    names: of the values to show, which are the headings too; empty for those of the first row. A
+    name without any value is omitted. indent: before each line.
     """
     table = [dict(row) for row in rows]
-    used = {n: c for n, c in columns.items() if any(row.get(n) is not None for row in table)}
-    lines = [[heading for heading, _ in used.values()]]
-    for row in table:
-        values = [(row.get(name), spec) for name, (_, spec) in used.items()]
-        lines.append(["-" if value is None else format(value, spec) for value, spec in values])
-    widths = [max(map(len, cells)) for cells in zip(*lines, strict=True)]
-    signs = [spec if spec == "<" else ">" for _, spec in used.values()]
-    cells = (
-        [f"{c:{sign}{w}}" for c, sign, w in zip(line, signs, widths, strict=True)] for line in lines
-    )
-    return [indent + "  ".join(line).rstrip() for line in cells]
+    names = names or (table[0] if table else ())
+    columns = []
+    for name in names:
+        values = [row.get(name) for row in table]
+        if any(value is not None for value in values):
+            cells = [name, *map(_cell, values)]
+            sign = "<" if any(isinstance(value, str) for value in values) else ">"
+            columns.append([f"{cell:{sign}{max(map(len, cells))}}" for cell in cells])
+    return [indent + "  ".join(line).rstrip() for line in zip(*columns, strict=True)]
+
+
+def _cell(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.0f}" if abs(value) >= 1000.0 else f"{value:.3g}"
+    return "-" if value is None else str(value)
 
 
 def printable(text: str) -> str:

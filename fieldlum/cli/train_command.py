@@ -14,18 +14,8 @@ if TYPE_CHECKING:
     from fieldlum.session.files.model_files import TrainAnswer
 
 
-_COLUMNS = {
-    "name": ("model", "<"),
-    "judged_dgp_error": ("DGP error*", ".2e"),
-    "judged_ev_error": ("ln Ev error*", ".2e"),
-    "judged_log10_mse": ("log10 MSE*", ".2e"),
-    "n_judged": ("hours*", "d"),
-    "dgp_mae": ("DGP error", ".2e"),
-    "log10_mse_weighted": ("log10 MSE", ".2e"),
-    "worst": ("worst", ".2e"),
-    "fit_s": ("fit [s]", ".1f"),
-    "n_test": ("maps", "d"),
-}
+_JUDGED = ("judged_dgp_error", "judged_ev_error", "judged_log10_mse", "n_judged")
+_COLUMNS = ("name", *_JUDGED, "dgp_mae", "log10_mse_weighted", "worst", "fit_s", "n_test")
 
 
 @command_of("train")
@@ -83,7 +73,7 @@ def _lines(answer: TrainAnswer) -> list[str]:
     """Return the scores on which the choice is based."""
     lines = [
         *table_lines(answer["models"], _COLUMNS),
-        "* over judged hours, without the 5 % with the largest errors",
+        "judged: over judged hours, without the 5 % with the largest errors",
         f"chosen: {answer['chosen']}: {answer['reason']}",
         f"parameters: {answer['parameters']:,}",
     ]
