@@ -124,8 +124,8 @@ def test_a_lost_process_costs_its_unit_alone(tmp_path: Path) -> None:
     assert len(outcomes) == len(some)
     assert [outcomes[f"u{k}"].result() for k in range(4)] == [0, 2, 4, 6]
     assert [outcomes[name].result() for name in ("killed", "full")] == ["killed", "full"]
-    assert outcomes["poison"].trouble == "given up after 4 tries, the last: its process was killed"
-    with pytest.raises(InputError, match="unit of work poison: given up after 4 tries"):
+    tried = "unit of work poison: given up after 4 tries, the last: its process was killed"
+    with pytest.raises(InputError, match=tried):
         outcomes["poison"].result()
 
 

@@ -13,7 +13,7 @@ from fieldlum.core.records import JsonTable, Panorama, Site, SiteFile
 from fieldlum.merge import MergeResult
 from fieldlum.optics.profiles import CameraProfile
 from fieldlum.plan import Plan
-from fieldlum.session import Session, replacing_path
+from fieldlum.session import Session
 from fieldlum.weather import Weather
 
 
@@ -23,9 +23,6 @@ def path_of(value: object, what: str = "file") -> Path:
         return Path(value)
     found = f"a value of type {type(value).__name__}"
     raise InputError(what, found, "a path, as text or Path", "pass its path")
-
-
-PANORAMA_SUFFIXES = (".exr", ".hdr")
 
 
 def open_session(folder: str | Path) -> Session:
@@ -169,10 +166,6 @@ def write_panorama(file: str | Path, panorama: Panorama) -> None:
     from fieldlum.optics import images
 
     path = path_of(file)
-    suffix = path.suffix.lower()
-    if suffix not in PANORAMA_SUFFIXES:
-        found, remedy = f"the file has the suffix '{suffix}'", "give it one of these suffixes"
-        raise InputError(path, found, " or ".join(PANORAMA_SUFFIXES), remedy)
     if not isinstance(panorama, Panorama):
         found = f"a value of type {type(panorama).__name__}"
         raise InputError(path, found, "a Panorama", "pass fieldlum.Panorama(map, heading_deg)")
@@ -180,12 +173,7 @@ def write_panorama(file: str | Path, panorama: Panorama) -> None:
     if width != 2 * height:
         found, expected = f"a map of {width} x {height} pixels", "a map twice as wide as high"
         raise InputError(path, found, expected, "resample the map to such a shape")
-    with replacing_path(path) as temporary:
-        if suffix == ".exr":
-            images.write_panorama(temporary, panorama)
-        else:
-            pixels = panorama.luminance_cdm2 if panorama.rgb is None else panorama.rgb
-            images.write_radiance_hdr(temporary, pixels, heading_deg=panorama.heading_deg)
+    images.write_picture(path, panorama)
 
 
 def read_weather(

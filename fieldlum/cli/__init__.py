@@ -36,19 +36,16 @@ EXTRAS = {
 }
 
 # Errors of a folder or a disk, which can happen in any command and which no stage can correct.
-_ELSEWHERE = "change its permissions, or choose another place"
+_ELSEWHERE = "check the disk, change its permissions, or choose another place"
 _FULL = "free disk space, then start the command again: finished work is not repeated"
-_LOCKS = "this disk has no locks: move the session to a disk of this computer"
 _NAME = "name a folder where one is needed and a file where one is, without links and pipes"
 DISK_TROUBLE = {
-    **dict.fromkeys((errno.EACCES, errno.EPERM, errno.EROFS), _ELSEWHERE),
+    **dict.fromkeys((errno.EACCES, errno.EPERM, errno.EROFS, errno.EIO), _ELSEWHERE),
+    **dict.fromkeys((errno.ENAMETOOLONG, errno.EOVERFLOW), _ELSEWHERE),
     **dict.fromkeys((errno.ENOSPC, errno.EDQUOT), _FULL),
-    **dict.fromkeys((errno.ENOLCK, errno.ENOTSUP), _LOCKS),
+    **dict.fromkeys((errno.ENOLCK, errno.ENOTSUP), "move the session to a disk with locks"),
     **dict.fromkeys((errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.ELOOP, errno.ENXIO), _NAME),
-    errno.EIO: "the disk or card does not answer: copy the readable files to another one",
-    errno.ENAMETOOLONG: "choose shorter names",
     errno.EMLINK: "use a copy of the folder (cp -r), whose files have one name each",
-    errno.EOVERFLOW: "restore the file from a copy, or remove it",
 }
 
 

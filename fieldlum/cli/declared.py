@@ -42,12 +42,7 @@ class _LocalPath(click.Path):
         if value == "":  # as of an empty variable of the shell; Path would be the current folder
             self.fail("an empty text; expected a path", param, ctx)
         if "://" in str(value):
-            self.fail(
-                f"{value} is a URL; expected a path, because a bucket has no locks; copy folders "
-                "with a program such as rclone",
-                param,
-                ctx,
-            )
+            self.fail(f"{value} is a URL; copy its content, and name the path", param, ctx)
         if self.exists and not Path(value).exists():
             what = "a file or folder that exists"
             raise InputError(value, "no such file or folder", what, "check the path")

@@ -28,8 +28,6 @@ def command(files: tuple[Path, ...], part: str = "", json_lines: bool = False) -
         try:
             facts = {"file": str(path), **describe(path, part)}
         except InputError as error:
-            if len(files) == 1:
-                raise
             say(f"fieldlum info: {error}")
             bad += 1
             continue

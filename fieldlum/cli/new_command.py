@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from fieldlum.optics.profiles import CameraProfile, Lens
 
 T = TypeVar("T")
-_ANGLE = re.compile(r"([+-]?\d+(?:[.,]\d+)?)\s*°?\s*([NSEWnsew]?)")
 # Relative standard uncertainties of a profile that nobody calibrated, as in the shipped
 # uncalibrated profiles.
 _GUESSES = {"scale": 0.5, "colour": 0.2, "vignetting": 0.15}
@@ -148,11 +147,8 @@ def _number(low: float, high: float) -> Callable[[str], float]:
 
 def _angle(limit: float, winds: str) -> Callable[[str], float]:
     def reader(text: str) -> float:
-        match = _ANGLE.fullmatch(text)
-        if match is None or (match[2] and match[2].upper() not in winds):
-            raise ValueError(f"'{text}': expected decimal degrees, also with {' or '.join(winds)}")
-        value = float(match[1].replace(",", ".")) * (-1.0 if match[2].upper() == winds[1] else 1.0)
-        return _number(-limit, limit)(str(value))
+        sign = -1.0 if text[-1:].upper() == winds[1] else 1.0
+        return sign * _number(-limit, limit)(text.rstrip(f" °{winds}{winds.lower()}"))
 
     return reader
 

@@ -13,10 +13,7 @@ from fieldlum.cli.declared import EXISTING_PATH
 from fieldlum.cli.options import CaptureSet, Year, calendar_day, command_of
 
 if TYPE_CHECKING:
-    from fieldlum import plan
     from fieldlum.core.records import SiteFile
-    from fieldlum.session import Session
-    from fieldlum.weather import Weather
 
 
 @command_of("plan")
@@ -54,6 +51,7 @@ def command(
       --replan: Add make-up slots for the missed ones.
     """
     from fieldlum import plan
+    from fieldlum.plan import makeup
     from fieldlum.session import open_session
     from fieldlum.session.site_toml import load_site
     from fieldlum.weather import read_weather
@@ -81,34 +79,29 @@ def command(
     }
     if text := next((text for text, is_wrong in wrong.items() if is_wrong), ""):
         raise click.UsageError(text)
-    session = open_session(target) if replan else None
-    setup = load_site(target) if session is None else session.site_file()
-    site, shift = setup.site, label_shift_min
+    setup = open_session(target).site_file() if replan else load_site(target)
+    site, shift, now = setup.site, label_shift_min, datetime.now(UTC)
     weather = weather_file and read_weather(weather_file, site, label_shift_min=shift)
-    if session is not None:
-        answer, sentences = _replanned(session, weather)
+    on_sheet: list[str] = []
+    if replan:
+        session = open_session(target)
+        answer = makeup.run(session, now)
+        sentences = makeup.sentences(answer)
     else:
         assert out is not None and set_ is not None
-        today = plan.today_at(site, datetime.now(UTC))
+        _permit_room(setup)
+        today = plan.today_at(site, now)
         asked = plan.Request(set_, today, start=day, year=year, days=days, count=count)
-        answer, sentences = _planned(setup, asked, weather, out)
+        with terminal.progress("choosing hours"):
+            session, planned = plan.run(setup, asked, out, weather)
+        terminal.notes(planned.warnings)
+        answer = plan.summary(session, planned)
+        sentences = plan.sentences(answer)
+        on_sheet = [*sentences[1:], *planned.warnings]
+        sentences = [*sentences, f"next: fieldlum doctor {out}"]
+    plan.write_calendar(session, now)
+    plan.write_sheets(session, weather, on_sheet)
     terminal.print_answer(as_json, answer, sentences)
-
-
-def _planned(
-    setup: SiteFile, request: plan.Request, weather: Weather | None, out: Path
-) -> tuple[dict, list[str]]:
-    from fieldlum import plan
-
-    _permit_room(setup)
-    with terminal.progress("choosing hours"):
-        session, planned = plan.run(setup, request, out, weather)
-    answer = plan.summary(session, planned)
-    terminal.notes(planned.warnings)
-    sentences = plan.sentences(answer)
-    plan.write_calendar(session, datetime.now(UTC))
-    plan.write_sheets(session, weather, [*sentences[1:], *planned.warnings])
-    return answer, [*sentences, f"next: fieldlum doctor {out}"]
 
 
 def _permit_room(setup: SiteFile) -> None:
@@ -126,13 +119,3 @@ def _permit_room(setup: SiteFile) -> None:
         permit(wanted)
     except OSError as error:
         terminal.say(f"note: could not store the permission ({error}): fieldlum permit {path}")
-
-
-def _replanned(session: Session, weather: Weather | None) -> tuple[dict, list[str]]:
-    from fieldlum import plan
-    from fieldlum.plan import makeup
-
-    answer = makeup.run(session, datetime.now(UTC))
-    plan.write_calendar(session, datetime.now(UTC))
-    plan.write_sheets(session, weather)
-    return answer, makeup.sentences(answer)

@@ -9,11 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import click
-from click.core import ParameterSource
 
 from fieldlum.cli import terminal
 from fieldlum.cli.declared import EXISTING_PATH
-from fieldlum.cli.options import DEFAULT_SIZE, CaptureSet, command_of, picture_height
+from fieldlum.cli.options import DEFAULT_SIZE, CaptureSet, Year, command_of, picture_height
 
 if TYPE_CHECKING:
     from fieldlum.core.records import SiteFile
@@ -26,8 +25,8 @@ if TYPE_CHECKING:
 def command(
     site: Annotated[Path, "SITE.toml|SESSION", EXISTING_PATH],
     out: Path | None = None,
-    set_: CaptureSet = "9-day",
-    year: Annotated[int, click.IntRange(1950, 2100)] = 2027,
+    set_: CaptureSet | None = None,
+    year: Year = None,
     count: Annotated[int | None, click.IntRange(min=1)] = None,
     weather_file: Path | None = None,
     size: str = DEFAULT_SIZE,
@@ -52,8 +51,8 @@ def command(
 
     Options:
       --out: The session folder to write.
-      --set: Hours to render.
-      --year: Year of the events.
+      --set: Hours to render. [default: 9-day]
+      --year: Year of the events. [default: 2027]
       --count: Use this many random daylight hours of the weather year instead of a set.
       --weather: EPW, TMY3 or CSV of the place.
       --size WxH: Size of the panoramas.
@@ -69,11 +68,9 @@ def command(
     from fieldlum.session.site_toml import load_site
 
     session = open_session(site) if site.is_dir() else None
-    given = click.get_current_context().get_parameter_source
-    of_plan = ("out", "set_", "year", "count")
-    of_plan = [name for name in of_plan if given(name) is not ParameterSource.DEFAULT]
-    if session is not None and of_plan:
-        named = ", ".join(f"--{name.strip('_')}" for name in of_plan)
+    of_plan = {"--out": out, "--set": set_, "--year": year, "--count": count}
+    if session is not None and any(of_plan.values()):
+        named = ", ".join(name for name, value in of_plan.items() if value)
         raise click.UsageError(f"a SESSION is rendered in its folder, with its plan: omit {named}")
     if session is None and out is None:
         raise click.UsageError("name --out, like: fieldlum simulate office.toml --out office-sim")
@@ -85,7 +82,7 @@ def command(
     chosen = quality or ("quick" if height <= 115 else "paper")
     if session is None and out is not None:
         with terminal.progress("planning"):
-            session = _planned(out, setup, weather, (set_, year, count, seed))
+            session = _planned(out, setup, weather, (set_ or "9-day", year or 2027, count, seed))
     assert session is not None
     render = partial(simulate.run, session, weather, height=height, quality=chosen, force=force)
     with terminal.progress("simulating"):

@@ -97,8 +97,7 @@ def reason_of(error: BaseException) -> str:
 
 # First bytes of files that are no table (their formats' specifications).
 _KINDS = {
-    b"CDF": "a netCDF file",
-    b"\x89HDF": "a netCDF or HDF5 file",
+    **dict.fromkeys((b"CDF", b"\x89HDF"), "a netCDF or HDF5 file"),
     b"PK\x03\x04": "a zip archive or a spreadsheet (xlsx)",
     b"\xd0\xcf\x11\xe0": "a spreadsheet (xls)",
     b"\x1f\x8b": "a gzip archive",
@@ -107,8 +106,7 @@ _KINDS = {
     b"\x89PNG": "a PNG picture",
     b"RIFF": "a WebP picture or a sound",
     **{bytes([0, 0, 0, n]) + b"ftyphei": "an HEIC picture" for n in range(16, 64, 4)},
-    b"II*\0": "a raw or TIFF picture",
-    b"MM\0*": "a raw or TIFF picture",
+    **dict.fromkeys((b"II*\0", b"MM\0*"), "a raw or TIFF picture"),
     b"v/1\x01": "an OpenEXR picture",
     b"#?RADIANCE": "a Radiance picture",
     b"<": "a web page or an XML file",

@@ -113,24 +113,16 @@ class WorkUnit:
 
 @dataclass(frozen=True, slots=True)
 class UnitOutcome:
-    """How a unit of work ended: with a value, or with an error of its call, or with trouble.
-
-    trouble: what went wrong at its workers, "" if nothing did.
-    """
+    """How a unit of work ended: with a value, or with an error of its call or of its workers."""
 
     unit: WorkUnit
     value: Any = None
     error: BaseException | None = None
-    trouble: str = ""
 
     def result(self) -> Any:
-        """Return the value; raise the error of the call, or InputError for trouble of workers."""
+        """Return the value, or raise the error."""
         if self.error is not None:
             raise self.error
-        if self.trouble:
-            source, expected = f"unit of work {self.unit.name}", "a worker that completes it"
-            remedy = "check memory and disk of the workers, then start the command again"
-            raise InputError(source, self.trouble, expected, remedy)
         return self.value
 
 
@@ -152,7 +144,7 @@ def run_units(
     """Run every unit and yield its outcome, in the order in which units end.
 
     A unit whose process or worker is killed, has a full disk or an outdated file system is tried
-    again, at most 3 times; then its outcome names the trouble, and other units continue. Raises
+    again, at most 3 times; then its outcome has an InputError, and other units continue. Raises
     InputError if no scheduler answers or no worker with this software is left, NotEnoughDataError
     if there is no worker for ten minutes.
     """
@@ -189,7 +181,10 @@ def _trouble_text(error: BaseException) -> str:
 
 
 def _given_up(unit: WorkUnit, why: str) -> UnitOutcome:
-    return UnitOutcome(unit, trouble=f"given up after {RETRIES + 1} tries, the last: {why}")
+    source, expected = f"unit of work {unit.name}", "a worker that completes it"
+    found = f"given up after {RETRIES + 1} tries, the last: {why}"
+    remedy = "check memory and disk of the workers, then start the command again"
+    return UnitOutcome(unit, error=InputError(source, found, expected, remedy))
 
 
 def use_one_thread() -> None:

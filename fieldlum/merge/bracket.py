@@ -17,12 +17,11 @@ from fieldlum.merge.ratios import Exposures, any_beyond_prior
 from fieldlum.merge.sensor_image import Findings, SensorImage, merge_sensor
 from fieldlum.merge.shots import Shot, middle_of, shots_of_files, sorted_shots
 from fieldlum.merge.sun_and_sky import MEASURED, sky_cut, sun_on_sensor, take_out_disc
-from fieldlum.optics.images import write_panorama, write_radiance_hdr
+from fieldlum.optics.images import PICTURE_SUFFIXES, write_picture
 from fieldlum.optics.photometry import vertical_illuminance_lx
 from fieldlum.optics.profiles import CameraProfile
 from fieldlum.optics.projection import Equirect, Fisheye, Target, signed_angle_deg
 from fieldlum.optics.raw import roll_deg_of, white_balance_is_fixed
-from fieldlum.session import replacing_path
 from fieldlum.session.files.sidecar import FrameQuality, MeasuredSun, MergeReport
 from fieldlum.sky.sky_view.picture import SkyPicture
 from fieldlum.sky.sun_disc import SunDisc
@@ -355,18 +354,11 @@ def files_to_picture(
     `merge_shots`. Raises InputError for a frame that cannot be merged, or if `out` ends neither in
     .exr nor in .hdr.
     """
-    if out.suffix.lower() not in (".exr", ".hdr"):
+    if out.suffix.lower() not in PICTURE_SUFFIXES:  # before it merges
         raise InputError(out, f"the suffix '{out.suffix}'", ".exr or .hdr", "correct --out")
     options = options or MergeOptions()
     shots = shots_of_files(files, profile.camera.fixed_f_number)
     result = merge_shots(shots, profile, options, heading_deg=heading_deg)
-    panorama = result.panorama
-    with replacing_path(out) as path:
-        if out.suffix.lower() == ".exr":
-            write_panorama(path, panorama, view=result.view or "equirect")
-        else:
-            colours = panorama.rgb if panorama.rgb is not None else panorama.luminance_cdm2
-            heading = None if result.view else panorama.heading_deg
-            write_radiance_hdr(path, colours, view=result.view, heading_deg=heading)
+    write_picture(out, result.panorama, result.view)
     illuminance_lx = _axis_illuminance_lx(result, options.target(profile))
     return result, {"vertical_illuminance_lx": illuminance_lx}

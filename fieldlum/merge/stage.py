@@ -283,8 +283,8 @@ def _units(
 
 def _verdict(outcome: work.UnitOutcome) -> Verdict:
     """Return a unit's verdict: "failed" if its workers failed or the disk is full."""
-    if outcome.trouble or isinstance(outcome.error, OSError):
-        return Verdict(outcome.unit.name, "failed", outcome.trouble or str(outcome.error))
+    if isinstance(outcome.error, InputError | OSError):
+        return Verdict(outcome.unit.name, "failed", str(outcome.error))
     return outcome.result()
 
 

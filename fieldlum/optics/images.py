@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Array, Floats, Floats32
 from fieldlum.core.errors import InputError, input_errors, kind_of, library_messages
-from fieldlum.core.files import open_to_read
+from fieldlum.core.files import open_to_read, replacing_path
 from fieldlum.core.records import MAX_PIXELS, Flag, Panorama, SunSource, parse_utc, utc_text
 from fieldlum.core.strict_toml import plain
 from fieldlum.optics.profiles import CameraProfile
@@ -389,6 +389,27 @@ def calibration_mark(profile: CameraProfile) -> dict[str, str]:
         parts.append(plain(p.stray))
     digest = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
     return {"camera": p.camera.name, "k": f"{p.scale.k:.8g}", "calibration": digest[:16]}
+
+
+PICTURE_SUFFIXES = (".exr", ".hdr")
+
+
+def write_picture(path: Path, panorama: Panorama, view: str = "") -> None:
+    """Write an .exr, or a Radiance .hdr of luminance or colour only, complete or not at all.
+
+    view : Radiance's view options, for a picture that is not a panorama. Raises InputError for
+    another suffix.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in PICTURE_SUFFIXES:
+        raise InputError(path, f"the suffix '{suffix}'", ".exr or .hdr", "correct the name")
+    with replacing_path(path) as temporary:
+        if suffix == ".exr":
+            write_panorama(temporary, panorama, view=view or "equirect")
+        else:
+            pixels = panorama.luminance_cdm2 if panorama.rgb is None else panorama.rgb
+            heading = None if view else panorama.heading_deg
+            write_radiance_hdr(temporary, pixels, view=view, heading_deg=heading)
 
 
 def write_panorama(path: Path, panorama: Panorama, *, view: str = "equirect") -> None:
