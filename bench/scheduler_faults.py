@@ -39,7 +39,6 @@ from fieldlum.core.scheduler import (
     Scheduler,
     WorkUnit,
     parse_scheduler,
-    run_units,
 )
 from fieldlum.learn import models
 from fieldlum.learn.models.training_data import load_pairs
@@ -270,7 +269,7 @@ def wait_for(how: Scheduler, count: int) -> None:
     pids: set[int] = set()
     while len(pids) < count:
         units = [WorkUnit(f"s{k}", scheduler_units.asleep, folder, 0.3) for k in range(2 * count)]
-        pids |= {outcome.result() for outcome in run_units(units, how)}
+        pids |= {outcome.result() for outcome in scheduler_units.outcomes_of(units, how)}
 
 
 def overhead(asked: argparse.Namespace) -> None:
@@ -287,7 +286,7 @@ def overhead(asked: argparse.Namespace) -> None:
             WorkUnit(f"u{k}", scheduler_units.asleep, folder / "shared", sleep_s)
             for k in range(asked.sleepers)
         ]
-        outcomes = list(run_units(units, how))
+        outcomes = scheduler_units.outcomes_of(units, how)
         wall_s = time.monotonic() - start_s
         assert len({o.unit.name for o in outcomes}) == asked.sleepers
         used_s = cpu_s(others) - before_s

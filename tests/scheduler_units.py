@@ -8,7 +8,14 @@ import time
 from pathlib import Path
 from typing import Any
 
+from fieldlum.core.scheduler import Scheduler, UnitOutcome, WorkUnit, run_each
 from fieldlum.session import replacing
+
+
+def outcomes_of(units: list[WorkUnit], scheduler: Scheduler) -> list[UnitOutcome]:
+    found: list[UnitOutcome] = []
+    run_each(units, scheduler, found.append)
+    return found
 
 
 def doubled(folder: Path, number: int) -> int:

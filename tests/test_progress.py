@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from fieldlum.core.progress import part_of_progress, progress, quiet, shown_by
-from fieldlum.core.scheduler import LOCAL, WorkUnit, run_units
+from fieldlum.core.scheduler import LOCAL, WorkUnit, run_each
 
 pytestmark = pytest.mark.contract
 
@@ -31,5 +31,5 @@ def _steps(folder: Path, count: int) -> None:
 def test_a_unit_of_work_counts_as_one_step(tmp_path: Path) -> None:
     shown: list[tuple[int, int, str]] = []
     with shown_by(lambda *line: shown.append(line)):
-        list(run_units([WorkUnit("a", _steps, tmp_path, 3)], LOCAL))
+        run_each([WorkUnit("a", _steps, tmp_path, 3)], LOCAL, lambda _: None)
     assert shown == [(1, 1, "a")]

@@ -22,7 +22,6 @@ from fieldlum.core.scheduler import (
     parse_scheduler,
     perform,
     run_each,
-    run_units,
     task_of,
 )
 
@@ -71,7 +70,9 @@ def test_without_dask_one_line_states_what_to_install(
     monkeypatch.setitem(sys.modules, "distributed", None)
     some = [WorkUnit("a", units.doubled, tmp_path, 1)]
     scheduler = parse_scheduler("tcp://127.0.0.1:8786")
-    monkeypatch.setattr("fieldlum.session.open_session", lambda _: list(run_units(some, scheduler)))
+    monkeypatch.setattr(
+        "fieldlum.session.open_session", lambda _: units.outcomes_of(some, scheduler)
+    )
     result = CliRunner().invoke(main, ["status", str(tmp_path)])
     assert result.exit_code == 3 and "pip install '.[cluster]'" in result.stderr
 
@@ -89,7 +90,7 @@ def test_a_number_of_workers_is_a_number_of_processes(tmp_path: Path) -> None:
 def test_each_process_has_one_thread(tmp_path: Path) -> None:
     """Else n processes on n cores start n threads each, which wait for each other."""
     some = [WorkUnit(str(k), units.thread_counts, tmp_path, None) for k in range(2)]
-    found = [outcome.result() for outcome in run_units(some, Scheduler(2))]
+    found = [outcome.result() for outcome in units.outcomes_of(some, Scheduler(2))]
     assert found == [{1}, {1}]
 
 
@@ -97,15 +98,15 @@ def test_units_run_here_in_order(tmp_path: Path) -> None:
     some = [WorkUnit(f"u{k}", units.doubled, tmp_path, k) for k in range(3)]
     shown: list[tuple[int, int, str]] = []
     with shown_by(lambda *line: shown.append(line)):
-        outcomes = list(run_units(some, LOCAL))
+        outcomes = units.outcomes_of(some, LOCAL)
     assert [o.result() for o in outcomes] == [0, 2, 4]
     assert shown == [(1, 3, "u0"), (2, 3, "u1"), (3, 3, "u2")]
-    assert list(run_units([], LOCAL)) == []
+    assert units.outcomes_of([], LOCAL) == []
 
 
 def test_an_error_of_a_unit_is_its_own(tmp_path: Path) -> None:
     some = [troubled(tmp_path, "bad", "defect", 9), WorkUnit("a", units.doubled, tmp_path, 1)]
-    bad, good = run_units(some, LOCAL)
+    bad, good = units.outcomes_of(some, LOCAL)
     assert good.result() == 2 and len(list(tmp_path.glob("bad.try*"))) == 1
     with pytest.raises(ValueError, match="a defect"):
         bad.result()
@@ -120,7 +121,7 @@ def test_a_lost_process_costs_its_unit_alone(tmp_path: Path) -> None:
         troubled(tmp_path, "poison", "kill", 9),
         *(WorkUnit(f"u{k}", units.doubled, tmp_path, k) for k in range(4)),
     ]
-    outcomes = {o.unit.name: o for o in run_units(some, Scheduler(2))}
+    outcomes = {o.unit.name: o for o in units.outcomes_of(some, Scheduler(2))}
     assert len(outcomes) == len(some)
     assert [outcomes[f"u{k}"].result() for k in range(4)] == [0, 2, 4, 6]
     assert [outcomes[name].result() for name in ("killed", "full")] == ["killed", "full"]

@@ -17,9 +17,10 @@ from fieldlum.core.scheduler import (
     LOCAL,
     SHARED_VARIABLE,
     Scheduler,
+    UnitOutcome,
     WorkUnit,
     parse_scheduler,
-    run_units,
+    run_each,
 )
 from fieldlum.learn import models
 from fieldlum.learn.models.training_data import load_pairs
@@ -154,11 +155,14 @@ def test_killed_full_and_other_workers_cost_their_units_alone(
     ]
     running.worker("third")
     outcomes = []
+
+    def take(outcome: UnitOutcome) -> None:
+        outcomes.append(outcome)
+        if len(outcomes) == 4:
+            running.signal("first")
+
     with pytest.warns(Caution) as notes:
-        for outcome in run_units(some, parse_scheduler(str(running.file))):
-            outcomes.append(outcome)
-            if len(outcomes) == 4:
-                running.signal("first")
+        run_each(some, parse_scheduler(str(running.file)), take)
     assert sorted(o.unit.name for o in outcomes) == sorted([*names, "full"]), "none twice"
     assert not [o.error for o in outcomes if o.error]
     remove_scraps(folder / "out")  # of the killed worker
@@ -179,4 +183,4 @@ def test_without_a_usable_worker_the_command_ends(
             pytest.warns(Caution, match="it gets no further units"),
             pytest.raises(InputError, match=r"no usable worker is left .* rejected: source"),
         ):
-            list(run_units([unit], parse_scheduler(str(made.file))))
+            units.outcomes_of([unit], parse_scheduler(str(made.file)))

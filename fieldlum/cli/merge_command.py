@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import click
 
 from fieldlum.cli.options import command_of, new_file, picture_height
-from fieldlum.cli.terminal import notes, print_answer, progress, say
+from fieldlum.cli.terminal import notes, print_answer, progress, say, table_lines
 from fieldlum.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -100,8 +100,6 @@ def _present_size(session: Session) -> str | None:
 
 
 def _lines(out: Path, result: MergeResult, facts: dict[str, float]) -> list[str]:
-    lines, names = [f"{out}: {result.verdict}"], [f.file for f in result.report.frames]
-    for pair in result.report.neighbours:
-        pixels = f"{pair.residual_percent:+.2f} % ({pair.pixels} pixels)"
-        lines.append(f"  {names[pair.long]} to {names[pair.short]}: {pixels}")
-    return [*lines, *(f"  {name}: {value:.5g}" for name, value in facts.items())]
+    neighbours = table_lines(result.quality["neighbours"], indent="  ")
+    figures = [f"  {name}: {value:.5g}" for name, value in facts.items()]
+    return [f"{out}: {result.verdict}", *neighbours, *figures]

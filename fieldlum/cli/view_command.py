@@ -7,7 +7,7 @@ import click
 
 from fieldlum.cli.declared import FILE_PATH
 from fieldlum.cli.options import command_of, new_file
-from fieldlum.cli.terminal import say, tell
+from fieldlum.cli.terminal import say, table_lines, tell
 
 
 def _region(text: str) -> Any:
@@ -65,7 +65,7 @@ def command(
     for picture in pictures:
         for note in picture.notes:
             say(f"note: {picture.name}: {note}")
-    for line in (*map(_region_line, rows), *([str(out)] if pictures else ())):
+    for line in (*table_lines(rows), *([str(out)] if pictures else ())):
         tell(line)
     if csv_path is not None:
         write_csv(csv_path, rows)
@@ -85,12 +85,3 @@ def _latest_panorama(path: Path) -> Path:
         raise NotEnoughDataError(f"{path}: no panorama to view; run fieldlum merge {path}")
     say(f"note: {panoramas[-1]} is the latest of {len(panoramas)} panoramas")
     return panoramas[-1]
-
-
-def _region_line(row: dict[str, float | str | None]) -> str:
-    name = f"{row['file']}  {row['region']}"
-    if row["mean_cdm2"] is None:
-        return f"{name}: no pixel in this region"
-    middle = f"mean {row['mean_cdm2']:.4g}, median {row['median_cdm2']:.4g}"
-    ends = f"{row['min_cdm2']:.4g} to {row['max_cdm2']:.4g}, sd {row['sd_cdm2']:.3g} cd/m²"
-    return f"{name}: {middle}, {ends}, {row['solid_angle_sr']:.4g} sr"

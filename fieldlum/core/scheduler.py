@@ -15,7 +15,7 @@ import threading
 import time
 import warnings
 from collections import Counter
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, suppress
@@ -126,39 +126,29 @@ class UnitOutcome:
         return self.value
 
 
+Outcomes = Generator[UnitOutcome, None, None]
+
+
 def run_each(
     units: Iterable[WorkUnit], scheduler: Scheduler, take: Callable[[UnitOutcome], object]
 ) -> None:
-    """Run every unit and pass each outcome to `take`; an error in `take` stops all units.
-
-    Raises what `run_units` and `take` raise.
-    """
-    with closing(run_units(units, scheduler)) as outcomes:
-        for outcome in outcomes:
-            take(outcome)
-
-
-def run_units(
-    units: Iterable[WorkUnit], scheduler: Scheduler
-) -> Generator[UnitOutcome, None, None]:
-    """Run every unit and yield its outcome, in the order in which units end.
+    """Run every unit and pass each outcome to `take`, in the order in which units end.
 
     A unit whose process or worker is killed, has a full disk or an outdated file system is tried
-    again, at most 3 times; then its outcome has an InputError, and other units continue. Raises
-    InputError if no scheduler answers or no worker with this software is left, NotEnoughDataError
-    if there is no worker for ten minutes.
+    again, at most 3 times; then its outcome has an InputError, and other units continue. An error
+    in `take` stops all units and is raised. Raises InputError if no scheduler answers or no worker
+    with this software is left, NotEnoughDataError if there is no worker for ten minutes.
     """
     waiting = list(units)
     count = min(scheduler.processes, len(waiting))
-    if not waiting:
-        return
-    if scheduler.address:
+    if scheduler.address and waiting:
         outcomes = _on_cluster(waiting, scheduler.address)
     else:
-        outcomes = _in_processes(waiting, count) if count > 1 else map(_here, waiting)
-    for done, outcome in enumerate(outcomes, start=1):
-        progress(done, len(waiting), outcome.unit.name)
-        yield outcome
+        outcomes = _in_processes(waiting, count) if count > 1 else (_here(u) for u in waiting)
+    with closing(outcomes):
+        for done, outcome in enumerate(outcomes, start=1):
+            progress(done, len(waiting), outcome.unit.name)
+            take(outcome)
 
 
 def _here(unit: WorkUnit) -> UnitOutcome:
@@ -204,7 +194,7 @@ def use_one_thread() -> None:
 # processes
 
 
-def _in_processes(units: list[WorkUnit], count: int) -> Iterator[UnitOutcome]:
+def _in_processes(units: list[WorkUnit], count: int) -> Outcomes:
     """Run units in a pool of processes.
 
     A unit that is tried again runs alone, so that a killed process is due to this unit.
@@ -336,7 +326,7 @@ def software() -> dict[str, str]:
     return facts
 
 
-def _on_cluster(units: list[WorkUnit], address: str) -> Iterator[UnitOutcome]:
+def _on_cluster(units: list[WorkUnit], address: str) -> Outcomes:
     """Run units on the workers of a Dask scheduler, which runs a killed worker's units elsewhere.
 
     A worker with other software, stale files or a full disk gets no unit a second time. Raises
