@@ -93,7 +93,6 @@ def test_a_person_answers_wrongly_and_rightly(tmp_path: Path) -> None:
     setup = load_site(path)
     assert (setup.site.name, setup.site.latitude_deg) == ('Büro "2"', 45.07)
     assert setup.room is None and setup.camera.heading_deg == 225.0
-    assert "42" in whole or "sees" in whole  # one fisheye does not see everything
     assert "next: fieldlum plan" in whole
 
 

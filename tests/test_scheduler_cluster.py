@@ -27,7 +27,7 @@ from fieldlum.learn.models.training_data import load_pairs
 from fieldlum.optics.profiles import save_profile, shipped
 from fieldlum.pair import BracketInterval, write_patches
 from fieldlum.room import simulate
-from fieldlum.session import Session, create_session, remove_scraps
+from fieldlum.session import Session, create_session
 from fieldlum.session.site_toml import load_site
 from fieldlum.sky.daylight import light_at
 from fieldlum.year import predict
@@ -165,8 +165,8 @@ def test_killed_full_and_other_workers_cost_their_units_alone(
         run_each(some, parse_scheduler(str(running.file)), take)
     assert sorted(o.unit.name for o in outcomes) == sorted([*names, "full"]), "none twice"
     assert not [o.error for o in outcomes if o.error]
-    remove_scraps(folder / "out")  # of the killed worker
-    assert sorted(path.name for path in (folder / "out").iterdir()) == sorted(names)
+    written = (folder / "out").glob("[!.]*")  # a killed worker can leave a hidden file
+    assert sorted(path.name for path in written) == sorted(names)
     text = "\n".join(str(note.message) for note in notes)
     assert "rejected: source" in text and "install the versions of this computer there" in text
     assert "No space left on device; it gets no further units" in text

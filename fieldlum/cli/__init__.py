@@ -36,15 +36,17 @@ EXTRAS = {
 }
 
 # Errors of a folder or a disk, which can happen in any command and which no stage can correct.
-_ELSEWHERE = "check the disk, change its permissions, or choose another place"
+_ELSEWHERE = "change its permissions, or choose another place"
 _FULL = "free disk space, then start the command again: finished work is not repeated"
 _NAME = "name a folder where one is needed and a file where one is, without links and pipes"
 DISK_TROUBLE = {
-    **dict.fromkeys((errno.EACCES, errno.EPERM, errno.EROFS, errno.EIO), _ELSEWHERE),
-    **dict.fromkeys((errno.ENAMETOOLONG, errno.EOVERFLOW), _ELSEWHERE),
+    **dict.fromkeys((errno.EACCES, errno.EPERM, errno.EROFS), _ELSEWHERE),
     **dict.fromkeys((errno.ENOSPC, errno.EDQUOT), _FULL),
     **dict.fromkeys((errno.ENOLCK, errno.ENOTSUP), "move the session to a disk with locks"),
     **dict.fromkeys((errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.ELOOP, errno.ENXIO), _NAME),
+    errno.EIO: "the disk or card does not answer: copy the readable files to another one",
+    errno.ENAMETOOLONG: "choose shorter names",
+    errno.EOVERFLOW: "restore the file from a copy, or remove it",
     errno.EMLINK: "use a copy of the folder (cp -r), whose files have one name each",
 }
 
@@ -65,10 +67,8 @@ class _CommandGroup(InOrder):
         """Run the command; print expected errors as one line and exit with their code."""
         _hold_standard_files()
         code = errors.InputError.exit_code
-        # Python processes import nothing from the current folder: it may be somebody's session.
-        os.environ["PYTHONSAFEPATH"] = "1"
         try:
-            with _warnings_as_notes():
+            with _warnings_as_notes(), _children_import_nothing_here():
                 return super().invoke(ctx)
         except errors.FieldlumError as error:
             text, code = str(error), error.exit_code
@@ -90,6 +90,17 @@ class _CommandGroup(InOrder):
         line = printable(text.replace("\n", " "))
         click.echo(f"fieldlum {ctx.invoked_subcommand}: {line}", err=True)
         sys.exit(code)
+
+
+@contextmanager
+def _children_import_nothing_here() -> Iterator[None]:
+    """Let Python processes import nothing from the current folder: it may be somebody's session."""
+    before = os.environ.setdefault("PYTHONSAFEPATH", "")
+    os.environ["PYTHONSAFEPATH"] = "1"
+    try:
+        yield
+    finally:
+        os.environ["PYTHONSAFEPATH"] = before
 
 
 @contextmanager

@@ -42,13 +42,8 @@ def command(files: tuple[Path, ...], part: str = "", json_lines: bool = False) -
 
 
 def _short(value: Any) -> str:
-    """Return a value as one readable line, which may be shortened; `--json` has all of it."""
+    """Return a value as text, which may be shortened; `--json` has all of it."""
     text = str(value)
-    if isinstance(value, dict):
-        text = f"{len(value)} entries"
-    elif isinstance(value, list) and value and isinstance(value[0], dict):
-        names = (str(next(iter(entry.values()), "")) for entry in value)
-        text = f"{len(value)} entries: {', '.join(names)}"
     return text if len(text) <= 200 else f"{text[:200]} ..."
 
 

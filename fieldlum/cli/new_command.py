@@ -55,7 +55,6 @@ def command(
       --camera PROFILE: Write an own camera profile instead, which starts from this one.
       --photo FRAME: With --camera: frame with size and camera.
     """
-    from fieldlum.optics import profiles
     from fieldlum.session.site_toml import load_site
 
     if site_file.exists():
@@ -68,15 +67,6 @@ def command(
     site_file.parent.mkdir(parents=True, exist_ok=True)
     dialogue = Dialogue(site_file)
     setup = SiteFile(_site(dialogue), _camera(dialogue))
-    profile = profiles.load_camera_profile(setup.camera.profile)
-    notes = (
-        *profiles.assumed_texts(setup.camera),
-        profiles.uncalibrated_text(profile),
-        profiles.coverage_text(profile, setup.camera),
-        profiles.turning_text(setup.camera),
-    )
-    for note in filter(None, notes):
-        click.echo(f"note: {note}")
     write_file(site_file, site_text(setup))
     load_site(site_file)
     dialogue.path.unlink(missing_ok=True)
@@ -264,7 +254,6 @@ def _write_own_camera(path: Path, start: str, photo: Path | None) -> None:
     if photo is not None:
         profile = _of_photo(profile, photo)
     save_profile(path, profile)
-    load_camera_profile(path)
     body = profile.camera
     click.echo(f"written: {path}: {body.name}, {body.width_px} x {body.height_px} pixels")
     click.echo(f"note: {uncalibrated_text(profile)}")
