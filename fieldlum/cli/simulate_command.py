@@ -91,13 +91,8 @@ def command(
     answer |= {"dark": result.dark, "weather": result.weather, "size": size, "quality": chosen}
     dark = f", {result.dark} slots without light" if result.dark else ""
     hours = f"{result.rendered} hours rendered, {result.kept} unchanged{dark}"
-    devices = "--camera sim:office --pyranometer sim:office --clock fast"
-    lines = [
-        f"{session.root}: {hours}; weather: {result.weather}",
-        f"train on the truth:    fieldlum train {session.root}",
-        f"or photograph it:      fieldlum capture {session.root} {devices}",
-    ]
-    terminal.print_answer(as_json, answer, lines)
+    line = f"{session.root}: {hours}; weather: {result.weather}"
+    terminal.print_answer(as_json, answer, [line])
 
 
 def _planned(out: Path, setup: SiteFile, weather: Weather, asked: tuple) -> Session:

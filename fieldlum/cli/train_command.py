@@ -78,9 +78,6 @@ def _lines(answer: TrainAnswer) -> list[str]:
         f"parameters: {answer['parameters']:,}",
     ]
     if year := answer.get("year"):
-        lines.append(
-            f"over a year: expected log10 MSE {year['expected_log10_mse']:.2e}, "
-            f"{100 * year['trusted_share']:.0f} % of the hours trusted ({year['hours']:.0f} hours "
-            "drawn at random, under the captures' skies)"
-        )
+        trusted = f"{100 * year['trusted_share']:.0f} % of the hours trusted"
+        lines.append(f"a year: expected log10 MSE {year['expected_log10_mse']:.2e}, {trusted}")
     return lines
