@@ -55,7 +55,7 @@ def test_a_compass_read_backwards_is_named(captures: Dataset, tmp_path: Path) ->
     assert not (tmp_path / "scene").exists()
     trained = replace(turned, patch_cdm2=np.zeros_like(turned.luminance_cdm2))
     found = misplacement_of(trained, "absolute")
-    assert found is not None and "read backwards" in warnings_of(found, setup, 5.0)[0]
+    assert found is not None and "read backwards" in warnings_of(found, setup)[0]
 
 
 @pytest.mark.contract

@@ -134,16 +134,6 @@ def test_a_clock_is_told_from_north() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.analytic
-def test_patches_of_another_source_that_are_displaced() -> None:
-    data = captured()
-    assert data.patch_cdm2 is not None
-    found = found_in(replace(data, patch_cdm2=np.roll(data.patch_cdm2, 2, axis=2)))
-    assert found.shift_px == (-2, 0) and not found.off
-    assert found.slip_deg == pytest.approx(12.0)
-
-
-@pytest.mark.slow
 @pytest.mark.contract
 def test_nothing_to_test() -> None:
     assert misplacement_of(replace(captured(), patch_cdm2=None), "absolute") is None
@@ -214,12 +204,9 @@ def test_experience_of_like_suns_raises_the_expectation() -> None:
 @pytest.mark.parametrize("name", ["north_deg", "clock_min", "wall_azimuth_deg", "camera_x_m"])
 def test_every_cause_has_words_and_a_remedy(name: str) -> None:
     found = Misplacement({name: (1.2, 0.1)}, gain=0.5, hours=40, slip_deg=1.2)
-    lines = warnings_of(found, SETUP, 4.5)
+    lines = warnings_of(found, SETUP)
     assert len(lines) == 2 and lines[0].startswith("WARNING") and lines[1].startswith("to fix")
-    assert warnings_of(replace(found, slip_deg=0.0), SETUP, 4.5) == []
-    moved = Misplacement(shift_px=(2, -1), gain=0.5, hours=40, slip_deg=9.0)
-    shifted = warnings_of(moved, SETUP, 4.5)
-    assert "2 pixels" in shifted[0] and "heading_deg = 171.0" in shifted[1]
+    assert warnings_of(replace(found, slip_deg=0.0), SETUP) == []
 
 
 @pytest.mark.slow

@@ -12,6 +12,7 @@ import errno
 import hashlib
 import io
 import json
+import math
 import os
 import re
 import subprocess
@@ -325,19 +326,17 @@ def _heading(line: str, path: Path) -> float:
 
 
 def encode_rgbe(rgb: Floats) -> NDArray[np.uint8]:
-    """Encode RGB with a shared exponent (RGBE): floats [..., 3] become bytes [..., 4].
+    """Encode RGB with a shared exponent (RGBE): floats [H, W, 3] become bytes [H, W, 4].
 
     Mantissas are truncated, because Radiance decodes (mantissa + .5) / 256.
     """
+    import cv2
+
     values = np.maximum(np.nan_to_num(np.asarray(rgb, np.float64), posinf=1e30), 0.0)
-    largest = values.max(axis=-1)
-    fraction, exponent = np.frexp(largest)
-    alive = largest > 1e-32
-    scale = np.divide(fraction * 256.0, largest, out=np.zeros_like(largest), where=alive)
-    out = np.zeros((*largest.shape, 4), np.uint8)
-    out[..., :3] = np.minimum(values * scale[..., None], 255.0)
-    out[..., 3] = np.where(alive, np.clip(exponent + 128, 1, 255), 0)
-    return out
+    flat = [cv2.IMWRITE_HDR_COMPRESSION, cv2.IMWRITE_HDR_COMPRESSION_NONE]
+    _, file = cv2.imencode(".hdr", values[..., ::-1].astype(np.float32), flat)
+    size = *values.shape[:2], 4
+    return np.ravel(file)[-math.prod(size) :].reshape(size)
 
 
 def write_radiance_hdr(

@@ -17,7 +17,7 @@ from fieldlum.learn.models import Fitted, Patch
 from fieldlum.learn.models.training_data import Dataset
 from fieldlum.learn.transport import MeanTransport, Transport
 from fieldlum.room.fit.checks import reversed_compass_note, turned_windows_note
-from fieldlum.room.fit.evidence import SceneEvidence, scene_evidence
+from fieldlum.room.fit.evidence import scene_evidence
 from fieldlum.room.fit.guess import guess_of
 from fieldlum.room.fit.parameters import SUN_DEG_PER_MIN, room_parameters, stated_albedo
 from fieldlum.room.fit.search import LEVELS, SceneCost, covariance, prior_unit, search
@@ -29,9 +29,7 @@ SURE = 3.0  # smallest ratio of a correction to its standard uncertainty; chosen
 # Smallest corrections that are reported: a compass and a hand-set clock are no better. Chosen.
 MIN_OFF = {"north_deg": 0.5, "wall_azimuth_deg": 0.5, "clock_min": 1.0}
 TAPE_SDS = 3.0  # from which a length of the room counts as wrong, not as inaccurate; chosen
-# Share of the misfit that a setting must explain, and moved patches of another source. Chosen. In
-# two rooms of other renderers, patches moved by 1 to 3 pixels explain 30 to 71 %, right ones 0.
-MIN_GAIN, MIN_SHIFT_GAIN, MAX_SHIFT_PX = 0.02, 0.1, 3
+MIN_GAIN = 0.02  # share of the misfit that wrong numbers must explain; chosen
 EDGE_AWAY_M = 3.0  # a length moves patches by this angle from the camera: length over 3 m; chosen
 
 
@@ -40,15 +38,13 @@ class Misplacement:
     """Which wrong settings would explain that sun patches are not where they are computed.
 
     off: by name of a number, how much must be added to the stated one, and the standard uncertainty
-    (deg, min, m; clock_min: stated times are later than the true ones); shift_px: by how many
-    pixels given patches must move right and down. gain: share of the misfit that this explains, in
-    `hours` sunny hours. slip_deg: displacement of the computed patches from the captured ones as
-    seen from the camera, about; 0 if nothing is certain. note: directions that are grossly wrong,
-    which leaves the rest untested.
+    (deg, min, m; clock_min: stated times are later than the true ones). gain: share of the misfit
+    that this explains, in `hours` sunny hours. slip_deg: displacement of the computed patches from
+    the captured ones as seen from the camera, about; 0 if nothing is certain. note: directions that
+    are grossly wrong, which leaves the rest untested.
     """
 
     off: dict[str, tuple[float, float]] = field(default_factory=dict)
-    shift_px: tuple[int, int] = (0, 0)
     gain: float = 0.0
     hours: int = 0
     slip_deg: float = 0.0
@@ -102,10 +98,6 @@ def misplacement_of(data: Dataset, patch: Patch) -> Misplacement | None:
     gain = 1.0 - final / cost(start)
     if off and gain > MIN_GAIN:
         return Misplacement(off, gain=gain, hours=len(evidence), slip_deg=_slip_deg(off))
-    shift, shift_gain = _shift_px(evidence, data)
-    if shift_gain > MIN_SHIFT_GAIN:
-        slip_deg = float(np.hypot(*shift)) * 360.0 / data.shape[1]
-        return Misplacement(shift_px=shift, gain=shift_gain, hours=len(evidence), slip_deg=slip_deg)
     return Misplacement(hours=len(evidence))
 
 
@@ -119,23 +111,6 @@ def _slip_deg(off: dict[str, tuple[float, float]]) -> float:
             by = float(np.degrees(np.arctan2(by, EDGE_AWAY_M)))
         degrees.append(by)
     return float(np.sqrt(np.sum(np.square(degrees))))
-
-
-def _shift_px(evidence: SceneEvidence, data: Dataset) -> tuple[tuple[int, int], float]:
-    """Return by how many pixels the captures' own patches must move right and down, and the gain.
-
-    They can be of another source than the room. The gain is the share of the misfit.
-    """
-    assert data.patch_cdm2 is not None
-    maps = data.patch_cdm2[evidence.rows]
-    steps = range(-MAX_SHIFT_PX, MAX_SHIFT_PX + 1)
-    misfits: dict[tuple[int, int], float] = {}
-    for right in steps:
-        for down in steps:
-            patch = np.roll(maps, (down, right), (1, 2)).reshape(len(maps), -1)[:, evidence.pixels]
-            misfits[right, down] = float(evidence.misfit(patch).mean())
-    best = min(misfits, key=lambda shift: misfits[shift])
-    return best, 1.0 - misfits[best] / misfits[0, 0]
 
 
 def with_misplacement(
@@ -152,69 +127,50 @@ def with_misplacement(
         return fitted, []
     if found.slip_deg > 0.0 and isinstance(fitted, Transport | MeanTransport):
         fitted = cast("Fitted", fitted.with_displaced_patches(found.slip_deg))
-    return fitted, warnings_of(found, data.setup, 360.0 / data.shape[1])
+    return fitted, warnings_of(found, data.setup)
 
 
-def warnings_of(found: Misplacement, setup: SiteFile, pixel_deg: float) -> list[str]:
+def warnings_of(found: Misplacement, setup: SiteFile) -> list[str]:
     """Return lines that warn of a wrong setting: what is wrong, then a remedy for each cause.
 
-    pixel_deg: width of a pixel of the maps. The list is empty if nothing is certain.
+    The list is empty if nothing is certain.
     """
     if found.note:
         return [f"WARNING: {found.note}"]
     if found.slip_deg == 0.0:
         return []
-    words = [_words(name, by, u) for name, (by, u) in found.off.items()]
-    remedies = [f"to fix {name}: {_remedy(name, by, setup)}" for name, (by, _) in found.off.items()]
-    if found.shift_px != (0, 0):
-        right, down = found.shift_px
-        words = [f"they are {right:+d} pixels to the right of those and {down:+d} below"]
-        heading = (setup.camera.heading_deg - right * pixel_deg) % 360.0
-        remedies = [
-            "to fix this, check the camera's place and level; if only its heading is wrong, in "
-            f"SITE.toml [camera] heading_deg = {heading:.1f}, then merge, pair and train again"
-        ]
+    words, remedies = zip(*(_advice(*item, setup) for item in found.off.items()), strict=True)
     return [
         f"WARNING: captured sun patches are displaced from the computed ones ({found.hours} "
         f"hours): {', '.join(words)}, which explains {found.gain:.0%} of the misfit. Until this "
         "is fixed, the transport model has a larger uncertainty in hours that depend on sun "
         "patches",
-        *remedies,
+        *(f"to fix {name}: {text}" for name, text in zip(found.off, remedies, strict=True)),
     ]
 
 
-def _words(name: str, by: float, u: float) -> str:
-    if name == "north_deg":
-        return f"north is wrong by {by:+.1f} +- {u:.1f} degrees"
-    if name == "clock_min":
-        return f"the clock is wrong by {by:+.1f} +- {u:.1f} minutes"
-    if name == "wall_azimuth_deg":
-        return f"the room, not the camera, is turned clockwise by {by:+.1f} +- {u:.1f} degrees"
-    return f"{name} would have to be {by:+.2f} +- {u:.2f} m off"
-
-
-def _remedy(name: str, by: float, setup: SiteFile) -> str:
-    """Return what to write into SITE.toml, or what else to do."""
-    room = setup.room
+def _advice(name: str, off: tuple[float, float], setup: SiteFile) -> tuple[str, str]:
+    """Return what is wrong, and what to write into SITE.toml or else to do."""
+    (by, u), room = off, setup.room
     azimuth = ((room.wall_azimuth_deg if room else 180.0) + by) % 360.0
-    wall = f"[room] wall_azimuth_deg = {azimuth:.1f}"
+    wall, again = f"[room] wall_azimuth_deg = {azimuth:.1f}", "then merge, pair and train again"
     if name == "north_deg":
-        heading = (setup.camera.heading_deg + by) % 360.0
-        return (
-            f"check the compass; in SITE.toml {wall} and [camera] heading_deg = {heading:.1f}, "
-            "then merge, pair and train again"
-        )
+        heading = f"[camera] heading_deg = {(setup.camera.heading_deg + by) % 360.0:.1f}"
+        remedy = f"check the compass; in SITE.toml {wall} and {heading}, {again}"
+        return f"north is wrong by {by:+.1f} +- {u:.1f} degrees", remedy
     if name == "clock_min":
-        return (
-            f"the recorded times of the pictures are {abs(by):.1f} min too "
-            f"{'late' if by > 0 else 'early'}: correct the clock that recorded them (the "
-            "computer's for fieldlum capture, else the camera's), or import the card again with "
-            f"--utc-offset {'increased' if by > 0 else 'decreased'} by {abs(by):.1f} min, then "
-            "merge, pair and train again"
+        late, change = ("late", "increased") if by > 0 else ("early", "decreased")
+        remedy = (
+            f"the recorded times of the pictures are {abs(by):.1f} min too {late}: correct the "
+            "clock that recorded them (the computer's for fieldlum capture, else the camera's), or "
+            f"import the card again with --utc-offset {change} by {abs(by):.1f} min, {again}"
         )
+        return f"the clock is wrong by {by:+.1f} +- {u:.1f} minutes", remedy
     if name == "wall_azimuth_deg":
-        return f"check where the window wall faces; in SITE.toml {wall}, then train again"
-    return (
+        remedy = f"check where the window wall faces; in SITE.toml {wall}, then train again"
+        turned = f"turned clockwise by {by:+.1f} +- {u:.1f} degrees"
+        return f"the room, not the camera, is {turned}", remedy
+    return f"{name} would have to be {by:+.2f} +- {u:.2f} m off", (
         "measure the camera's place and the windows again; if they are right, the room has what "
         "[room] lacks: run fieldlum scene fit"
     )
