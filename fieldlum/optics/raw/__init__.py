@@ -297,18 +297,24 @@ def read_exif(path: Path, *, lens_f_number: float = 0.0) -> FrameInfo:
     """Return the exposure, time and camera of a JPEG or raw frame by its EXIF.
 
     For a raw frame LibRaw provides values that the EXIF lacks, for a JPEG exiftool or exiv2 where
-    it is installed. lens_f_number : f-number to use if
-    the frame states none; with 0 a missing one is an error. Raises InputError without exposure
-    time, f-number or ISO.
+    it is installed. lens_f_number : f-number to use if the frame states none; with 0 a missing one
+    is an error. Raises InputError without exposure time, f-number or ISO.
     """
     tags = tags_of(path)
+    try:
+        return _info(path, tags, lens_f_number)
+    except InputError:
+        if is_jpeg(path):
+            _codes(path, MAX_CAMERA_PIXELS)  # damage is the cause, if the file is damaged
+        raise
+
+
+def _info(path: Path, tags: Tags, lens_f_number: float = 0.0) -> FrameInfo:
+    """Return what a frame's EXIF tags state, and other programs in their place."""
     with suppress(InputError):
         return info_of(path, tags, lens_f_number=lens_f_number)
     if is_jpeg(path):
-        with suppress(InputError):
-            return info_of(path, tags, by_other_program(path), lens_f_number=lens_f_number)
-        _codes(path, MAX_CAMERA_PIXELS)  # damage is the cause, if the file is damaged
-        return info_of(path, tags, lens_f_number=lens_f_number)
+        return info_of(path, tags, by_other_program(path), lens_f_number=lens_f_number)
     with opened(path) as raw:
         return info_of(path, tags, _libraw_exposure(raw), lens_f_number=lens_f_number)
 
@@ -334,10 +340,10 @@ def read_jpeg(path: Path, *, camera_pixels: int = 0) -> JpegFrame:
     to 500 million), and at least `MAX_PIXELS`. Raises InputError for a file that cannot be read, is
     no complete JPEG, has more pixels, or whose EXIF lacks exposure time, f-number or ISO.
     """
-    tags_of(path)  # whose errors name an empty or a missing file
-    # Before the EXIF, because a cut file may lack it as well.
+    tags = tags_of(path)
+    # Before the exposure, because a cut file may lack it as well.
     codes = _codes(path, max(MAX_PIXELS, min(camera_pixels, MAX_CAMERA_PIXELS)))
-    return JpegFrame(**_fields(read_exif(path)), codes=codes)
+    return JpegFrame(**_fields(_info(path, tags)), codes=codes)
 
 
 def jpeg_size(path: Path) -> tuple[int, int]:
