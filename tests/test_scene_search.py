@@ -75,7 +75,9 @@ def test_the_renderer_agrees_with_the_exact_one(wall: str) -> None:
 
     pixel, rays = pixel_rays(HEIGHT, 180.0, 1)
     ends = surfaces(guess, rays.astype(np.float32))
-    unit = unit_patches(guess, ends, (suns @ guess.turn.T).astype(np.float32), pixel, 1)
+    unit = unit_patches(
+        guess, ends, (suns @ guess.turn.T).astype(np.float32), pixel, 1, np.ones(len(pixel))
+    )
     lit, want = unit > 0.05, exact.reshape(3, -1) > 300.0
     inside = ends.surface >= 0
     assert (lit & inside).sum() > 60
@@ -86,12 +88,12 @@ def test_the_renderer_agrees_with_the_exact_one(wall: str) -> None:
 def test_an_edge_takes_its_share_of_the_light_between_two_rays(evidence: SceneEvidence) -> None:
     """Seventeen millimetres are less than rays are apart: the light follows each of them."""
     guess = guess_of(replace(ROOM, window=(ONE_PANE.window[0],)))
-    rect = guess.windows[0]
+    rect, every = guess.windows[0], np.ones(len(evidence.pixel))
 
     def light(by: float, spread: float) -> np.ndarray:
         moved = replace(guess, windows=(replace(rect, u_m=(rect.u_m[0] + by, rect.u_m[1])),))
         ends, suns = surfaces(guess, evidence.rays, spread), evidence.suns_room(guess)
-        unit = unit_patches(moved, ends, suns, evidence.pixel, evidence.sub)
+        unit = unit_patches(moved, ends, suns, evidence.pixel, evidence.sub, every)
         return unit.sum(axis=1)
 
     soft = np.array([light(0.001 * k, evidence.spread) for k in range(18)])
@@ -271,11 +273,9 @@ def test_no_solid_is_searched_to_the_place_of_the_camera(evidence: SceneEvidence
 
 @pytest.mark.analytic
 def test_the_albedo_of_a_solid_is_the_searched_one(evidence: SceneEvidence) -> None:
-    """A list of albedos that a light estimate left behind must not replace it."""
     light, dark = (Solid((1.0, 1.0, 0.0), (2.4, 2.0, 0.7), albedo) for albedo in (0.7, 0.2))
-    albedo = np.append(stated_albedo(ROOM), 0.5)
     guess = replace(guess_of(ROOM), solids=(light,))
-    objective = SceneCost(evidence, guess, room_parameters(guess), albedo, 0.0)
+    objective = SceneCost(evidence, guess, room_parameters(guess), stated_albedo(ROOM), 0.0)
     cost = objective(guess)
     assert cost != pytest.approx(objective(replace(guess, solids=(dark,))), rel=1e-3)
 
@@ -285,7 +285,7 @@ def test_a_wall_without_light_where_patches_are_expected_is_not_black(
     evidence: SceneEvidence,
 ) -> None:
     guess = guess_of(ROOM)
-    _, ends = evidence.unit(guess)
+    ends = surfaces(guess, evidence.rays, evidence.spread)
     wall = int(np.argmax([(ends.surface == k).sum() for k in range(4)]))
     on_wall = np.zeros(len(evidence.pixels), bool)
     on_wall[evidence.pixel[ends.surface == wall]] = True

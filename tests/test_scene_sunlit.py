@@ -70,7 +70,7 @@ def test_the_order_of_rays_does_not_matter() -> None:
         ends.surface[order],
         ends.spread_m[order],
     )
-    plain = unit_patches(guess, ends, suns, np.arange(len(world)), 1)
-    other = unit_patches(guess, mixed, suns, order, 1)
+    plain = unit_patches(guess, ends, suns, np.arange(len(world)), 1, np.ones(len(world)))
+    other = unit_patches(guess, mixed, suns, order, 1, np.ones(len(world)))
     assert (plain > 0.0).sum() > 500
     np.testing.assert_allclose(plain, other, rtol=1e-6)

@@ -130,22 +130,18 @@ class SceneEvidence:
         world = sun.direction(altitude, azimuth - guess.north_deg)
         return (world @ guess.turn.T).astype(np.float32)
 
-    def unit(self, guess: Guess) -> tuple[NDArray[np.float32], Surfaces]:
-        """Return pixels' irradiance per lx of normal sun [n, m], and where their rays end.
-
-        The hours are those of the evidence; the sun follows the guess's north and clock.
-        """
-        ends = surfaces(guess, self.rays, self.spread)
-        suns = self.suns_room(guess)
-        return unit_patches(guess, ends, suns, self.pixel, self.sub), ends
-
     def patches(self, guess: Guess, albedo: Array) -> Array:
         """Return the luminance of the guess's sun patches, cd/m2 [n, m].
 
-        albedo: of west, east, south and north wall, floor, ceiling and solids [6 + solids].
+        albedo: of west, east, south and north wall, floor and ceiling [6]; solids have their own.
+        The sun follows the guess's north and clock.
         """
-        ends = surfaces(guess, self.rays, self.spread)
-        tone, suns = albedo[ends.surface], self.suns_room(guess)
+        tones = np.append(albedo, [solid.albedo for solid in guess.solids])
+        return self._shine(guess, surfaces(guess, self.rays, self.spread), tones)
+
+    def _shine(self, guess: Guess, ends: Surfaces, tones: Array) -> Array:
+        """Return the luminance of sun patches at ends of the rays; tones: of all surfaces."""
+        suns, tone = self.suns_room(guess), tones[ends.surface]
         shine = unit_patches(guess, ends, suns, self.pixel, self.sub, tone)
         return (self.direct_lx[:, None] / np.pi).astype(np.float32) * shine
 
@@ -180,18 +176,16 @@ class SceneEvidence:
         return _saturated(np.log(self.below + patch) - self.log_seen) @ self.weights
 
     def albedos(self, guess: Guess, start: Array) -> Array:
-        """Return the albedo of each surface with which its sun patches fit best, [6 + solids].
+        """Return the albedo of each surface with which its sun patches fit best, [6].
 
-        Surfaces are west, east, south and north wall, floor, ceiling and the guess's solids. Each
-        value has the smallest misfit of those from 0.03 to 0.95, which are 10 % apart, plus the
-        cost of its departure from `start` [6 or more], or from the solid's own where `start` is
-        shorter. Walls are within a factor of two of their median: misplaced patches would make
-        them black.
+        Surfaces are west, east, south and north wall, floor and ceiling. Each value has the
+        smallest misfit of those from 0.03 to 0.95, which are 10 % apart, plus the cost of its
+        departure from `start` [6]. Walls are within a factor of two of their median: misplaced
+        patches would make them black.
         """
-        unit, ends = self.unit(guess)
-        full = self.direct_lx[:, None].astype(np.float32) * unit / np.float32(np.pi)
-        albedo = np.resize(start, SHELL + len(guess.solids)).astype(float)
-        albedo[len(start) :] = [solid.albedo for solid in guess.solids[len(start) - SHELL :]]
+        ends = surfaces(guess, self.rays, self.spread)
+        full = self._shine(guess, ends, np.ones(SHELL + len(guess.solids)))
+        albedo = start.astype(float)
         hour, pixel = np.nonzero(full)
         first = np.full(len(self.pixels), -1)
         first[self.pixel] = ends.surface  # use the last ray of each pixel, because edges are rare

@@ -28,7 +28,7 @@ from fieldlum.room.fit.parameters import (
     stated_albedo,
 )
 from fieldlum.room.fit.scene_file import Scene
-from fieldlum.room.fit.search import LEVELS, SceneCost, covariance, prior_unit, search, with_solids
+from fieldlum.room.fit.search import LEVELS, SceneCost, covariance, prior_unit, search
 from fieldlum.room.fit.window_view import window_view
 
 if TYPE_CHECKING:
@@ -112,7 +112,7 @@ class SceneSearch:
         clock_u_min = clock_sd_min if pose is None else pose.u_clock_min
         self.clocks_min = START_CLOCKS_MIN if clock_u_min > OPEN_CLOCK_MIN else ()
         self.albedo = self.evidence.albedos(self.start, stated_albedo(room))
-        self.unit = prior_unit(self.evidence, self.start, with_solids(self.albedo, self.guess))
+        self.unit = prior_unit(self.evidence, self.start, self.albedo)
 
     def cost(self, *, coarse: bool = False) -> SceneCost:
         """Return the function that computes a guess's cost; coarse: at fewer pixels, for speed."""
@@ -209,15 +209,14 @@ class SceneSearch:
         """Set guess and albedos, and estimate the light without direct sun again."""
         self.guess = guess
         self.albedo = self.evidence.albedos(guess, stated_albedo(self.room))
-        patch = self.evidence.patches(guess, with_solids(self.albedo, self.guess))
-        self.evidence = self.evidence.relit(self.data, patch)
+        self.evidence = self.evidence.relit(self.data, self.evidence.patches(guess, self.albedo))
 
     def misfit(self) -> dict[str, float]:
         """Return the mean misfit, 0 to 1, of three geometries; keys: none, stated and fitted.
 
         The stated box gets its own albedos.
         """
-        of_fitted = self.evidence.patches(self.guess, with_solids(self.albedo, self.guess))
+        of_fitted = self.evidence.patches(self.guess, self.albedo)
         albedo = self.evidence.albedos(self.start, stated_albedo(self.room))
         patches = {
             "none": np.zeros_like(of_fitted),
@@ -238,7 +237,7 @@ def true_room(guess: Guess, stated: Room, albedo: Floats) -> Room:
     """Return the guess as a `Room` whose wall azimuth is relative to true north.
 
     The azimuth is the guess's plus its correction of north; stated: the room for fields that are
-    not fitted; albedo: of west, east, south and north wall, floor and ceiling [6 or more].
+    not fitted; albedo: of west, east, south and north wall, floor and ceiling [6].
     """
     return replace(
         room_of(guess, stated),

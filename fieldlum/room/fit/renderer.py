@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fieldlum.room.fit.guess import Guess
-from fieldlum.room.scene.geometry import WALLS, Span, glass_optics
+from fieldlum.room.scene.geometry import WALLS, glass_optics
 from fieldlum.room.scene.trace import EPSILON_M, HARD_M, add_through, nearest_box
 
 Float32 = NDArray[np.float32]
@@ -57,7 +57,12 @@ def surfaces(guess: Guess, rays_world: Float32, spread: float = 0.0) -> Surfaces
     distance, box, axis, sign = nearest_box(low, high, eye, rays)
     position = eye + rays * distance[:, None]
     surface = box.astype(np.int16)
-    surface[_in_window(guess, position, surface)] = OUTSIDE
+    for rect in guess.windows:
+        across, side = WALLS[rect.wall]
+        along, height = position[:, 1 - across], position[:, 2]
+        inside = (along > rect.u_m[0]) & (along < rect.u_m[1])
+        inside &= (height > rect.z_m[0]) & (height < rect.z_m[1])
+        surface[inside & (box == 2 * across + side)] = OUTSIDE
     softness = np.maximum(spread * distance, HARD_M).astype(np.float32)
     return Surfaces(position, axis, sign, surface, softness)
 
@@ -72,56 +77,22 @@ def _shell(size_m: tuple[float, float, float]) -> tuple[Array, Array]:
     return low, high
 
 
-def _wall_surface(wall: str) -> int:
-    axis, side = WALLS[wall]
-    return 2 * axis + side
-
-
-def _in_window(guess: Guess, position: Array, surface: NDArray) -> NDArray[np.bool_]:
-    """Return which of the rays' ends are in the opening of a window, [r]."""
-    found = np.zeros(len(position), bool)
-    for rect in guess.windows:
-        along = 1 - WALLS[rect.wall][0]
-        u, z = position[:, along], position[:, 2]
-        on_wall = surface == _wall_surface(rect.wall)
-        found |= on_wall & _within(u, rect.u_m) & _within(z, rect.z_m)
-    return found
-
-
-def _within(value: Array, span: Span) -> NDArray[np.bool_]:
-    return (value > span[0]) & (value < span[1])
-
-
-def _glass(transmittance: float, cosine: Array) -> Array:
-    """Return the transmittance of a pane at cosines of incidence of either sign, [n]."""
-    cosines, through = _glass_table(transmittance)
-    return np.interp(np.abs(cosine), cosines, through)
-
-
-@lru_cache(maxsize=16)
-def _glass_table(transmittance: float) -> tuple[Array, Array]:
-    """Return cosines from 0 to 1, and a pane's transmittance there; steps are 2e-4."""
-    cosines = np.linspace(0.0, 1.0, 5001)
-    return cosines, glass_optics(transmittance, cosines)[0]
-
-
 def unit_patches(
     guess: Guess,
     ends: Surfaces,
     suns_room: Array,
     pixel: NDArray[np.intp],
     sub: int,
-    tone: Array | None = None,
+    tone: Array,
 ) -> Array:
-    """Return irradiance of the pixels' surfaces per lx of the sun on its normal, [n, m].
+    """Return irradiance of pixels' surfaces times tone, per lx of the sun on its normal, [n, m].
 
     ends: of r rays; suns_room: unit vectors in room axes [n, 3]; pixel: index of each ray's pixel
-    [r]; sub x sub rays make a pixel. tone: a factor of each ray, such as albedo, None for 1 [r].
-    Times the sun's illuminance, times albedo over pi, the result is the
-    luminance of the sun patch.
+    [r]; sub x sub rays make a pixel. tone: a factor of each ray, such as albedo [r]. Times the
+    sun's illuminance over pi, the result is the luminance of the sun patch.
     """
     total = np.zeros((len(suns_room), len(pixel) // sub**2))
-    weight = np.full(len(pixel), 1.0 / sub**2) if tone is None else tone / float(sub**2)
+    weight = tone / float(sub**2)
     low = np.array([solid.low_m for solid in guess.solids]).reshape(-1, 3)
     high = np.array([solid.high_m for solid in guess.solids]).reshape(-1, 3)
     # 0 to 2: normal towards larger x, y, z; 3 to 5: towards smaller; -1: never lit (a ceiling)
@@ -136,8 +107,9 @@ def unit_patches(
         outer = inner + outward * guess.thickness_m
         opening = np.array([axis, outward, inner, outer, *rect.u_m, *rect.z_m])
         bars = [(b.upright, *b.span_m, *b.depth_m) for b in guess.bars if b.window == number]
+        glass = glass_optics(rect.transmittance, suns[:, axis])[0]
         add_through(
             opening, np.array(bars, float).reshape(-1, 5), low, high, above_face, face,
-            ends.spread_m, weight, pixel, suns, _glass(rect.transmittance, suns[:, axis]), total,
+            ends.spread_m, weight, pixel, suns, glass, total,
         )  # fmt: skip
     return total.astype(np.float32)

@@ -12,7 +12,6 @@ from fieldlum.core.arrays import Floats, Floats32
 from fieldlum.room.fit.evidence import WIDTH, SceneEvidence
 from fieldlum.room.fit.guess import Guess, is_possible, thickened
 from fieldlum.room.fit.parameters import POSE_NAMES, Parameter
-from fieldlum.room.fit.renderer import SHELL
 
 if TYPE_CHECKING:
     from fieldlum.room.fit.pose_prior import PosePrior
@@ -29,18 +28,10 @@ _ROUNDS, _REACH, _MIN_GAIN = 5, 3.0, 1e-3
 _FIRST_DAMPING, _TRIES = 0.1, 5
 
 
-def with_solids(albedo: Floats, guess: Guess) -> Floats:
-    """Return the albedos of walls, floor and ceiling and of the guess's solids, [6 + solids].
-
-    albedo: its first six are those of the room's surfaces.
-    """
-    return np.concatenate([albedo[:SHELL], [solid.albedo for solid in guess.solids]])
-
-
 def prior_unit(evidence: SceneEvidence, start: Guess, albedo: Floats) -> float:
     """Return the cost of one standard deviation of one parameter, from the misfit of the start.
 
-    albedo: of the surfaces, as for `SceneEvidence.patches` [6 + solids].
+    albedo: of the room's surfaces, as for `SceneEvidence.patches` [6].
     """
     few = max(1.0, PRIOR_HOURS / len(evidence))  # because the misfit is a mean over hours
     return few * PRIOR_SHARE * float(evidence.misfit(evidence.patches(start, albedo)).mean())
@@ -51,9 +42,9 @@ class SceneCost:
     """Misfit plus prior of a guess, as a sum of squares.
 
     start: the stated guess; parameters: those that have a prior; albedo: of west, east, south and
-    north wall, floor, ceiling [6 or more, of which 6 count: solids have their own]; unit: cost of
-    one standard deviation of one parameter; pose: replaces the priors of north, tilt, roll and
-    clock; view: picture of the windows, None to leave it out.
+    north wall, floor, ceiling [6]; unit: cost of one standard deviation of one parameter; pose:
+    replaces the priors of north, tilt, roll and clock; view: picture of the windows, None to leave
+    it out.
     """
 
     evidence: SceneEvidence
@@ -71,9 +62,9 @@ class SceneCost:
 
     def by_hour(self, guess: Guess) -> Floats:
         """Return the misfit of each hour, with its share of the prior's cost, [n]."""
-        patch = self.evidence.patches(guess, with_solids(self.albedo, guess))
         prior = self.prior(guess)
-        return self.evidence.misfit(patch) + float(prior @ prior)
+        misfit = self.evidence.misfit(self.evidence.patches(guess, self.albedo))
+        return misfit + float(prior @ prior)
 
     def residuals(self, guess: Guess) -> Floats32 | None:
         """Return numbers [q] whose squares add up to the cost; None for an impossible guess.
@@ -82,7 +73,7 @@ class SceneCost:
         """
         if not is_possible(guess):
             return None
-        patch = self.evidence.patches(guess, with_solids(self.albedo, guess))
+        patch = self.evidence.patches(guess, self.albedo)
         error = np.log(self.evidence.below + patch) - self.evidence.log_seen
         weight = np.sqrt(self.evidence.weights / np.float32(len(self.evidence)))
         misfit = weight * error / np.sqrt(error**2 + np.float32(WIDTH**2))
