@@ -189,9 +189,8 @@ def test_an_hour_of_another_level_is_levelled() -> None:
     below = np.full_like(true, 100.0)
     patch = np.where(directions[:, 2] < -0.8, 800.0, 0.0)[None]  # a tenth of the pixels
     seen = (true + patch) * np.exp(0.02 * rng.standard_normal(true.shape))
-    weights = np.full(1500, 1 / 1500)
     for known in (np.zeros_like(patch), patch):
-        level = levelled(below, seen, known, directions, weights)
+        level = levelled(below, seen, known, directions)
         dark = patch == 0.0
         assert np.abs(np.log(level / true))[dark].max() < 0.08
         assert np.abs(np.log(level / true)).max() < 0.3  # carried on below the patch

@@ -40,7 +40,7 @@ def test_edges_in_the_picture_are_those_of_the_window(by: tuple[float, float]) -
     start = replace(true, windows=(tape,))
     view, evidence = window_view(data, start), scene_evidence(data, low, pixels=50)
     parameters = [p for p in room_parameters(start) if p.name in EDGES]
-    unseen = replace(evidence, weights=0.0 * evidence.weights)
+    unseen = replace(evidence, direct_lx=0.0 * evidence.direct_lx)
     cost = SceneCost(unseen, start, parameters, stated_albedo(ROOM), 0.0, None, view)
     found = search(cost, start, parameters)[0].windows[0]
     off = np.subtract((*found.u_m, *found.z_m), (*rect.u_m, *rect.z_m))

@@ -6,7 +6,7 @@ least squares with priors then give one correction for each frame. Pictures dete
 the priors determine the common level.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,7 +25,6 @@ from fieldlum.session.files.sidecar import NeighbourQuality
 # that suffices. Bright pixels are preferred because a black level that is wrong by one count
 # affects dim pixels.
 _SNR_SHORT, _ENOUGH = (60.0, 15.0, 3.0), 2000
-_STRIP = 16  # rows of samples at a time, which stay in a core's cache; decides speed only
 # Residuals over this many sigma lose weight (Huber 1964; 2.5 keeps 99 % of normal residuals).
 _HUBER_SIGMA = 2.5
 
@@ -144,39 +143,22 @@ def _well_exposed(long: Rows, short: Rows) -> Floats32:
     return np.array(columns, np.float32)
 
 
-def compare(long: Rows, shorts: Mapping[int, Rows], i: int = 0) -> list[PairRatio]:
-    """Return measured exposure ratios of a frame and less exposed ones over the assumed ones.
-
-    long, shorts: the same pixels of the frames; i and the keys of `shorts`: numbers of the frames,
-    for the result. A frame with too few pixels that are well exposed in both is omitted.
-    """
-
-    def strips(frame: Rows) -> list[Rows]:
-        assert frame.full is not None
-        starts = range(0, len(frame.counts), _STRIP)
-        at = [slice(first, first + _STRIP) for first in starts]
-        return [frame._replace(counts=frame.counts[rows], full=frame.full[rows]) for rows in at]
-
-    found, of_long = [], strips(long)
-    for j, short in shorts.items():
-        parts = [_well_exposed(a, b) for a, b in zip(of_long, strips(short), strict=True)]
-        *values, snr_short = np.concatenate(parts, axis=1)
-        minima = _SNR_SHORT if isinstance(long.signal, RawSignal) else _SNR_SHORT[-1:]
-        bright = [snr_short > minimum for minimum in minima]
-        at = next((mask for mask in bright if mask.sum() >= _ENOUGH), bright[-1])
-        found.append(pair_ratio(*(v[at].astype(np.float64) for v in values), frames=(i, j)))
-    return [pair for pair in found if pair is not None]
-
-
 def bracket_pairs(samples: Sequence[Rows]) -> list[PairRatio]:
-    """Return the measured exposure ratios of all pairs with common well-exposed pixels.
+    """Return the measured exposure ratios of pairs of frames over the assumed ones.
 
-    samples: one for each frame, most exposed first. Frames of a pair are at most three apart in
-    that order. Empty without such pairs.
+    samples: one for each frame, most exposed first, at the same pixels. Frames of a pair are at
+    most three apart in that order; pairs with too few pixels that are well exposed in both are
+    omitted.
     """
-    numbered = list(enumerate(samples))
-    groups = (compare(long, dict(numbered[i + 1 : i + 4]), i) for i, long in numbered)
-    return [pair for group in groups for pair in group]
+    found = []
+    for i, long in enumerate(samples):
+        minima = _SNR_SHORT if isinstance(long.signal, RawSignal) else _SNR_SHORT[-1:]
+        for j, short in enumerate(samples[i + 1 : i + 4], start=i + 1):
+            *values, snr_short = _well_exposed(long, short)
+            bright = [snr_short > minimum for minimum in minima]
+            at = next((mask for mask in bright if mask.sum() >= _ENOUGH), bright[-1])
+            found.append(pair_ratio(*(v[at].astype(np.float64) for v in values), frames=(i, j)))
+    return [pair for pair in found if pair is not None]
 
 
 def neighbours(pairs: list[PairRatio], correction: Floats) -> list[NeighbourQuality]:

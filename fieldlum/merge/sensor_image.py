@@ -15,7 +15,13 @@ from fieldlum.core.records import Flag
 from fieldlum.core.statistics import robust_sigma
 from fieldlum.merge.estimator import Merged, Rows, merge_signals
 from fieldlum.merge.linear_frames import Crop, RawSignal, Saturation, Signal, lens_crop, read_frames
-from fieldlum.merge.ratios import Exposures, RatioCurve, compare, exposures_of, take_samples
+from fieldlum.merge.ratios import (
+    Exposures,
+    RatioCurve,
+    bracket_pairs,
+    exposures_of,
+    take_samples,
+)
 from fieldlum.merge.shift import shifts
 from fieldlum.merge.shots import Shot, sorted_shots
 from fieldlum.optics.linear_light import lens_geometry, nd_factors, stated_law
@@ -240,8 +246,7 @@ def _without_absent_filters(
             continue
         like = min(bare, key=lambda s: abs(np.log(s.exposure.shutter_s / asked.shutter_s)))
         pair = [like, replace(shot, exposure=replace(asked, nd=""))]
-        first, second = take_samples(read_frames(pair, profile, crop)[0])
-        ratios = compare(first, {1: second})
+        ratios = bracket_pairs(take_samples(read_frames(pair, profile, crop)[0]))
         factor = float(np.mean(nd_factors(asked.nd, profile)))
         if ratios and ratios[0].log_ratio > -0.5 * np.log(factor):
             right[number] = pair[1]

@@ -370,16 +370,14 @@ def _write_text(sheet: NDArray[np.uint8], text: str, at: tuple[int, int]) -> Non
 
 def _thumbnail(path: Path) -> NDArray[np.uint8]:
     """Return one panorama as a picture [height, width, 3]."""
+    import cv2
+
     panorama = read_panorama(path)
-    rows, columns = (
-        np.linspace(0, size - 1, count).astype(int)
-        for size, count in zip(panorama.luminance_cdm2.shape, (_HEIGHT, _WIDTH), strict=True)
-    )
-    pick = np.ix_(rows, columns)
-    picture = coloured(panorama.luminance_cdm2[pick])
+    picture = coloured(panorama.luminance_cdm2)
     if panorama.flags is not None:
-        picture[panorama.flags[pick] > 0] = UNSEEN_RGB
-    return picture
+        picture[panorama.flags > 0] = UNSEEN_RGB
+    small = cv2.resize(picture, (_WIDTH, _HEIGHT), interpolation=cv2.INTER_NEAREST)
+    return np.asarray(small, np.uint8)
 
 
 def write_summary(session: Session) -> None:

@@ -10,7 +10,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -52,21 +52,11 @@ Tags = Mapping[int, Any]
 """Values of EXIF tags by number, as Pillow reads them."""
 
 
-class _Quantity(NamedTuple):
-    """A part of an exposure: name, tag of exiftool, an example of it, and possible values."""
-
-    name: str
-    tag: str
-    example: str
-    minimum: float
-    maximum: float
-    unit: str = ""
-
-
-_QUANTITIES = (  # the limits are chosen
-    _Quantity("exposure time", "ExposureTime", "1/250", minimum=1e-7, maximum=1e5, unit=" s"),
-    _Quantity("f-number", "FNumber", "5.6", minimum=0.3, maximum=1e3),
-    _Quantity("ISO", "ISO", "100", minimum=1.0, maximum=1e7),
+# Parts of an exposure: name, tag of exiftool with an example, possible values (chosen), unit.
+_QUANTITIES = (
+    ("exposure time", "ExposureTime=1/250", 1e-7, 1e5, " s"),
+    ("f-number", "FNumber=5.6", 0.3, 1e3, ""),
+    ("ISO", "ISO=100", 1.0, 1e7, ""),
 )
 
 
@@ -276,13 +266,15 @@ def info_of(
     )
 
 
-def _check_value(path: Path, value: float, stated: float, quantity: _Quantity) -> None:
+def _check_value(
+    path: Path, value: float, stated: float, quantity: tuple[str, str, float, float, str]
+) -> None:
     """Raise InputError for a value that is 0, impossible, or not the stated one.
 
-    stated : by exposures.csv, 0 if it has none.
+    stated : by exposures.csv, 0 if it has none; quantity : of `_QUANTITIES`.
     """
-    name, unit, low, high = quantity.name, quantity.unit, quantity.minimum, quantity.maximum
-    remedy = f"write it with: exiftool -{quantity.tag}={quantity.example} FILE"
+    name, tag, low, high, unit = quantity
+    remedy = f"write it with: exiftool -{tag} FILE"
     found = f"{name} {value:g}{unit} in the EXIF"
     if not value:
         remedy = f"{remedy}; or state it in {EXPOSURES_CSV} in the frame's folder"

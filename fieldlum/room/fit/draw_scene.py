@@ -62,7 +62,7 @@ def _overlay(data: Dataset, scene: Scene, evidence: SceneEvidence) -> Any:
 
 def _rows_to_draw(evidence: SceneEvidence) -> Indices:
     """Return the hours with most light in patches, one for each of several sun directions."""
-    excess = np.clip(np.exp(evidence.log_seen) - evidence.below, 0.0, None) @ evidence.weights
+    excess = np.clip(np.exp(evidence.log_seen) - evidence.below, 0.0, None).mean(axis=1)
     parts = np.array_split(np.arange(len(evidence)), SHOWN_HOURS)
     best = [part[np.argmax(excess[part])] for part in parts if len(part)]
     return evidence.rows[np.array(best)]

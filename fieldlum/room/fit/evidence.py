@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
-from fieldlum.core.arrays import Floats, Floats32, Indices
+from fieldlum.core.arrays import Floats32, Indices
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Room
 from fieldlum.optics.projection import equirect_solid_angles, signed_angle_deg
@@ -60,17 +60,16 @@ class SceneEvidence:
     """Captured light of n sunny hours at m sampled pixels, with which guesses are compared.
 
     log_seen: ln of the captured luminance, and below: luminance estimated without direct sun, cd/m2
-    [n, m]; direct_lx: of the sun, on a plane normal to it [n]; weights: of the pixels, with sum 1
-    [m]; rays: sub x sub in each pixel, x east, y north, z up by the stated heading [r, 3]; pixel:
-    index below m of each ray [r]; days [n]; clock: altitude and azimuth of the sun, deg, if the
-    stated time were -20, -19 ... 20 min after the true time [41, n, 2]; rows: indices of the hours
-    in the captures [n]; pixels: flat indices in the panorama of `shape` [m].
+    [n, m]; direct_lx: of the sun, on a plane normal to it [n]; rays: sub x sub in each pixel, x
+    east, y north, z up by the stated heading [r, 3]; pixel: index below m of each ray [r]; days
+    [n]; clock: altitude and azimuth of the sun, deg, if the stated time were -20, -19 ... 20 min
+    after the true time [41, n, 2]; rows: indices of the hours in the captures [n]; pixels: flat
+    indices in the panorama of `shape` [m].
     """
 
     log_seen: Array
     below: Array
     direct_lx: Array
-    weights: Array
     rays: NDArray[np.float32]
     pixel: NDArray[np.intp]
     days: NDArray[np.datetime64]
@@ -110,12 +109,10 @@ class SceneEvidence:
         place = np.full(len(self.pixels), -1)
         place[keep] = np.arange(len(keep))
         of = place[self.pixel] >= 0
-        weights = self.weights[keep]
         return replace(
             self,
             log_seen=self.log_seen[:, keep],
             below=self.below[:, keep],
-            weights=weights / weights.sum(),
             rays=self.rays[of],
             pixel=place[self.pixel[of]],
             pixels=self.pixels[keep],
@@ -159,7 +156,7 @@ class SceneEvidence:
         direct = np.zeros_like(seen)
         direct[self.rows] = patch
         below = indirect_component(data, seen, direct)[self.rows]
-        level = levelled(below, seen[self.rows], patch, self.directions, self.weights)
+        level = levelled(below, seen[self.rows], patch, self.directions)
         return replace(self, below=np.maximum(level, MIN_CDM2).astype(np.float32))
 
     @property
@@ -171,9 +168,9 @@ class SceneEvidence:
     def misfit(self, patch: Array) -> Array:
         """Return the share of the pixels that patches (cd/m2 [n, m]) leave wrong in each hour, [n].
 
-        It is the weighted mean of e^2 / (e^2 + 1.5^2), e being the error of ln luminance: 0 to 1.
+        It is the mean of e^2 / (e^2 + 1.5^2), e being the error of ln luminance: 0 to 1.
         """
-        return _saturated(np.log(self.below + patch) - self.log_seen) @ self.weights
+        return _saturated(np.log(self.below + patch) - self.log_seen).mean(axis=1)
 
     def albedos(self, guess: Guess, start: Array) -> Array:
         """Return the albedo of each surface with which its sun patches fit best, [6].
@@ -191,12 +188,11 @@ class SceneEvidence:
         first[self.pixel] = ends.surface  # use the last ray of each pixel, because edges are rare
         surface, shine = first[pixel], full[hour, pixel]
         below, seen = self.below[hour, pixel], self.log_seen[hour, pixel]
-        weights = self.weights[pixel] / len(self)
         for k in range(len(albedo)):
             on = surface == k
-            light, dark, target, weight = shine[on], below[on], seen[on], weights[on]
+            light, dark, target = shine[on], below[on], seen[on]
             costs = [
-                float(_saturated(np.log(dark + a * light) - target) @ weight)
+                float(_saturated(np.log(dark + a * light) - target).sum() / self.log_seen.size)
                 + ALBEDO_COST * np.log(a / albedo[k]) ** 2
                 for a in ALBEDOS
             ]
@@ -242,7 +238,7 @@ def scene_evidence(
             f"window, but at least {min_hours} are needed: capture clear hours; until then train "
             "uses the stated [room]"
         )
-    chosen, weights = _draw_pixels(data, guess, rows, pixels)
+    chosen = _draw_pixels(data, guess, pixels)
     sub = max(1, round(RAY_ROWS / data.shape[0]))
     rays, pixel = _rays_of(data, chosen, sub)
     seen = np.maximum(data.luminance_cdm2.reshape(len(data), -1)[:, chosen], MIN_CDM2)
@@ -250,7 +246,6 @@ def scene_evidence(
         log_seen=np.log(seen[rows]),
         below=seen[rows],
         direct_lx=data.light.direct_lx[rows],
-        weights=(weights / weights.sum()).astype(np.float32),
         rays=rays,
         pixel=pixel,
         days=data.days[rows],
@@ -288,13 +283,11 @@ def _clock_table(data: Dataset, rows: NDArray[np.intp]) -> Array:
     return np.stack(table)
 
 
-def _draw_pixels(data: Dataset, guess: Guess, rows: Indices, count: int) -> tuple[Indices, Floats]:
-    """Return evenly drawn pixels and their weights.
+def _draw_pixels(data: Dataset, guess: Guess, count: int) -> Indices:
+    """Return flat indices of pixels that are evenly spaced by solid angle.
 
-    rows: captures with direct sun; count: of the pixels, of which a few can coincide. They
-    are spaced by solid angle. Pixels that brighten strongly in some hour are drawn four times as
-    often, which the weights compensate. Pixels that may look through a window of the guess are not
-    drawn.
+    count: of the pixels, of which a few can coincide. Pixels that may look through a window of the
+    guess are not drawn.
     """
     height, width = data.shape
     _, middle = pixel_rays(height, data.heading_deg, 1)
@@ -303,15 +296,9 @@ def _draw_pixels(data: Dataset, guess: Guess, rows: Indices, count: int) -> tupl
     glass = binary_dilation(away.reshape(height, width), iterations=max(1, margin))
     usable = data.seen & ~np.asarray(glass, bool)
     omega = np.where(usable, equirect_solid_angles(height, width), 0.0).ravel()
-    bright = data.luminance_cdm2[rows].reshape(len(rows), -1)
-    level = bright / np.maximum(np.median(bright, axis=0), MIN_CDM2)
-    peaks = (level.max(axis=0) > 2.0) & usable.ravel()
-    boost = np.where(peaks, 4.0, 1.0)
-    chance = omega * boost
-    count = min(count, int((chance > 0.0).sum()))
+    count = min(count, int((omega > 0.0).sum()))
     at = (np.arange(count) + DRAW) / count
-    chosen = np.unique(np.searchsorted(np.cumsum(chance) / chance.sum(), at))
-    return chosen, 1.0 / boost[chosen]
+    return np.unique(np.searchsorted(np.cumsum(omega) / omega.sum(), at))
 
 
 def _rays_of(data: Dataset, chosen: Indices, sub: int) -> tuple[Floats32, Indices]:
@@ -393,11 +380,11 @@ def _trust(patch: Array, seen: Array) -> Array:
     return 1.0 / (1.0 + (patch / (_PATCH_SHARE * seen)) ** 2)
 
 
-def levelled(below: Array, seen: Array, patch: Array, directions: Array, weights: Array) -> Array:
+def levelled(below: Array, seen: Array, patch: Array, directions: Array) -> Array:
     """Return the light below patches, corrected for each hour by a smooth factor, [n, m] cd/m2.
 
     below: luminance estimated without direct sun; seen: captured; patch: of known sun patches; each
-    [n, m] cd/m2; directions: unit vectors to the pixels [m, 3]; weights: of the pixels, sum 1 [m].
+    [n, m] cd/m2; directions: unit vectors to the pixels [m, 3].
     The features behind `below` do not determine how bright the room is under a sun that no other
     hour has. Therefore each hour corrects the logarithm by nine smooth functions of the direction,
     in rounds that reduce the weight of pixels brighter than the fit.
@@ -405,7 +392,7 @@ def levelled(below: Array, seen: Array, patch: Array, directions: Array, weights
     x, y, z = directions.T
     terms = np.stack([np.ones_like(x), x, y, z, x * y, x * z, y * z, x * x, z * z], axis=1)
     off = np.log(np.maximum(seen - patch, 0.02 * seen) / below)  # [n, m]
-    first = weights * _trust(patch, seen)
+    first = _trust(patch, seen)
     products = np.einsum("mk,ml->mkl", terms, terms).reshape(len(terms), -1)  # [m, 81]
     field = np.zeros_like(off)
     for number in range(LEVEL_ROUNDS):

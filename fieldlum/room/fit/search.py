@@ -75,8 +75,7 @@ class SceneCost:
             return None
         patch = self.evidence.patches(guess, self.albedo)
         error = np.log(self.evidence.below + patch) - self.evidence.log_seen
-        weight = np.sqrt(self.evidence.weights / np.float32(len(self.evidence)))
-        misfit = weight * error / np.sqrt(error**2 + np.float32(WIDTH**2))
+        misfit = error / np.sqrt((error**2 + np.float32(WIDTH**2)) * np.float32(error.size))
         parts = [misfit.ravel(), self.prior(guess)]
         if self.view is not None:
             parts.append(self.view.residuals(guess))

@@ -342,11 +342,6 @@ class LitRoom:
         points = p.position, p.axis[p.piece], p.sign[p.piece], p.share, p.piece
         return shown, given, trace.sun_points(shown.scene, *points, len(p))
 
-    @cached_property
-    def _sky_rays(self) -> Floats:
-        height = self.view.height
-        return equirect_rays(height, 2 * height, self.view.heading_deg).reshape(-1, 3)
-
     def render(self, light: Light, *, coloured: bool = False) -> Rendering:
         """Render all moments of `light` at once; memory grows with their number.
 
@@ -366,7 +361,8 @@ class LitRoom:
         out = np.ascontiguousarray((self.to_pixels @ points_lx).T, np.float32) + shown
         sky = self.view.sky.ravel()
         seen = np.flatnonzero(sky)
-        seen_cdm2 = light.sky_at(self._sky_rays[seen]) * sky[seen]
+        rays = equirect_rays(height, 2 * height, self.view.heading_deg).reshape(-1, 3)
+        seen_cdm2 = light.sky_at(rays[seen]) * sky[seen]
         out[:, seen] += seen_cdm2
         out += light.sky.ground_cdm2[:, None].astype(np.float32) * self.view.plain.ravel()
         colour = None

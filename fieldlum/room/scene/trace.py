@@ -294,8 +294,8 @@ def add_through(
 
 @compiled
 def _add_outside(
-    low: Floats, high: Floats, position: Floats32, face: NDArray[np.int8], weight: Floats,
-    target: Indices, suns: Floats, totals: Floats,
+    low: Floats, high: Floats, position: Floats32, face: NDArray[np.int8], softness: Floats32,
+    weight: Floats, target: Indices, suns: Floats, totals: Floats,
 ) -> None:  # fmt: skip
     """Add weight x cosine of points from which no box hides the suns; see `add_through`."""
     for hour in range(len(suns)):
@@ -305,20 +305,20 @@ def _add_outside(
         for point in range(len(face)):
             cosine = cosines[face[point]]
             if cosine > _GRAZING:
-                share = _unshaded(low, high, position, point, inverse, HARD_M)
+                share = _unshaded(low, high, position, point, inverse, softness[point])
                 totals[hour, target[point]] += share * cosine * weight[point]
 
 
-@dataclass(frozen=True)
-class _Group:
-    """Points of one kind, as `add_through` describes them, and corners of the boxes that shade."""
+class _Group(NamedTuple):
+    """Corners of boxes that shade, and points of one kind, as `add_through` describes them."""
 
-    position: Floats32
-    face: NDArray[np.int8]
-    weight: Floats
-    target: Indices
     low: Floats
     high: Floats
+    position: Floats32
+    face: NDArray[np.int8]
+    softness: Floats32
+    weight: Floats
+    target: Indices
 
 
 @dataclass(frozen=True)
@@ -344,17 +344,11 @@ class SunPoints:
         """
         suns = np.asarray(toward, float).reshape(-1, 3)
         totals = np.zeros((len(suns), self.targets))
-        group = self.inside
-        softness = np.full(len(group.face), HARD_M, np.float32)
         for o in self.scene.openings:
             glass = glass_optics(o.transmittance, suns[:, o.axis])[0]
-            add_through(
-                np.array([o.axis, o.outward, o.inner_m, o.outer_m, *o.u_m, *o.z_m], float),
-                np.empty((0, 5)), group.low, group.high, group.position, group.face, softness,
-                group.weight, group.target, suns, glass, totals,
-            )  # fmt: skip
-        g = self.outside
-        _add_outside(g.low, g.high, g.position, g.face, g.weight, g.target, suns, totals)
+            opening = np.array([o.axis, o.outward, o.inner_m, o.outer_m, *o.u_m, *o.z_m], float)
+            add_through(opening, np.empty((0, 5)), *self.inside, suns, glass, totals)
+        _add_outside(*self.outside, suns, totals)
         return totals.astype(np.float32).reshape(*np.shape(toward)[:-1], self.targets)
 
 
@@ -378,16 +372,15 @@ def sun_points(
     face = np.where(np.asarray(sign) > 0, axis, np.asarray(axis) + 3).astype(np.int8)
 
     def group(chosen: Mask, boxes: list[Box]) -> _Group:
-        """Return the chosen points, in order of their target, and the boxes that may shade them."""
-        rows = np.flatnonzero(chosen)
-        rows = rows[np.argsort(np.asarray(target)[rows], kind="stable")]  # neighbours together
+        """Return the chosen points, and the boxes that may shade them."""
         return _Group(
-            position=raised[rows].astype(np.float32),
-            face=face[rows],
-            weight=weight[rows].astype(float),
-            target=np.asarray(target)[rows].astype(np.intp),
             low=np.array([box.low for box in boxes], float).reshape(-1, 3),
             high=np.array([box.high for box in boxes], float).reshape(-1, 3),
+            position=raised[chosen].astype(np.float32),
+            face=face[chosen],
+            softness=np.full(np.count_nonzero(chosen), HARD_M, np.float32),
+            weight=weight[chosen].astype(float),
+            target=np.asarray(target)[chosen].astype(np.intp),
         )
 
     panes = [
