@@ -18,7 +18,6 @@ from fieldlum.core.errors import InputError
 from fieldlum.core.records import Panorama
 from fieldlum.devices import CameraInfo
 from fieldlum.optics.images import write_panorama, write_radiance_hdr
-from fieldlum.optics.profiles import load_camera_profile, save_profile
 from fieldlum.session import read_journal, sole_user
 
 pytestmark = pytest.mark.contract
@@ -54,12 +53,6 @@ def test_info_of_a_predicted_year(tmp_path: Path) -> None:
     shown = CliRunner().invoke(main, ["info", str(tmp_path)])
     assert shown.exit_code == 0
     assert "predicted year" in shown.output and "10 entries" in shown.output
-
-
-def test_info_names_lenses_by_their_name(tmp_path: Path) -> None:
-    save_profile(tmp_path / "own.toml", load_camera_profile("sim-dual-fisheye"))
-    shown = CliRunner().invoke(main, ["info", str(tmp_path / "own.toml")])
-    assert "2 entries: front, back" in shown.output
 
 
 def test_a_long_command_states_its_time_in_a_log(
