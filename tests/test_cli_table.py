@@ -20,3 +20,11 @@ def test_a_table_is_aligned_and_leaves_empty_columns_out() -> None:
     assert table_lines(rows, names, "  ") == expected
     assert table_lines(rows, indent="  ") == expected
     assert table_lines([]) == []
+
+
+@pytest.mark.contract
+def test_an_angle_keeps_its_tenth() -> None:
+    assert table_lines([{"azimuth_deg": 202.5}, {"azimuth_deg": 180.0}])[1:] == [
+        "      202.5",
+        "        180",
+    ]

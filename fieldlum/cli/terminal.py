@@ -53,15 +53,16 @@ def table_lines(
     for name in names:
         values = [row.get(name) for row in table]
         if any(value is not None for value in values):
-            cells = [name, *map(_cell, values)]
+            digits = 4 if name.endswith("_deg") else 3  # 202.5 degrees
+            cells = [name, *(_cell(value, digits) for value in values)]
             sign = "<" if any(isinstance(value, str) for value in values) else ">"
             columns.append([f"{cell:{sign}{max(map(len, cells))}}" for cell in cells])
     return [indent + "  ".join(line).rstrip() for line in zip(*columns, strict=True)]
 
 
-def _cell(value: Any) -> str:
+def _cell(value: Any, digits: int) -> str:
     if isinstance(value, float):
-        return f"{value:.0f}" if abs(value) >= 1000.0 else f"{value:.3g}"
+        return f"{value:.0f}" if abs(value) >= 1000.0 else f"{value:.{digits}g}"
     return "-" if value is None else str(value)
 
 
