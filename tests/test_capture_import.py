@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from places import SEATTLE
 
 from fieldlum.capture import import_card
+from fieldlum.capture.bracket import frame_requests
 from fieldlum.capture.logger_import import add_samples, import_rows
 from fieldlum.capture.match_card import (
     CardFrame,
@@ -24,7 +25,7 @@ from fieldlum.capture.match_card import (
     find_offset,
     group_frames,
     match_groups,
-    matching_exposures,
+    planned_indices,
     refine_offset,
     split_at_gaps,
 )
@@ -142,12 +143,8 @@ def test_a_filter_and_turned_headings_repeat_exposures() -> None:
     groups = group_frames(frames_at(DAWN, shot), plan, headings=2)
     assert [len(g.frames) for g in groups] == [12]
     slot = Slot(DAWN, 10.0, 120.0, plan)
-    assert [import_card.planned_frame(groups[0], i, slot, setup) for i in (0, 5, 6, 11)] == [
-        (plan[0], 0.0),
-        (plan[5], 0.0),
-        (plan[0], 180.0),
-        (plan[5], 180.0),
-    ]
+    planned = import_card.planned_frames(groups[0], slot, setup)
+    assert planned == list(frame_requests(plan, setup))
 
 
 @pytest.mark.contract
@@ -155,7 +152,7 @@ def test_one_frame_is_not_two_exposures_with_and_without_a_filter() -> None:
     plan = [Slot(DAWN, 10.0, 120.0, (*LADDER, Exposure(1 / 125, 5.6, nd="nd3")))]
     for number, matched in ((1, 0), (2, 1)):
         group = Group(tuple(frames_at(DAWN, (LADDER[-1],) * number)))
-        assert matching_exposures(group, plan[0]) == number
+        assert planned_indices(group, plan[0].exposures) == [4, 5][:number]
         assert len(match_groups([([group], Offset(0.0, "stated"))], plan)[0]) == matched
 
 
@@ -285,7 +282,7 @@ def test_what_cannot_be_imported_is_said(session: Session, tmp_path: Path) -> No
         import_card.run(session, tmp_path / "other", utc_offset_s=0.0)
     with pytest.raises(
         InputError,
-        match=r"brackets from 2027-10-06 14:30 .* no slot of the plan.*first bracket, 2027",
+        match=r"brackets from 2027-10-06 14:30 .* no slot of the plan.*first bracket is 2027",
     ):
         import_card.run(session, tmp_path / "other")
     write_card(tmp_path / "few", card(PLAN[3:6], 2.5 * 3600.0))  # neither UTC nor the place's

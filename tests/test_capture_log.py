@@ -6,7 +6,6 @@ import json
 import threading
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -147,7 +146,7 @@ def test_a_meter_reads_before_and_after_and_may_fail(rig: Field) -> None:
             value = next(readings)
             if isinstance(value, DeviceError):
                 raise value
-            return SimpleNamespace(illuminance_lx=value)
+            return value
 
         def close(self) -> None: ...
 

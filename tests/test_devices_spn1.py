@@ -254,7 +254,7 @@ def test_unplugged_is_a_device_error() -> None:
 @pytest.mark.contract
 def test_a_port_is_used_by_one_only() -> None:
     wire = Wire()
-    with spn1(wire) as device, pytest.raises(DeviceError, match="another program uses it"):
+    with spn1(wire) as device, pytest.raises(DeviceError, match="close other programs that use it"):
         Spn1(device.info.port, FastClock(START), timeout_s=0.15)
 
 
@@ -319,31 +319,7 @@ def test_a_port_that_does_not_open_says_what_to_do(
     from fieldlum.devices.serial_port import SerialLine, SerialPort
 
     monkeypatch.setattr("serial.tools.list_ports.comports", lambda: [ListPortInfo("/dev/ttyUSB1")])
-    with pytest.raises(DeviceError, match=r"gone: no such port; ports: /dev/ttyUSB1$"):
-        SerialPort(str(tmp_path / "gone"), SerialLine(), timeout_s=0.1)
-    with pytest.raises(DeviceError, match=r"/dev/null: not a serial port"):
-        SerialPort("/dev/null", SerialLine(), timeout_s=0.1)
-
-
-@pytest.mark.contract
-@pytest.mark.parametrize(
-    ("windows", "said"),
-    [
-        (
-            FileNotFoundError(2, "The system cannot find the file specified.", None, 2),
-            "COM9: no such port",
-        ),
-        (PermissionError(13, "Access is denied.", None, 5), "COM9: another program uses it"),
-    ],
-)
-def test_windows_ports_too(monkeypatch: pytest.MonkeyPatch, windows: OSError, said: str) -> None:
-    import serial
-
-    from fieldlum.devices.serial_port import SerialLine, SerialPort
-
-    def refuse(*_: object, **__: object) -> None:
-        raise serial.SerialException(f"could not open port 'COM9': {windows!r}")
-
-    monkeypatch.setattr("serial.Serial", refuse)
-    with pytest.raises(DeviceError, match=said):
-        SerialPort("COM9", SerialLine(), timeout_s=0.1)
+    for port, found in ((str(tmp_path / "gone"), "No such file"), ("/dev/null", "Inappropriate")):
+        said = rf"{port}: .*{found}.*; connected ports: /dev/ttyUSB1; name one of the connected"
+        with pytest.raises(DeviceError, match=said):
+            SerialPort(port, SerialLine(), timeout_s=0.1)

@@ -337,7 +337,7 @@ def test_folders_of_systems_are_no_folders_of_a_camera(tmp_path: Path) -> None:
     frame = jpeg(tmp_path / "DCIM" / "100CANON" / "IMG_0001.JPG")
     for folder in (".Trashes", "@eaDir/IMG_0001.JPG", "DCIM/.thumbnails", "DCIM/100CANON/@tmp"):
         jpeg(tmp_path / folder / "IMG_0001.JPG")
-    assert card_files(tmp_path) == ([frame], [])
+    assert card_files(tmp_path) == [frame]
 
 
 # ----------------------------------------------------------------------------------------------

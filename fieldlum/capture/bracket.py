@@ -10,7 +10,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 
 from fieldlum.capture.disk_writer import Recorder
-from fieldlum.capture.reconnect import Backoff, Keeper, error_text, plain_info
+from fieldlum.capture.reconnect import Keeper, error_text, pause_s, plain_info
 from fieldlum.capture.steady_clock import SteadyClock
 from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import CameraSetup, Exposure, Slot
@@ -81,7 +81,7 @@ class BracketCapture:
         if (link := link_on_the_way(self.session.root, self.folder)) is not None:
             return self.abort(f"{link} is a symbolic link: replace it by a folder")
         _delete_temporary_files(self.folder)
-        disk = Backoff()
+        full = 0  # failures for lack of space
         if self.state.outcome == "":
             self._start(1)
         while True:
@@ -98,7 +98,8 @@ class BracketCapture:
             except Exception as error:
                 self._handle_failure(error)
                 if disk_is_full(error):
-                    can_go_on = self._wait_for_room(disk.next_s())
+                    full += 1
+                    can_go_on = self._wait_for_room(pause_s(full))
                 else:
                     can_go_on = self._wait_for(lambda: self.camera.get() is not None)
                 if not can_go_on:
@@ -248,12 +249,12 @@ class BracketCapture:
             instead_of=instead_of,
         )
 
-    def _wait_for_room(self, pause_s: float) -> bool:
+    def _wait_for_room(self, least_s: float) -> bool:
         """Wait until a frame fits on the disk; return False at the deadline.
 
-        Wait at least `pause_s`, because free space does not show that a disk quota is exhausted.
+        Wait at least `least_s`, because free space does not show that a disk quota is exhausted.
         """
-        earliest = self.clock.now() + timedelta(seconds=pause_s)
+        earliest = self.clock.now() + timedelta(seconds=least_s)
         missing, size = self.recorder.missing_bytes, self.frame_bytes
         return self._wait_for(lambda: self.clock.now() >= earliest and not missing(size))
 
@@ -295,7 +296,7 @@ class BracketCapture:
         if self.meter is None or self.meter.get() is None:
             return
         try:
-            lux = self.meter.call(lambda meter: meter.read()).illuminance_lx
+            lux = self.meter.call(lambda meter: meter.read())
         except Exception as error:  # as with the other devices
             self.meter.mark_lost(error)
             return

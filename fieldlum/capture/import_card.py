@@ -10,13 +10,12 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from fieldlum.capture import match_card
-from fieldlum.capture.bracket import frame_requests, write_capture
+from fieldlum.capture.bracket import FrameRequest, frame_requests, write_capture
 from fieldlum.capture.logger_import import import_rows
 from fieldlum.capture.match_card import CardFrame, Group, Match, Offset, Report
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.progress import progress
 from fieldlum.core.records import CameraSetup, Exposure, SiteFile, Slot, counted, listed
-from fieldlum.optics.photometry import same_exposure
 from fieldlum.optics.profiles import CameraBody, load_camera_profile
 from fieldlum.optics.raw import RAW_SUFFIXES, is_jpeg, jpeg_size, read_exif, same_model
 from fieldlum.optics.raw.exif import tags_of, text_of
@@ -113,17 +112,16 @@ def _brackets(
     own_clock: whether times are those of the camera's clock, not corrected by EXIF's offset. Raises
     NotEnoughDataError without a usable frame.
     """
-    files, others = card_files(folder)
+    files = card_files(folder)
     body = load_camera_profile(setup.camera.profile).camera
-    frames, unread = read_card(files, lens_f_number=body.fixed_f_number)
+    frames, unread = read_card(files, body.fixed_f_number, own_clock)
     frames, other_cameras = of_session_camera(frames, body)
     frames, copies = without_edited(frames, (body.width_px, body.height_px))
-    left_out = [*other_cameras, *copies, *unread, *others]
+    left_out = [*other_cameras, *copies, *unread]
     if not frames:
         remedy = "check that this is the right card"
         raise NotEnoughDataError(f"{folder}: no usable frame; {left_out[0]}; {remedy}")
     exposures = slots[0].exposures if slots else ()
-    frames = match_card.in_camera_time(frames) if own_clock else frames
     return match_card.group_frames(frames, exposures, max(1, len(setup.camera.headings))), left_out
 
 
@@ -144,10 +142,17 @@ def _parts_of_one_clock(
     return pieces
 
 
-def missing_of_plan(group: Group, slot: Slot, setup: CameraSetup) -> list[Exposure]:
-    """Return the planned exposures, counted once for each heading, that a card's bracket lacks."""
-    planned = [shot.exposure for shot in frame_requests(slot.exposures, setup)]
-    return match_card.missing_exposures(group, planned)
+def planned_frames(group: Group, slot: Slot, setup: CameraSetup) -> list[FrameRequest | None]:
+    """Return the planned frame of each frame of a card's bracket; None for one of no plan."""
+    requests = frame_requests(slot.exposures, setup)
+    indices = match_card.planned_indices(group, [request.exposure for request in requests])
+    return [None if index is None else requests[index] for index in indices]
+
+
+def missing_frames(match: Match, setup: CameraSetup) -> list[FrameRequest]:
+    """Return the planned frames, at each heading, that a card's bracket lacks."""
+    present = planned_frames(match.group, match.slot, setup)
+    return [r for r in frame_requests(match.slot.exposures, setup) if r not in present]
 
 
 def _missing_text(match: Match, setup: CameraSetup) -> str:
@@ -155,10 +160,10 @@ def _missing_text(match: Match, setup: CameraSetup) -> str:
 
     A frame that could be with or without a filter is used as one without it: `merge` finds it.
     """
-    missing = missing_of_plan(match.group, match.slot, setup)
+    missing = missing_frames(match, setup)
     if not missing:
         return ""
-    shown = listed([exposure_text(exposure) for exposure in missing], 3)
+    shown = listed([exposure_text(request.exposure) for request in missing], 3)
     where = f"missing frames of slot {match.slot.id}"
     return f"{_file_range(match.group)}: {where}: {len(missing)} ({shown})"
 
@@ -197,18 +202,18 @@ def _import_bracket(session: Session, setup: CameraSetup, journal: Journal, matc
     journal.append("imported", now, slot=slot.id, source=_text(match.group.frames[0].path.parent))
     journal.append("started", now, slot=slot.id, attempt=1)
     frames: list[Frame] = []
-    for index, card in enumerate(match.group.frames):
+    planned = planned_frames(match.group, slot, setup)
+    for index, (card, request) in enumerate(zip(match.group.frames, planned, strict=True)):
         name = card.path.name
         if any(frame.file.casefold() == name.casefold() for frame in frames):
             name = f"{card.path.parent.name}_{name}"
         with replacing_path(folder / name) as copy:
             shutil.copyfile(card.path, copy)
-        exposure, heading_deg = planned_frame(match.group, index, slot, setup)
         frame = Frame(
             index,
             name,
-            exposure,
-            heading_deg,
+            request.exposure if request else card.exposure,
+            request.heading_deg if request else next(iter(setup.headings), None),
             t_utc=match_card.true_time(card.t_camera, match.offset),
             seconds=card.exposure.shutter_s,
             sha256=sha256(folder / name),
@@ -216,28 +221,9 @@ def _import_bracket(session: Session, setup: CameraSetup, journal: Journal, matc
         journal.append("frame", now, slot=slot.id, frame=frame_fields(frame))
         frames.append(frame)
     state = SlotState("done", 1, tuple(frames))
-    is_complete = not missing_of_plan(match.group, slot, setup)
+    is_complete = not missing_frames(match, setup)
     write_capture(folder, slot, state, setup, {}, complete=is_complete)
     journal.append("done", now, slot=slot.id, frames=len(frames), why="imported")
-
-
-def planned_frame(
-    group: Group, index: int, slot: Slot, setup: CameraSetup
-) -> tuple[Exposure, float | None]:
-    """Return the planned exposure and heading [deg] of frame `index`, from 0, of a card's bracket.
-
-    The heading is None for a camera with one. EXIF has neither filter nor heading, so they follow
-    from the order of the frames. A frame that is not in the plan keeps its EXIF exposure, at the
-    first heading.
-    """
-    exposure = group.frames[index].exposure
-    before = sum(same_exposure(f.exposure, exposure) for f in group.frames[:index])
-    planned = frame_requests(slot.exposures, setup)
-    alike = [shot for shot in planned if same_exposure(shot.exposure, exposure)]
-    if not alike:
-        return exposure, setup.headings[0] if setup.headings else None
-    shot = alike[min(before, len(alike) - 1)]
-    return shot.exposure, shot.heading_deg
 
 
 # ----------------------------------------------------------------------------------------------
@@ -290,15 +276,13 @@ def _set_aside(session: Session, slot: str) -> None:
 # ----------------------------------------------------------------------------------------------
 # the files of a card
 
-_OTHER_PICTURES = re.compile(r"\.(mpo|hei[cf]|hif|tiff?|png|insp|gpr|x3f|3fr|iiq|avif)")
 
+def card_files(folder: Path) -> list[Path]:
+    """Return the raw and JPEG files in a folder and its subfolders.
 
-def card_files(folder: Path) -> tuple[list[Path], list[str]]:
-    """Return the raw and JPEG files in a folder and its subfolders, and notes on other pictures.
-
-    There is one note for each kind of picture that cannot be merged, such as .heic; other files are
-    ignored, and so are folders that begin with `.` or `@`, in which systems store thumbnails and
-    deleted files. Raises InputError if the folder is missing, or has no raw or JPEG file.
+    Other files are ignored, and so are folders that begin with `.` or `@`, in which systems store
+    thumbnails and deleted files. Raises InputError if the folder is missing, or has no raw or JPEG
+    file; it names what the folder has, such as .heic.
     """
     if not folder.is_dir():
         found = "this is a file, not a folder" if folder.is_file() else "no such folder"
@@ -310,23 +294,21 @@ def card_files(folder: Path) -> tuple[list[Path], list[str]]:
         if p.is_file() and not any(name[0] in ".@" for name in p.relative_to(folder).parts)
     )
     frames = [p for p in files if p.suffix.lower() in RAW_SUFFIXES or is_jpeg(p)]
-    suffixes = Counter(p.suffix.lower() for p in files)
-    others = sorted(suffix for suffix in suffixes if _OTHER_PICTURES.fullmatch(suffix))
-    other = [f"{suffixes[suffix]} {suffix}" for suffix in others]
     if not frames:
-        found = "no raw or JPEG frames in this folder"
-        found += f", but {' and '.join(other)} files" if other else ""
-        remedy = "set the camera to record raw files" if other else "check the path of the card"
+        kinds = listed(sorted({p.suffix.lower() for p in files})) if files else "no files"
+        found = f"no raw or JPEG frames in this folder ({kinds})"
+        remedy = "check the path of the card, and set the camera to record raw files"
         raise InputError(folder, found, "a card's folder, such as DCIM", remedy)
-    return frames, [f"{folder}: {text} files, which cannot be merged" for text in other]
+    return frames
 
 
 def read_card(
-    files: Sequence[Path], *, lens_f_number: float = 0.0
+    files: Sequence[Path], lens_f_number: float, own_clock: bool
 ) -> tuple[list[CardFrame], list[str]]:
     """Return the frames with their EXIF, and a note on each file that cannot be used.
 
-    lens_f_number: f-number of a lens that writes none to EXIF.
+    lens_f_number: f-number of a lens that writes none to EXIF, 0 for others. own_clock: whether
+    times are those that the camera's clock showed, not corrected by EXIF's offset.
     """
     frames: list[CardFrame] = []
     left_out: list[str] = []
@@ -342,7 +324,8 @@ def read_card(
             continue
         offset = info.t_camera.utcoffset()  # None for a camera that writes no offset
         offset_s = None if offset is None else offset.total_seconds()
-        when = info.t_camera.replace(tzinfo=UTC) - (offset or timedelta())
+        when = info.t_camera.replace(tzinfo=UTC)
+        when -= timedelta() if own_clock or offset is None else offset
         who = info.model or info.make or "a camera that EXIF does not name"
         # BodySerialNumber (EXIF 2.3) distinguishes two bodies of one model.
         serial = text_of(tags_of(path), 42033)
@@ -401,21 +384,15 @@ def of_session_camera(
     """Return the frames of the session's camera in one format, and a note on each other camera.
 
     body: of the profile. The session's camera is the one that it names, else the one with most
-    frames: frames of two cameras never form a bracket. If there is only one body of a model, frames
-    without a serial number belong to it. If the camera has raw and JPEG frames, those of the
+    frames: frames of two cameras never form a bracket. If it has raw and JPEG frames, those of the
     profile's kind are returned, and the other ones are skipped without a note.
     """
-    serials: dict[str, set[str]] = {}
-    for f in frames:
-        serials.setdefault(f.camera, set()).update({f.serial} - {""})
-    only = {camera: (*known, "")[0] if len(known) < 2 else "" for camera, known in serials.items()}
-    bodies = [(f.camera, f.serial or only[f.camera]) for f in frames]
-    count = Counter(bodies)
+    count = Counter((frame.camera, frame.serial) for frame in frames)
     order = {who: (not same_model(who[0], body.model), -count[who]) for who in count}
     ours = min(order, key=order.__getitem__, default=("", ""))
     ending = f"the session's camera is {' '.join(ours).strip()}"
     others = [(" ".join(who).strip(), number) for who, number in count.items() if who != ours]
     notes = [f"{number} frames of {who}: {ending}" for who, number in others]
-    mine = [frame for frame, who in zip(frames, bodies, strict=True) if who == ours]
+    mine = [frame for frame in frames if (frame.camera, frame.serial) == ours]
     of_kind = [frame for frame in mine if is_jpeg(frame.path) == (body.kind == "jpeg")]
     return of_kind or mine, notes

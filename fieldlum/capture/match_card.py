@@ -17,7 +17,6 @@ import numpy as np
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Exposure, SiteFile, Slot, utc_text
 from fieldlum.optics.photometry import same_exposure
-from fieldlum.sky import sun
 
 # Each limit is chosen between the two cases that it must separate.
 WITHIN_S = 1200.0  # a bracket started by hand further from its slot belongs to another hour
@@ -28,9 +27,9 @@ _QUARTER_S = 900.0  # civil clocks differ by multiples of a quarter of an hour (
 class CardFrame:
     """A frame as EXIF describes it.
 
-    t_camera: the camera's clock, read as if it were UTC; if exif_offset_s is known, t_camera is
-    UTC. exif_offset_s: the clock minus UTC [s], if EXIF states it. camera: model; serial: of the
-    body, "" if EXIF has none.
+    t_camera: the camera's clock, read as if it were UTC; with a known exif_offset_s it is UTC,
+    unless the user states the clock's offset. exif_offset_s: the clock minus UTC [s], if EXIF
+    states it. camera: model; serial: of the body, "" if EXIF has none.
     """
 
     path: Path
@@ -147,24 +146,18 @@ def split_at_gaps(groups: Sequence[Group], gap_s: float = 5 * 86400.0) -> list[l
     return [list(groups[a:b]) for a, b in pairwise([*starts, len(groups)])]
 
 
-def matching_exposures(group: Group, slot: Slot) -> int:
-    """Return for how many of the slot's exposures the group has a frame.
+def planned_indices(group: Group, planned: Sequence[Exposure]) -> list[int | None]:
+    """Return which planned exposure each frame of a bracket is, as an index; None for another.
 
-    Filters are not compared, and each frame counts for one exposure.
+    EXIF states neither filter nor heading, so of equal exposures the first one is used first.
     """
-    return len(slot.exposures) - len(missing_exposures(group, slot.exposures))
-
-
-def missing_exposures(group: Group, planned: Sequence[Exposure]) -> list[Exposure]:
-    """Return the planned exposures without a frame; each frame counts for one exposure."""
-    unused, missing = [frame.exposure for frame in group.frames], []
-    for wanted in planned:
-        match = next((k for k, own in enumerate(unused) if same_exposure(own, wanted)), None)
-        if match is None:
-            missing.append(wanted)
-        else:
-            del unused[match]
-    return missing
+    unused, indices = list(range(len(planned))), []
+    for frame in group.frames:
+        index = next((k for k in unused if same_exposure(planned[k], frame.exposure)), None)
+        if index is not None:
+            unused.remove(index)
+        indices.append(index)
+    return indices
 
 
 def late_s(groups: Sequence[Group], slots: Sequence[Slot], offset_s: float) -> np.ndarray:
@@ -237,8 +230,11 @@ def match_groups(
     with most of the slot's exposures is matched, then the nearest.
     """
 
+    def matching(group: Group, slot: Slot) -> int:
+        return sum(index is not None for index in planned_indices(group, slot.exposures))
+
     def misfit(match: Match) -> tuple[int, float]:
-        return -matching_exposures(match.group, match.slot), abs(match.late_s)
+        return -matching(match.group, match.slot), abs(match.late_s)
 
     matches: dict[str, Match] = {}
     others: list[tuple[Group, str]] = []
@@ -249,7 +245,7 @@ def match_groups(
         if slot is None or abs((t_utc - slot.t_utc).total_seconds()) > WITHIN_S:
             others.append((group, f"no slot within {WITHIN_S / 60:.0f} min {when}"))
             continue
-        if matching_exposures(group, slot) < min(2, len(slot.exposures)):
+        if matching(group, slot) < min(2, len(slot.exposures)):
             others.append((group, f"at most one of its exposures is in the plan {when}"))
             continue
         match = Match(slot, group, (t_utc - slot.t_utc).total_seconds(), offset)
@@ -295,26 +291,19 @@ def clock_offset(
     else:
         start = find_offset(groups, slots, _expected_s(groups, slots, setup))
     if start is not None:
-        zone, days = setup.site.timezone, (groups[0].t_camera.date(), groups[-1].t_camera.date())
-        if start.how.startswith("assumed") and (changes := sun.clock_changes(*days, zone)):
-            when = f"{changes[0][0].astimezone(ZoneInfo(zone)):%Y-%m-%d}"
-            how = f"{start.how}; on {when} civil time changed: was the camera's clock set then?"
-            start = replace(start, how=how)
         return refine_offset(groups, slots, start)
     if fitting_offsets(groups, slots):
         found = "several UTC offsets of the camera's clock fit the plan equally well"
         remedy = "state the camera's offset, for example --utc-offset -08:00"
         raise InputError("the card", found, "one offset that fits best", remedy)
-    first, last = (min(g.t_camera for g in groups), max(g.t_camera for g in groups))
+    first, last = groups[0].t_camera, groups[-1].t_camera
     near = min((slot.t_utc for slot in slots), key=lambda t: abs(t - first), default=None)
     span = f"the brackets from {first:%Y-%m-%d %H:%M} to {last:%Y-%m-%d %H:%M}"
-    raise InputError(
-        "the card",
-        f"{span} by the camera's clock match no slot of the plan",
-        f"brackets near slots, such as the one nearest to the first bracket, {str(near)[:16]} UTC",
-        "check that this is the right card; correct a wrong date, for example by one day: "
-        'exiftool -AllDates+="0:0:1 0:0:0" FOLDER',
-    )
+    found = f"{span} by the camera's clock match no slot of the plan"
+    expected = f"brackets near slots; that nearest to the first bracket is {str(near)[:16]} UTC"
+    remedy = "check that this is the right card; correct a wrong date, for example by one day: "
+    remedy += 'exiftool -AllDates+="0:0:1 0:0:0" FOLDER'
+    raise InputError("the card", found, expected, remedy)
 
 
 def states_utc(groups: Sequence[Group]) -> bool:
@@ -325,15 +314,6 @@ def states_utc(groups: Sequence[Group]) -> bool:
 def _exif_offsets_s(groups: Sequence[Group]) -> tuple[float, ...]:
     stated = {f.exif_offset_s for group in groups for f in group.frames}
     return tuple(sorted(offset_s for offset_s in stated if offset_s is not None))
-
-
-def in_camera_time(frames: Sequence[CardFrame]) -> list[CardFrame]:
-    """Return the frames with their times as the camera's clock showed them, not corrected by EXIF.
-
-    A stated --utc-offset applies to the clock itself.
-    """
-    ahead = [(frame, timedelta(seconds=frame.exif_offset_s or 0.0)) for frame in frames]
-    return [replace(frame, t_camera=frame.t_camera + offset) for frame, offset in ahead]
 
 
 def exif_note(groups: Sequence[Group], stated_s: float | None) -> str:
@@ -434,16 +414,12 @@ def clock_steps(clocks: Sequence[tuple[Sequence[Group], Offset]]) -> list[str]:
     clocks: brackets of each part, in order of time, with the fitted offset. Brackets that were
     taken an hour early on some days look the same.
     """
-    steps = [
-        (new.seconds - old.seconds, before[-1].frames[0].path, after[0].frames[0].path)
-        for (before, old), (after, new) in pairwise(clocks)
-    ]
     return [
-        f"the plan suggests that the camera's clock was changed by {step_s / 3600:+.3g} h between "
-        f"{last} and {first}, and each part was imported with its own offset; if brackets were "
-        "taken at other hours than planned, state --utc-offset"
-        for step_s, last, first in steps
-        if abs(step_s) > 1800.0  # less is drift
+        f"the plan suggests that the camera's clock was changed by {step_s / 3600:+.3g} h before "
+        f"{after[0].frames[0].path}, and each part was imported with its own offset; if brackets "
+        "were taken at other hours than planned, state --utc-offset"
+        for (_, old), (after, new) in pairwise(clocks)
+        if abs(step_s := new.seconds - old.seconds) > 1800.0  # less is drift
     ]
 
 

@@ -5,7 +5,6 @@ message. A fault of the same kind causes another message only after it was over,
 """
 
 import logging
-import os
 import threading
 import urllib.request
 import warnings
@@ -18,7 +17,7 @@ from pathlib import Path
 from urllib.parse import urlsplit
 from zoneinfo import ZoneInfo
 
-from fieldlum.capture.reconnect import Backoff
+from fieldlum.capture.reconnect import pause_s
 from fieldlum.capture.runner import Live
 from fieldlum.core.errors import InputError, input_errors
 from fieldlum.core.files import read_bytes
@@ -47,60 +46,51 @@ class Outbox:
     """Sends messages in order, in the background.
 
     post: sends one message and returns whether it was sent. `put` returns at once, whatever the
-    network does. A message that cannot be sent is tried again after 30 s, 1 min ... 15 min; of more
-    than 500 waiting ones the oldest are dropped. `say` is called once when sending begins to fail,
-    and when it works again; no text contains an address.
+    network does. A message that cannot be sent is tried again after 30 s, 1 min ... 15 min, or
+    with the next one; of more than 500 waiting ones the oldest are dropped. `say` is called once
+    when sending begins to fail, and when it works again; no text contains an address.
     """
 
     def __init__(
         self, post: Post, say: Callable[[str], None], *, first_pause_s: float = FIRST_PAUSE_S
     ) -> None:
-        self._post, self._say = post, say
-        self._backoff = Backoff(first_pause_s, MAX_PAUSE_S)
+        self._post, self._say, self._first_pause_s = post, say, first_pause_s
         self._waiting: deque[Message] = deque(maxlen=500)  # a month at ten a day
-        self._changed = threading.Condition()
-        self._closing = False
+        self._changed, self._closing = threading.Event(), False
         self._thread = threading.Thread(target=self._work, name="outbox", daemon=True)
         self._thread.start()
 
     def put(self, message: Message) -> None:
         """Queue a message to be sent in the background; return at once."""
-        with self._changed:
-            self._waiting.append(message)
-            self._changed.notify_all()
+        self._waiting.append(message)
+        self._changed.set()
 
     def close(self, patience_s: float = 10.0) -> int:
         """Send waiting messages for at most `patience_s` seconds; return how many still wait."""
-        with self._changed:
-            self._closing = True
-            self._changed.notify_all()
+        self._closing = True
+        self._changed.set()
         self._thread.join(patience_s)
-        with self._changed:
-            return len(self._waiting)
+        return len(self._waiting)
 
     def _work(self) -> None:
-        failed = ""
-        while (message := self._next()) is not None:
-            why = self._try(message)
-            if bool(why) != bool(failed):
-                with suppress(OSError):  # the terminal may be closed
-                    lost = f"note: messages cannot be sent ({why}); they wait"
-                    self._say(lost if why else "note: messages are sent again")
-            failed = why
-            with self._changed:
-                if why and self._closing:
-                    return
-                if why:
-                    self._changed.wait_for(lambda: self._closing, self._backoff.next_s())
-                elif self._waiting and self._waiting[0] is message:  # not dropped meanwhile
+        failures = 0  # in sequence
+        while True:
+            if self._waiting:
+                message = self._waiting[0]
+                why = self._try(message)
+                if bool(why) != bool(failures):
+                    with suppress(OSError):  # the terminal may be closed
+                        lost = f"note: messages cannot be sent ({why}); they wait"
+                        self._say(lost if why else "note: messages are sent again")
+                failures = failures + 1 if why else 0
+                if not why and self._waiting[0] is message:  # not dropped meanwhile
                     self._waiting.popleft()
-                    self._backoff.reset()
-
-    def _next(self) -> Message | None:
-        """Wait for a message; return None if the outbox is closed and empty."""
-        with self._changed:
-            self._changed.wait_for(lambda: self._waiting or self._closing)
-            return self._waiting[0] if self._waiting else None
+            if self._closing and (failures or not self._waiting):
+                return
+            if failures or not self._waiting:
+                pause = pause_s(failures, self._first_pause_s, MAX_PAUSE_S) if failures else None
+                self._changed.wait(pause)
+                self._changed.clear()
 
     def _try(self, message: Message) -> str:
         """Send a message; return "" or why it was not sent."""
@@ -114,15 +104,13 @@ class Outbox:
 # where messages are sent: from a file, because an address contains a password or a token
 
 
-def read_targets(option: str, *, name: str = "--notify") -> tuple[tuple[str, ...], str]:
-    """Return the addresses in ``@FILE``, and a note about the file, "" if there is none.
+def read_targets(option: str, *, name: str = "--notify") -> tuple[str, ...]:
+    """Return the addresses in ``@FILE``.
 
-    option: value of the option `name`; without it there is no address. A file has one address per
-    line; empty lines and lines that begin with # are skipped. Raises InputError for an option that
-    is not ``@FILE``, and for a file that cannot be read or is empty; no error contains an address.
+    option: value of the option `name`. A file has one address per line; empty lines and lines that
+    begin with # are skipped. Raises InputError for an option that is not ``@FILE``, and for a file
+    that cannot be read or is empty; no error contains an address.
     """
-    if not option:
-        return (), ""
     if not option.startswith("@"):
         found = "an address on the command line, where every user can see it"
         raise InputError(name, found, "@FILE", "write it into a file, and name that with an @")
@@ -133,9 +121,7 @@ def read_targets(option: str, *, name: str = "--notify") -> tuple[tuple[str, ...
     addresses = tuple(line for line in lines if line and not line.startswith("#"))
     if not addresses:
         raise InputError(path, "no address in the file", expected, "write an address into it")
-    is_private = os.name != "posix" or not path.stat().st_mode & 0o077
-    note = f"{path} can be read by other users: run chmod 600 {path}"
-    return addresses, "" if is_private else note
+    return addresses
 
 
 def apprise_post(targets: Sequence[str], source: Path | str = "targets") -> Post:
@@ -174,7 +160,7 @@ def read_address(option: str) -> str:
     Raises InputError for an option that is not ``@FILE``, an unreadable file, and an address that
     is neither http nor https; no error contains the address.
     """
-    address = read_targets(option, name="--heartbeat")[0][0]
+    address = read_targets(option, name="--heartbeat")[0]
     if urlsplit(address).scheme not in ("http", "https"):
         found = "the address in this file does not begin with http:// or https://"
         raise InputError(option[1:], found, "an http address", "correct the address")
@@ -246,9 +232,7 @@ class Alerts:
     contact_sheet: Callable[[], Path | None] = lambda: None
     _lock: threading.Lock = field(default_factory=threading.Lock)
     _away_since: dict[str, datetime] = field(default_factory=dict)
-    _reported_away: set[str] = field(default_factory=set)
     _misses: int = 0
-    _disk_is_low: bool = False
     _last: dict[str, datetime] = field(default_factory=dict)
     _day: date | None = None
     _counts: Counter[str] = field(default_factory=Counter)  # of the day's outcomes
@@ -268,8 +252,7 @@ class Alerts:
                 self._away_since.setdefault(device, t_utc)
             elif event == "device-back":
                 since = self._away_since.pop(device, t_utc)
-                if device in self._reported_away:
-                    self._reported_away.discard(device)
+                if self._last.pop(f"{device} is lost", None):
                     body = f"{device} did not answer for {_minutes(t_utc - since)}."
                     self._send(f"{device} is back", body)
             elif event in SETTLED:
@@ -291,16 +274,12 @@ class Alerts:
                 self._highest_ghi_wm2 = max(live.ghi_wm2, self._highest_ghi_wm2 or live.ghi_wm2)
             for device, since in self._away_since.items():
                 away = live.t_utc - since
-                if device not in self._reported_away and away >= timedelta(minutes=10):
-                    self._reported_away.add(device)
+                if away >= timedelta(minutes=10):
                     body = f"It stopped answering at {self._local(since)}, {_minutes(away)} ago."
-                    self._send(f"{device} is lost", body)
-            if live.disk_days is not None:
-                limit = 4.0 if self._disk_is_low else 3.0  # leaves a weekend to bring a disk
-                was_low, self._disk_is_low = self._disk_is_low, live.disk_days < limit
-                if self._disk_is_low and not was_low:
-                    body = f"The disk has room for {live.disk_days:.1f} more days of captures."
-                    self._send("the disk is nearly full", body)
+                    self._send(f"{device} is lost", body, once=live.t_utc)
+            if live.disk_days is not None and live.disk_days < 3.0:  # a weekend to bring a disk
+                body = f"The disk has room for {live.disk_days:.1f} more days of captures."
+                self._send("the disk is nearly full", body, once=live.t_utc)
 
     def _outcome(self, event: str, t_utc: datetime, fields: EventFields) -> None:
         """Count a settled slot; send a message for clipped frames and for two misses in a row."""

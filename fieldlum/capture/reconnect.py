@@ -25,24 +25,12 @@ D = TypeVar("D", bound=Device)
 R = TypeVar("R")
 
 
-class Backoff:
-    """Pauses between tries of something that fails: each is twice the last, up to a limit.
+def pause_s(failures: int, first_s: float = FIRST_PAUSE_S, longest_s: float = MAX_PAUSE_S) -> float:
+    """Return the pause [s] after a number of failures in sequence: twice the last, up to a limit.
 
-    first_s : the first pause; max_s : the limit.
+    failures : from 1; first_s : the first pause; longest_s : the limit.
     """
-
-    def __init__(self, first_s: float = FIRST_PAUSE_S, max_s: float = MAX_PAUSE_S) -> None:
-        self._first_s, self._max_s = first_s, max_s
-        self.reset()
-
-    def reset(self) -> None:
-        """Begin with the first pause again, after a success."""
-        self._pause_s = self._first_s
-
-    def next_s(self) -> float:
-        """Return the next pause [s]."""
-        pause_s, self._pause_s = self._pause_s, min(2.0 * self._pause_s, self._max_s)
-        return pause_s
+    return min(first_s * 2.0 ** min(failures - 1, 30), longest_s)
 
 
 class Keeper(Generic[D]):
@@ -63,7 +51,7 @@ class Keeper(Generic[D]):
         self.name, self._open, self._clock = name, open_device, clock
         self._tell, self._watchdog_s = tell, watchdog_s
         self._device: D | None = None
-        self._backoff = Backoff()
+        self._failures = 0  # in sequence
         self._next_try = float("-inf")
         self._lost_at: float | None = None
 
@@ -108,8 +96,7 @@ class Keeper(Generic[D]):
         if self._lost_at is not None:
             after_s = round(self._clock.boottime() - self._lost_at, 1)
             self._tell("device-back", device=self.name, after_s=after_s)
-            self._lost_at = None
-            self._backoff.reset()
+            self._lost_at, self._failures = None, 0
         return result
 
     def mark_lost(self, error: BaseException) -> None:
@@ -122,7 +109,8 @@ class Keeper(Generic[D]):
         if self._lost_at is None:
             self._lost_at = now
             self._tell("device-lost", device=self.name, why=error_text(error))
-        self._next_try = now + self._backoff.next_s()
+        self._failures += 1
+        self._next_try = now + pause_s(self._failures)
 
     def close(self) -> None:
         """Close the device, if it is open."""

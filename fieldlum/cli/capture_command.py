@@ -130,10 +130,7 @@ def _post(option: str) -> Post | None:
     """Return the function that sends a message to the targets of --notify; None without targets."""
     from fieldlum.capture.notify import apprise_post, read_targets
 
-    targets, note = read_targets(option)
-    if note:
-        terminal.say(f"note: {note}")
-    return apprise_post(targets, option.removeprefix("@")) if targets else None
+    return apprise_post(read_targets(option), option.removeprefix("@")) if option else None
 
 
 # ----------------------------------------------------------------------------------------------

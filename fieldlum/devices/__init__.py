@@ -175,22 +175,14 @@ class Pyranometer(Device, ABC):
         return []
 
 
-@dataclass(frozen=True, slots=True)
-class IlluminanceReading:
-    """One reading of an illuminance meter; low_battery: whether the meter reports one."""
-
-    illuminance_lx: float
-    low_battery: bool = False
-
-
 class IlluminanceMeter(Device, ABC):
     """An instrument that measures illuminance; info : its kind, model and port."""
 
     info: InstrumentInfo
 
     @abstractmethod
-    def read(self) -> IlluminanceReading:
-        """Measure and return the illuminance. Raises DeviceError if the meter cannot measure it."""
+    def read(self) -> float:
+        """Measure the illuminance [lx]. Raises DeviceError if the meter cannot measure it."""
 
 
 Options = TypeVar("Options", bound=Struct)

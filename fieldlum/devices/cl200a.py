@@ -16,7 +16,7 @@ from typing import Annotated, Literal
 from msgspec import Meta, Struct, structs
 
 from fieldlum.core.errors import DeviceError
-from fieldlum.devices import DeviceUri, IlluminanceMeter, IlluminanceReading, InstrumentInfo, retry
+from fieldlum.devices import DeviceUri, IlluminanceMeter, InstrumentInfo, retry
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.serial_port import SerialLine, SerialPort, closed_on_error
 
@@ -38,9 +38,9 @@ _ERRORS = {
 _Parity = Literal["E", "N"]
 _PAUSE_S = 0.5  # that the meter needs after PC mode, hold and measure (CS-A32T)
 _RANGE_PAUSE_S = 3.0  # that a T-10 needs to find its range
-_ANSWER = re.compile(r"(\d{2})(\d{2})(.)(.)(.)(.)((?:[+\-=][ \d]{4}\d){3})", re.DOTALL)
+_ANSWER = re.compile(r"(\d{2})(\d{2})(.)(.)(.).((?:[+\-=][ \d]{4}\d){3})", re.DOTALL)
 # status: hold, error, range, battery; after the illuminance two differences, or spaces
-_T10_ANSWER = re.compile(r"(\d{2})10.(.)(.)(.)([+\-=][ \d]{4}\d).{12}", re.DOTALL)
+_T10_ANSWER = re.compile(r"(\d{2})10.(.)(.).([+\-=][ \d]{4}\d).{12}", re.DOTALL)
 
 
 class NotReady(DeviceError):
@@ -77,8 +77,8 @@ def _value(six: str) -> float:
     return (-1.0 if six[0] == "-" else 1.0) * float(digits) * 10.0 ** (int(six[5]) - 4)
 
 
-def parse_answer(reply: bytes) -> IlluminanceReading:
-    """Return the illuminance reading in the meter's answer to command 02 (read Ev, x and y).
+def parse_answer(reply: bytes) -> float:
+    """Return the illuminance [lx] in the meter's answer to command 02 (read Ev, x and y).
 
     Raises DeviceError for a damaged answer, an error that the meter reports, an illuminance outside
     0 to 200 000 lx, or an impossible x or y; NotReady, a DeviceError, if the meter changes its
@@ -95,16 +95,16 @@ def parse_answer(reply: bytes) -> IlluminanceReading:
         raise NotReady("CL-200A has not measured yet; wait some seconds, then read it again")
     if match[5] == "6":
         raise NotReady("CL-200A changes its range; read it again in steady light")
-    illuminance_lx, x, y = (_value(match[7][i : i + 6]) for i in (0, 6, 12))
+    illuminance_lx, x, y = (_value(match[6][i : i + 6]) for i in (0, 6, 12))
     if not (0.0 <= illuminance_lx <= 200_000.0 and 0.0 <= x <= 1.0 and 0.0 <= y <= 1.0):
         found = f"{illuminance_lx:g} lx with chromaticity x {x:g}, y {y:g}"
         expected = "expected 0 to 200000 lx and x, y from 0 to 1"
         raise DeviceError(f"CL-200A: {found}; {expected}; read it again in less light")
-    return IlluminanceReading(illuminance_lx, match[6] == "1")
+    return illuminance_lx
 
 
-def parse_t10_answer(reply: bytes, head: int) -> IlluminanceReading:
-    """Return the illuminance reading of a T-10's receptor head (0 to 29).
+def parse_t10_answer(reply: bytes, head: int) -> float:
+    """Return the illuminance [lx] at a T-10's receptor head (0 to 29).
 
     Raises DeviceError for a damaged answer, one of another head, an error that the meter reports,
     or an illuminance outside 0 to 299 900 lx, its range; NotReady, a DeviceError, while the meter
@@ -119,11 +119,11 @@ def parse_t10_answer(reply: bytes, head: int) -> IlluminanceReading:
         raise DeviceError(f"T-10A: {_ERRORS.get(match[2], f'error {match[2]}; restart the meter')}")
     if match[3] not in "12345":
         raise NotReady("T-10A changes its range; read it again in steady light")
-    illuminance_lx = _value(match[5])
+    illuminance_lx = _value(match[4])
     if not 0.0 <= illuminance_lx <= 299_900.0:
         expected = "expected 0 to 299900 lx"
         raise DeviceError(f"T-10A: {illuminance_lx:g} lx; {expected}; set its zero again")
-    return IlluminanceReading(illuminance_lx, match[4] in "13")
+    return illuminance_lx
 
 
 class _FramedMeter(IlluminanceMeter):
@@ -150,8 +150,8 @@ class _FramedMeter(IlluminanceMeter):
             sleep(_PAUSE_S)
             self._start()
 
-    def read(self) -> IlluminanceReading:
-        """Measure, up to four times until the meter is ready, and return the illuminance.
+    def read(self) -> float:
+        """Measure, up to four times until the meter is ready, and return the illuminance [lx].
 
         Raises DeviceError if the meter does not answer or is not ready after four measurements, or
         if its answer is damaged, impossible or reports an error.
@@ -162,7 +162,7 @@ class _FramedMeter(IlluminanceMeter):
     def _start(self) -> None: ...
 
     @abstractmethod
-    def _measure(self) -> IlluminanceReading: ...
+    def _measure(self) -> float: ...
 
     def _answer(self, command: bytes) -> bytes:
         self._port.drain()
@@ -190,7 +190,7 @@ class Cl200a(_FramedMeter):
         self._answer(EXT_ON)
         self._sleep(_PAUSE_S)
 
-    def _measure(self) -> IlluminanceReading:
+    def _measure(self) -> float:
         self._port.drain()
         self._port.write(frame(MEASURE))
         self._sleep(_PAUSE_S)
@@ -206,7 +206,7 @@ class T10a(_FramedMeter):
         self._ask()  # sets the conditions; its value is older than they are
         self._sleep(_RANGE_PAUSE_S)
 
-    def _measure(self) -> IlluminanceReading:
+    def _measure(self) -> float:
         self._sleep(_PAUSE_S)
         return parse_t10_answer(self._ask(), self._head)
 

@@ -35,14 +35,10 @@ _WIDGETS = {
     "aperture": ("aperture", "f-number"),
     "iso": ("iso", "isospeed"),
 }
-_ERRORS = {  # codes of gphoto2-port-result.h and gphoto2-result.h
-    -3: "out of memory, or the camera's card is full; delete pictures on the card",
-    -7: "input/output error; check the cable",
-    -52: "the camera is not on USB; check the cable and switch the camera on",
-    -53: "another program uses it; close that program, or run 'gio mount -s gphoto2'",
-    -105: "no camera found; switch it on, set it to PTP, and check the cable",
-    -115: "the camera's card is full; delete pictures on it",
-}
+_REMEDY = (
+    "switch the camera on, set it to PTP, check its cable and whether its card is full, and end "
+    "other programs that use it ('gio mount -s gphoto2')"
+)
 Serve = Callable[[Connection], None]
 
 
@@ -218,7 +214,7 @@ def serve(pipe: Connection) -> None:
                 return
             pipe.send(("ok", result))
         except driver.gp.GPhoto2Error as error:
-            why = _ERRORS.get(error.code, f"{error.string} ({error.code})")
+            why = f"{error.string} ({error.code}); {_REMEDY}"
             pipe.send(("error", DeviceError(f"gphoto: {why}")))
         except (OSError, ValueError) as error:
             full = isinstance(error, OSError) and disk_is_full(error)

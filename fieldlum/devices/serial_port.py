@@ -1,6 +1,5 @@
 """Open serial ports; errors of a port become DeviceErrors with its name."""
 
-import re
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -36,24 +35,11 @@ def closed_on_error(device: Device) -> Iterator[None]:
         raise
 
 
-# What the text of pyserial's error contains (on Windows it is the only hint), and what it means.
-_REASONS = {
-    r"\[Errno 13\]": "no permission; join the port's group (often dialout) and log in again",
-    r"exclusively lock|\[Errno 16\]|PermissionError": "another program uses it; close it "
-    "(a terminal, another capture or log)",
-    r"\[Errno 25\]|Inappropriate ioctl": "not a serial port",
-}
-
-
-def _cannot_open(port: str, reason: str) -> str:
-    """Return why a port cannot be opened, and the remedy."""
-    if re.search(r"\[Errno 2\]|FileNotFoundError", reason):
-        from serial.tools.list_ports import comports
-
-        ports = ", ".join(sorted(port.device for port in comports()))
-        return f"{port}: no such port; ports: {ports or 'none, check cable and power'}"
-    reasons = (f"{port}: {why}" for text, why in _REASONS.items() if re.search(text, reason))
-    return next(reasons, reason)
+# The remedies of the faults that pyserial reports in its own words.
+_REMEDY = (
+    "name one of the connected ports, close other programs that use it, and join the port's group "
+    "(often dialout)"
+)
 
 
 def resolve(place: str) -> str:
@@ -104,7 +90,10 @@ class SerialPort:
             with device_errors(self.name):
                 self.port: Any = serial.Serial(self.name, *settings, **how)
         except DeviceError as error:
-            raise DeviceError(_cannot_open(self.name, str(error))) from None
+            from serial.tools.list_ports import comports
+
+            ports = ", ".join(sorted(port.device for port in comports())) or "none"
+            raise DeviceError(f"{error}; connected ports: {ports}; {_REMEDY}") from None
 
     def drain(self) -> bytes:
         """Return the bytes already received, so that a late reply is not taken for the next one."""

@@ -5,7 +5,6 @@ clock_offset (s, the camera's clock minus the computer's), overhead (s between f
 options: seed, noise (W/m2).
 """
 
-from shutil import disk_usage
 from typing import Annotated
 
 import numpy as np
@@ -84,18 +83,14 @@ def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None)
     _check_place(uri)
     options = uri.read(_CameraOptions)
     setup = session.site_file().camera if session is not None else CameraSetup()
-    profile, frames_left = load_camera_profile(options.profile or setup.profile), None
-    if session is not None and profile.camera.kind == "raw":  # uncompressed, on the session's disk
-        frames_left = disk_usage(session.root).free // (2 * profile.camera.pixels)
     return SimulatedCamera(
         open_world(session, options.seed),
-        profile,
+        load_camera_profile(options.profile or setup.profile),
         clock,
         heading_deg=setup.heading_deg,
         seed=options.seed,
         clock_offset_s=options.clock_offset,
         overhead_s=options.overhead,
-        frames_left=frames_left,
     )
 
 

@@ -146,7 +146,7 @@ class SimulatedCamera(Camera):
 
     heading_deg : azimuth of its view, clockwise from true north, unless `expose` states another;
     clock_offset_s : its clock minus the computer's; overhead_s : time of a frame in addition to its
-    shutter time [s] (None: the profile's); frames_left : that fit on its card (None: unknown).
+    shutter time [s] (None: the profile's).
     """
 
     def __init__(
@@ -159,7 +159,6 @@ class SimulatedCamera(Camera):
         seed: int = 1,
         clock_offset_s: float = 0.0,
         overhead_s: float | None = None,
-        frames_left: int | None = None,
     ) -> None:
         self._world, self._profile, self._clock = world, profile, clock
         self._heading_deg, self._seed = heading_deg, seed
@@ -167,9 +166,8 @@ class SimulatedCamera(Camera):
         self._overhead_s = profile.bracket.seconds_per_frame if overhead_s is None else overhead_s
         body, lens = profile.camera, profile.lens[0].name
         self._shape, self._is_jpeg = (body.height_px, body.width_px), body.kind == "jpeg"
-        about: dict[str, Any] = {"lens": lens, "clock_offset_s": clock_offset_s}
-        about |= {"frames_left": frames_left, "serial": f"SIM{seed:04d}"}
-        self.info = CameraInfo("sim", make=body.make, model=body.model, **about)
+        about = {"make": body.make, "model": body.model, "lens": lens, "serial": f"SIM{seed:04d}"}
+        self.info = CameraInfo("sim", **about, clock_offset_s=clock_offset_s)
         self._shading = lru_cache(maxsize=8)(self._shading_of)
         self._last: tuple[Panorama, float, Floats32] | None = None
 
