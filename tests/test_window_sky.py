@@ -94,7 +94,7 @@ def test_captures_under_clouds_teach_the_room(monkeypatch: pytest.MonkeyPatch) -
     perez = fit(CLOUDED)
     assert seen.sky_sd is not None and perez.sky_sd is None
 
-    assert "learnt under its own" in model_notes(seen, CLOUDED, "none")[0]
+    assert "check that the pyranometer" in model_notes(seen, CLOUDED, "none")[0]
     assert model_notes(perez, CLOUDED, "none") == []
 
     def error(model: object) -> float:

@@ -51,7 +51,7 @@ def _values(text: str) -> dict[str, str]:
         word, _, value = (piece.strip() for piece in part.partition("="))
         if word not in KNOWN or value not in KNOWN[word] or word in values:
             near = did_you_mean(part, (f"{w}={v}" for w, of in KNOWN.items() for v in of))
-            raise ValueError(f"'{part}' is not a state of a room; known: {USAGE}{near}")
+            raise ValueError(f"'{part}' is not a state of a room{near}")
         values[word] = value
     return values
 

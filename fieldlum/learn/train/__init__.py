@@ -403,10 +403,9 @@ def model_notes(fitted: Fitted, data: Dataset, patch: Patch) -> list[str]:
     sd, notes = getattr(fitted, "sky_sd", None), []
     if sd is not None:
         notes.append(
-            f"the skies in the windows differ from the Perez model by {math.expm1(sd):.0%} (one "
-            "standard deviation): clouds, or an instrument that sees other light than the room. "
-            "Each capture was learnt under its own sky; predictions use the Perez model, and their "
-            "uncertainty includes the difference"
+            f"the sky in the windows was {math.expm1(sd):.0%} (one standard deviation) brighter or "
+            "darker than expected from the irradiance: usual under clouds and part of the stated "
+            "uncertainty; if most days were clear, check that the pyranometer is level and unshaded"
         )
     stated = data.setup.room is not None and patch != "none"
     if stated and getattr(fitted, "patch_scale", 1.0) is None:
