@@ -290,7 +290,7 @@ def test_sun_in_view_without_a_filter(tmp_path: Path) -> None:
 def test_a_plan_of_an_earlier_version_with_filter_frames_is_asked_for_them(tmp_path: Path) -> None:
     """plan.csv states the filter; session.toml of that version does not."""
     exposures = (Exposure(0.5, 5.6), Exposure(0.01, 5.6, nd="nd3"))
-    slot = Slot(NOW + timedelta(hours=7.5), 30.0, 180.0, exposures, ("sun-in-view",))
+    slot = Slot(NOW + timedelta(hours=7.5), 30.0, 180.0, exposures)
     setup = SiteFile(SEATTLE, CameraSetup(profile=_profile(tmp_path)))
     session = create_session(tmp_path / "s", setup, [slot], {})
     assert session.slots()[0].exposures == exposures and not session.site_file().camera.filter

@@ -264,9 +264,9 @@ def test_a_camera_that_cannot_be_is_refused(tmp_path: Path, line: str, new: str,
 @pytest.mark.contract
 def test_a_site_without_heading_and_camera_is_planned_and_says_so(tmp_path: Path) -> None:
     """Plan, sheet and doctor name each default that turns the answer; sizes are unknown."""
-    from datetime import date
+    from datetime import UTC, date, datetime
 
-    from fieldlum.capture.doctor import check_profile
+    from fieldlum.capture.doctor import check_disk, check_profile
     from fieldlum.plan import Request, run, sentences, summary, write_sheets
 
     path = tmp_path / "s.toml"
@@ -284,6 +284,9 @@ def test_a_site_without_heading_and_camera_is_planned_and_says_so(tmp_path: Path
     assert 'id="view"' not in sheet
     warned = [f.text for f in check_profile(session, date(2027, 1, 1)) if f.verdict == "warn"]
     assert warned[:2] == list(made.warnings[:2])
+    assert not any(f.what == "profile" for f in check_profile(session, date(2027, 1, 1)))
+    disk = check_disk(session, datetime(2027, 1, 1, tzinfo=UTC), 10**9)
+    assert disk.verdict == "warn" and "is unknown" in disk.text
     path.write_text(text + "[camera]\nheading_deg = 90\nprofile = 'sim-fisheye'\n", "utf-8")
     assert load_site(path).camera.assumed == ()
 

@@ -180,7 +180,8 @@ def check_profile(session: Session, today: date) -> Iterator[Finding]:
     setup = session.site_file()
     profile = load_camera_profile(setup.camera.profile)
     yield from (warn("camera", text) for text in profiles.assumed_texts(setup.camera))
-    yield judge_age(profile, today)
+    if "profile" not in setup.camera.assumed:
+        yield judge_age(profile, today)
     yield from judge_calibration(profile, session.slots())
     blind = profiles.coverage_text(profile, setup.camera)
     turning = profiles.turning_text(setup.camera)
@@ -219,7 +220,7 @@ def judge_calibration(profile: CameraProfile, slots: Sequence[Slot]) -> Iterator
 
 
 def check_sun(session: Session, now_utc: datetime) -> Iterator[Finding]:
-    """Yield a warning if coming slots have the sun in view of the lens.
+    """Yield a warning if coming slots have a filter or the sun in view of the lens.
 
     The warning states who puts on the planned filter, or how the disc is measured without one.
     """
@@ -404,10 +405,12 @@ def check_disk(session: Session, now_utc: datetime, free_bytes: int) -> Finding:
 
     free_bytes: free space.
     """
-    ahead = len(slots_ahead(session, now_utc))
-    needed = ahead * session.slot_bytes() * 1.3
+    ahead, slot_bytes = len(slots_ahead(session, now_utc)), session.slot_bytes()
+    needed = ahead * slot_bytes * 1.3
     need = f"{needed / 1e9:.1f} GB for {ahead} slots, with 30 % in reserve"
     free = f"{free_bytes / 1e9:.1f} GB free"
+    if not slot_bytes:
+        return warn("disk", f"{free}; the size of {ahead} slots is unknown until one is captured")
     if free_bytes < needed:
         return fail("disk", f"{free}; needed: {need}; delete files or use a larger disk")
     return ok("disk", f"{free}, enough: {need}")

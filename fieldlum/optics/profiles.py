@@ -442,15 +442,13 @@ def planned_exposures(profile: CameraProfile, setup: CameraSetup) -> tuple[Expos
 
 
 def sun_text(slots: Sequence[Slot]) -> str:
-    """Return a sentence on how the sun's disc is measured; "" if no slot has it in view."""
-    in_view = [slot for slot in slots if "sun-in-view" in slot.tags]
-    if not in_view:
-        return ""
-    text = f"the sun is in view of the lens in {counted(len(in_view), 'slot')}"
-    names = sorted({exposure.nd for slot in in_view for exposure in slot.exposures if exposure.nd})
-    if names:
+    """Return a sentence on how the sun's disc is measured; "" without filter and sun in view."""
+    if names := sorted({e.nd for slot in slots for e in slot.exposures if e.nd}):
         return (
-            f"{text}, with frames through the filter {', '.join(names)}: a person must put it on "
-            "and take it off in each bracket"
+            f"frames are planned through the filter {', '.join(names)}: a person must put it on and "
+            "take it off in each bracket"
         )
+    if not (in_view := sum("sun-in-view" in slot.tags for slot in slots)):
+        return ""
+    text = f"the sun is in view of the lens in {counted(in_view, 'slot')}"
     return f"{text}, which no exposure reaches: the illuminance of its disc is computed from DNI"

@@ -180,13 +180,14 @@ class Session:
         """Return the space of a slot on the disk [bytes], as the plan states it or larger.
 
         One of the last five complete brackets may be larger, because the files of a camera may
-        differ much from the profile's estimate.
+        differ much from the profile's estimate. 0.0 if no camera is stated and none is complete.
         """
         folders = reversed(self.captured_folders())
         latest = islice((f for f in folders if self.capture_file(f.name).is_file()), 5)
         sizes = [sum(file.stat().st_size for file in f.glob("[!.]*")) for f in latest]
+        is_stated = "profile" not in self.site_file().camera.assumed
         planned = float(self.table().get("plan", {}).get("megabytes_per_slot", 0.0))
-        return max(1e6 * planned, *sizes, 0.0)
+        return max(1e6 * planned * is_stated, *sizes, 0.0)
 
     def panorama_files(self) -> list[Path]:
         """Return the merged panoramas, sorted by name (for names of slots, in order of time)."""
