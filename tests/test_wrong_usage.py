@@ -243,6 +243,14 @@ CASES = [
 ]
 
 
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no /sys")
+def test_a_folder_without_permission_is_named_with_the_file_of_the_user(desk: Path) -> None:
+    words = ["view", str(desk / "good.exr"), "--out", "/sys/view.png"]
+    shown = CliRunner().invoke(main, words)
+    assert shown.exit_code == 3 and "view: /sys/view.png: " in shown.output, shown.output
+    assert "; expected a place open to you; change" in shown.output
+
+
 def test_a_picture_goes_into_a_new_folder(desk: Path) -> None:
     picture = desk / "new" / "v.png"
     shown = CliRunner().invoke(main, ["view", str(desk / "good.exr"), "--out", str(picture)])

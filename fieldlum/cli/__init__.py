@@ -5,6 +5,7 @@ stdout has the answer; stderr has notes and progress.
 
 import errno
 import os
+import re
 import sys
 import warnings
 from collections.abc import Iterator
@@ -36,7 +37,7 @@ EXTRAS = {
 }
 
 # Errors of a folder or a disk, which can happen in any command and which no stage can correct.
-_ELSEWHERE = "change its permissions, or choose another place"
+_ELSEWHERE = "expected a place open to you; change its permissions, or choose another place"
 _FULL = "free disk space, then start the command again: finished work is not repeated"
 _NAME = "name a folder where one is needed and a file where one is, without links and pipes"
 DISK_TROUBLE = {
@@ -75,7 +76,8 @@ class _CommandGroup(InOrder):
         except OSError as error:
             if error.errno not in DISK_TROUBLE:
                 raise
-            place = f"{error.filename}: " if error.filename else ""
+            # a temporary file's name is that of the file which it replaces, with a prefix
+            place = re.sub(r"\.\w{12}\.tmp\.", "", f"{error.filename}: ") if error.filename else ""
             text = f"{place}{error.strerror or error}; {DISK_TROUBLE[error.errno]}"
         except ModuleNotFoundError as error:
             if error.name not in EXTRAS:

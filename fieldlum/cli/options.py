@@ -23,6 +23,7 @@ CaptureSet = Literal["month", "9-day", "12-day", "4-day", "even", "best"]
 Above0 = Annotated[float, click.FloatRange(min=0, min_open=True)]
 Azimuths = Annotated[tuple[float, ...], click.FloatRange(-360, 360)]
 Port = Annotated[int, click.IntRange(0, 65535)]
+Seed = Annotated[int, click.IntRange(0, 2**32 - 1)]
 Year = Annotated[int | None, click.IntRange(1950, 2100)]
 
 

@@ -12,7 +12,7 @@ import click
 
 from fieldlum.cli import terminal
 from fieldlum.cli.declared import EXISTING_PATH
-from fieldlum.cli.options import DEFAULT_SIZE, CaptureSet, Year, command_of, picture_height
+from fieldlum.cli.options import DEFAULT_SIZE, CaptureSet, Seed, Year, command_of, picture_height
 
 if TYPE_CHECKING:
     from fieldlum.core.records import SiteFile
@@ -32,7 +32,7 @@ def command(
     size: str = DEFAULT_SIZE,
     quality: Literal["draft", "quick", "paper"] | None = None,
     colour: bool = False,
-    seed: int = 1,
+    seed: Seed = 1,
     scheduler: Any = "local",
     force: bool = False,
     as_json: bool = False,

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from fieldlum.cli.declared import PATH, Named
-from fieldlum.cli.options import Above0, command_of
+from fieldlum.cli.options import Above0, Seed, command_of
 from fieldlum.cli.terminal import print_answer, progress, say, table_lines
 from fieldlum.learn.model_kinds import MODELS
 
@@ -25,7 +25,7 @@ def command(
     model: Annotated[str, Named(["auto", *MODELS])] = "auto",
     patch: Literal["absolute", "gain", "none"] = "absolute",
     budget: Above0 = 10.0,
-    seed: int = 0,
+    seed: Seed = 0,
     scene: str = "",
     sky_view: Path | None = None,
     out: Path | None = None,

@@ -445,8 +445,8 @@ def sun_text(slots: Sequence[Slot]) -> str:
     """Return a sentence on how the sun's disc is measured; "" without filter and sun in view."""
     if names := sorted({e.nd for slot in slots for e in slot.exposures if e.nd}):
         return (
-            f"frames are planned through the filter {', '.join(names)}: a person must put it on and "
-            "take it off in each bracket"
+            f"frames are planned through the filter {', '.join(names)}: a person must put it on "
+            "and take it off in each bracket"
         )
     if not (in_view := sum("sun-in-view" in slot.tags for slot in slots)):
         return ""

@@ -69,7 +69,7 @@ def _facts(
         *facts,
         ("hours predicted", f"{summary.hours}"),
         ("weather", summary.weather.name),
-        ("occupied hours with a certain DGP", f"{100 * (1 - unsure):.0f} %"),
+        ("occupied hours the model is sure of", f"{100 * (1 - unsure):.0f} %"),
         ("sun's disc by", summary.disc_from),
     ]
 

@@ -442,9 +442,9 @@ def _notes(summary: PredictFile, room: ModelRoom, untrusted: float, wide: float)
     if untrusted + wide > 0.05:
         mirror = "a mirrored sun may be in view, " if room.mirrors else ""
         notes.append(
-            f"DGP is uncertain in {100 * (untrusted + wide):.0f} % of the occupied hours with "
-            f"daylight. In {100 * untrusted:.0f} % no similar light was captured, {mirror}or the "
-            f"model expects a large error. In {100 * wide:.0f} % the 95 % interval is wider than "
+            f"The model's DGP is uncertain in {100 * (untrusted + wide):.0f} % of the occupied "
+            f"daylight hours. In {100 * untrusted:.0f} % no similar light was captured, {mirror}or "
+            f"it expects a large error. In {100 * wide:.0f} % the 95 % interval is wider than "
             f"{_WIDE_DGP:g} in a fully seen direction: often the sky view does not decide whether "
             "the sun's disc is seen; capture clear hours with the sun in a window, which also give "
             "the camera's heading"
