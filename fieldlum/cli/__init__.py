@@ -39,7 +39,7 @@ EXTRAS = {
 # Errors of a folder or a disk, which can happen in any command and which no stage can correct.
 _ELSEWHERE = "expected a place open to you; change its permissions, or choose another place"
 _FULL = "free disk space, then start the command again: finished work is not repeated"
-_NAME = "name a folder where one is needed and a file where one is, without links and pipes"
+_NAME = "expected a folder where one is needed, a file where one is, no link or pipe; correct it"
 DISK_TROUBLE = {
     **dict.fromkeys((errno.EACCES, errno.EPERM, errno.EROFS), _ELSEWHERE),
     **dict.fromkeys((errno.ENOSPC, errno.EDQUOT), _FULL),

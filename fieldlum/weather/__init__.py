@@ -62,6 +62,8 @@ def read_weather(path: Path, site: Site, *, label_shift_min: float = 0.0) -> Wea
     """
     path = Path(path)
     if str(path) == SYNTHETIC:
+        if label_shift_min:
+            raise InputError(path, "no file", "a weather file to shift", "omit --label-shift")
         return synthetic_weather(site)
     expected = "an EPW, TMY3 or CSV weather file"
     lines = lines_of(read_text(path, expected))
