@@ -73,7 +73,7 @@ def main() -> None:
             if asked.dense and (asked.dense / name / "config.json").is_file()
             else []
         )
-        for spec in parse_specs([*asked.models.split(","), *trained]):
+        for spec in parse_specs([*filter(None, asked.models.split(",")), *trained]):
             row = {"set": name} | score_row(spec, data, known, seed=0, budget_s=60.0)[0]
             rows.append(row)
             _add(asked.out, row)

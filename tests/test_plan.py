@@ -262,7 +262,7 @@ def test_what_would_be_passed_over_is_a_usage_error(tmp_path: Path, asked: list[
 def test_a_session_cannot_be_a_file(tmp_path: Path) -> None:
     site = _site_file(tmp_path, GOOD)
     found = CliRunner().invoke(main, ["plan", str(site), "--set", "4-day", "--out", str(site)])
-    assert found.exit_code == 3 and "File exists; name a folder" in found.stderr
+    assert found.exit_code == 3 and "File exists; expected a folder" in found.stderr
 
 
 @pytest.mark.slow

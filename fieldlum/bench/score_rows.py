@@ -55,7 +55,7 @@ def parse_specs(texts: Sequence[str]) -> tuple[Spec, ...]:
 
     Raises InputError for a text that is neither a model nor a model folder.
     """
-    return tuple(_parse_spec(text.strip()) for text in texts if text.strip())
+    return tuple(_parse_spec(text.strip()) for text in texts)
 
 
 def _parse_spec(text: str) -> Spec:

@@ -72,6 +72,8 @@ def command(
         raise click.UsageError(
             "name a camera, for example --camera gphoto: (or --camera sim:office?seed=1 to try it)"
         )
+    if notify_picture and not notify:
+        raise click.UsageError("--notify-picture is sent to the addresses of --notify: state them")
     if pyranometer is None and not pyranometer_uri:
         terminal.say("note: no --pyranometer: irradiance is not logged")
     used = [uri for uri in (camera_uri, pyranometer_uri, meter_uri) if uri]

@@ -45,6 +45,8 @@ def command(
     from fieldlum.report import view
     from fieldlum.session.codec import write_csv
 
+    if csv_path is not None and not regions:
+        raise click.UsageError("--csv has the statistics of regions: name one with --region")
     for path in (out, csv_path):
         new_file(path, force)
     files = tuple(map(_latest_panorama, files))

@@ -158,7 +158,7 @@ def _compare_pictures(session: Session, model: Path, out: Path) -> Comparison:
     pictures = sorted(p for p in model.iterdir() if p.suffix.lower() in PICTURES)
     shared = [path for path in pictures if path.stem in measured]
     if not shared:
-        found = f"{len(pictures)} pictures, none named as a capture of {session.root}"
+        found = f"pictures: {len(pictures)}, none named as a capture of {session.root}"
         expected = "pictures named by slots, such as 20270320T193000Z.hdr"
         raise InputError(model, found, expected, "name each by the slot whose sun and sky it has")
     for first, second in pairwise(shared):
