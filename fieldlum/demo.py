@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fieldlum.core.errors import InputError
 from fieldlum.core.progress import progress
 from fieldlum.core.scheduler import Scheduler
 from fieldlum.optics.profiles import shipped
@@ -51,12 +52,17 @@ class Outcome:
 
 
 def prepare(folder: Path) -> Session:
-    """Open the session in `folder`; if there is none, plan nine days in the shipped office."""
+    """Open the session in `folder`; if there is none, plan nine days in the shipped office.
+
+    Raises InputError for a session of another site: simulated frames would enter it.
+    """
     from fieldlum import plan
 
-    if (folder / "session.toml").is_file():
-        return open_session(folder)
     setup = load_site(shipped("capture_plans") / "seattle-office.toml")
+    if (folder / "session.toml").is_file():
+        if open_session(folder).site_file().site != setup.site:
+            raise InputError(folder, "a session of another site", "a new folder", "name one")
+        return open_session(folder)
     # Nothing is assumed about a real camera: the simulated one is calibrated, for colour too.
     setup = replace(setup, camera=replace(setup.camera, profile=CAMERA, assumed=()))
     session, _ = plan.run(setup, plan.Request("9-day", today=date(YEAR, 1, 1)), folder)

@@ -42,6 +42,7 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "key": (47.6, "lattitude = 3\n"),
         "camera": (47.6, '[camera]\nprofile = "nikon-d9"\n'),
         "filter": (47.6, '[camera]\nprofile = "sim-fisheye"\nfilter = "nd9"\n'),
+        "low": (47.6, "[camera]\nheight_m = -2\n"),
         "heading": (47.6, '[camera]\nheading_deg = "south"\n'),
         "wall": (
             47.6,
@@ -228,6 +229,15 @@ CASES = [
     ("calibrate shutter @/good.toml --camera @/body.toml --out @/c.toml", "this is a file", 3),
     ("calibrate linearity @/photos --camera @/body.toml --out @/c.toml", "camera's raw files", 3),
     ("calibrate pixels @/empty --camera @/body.toml --out @/c.toml", "no frames in this", 3),
+    ("calibrate lens @/true.JPG --chessboard 1x1 --camera @/body.toml --out @/c.toml", "3 x 3", 2),
+    (
+        "calibrate lens @/true.JPG --chessboard nanx6 --camera @/body.toml --out @/c.toml",
+        "nanx6",
+        2,
+    ),
+    ("permit @/good.exr", "an OpenEXR picture; expected a Radiance room file", 3),
+    ("demo @/session", "a session of another site; expected a new folder", 3),
+    ("plan @/low.toml --set 9-day --out @/s1", "height_m = '-2'.*number > 0", 3),
     ("pack @/session @/o.zip", "--title", 2),
     (
         "pack @/session @/o.tar --title a --author b --licence MIT --publisher c --people none",

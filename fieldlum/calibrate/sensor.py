@@ -181,10 +181,10 @@ def fit(levels: Levels) -> LinearityFit:
     part of the scale.
     """
     times = np.unique(levels.seconds)
-    low, high = float(np.nanmin(levels.share)), float(np.nanmax(levels.share))
+    low, high = np.nanmin(levels.share, initial=1.0), np.nanmax(levels.share, initial=0.0)
     if len(times) < MIN_TIMES or low > LOWEST or high < HIGHEST:
         raise NotEnoughDataError(
-            f"{len(times)} shutter times, with {100 * low:.0f} to {100 * high:.0f} % of white; "
+            f"shutter times: {len(times)}, with {100 * low:.0f} to {100 * high:.0f} % of white; "
             f"expected at least {MIN_TIMES}, with under {100 * LOWEST:.0f} to over "
             f"{100 * HIGHEST:.0f} %; take more frames of a steady light"
         )

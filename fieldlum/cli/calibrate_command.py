@@ -152,6 +152,8 @@ def lens(
     """
     if circle and chessboard is not None:
         raise click.UsageError("--circle and --chessboard exclude each other")
+    if chessboard is not None and min(chessboard) < 3:
+        raise click.UsageError("--chessboard: a board has 3 x 3 inner corners or more, like 9x6")
     if circle and len(sources) != 1:
         raise click.UsageError(f"--circle works on one FRAME; {len(sources)} files were named")
     if not circle and chessboard is None and sources[0].suffix.lower() != ".csv":

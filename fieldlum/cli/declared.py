@@ -67,7 +67,7 @@ def numbers(count: int, mark: str) -> Callable[[str], tuple[float, ...]]:
     def read(text: str) -> tuple[float, ...]:
         with suppress(ValueError):
             values = tuple(float(part) for part in text.lower().split(mark))
-            if len(values) == count:
+            if len(values) == count and all(map(math.isfinite, values)):
                 return values
         raise ValueError(f"{text}: expected {count} numbers with '{mark}' between")
 

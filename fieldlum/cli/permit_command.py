@@ -7,6 +7,7 @@ import click
 
 from fieldlum.cli.declared import EXISTING_PATH
 from fieldlum.cli.options import command_of
+from fieldlum.core.errors import InputError, kind_of
 
 
 @command_of("permit")
@@ -30,6 +31,8 @@ def command(paths: Annotated[tuple[Path, ...], "PATH...", EXISTING_PATH]) -> Non
             permit(link_subject(path, path.resolve()))
             click.echo(f"{path}: the link to {path.resolve()} is permitted on this computer")
             continue
+        if path.is_file() and (kind := kind_of(path.read_bytes()[:16])):
+            raise InputError(path, kind, "a Radiance room file or a link", "name the room's file")
         wanted = what_runs(path)
         if wanted is None:
             click.echo(f"{path}: needs no permission: it runs nothing")

@@ -133,7 +133,7 @@ class CameraSetup:
     profile: str = ""
     heading_deg: _Azimuth = 180.0
     headings: tuple[_Azimuth, ...] = ()
-    height_m: float = 1.6
+    height_m: Positive = 1.6
     assumed: tuple[str, ...] = ()
     filter: str = ""
 
