@@ -263,14 +263,6 @@ def test_suns_of_a_newer_version_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.contract
-def test_only_optional_keys_of_a_report_are_left_out_when_empty() -> None:
-    empty, full = MergeReport().table(), MergeReport(lost=("a.dng",)).table()
-    assert "lost" not in empty and "shutter_law" not in empty
-    assert empty["frames"] == [] and empty["clipped_percent"] is None
-    assert full == {**empty, "lost": ["a.dng"]}
-
-
-@pytest.mark.contract
 def test_arrays_may_expand_by_16_mib(tmp_path: Path) -> None:
     """0.1.0 compressed the mask of seen pixels of its models."""
     for size, is_read in ((15 * 2**20, True), (17 * 2**20, False)):

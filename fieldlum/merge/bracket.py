@@ -22,6 +22,7 @@ from fieldlum.optics.photometry import vertical_illuminance_lx
 from fieldlum.optics.profiles import CameraProfile
 from fieldlum.optics.projection import Equirect, Fisheye, Target, signed_angle_deg
 from fieldlum.optics.raw import roll_deg_of, white_balance_is_fixed
+from fieldlum.session.codec import to_json
 from fieldlum.session.files.sidecar import FrameQuality, MeasuredSun, MergeReport
 from fieldlum.sky.sky_view.picture import SkyPicture
 from fieldlum.sky.sun_disc import SunDisc
@@ -244,7 +245,7 @@ class MergeResult:
     @property
     def quality(self) -> JsonTable:
         """Return the report with the keys of `quality` in `merge --json` (docs/merge.md)."""
-        return self.report.table()
+        return to_json(self.report)
 
 
 def merge_shots(

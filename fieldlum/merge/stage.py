@@ -65,7 +65,7 @@ class Verdict:
 
     def table(self) -> JsonTable:
         """Return keys slot, state, text, quality: `MergeReport.table`, {} if the merge failed."""
-        quality = self.report.table() if self.report else {}
+        quality = to_json(self.report) if self.report else {}
         return {"slot": self.slot, "state": self.state, "text": self.text, "quality": quality}
 
 

@@ -52,10 +52,7 @@ class SunRow:
     @property
     def source(self) -> SunSource:
         """The sun as a `SunSource`."""
-        lx, share = self.normal_illuminance_lx, self.visible_fraction
-        return SunSource(
-            self.altitude_deg, self.azimuth_deg, lx, visible_fraction=share, origin=self.origin
-        )
+        return SunSource(**{f.name: getattr(self, f.name) for f in fields(SunSource)})
 
 
 def write_suns(path: Path, rows: Sequence[SunRow]) -> None:

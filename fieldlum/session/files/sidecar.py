@@ -16,7 +16,7 @@ from fieldlum.core.errors import ChangedFileWarning, InputError
 from fieldlum.core.files import sha256
 from fieldlum.core.records import Exposure, JsonTable, require_known_year
 from fieldlum.optics.photometry import ShutterLaw
-from fieldlum.session.codec import JsonFile, Utc, convert, read_object, to_json
+from fieldlum.session.codec import JsonFile, Utc, convert, read_object
 from fieldlum.session.folder import Session
 from fieldlum.session.plan_file import exposure_text, parse_exposure
 
@@ -122,11 +122,6 @@ class MergeReport(Struct, frozen=True):
     lost: tuple[str, ...] = ()
     filter_absent: tuple[str, ...] = ()
 
-    def table(self) -> JsonTable:
-        """Return the key `quality` of the sidecar, without optional keys that have no value."""
-        optional = ("shutter_law", "vertical_illuminance_lx", "lost", "filter_absent")
-        return {key: value for key, value in to_json(self).items() if value or key not in optional}
-
     @classmethod
     def from_table(cls, table: Mapping[str, Any]) -> MergeReport:
         """Build from the key `quality` of a sidecar; unknown keys are ignored.
@@ -220,10 +215,6 @@ class Sidecar(JsonFile, frozen=True):
         """
         report = MergeReport.from_table(table.get("quality") or {})
         return {"slot": path.stem, **table, "quality": report}
-
-    def table(self) -> JsonTable:
-        """Return the JSON object, without optional keys of the report that have no value."""
-        return {**to_json(self), "quality": self.report.table()}
 
 
 def warn_if_changed(picture: Path, stage: str = "merge") -> None:
