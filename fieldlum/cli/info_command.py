@@ -43,6 +43,9 @@ def command(files: tuple[Path, ...], part: str = "", json_lines: bool = False) -
 
 def _short(value: Any) -> str:
     """Return a value as text, which may be shortened; `--json` has all of it."""
+    rows = value if isinstance(value, list) else [value]
+    if rows and isinstance(rows[0], dict):
+        return f"{len(value)} entries"
     text = str(value)
     return text if len(text) <= 200 else f"{text[:200]} ..."
 
