@@ -28,9 +28,13 @@ _DOES_NOT_HOLD = 255  # stands for the spread of a block with a code outside LOW
 _PLACES_OF_STEP = 250  # the median of so many is 13 times as sure as one; chosen
 _MAX_SCATTER = 4.0  # chosen: a place with two frames passes with 99 % if it has only noise
 _MIN_PLACES = 20  # below it `fit_response` has no result
+_MIN_SHARED = 8  # places for the median of a step, which their scatter then weights; chosen
 _SYSTEMATIC = 0.0025  # of light: rounding of codes and stray light; bench/bracket_steps.py
 _LABEL_U = 0.05  # ln of light: prior of a label, of the order of rounding to thirds (6.7 %); chosen
 _MEASURED_U = 0.02  # ln of light: a step with a larger uncertainty is the label's; chosen
+# ln: the colours of a phone with a fixed white balance differ by up to 3 % in steps that only a
+# lamp shows (measured); daylight and lamps are 30 % apart. Chosen between.
+_BALANCE = 0.06
 
 
 # ----------------------------------------------------------------------------------------------
@@ -47,19 +51,27 @@ class Steps(NamedTuple):
 
     log_exposure [exposures] : ln, corrected, with the labels' span. deviation [exposures - 1] : of
     each step from its label, ln of light; 0 where the overlap does not contradict the label.
+    balance : largest change of red or blue against green between two frames, ln, of which the
+    response hides a part; 0 for none.
     """
 
     log_exposure: Floats
     deviation: Floats
+    balance: float = 0.0
 
     @property
     def text(self) -> str:
-        """One line on the corrected steps, "" if there is none."""
+        """One line on the corrected steps and a changed white balance, "" if there is neither."""
         changed, count = np.count_nonzero(self.deviation), len(self.deviation)
         off = f"{changed} of {count} steps by the labels, by up to "
         off += f"{100.0 * float(np.abs(self.deviation).max(initial=0.0)):.1f} %"
         text = f"exposure steps: the overlap of the frames contradicts {off}, and was used"
-        return f"{text}; the span of all steps is the labels'" if changed else ""
+        text = f"{text}; the span of all steps is the labels'" if changed else ""
+        balance = (
+            f"CAUTION: the white balance changes by over {100.0 * self.balance:.0f} % between "
+        )
+        balance += "frames: their colours are not usable; fix it, and take the bracket again"
+        return "; ".join(t for t in (text, balance if self.balance else "") if t)
 
 
 def steps_by_overlap(codes: NDArray[np.uint8], log_exposure: Floats, bracket: Indices) -> Steps:
@@ -70,10 +82,11 @@ def steps_by_overlap(codes: NDArray[np.uint8], log_exposure: Floats, bracket: In
     """
     step = np.diff(log_exposure)
     deviation, u, log_e = np.zeros(len(step)), np.full(len(step), np.inf), log_exposure
+    balance = 0.0
     present = [codes[bracket == index].any(axis=(0, 2)) for index in np.unique(bracket)]
     pairs = {pair for shown in present for pair in pairwise(np.flatnonzero(shown).tolist())}
     for _ in range(12 if len(codes) >= _MIN_PLACES else 0):  # the response adapts to the steps
-        further, u = _fitted(_log_light(codes, log_e), sorted(pairs))
+        further, u, balance = _fitted(_log_light(codes, log_e), sorted(pairs))
         deviation = _without_stretch(deviation + further, u, np.diff(log_e))
         before, log_e = log_e, log_exposure + np.r_[0.0, np.cumsum(deviation)]
         if np.abs(log_e - before).max() < 2e-4:
@@ -83,7 +96,8 @@ def steps_by_overlap(codes: NDArray[np.uint8], log_exposure: Floats, bracket: In
     power = float(np.median((deviation / step)[measured])) if measured.any() else 0.0
     against = np.where(measured, deviation - power * step, 0.0)
     kept = np.where(np.abs(against) > 2.0 * u, against, 0.0)
-    return Steps(log_exposure + np.r_[0.0, np.cumsum(_without_stretch(kept, u, step))], kept)
+    log_e = log_exposure + np.r_[0.0, np.cumsum(_without_stretch(kept, u, step))]
+    return Steps(log_e, kept, balance)
 
 
 def _log_light(codes: NDArray[np.uint8], log_e: Floats) -> Floats:
@@ -97,26 +111,35 @@ def _log_light(codes: NDArray[np.uint8], log_e: Floats) -> Floats:
     return light
 
 
-def _fitted(light: Floats, pairs: Sequence[tuple[int, int]]) -> tuple[Floats, Floats]:
+def _fitted(light: Floats, pairs: Sequence[tuple[int, int]]) -> tuple[Floats, Floats, float]:
     """Return deviations of the steps [exposures - 1] in ln of light, with standard uncertainties.
 
-    Least squares over the pairs, with the labels as a prior.
+    Least squares over the pairs and colours, each by its own scatter, with the labels as a prior.
+    The last value is the largest change of red or blue against green, ln; 0 for none.
     """
-    count = light.shape[1] - 1
+    count, balance = light.shape[1] - 1, 0.0
     normal, right = np.eye(count) / _LABEL_U**2, np.zeros(count)
     for first, second in pairs:
-        off = light[:, second] - light[:, first]  # [places, 3]
-        off = off[np.isfinite(off).any(axis=1)]
-        if len(off) < _MIN_PLACES:
+        middle, weight = np.zeros(3), np.zeros(3)
+        for colour in range(3):
+            off = light[:, second, colour] - light[:, first, colour]  # [places]
+            off = off[np.isfinite(off)]
+            if len(off) >= _MIN_SHARED:
+                middle[colour] = np.median(off)
+                scatter = robust_sigma(off, middle[colour])
+                weight[colour] = 1.0 / max(median_standard_error(scatter, len(off)), 1e-4) ** 2
+        if not weight.any():
             continue
-        of_place = np.nanmean(off, axis=1)
-        middle = float(np.median(of_place))
-        u = median_standard_error(robust_sigma(of_place, middle), len(of_place))
         row = np.zeros(count)
         row[first:second] = 1.0
-        normal += np.outer(row, row) / (u**2 + _SYSTEMATIC**2)
-        right += row * middle / (u**2 + _SYSTEMATIC**2)
-    return np.linalg.solve(normal, right), np.sqrt(np.diag(np.linalg.inv(normal)))
+        variance = 1.0 / weight.sum() + _SYSTEMATIC**2
+        normal += np.outer(row, row) / variance
+        right += row * np.average(middle, weights=weight) / variance
+        for colour in (0, 2) if weight.all() else ():
+            change = abs(middle[colour] - middle[1])
+            u = np.sqrt(1.0 / weight[colour] + 1.0 / weight[1])
+            balance = max(balance, change if change > max(_BALANCE, 4.0 * u) else 0.0)
+    return np.linalg.solve(normal, right), np.sqrt(np.diag(np.linalg.inv(normal))), balance
 
 
 def _without_stretch(deviation: Floats, u: Floats, step: Floats) -> Floats:
