@@ -16,6 +16,7 @@ from typing import Any
 from zoneinfo import ZoneInfo
 
 import numpy as np
+import pandas as pd
 import pvlib
 import pytest
 from click.testing import CliRunner
@@ -1177,6 +1178,190 @@ def test_days_are_read_completely_or_refused(tmp_path: Path, days: str, count: i
 
 
 # ----------------------------------------------------------------------------------------------
+# weather of Solcast, CAMS and Open-Meteo, and days of a spreadsheet
+
+
+def _summer() -> tuple[list[datetime], Any]:
+    """The starts of the hours of nine days in UTC, and DNI, DHI, GHI of each."""
+    starts = [datetime(2023, 6, 1, tzinfo=UTC) + timedelta(hours=k) for k in range(24 * 9)]
+    clear = sun.clearsky([t + HALF for t in starts], NORTH)
+    return starts, np.round(
+        np.stack([0.7 * clear.dni_wm2, 1.5 * clear.dhi_wm2, 0.8 * clear.ghi_wm2], 1), 1
+    )
+
+
+def _cams(path: Path, reference: str = "Universal time (UT)", minutes: int = 60) -> Path:
+    starts, light = _summer()
+    head = [
+        "# Coding: utf-8",
+        "# Title: CAMS Radiation Service v4.6 all-sky irradiation (derived from satellite data)",
+        "# Latitude (positive North, ISO 19115): 52.3000",
+        "# Longitude (positive East, ISO 19115): 4.8000",
+        "# Altitude (m): 10.00",
+        f"# Time reference: {reference}",
+        "# Summarization (integration) period: 0 year 0 month 0 day 1 h 0 min 0 s",
+        "# noValue: nan",
+        "#",
+        "# Observation period;TOA;Clear sky GHI;Clear sky BHI;Clear sky DHI;Clear sky BNI;GHI;BHI;"
+        "DHI;BNI;Reliability",
+    ]
+    for k, (t, (dni, dhi, ghi)) in enumerate(zip(starts, light, strict=True)):
+        a = starts[0] + timedelta(minutes=minutes * k) if minutes != 60 else t
+        b = a + timedelta(minutes=minutes)
+        span = f"{a:%Y-%m-%dT%H:%M:%S}.0/{b:%Y-%m-%dT%H:%M:%S}.0"
+        head.append(f"{span};900.0;1.0;2.0;3.0;4.0;{ghi};5.0;{dhi};{dni};1.0000")
+    path.write_text("\n".join(head) + "\n")
+    return path
+
+
+@pytest.mark.authority
+def test_a_csv_of_cams_has_the_values_and_hours_of_pvlib(tmp_path: Path) -> None:
+    """pvlib.iotools.read_cams labels each span by its start."""
+    path = _cams(tmp_path / "a.csv")
+    expected, meta = pvlib.iotools.read_cams(path)
+    read = read_weather(path, NORTH)
+    assert list(read.t_utc) == [
+        t.to_pydatetime().replace(tzinfo=UTC) + HALF for t in expected.index
+    ]
+    for name in ("dni", "dhi", "ghi"):
+        assert getattr(read, f"{name}_wm2").tolist() == expected[name].tolist()
+    assert meta["latitude"] == 52.3
+    with pytest.raises(InputError, match="time reference True solar time"):
+        table(_cams(tmp_path / "b.csv", "True solar time (TST)"))
+    with pytest.raises(InputError, match="rows that are 15 min apart"):
+        read_weather(_cams(tmp_path / "c.csv", minutes=15), NORTH)
+
+
+@pytest.mark.authority
+@pytest.mark.parametrize("zone", [0, 2])
+@pytest.mark.parametrize(
+    "head",
+    ["air_temp,dni,dhi,ghi,period_end,period", "PeriodEnd,PeriodStart,Period,Dni,Dhi,Ghi,AirTemp"],
+)
+def test_a_csv_of_solcast_has_the_middles_of_its_periods(
+    tmp_path: Path, head: str, zone: int
+) -> None:
+    """Expected: the end less half of the period, by pandas."""
+    starts, light = _summer()
+    rows, is_new = [head], head.startswith("air")
+    for t, (dni, dhi, ghi) in zip(starts, light, strict=True):
+        a, b = (
+            (t + timedelta(hours=zone + k)).strftime(f"%Y-%m-%dT%H:%M:%S+0{zone}:00")
+            for k in (0, 1)
+        )
+        rows.append(
+            f"12,{dni},{dhi},{ghi},{b},PT60M" if is_new else f"{b},{a},PT1H,{dni},{dhi},{ghi},12"
+        )
+    path = tmp_path / "a.csv"
+    path.write_text("\r\n".join(rows) + "\r\n", encoding="utf-8-sig", newline="")
+    read = read_weather(path, NORTH)
+    stated = pd.read_csv(path, encoding="utf-8-sig")
+    ends = pd.to_datetime(stated["period_end" if is_new else "PeriodEnd"], utc=True)
+    middles = ends - pd.to_timedelta(list(stated["period" if is_new else "Period"])) / 2
+    assert list(read.t_utc) == [t.to_pydatetime() for t in middles]
+    assert read.dni_wm2.tolist() == stated["dni" if is_new else "Dni"].tolist()
+    zoneless = path.read_text(encoding="utf-8-sig").replace(f"+0{zone}:00", "")
+    path.write_text(zoneless)
+    with pytest.raises(InputError, match=r"line 2: time '2023-06-01T.*' has no zone"):
+        table(path)
+
+
+def _open_meteo(unix: bool, zone: int) -> tuple[dict[str, Any], list[str]]:
+    """The same answer as json and as the lines of a csv."""
+    starts, light = _summer()
+    ends = [t + timedelta(hours=1) for t in starts]
+    place = {"latitude": 52.3, "longitude": 4.8, "elevation": 10.0}
+    local = [f"{t + timedelta(hours=zone):%Y-%m-%dT%H:%M}" for t in ends]
+    times = [int(t.timestamp()) for t in ends] if unix else local
+    names = ("shortwave_radiation", "direct_normal_irradiance", "diffuse_radiation")
+    columns = dict(zip(names, light[:, [2, 0, 1]].T.tolist(), strict=True))
+    answer = {
+        **place,
+        "generationtime_ms": 0.5,
+        "utc_offset_seconds": 3600 * zone,
+        "timezone": "GMT",
+        "hourly_units": {"time": "iso8601", **dict.fromkeys(names, "W/m²")},
+        "hourly": {"time": times, **columns},
+    }
+    lines = [
+        "latitude,longitude,elevation,utc_offset_seconds,timezone,timezone_abbreviation",
+        f"52.3,4.8,10.0,{3600 * zone},GMT,GMT",
+        "",
+        ",".join(["time", *(f"{name} (W/m²)" for name in names)]),
+    ]
+    rows = zip(times, *columns.values(), strict=True)
+    return answer, [*lines, *(",".join(map(str, row)) for row in rows)]
+
+
+@pytest.mark.authority
+@pytest.mark.parametrize("unix", [False, True])
+@pytest.mark.parametrize("zone", [0, 1])
+def test_open_meteo_has_means_of_the_hour_before_its_label(
+    tmp_path: Path, unix: bool, zone: int
+) -> None:
+    """Expected by construction, as its documentation says; csv and json are the same."""
+    starts, light = _summer()
+    answer, lines = _open_meteo(unix, zone)
+    (tmp_path / "a.json").write_text(json.dumps(answer))
+    (tmp_path / "a.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    for name in ("a.json", "a.csv"):
+        read = read_weather(tmp_path / name, NORTH)
+        assert list(read.t_utc) == [t + HALF for t in starts]
+        assert read.dni_wm2.tolist() == light[:, 0].tolist()
+        assert read.dhi_wm2.tolist() == light[:, 1].tolist()
+    for bad in (lines[:1] + lines[3:], [*lines[:2], lines[1], *lines[2:]]):
+        (tmp_path / "b.csv").write_text("\n".join(bad) + "\n", encoding="utf-8")
+        with pytest.raises(InputError, match="no line that begins with 'time' below one place"):
+            table(tmp_path / "b.csv")
+
+
+@pytest.mark.authority
+@pytest.mark.parametrize(("mark", "comma"), [(",", False), (";", False), (";", True), ("\t", True)])
+@pytest.mark.parametrize("seconds", [5, 60, 900])
+def test_days_of_a_spreadsheet_are_the_times_of_pandas(
+    tmp_path: Path, mark: str, comma: bool, seconds: int
+) -> None:
+    """Expected: pandas.to_datetime with unit D and origin 1899-12-30, to the second."""
+    days = [46101.25 + k * seconds / 86400.0 for k in range(100)]
+    cells = [f"{day:.10g}" for day in days]
+    rows = [f"{c}{mark}{100.5 + k}" for k, c in enumerate(cells)]
+    rows = [row.replace(".", ",") for row in rows] if comma else rows
+    (tmp_path / "a.csv").write_text("\n".join([f"Date Time{mark}ghi_wm2", *rows]) + "\n")
+    read = read_logger_file(tmp_path / "a.csv", timedelta(0))
+    expected = pd.to_datetime(days, unit="D", origin="1899-12-30").round("s")
+    assert [s.t_utc.replace(tzinfo=None) for s in read.samples] == expected.to_pydatetime().tolist()
+    assert [s.ghi_wm2 for s in read.samples] == [100.5 + k for k in range(100)]
+    rounded = [f"{day:.2f}{mark}5.5" for day in days]
+    (tmp_path / "b.csv").write_text("\n".join([f"time{mark}ghi_wm2", *rounded]) + "\n")
+    with pytest.raises(InputError, match=r"too few decimals|a date without"):
+        read_logger_file(tmp_path / "b.csv", timedelta(0))
+    (tmp_path / "c.csv").write_text(f"time{mark}ghi_wm2\n46101{mark}5\n46102{mark}6\n")
+    with pytest.raises(InputError, match="'46101' is a date without a time of day"):
+        read_logger_file(tmp_path / "c.csv", timedelta(0))
+
+
+@pytest.mark.contract
+@pytest.mark.parametrize("mark", [",", ";", "\t"])
+@pytest.mark.parametrize("second", ["t_utc,ghi_wm2", "time_utc,dhi_wm2,ghi_wm2", "Time,a,b,c", ""])
+def test_a_second_table_in_a_logger_file_is_named_once(
+    tmp_path: Path, second: str, mark: str
+) -> None:
+    """Another header, or three rows with another number of values, refuse the file."""
+    lines = logger_csv(tmp_path / "a.csv")
+    count = second.count(",") + 1 if second else 4
+    below = [",".join([f"2027-03-20T08:{k:02d}:00Z", *["5.5"] * (count - 1)]) for k in range(20)]
+    lines += [second] * bool(second) + below
+    (tmp_path / "a.csv").write_text("\n".join(lines).replace(",", mark) + "\n")
+    said = (
+        "line 62: other column names, for 20 rows; expected one table"
+        if second
+        else ("line 62: 4 values, expected 3, as in 20 rows from it")
+    )
+    with pytest.raises(InputError, match=re.escape(said)):
+        read_logger_file(tmp_path / "a.csv")
+
+
+# ----------------------------------------------------------------------------------------------
 # property: one damage at a random place
 
 
@@ -1261,9 +1446,9 @@ def _files() -> dict[str, tuple[str, int, Any]]:
 FILES = _files()
 
 
-def _damaged(line: str, kind: str, place: int) -> str:
+def _damaged(line: str, kind: str, place: int, mark: str) -> str:
     """A line with one cell more or less, one quotation mark, or one decimal comma."""
-    cells = line.split(",")
+    cells = line.split(mark)
     k = place % len(cells)
     if kind == "more":
         cells.insert(k, "")
@@ -1275,7 +1460,7 @@ def _damaged(line: str, kind: str, place: int) -> str:
         decimals = [k for k, cell in enumerate(cells) if re.fullmatch(r"[\d]+\.\d+", cell)]
         k = decimals[place % len(decimals)]
         cells[k] = cells[k].replace(".", ",")
-    return ",".join(cells)
+    return mark.join(cells)
 
 
 @pytest.mark.property
@@ -1286,19 +1471,33 @@ def _damaged(line: str, kind: str, place: int) -> str:
 @given(
     st.sampled_from(sorted(FILES)),
     st.sampled_from(["more", "less", "quote", "comma"]),
+    st.sampled_from([",", ";", "\t"]),
     st.integers(0, 11),
     st.integers(0, 40),
 )
 def test_one_damage_at_any_place_is_refused_with_its_line_or_costs_its_row(
-    tmp_path: Path, name: str, kind: str, row: int, place: int
+    tmp_path: Path, name: str, kind: str, mark: str, row: int, place: int
 ) -> None:
-    """Property: loggers lose the damaged row and name it; all other readers refuse the line."""
+    """Property: loggers lose the damaged row and name it; all other readers refuse the line.
+
+    A reader of commas alone refuses another separator by its name, or the line of the header.
+    """
     text, header, read = FILES[name]
     path = tmp_path / ("a.epw" if name == "epw" else "a.csv")
     path.write_text(text)
-    whole = read(path)
+    of_commas = read(path)
+    text = text.replace(",", mark)
+    path.write_text(text)
+    try:
+        whole = read(path)
+    except InputError as error:
+        assert mark != "," and (name == "clean" or "columns separated by" in str(error)), str(error)
+        return
+    if name == "toa5" and mark != ",":  # a table of another program, with a row of "Avg"
+        whole = replace(whole, left_out=whole.left_out[1:])
+    assert isinstance(whole, LoggerFile) or whole == of_commas
     lines = text.splitlines()
-    lines[header + row] = _damaged(lines[header + row], kind, place)
+    lines[header + row] = _damaged(lines[header + row], kind, place, mark)
     path.write_text("\n".join(lines) + "\n")
     named = f"line {header + row + 1}: "
     try:
@@ -1306,6 +1505,8 @@ def test_one_damage_at_any_place_is_refused_with_its_line_or_costs_its_row(
     except InputError as error:
         assert named in str(error), str(error)
         return
+    if isinstance(found, LoggerFile) and name == "toa5" and mark != ",":
+        found = replace(found, left_out=found.left_out[1:])
     if isinstance(found, LoggerFile) and found.left_out:
         assert found.left_out[0].startswith(named)
         assert found.samples == (*whole.samples[:row], *whole.samples[row + 1 :])

@@ -153,6 +153,9 @@ def require_raw(profile: CameraProfile, remedy: str) -> None:
 # tables
 
 
+_PATHS = ("file", "panorama", "spectrum")  # columns without numbers
+
+
 def read_table(
     path: Path, required: Sequence[str], optional: Mapping[str, Any] = MappingProxyType({})
 ) -> list[CsvRow]:
@@ -172,8 +175,11 @@ def read_table(
         raise InputError(path, wrong[0], f"columns {', '.join(names)}", "correct the first line")
     readings = []
     # In a file with decimal commas a point separates thousands, which is refused.
-    commas = table.mark != "," and any("," in cell for _, cells in table.rows for cell in cells)
-    for line, cells in table.dicts():
+    rows = table.dicts()
+    numbers = [text for _, cells in rows for name, text in cells.items() if name not in _PATHS]
+    points = sum(("." in text) - ("," in text) for text in numbers)
+    commas = table.mark != "," and points < 0
+    for line, cells in rows:
         row = {name: _cell(path, line, name, text, commas) for name, text in cells.items() if text}
         if empty := [name for name in required if name not in row]:
             finding = f"line {line}: an empty cell in the column {empty[0]}"
@@ -211,7 +217,7 @@ def _table(path: Path) -> strict_csv.CsvTable:
 
 
 def _cell(path: Path, line: int, name: str, text: str, has_commas: bool) -> Any:
-    if name in ("file", "panorama", "spectrum"):
+    if name in _PATHS:
         return path.parent / text
     number = text.replace(".", "?").replace(",", ".") if has_commas else text
     with suppress(ValueError):
@@ -219,7 +225,7 @@ def _cell(path: Path, line: int, name: str, text: str, has_commas: bool) -> Any:
         if math.isfinite(value := strict_csv.read_number(number, has_codes=not is_angle)):
             return value
     remedy = "write a number with a decimal point"
-    raise InputError(f"{path}:{line}", f"{name} is '{text}'", "a number", remedy)
+    raise InputError(path, f"line {line}: {name} is '{text}'", "a number", remedy)
 
 
 # ----------------------------------------------------------------------------------------------

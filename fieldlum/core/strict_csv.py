@@ -44,6 +44,8 @@ _MISSING = {s * m for s in (-1.0, 1.0) for m in (9999.0, 99999.0, 999999.0, 6999
 _YEAR_FIRST = re.compile(r"(\d{4})([/.-])(\d{1,2})\2(\d{1,2})(?=[ T]|$)")
 _COMPACT = re.compile(r"^((?:19|20)\d\d)(\d\d)(\d\d)(\d\d)(\d\d)$")
 _UNIX = re.compile(r"(1\d{9})(\d{3}|\d{6}|\d{9})?")
+# Days of a spreadsheet from 1982 to 2119, in its system that begins in 1900 (ECMA-376, 18.17.4.1).
+_SERIAL_DAY = re.compile(r"([3-7]\d{4})(?:[.,](\d+))?")
 _HOUR = re.compile(r"(?<=\d[ T])(\d{1,2})((?::\d\d){1,2})(?: ?([AaPp])\.?(?:[Mm]\.?)?$)?")
 _SERIAL = re.compile(r"\(LGR S/N: [^()]*\)$")  # of the logger, as HOBOware writes it
 _WM2 = {"w/m2", "wm-2", "wm2", "w/m-2", "w/m\ufffd", "w/m?"}
@@ -280,11 +282,17 @@ def read_time(text: str, *, utc: bool = False) -> datetime:
 
     A date may have slashes or points and no zeros (2027/3/20), an hour AM or PM, or 24:00 for the
     end of the day, and the zone may be the word UTC or GMT. Twelve digits are a time without marks
-    (202703201600), ten or more the seconds, ms, us or ns since 1970 in UTC. Raises ValueError for
-    another text and for a date without a time of day.
+    (202703201600), ten or more the seconds, ms, us or ns since 1970 in UTC, five and decimals the
+    days of a spreadsheet (46101.25). Raises ValueError for another text and for a date without a
+    time of day.
     """
     if unix := _UNIX.fullmatch(text):
         return datetime.fromtimestamp(float(f"{unix[1]}.{unix[2] or 0}"), UTC)
+    if serial := _SERIAL_DAY.fullmatch(text):
+        part_s = round(86400.0 * float(f"0.{serial[2] or 0}"))
+        day = timedelta(days=int(serial[1]), seconds=part_s)
+        t = datetime(1899, 12, 30, tzinfo=UTC) + day
+        return t if utc else t.replace(tzinfo=None)
     stated = re.sub(" ?(UTC|GMT)$", "Z", _COMPACT.sub(r"\1-\2-\3 \4:\5", text))
     stated = _YEAR_FIRST.sub(lambda date: f"{date[1]}-{date[3]:0>2}-{date[4]:0>2}", stated)
     plain = re.sub("(?<=[ T])24:00(:00)?$", "00:00", stated)

@@ -45,6 +45,7 @@ _TIMES = {
 _NAME_ZONE = re.compile(r"[,_(\[]*(?:utc|gmt)([+-]\d\d?(?::?\d\d)?)?[)\]]?$")
 _ZONE = re.compile(r"((utc|gmt)_?)?offset|tz|(time_?)?zone")
 _DAY_OR_MONTH_FIRST = re.compile(r"(\d{1,2})([/.-])(\d{1,2})\2(\d{4}|\d\d)[ T]+(.+)")
+_ROUNDED_DAY = re.compile(r"\d{5}([.,]\d{1,4})?")  # of a spreadsheet; 0.0001 is 9 s
 _MARKS = ",;\t|"
 _PANGAEA = "/* DATA DESCRIPTION:"  # PANGAEA writes all times in UTC
 _COMMA = re.compile(r" is '[+-]?[\d.]+,[\d,.]+'")
@@ -380,23 +381,40 @@ def _read(
     samples: list[IrradianceSample] = []
     right: list[list[str]] = []
     damaged: list[str] = []
+    others: list[tuple[int, int]] = []  # lines with another number of values
     for number, line in table.lines:
         try:
             row = strict_csv.split_row(line, table.mark, padded=not table.is_logger)
             if len(row) != len(names):
                 is_plain = table.mark == ","
                 why = strict_csv.surplus_cause(row, len(names), right[-50:]) if is_plain else ""
+                others += [] if why else [(number, len(row))]
                 raise ValueError(f"{len(row)} values, expected {len(names)}{why}")
-            if clock.name in row and row != names:
-                raise InputError(
-                    path, f"line {number}: other column names", "one table", "split it"
-                )
             values = {q: _number(row[i], q, factor.get(q, 1.0), has_commas) for q, i in at.items()}
             raw = ",".join(row[i] for i in sorted(at.values()))
             samples.append(sample_of(clock.utc(row), values, raw))
             right.append(row)
         except (ValueError, OverflowError) as error:
+            cells = [cell.strip(' "') for cell in line.split(table.mark)]
+            if any(map(_kind_of_time, cells)) and cells != [name.strip(' "') for name in names]:
+                below = counted(sum(n > number for n, _ in table.lines), "row")
+                raise _two_tables(path, f"line {number}: other column names, for {below}") from None
             damaged.append(f"line {number}: {error}")
+    for (first, count), last in zip(others, others[2:], strict=False):
+        if last == (first + 2, count) and (first + 1, count) in others and count > 1:
+            rows = sum(n >= first and other == count for n, other in others)
+            found = (
+                f"line {first}: {count} values, expected {len(names)}, as in {rows} rows from it"
+            )
+            raise _two_tables(path, found)
+    texts = [clock.text(row) for row in right]
+    if texts and all(map(_ROUNDED_DAY.fullmatch, texts)):
+        is_date = not any(set(",.") & set(text) for text in texts)
+        if is_date or any(s.t_utc.timestamp() % 300.0 for s in samples):
+            why = (
+                "is a date without a time of day" if is_date else "has too few decimals for a time"
+            )
+            raise InputError(path, f"'{texts[0]}' {why}", "times", "export them as dates and times")
     for name in (names[i] for i in at.values() if table.called_bad.get(names[i])):
         count = f"missing by the file itself: {counted(table.called_bad[name], 'value')} of {name}"
         notes.append(f"{count}, out of the valid range or flagged as bad")
@@ -407,6 +425,10 @@ def _read(
     if clock.is_utc and utc_offset is not None:
         notes.append(f"times of {clock.name} are UTC: no offset moves them")
     return LoggerFile(tuple(samples), (*damaged, *table.cut), tuple(notes))
+
+
+def _two_tables(path: Path, found: str) -> InputError:
+    return InputError(path, found, "one table", "split the file there")
 
 
 def _has_decimal_commas(table: _Table, columns: Iterable[int]) -> bool:
@@ -549,9 +571,13 @@ class _Clock:
             self.read_zone = self.name
         self._order = self._date_order(table)
 
+    def text(self, row: Sequence[str]) -> str:
+        """Return the cells of a row's time."""
+        return " ".join(row[k] for k in self._at)
+
     def utc(self, row: Sequence[str]) -> datetime:
         """Return the time of a row. Raises ValueError for a text that is no time."""
-        text = " ".join(row[k] for k in self._at)
+        text = self.text(row)
         if part := _DAY_OR_MONTH_FIRST.fullmatch(text):
             places = (4, 3, 1) if part[2] == "." else self._order  # with points the day is first
             year, month, day = (part[k].zfill(2) for k in places)
@@ -605,7 +631,7 @@ class _Clock:
                 break
             with suppress(ValueError, IndexError):
                 row = strict_csv.split_row(line, table.mark)
-                part = _DAY_OR_MONTH_FIRST.fullmatch(" ".join(row[k] for k in self._at))
+                part = _DAY_OR_MONTH_FIRST.fullmatch(self.text(row))
                 if part and part[2] != ".":
                     dates.append(part)
         day_first = any(int(part[1]) > 12 for part in dates)

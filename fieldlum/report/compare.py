@@ -374,9 +374,12 @@ def _values(path: Path, figure: str, values: Floats) -> Floats:
 
 def _numbers(table: strict_csv.CsvTable, column: int) -> Floats:
     remedy = "write numbers, or nothing"
-    with input_errors(table.path, f"numbers in {table.names[column]}", remedy, ValueError):
-        cells = (cells[column] for _, cells in table.rows)
-        return np.array([strict_csv.read_number(cell, has_codes=False) for cell in cells])
+    numbers: list[float] = []
+    for line, cells in table.rows:
+        where, expected = f"{table.path}: line {line}", f"numbers in {table.names[column]}"
+        with input_errors(where, expected, remedy, ValueError):
+            numbers.append(strict_csv.read_number(cells[column], has_codes=False))
+    return np.array(numbers)
 
 
 def _times_of(table: strict_csv.CsvTable, columns: dict[str, int]) -> Floats:

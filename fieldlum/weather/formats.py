@@ -28,12 +28,22 @@ _HALF = timedelta(minutes=30)  # of an hour, by definition
 _NARROW = timedelta(minutes=10)
 _OFFSET = re.compile(r"Irradiance Time Offset \(h\):\s*(-?\d+(?:\.\d+)?)", re.IGNORECASE)
 # The letters of column headings without their unit, by quantity: TMY3, SAM, NSRDB, PVGIS,
-# SolarAnywhere.
+# SolarAnywhere, Solcast, CAMS (bni), Open-Meteo.
 _HEADINGS = {
-    "dni": {"dni", "beam", "dn", "gbn", "directnormal", "directnormalirradiancedni"},
-    "dhi": {"dhi", "diffuse", "df", "gdh", "diffusehorizontal", "diffusehorizontalirradiancedif"},
-    "ghi": {"ghi", "global", "gh", "globalhorizontal", "globalhorizontalirradianceghi"},
+    "dni": {
+        *("dni", "beam", "dn", "gbn", "bni", "directnormal", "directnormalirradiance"),
+        "directnormalirradiancedni",
+    },
+    "dhi": {
+        *("dhi", "diffuse", "df", "gdh", "diffusehorizontal", "diffuseradiation"),
+        "diffusehorizontalirradiancedif",
+    },
+    "ghi": {
+        *("ghi", "global", "gh", "globalhorizontal", "shortwaveradiation"),
+        "globalhorizontalirradianceghi",
+    },
 }
+_DURATION = re.compile(r"PT(?:(\d+)H)?(?:(\d+)M)?")
 _IN_PLANE = {"dni": {"gbi"}, "dhi": {"gdi"}, "ghi": set[str]()}
 # Cells of a TMY2 row: year, month, day, hour, DNI, DHI, GHI (its manual).
 _TMY2 = ((1, 3), (3, 5), (5, 7), (7, 9), (23, 27), (29, 33), (17, 21))
@@ -81,7 +91,7 @@ def read_table(path: Path, lines: list[str], site: Site) -> WeatherTable:
     first, second = [*(text for _, text in strict_csv.numbered(lines[:50])), "", ""][:2]
     start = f"{path.suffix.lower()}\n{first.lstrip()}\n{second}".replace('"', "")
     read = next(read for pattern, read in FORMATS if re.match(pattern, start))
-    if read is not _read_csv and lines[0].startswith("#"):
+    if read not in (_read_csv, _read_cams) and lines[0].startswith("#"):
         found = f"a comment above the header '{first[:40]}'"
         raise InputError(path, found, "this format's header in line 1", "remove the comment")
     return read(path, lines, site)
@@ -155,14 +165,16 @@ def _rows(
     return rows
 
 
-def _below(path: Path, lines: list[str], header: int) -> tuple[list[str], Rows]:
+def _below(
+    path: Path, lines: list[str], header: int, mark: str = ","
+) -> tuple[list[str], list[tuple[int, tuple[str, ...]]]]:
     """Return the column names in line `header` (from 0), and the rows below them."""
     if len(lines) <= header:
         raise InputError(path, f"{len(lines)} lines", "a line of column names", _AGAIN)
-    names = strict_csv.split_header(path, (header + 1, lines[header]))
+    names = strict_csv.split_header(path, (header + 1, lines[header].lstrip("# ")), mark)
     strict_csv.check_names(path, names)
     rows = strict_csv.numbered(lines[header + 1 :], header + 2)
-    return names, strict_csv.split_rows(path, rows, len(names))
+    return names, strict_csv.split_rows(path, rows, len(names), mark)
 
 
 def _place(path: Path, cells: Sequence[Any], expected: str, name: str) -> tuple[Site, timedelta]:
@@ -432,13 +444,21 @@ def _read_pvgis(path: Path, lines: list[str], site: Site) -> WeatherTable:
     return WeatherTable(rows, True, place, shift=timedelta(hours=hours), notes=notes)
 
 
-def _read_pvgis_json(path: Path, lines: list[str], site: Site) -> WeatherTable:
-    """Return the rows of a json of PVGIS, which has the content of the csv."""
+def _read_json(path: Path, lines: list[str], site: Site) -> WeatherTable:
+    """Return the rows of a json of PVGIS or Open-Meteo, which has the content of the csv."""
     kinds = (KeyError, IndexError, TypeError, AttributeError, ValueError, RecursionError)
     with input_errors(path, "json of PVGIS with outputs of each hour", _AGAIN, *kinds):
         answer = json.loads("\n".join(lines))
         if isinstance(answer, list):
             raise ValueError("a list of hours without their place")
+        if "utc_offset_seconds" in answer:
+            keys = [*_METEO_PLACE, "utc_offset_seconds"]
+            units, columns = answer["hourly_units"], answer["hourly"]
+            headings = (n if n == "time" else f"{n} ({units[n]})" for n in columns)
+            head = [",".join(keys), ",".join(str(answer[key]) for key in keys), ",".join(headings)]
+            hours = zip(*columns.values(), strict=True)
+            rows = (["" if v is None else str(v) for v in hour] for hour in hours)
+            return _read_open_meteo(path, [*head, *map(",".join, rows)], site)
         outputs, about = answer["outputs"], answer["inputs"]
         hours = outputs["tmy_hourly" if "tmy_hourly" in outputs else "hourly"]
         names = sorted(hours[0], key=lambda name: not name.startswith("time"))
@@ -455,6 +475,86 @@ def _read_pvgis_json(path: Path, lines: list[str], site: Site) -> WeatherTable:
         ]
         cells = [["" if hour[n] is None else str(hour[n]) for n in names] for hour in hours]
     return _read_pvgis(path, [*head, *map(",".join, cells)], site)
+
+
+_METEO_PLACE = ("latitude", "longitude", "elevation")
+
+
+def _read_open_meteo(path: Path, lines: list[str], site: Site) -> WeatherTable:
+    """Return the rows of a csv of Open-Meteo: the place in two lines, names, then the hours.
+
+    Each is the mean of the hour that ends at its label (Open-Meteo's documentation), on a clock of
+    `utc_offset_seconds`; labels in seconds since 1970 are UTC.
+    """
+    head = strict_csv.numbered(lines[:50])[:3]
+    if len(head) < 3 or not head[2][1].startswith("time,"):
+        found = "no line that begins with 'time' below one place"
+        raise InputError(path, found, "hours of one place", "download one place, hourly")
+    keys, values = (strict_csv.split_header(path, line) for line in head[:2])
+    about = dict(zip(keys, values, strict=False))
+    with input_errors(path, "a number of utc_offset_seconds", _AGAIN, ValueError):
+        hours = float(about.get("utc_offset_seconds", "?")) / 3600.0
+    cells = [*(about.get(key, "?") for key in _METEO_PLACE), hours]
+    place, clock = _place(path, cells, "a place in the first two lines", "Open-Meteo")
+    names, found = _below(path, lines, head[2][0] - 1)
+
+    def when(cells: Cells) -> datetime:
+        return _stated(cells[0]) + (clock if cells[0].isdecimal() else timedelta())
+
+    rows = _rows(path, found, _columns(path, names), when, names)
+    return WeatherTable(rows, False, place, clock, -_HALF)
+
+
+def _read_cams(path: Path, lines: list[str], site: Site) -> WeatherTable:
+    """Return the rows of a csv of the CAMS radiation service: a span and Wh/m2 in each.
+
+    The comments above have the place and the names. Wh/m2 of an hour are its mean in W/m2.
+    """
+    header = next(k for k, line in enumerate(lines) if not line.startswith("#")) - 1
+    stated = (line.strip("# ").partition(":") for line in lines[:header])
+    about = {key.partition(" (")[0]: value.strip() for key, _, value in stated}
+    cells = [*(about.get(key, "?") for key in ("Latitude", "Longitude", "Altitude")), None]
+    place, _ = _place(path, cells, "a place in the comments", "CAMS")
+    if not about.get("Time reference", "?").startswith("Universal time"):
+        reference = f"time reference {about.get('Time reference', 'not stated')}"
+        raise InputError(path, reference, "Universal time (UT)", _AGAIN)
+    names, found = _below(path, lines, header, ";")
+
+    def when(cells: Cells) -> datetime:
+        start, _, end = cells[0].partition("/")
+        return _stated(start) + (_stated(end) - _stated(start)) / 2
+
+    return WeatherTable(_rows(path, found, _columns(path, names), when, names), False, place)
+
+
+def _stated(text: str, *, utc: bool = True) -> datetime:
+    """Return the time in UTC; utc: also without a zone. Raises _CellError for another text."""
+    expected = "a UTC time such as 2027-03-20T15:30:00Z"
+    try:
+        t = strict_csv.read_time(text, utc=utc)
+    except (ValueError, OverflowError) as error:
+        raise _CellError(str(error), expected) from None
+    if t.tzinfo is None:
+        raise _CellError(f"time {text!r} has no zone", expected)
+    return t.astimezone(UTC)
+
+
+def _read_solcast(path: Path, lines: list[str], site: Site) -> WeatherTable:
+    """Return the rows of a csv of Solcast: an end (or start) with a zone, and an ISO duration."""
+    names, found = _below(path, lines, strict_csv.numbered(lines)[0][0] - 1)
+    letters = [re.sub("[^a-z]", "", name.lower()) for name in names]
+    if "period" not in letters:
+        raise InputError(path, "no column period", "period_end and period", _AGAIN)
+    is_end = "periodend" in letters
+    at, span = letters.index("periodend" if is_end else "periodstart"), letters.index("period")
+
+    def when(cells: Cells) -> datetime:
+        if not (part := _DURATION.fullmatch(cells[span])) or not any(part.groups()):
+            raise _CellError(f"period '{cells[span]}'", "a duration such as PT60M")
+        half = timedelta(hours=int(part[1] or 0), minutes=int(part[2] or 0)) / 2
+        return _stated(cells[at], utc=False) + (-half if is_end else half)
+
+    return WeatherTable(_rows(path, found, _columns(path, names), when, names), False)
 
 
 def _normal(rows: Sequence[WeatherRow], place: Site) -> list[WeatherRow]:
@@ -506,10 +606,7 @@ def _read_csv(path: Path, lines: list[str], site: Site) -> WeatherTable:
         if not dated:
             month, day, hour = (cells[k] for k in at)
             return _moment(("2024" if leap else "2023", month, day), hour)
-        try:
-            return strict_csv.read_time(cells[at[0]], utc=True).astimezone(UTC)
-        except (ValueError, OverflowError) as error:
-            raise _CellError(str(error), "a UTC time such as 2027-03-20T15:30:00Z") from None
+        return _stated(cells[at[0]])
 
     rows = _rows(path, found, quantities, when, names)
     return WeatherTable(rows, not dated, place, timedelta() if dated else clock)
@@ -540,7 +637,10 @@ FORMATS: tuple[tuple[str, Callable[[Path, list[str], Site], WeatherTable]], ...]
     (r"\.epw\n|.*\n(?i:LOCATION),", _read_epw),
     (r".*\nplace .*\nlatitude ", _read_wea),
     (r".*\nLatitude \(decimal degrees\)", _read_pvgis),
-    (r".*\n[\[{]", _read_pvgis_json),
+    (r".*\n[\[{]", _read_json),
+    (r".*\n(location_id,)?latitude,longitude,.*utc_offset_seconds", _read_open_meteo),
+    (r".*\n[^,;/]+/[^,;/]+;", _read_cams),
+    (r".*\n(?i:(.*,)?period_?(end|start)(,|\n))", _read_solcast),
     (r".*\n(Source,|(?i:(?!.*dni)(.*,)?lat(itude)?,))", _read_sam),
     (r".*\n.*\n(.*ObservationTime\(LST\)|Date \(MM/DD/YYYY\))", _read_tmy3),
     ("", _read_csv),  # the last one: its errors explain the columns
