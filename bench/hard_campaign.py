@@ -74,7 +74,7 @@ COLUMNS = {
 
 # Words of the notes of `train` that name a trouble. No note names the other troubles.
 NAMED_BY = {
-    "clouds": "the skies in the windows differ",
+    "clouds": "the sky in the windows was",
     "north": "north is wrong",
     "knock": "camera was turned",
     "lamps": "a lamp was on, but not marked",

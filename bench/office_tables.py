@@ -38,7 +38,6 @@ COLUMNS = (
     "dgp_mse",
     "bias_log10",
     "rammg_mse",
-    "rammg_mse_cut",
     "n_train",
     "n_test",
     "fit_s",

@@ -114,7 +114,7 @@ def test_the_network_learns_a_tiny_set_by_heart() -> None:
     one = DATA.take(np.array([2]))  # a lone image validates itself
     plan = Run(400, 128)
     fitted = models.fit("dense", one, plan=plan, shape=Shape(128, patch_width=32))
-    error = compare(fitted.predict(one.light, one.patch_cdm2), one, one.weights)
+    error = compare(fitted.predict(one.light, one.patch_cdm2), one)
     assert error.mse[0] < 0.01 * np.log10(np.maximum(one.luminance_cdm2, 1)).var()
 
 
@@ -291,7 +291,7 @@ def test_scores_of_a_constant_factor() -> None:
         np.full(4, np.nan),
         np.ones(4, bool),
     )
-    found = summary(compare(prediction, bright, bright.weights))
+    found = summary(compare(prediction, bright))
     assert found["paper_log10_mse"] == pytest.approx(0.01, rel=1e-3)
     assert found["log10_mse_weighted"] == pytest.approx(0.01, rel=1e-3)
     assert found["dgp_mse"] is None

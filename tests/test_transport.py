@@ -19,6 +19,7 @@ from fieldlum.learn.train import model_notes
 from fieldlum.learn.transport import Transport, fit, seasons
 from fieldlum.learn.transport.physics import physics_of
 from fieldlum.learn.transport.solve import (
+    MIN_SHARE,
     SECOND_NOISE,
     Basis,
     Columns,
@@ -292,7 +293,7 @@ def test_noise_of_the_level_leaves_no_bias() -> None:
         noisy = arrays.luminance * np.exp(log_level)[:, None].astype(np.float32)
         pixels = fit_pixels(replace(arrays, luminance=noisy), basis, 0.1, lambda k, n: None)
         unit = arrays.light.total_lx[:, None] * pixels.scale
-        found = np.maximum(basis.values @ pixels.b.T, pixels.minimum) * unit
+        found = np.maximum(basis.values @ pixels.b.T, MIN_SHARE) * unit
         assert arrays.patch is not None
         found += pixels.patch_gain * arrays.patch + pixels.sky_gain * arrays.sky
         errors.append(np.log(found / arrays.luminance).mean() - log_level.mean())

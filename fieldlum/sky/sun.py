@@ -61,26 +61,16 @@ def position(times_utc: Sequence[datetime], site: Site) -> SunPosition:
 
     Arrays are in the order of times_utc, empty without times. Raises ValueError for naive times.
     """
-    index = pandas_index(times_utc)
-    place = site.latitude_deg, site.longitude_deg, site.altitude_m
-    # the checks of a weather year ask for the same hours again; a longer series is not stored
-    spa = _spa if len(index) <= 366 * 24 else _spa.__wrapped__
-    angles = spa(index.as_unit("ns").asi8.tobytes(), *place).copy()
-    return SunPosition(**dict(zip(SunPosition._fields, angles, strict=True)))
-
-
-@lru_cache(maxsize=32)
-def _spa(ns: bytes, latitude_deg: float, longitude_deg: float, altitude_m: float) -> Floats:
-    """Return the fields of `SunPosition` [3, n] at times in ns since 1970, as int64."""
-    import pandas as pd
     from pvlib.solarposition import get_solarposition
 
-    index = pd.DatetimeIndex(np.frombuffer(ns, np.int64), tz="UTC")
+    index = pandas_index(times_utc)
     if len(index) == 0:
-        return np.empty((3, 0))
-    table = get_solarposition(index, latitude_deg, longitude_deg, altitude_m, method="nrel_numpy")
-    columns = table["elevation"], table["apparent_elevation"], table["azimuth"] % 360.0
-    return np.array(columns, float)
+        return SunPosition(*np.empty((3, 0)))
+    place = site.latitude_deg, site.longitude_deg, site.altitude_m
+    table = get_solarposition(index, *place, method="nrel_numpy")
+    names = "elevation", "apparent_elevation", "azimuth"
+    altitude, apparent, azimuth = (np.array(table[name], float) for name in names)
+    return SunPosition(altitude, apparent, azimuth % 360.0)
 
 
 def apparent_altitude_deg(altitude_deg: ArrayLike) -> Floats:

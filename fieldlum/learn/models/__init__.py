@@ -201,10 +201,6 @@ def read_config(folder: Path) -> ModelConfig:
 
     Raises InputError if the file is missing, damaged or of another format, or for an unknown model.
     """
-    trained = [p for deep in ("models/*", "*") for p in sorted(folder.glob(f"{deep}/config.json"))]
-    if trained and not (folder / ModelConfig.NAME).is_file():
-        remedy = f"name the model: {trained[0].parent}"
-        raise InputError(folder, "a folder of models", "one of its model folders", remedy)
     config = ModelConfig.read(folder)
     if config.model not in MODELS:
         finding = f"the unknown model '{config.model}'"

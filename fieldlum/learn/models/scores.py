@@ -5,7 +5,7 @@ map. For the prediction, `dgp_mse_own_disc` uses the disc that a user gets: from
 
 That paper's way: floor 1 cd/m2; unweighted log10 MSE over all pixels and images; one RER = sqrt(sum
 e^2 / sum t^2) of log10 L over the complete test; DGP of ten views; RAMMG in cd/m2 of five pyramid
-levels, with and without the authors' cut at 500. By solid angle: weights with a mean of 1; mean,
+levels. By solid angle: weights with a mean of 1; mean,
 median, 90th percentile and worst image.
 """
 
@@ -33,7 +33,7 @@ from fieldlum.year.glare.sources import Views, panorama_views, view_azimuths_deg
 
 FLOOR_CDM2 = 1.0  # paper
 # fields of `Scores` that `evaluate` adds: those that need glare, and the times
-_GLARE = ("dgp_mse", "dgp_mse_own_disc", "dgp_mae", "rammg_error", "rammg_truth", "ev_error")
+_GLARE = ("dgp_mse", "dgp_mse_own_disc", "dgp_mae", "rammg_error", "ev_error")
 _ADDED = (*_GLARE, "seconds", "cpu_s")
 
 
@@ -45,7 +45,7 @@ class Scores:
     of the pixels, by solid angle or equally weighted; truth2, truth2_weighted: the same of true
     log10 L; dgp_mse, dgp_mae: mean over ten views of the squared and absolute
     error of DGP; rammg_error: RAMMG
-    predicted less true; rammg_truth: true RAMMG; expected_mse: error that the model itself
+    predicted less true; expected_mse: error that the model itself
     expected; trusted: whether the model trusts the hour; ev_error: mean absolute error of ln Ev;
     day: local date; weight: of the hour in choices (`choice_weights`); slots: names of the hours.
     DGP and Ev are those of fully seen view directions, of all ten if no lens sees one. dgp_mse has
@@ -64,7 +64,6 @@ class Scores:
     bias_log10: Floats
     dgp_mae: Floats
     rammg_error: Floats
-    rammg_truth: Floats
     expected_mse: Floats
     trusted: Mask
     in_band: Floats
@@ -108,16 +107,14 @@ def join(parts: Sequence[Scores]) -> Scores:
 class Truth:
     """Everything about a test set that does not depend on the model.
 
-    data: n test captures; weights: of the pixels, by solid angle [H, W]; views: ten view
-    directions; glare_maps: mask [n] of the maps for which glare is computed; dgp: true DGP of the
-    views [n, 10]; rammg_cdm2: true contrast [n]; both NaN where not computed; ev_lx: true vertical
-    illuminance [n, 10]; full: mask [10] of the views that a lens saw completely, or all; weight: of
-    the hours in choices [n]; own_disc_lx: the sun disc's illuminance by the sky view [n], NaN
-    without glare.
+    data: n test captures; views: ten view directions; glare_maps: mask [n] of the maps for which
+    glare is computed; dgp: true DGP of the views [n, 10]; rammg_cdm2: true contrast [n]; both NaN
+    where not computed; ev_lx: true vertical illuminance [n, 10]; full: mask [10] of the views that
+    a lens saw completely, or all; weight: of the hours in choices [n]; own_disc_lx: the sun disc's
+    illuminance by the sky view [n], NaN without glare.
     """
 
     data: Dataset
-    weights: Floats
     views: Views
     glare_maps: Mask
     dgp: Floats
@@ -152,7 +149,7 @@ def truth(data: Dataset, *, glare: bool = True) -> Truth:
     full = np.array(metrics.view_coverage(views).words) == SEEN
     full = full if full.any() else np.ones(d, bool)
     weight = choice_weights(data)
-    return Truth(data, data.weights, views, with_glare, dgp, rammg, ev, full, weight, own_disc)
+    return Truth(data, views, with_glare, dgp, rammg, ev, full, weight, own_disc)
 
 
 def _chunks(rows: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
@@ -178,7 +175,7 @@ def evaluate(fitted: Fitted, test: Truth) -> Scores:
         wall, cpu = time.monotonic(), time.process_time()
         prediction = fitted.predict(part.light, part.patch_cdm2)
         wall, cpu = time.monotonic() - wall, time.process_time() - cpu
-        scores = compare(prediction, part, test.weights)
+        scores = compare(prediction, part)
         scores.weight = test.weight[rows]
         scores.seconds[:], scores.cpu_s[:] = wall / len(rows), cpu / len(rows)
         _glare_errors(scores, prediction, part, test, rows)
@@ -191,18 +188,18 @@ def _log10(maps: Floats32, data: Dataset) -> Floats32:
     return np.log10(np.maximum(with_disc, np.float32(FLOOR_CDM2)))
 
 
-def compare(prediction: Prediction, data: Dataset, weights: Floats) -> Scores:
+def compare(prediction: Prediction, data: Dataset) -> Scores:
     """Return the scores of predicted maps against captures; glare and times are NaN.
 
-    The true sun disc is added to both; luminances below 1 cd/m2 count as 1. weights: of pixels [H,
-    W]. Raises FloatingPointError for a predicted value that is not finite.
+    The true sun disc is added to both; luminances below 1 cd/m2 count as 1. Raises
+    FloatingPointError for a predicted value that is not finite.
     """
     if not np.isfinite(prediction.luminance_cdm2).all():
         raise FloatingPointError("a predicted map has values that are not finite")
     seen_mask = data.seen
     target = _log10(data.luminance_cdm2, data)
     error = (_log10(prediction.luminance_cdm2, data) - target)[:, seen_mask].astype(np.float64)
-    t2, e2, w = target[:, seen_mask].astype(np.float64) ** 2, error**2, weights[seen_mask]
+    t2, e2, w = target[:, seen_mask].astype(np.float64) ** 2, error**2, data.weights[seen_mask]
     blank = np.full(len(data), np.nan)
     in_band = blank
     if prediction.log10_sd is not None:
@@ -246,8 +243,7 @@ def _glare_errors(
     scores.dgp_mse[with_glare] = mean((glare["dgp"] - true_dgp) ** 2)
     scores.dgp_mae[with_glare] = mean(np.abs(glare["dgp"] - true_dgp))
     scores.ev_error[with_glare] = mean(np.abs(np.log((glare["ev_lx"] + 1.0) / (true_ev + 1.0))))
-    scores.rammg_truth[with_glare] = true_rammg = test.rammg_cdm2[rows[with_glare]]
-    scores.rammg_error[with_glare] = _rammg(maps, judged) - true_rammg
+    scores.rammg_error[with_glare] = _rammg(maps, judged) - test.rammg_cdm2[rows[with_glare]]
     # Maps are stored with 58 rows at least, as the smallest panoramas of a demo have.
     measured, predicted = (
         np.log10(np.maximum(m.thin(58).luminance_cdm2, FLOOR_CDM2)).astype(np.float16)
@@ -275,8 +271,7 @@ def summary(scores: Scores) -> ScoreFigures:
 
     A figure that was not computed is None.
     """
-    # The code of Liu, Colburn and Inanici 2020 omits maps above 500 cd/m2.
-    kept, errors = scores.rammg_truth < 500.0, scores.errors
+    errors = scores.errors
     return {
         "log10_mse_weighted": float(scores.mse_weighted.mean()),
         "rer_weighted": float(
@@ -294,7 +289,6 @@ def summary(scores: Scores) -> ScoreFigures:
         "trusted_share": float(scores.trusted.mean()),
         "dgp_mae": _mean(scores.dgp_mae),
         "rammg_mse": _mean(scores.rammg_error**2),
-        "rammg_mse_cut": _mean(np.where(kept, scores.rammg_error**2, np.nan)),
         "n_test": len(scores),
         "predict_s_per_map": float(scores.seconds.mean()),
         "predict_cpu_s_per_map": float(scores.cpu_s.mean()),

@@ -22,7 +22,7 @@ from fieldlum.core.records import counted, listed
 from fieldlum.core.statistics import held_out_masks
 from fieldlum.learn import models
 from fieldlum.learn.model_kinds import MODELS
-from fieldlum.learn.models import TRUSTED_FACTOR, TRUSTED_MSE, Fitted, Patch
+from fieldlum.learn.models import Fitted, Patch
 from fieldlum.learn.models.held_out_choice import (
     CRITERIA,
     beam_is_uncertain,
@@ -46,7 +46,7 @@ from fieldlum.room.fit.misplaced_patches import misplacement_of, with_misplaceme
 from fieldlum.session import check_writable, sha256
 from fieldlum.session.codec import current_note, data_digest, digest
 from fieldlum.session.files.model_files import ScoreRow, ScoresFile, TrainAnswer
-from fieldlum.sky.sun import LOW_SUN_DEG
+from fieldlum.sky.daylight_kernel import light_features
 from fieldlum.version import __version__
 
 POOR_MSE = 0.02  # log10, a factor of 1.4: a steady room with correct irradiance stays below
@@ -228,8 +228,8 @@ class Result:
         seed: of the training, which each row repeats.
         """
         own = ("name", "fit_s", "fit_cpu_s", "n_train", "folds")
-        more = {"seed": seed, "not_judged_because": None}
-        return [{k: getattr(t, k) for k in own} | summary(t.scores) | more for t in self.trials]
+        seeds = {"seed": seed}
+        return [{k: getattr(t, k) for k in own} | summary(t.scores) | seeds for t in self.trials]
 
 
 def patch_mode(data: Dataset, patch: Patch) -> Patch:
@@ -398,15 +398,19 @@ def _model_sha256(folder: Path) -> str:
 def model_notes(fitted: Fitted, data: Dataset, patch: Patch) -> list[str]:
     """Return notes on the skies of a light transport model's fit, and on an unused stated room.
 
-    They are sentences for the user; the list is empty without such facts and for other models.
+    data: the captures of the fit. The list is empty without such facts and for other models.
     """
-    sd, notes = getattr(fitted, "sky_sd", None), []
-    if sd is not None:
-        notes.append(
-            f"the sky in the windows was {math.expm1(sd):.0%} (one standard deviation) brighter or "
-            "darker than expected from the irradiance: usual under clouds and part of the stated "
-            "uncertainty; if most days were clear, check that the pyranometer is level and unshaded"
-        )
+    notes, captured = [], getattr(getattr(fitted, "fitted", fitted), "captured", None)
+    if captured is not None:
+        skies = (np.maximum(v, 1e-9) for v in (captured.sky, light_features(data.light).sky))
+        sd = float(np.subtract(*map(np.log, skies)).std(axis=0).max())
+        if sd > 0.0:
+            notes.append(
+                f"the sky in the windows was up to {math.expm1(sd):.0%} (one standard deviation) "
+                "brighter or darker than expected from the irradiance: usual under clouds and part "
+                "of the stated uncertainty; if most days were clear, check that the pyranometer is "
+                "level and unshaded"
+            )
     stated = data.setup.room is not None and patch != "none"
     if stated and getattr(fitted, "patch_scale", 1.0) is None:
         notes.append(
@@ -420,9 +424,8 @@ def model_notes(fitted: Fitted, data: Dataset, patch: Patch) -> list[str]:
 def notes_of(data: Dataset, patch: Patch, model: str, trials: Sequence[Trial]) -> list[str]:
     """Return the notes of `data`, then notes that a reader of the scores needs.
 
-    They are about captures of one day only, missing sun patches, hours of uncertain direct light,
-    and a model that is worse than a baseline. model: name of the requested model ("auto" gives no
-    note about the baselines).
+    They are about captures of one day only, missing sun patches, and a model that is worse than a
+    baseline. model: name of the requested model ("auto" gives no note about the baselines).
     """
     notes = list(data.notes)
     if len(np.unique(data.days)) == 1:
@@ -432,15 +435,6 @@ def notes_of(data: Dataset, patch: Patch, model: str, trials: Sequence[Trial]) -
     # a scene without patches was chosen on purpose and has its own note
     if patch == "none" and data.patch_cdm2 is None and data.scene is None:
         notes.append("no sun patches in the data: add a [room] to SITE.toml and run fieldlum pair")
-    uncertain = beam_is_uncertain(data)
-    if uncertain.any():
-        part = f"{uncertain.sum()} of {counted(len(data), 'hour')}"
-        weight = choice_weights(data)[uncertain].max()
-        role = f"count {weight:g}" if weight > 0.0 else "do not count"
-        notes.append(
-            f"{part} {role} in choices and warnings: their direct light was not measured well (sun "
-            f"under {LOW_SUN_DEG:g} degrees with a beam, or a mark of fieldlum pair)"
-        )
     own = next((trial for trial in trials if trial.name == model), None)
     if own is None or MODELS[model].baseline:
         return notes
@@ -458,10 +452,8 @@ def notes_of(data: Dataset, patch: Patch, model: str, trials: Sequence[Trial]) -
 def held_out_warnings(fitted: Fitted, data: Dataset) -> list[str]:
     """Return warnings about large errors of the model on captures with their day held out.
 
-    One warning names days that are much worse than the median day; one is about large errors on
-    all days; one about over 10 % of the captures predicted wrongly by more than the factor up to
-    which hours are trusted. The list is empty if there are none, and for a model without held-out
-    errors.
+    One warning names days that are much worse than the median day, one is about large errors on
+    all days. The list is empty if there are none, and for a model without held-out errors.
     """
     errors, weight, day = _judged_errors(fitted, data)
     if not len(errors):
@@ -483,14 +475,6 @@ def held_out_warnings(fitted: Fitted, data: Dataset) -> list[str]:
             f"WARNING: predictions of held-out days are wrong by a factor of {rms:.2f} (rms); "
             "likely causes are broken cloud, wrong irradiance, or a room that changed (a wrong "
             "north or clock has its own warning); do not trust single maps of this model"
-        )
-    share = float(np.average(errors > TRUSTED_MSE, weights=weight))
-    # Clean sets have under 2 % of such captures, those with a lamp or a moved camera 20 to 60 %.
-    if share > 0.1:
-        texts.append(
-            f"WARNING: for {share:.0%} of the captures, a prediction from the other days is wrong "
-            f"by a factor of over {TRUSTED_FACTOR:g}: the room, the camera or the light changed; "
-            "hours with similar light are not trusted"
         )
     return texts
 

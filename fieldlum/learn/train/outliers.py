@@ -70,7 +70,7 @@ def process_of(data: Dataset, *, with_patch: bool, seen_skies: bool = False) -> 
     small = data.thin(_HEIGHT)
     arrays = training_arrays_of(small, with_patch=with_patch)
     if seen_skies and (sky := seen_sky(arrays)) is not None:
-        arrays = replace(arrays, features=sky.features(arrays))
+        arrays = arrays.under(sky)
     luminance = np.maximum(arrays.luminance, MIN_CDM2).astype(float)
     total = arrays.light.total_lx
     judged = np.median(luminance, axis=1) > 1.0  # the floor of the scores, cd/m2

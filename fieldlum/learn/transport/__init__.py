@@ -1,6 +1,6 @@
 """Light transport: linear in sky and sun, so that a room is learnt in closed form.
 
-    L(t, p) = E(t) m(p) max(F(t) b(p) + c(p) s'(t, p), minimum(p)) + g(p) s(t, p) + h(p) Q(t, p)
+    L(t, p) = E(t) m(p) max(F(t) b(p) + c(p) s'(t, p), minimum) + g(p) s(t, p) + h(p) Q(t, p)
 
 See docs/models/transport.md for symbols, code names and units. The uncertainty of each predicted
 pixel is calibrated on held-out days.
@@ -25,6 +25,7 @@ from fieldlum.learn.models.held_out_choice import HeldOutErrors, choose, differe
 from fieldlum.learn.models.training_data import Dataset
 from fieldlum.learn.transport.physics import Physics, physics_of
 from fieldlum.learn.transport.solve import (
+    MIN_SHARE,
     SECOND_NOISE,
     Basis,
     HeldOutFit,
@@ -96,8 +97,7 @@ class Transport:
     captured) @ projector; states: lamps and blinds with which captures are marked; open_sky: the
     window pixels; pixels: fitted values; uncertainty: of predictions; patch_scale: fitted factor on
     all sun patches, None if patches are not used; physics: the coarse room model, None without a
-    box room; sky_sd: how much the skies in the windows differed from Perez's (`SeenSky`), None if
-    the fit did not use them; patch_light: how sun patches become features, None without patches.
+    box room; patch_light: how sun patches become features, None without patches.
     """
 
     seen: Mask
@@ -112,7 +112,6 @@ class Transport:
     uncertainty: Uncertainty
     patch_scale: float | None = None
     physics: Physics | None = None
-    sky_sd: float | None = None
     patch_light: PatchLight | None = None
     name: str = field(default="transport", init=False)
 
@@ -179,7 +178,7 @@ class Transport:
         if self.physics is not None and sunlight is not None:
             computed = self.physics.luminance(light, sunlight, self.seen)
             surface += computed * pixels.computed_gain / unit
-        luminance = np.maximum(surface, pixels.minimum) * unit  # [n, P] cd/m2
+        luminance = np.maximum(surface, MIN_SHARE) * unit  # [n, P] cd/m2
         direct = None
         if patch is not None and self.patch_scale is not None:
             direct = patch[:, self.seen] * (np.float32(self.patch_scale) * pixels.patch_gain)
@@ -252,11 +251,6 @@ class MeanTransport:
         """Number of fitted values of both models."""
         return self.fitted.parameters + self.stated.parameters
 
-    @property
-    def sky_sd(self) -> float | None:
-        """Standard deviation of ln of the skies over Perez's (`SeenSky`); None if not estimated."""
-        return self.fitted.sky_sd
-
     def predict(self, light: Light, patch_cdm2: Floats32 | None = None) -> Prediction:
         """Predict luminance maps [n, H, W] cd/m2 of the n hours of `light`.
 
@@ -314,15 +308,13 @@ class _Inputs(NamedTuple):
     """Captures with the sky that the kernel compares and the light of surfaces that it corrects.
 
     arrays: all pixels; perez: features under Perez's skies; covariance: kernel between captures [n,
-    n]; basis: its eigenvectors; sky_sd: of the skies in the windows (`SeenSky`), None under
-    Perez's skies.
+    n]; basis: its eigenvectors.
     """
 
     arrays: TrainingArrays
     perez: Features
     covariance: Array
     basis: Basis
-    sky_sd: float | None = None
 
 
 def fit(data: Dataset, *, patch: Patch = "absolute", seed: int = 0) -> Transport | MeanTransport:
@@ -486,7 +478,7 @@ def _chosen(of: _Described) -> _Chosen:
     with_lamp = of.errors(lit)
     gain, error = difference(errors, with_lamp, "log10")
     if gain > max(0.3 * errors.figure("log10"), error):
-        best, errors = lit._replace(sky_sd=best.sky_sd), with_lamp
+        best, errors = lit, with_lamp
     robust = of.data.scene is not None or best.arrays.patch is None
     noises = NOISES[robust or one_season(of.data.days) :]
     tried = [errors if noise == NOISES[1] else of.errors(best, noise) for noise in noises]
@@ -520,7 +512,6 @@ def _fit(chosen: _Chosen) -> tuple[Transport, Array]:
         uncertainty=uncertainty,
         patch_scale=of.scale,
         physics=of.physics,
-        sky_sd=inputs.sky_sd,
         patch_light=of.patch_light,
     )
     return fitted, errors
@@ -550,13 +541,10 @@ def _inputs(
     sky = seen_sky(arrays) if len(np.unique(arrays.days)) >= 4 else None
     out = []
     for shown in (None,) if sky is None else (None, sky):
-        under_sky = arrays if shown is None else replace(arrays, features=shown.features(arrays))
-        compared = _compared(under_sky, kernel, arrays.features)
-        out.append(compared._replace(sky_sd=shown and shown.sd))
+        under_sky = arrays if shown is None else arrays.under(shown)
+        out.append(_compared(under_sky, kernel, arrays.features))
         if physics is not None and sunlight is not None and perez is not None:
-            under = perez
-            if shown is not None:
-                under = physics.luminance(light, sunlight, seen, shown.luminance_cdm2)
+            under = perez if shown is None else physics.luminance(light, sunlight, seen, shown)
             lit = replace(under_sky, computed=computed_light(under_sky, under, perez))
             out.append(out[-1]._replace(arrays=lit))
     return out

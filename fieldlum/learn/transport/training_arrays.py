@@ -22,7 +22,6 @@ from fieldlum.optics.projection import equirect_rays, equirect_solid_angles
 from fieldlum.sky.daylight import Light
 from fieldlum.sky.daylight_kernel import LAMP_LX, Facades, Features, facades_of, light_features
 from fieldlum.sky.perez import reinhart_patches
-from fieldlum.sky.sun_disc import add_source
 
 if TYPE_CHECKING:
     from fieldlum.learn.models.training_data import Dataset
@@ -216,7 +215,7 @@ class TrainingArrays:
 
     luminance: captured [n, P] cd/m2; patch: luminance of sun patches [n, P] cd/m2, None if they are
     not used; sky: light of the sky through windows [n, P] cd/m2; filled: values without weight,
-    where the sun's disc was removed, a blind may hide a patch, or merge flagged [n, P]; trust:
+    where a blind may hide a patch, or merge flagged [n, P]; trust:
     weight of each value by irradiance, flags, uncertainty and nearness to the edge of a sun patch,
     0 to 1 [n, P]; weights: solid angles [P]; unsure: relative variance of the irradiance
     (`light_variance`) [n]; computed: light of the stated room, None if it is not used.
@@ -242,6 +241,11 @@ class TrainingArrays:
         """Weight of each hour, [n]: 1 for exact irradiance, less if unsteady or unmeasured."""
         return weight_of_variance(self.unsure)
 
+    def under(self, sky_cdm2: Floats32) -> TrainingArrays:
+        """Return the arrays with the features of other skies than Perez's, [n, 2305] cd/m2."""
+        sky = self.light.sky_features(sky_cdm2)
+        return replace(self, features=replace(self.features, sky=sky))
+
     def __getitem__(self, pixels: Indices | slice) -> TrainingArrays:
         """Return the arrays of some pixels."""
         names = ("luminance", "patch", "sky", "filled", "trust", "weights")
@@ -263,7 +267,7 @@ def training_arrays_of(data: Dataset, *, with_patch: bool) -> TrainingArrays:
     open_sky = open_sky_from_captures(luminance, patch, light, rays)
     sky = np.zeros(luminance.shape, np.float32)
     sky[:, open_sky.index] = open_sky.luminance(light)
-    filled = around_disc(data)[:, data.seen] | _patches_unknown(data)[:, data.seen]
+    filled = _patches_unknown(data)[:, data.seen]
     unsure = light_variance(data)
     trust = np.where(filled, 0.0, weight_of_variance(unsure)[:, None])
     if data.counts is not None:
@@ -297,19 +301,6 @@ def _patches_unknown(data: Dataset) -> Mask:
     rows = np.flatnonzero([bool(cover_state(text)) for text in data.light.states])
     out[rows] = data.patch_cdm2[rows] > 0.02 * data.luminance_cdm2[rows]
     return out
-
-
-def around_disc(data: Dataset) -> Mask:
-    """Return a mask [n, H, W], True at pixels from which the visible sun disc was removed.
-
-    It includes a margin of two pixels; hours without a visible disc have no such pixel.
-    """
-    from scipy.ndimage import maximum_filter
-
-    place = data.light.apparent_altitude_deg, data.light.sun_azimuth_deg
-    discs = np.zeros(data.luminance_cdm2.shape, np.float32)
-    discs = add_source(discs, place, data.disc_lx, data.heading_deg) > 0.0
-    return maximum_filter(discs, (1, 5, 5), mode=("nearest", "nearest", "wrap"))  # pyright: ignore
 
 
 def slip_variance(patch: Floats, seen: Mask, dark: Floats, slip_deg: float) -> Floats:
@@ -352,8 +343,8 @@ def pixel_scale(arrays: TrainingArrays, per: Floats | None = None) -> Array:
 
     arrays: of n captures. The result is a geometric mean over the hours in which at most half of
     the pixel's luminance is window sky and at most 30 % is sun patch. per: luminance [n, P] cd/m2
-    to divide by instead of the total light, None for the total light. A pixel with one or two such
-    hours is limited to the range of the other pixels; a pixel without such hours gets their median.
+    to divide by instead of the total light, None for the total light. A pixel without such hours
+    gets the median of the others.
     """
     total = arrays.light.total_lx[:, None] if per is None else per
     luminance = np.maximum(arrays.luminance, MIN_CDM2)
@@ -364,11 +355,7 @@ def pixel_scale(arrays: TrainingArrays, per: Floats | None = None) -> Array:
     logs = np.log(np.maximum(luminance - direct, 0.02 * luminance) / total)
     count = unlit.sum(axis=0)
     mean = np.where(unlit, logs, 0.0).sum(axis=0) / np.maximum(count, 1)
-    many = count >= 3
-    if not many.any():
-        return np.exp(np.where(count > 0, mean, np.median(logs)))
-    low, middle, high = np.percentile(mean[many], (1, 50, 99))
-    return np.exp(np.where(many, mean, np.where(count > 0, np.clip(mean, low, high), middle)))
+    return np.exp(np.where(count > 0, mean, np.median(mean[count > 0] if count.any() else logs)))
 
 
 def computed_light(
@@ -397,23 +384,7 @@ def computed_light(
 WIDTH, NOISE_SHARE = 0.3, 0.2
 
 
-@dataclass(frozen=True, slots=True)
-class SeenSky:
-    """The skies of n captures, estimated from what their windows show.
-
-    luminance_cdm2: of the Reinhart sky patches [n, 2305]; sd: standard deviation of the ln of the
-    ratio to Perez's skies.
-    """
-
-    luminance_cdm2: Floats32
-    sd: float
-
-    def features(self, arrays: TrainingArrays) -> Features:
-        """Return the features of n captures, with these skies [n, 2305] instead of Perez's."""
-        return replace(arrays.features, sky=arrays.light.sky_features(self.luminance_cdm2))
-
-
-def seen_sky(arrays: TrainingArrays) -> SeenSky | None:
+def seen_sky(arrays: TrainingArrays) -> Floats32 | None:
     """Return the sky of each of n captures, estimated from its window pixels, [n, 2305] cd/m2.
 
     Return None without window pixels, or if the skies differ from Perez's by under 5 % (rms). A
@@ -423,17 +394,16 @@ def seen_sky(arrays: TrainingArrays) -> SeenSky | None:
     """
     ratios, directions = _patch_ratios(arrays)  # [n, k], [k, 3]
     finite = ratios[np.isfinite(ratios)]
-    sd = float(np.sqrt((finite**2).mean())) if len(finite) else 0.0
     # Any cloud changes the sky by more than 5 % (rms).
-    if sd < 0.05:
+    if not len(finite) or (finite**2).mean() < 0.05**2:
         return None
     patches = reinhart_patches()
-    factor = np.exp(_interpolated(sd, ratios, directions, patches.directions))  # [n, 2305]
+    factor = np.exp(_interpolated(ratios, directions, patches.directions))  # [n, 2305]
     perez = arrays.light.sky_cdm2
     horizontal = patches.solid_angles_sr * patches.directions[:, 2]  # [2305] sr
     sky = perez * factor
     kept = (perez @ horizontal) / np.maximum(sky @ horizontal, MIN_CDM2)  # [n]
-    return SeenSky((sky * kept[:, None]).astype(np.float32), sd)
+    return (sky * kept[:, None]).astype(np.float32)
 
 
 def _patch_ratios(arrays: TrainingArrays) -> tuple[Array, Array]:
@@ -468,18 +438,16 @@ def _patch_ratios(arrays: TrainingArrays) -> tuple[Array, Array]:
     return means[:, used], everywhere[names[used]]
 
 
-def _interpolated(sd: float, ratios: Array, directions: Array, wanted: Array) -> Array:
+def _interpolated(ratios: Array, directions: Array, wanted: Array) -> Array:
     """Return the ln ratio to expect in the directions `wanted` [m, 3], for n captures, [n, m].
 
     ratios: ln of seen over usual luminance [n, k], NaN where a capture does not show the patch;
-    directions: unit vectors of these patches [k, 3]. The ratio is taken for a Gaussian field with
-    the standard deviation `sd`, smooth in direction.
+    directions: unit vectors of these patches [k, 3]. The ratio is taken for a Gaussian field that
+    is smooth in direction.
     """
     shown = np.isfinite(ratios)  # [n, k]
-    own, cross = (
-        sd**2 * np.exp((directions @ b.T - 1.0) / WIDTH**2) for b in (directions, wanted)
-    )  # [k, k], [k, m]
-    noise = np.where(shown, (NOISE_SHARE * sd) ** 2, 1e6)  # [n, k]
+    own, cross = (np.exp((directions @ b.T - 1.0) / WIDTH**2) for b in (directions, wanted))
+    noise = np.where(shown, NOISE_SHARE**2, 1e6)  # [n, k]
     covariance = own + noise[:, :, None] * np.eye(len(directions))
     weights = np.linalg.solve(covariance, np.where(shown, ratios, 0.0)[:, :, None])[:, :, 0]
     return weights @ cross

@@ -94,8 +94,7 @@ whose truth is within the model's 90 % interval.
 ScoreRow = ScoreFigures
 """One model in `train --json`: ScoreFigures, name, seed and costs.
 
-fit_s, fit_cpu_s: seconds to fit; n_train: number of maps in training; folds: number of tests;
-not_judged_because: None; earlier versions had a reason for missing figures.
+fit_s, fit_cpu_s: seconds to fit; n_train: number of maps in training; folds: number of tests.
 """
 TrainAnswer = dict[str, Any]
 """The object that `train --json` prints: the keys of `ScoresFile`, and whether it was `kept`."""
