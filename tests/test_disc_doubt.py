@@ -57,7 +57,7 @@ def test_analytic_another_disc_changes_dgp_as_glare_directions_does() -> None:
     found = glare_directions(maps, views, suns, first)
     wanted = glare_directions(maps, views, suns, second)
     np.testing.assert_allclose(
-        dgp(*with_disc(found, sun_per_lx(suns, views), second)), wanted["dgp"], rtol=1e-6
+        dgp(*with_disc(found, (sun_per_lx(suns, views), second))), wanted["dgp"], rtol=1e-6
     )
 
 

@@ -15,7 +15,7 @@ from fieldlum.calibrate import colour
 from fieldlum.calibrate.fit_charts import Place
 from fieldlum.cli import main
 from fieldlum.core.errors import InputError
-from fieldlum.core.records import Exposure, Panorama, SunSource
+from fieldlum.core.records import Exposure, Panorama, SiteFile, Slot, SunSource
 from fieldlum.merge.bracket import floating_white_balance
 from fieldlum.merge.shots import Shot
 from fieldlum.optics.images import RADIANCE_CHROMATICITIES, rgb_to_xyz, write_panorama
@@ -37,8 +37,12 @@ from fieldlum.optics.melanopic import (
 from fieldlum.optics.profiles import Colour, check_camera
 from fieldlum.optics.projection import direction
 from fieldlum.optics.raw.writing import write_jpeg
+from fieldlum.report.view import read_measured_picture
 from fieldlum.room.scene.radiance import octree
+from fieldlum.session import create_session, mark_slot
 from fieldlum.sky.daylight import light_at
+from fieldlum.year.glare.picture_glare import picture_glare
+from fieldlum.year.glare.uncertainty_budget import budget_of_file
 
 # X, Y, Z of D65 and of illuminant A (CIE 015:2018, table 7), and their ratios by CIE S 026.
 D65, A = np.array([0.9504, 1.0, 1.0888]), np.array([1.0985, 1.0, 0.3558])
@@ -118,14 +122,37 @@ def test_edi_of_a_uniform_room_with_a_sun() -> None:
     of_map = picture, np.full(128, 100.0), weights
     edi, u = melanopic_edi(*of_map, sun, np.array([1000.0]), lamps=False)
     expected = 100.0 * np.pi + 1000.0 * sun_melanopic_ratio(30.0)
-    assert edi == pytest.approx(expected, rel=0.005) and u is not None
+    assert edi == pytest.approx(expected, rel=0.005)
     u_map = 100.0 * np.pi * np.hypot(0.03, 0.03)
     assert u[0] == pytest.approx(np.hypot(u_map, 0.07 * 1000 * sun_melanopic_ratio(30.0)), rel=0.02)
     lit, _ = melanopic_edi(*of_map, None, np.zeros(1), lamps=True)
     assert lit == pytest.approx(LAMP_RATIO * 100.0 * np.pi, rel=0.005)  # of 208 LED, in the mean
     plain = replace(picture, attributes={})
     edi, u = melanopic_edi(plain, np.full(128, 100.0), weights, None, np.zeros(1))
-    assert edi == pytest.approx(100.0 * np.pi) and u is None
+    assert edi == pytest.approx(100.0 * np.pi) and np.isnan(u).all()
+
+
+@pytest.mark.contract
+def test_a_lamp_that_is_marked_counts_in_glare_and_view(tmp_path: Path) -> None:
+    when = datetime(2027, 3, 20, 17, tzinfo=UTC)
+    slots = [Slot(when, 30.0, 170.0, ())]
+    session = create_session(tmp_path / "s", SiteFile(SEATTLE), slots, {})
+    session.panoramas.mkdir()
+    path = session.panorama(slots[0].id)
+    write_panorama(path, coloured(D65))
+    (lit,), (unlit,), (unknown,) = (
+        picture_glare(path, [180.0], lamps=lamps)["views"] for lamps in (True, False, None)
+    )
+    assert lit["melanopic_edi_lx"] < unknown["melanopic_edi_lx"]
+    mark_slot(session, slots[0].id, "lamp=on")
+    assert picture_glare(path, [180.0])["views"] == [lit]
+    assert picture_glare(path, [180.0], lamps=False)["views"] == [unlit]
+    assert f"m-EDI {lit['melanopic_edi_lx']:.0f} " in read_measured_picture(path).figures
+    (stated,), (marked,) = (
+        [row.u for row in budget_of_file(path, [180.0], lamps) if row.figure == "melanopic EDI"]
+        for lamps in (True, None)
+    )
+    assert marked == stated
 
 
 @pytest.mark.property

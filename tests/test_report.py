@@ -106,7 +106,7 @@ def test_every_picture_has_words(page: Path) -> None:
     text = page.read_text("utf-8")
     pictures = re.findall(r"<img [^>]*>", text)
     assert pictures and all(re.search(r'alt="[^"]{10,}"', tag) for tag in pictures)
-    assert text.count('role="img"') == len(re.findall(r'role="img" aria-label="[^"]{10,}"', text))
+    assert text.count('role="img"') == len(re.findall(r'role="img"\saria-label="[^"]{10,}"', text))
     assert '<html lang="en">' in text
 
 
@@ -132,7 +132,7 @@ def test_a_model_without_held_out_maps_shows_its_scores(tmp_path: Path) -> None:
     """As models of 0.1.0 and trials that were too short."""
     row = {"name": "mean", "median": 0.04, "worst": 0.09, "n_test": 1}
     text = annual_page.accuracy_section(None, ScoresFile((row,), "mean")).text
-    assert "1 held-out map," in text and "1.58" in text and "train it again" in text
+    assert "1 held-out map," in text and "1.58" in text
     short = annual_page.accuracy_section(
         None, ScoresFile(({"name": "mean", "median": None},), "mean")
     )
@@ -151,7 +151,7 @@ def test_the_plot_comes_before_the_warnings() -> None:
     """Above it, three of them filled the first screen of a laptop."""
     from fieldlum.report.page import Figure, Page, render
 
-    text = render(Page("place", "a", "b", (), (), ["Look."], Figure("<svg></svg>", "spoken", "c")))
+    text = render(Page("place", "a", "b", (), (), ["Look."], Figure("<svg></svg>", "c", "spoken")))
     assert text.index('class="answer"') < text.index("<svg>") < text.index("Look.")
 
 

@@ -39,7 +39,7 @@ def room(sun: SunSource | None = None) -> Panorama:
 
 
 def budget(panorama: Panorama, figure: str, u_heading_deg: float = 1.0) -> Budget:
-    budgets = picture_budget(panorama, Path("room"), [180.0], u_heading_deg)
+    budgets = picture_budget(Picture(panorama, None), Path("room"), [180.0], u_heading_deg)
     return next(b for b in budgets if b.figure == figure)
 
 
@@ -101,9 +101,9 @@ def test_the_budget_of_melanopic_light_with_a_sun_has_the_u_that_glare_states() 
     edi = budget(scene, "melanopic EDI", u_heading_deg=0.0)
     assert edi.estimate == pytest.approx(view["melanopic_edi_lx"], rel=1e-4)
     assert edi.u == pytest.approx(view["u_melanopic_edi_lx"], rel=0.02)
-    answer, _ = glare_answer(Picture(scene, None), Path("room"), [180.0], lamps=True)
+    answer, _ = glare_answer(Picture(scene, None, lamps=True), Path("room"), [180.0])
     (lit,) = answer["views"]
-    edi = picture_budget(scene, Path("room"), [180.0], 0.0, lamps=True)[2]
+    edi = picture_budget(Picture(scene, None, lamps=True), Path("room"), [180.0], 0.0)[2]
     assert edi.estimate == pytest.approx(lit["melanopic_edi_lx"], rel=1e-4)
     assert edi.u == pytest.approx(lit["u_melanopic_edi_lx"], rel=0.02)
 

@@ -41,6 +41,8 @@ from fieldlum.session import (
     read_journal,
     update_session,
 )
+from fieldlum.session.files.model_files import ModelConfig, TrainingNote
+from fieldlum.session.files.predict_json import DirectionYear, PredictFile, YearWeather
 from fieldlum.session.files.sidecar import Sidecar
 from fieldlum.web.prediction_so_far import Moment, Worker, answer_table
 from fieldlum.web.server import Guard, _table, prepare, qr_lines
@@ -95,9 +97,7 @@ def _session(folder: Path) -> Session:
         ghi = 5000.0 if k == 20 else 300.0 + k
         days.append(IrradianceSample(t, ghi_wm2=ghi, dhi_wm2=100.0, dni_wm2=400.0, status=status))
     days.close()
-    (session.root / "watch").mkdir()
-    answer = json.dumps(_answer(0.36, 12))
-    (session.root / "watch" / "answer.json").write_text(answer, encoding="utf-8")
+    _write_answer(session)
     return session
 
 
@@ -364,9 +364,10 @@ def test_what_a_camera_says_about_itself_does_not_stop_the_page(
 @pytest.mark.contract
 def test_an_answer_that_no_page_can_show_is_said(tmp_path: Path) -> None:
     session = make_session(tmp_path / "s")
-    (session.root / "watch").mkdir()
-    answer = '{"t_utc": "2027-03-20T06:00:00Z", "captures": NaN}'
-    (session.root / "watch" / "answer.json").write_text(answer)
+    _write_answer(session)
+    path = session.root / "watch" / "annual" / "predict.json"
+    path.with_name("predict.json.sha256").unlink()
+    path.write_text(path.read_text("utf-8").replace("0.41", "NaN"), "utf-8")
     assert _table(lambda: answer_table(session, None)).status_code == 503
 
 
@@ -423,7 +424,8 @@ def test_a_step_is_stopped_while_a_slot_is_near(tmp_path: Path) -> None:
     """The step writes numbers; while a bracket is taken it has the state T and writes nothing."""
     plain = make_session(tmp_path / "s")
     code = (
-        "import time, os\nfor k in range(40):\n print(k, os.nice(0), flush=True)\n time.sleep(.05)"
+        "import sys, time, os\n"
+        "for k in range(40):\n print(k, os.nice(0), file=sys.stderr)\n time.sleep(.05)"
     )
     near = [False]
     worker = Worker(
@@ -434,7 +436,7 @@ def test_a_step_is_stopped_while_a_slot_is_near(tmp_path: Path) -> None:
     )
     good: list[bool] = []
     thread = threading.Thread(target=lambda: good.append(worker._run("merge")))
-    out = worker.folder / "merge.out"
+    out = worker.folder / "merge.err"
     thread.start()
     _until(lambda: out.is_file() and len(out.read_text().splitlines()) > 3)
     near[0] = True
@@ -453,9 +455,7 @@ def test_a_step_is_stopped_while_a_slot_is_near(tmp_path: Path) -> None:
 @pytest.mark.contract
 def test_steps_run_once_for_new_captures_and_their_faults_are_named(tmp_path: Path) -> None:
     plain = make_session(tmp_path / "s")
-    code = (
-        "import sys; print(sys.argv[1]); sys.exit('pair: no light' if sys.argv[1] == 'pair' else 0)"
-    )
+    code = "import sys; sys.exit('pair: no light' if sys.argv[1] == 'pair' else 0)"
     moments = [Moment(False, 9), Moment(True, 0), Moment(True, 9)]
     worker = Worker(plain, lambda: moments[0], program=(sys.executable, "-c", code))
     for _ in range(2):
@@ -464,9 +464,9 @@ def test_steps_run_once_for_new_captures_and_their_faults_are_named(tmp_path: Pa
         moments.pop(0)
     worker.work()
     assert worker.problem == "pair: no light"
-    (worker.folder / "merge.out").unlink()
+    (worker.folder / "merge.err").unlink()
     worker.work()
-    assert not (worker.folder / "merge.out").exists()
+    assert not (worker.folder / "merge.err").exists()
     assert answer_table(plain, worker)["last"] is None
 
 
@@ -477,10 +477,10 @@ def test_new_brackets_are_merged_as_the_user_merged_the_others(tmp_path: Path) -
     inputs = {"height": 115, "fit": False}
     plain.panoramas.mkdir()
     Sidecar(plain.slots()[0].id, inputs=inputs).write(plain.sidecar(plain.slots()[0].id))
-    code = "import sys; print(*sys.argv[1:])"
+    code = "import sys; print(*sys.argv[1:], file=sys.stderr)"
     worker = Worker(plain, lambda: Moment(True, 1), program=(sys.executable, "-c", code))
     worker.work()
-    said = (worker.folder / "merge.out").read_text().split()
+    said = (worker.folder / "merge.err").read_text().split()
     assert said[4:] == ["--size", "230x115", "--no-fit"]
 
 
@@ -491,27 +491,24 @@ def _until(true: Callable[[], bool]) -> None:
         time.sleep(0.02)
 
 
-def _answer(dgp: float, captures: int) -> dict[str, Any]:
-    rows = [
-        {
-            "azimuth_deg": az,
-            "class": "medium",
-            "certain": certain,
-            "seen": "seen",
-            "dgp_exceeded": value,
-            "low": None if value is None else value - 0.02,
-            "high": None if value is None else value + 0.02,
-        }
-        for az, certain, value in ((0.0, True, dgp), (180.0, False, 0.41), (270.0, False, None))
-    ]
-    return {
-        "t_utc": "2027-03-21T02:00:00Z",
-        "captures": captures,
-        "weather": HOSTILE,
-        "synthetic": True,
-        "warnings": [HOSTILE],
-        "protection": rows,
-    }
+def _write_answer(session: Session) -> None:
+    figures = ((0.0, True, 0.36), (180.0, False, 0.41), (270.0, False, None))
+    rows = (
+        DirectionYear(
+            azimuth,
+            "medium",
+            certain=certain,
+            dgp_exceeded=value,
+            low=None if value is None else value - 0.02,
+            high=None if value is None else value + 0.02,
+        )
+        for azimuth, certain, value in figures
+    )
+    year = PredictFile(weather=YearWeather(HOSTILE, True), notes=(HOSTILE,), protection=tuple(rows))
+    note = TrainingNote(slots=tuple(map(str, range(12))))
+    for folder, file in (("annual", year), ("model", ModelConfig("transport", training=note))):
+        (session.root / "watch" / folder).mkdir(parents=True)
+        file.write(session.root / "watch" / folder)
 
 
 # ----------------------------------------------------------------------------------------------

@@ -123,13 +123,8 @@ def _stress(loaded: BenchData) -> list[JsonTable]:
 # Liu et al. 2020, Table 1 and section 5: training 30 min, 0.1 s for a map, log10 MSE 9.54e-3.
 PAPER_LABEL = "published: dense, even 200, own rendering, GTX 1080 Ti"
 PAPER = {"fit_cpu_s": 1800.0, "predict_cpu_s_per_map": 0.1, "error": 9.54e-3}
-COLOURS = {
-    "mean": "#9aa0a6",
-    "nearest": "#6b7280",
-    "transport": "#0b6e99",
-    "dense": "#c2410c",
-    "Radiance": "#4d7c0f",
-}
+COLOURS = {"mean": "#9aa0a6", "nearest": "#6b7280", "transport": "#0b6e99"}
+COLOURS |= {"dense": "#c2410c", "Radiance": "#4d7c0f"}
 
 
 def _colour(name: str) -> str:
@@ -139,11 +134,8 @@ def _colour(name: str) -> str:
 def pareto(points: Sequence[tuple[float, float]]) -> list[int]:
     """Return the indices of the points (x, y) on the Pareto front, by rising x and falling y."""
     order = sorted(range(len(points)), key=lambda k: points[k])
-    front: list[int] = []
-    for k in order:
-        if not front or points[k][1] < points[front[-1]][1]:
-            front.append(k)
-    return front
+    lowest = np.minimum.accumulate([np.inf, *(points[k][1] for k in order)])
+    return [k for k, low in zip(order, lowest, strict=False) if points[k][1] < low]
 
 
 def speed_accuracy(path: Path, rows: Sequence[Mapping[str, Any]], machine: str) -> None:

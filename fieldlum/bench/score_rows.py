@@ -26,13 +26,8 @@ from fieldlum.room.scene.radiance import octree, rad_text, sun_text, trace
 
 # The errors that every table of the benchmarks has, as named by `models.scores.summary`.
 ERRORS = (
-    "log10_mse_weighted",
-    "rer_weighted",
-    "paper_log10_mse",
-    "paper_rer",
-    "dgp_mse",
-    "dgp_mse_own_disc",
-    "rammg_mse",
+    *("log10_mse_weighted", "rer_weighted", "paper_log10_mse", "paper_rer"),
+    *("dgp_mse", "dgp_mse_own_disc", "rammg_mse"),
 )
 
 
@@ -120,9 +115,8 @@ def without_training_hours(test: Dataset, train: Dataset, *folders: Path) -> Dat
 
     Raises NotEnoughDataError if no hour remains.
     """
-    training_slots = set(train.slots).union(
-        *(models.read_config(folder).training.slots for folder in folders)
-    )
+    trained = (models.read_config(folder).training.slots for folder in folders)
+    training_slots = set(train.slots).union(*trained)
     fresh = np.array([slot not in training_slots for slot in test.slots])
     if not fresh.any():
         found = "every test hour is also a training hour; use other test hours"
@@ -149,23 +143,11 @@ def score_row(
         trial = evaluate_folds(spec.name, data, folds, patch=patch, seed=seed, budget_s=budget_s)
     else:
         fitted, spent, count = _fitted(spec, data, patch, seed, budget_s)
-        trial = Trial(
-            name=spec.name,
-            scores=evaluate(fitted, test),
-            fit_s=spent.wall_s,
-            fit_cpu_s=spent.cpu_s,
-            n_train=count,
-            folds=0,
-        )
-    row = {
-        "name": spec.label,
-        "fit_s": trial.fit_s,
-        "fit_cpu_s": trial.fit_cpu_s,
-        "n_train": trial.n_train,
-        "seed": seed,
-        "patch": patch,
-        **summary(trial.scores),
-    }
+        times = {"fit_s": spent.wall_s, "fit_cpu_s": spent.cpu_s}
+        scores = evaluate(fitted, test)
+        trial = Trial(name=spec.name, scores=scores, n_train=count, folds=0, **times)
+    row = {"name": spec.label, "fit_s": trial.fit_s, "fit_cpu_s": trial.fit_cpu_s}
+    row |= {"n_train": trial.n_train, "seed": seed, "patch": patch, **summary(trial.scores)}
     return row, replace(trial, name=spec.label)
 
 
@@ -202,22 +184,17 @@ def radiance_row(data: Dataset, hours: int) -> dict[str, object] | None:
     rays = scene.to_room(equirect_rays(height, width, data.heading_deg).reshape(-1, 3))
     order = np.argsort(data.light.total_lx)[len(data) // 2 :]
     chosen = order[np.unique(np.linspace(0, len(order) - 1, hours).round().astype(int))]
-    seconds: list[float] = []
-    cpu_s: list[float] = []
+    times = []
     for k, hour in enumerate(chosen):
         progress(k, len(chosen), "Radiance rendering")
         light = data.light[[hour]]
         level = max(float(light.diffuse_lx[0]), 1.0) / 179.0 / np.pi
-        sky = (
-            f"void glow skyglow\n0\n0\n4 {level:.6g} {level:.6g} {level:.6g} 0\nskyglow source "
-            f"sky\n0\n0\n4 0 0 1 180\n"
-        )
+        sky = f"void glow skyglow\n0\n0\n4 {level:.6g} {level:.6g} {level:.6g} 0\n"
+        sky += "skyglow source sky\n0\n0\n4 0 0 1 180\n"
         sun = sun_text(scene.to_room(light.apparent_sun_direction)[0], float(light.direct_lx[0]))
         with octree(rad_text(scene), sky, sun) as tree:
             start_s, busy_s = time.monotonic(), sum(os.times()[2:4])  # of children
             trace(tree, np.array(scene.camera_m), rays, PAPER_OPTIONS)
-            cpu_s.append(sum(os.times()[2:4]) - busy_s)
-            seconds.append(time.monotonic() - start_s)
-    times = {"predict_s_per_map": seconds, "predict_cpu_s_per_map": cpu_s}
-    means = {name: float(np.mean(values)) for name, values in times.items()}
-    return {"name": "Radiance -ab 4", **dict.fromkeys(ERRORS), **means, "n_test": len(seconds)}
+            times.append((time.monotonic() - start_s, sum(os.times()[2:4]) - busy_s))
+    mean = zip(("predict_s_per_map", "predict_cpu_s_per_map"), np.mean(times, axis=0), strict=True)
+    return {"name": "Radiance -ab 4", **dict.fromkeys(ERRORS), **dict(mean), "n_test": len(times)}

@@ -71,7 +71,7 @@ def melanopic_edi(
     sun_ev_lx: Floats,
     *,
     lamps: bool | None = None,
-) -> tuple[Floats, Floats | None]:
+) -> tuple[Floats, Floats]:
     """Return melanopic EDI and its standard uncertainty in d view directions, [d] each, in lx.
 
     luminance_cdm2 : of the pixels, flat [n], without the sun. weights_sr [n, d] : solid angle times
@@ -79,12 +79,12 @@ def melanopic_edi(
     lamps : electric light is on, or off; None if unknown. With it the map's part is `LAMP_RATIO` of
     that by colour, because the spectra of most LED have a gap at 480 nm. Without calibrated colour
     the first result is the illuminance, an estimate with the spectrum of D65, and the second is
-    None. Errors of all pixels count as equal in sign.
+    NaN. Errors of all pixels count as equal in sign.
     """
     map_lx = luminance_cdm2 @ weights_sr
     colour = melanopic_ratio(panorama)
     if colour is None:
-        return map_lx + sun_ev_lx, None
+        return map_lx + sun_ev_lx, np.full_like(map_lx, np.nan)
     edi = (luminance_cdm2 * colour[0].ravel()) @ weights_sr * (LAMP_RATIO if lamps else 1.0)
     own_lx, u = panorama.luminance_cdm2.ravel() @ weights_sr, panorama.u_cdm2
     u_map = np.nan if u is None else np.nan_to_num(u.ravel()) @ weights_sr

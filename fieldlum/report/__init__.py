@@ -52,26 +52,22 @@ def _page(session: Session, year: Annual | None) -> str:
 def _facts(
     site: Site, model: Path | None, year: Annual | None, pairs: PairsFile
 ) -> list[tuple[str, str]]:
-    captures, facts = len(pairs.usable), []
+    facts = {"place": f"{site.latitude_deg:.2f}, {site.longitude_deg:.2f}"}
+    facts["captures used"] = f"{len(pairs.usable)}"
     if model is not None:
         config = read_config(model)
-        # training leaves out what it cannot use
-        captures = len(config.training.slots) or captures
-        facts = [("model", config.model)]
-    place = f"{site.latitude_deg:.2f}, {site.longitude_deg:.2f}"
-    facts = [("place", place), ("captures used", f"{captures}"), *facts]
-    if year is None:
-        return facts
-    summary = year.summary
-    unsure = summary.occupancy.unsure_share
-    unsure = summary.occupancy.untrusted_share if unsure is None else unsure
-    return [
-        *facts,
-        ("hours predicted", f"{summary.hours}"),
-        ("weather", summary.weather.name),
-        ("occupied hours the model is sure of", f"{100 * (1 - unsure):.0f} %"),
-        ("sun's disc by", summary.disc_from),
-    ]
+        facts["model"] = config.model
+        if slots := config.training.slots:  # training leaves out what it cannot use
+            facts["captures used"] = f"{len(slots)}"
+    if year is not None:
+        summary, occupancy = year.summary, year.summary.occupancy
+        unsure = occupancy.unsure_share
+        unsure = occupancy.untrusted_share if unsure is None else unsure
+        facts["hours predicted"] = f"{summary.hours}"
+        facts["weather"] = summary.weather.name
+        facts["occupied hours the model is sure of"] = f"{100 * (1 - unsure):.0f} %"
+        facts["sun's disc by"] = summary.disc_from
+    return list(facts.items())
 
 
 # ----------------------------------------------------------------------------------------------
@@ -86,10 +82,8 @@ def run(session: Session, out: Path | None = None, *, for_assessor: bool = False
     that cannot be read, and for an assessor also without a predicted year.
     """
     if not session.pairs.is_file():
-        raise NotEnoughDataError(
-            f"{session.root}: no pairs.csv, because no bracket was paired yet; run fieldlum merge "
-            "and fieldlum pair first"
-        )
+        remedy = "run fieldlum merge and fieldlum pair first"
+        raise NotEnoughDataError(f"{session.root}: no bracket was paired yet; {remedy}")
     folder, year = out or session.report, newest_annual(session)
     remove_scraps(folder)
     page = folder / ("assessor.html" if for_assessor else "index.html")

@@ -41,10 +41,8 @@ def _requirements(annual: Annual, zone: str) -> Table:
     classes = ", ".join(f"{direction_name(row.azimuth_deg)} {class_name(row)}" for row in decided)
     found = f"decided in {len(decided)} of {len(directions)} directions: {classes or 'none'}"
     answers = [text for text in sections.disturbed(annual) if text != "–"]
-    sdg = (
-        f"{answers.count('yes')} of {len(answers)} directions are disturbed, "
-        f"{answers.count('cannot tell')} cannot be decided"
-    )
+    yes, unknown = (answers.count(word) for word in ("yes", "cannot tell"))
+    sdg = f"{yes} of {len(answers)} directions are disturbed, {unknown} cannot be decided"
     edi = well = "cannot tell: no melanopic colour was measured"
     if sections.has_melanopic(annual):
         each = zip(sections.melanopic_shares(annual, zone), annual.judged, strict=True)
@@ -55,45 +53,39 @@ def _requirements(annual: Annual, zone: str) -> Table:
         well = f"best direction: {', '.join(days)}"
     words = {"found": found, "sdg": sdg, "edi": edi, "well": well, "hours": len(annual)}
     text = Path(__file__).with_name("requirements.toml").read_text(encoding="utf-8")
-    rows = [
-        [row[key].format(**words) for key in ("requirement", "asks", "found", "missing")]
-        for row in tomllib.loads(text)["row"]
-    ]
+    keys = ("requirement", "asks", "found", "missing")
+    rows = [[row[key].format(**words) for key in keys] for row in tomllib.loads(text)["row"]]
     head = ("requirement", "what it asks", "what was found", "what is missing")
     return Table(head, rows, words=True)
 
 
 def _instruments(session: Session, setup: SiteFile) -> Table:
-    meter = setup.pyranometer
-    try:
-        path = profiles.find_camera_profile(setup.camera.profile)
-        camera = profiles.load_camera_profile(path)
-        rows = [*_camera_rows(camera), ("profile, sha256", sha256(path))]
-    except InputError as error:
-        rows = [("camera", f"cannot tell: {error}")]
-    zone = ZoneInfo(setup.site.timezone)
+    meter, zone = setup.pyranometer, ZoneInfo(setup.site.timezone)
     times = sorted(row.t_utc.astimezone(zone) for row in PairsFile.find(session.pairs).usable)
     span = f", {times[0]:%d %B %Y} to {times[-1]:%d %B %Y}" if times else ""
-    rows += [
-        ("pyranometer", f"{meter.kind or 'not stated'} {meter.profile}".strip()),
-        ("pyranometer, calibration", "state the date of its certificate here: ________"),
-        ("camera's place", f"{setup.camera.height_m:g} m above the floor"),
-        ("captures used", f"{len(times)}{span}"),
-    ]
-    return Table(_ITEMS, rows, "Instruments and calibrations", words=True)
-
-
-def _camera_rows(profile: profiles.CameraProfile) -> list[tuple[str, str]]:
-    camera, colour = profile.camera, profile.colour
-    melanopic = f"{100 * colour.melanopic_u_rel:.1f} %" if colour.melanopic_from_rgb else "none"
-    origin = profile.provenance.fitted_by or profile.provenance.source or "not stated"
-    return [
-        ("camera", f"{camera.name} ({camera.make} {camera.model})"),
-        ("camera, calibrated", f"{camera.date or 'no date'}, by {origin}"),
-        ("camera, valid until", profile.expires or "not stated"),
-        ("luminance scale, standard uncertainty", f"{100 * profile.scale.u_rel:.1f} %"),
-        ("melanopic colour, standard uncertainty", melanopic),
-    ]
+    try:
+        path = profiles.find_camera_profile(setup.camera.profile)
+        profile = profiles.load_camera_profile(path)
+        camera, colour = profile.camera, profile.colour
+        melanopic = f"{100 * colour.melanopic_u_rel:.1f} %" if colour.melanopic_from_rgb else "none"
+        origin = profile.provenance.fitted_by or profile.provenance.source or "not stated"
+        rows = {
+            "camera": f"{camera.name} ({camera.make} {camera.model})",
+            "camera, calibrated": f"{camera.date or 'no date'}, by {origin}",
+            "camera, valid until": profile.expires or "not stated",
+            "luminance scale, standard uncertainty": f"{100 * profile.scale.u_rel:.1f} %",
+            "melanopic colour, standard uncertainty": melanopic,
+            "profile, sha256": sha256(path),
+        }
+    except InputError as error:
+        rows = {"camera": f"cannot tell: {error}"}
+    rows |= {
+        "pyranometer": f"{meter.kind or 'not stated'} {meter.profile}".strip(),
+        "pyranometer, calibration": "state the date of its certificate here: ________",
+        "camera's place": f"{setup.camera.height_m:g} m above the floor",
+        "captures used": f"{len(times)}{span}",
+    }
+    return Table(_ITEMS, tuple(rows.items()), "Instruments and calibrations", words=True)
 
 
 def assessor_page(session: Session, annual: Annual | None) -> str:
@@ -124,11 +116,9 @@ def assessor_page(session: Session, annual: Annual | None) -> str:
         Section("versions", "Versions and files", tables=(Table(_ITEMS, versions, words=True),)),
         Section("signatures", "Signatures", tables=(signatures,)),
     )
-    facts = (
-        ("place", f"{site.latitude_deg:.3f}, {site.longitude_deg:.3f}"),
-        ("written", f"{datetime.now(UTC):%d %B %Y}"),
-        ("occupied hours", f"{occupancy.hours}"),
-    )
+    place, today = f"{site.latitude_deg:.3f}, {site.longitude_deg:.3f}", datetime.now(UTC)
+    facts = [("place", place), ("written", f"{today:%d %B %Y}")]
+    facts.append(("occupied hours", f"{occupancy.hours}"))
     title = f"{site.name}: glare and daylight for an assessor"
     warnings, why = sections.warnings_of(session, annual), _CAUTION
     return render(Page(title, _SUBJECT, why, facts=facts, sections=shown, warnings=warnings))

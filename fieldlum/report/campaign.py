@@ -15,7 +15,7 @@ from fieldlum.core.records import counted
 from fieldlum.core.strict_toml import build, read_toml
 from fieldlum.report.page import Page, Section, Table, chip, direction_name, render
 from fieldlum.report.sections import exceeded_text
-from fieldlum.session import Session, open_session, write_file
+from fieldlum.session import open_session, write_file
 from fieldlum.session.codec import to_json, write_object
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.files.predict_json import DirectionYear, PredictFile
@@ -59,16 +59,13 @@ def read_campaign(path: Path) -> CampaignFile:
     tables = build(_Tables, read_toml(path), str(path))
     sessions: list[str] = []
     for number, stated in enumerate(tables.room, start=1):
-        where = f"{path} [[room]] {number}"
         own = {k: v for k, v in stated.items() if k not in _EARLIER}
-        session = build(_Room, own, where).session
-        if session in sessions:
-            found = f"session {session} occurs twice"
-            raise InputError(where, found, "each session once", "remove one of its tables")
-        sessions.append(session)
-    if not sessions:
-        expected = "a table [[room]] with session = FOLDER for each room"
-        raise InputError(path, "no [[room]]", expected, "add a table [[room]] for each room")
+        sessions.append(build(_Room, own, f"{path} [[room]] {number}").session)
+    twice = next((name for name in sessions if sessions.count(name) > 1), "")
+    if twice or not sessions:
+        found = f"session {twice} occurs twice" if twice else "no [[room]]"
+        expected = "one table [[room]] with session = FOLDER for each room"
+        raise InputError(path, found, expected, "correct the tables [[room]]")
     return CampaignFile(path, tables.name or path.stem, tuple(sessions))
 
 
@@ -100,32 +97,29 @@ class RoomOverview:
 
 def overview_of(folder: Path, name: str) -> RoomOverview:
     """Read the session `name` in a folder; after any error, `broken` states what is wrong."""
-    try:
-        return _read(open_session(folder / name), name)
-    except Exception as error:
-        defect = "" if isinstance(error, FieldlumError | OSError) else f"{type(error).__name__}: "
-        return RoomOverview(name, broken=defect + " ".join(str(error).split()))
-
-
-def _read(session: Session, name: str) -> RoomOverview:
     from fieldlum.capture.status import status
     from fieldlum.session.slot_states import slots_ahead
 
-    stages, pairs = status(session), PairsFile.find(session.pairs)
-    annual, capture = newest_annual(session), stages["capture"]
-    year = PredictFile() if annual is None else annual.summary
-    best, worst = best_and_worst(year.protection) or (None, None)
-    return RoomOverview(
-        name,
-        captured=capture["done"],
-        planned=stages["plan"]["slots"],
-        to_do=len(slots_ahead(session, datetime.now(UTC))),
-        usable=len(pairs.usable),
-        failed=capture["missed"] + capture["aborted"] + len(pairs.refused),
-        occupied_hours=year.occupancy.hours,
-        worst=worst,
-        best=best,
-    )
+    try:
+        session = open_session(folder / name)
+        stages, pairs = status(session), PairsFile.find(session.pairs)
+        annual, capture = newest_annual(session), stages["capture"]
+        year = PredictFile() if annual is None else annual.summary
+        best, worst = best_and_worst(year.protection) or (None, None)
+        return RoomOverview(
+            name,
+            captured=capture["done"],
+            planned=stages["plan"]["slots"],
+            to_do=len(slots_ahead(session, datetime.now(UTC))),
+            usable=len(pairs.usable),
+            failed=capture["missed"] + capture["aborted"] + len(pairs.refused),
+            occupied_hours=year.occupancy.hours,
+            worst=worst,
+            best=best,
+        )
+    except Exception as error:
+        defect = "" if isinstance(error, FieldlumError | OSError) else f"{type(error).__name__}: "
+        return RoomOverview(name, broken=defect + " ".join(str(error).split()))
 
 
 def write_overview(campaign: CampaignFile, out: Path) -> tuple[Path, list[RoomOverview]]:
@@ -147,12 +141,7 @@ def _page(name: str, rooms: Sequence[RoomOverview]) -> str:
     broken = [room for room in rooms if room.broken]
     judged = [room.worst for room in rooms if room.worst is not None]
     bad = sum(worst.glare_class == "none" for worst in judged)
-    answer = (
-        f"{counted(bad, 'room')} of {len(judged)} with a predicted year "
-        f"{'has' if bad == 1 else 'have'} a view direction without protection from glare."
-        if judged
-        else "No room has a predicted year yet."
-    )
+    answer = f"Rooms with a view direction without protection from glare: {bad} of {len(judged)}."
     sums = {"captured": "captures", "to_do": "slots to do", "usable": "usable pairs"}
     facts = [(title, f"{sum(getattr(room, key) for room in rooms)}") for key, title in sums.items()]
     facts = [("rooms", f"{len(rooms)}"), *facts, ("predicted years", f"{len(judged)}")]

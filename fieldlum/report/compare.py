@@ -23,7 +23,7 @@ from scipy.ndimage import binary_dilation
 from fieldlum.core import strict_csv
 from fieldlum.core.arrays import Array, Floats, Mask
 from fieldlum.core.errors import InputError, NotEnoughDataError, input_errors
-from fieldlum.core.files import open_to_read
+from fieldlum.core.files import open_to_read, read_bytes
 from fieldlum.core.plot_style import new_figure, styled
 from fieldlum.core.progress import progress
 from fieldlum.core.records import JsonTable, Panorama, Room, parse_utc
@@ -59,16 +59,10 @@ _NO_MATERIAL = 6.0
 _NOT_JUDGED = ("all", "window", "reveal", "frame")
 _DAYS = np.array([31, 28, 31, 30, 31, 30, 31, 31, 30, 31, 30, 31])
 _HOUR_NAMES = ("ann_hour", "hoy", "hour of year", "hour_of_year")
-_FIGURES = {  # columns of other programs, in lower case, for the figures of hourly.csv
-    "dgp": "dgp",
-    "daylight glare probability": "dgp",
-    "ev_lx": "ev_lx",
-    "ev": "ev_lx",
-    "e_v": "ev_lx",  # evalglare -d
-    "ev_calc": "ev_lx",  # evalglare -D
-    "illum": "ev_lx",
-    "vertical illuminance": "ev_lx",
-}
+# Columns of other programs, in lower case, for the figures of hourly.csv; e_v is of evalglare -d,
+# ev_calc of evalglare -D.
+_EV = ("ev_lx", "ev", "e_v", "ev_calc", "illum", "vertical illuminance")
+_FIGURES = {"dgp": "dgp", "daylight glare probability": "dgp", **dict.fromkeys(_EV, "ev_lx")}
 # The name of a picture by its slot, maybe with a view; and the result of evalglare for the last.
 _EVALGLARE = re.compile(
     r"(?P<slot>\d{8}T\d{6}Z)(?:[-@](?P<view>\d+(?:\.\d+)?))?|(?P<names>dgp,[\w,]+):(?P<values>.*)"
@@ -163,8 +157,7 @@ def _compare_pictures(session: Session, model: Path, out: Path) -> Comparison:
         raise InputError(model, found, expected, "name each by the slot whose sun and sky it has")
     for first, second in pairwise(shared):
         if first.stem == second.stem:
-            found = f"a second picture of {second.stem}"
-            raise InputError(second, found, "one for each slot", "remove one")
+            raise InputError(second, f"a second picture of {second.stem}", "one", "remove one")
     room, rows, worst = session.site_file().room, [], []
     for number, path in enumerate(shared):
         progress(number, len(shared), "pictures")
@@ -172,14 +165,14 @@ def _compare_pictures(session: Session, model: Path, out: Path) -> Comparison:
         names, light, model_light, weight = _on_one_grid(capture, measured[path.stem], path, room)
         own = _of_surfaces(path.stem, names, light, model_light, weight)
         rows += own
+        ratio = own[0]["ratio"]
         shown = [np.where(weight > 0, part, np.nan) for part in (light, model_light)]
-        worst.append((abs(np.log(own[0]["ratio"])), f"{path.stem}, {_off(own[0]['ratio'])}", shown))
+        worst.append((abs(np.log(ratio)), f"{path.stem}, {_off(ratio)}", *shown))
         worst = sorted(worst, key=lambda item: -item[0])[:3]
     surfaces = _surfaces(rows)
-    named = "; ".join(title for _, title, _ in worst)
-    text = [*_where(surfaces), f"Largest differences: {named}."]
-    own, other = zip(*(shown for *_, shown in worst), strict=True)
-    picture = comparison_png(own, other, [title for _, title, _ in worst], "model")
+    _, titles, light, model_light = zip(*worst, strict=True)
+    text = [*_where(surfaces), f"Largest differences: {'; '.join(titles)}."]
+    picture = comparison_png(light, model_light, titles, "model")
     return Comparison(surfaces, [], text, _write(out, rows, picture))
 
 
@@ -288,18 +281,9 @@ def _where(surfaces: Sequence[JsonTable]) -> list[str]:
             "wall with the window, too few bounces (-ab)."
         )
     elif abs(np.log(usual)) > np.log1p(_ALIKE_REL):
-        text.append(
-            "All surfaces differ alike: look for the glazing's transmittance, the sky or the unit."
-        )
+        text.append("All surfaces differ alike: check the glazing's transmittance, sky and unit.")
     else:
         text.append(f"No surface differs from the others by over {100 * _ALIKE_REL:.0f} %.")
-    for s in parts:
-        mean = s["model_cdm2"] / max(s["measured_cdm2"], 0.01)
-        if abs(np.log(mean / s["ratio"])) > np.log1p(_ALIKE_REL):
-            text.append(
-                f"{s['name']}: the model's mean is {_off(mean)}, its median pixel "
-                f"{_off(s['ratio'])}: rendered coarsely; use a finer cache (-aa, -ar)."
-            )
     return text
 
 
@@ -333,18 +317,18 @@ def read_model_hours(path: Path, azimuths_deg: Sequence[float]) -> pd.DataFrame:
     for name, k in columns.items():
         word, _, place = name.partition("@")
         word, _, unit = word.replace("[", "(").partition("(")
-        figure = _FIGURES.get(word.strip())
-        if figure is not None:
-            if unit.strip(" )]") not in ("", "lx", "lux", "-"):
-                raise InputError(path, f"the column {name}", "Ev in lx, DGP 0 to 1", "convert it")
-            key = figure, _azimuth(place, azimuths_deg, path)
-            if key in figures:
-                twice = f"two columns of {figure} facing {key[1]:g} deg"
-                raise InputError(path, twice, "one", "remove one")
-            figures[key] = _values(path, figure, _numbers(table, k))
+        if (figure := _FIGURES.get(word.strip())) is None:
+            continue
+        key = figure, _azimuth(place, azimuths_deg, path)
+        if unit.strip(" )]") not in ("", "lx", "lux", "-"):
+            raise InputError(path, f"the column {name}", "Ev in lx, DGP 0 to 1", "convert it")
+        if key in figures:
+            found = f"two columns of {figure} facing {key[1]:g} deg"
+            raise InputError(path, found, "one", "remove one")
+        figures[key] = _values(path, figure, _numbers(table, k))
     if not figures:
-        found = f"columns {', '.join(table.names)[:80]}"
-        raise InputError(path, found, "a column dgp or ev", "rename it")
+        found, expected = f"columns {', '.join(table.names)[:80]}", "a column dgp or ev"
+        raise InputError(path, found, expected, "rename it")
     return pd.DataFrame(figures, _times_of(table, columns))
 
 
@@ -388,18 +372,17 @@ def _times_of(table: strict_csv.CsvTable, columns: dict[str, int]) -> Floats:
         parts = np.stack([_numbers(table, columns[k]) for k in ("month", "day", "hour")])
         return _hours_of_dates(table.path, parts, [line for line, _ in table.rows])
     name = next((name for name in _HOUR_NAMES if name in columns), None)
-    if name is None and len(table.rows) == len(_DAYS) * 730:
-        for cell in table.rows[0][1]:
-            with suppress(ValueError):
-                if (t := strict_csv.read_time(cell)) and (t.month, t.day) != (1, 1):
-                    found, expected = f"rows from {cell}", "a row for each hour from 1 January"
-                    raise InputError(table.path, found, expected, "export month, day and hour")
-        return np.arange(len(table.rows)) + 0.5
-    if name is None:
-        found = f"{len(table.rows)} rows of columns {', '.join(table.names)[:80]}"
-        expected = "month, day and hour, or hoy, or a row for each of 8760 hours"
+    if name is not None:
+        return _centred(table.path, _numbers(table, columns[name]), 8760)
+    found = f"{len(table.rows)} rows of columns {', '.join(table.names)[:80]}"
+    for cell in table.rows[0][1]:
+        with suppress(ValueError):
+            if (t := strict_csv.read_time(cell)) and (t.month, t.day) != (1, 1):
+                found = f"rows from {cell}"
+    if not found.startswith("8760"):
+        expected = "month, day and hour, or hoy, or a row for each of 8760 hours from 1 January"
         raise InputError(table.path, found, expected, "export them, in standard time")
-    return _centred(table.path, _numbers(table, columns[name]), len(_DAYS) * 730)
+    return np.arange(8760) + 0.5
 
 
 def _centred(path: Path, hours: Floats, last: int) -> Floats:
@@ -440,8 +423,7 @@ def _read_matrix(path: Path, azimuths_deg: Sequence[float]) -> pd.DataFrame:
     """
     import pandas as pd
 
-    hours_file = _sun_up_hours(path) if path.is_dir() else None
-    files = [path]
+    hours_file, files = _sun_up_hours(path) if path.is_dir() else None, [path]
     if hours_file is not None:
         names = ("*.dgp", "*.ill", "*.npy", "dgp/*.dgp")
         files = sorted(file for name in names for file in path.glob(name))
@@ -453,12 +435,11 @@ def _read_matrix(path: Path, azimuths_deg: Sequence[float]) -> pd.DataFrame:
     with input_errors(path, "a matrix of numbers", "run the simulation again", OSError, ValueError):
         with open_to_read(file) as opened:
             values = np.load(opened) if file.suffix == ".npy" else np.loadtxt(opened, ndmin=2)
-        if hours_file is not None:
-            with open_to_read(hours_file) as opened:
-                hours = np.loadtxt(opened, ndmin=1)
-        else:
+        if hours_file is None:
             hours = _hours_of_dates(path, np.asarray(values.T[:3]), range(1, len(values) + 1))
             values = values.T[3:]
+        else:
+            hours = np.loadtxt(read_bytes(hours_file).decode().splitlines(), ndmin=1)
     if values.shape != (len(azimuths_deg), len(hours)):
         found = f"values of {' x '.join(map(str, values.shape))} views and hours"
         expected = f"{len(azimuths_deg)} x {len(hours)}, by --view-azimuth and the hours"
@@ -480,8 +461,7 @@ def hours_begun(path: Path, times: Floats, daylight: Mask) -> tuple[Array, list[
     outside = ~((times >= 0) & (times < len(daylight)))
     if outside.any():
         found = f"hour of the year {times[outside][0]:g}"
-        expected = f"0 to {len(daylight)}, in a year of 365 days"
-        raise InputError(path, found, expected, "correct the hours")
+        raise InputError(path, found, "0 to 8760, in a year of 365 days", "correct the hours")
     hours, note = np.floor(times).astype(int), []
     if not (times % 1).any():
         stated = np.zeros((2, len(daylight)), bool)
@@ -510,7 +490,7 @@ def _compare_hours(
     model: a column for each (figure, azimuth [deg]), rows by hour of the year; zone: of the year's
     standard time. Raises InputError without common hours, and for hours of another clock.
     """
-    row_of = np.full(int(_DAYS.sum()) * 24, -1)
+    row_of = np.full(8760, -1)
     row_of[[hour_of_year(t, zone) for t in annual.t_utc]] = np.arange(len(annual))
     hours, note = hours_begun(path, model.index.to_numpy(float), row_of >= 0)
     both = row_of[hours] >= 0
@@ -536,8 +516,8 @@ def _compare_hours(
         modelled = columns[figure, azimuth].to_numpy(float)
         ok = np.isfinite(measured) & np.isfinite(modelled)
         if ok.any():
-            values = {"measured": measured[ok], "model": modelled[ok]}
-            shared.append(_Shared(azimuth, figure, hours[both][ok], **values))
+            part = _Shared(azimuth, figure, hours[both][ok], measured[ok], modelled[ok])
+            shared.append(part)
     if not shared:
         raise InputError(path, "no value in daylight hours", "numbers in dgp or ev", "export them")
     if weather := annual.summary.inputs.get("weather"):
@@ -571,9 +551,9 @@ def _of_evalglare(session: Session, path: Path, azimuths_deg: Sequence[float]) -
         raise InputError(path, found, "20270320T193000Z-180.hdr, then its result", remedy)
     shared = []
     for (azimuth, figure), values in rows.items():
-        hours, measured, modelled = np.array(values, float).T
-        pair = {"measured": measured, "model": _values(path, figure, modelled)}
-        shared.append(_Shared(azimuth, figure, hours.astype(int), **pair))
+        hours, own, other = np.array(values, float).T
+        other = _values(path, figure, other)
+        shared.append(_Shared(azimuth, figure, hours.astype(int), own, other))
     return shared
 
 
@@ -595,22 +575,15 @@ class _Shared(NamedTuple):
     def direction(self) -> JsonTable:
         pair = self.measured, self.model
         over = [int((v > DISTURBING_DGP).sum()) if self.figure == "dgp" else None for v in pair]
-        return {
-            "azimuth_deg": self.azimuth_deg,
-            "figure": self.figure,
-            "hours": len(self.hour_of_year),
-            "measured": float(self.measured.mean()),
-            "model": float(self.model.mean()),
-            "mean_abs": float(np.abs(self.model - self.measured).mean()),
-            "over": over[0],
-            "model_over": over[1],
-        }
+        means = (float(v.mean()) for v in (*pair, np.abs(self.model - self.measured)))
+        names = ("azimuth_deg", "figure", "hours", "measured", "model", "mean_abs")
+        row = (self.azimuth_deg, self.figure, len(self.model), *means, *over)
+        return dict(zip((*names, "over", "model_over"), row, strict=True))
 
     def rows(self) -> list[JsonTable]:
-        names = ("azimuth_deg", "figure", "hour_of_year", "measured", "model")
         head, hours = (self.azimuth_deg, self.figure), self.hour_of_year.tolist()
         rows = zip(hours, self.measured.round(4), self.model.round(4), strict=True)
-        return [dict(zip(names, (*head, *row), strict=True)) for row in rows]
+        return [dict(zip(_Shared._fields, (*head, *row), strict=True)) for row in rows]
 
     def text(self) -> str:
         """Return a sentence on the month and the hour of the day in which the model errs most."""
@@ -637,7 +610,7 @@ def _hours_png(shared: Sequence[_Shared]) -> bytes:
         figure = new_figure(10.0, 2.6 * len(shared))
         axes = figure.subplots(len(shared), 1, squeeze=False)[:, 0]
         for axis, part in zip(axes, shared, strict=True):
-            grid = np.full(_DAYS.sum() * 24, np.nan)
+            grid = np.full(8760, np.nan)
             grid[part.hour_of_year] = part.model - part.measured
             reach = float(np.nanpercentile(np.abs(grid), 98)) or 1.0
             image = axis.pcolormesh(grid.reshape(-1, 24).T, cmap="RdBu_r", vmin=-reach, vmax=reach)

@@ -69,27 +69,24 @@ def export(session: Session, out: Path, azimuths_deg: Sequence[float] = ()) -> l
     if not panoramas and not session.annual_folders():
         remedy = "run fieldlum merge"
         raise NotEnoughDataError(f"{session.root}: no merged map and no year; {remedy}")
-    out.mkdir(parents=True, exist_ok=True)
+    (out / "maps").mkdir(parents=True, exist_ok=True)
     seen_deg = azimuths_deg or (session.site_file().camera.heading_deg,)
-    files = [*_sky(session, out), *_room(session, out, seen_deg)]
-    files += _pairs(session, out)
+    files = [*_sky(session, out), *_room(session, out, seen_deg), *_pairs(session, out)]
     if (annual := newest_annual(session)) is not None:
         files.append(_netcdf(annual.to_xarray(), out / "year.nc"))
-    (out / "maps").mkdir(exist_ok=True)
     for number, path in enumerate(panoramas):
         progress(number, len(panoramas), "maps")
         panorama = read_panorama_with_sun(path)
         light, _ = valid_pixels(panorama, path)
         asked = azimuths_deg or (panorama.heading_deg,)
         for azimuth in dict.fromkeys(round(a % 360.0, 1) % 360.0 for a in asked):
-            how = {"size": _FISHEYE_PX, "sun": panorama.sun}
-            picture = panorama_to_fisheye(light, panorama.heading_deg, azimuth, **how)
+            place = panorama.heading_deg, azimuth
+            picture = panorama_to_fisheye(light, *place, size=_FISHEYE_PX, sun=panorama.sun)
             toward = " ".join(f"{value:.6f}" for value in direction(0.0, azimuth))
             view = f"{FISHEYE_VIEW} -vp 0 0 0 -vd {toward} -vu 0 0 1"
-            target = out / "maps" / f"{path.stem}-{azimuth:g}.hdr"
-            with replacing_path(target) as temporary:
+            files.append(out / "maps" / f"{path.stem}-{azimuth:g}.hdr")
+            with replacing_path(files[-1]) as temporary:
                 write_radiance_hdr(temporary, picture, view=view)
-            files.append(target)
     return files
 
 
@@ -204,8 +201,7 @@ def pack(session: Session, out: Path, statement: Statement) -> list[str]:
         raise NotEnoughDataError(f"{session.root}: no captures; pack it when it has some")
     files = sorted(_files(session))
     stated = [(path, _private_exif(path)) for path in files]
-    private = [text for _, text in stated if text]
-    if private:
+    if private := [text for _, text in stated if text]:
         found = f"{counted(len(private), 'frame')} with private EXIF, such as {private[0]}"
         remedy = (
             "remove them in a copy: exiftool -gps:all= -OwnerName= -Artist= -SerialNumber= "
@@ -240,14 +236,12 @@ def pack(session: Session, out: Path, statement: Statement) -> list[str]:
 
 
 def _files(session: Session) -> Iterator[Path]:
-    for name in (*_FILES, "sky_view.exr"):
-        if (path := session.root / name).is_file():
+    files = [session.root / name for name in (*_FILES, "sky_view.exr")]
+    files += [path for folder in _FOLDERS for path in (session.root / folder).rglob("*")]
+    for path in files:
+        name = path.relative_to(session.root).as_posix()
+        if path.is_file() and not path.is_symlink() and not _LEFT_OUT.search(name):
             yield path
-    for folder in _FOLDERS:
-        for path in (session.root / folder).rglob("*"):
-            name = path.relative_to(session.root).as_posix()
-            if path.is_file() and not path.is_symlink() and not _LEFT_OUT.search(name):
-                yield path
 
 
 def _private_exif(path: Path) -> str | None:

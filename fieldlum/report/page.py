@@ -13,9 +13,8 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure as Drawing
-from numpy.typing import NDArray
 
-from fieldlum.core.arrays import Floats, Floats32
+from fieldlum.core.arrays import Array, Floats, Floats32
 from fieldlum.core.false_colour import COLOUR_MAP, RANGE_CDM2
 from fieldlum.core.plot_style import GREEN, INK, PALE, RED, styled, svg_of
 from fieldlum.core.records import JsonTable
@@ -51,11 +50,11 @@ def chip(row: DirectionYear, more: str = "") -> dict[str, str]:
 
 
 class Figure(NamedTuple):
-    """A picture with its alternative text and caption: SVG text, or the bytes of a PNG."""
+    """A picture, as SVG text or the bytes of a PNG; alt: for screen readers, "" for the caption."""
 
     content: str | bytes
-    alt: str
     caption: str
+    alt: str = ""
 
 
 class Table(NamedTuple):
@@ -108,11 +107,7 @@ NOT_TRUSTED = Quantity("Hours that are not trusted", "", 1.0, (1.0,), ("#cfe6dc"
 
 
 def heat_map(
-    day: NDArray[np.integer],
-    hour: NDArray[np.integer],
-    layers: Sequence[tuple[Quantity, Floats]],
-    year: int,
-    **about: Any,
+    day: Array, hour: Array, layers: Sequence[tuple[Quantity, Floats]], year: int, **about: Any
 ) -> JsonTable:
     """Return the heat map for the template: days by hours, for each layer [n, d] of n hours.
 
@@ -241,12 +236,12 @@ def comparison_png(
 
 
 def captured_svg(
-    year: Sequence[Floats], captured: Sequence[Floats], label: str, **axes_settings: Any
+    year: Sequence[Floats], captured: Sequence[Floats], label: str, x_name: str, y_name: str
 ) -> str:
     """Plot captured hours over the other hours of a year, in any two quantities; return SVG text.
 
-    year, captured: x and y of the points, [n] each; year without points is not drawn. label: of the
-    year's points; axes_settings: of `Axes.set`, such as xlabel.
+    year, captured: x and y of the points, at least 0 [n] each; year without points is not drawn.
+    label: of the year's points; x_name, y_name: of the axes.
     """
     with styled():
         figure = Drawing(figsize=(5.2, 3.4))
@@ -254,7 +249,7 @@ def captured_svg(
         if len(year[0]):
             axes.scatter(*year, s=3, c=PALE, lw=0, label=label, rasterized=True)
         axes.scatter(*captured, s=12, c=RED, lw=0, label="captured")
-        axes.set(**axes_settings)
+        axes.set(xlabel=x_name, ylabel=y_name, ylim=(0, None))
         axes.legend(loc="upper left", bbox_to_anchor=(0, 1.14), ncols=2)
         return svg_of(figure, bbox_inches="tight")
 

@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime, timedelta
-from typing import Any, NamedTuple
+from typing import NamedTuple
 from zoneinfo import ZoneInfo
 
 import numpy as np
@@ -23,7 +23,7 @@ from fieldlum.session.files.predict_json import DirectionYear
 from fieldlum.session.panorama_sun import SUN_FROM, read_suns
 from fieldlum.sky import sun
 from fieldlum.sky.sun import apparent_altitude_deg, standard_time
-from fieldlum.year.glare.pictures import panorama_to_fisheye
+from fieldlum.year.glare.pictures import panorama_to_fisheye, picture_centres
 from fieldlum.year.glare.standards import EXCEEDED_SHARE, dgp_per_scale
 from fieldlum.year.glare.uncertainty_budget import BUDGET_FILE, read_budgets
 from fieldlum.year.predict import Annual, melanopic
@@ -79,16 +79,15 @@ def polar(annual: Annual) -> Figure:
     """Return the polar plot, north up, of the DGP exceeded in 5 % of the occupied hours."""
     rows = annual.summary.protection
     figures = np.array([(r.azimuth_deg, r.dgp_exceeded, r.low, r.high) for r in rows], float)
-    spoken = ", ".join(
-        f"{direction_name(row.azimuth_deg)} {exceeded_text(row, NOT_SEEN)}" for row in rows
-    )
+    each = (f"{direction_name(row.azimuth_deg)} {exceeded_text(row, NOT_SEEN)}" for row in rows)
+    spoken = ", ".join(each)
     what = "DGP exceeded in 5 % of the occupied hours, by view direction"
     band = "" if np.isnan(figures[:, 2]).all() else " The grey band is its 95 % interval."
     return Figure(
         page.polar_svg(*figures.T),
-        f"Polar plot, north up, of the {what}: {spoken}.",
         f"The {what}; the rings are the limits 0.35, 0.40, 0.45.{band} Nearer the middle is "
         "better; values above 0.60 are drawn at the rim.",
+        f"Polar plot, north up, of the {what}: {spoken}.",
     )
 
 
@@ -170,11 +169,8 @@ def when_section(annual: Annual, zone: str) -> Section:
     local = [standard_time(t, zone) for t in annual.t_utc]
     hour = np.array([t.hour for t in local])
     doubt = np.where(annual.judged, (annual.hours["trusted"] <= 0.0)[:, None], np.nan)
-    layers = (
-        (page.DGP, annual.views["dgp"]),
-        (page.EV, annual.views["ev_lx"]),
-        (page.NOT_TRUSTED, doubt),
-    )
+    layers = [(page.DGP, annual.views["dgp"]), (page.EV, annual.views["ev_lx"])]
+    layers.append((page.NOT_TRUSTED, doubt))
     ends = best_and_worst(annual.summary.protection)
     worst_deg = annual.azimuths_deg[0] if ends is None else ends[1].azimuth_deg
     used = hour[annual.occupied]
@@ -222,9 +218,9 @@ def looks_section(annual: Annual, pictures: Pictures, zone: str) -> Section:
     if turned:
         alt = f"False-colour panoramas: {'; '.join(titles)}."
         caption = "Predicted panoramas. The middle of each faces the direction that it is of."
-        figure = Figure(page.png(page.picture_grid(turned, titles, 2, 6.0)[0]), alt, caption)
+        figure = Figure(page.png(page.picture_grid(turned, titles, 2, 6.0)[0]), caption, alt)
         rows.insert(0, (figure,))
-    return Section(id="looks", title="What it looks like", text="", rows=rows)
+    return Section("looks", "What it looks like", rows=rows)
 
 
 def _fisheyes(annual: Annual, pictures: Pictures, k: int, when: str) -> Figure:
@@ -233,8 +229,7 @@ def _fisheyes(annual: Annual, pictures: Pictures, k: int, when: str) -> Figure:
     altitude = float(apparent_altitude_deg(hours["sun_altitude_deg"][row]))
     sun = SunSource(altitude, float(hours["sun_azimuth_deg"][row]), disc_lx)
     views, titles = [], []
-    axis = (np.arange(_FISHEYE_PX) + 0.5) / _FISHEYE_PX - 0.5
-    outside = np.hypot(axis[None, :], axis[:, None]) > 0.5
+    outside = np.hypot(*picture_centres(_FISHEYE_PX, _FISHEYE_PX)) > 0.5
     for i in np.flatnonzero(annual.judged)[:10]:
         azimuth = float(annual.azimuths_deg[i])
         light, heading = pictures.luminance_cdm2[k], pictures.heading_deg
@@ -242,7 +237,7 @@ def _fisheyes(annual: Annual, pictures: Pictures, k: int, when: str) -> Figure:
         views.append(np.where(outside, np.nan, shown))
         titles.append(f"{direction_name(azimuth)}  DGP {annual.views['dgp'][row, i]:.2f}")
     what = f"View directions around the room in the hour of the highest DGP, {when} (predicted)."
-    return Figure(page.png(page.picture_grid(views, titles, 5, 2.3)[0]), what, what)
+    return Figure(page.png(page.picture_grid(views, titles, 5, 2.3)[0]), what)
 
 
 def budget_section(annual: Annual, *, folded: bool = True) -> Section:
@@ -252,19 +247,15 @@ def budget_section(annual: Annual, *, folded: bool = True) -> Section:
     """
     tables, budget = [], read_budgets(annual.folder / BUDGET_FILE)
     for figure, unit in dict.fromkeys((row["figure"], row["unit"]) for row in budget):
-        views: dict[tuple[str, str], dict[str, str]] = {}
-        for row in budget:
-            share = float(row["share_percent"] or 0) if row["contribution"] else 0.0
-            if row["figure"] == figure and share > 0.01:
-                view = views.setdefault((row["azimuth_deg"], row["estimate"]), {})
-                view[row["source"]] = f"{float(row['contribution']):.2g}"
-        names = dict.fromkeys(["combined", *(name for view in views.values() for name in view)])
+        own = [row for row in budget if row["figure"] == figure and row["contribution"]]
+        own = [row for row in own if float(row["share_percent"] or 0) > 0.01]
+        names, views = dict.fromkeys(["combined", *(row["source"] for row in own)]), {}
+        for row in own:
+            of = row["azimuth_deg"], row["estimate"]
+            view = views.setdefault(of, dict.fromkeys(names, "–"))
+            view[row["source"]] = f"{float(row['contribution']):.2g}"
         rows = [
-            (
-                direction_name(float(azimuth)),
-                f"{float(estimate):.3g}",
-                *(view.get(n, "–") for n in names),
-            )
+            (direction_name(float(azimuth)), f"{float(estimate):.3g}", *view.values())
             for (azimuth, estimate), view in views.items()
         ]
         title = f"{figure}{'' if unit == '1' else f' [{unit}]'}"
@@ -312,10 +303,8 @@ def melanopic_shares(annual: Annual, zone: str) -> list[tuple[Share, list[Share]
         value, low, high = (float(part[name][k]) for part in (at, *ends))
         return Share(value, low=low, high=high)
 
-    return [
-        (share(melanopic.ENOUGH_HOURS, k), [share(name, k) for name in melanopic.ENOUGH_DAYS])
-        for k in range(edi.shape[1])
-    ]
+    hours, days, places = melanopic.ENOUGH_HOURS, melanopic.ENOUGH_DAYS, range(edi.shape[1])
+    return [(share(hours, k), [share(name, k) for name in days]) for k in places]
 
 
 def melanopic_section(annual: Annual, zone: str) -> Section:
@@ -371,8 +360,7 @@ def accuracy_section(
             f"Checked on {maps}, each predicted by a fit without its day: half of them are within "
             f"a factor of {median:.2f} (rms over the map), the worst within {worst:.2f}."
         )
-        if held is None:
-            text += " The model has no held-out maps: train it again to show them here."
+
     tables = [] if scores is None or not scores.models else [_score_table(scores)]
     rows = [] if held is None else [(_held_out_figure(held, names or {}),)]
     return Section("evidence", "How good the numbers are", text, rows, tables)
@@ -385,35 +373,25 @@ def _held_out_figure(held: HeldOutMaps, names: Mapping[str, str]) -> Figure:
     labels = [f"{slot}, {text}" for slot, text in zip(slots, SHOWN, strict=False)]
     logarithms = held.measured_log10, held.predicted_log10
     measured, predicted = (10.0 ** maps[picks].astype(np.float32) for maps in logarithms)
-    return Figure(
-        page.comparison_png(measured, predicted, labels, "predicted"),
-        "Measured and predicted luminance panoramas with their ratio.",
-        "Measured, predicted and their ratio for held-out hours "
+    what = (
+        "Measured and predicted luminance panoramas and their ratio for held-out hours "
         f"({', '.join(SHOWN[: len(picks)])}), without the sun's disc. Red is predicted too bright, "
-        "blue too dark.",
+        "blue too dark."
     )
+    return Figure(page.comparison_png(measured, predicted, labels, "predicted"), what)
 
 
-_COLUMNS = {
-    "name": "model",
-    "fit_s": "fit, s",
-    "judged_dgp_error": "DGP error",
-    "judged_ev_error": "ln Ev error",
-    "judged_log10_mse": "log10 MSE",
-    "dgp_mae": "DGP error, all hours",
-}
+_COLUMNS = {"name": "model", "fit_s": "fit, s", "judged_dgp_error": "DGP error"}
+_COLUMNS |= {"judged_ev_error": "ln Ev error", "judged_log10_mse": "log10 MSE"}
+_COLUMNS |= {"dgp_mae": "DGP error, all hours"}
 
 
 def _score_table(scores: ScoresFile) -> Table:
-    def cell(row: Mapping[str, Any], key: str) -> Any:
-        value = row.get(key)
-        if key == "name" and value == scores.chosen:
-            return {"kind": "high", "text": f"{value} (chosen)"}
-        if isinstance(value, float):
-            return f"{value:.3g}"
-        return "–" if value is None else value
-
-    rows = [[cell(row, key) for key in _COLUMNS] for row in scores.models]
+    rows = []
+    for row in scores.models:
+        name, *figures = (row.get(key) for key in _COLUMNS)
+        name = {"kind": "high", "text": f"{name} (chosen)"} if name == scores.chosen else name
+        rows.append((name, *("–" if value is None else f"{value:.3g}" for value in figures)))
     title = "Models tried, on held-out days; own disc: by the sky view, which saw these days too"
     return Table(tuple(_COLUMNS.values()), rows, title)
 
@@ -434,26 +412,19 @@ def captures_section(
     hours = sun.position([start + timedelta(hours=h) for h in range(8760)], site)
     up = hours.altitude_deg > 0
     suns, skies = ("sun_azimuth_deg", "sun_altitude_deg"), ("dni_wm2", "dhi_wm2")
-    axes = {"xlabel": "sun azimuth, ° from north", "ylabel": "sun altitude, °", "ylim": (0, None)}
     positions = (hours.azimuth_deg[up], hours.altitude_deg[up])
-    path = Figure(
-        page.captured_svg(positions, _columns(used, suns), "hours of the year", **axes),
-        f"Sun positions of a year in grey and of the {len(used)} captured hours in red.",
-        "Sun positions of the year and of the captures. Hours far from every red point are "
-        "extrapolated.",
-    )
-    axes = {"xlabel": "direct normal irradiance, W/m²", "ylabel": "diffuse irradiance, W/m²"}
+    labels = "hours of the year", "sun azimuth, ° from north", "sun altitude, °"
+    svg = page.captured_svg(positions, _columns(used, suns), *labels)
+    what = "Sun positions of a year (grey) and of the captures (red)."
+    path = Figure(svg, f"{what} Hours far from every red point are extrapolated.")
     weather = [year.get(name, np.empty(0)) for name in skies]
-    irradiance = Figure(
-        page.captured_svg(weather, _columns(used, skies), "weather file", **axes),
-        "Direct against diffuse irradiance of the weather year in grey and of the captures in red.",
-        "Skies of the weather file and of the captures.",
-    )
+    labels = "weather file", "direct normal irradiance, W/m²", "diffuse irradiance, W/m²"
+    svg = page.captured_svg(weather, _columns(used, skies), *labels)
+    irradiance = Figure(svg, "Skies of the weather file (grey) and of the captures (red).")
     refused = Counter(row.why or "no reason recorded" for row in pairs.refused)
     table = Table(("reason", "brackets"), tuple(refused.items()), "Brackets that are not used")
-    some = [table] if refused else []
-    text = _captures_text(session, site, pairs)
-    return Section("captured", "What was captured", text, ((path, irradiance),), some)
+    text, tables = _captures_text(session, site, pairs), [table] if refused else []
+    return Section("captured", "What was captured", text, ((path, irradiance),), tables)
 
 
 def _columns(rows: Sequence[PairRow], names: Sequence[str]) -> list[Floats]:
@@ -472,11 +443,10 @@ def _captures_text(session: Session, site: Site, pairs: PairsFile) -> str:
     text += f" between {days[0]} and {days[-1]}. Direct and diffuse irradiance were "
     text += f"{'measured' if measured == len(used) else kind}."
     origins = Counter(row.origin for row in read_suns(session.suns).values())
-    if not origins:
-        return text
     parts = [f"{SUN_FROM.get(origin, origin)} in {n}" for origin, n in origins.most_common()]
     count = counted(origins.total(), "picture")
-    return f"{text} {count} show the sun's disc, whose illuminance was {', '.join(parts)}."
+    suns = f" {count} show the sun's disc, whose illuminance was {', '.join(parts)}."
+    return f"{text}{suns}" if origins else text
 
 
 def warnings_of(session: Session, year: Annual | None) -> list[str]:

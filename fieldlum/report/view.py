@@ -126,21 +126,17 @@ def read_measured_picture(path: Path, part: str = "") -> MeasuredPicture:
     luminance = picture.panorama.seen_cdm2
     azimuths_deg = (picture.panorama.heading_deg,) if picture.view is None else ()
     answer, sources = glare_answer(picture, path, azimuths_deg)
-    row = answer["views"][0]
-    texts = ["" if row["ev_lx"] is None else f"Ev {row['ev_lx']:.0f} lx"]
-    if (u := row["u_melanopic_edi_lx"]) is not None:
-        texts.append(f"m-EDI {row['melanopic_edi_lx']:.0f} ± {u:.0f} lx")
-    texts.append("" if row["dgp"] is None else f"DGP {row['dgp']:.3f}")
-    texts += [f"facing {azimuth % 360.0:.0f}°" for azimuth in azimuths_deg if any(texts)]
-    return MeasuredPicture(
-        path.name,
-        picture,
-        luminance,
-        solid_angle_sr=picture_directions(picture)[1].astype(np.float32),
-        figures="; ".join(filter(None, texts)),
-        outlines=[] if picture.view is None else _outlines(sources, luminance.shape),
-        notes=answer["warnings"],
-    )
+    row, texts = answer["views"][0], []
+    if row["ev_lx"] is not None:
+        texts.append(f"Ev {row['ev_lx']:.0f} lx")
+        if (u := row["u_melanopic_edi_lx"]) is not None:
+            texts.append(f"m-EDI {row['melanopic_edi_lx']:.0f} ± {u:.0f} lx")
+        texts.append(f"DGP {row['dgp']:.3f}")
+        texts += [f"facing {azimuth % 360.0:.0f}°" for azimuth in azimuths_deg]
+    outlines = [] if picture.view is None else _outlines(sources, luminance.shape)
+    omega_sr, figures = picture_directions(picture)[1].astype(np.float32), "; ".join(texts)
+    about = figures, outlines, answer["warnings"]
+    return MeasuredPicture(path.name, picture, luminance, omega_sr, *about)
 
 
 def _outlines(sources: Sources, shape: tuple[int, ...]) -> list[Any]:

@@ -5,7 +5,6 @@ that a capture on the same computer never waits. Merge and pair write into the
 session; the model and the year are in its folder watch/, separate from the user's own.
 """
 
-import json
 import os
 import subprocess
 import sys
@@ -20,10 +19,10 @@ from typing import NamedTuple
 import psutil
 
 from fieldlum.core.errors import InputError
-from fieldlum.core.files import read_bytes
 from fieldlum.core.records import JsonTable, parse_utc, utc_text
 from fieldlum.session import Session
-from fieldlum.session.codec import to_json, write_object
+from fieldlum.session.codec import to_json
+from fieldlum.session.files.model_files import ModelConfig
 from fieldlum.session.files.predict_json import PredictFile
 from fieldlum.session.files.sidecar import Sidecar, newest_sidecar
 
@@ -32,11 +31,8 @@ from fieldlum.session.files.sidecar import Sidecar, newest_sidecar
 QUIET_BEFORE_S = 90.0
 ANSWER_EVERY = timedelta(hours=6)  # fitting takes minutes: at most a few times a day; chosen
 MIN_CAPTURES = 8  # fewer leave every class open; chosen
-PROGRAM = (
-    sys.executable,
-    "-c",
-    "import sys; sys.argv[0] = 'fieldlum'; from fieldlum.cli import main; main()",
-)
+_MAIN = "import sys; sys.argv[0] = 'fieldlum'; from fieldlum.cli import main; main()"
+PROGRAM = (sys.executable, "-c", _MAIN)
 
 
 class Moment(NamedTuple):
@@ -120,25 +116,9 @@ class Worker:
         model, annual, root = self.folder / "model", self.folder / "annual", str(self.session.root)
         fitting = ("train", root, "--model", "transport", "--out", str(model))
         year = ("predict", str(model), "--weather", self.weather, "--out", str(annual))
-        good = self._run("train", *fitting) and self._run("predict", *year)
-        if good:
-            with suppress(OSError, ValueError, KeyError, InputError):
-                self._write_answer(captured, annual)
+        _ = self._run("train", *fitting) and self._run("predict", *year)
         if not self._stop.is_set():
             self._answered_at = captured
-
-    def _write_answer(self, captured: int, annual: Path) -> None:
-        """Write the classes into answer.json."""
-        year = PredictFile.read(annual)
-        answer = {
-            "t_utc": utc_text(datetime.now(UTC)),
-            "captures": captured,
-            "weather": year.weather.name,
-            "synthetic": year.weather.synthetic,
-            "warnings": [*year.model_warnings, *year.notes],
-            "protection": to_json(year.protection),
-        }
-        write_object(self.folder / "answer.json", answer)
 
     def _run(self, name: str, *arguments: str) -> bool:
         """Run one command at the lowest priority and return whether it succeeded.
@@ -149,20 +129,14 @@ class Worker:
             return False
         self.folder.mkdir(exist_ok=True)
         self.step = name
-        out, notes = self.folder / f"{name}.out", self.folder / f"{name}.err"
-        threads = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+        notes = self.folder / f"{name}.err"
+        one = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+        how: JsonTable = {"env": {**os.environ, **one}, "start_new_session": True}
+        how |= dict.fromkeys(("stdin", "stdout"), subprocess.DEVNULL)
         try:
-            for path in (out, notes):
-                path.unlink(missing_ok=True)  # a link of this name would lead elsewhere
-            with out.open("xb") as answer, notes.open("xb") as errors:
-                process = psutil.Popen(
-                    [*self.program, *arguments],
-                    stdin=subprocess.DEVNULL,
-                    stdout=answer,
-                    stderr=errors,
-                    env={**os.environ, **dict.fromkeys(threads, "1")},
-                    start_new_session=True,
-                )
+            notes.unlink(missing_ok=True)  # a link of this name would lead elsewhere
+            with notes.open("xb") as errors:
+                process = psutil.Popen([*self.program, *arguments], stderr=errors, **how)
                 with suppress(psutil.Error):  # 19 is the lowest priority of POSIX
                     process.nice(getattr(psutil, "IDLE_PRIORITY_CLASS", 19))
                 code = self._wait_with_pauses(process)
@@ -198,18 +172,26 @@ def _signal_tree(process: psutil.Popen, act: str) -> None:
 
 
 def read_answer(session: Session) -> JsonTable | None:
-    """Return the stored answer (watch/answer.json) by its keys; None for a missing or damaged file.
+    """Return what `Worker` predicted last, from the folder watch/; None for a missing or bad file.
 
-    It is the result of one run of `Worker`. t_utc: its time; captures: number of captured slots;
-    weather: its name; synthetic: whether it is a synthetic year; warnings: texts; protection: a
-    `DirectionYear` for each view direction.
+    t_utc: its time; captures: number of captures of its model; weather: its name; synthetic:
+    whether it is a synthetic year; warnings: texts; protection: a `DirectionYear` for each view
+    direction.
     """
+    folder = session.root / "watch"
     try:
-        answer = json.loads(read_bytes(session.root / "watch" / "answer.json"))
-        parse_utc(answer["t_utc"])
-    except (OSError, ValueError, TypeError, KeyError, RecursionError):
+        year, model = PredictFile.read(folder / "annual"), ModelConfig.read(folder / "model")
+        written_s = (folder / "annual" / PredictFile.NAME).stat().st_mtime
+    except (OSError, InputError):
         return None
-    return answer
+    return {
+        "t_utc": utc_text(datetime.fromtimestamp(written_s, UTC)),
+        "captures": len(model.training.slots),
+        "weather": year.weather.name,
+        "synthetic": year.weather.synthetic,
+        "warnings": [*year.model_warnings, *year.notes],
+        "protection": to_json(year.protection),
+    }
 
 
 def answer_table(session: Session, worker: Worker | None) -> JsonTable:
@@ -219,13 +201,9 @@ def answer_table(session: Session, worker: Worker | None) -> JsonTable:
     computes now, ""; problem: error of its last step, ""; least_captures: needed for an answer.
     worker: None if nothing is computed here.
     """
-    return {
-        "last": read_answer(session),
-        "computes": worker is not None,
-        "step": worker.step if worker else "",
-        "problem": worker.problem if worker else "",
-        "least_captures": MIN_CAPTURES,
-    }
+    step, problem = (worker.step, worker.problem) if worker else ("", "")
+    doing = {"computes": worker is not None, "step": step, "problem": problem}
+    return {"last": read_answer(session), **doing, "least_captures": MIN_CAPTURES}
 
 
 def _merge_options(sidecar: Sidecar) -> tuple[str, ...]:

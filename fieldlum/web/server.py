@@ -198,7 +198,7 @@ def watch_routes(
     """
 
     def state() -> Mapping[str, object]:
-        answer = session.root / "watch" / "answer.json"
+        answer = session.root / "watch" / "annual" / "predict.json"
         written = answer.stat().st_mtime_ns if answer.is_file() else 0
         doing = [worker.step, worker.problem] if worker else []
         return {**snapshots.state(), "answer": " ".join([str(written), *doing])}
@@ -241,16 +241,9 @@ class Served(NamedTuple):
 
     def run(self) -> None:
         """Serve until the process is interrupted."""
-        config = uvicorn.Config(
-            self.app,
-            log_level="warning",
-            access_log=False,  # addresses hold the token
-            server_header=False,
-            http=PatientProtocol,
-            timeout_graceful_shutdown=2,
-            ws="none",
-            lifespan="off",
-        )
+        how: dict[str, Any] = {"http": PatientProtocol, "ws": "none", "lifespan": "off"}
+        how |= {"log_level": "warning", "server_header": False, "timeout_graceful_shutdown": 2}
+        config = uvicorn.Config(self.app, access_log=False, **how)  # addresses hold the token
         uvicorn.Server(config).run(sockets=[self.socket])
 
 

@@ -175,17 +175,11 @@ def picture_png(path: Path, width: int, low: float, high: float) -> bytes:
     The scale is logarithmic from low to high [cd/m2]. Raises InputError for a damaged file, OSError
     for a missing one.
     """
-    # at most four times a panorama of 460 pixels, which bounds the memory
-    return _png(path, path.stat().st_mtime_ns, min(width, 1840), low, high)
-
-
-# as many as a page shows at once, of about 100 kB
-@lru_cache(maxsize=48)
-def _png(path: Path, stamp: int, width: int, low: float, high: float) -> bytes:
     import cv2
 
     values = read_panorama(path).seen_cdm2  # [H, W]
-    if values.shape[1] > width:
+    # at most four times a panorama of 460 pixels, which bounds the memory
+    if values.shape[1] > (width := min(width, 1840)):
         height = max(1, round(values.shape[0] * width / values.shape[1]))
         shrunk = cv2.resize(values, (width, height), interpolation=cv2.INTER_AREA)
         values = np.asarray(shrunk, np.float32)
@@ -245,20 +239,17 @@ Level = Literal["info", "warn", "fail"]
 
 # Events that are no news on a page: the plan's calendar shows outcomes.
 _SILENT = frozenset({"imported", "withdrawn"})
-# Sentences with fields of the event, of which some are put into words by `event_words`.
+# Sentences with fields of the event.
 _WORDS: dict[str, tuple[Level, str]] = {
     "done": ("warn", "Bracket {slot} is complete, with a warning: {why}."),
     "missed": ("fail", "Bracket {slot} was not taken: {why}."),
     "aborted": ("fail", "Bracket {slot} was ended before it was complete: {why}."),
     "device-lost": ("fail", "The {device} stopped answering ({why}). The capture tries it again."),
-    "device-back": ("info", "The {device} answers again after {after_s}."),
+    "device-back": ("info", "The {device} answers again after {after_s:.0f} s."),
     "bad-reading": ("warn", "The {device} gave a reading that cannot be used: {why}."),
-    "clock-step": (
-        "warn",
-        "The computer's clock jumped by {jump} s; the new time was {not_}accepted.",
-    ),
-    "suspend": ("warn", "The computer slept for {seconds}."),
-    "disk-full": ("fail", "The disk is full: {free_mb:.0f} MB are free."),
+    "clock-step": ("warn", "The computer's clock jumped by {seconds:+.0f} s."),
+    "suspend": ("warn", "The computer slept for {seconds:.0f} s."),
+    "disk-full": ("fail", "The disk is full: {bytes_free:,} bytes are free."),
     "late": ("info", "Bracket {slot} began {by_s:.0f} s late."),
     "open": ("info", "The capture was started."),
     "close": ("info", "The capture was ended."),
@@ -279,18 +270,9 @@ def event_words(event: JournalEvent) -> tuple[Level, str] | None:
     if kind not in _WORDS:
         return "info", kind
     blank = dict.fromkeys(("slot", "state", "text"), "") | {"device": "a device"}
-    words = {
-        "by_s": 0.0,
-        **event,
-        "why": why or "no reason recorded",
-        "after_s": timedelta(seconds=round(event.get("after_s") or 0.0)),
-        "seconds": timedelta(seconds=round(event.get("seconds") or 0.0)),
-        "jump": f"{event.get('seconds', 0.0):+.0f}",
-        "not_": "" if event.get("followed") else "not ",
-        "free_mb": event.get("bytes_free", 0) / 1e6,
-    }
+    blank |= dict.fromkeys(("by_s", "after_s", "seconds", "bytes_free"), 0)
     level, sentence = _WORDS[kind]
-    return level, sentence.format(**(blank | words))
+    return level, sentence.format(**(blank | event | {"why": why or "no reason recorded"}))
 
 
 def is_running(journal: JournalFollower) -> bool:
@@ -361,7 +343,7 @@ class Snapshots:
         name, timezone: of the site; folder; now_utc, now_local, today: present time;
         rehearsal: True if time is simulated; running: whether a capture runs on this computer;
         counts: number of slots by state (see `calendar`); slots: their number; next: the next slot,
-        as in `calendar`, None if none is left; latest: {"slot", "verdict", "local", "date"} and the
+        as in `calendar`, None if none is left; latest: {"slot", "verdict", "local"} and the
         scale of the newest panorama, None without one; devices: camera, camera_battery,
         camera_clock_offset_s [s], and away (UTC since when, by device); irradiance: {"t_utc",
         "ghi_wm2"} of the last reading or None; disk: {"free_bytes", "days"} (days of captures that
@@ -415,8 +397,8 @@ class Snapshots:
         """Return {"days": [{"date", "slots"}]}: the plan's local days with their slots.
 
         A slot has slot (its id), t_utc, local, day (texts of its time), state (done, missed,
-        aborted, made up (by another slot), running, to do), picture (whether it is merged),
-        sun_altitude_deg (true) and sun_azimuth_deg.
+        aborted, made up (by another slot), running, to do), picture (whether it is merged) and
+        sun_altitude_deg (true).
         """
         with self._lock:
             present = self._present()
@@ -440,12 +422,8 @@ class Snapshots:
                 why = present.journal.states.state(row["slot"]).why
                 row["verdict"] = self._verdict(row["slot"], why)
             paths = [self._session.panorama(row["slot"]) for row in rows if row["picture"]]
-            return {
-                "date": day.isoformat(),
-                "slots": rows,
-                "scale": scale_of(paths),
-                "irradiance": day_curve(day, self._setup.site, self._bins_of),
-            }
+            curve, scale = day_curve(day, self._setup.site, self._bins_of), scale_of(paths)
+            return {"date": day.isoformat(), "slots": rows, "scale": scale, "irradiance": curve}
 
     # ------------------------------------------------------------------------------------------
     # parts
@@ -500,7 +478,6 @@ class Snapshots:
             "state": present.states[slot.id],
             "picture": slot.id in present.merged,
             "sun_altitude_deg": round(slot.sun_altitude_deg, 1),
-            "sun_azimuth_deg": round(slot.sun_azimuth_deg, 1),
         }
 
     def _latest(self) -> JsonTable | None:
@@ -509,11 +486,11 @@ class Snapshots:
         if not files:
             return None
         slot = files[0].stem
-        row = {"slot": slot, "verdict": self._verdict(slot, "no sidecar"), **scale_of(files)}
+        local = ""
         with suppress(ValueError):
-            local = parse_utc(slot).astimezone(self._zone)
-            row |= {"local": f"{local:%a %d %b %Y, %H:%M}", "date": local.date().isoformat()}
-        return row
+            local = f"{parse_utc(slot).astimezone(self._zone):%a %d %b %Y, %H:%M}"
+        verdict = self._verdict(slot, "no sidecar")
+        return {"slot": slot, "verdict": verdict, "local": local, **scale_of(files)}
 
     def _verdict(self, slot: str, without_sidecar: str) -> str:
         try:

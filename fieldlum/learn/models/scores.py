@@ -234,7 +234,8 @@ def _glare_errors(
     glare = metrics.glare_directions(maps, test.views, suns, judged.disc_lx)
     true_dgp, true_ev = test.dgp[rows[with_glare]], test.ev_lx[rows[with_glare]]
     own_lx = test.own_disc_lx[rows[with_glare]]
-    in_use = metrics.dgp(*metrics.with_disc(glare, metrics.sun_per_lx(suns, test.views), own_lx))
+    disc = metrics.sun_per_lx(suns, test.views), own_lx
+    in_use = metrics.dgp(*metrics.with_disc(glare, disc))
 
     def mean(values: Floats) -> Floats:
         return values[:, test.full].mean(axis=1)

@@ -201,15 +201,8 @@ def glare_directions(
     terms = source_terms(sun_cdm2, np.asarray(SUN_SOLID_ANGLE_SR), right, up, sun_ev, background)
     all_ev = sun_ev.reshape(-1, *map_ev.shape).sum(axis=0)
     of_suns = terms.reshape(3, -1, *map_ev.shape).sum(axis=1)
-    contrast, dgi_sum, veiling_sum = of_sources.swapaxes(0, 1) + of_suns
-    view = ViewSums(
-        ev_lx=map_ev + all_ev,
-        source_ev_lx=source_ev + all_ev,
-        background_cdm2=background,
-        contrast=contrast,
-        dgi_sum=dgi_sum,
-        veiling_sum=veiling_sum,
-    )
+    sums = of_sources.swapaxes(0, 1) + of_suns
+    view = ViewSums(map_ev + all_ev, source_ev + all_ev, background, *sums)
     parts = {"contrast": view.contrast, "sun_contrast": of_suns[0], "sun_ev_lx": all_ev}
     return parts | {name: metric.formula(view) for name, metric in METRICS.items()}
 
@@ -255,24 +248,17 @@ def sun_per_lx(sun_direction: Floats, views: Views) -> tuple[Floats, Floats]:
     return np.clip(cosine, 0.0, None), contrast
 
 
-def with_disc(
-    parts: dict[str, Floats],
-    per_lx: tuple[Floats, Floats],
-    disc_lx: Floats,
-    images: Sequence[DiscLight] = (),
-) -> tuple[Floats, Floats]:
-    """Return Ev and contrast of `parts` with another illuminance of the sun, [..., n, d] each.
+def with_disc(parts: dict[str, Floats], *discs: DiscLight) -> tuple[Floats, Floats]:
+    """Return Ev and contrast of `parts` with other suns, [..., n, d] each.
 
-    parts : result of `glare_directions`; its sun and images of the sun are removed first. per_lx :
-    result of `sun_per_lx` for the sun; disc_lx : [..., n] its new normal illuminance. images : the
-    same pair (result of `sun_per_lx`, illuminance) of each mirrored sun.
+    parts : result of `glare_directions`; its sun and images of the sun are removed first. discs :
+    of the sun and of each image of it, the result of `sun_per_lx` and a new illuminance [..., n].
     """
     ev = parts["ev_lx"] - parts["sun_ev_lx"]
     contrast = np.maximum(parts["contrast"] - parts["sun_contrast"], 0.0)
-    for of_lx, source_lx in ((per_lx, disc_lx), *images):
+    for of_lx, source_lx in discs:
         source = np.asarray(source_lx, float)[..., None]
-        ev = ev + source * of_lx[0]
-        contrast = contrast + source**2 * of_lx[1]
+        ev, contrast = ev + source * of_lx[0], contrast + source**2 * of_lx[1]
     return ev, contrast
 
 
@@ -289,7 +275,7 @@ def _sun_angles(sun: Floats, views: Views) -> tuple[Floats, Floats, Floats]:
 # Ev), so that the lower bound is not always at 0 cd/m2.
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class ViewCoverage:
     """The seen and unseen parts of d view directions.
 
@@ -336,12 +322,7 @@ def view_coverage(views: Views) -> ViewCoverage:
     # the centre is at most 90 degrees from the line of sight
     shrink = np.minimum(1.0 / area, 0.5 * np.pi / np.maximum(np.hypot(right, up), 1e-30))
     together = area / position_index(right * shrink, up * shrink) ** 2
-    return ViewCoverage(
-        seen_share=share,
-        unseen_illuminance=illuminance,
-        unseen_sources=np.maximum(apart, together),
-        words=seen_words(share),
-    )
+    return ViewCoverage(share, illuminance, np.maximum(apart, together), seen_words(share))
 
 
 def brightest_cdm2(luminance_cdm2: Floats, views: Views) -> Floats:
@@ -370,17 +351,13 @@ def unseen_dgp_bounds(
     brightest likely luminance of the unseen part. If nothing is unseen, both are the DGP of the
     seen part.
     """
-    low = high = dgp(ev_lx, contrast)
-    if not coverage.unseen_illuminance.any():
-        return low, high
-    # levels from 1 cd/m2 to the brightest
-    for share in np.linspace(0.0, 1.0, 12):
+    values = [dgp(ev_lx, contrast)]
+    for share in np.linspace(0.0, 1.0, 12) if coverage.unseen_illuminance.any() else ():
         level = np.maximum(max_cdm2, 1.0)[:, None] ** share  # [n, 1], 1 cd/m2 up to the brightest
         power = np.where(level > SOURCE_CDM2, level, 0.0) ** 2
         of_sources = contrast + power * coverage.unseen_sources
-        value = dgp(ev_lx + level * coverage.unseen_illuminance, of_sources)
-        low, high = np.minimum(low, value), np.maximum(high, value)
-    return low, high
+        values.append(dgp(ev_lx + level * coverage.unseen_illuminance, of_sources))
+    return np.min(values, axis=0), np.max(values, axis=0)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -400,12 +377,11 @@ def local_contrast(image: Floats) -> Floats:
     [H, W] are 0.
     """
     values = np.asarray(image, np.float64)
-    inner, out = values[1:-1, 1:-1], np.zeros_like(values)
-    height, width = inner.shape
-    for row, column in product((0, 1, 2), (0, 1, 2)):
-        near = values[row : height + row, column : width + column]
-        diagonal = row != 1 and column != 1
-        out[1:-1, 1:-1] += np.abs(inner - near) / (np.sqrt(2.0) if diagonal else 1.0)
+    out = np.zeros_like(values)
+    for step in product((-1, 0, 1), repeat=2):
+        far = max(float(np.linalg.norm(step)), 1.0)
+        out += np.abs(values - np.roll(values, step, (0, 1))) / far
+    out[[0, -1]] = out[:, [0, -1]] = 0.0
     return out / (4.0 + 2.0 * np.sqrt(2.0))
 
 

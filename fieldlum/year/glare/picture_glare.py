@@ -15,6 +15,7 @@ from fieldlum.optics import projection
 from fieldlum.optics.melanopic import melanopic_edi, melanopic_ratio
 from fieldlum.sky.sun_disc import find_disc, without_disc
 from fieldlum.year.glare import metrics, pictures
+from fieldlum.year.glare.pictures import Picture, read_picture
 from fieldlum.year.glare.sources import (
     Sources,
     Views,
@@ -24,13 +25,8 @@ from fieldlum.year.glare.sources import (
 )
 from fieldlum.year.glare.standards import disturbed_share
 
-# Upper limits of DGP of the four grades (Wienold 2009; Mardaljevic et al. 2012).
-VERDICTS = (
-    (0.35, "imperceptible"),
-    (0.40, "perceptible"),
-    (0.45, "disturbing"),
-    (np.inf, "intolerable"),
-)
+# Upper limits of DGP of the grades below the highest (Wienold 2009; Mardaljevic et al. 2012).
+VERDICTS = ((0.35, "imperceptible"), (0.40, "perceptible"), (0.45, "disturbing"))
 # More than sun and sky give: the sun's illuminance outside the atmosphere is 133 100 lx (IES
 # Lighting Handbook). Chosen above it, for sunlit snow. A picture in cd/m2 instead of Radiance's
 # W/sr/m2 is 179 times too bright.
@@ -38,10 +34,7 @@ MAX_EV_LX = 200_000.0
 # DGP was derived from rooms with at least this vertical illuminance (Wienold 2009); evalglare warns
 # at the same limit.
 MIN_DGP_EV_LX = 380.0
-_SCALE = (
-    "scale the picture by the vertical illuminance measured at the lens (fieldlum glare "
-    "--calibrate-ev LX)"
-)
+_SCALE = "scale the picture by Ev measured at the lens (fieldlum glare --calibrate-ev LX)"
 
 
 def picture_glare(
@@ -64,8 +57,9 @@ def picture_glare(
     `glare_answer`. Raises InputError for an unusable picture, for azimuths other than the own one
     of a picture that is no panorama, or if a picture to scale has no light in its first view.
     """
-    picture = pictures.read_picture(path, view_options, part)
-    judge = partial(glare_answer, picture, path, azimuths_deg, lamps=lamps)
+    picture = read_picture(path, view_options, part)
+    picture = picture if lamps is None else replace(picture, lamps=lamps)
+    judge = partial(glare_answer, picture, path, azimuths_deg)
     if measured_ev_lx is None:
         return judge(reference=reference)[0]
     ev = judge()[0]["views"][0]["ev_lx"]
@@ -87,18 +81,17 @@ def panorama_glare(panorama: Panorama, azimuths_deg: Sequence[float] = ()) -> Js
     if width != 2 * height:
         found, remedy = f"a map of {width} x {height} pixels", "use an equirectangular map"
         raise InputError("panorama", found, "a map twice as wide as high", remedy)
-    picture = pictures.Picture(panorama, None)
-    return glare_answer(picture, Path("panorama"), azimuths_deg)[0] | {"file": ""}
+    answer, _ = glare_answer(Picture(panorama, None), Path("panorama"), azimuths_deg)
+    return answer | {"file": ""}
 
 
 def glare_answer(
-    picture: pictures.Picture,
+    picture: Picture,
     path: Path,
     azimuths_deg: Sequence[float] = (),
     *,
     reference: bool = False,
     factor: float = 1.0,
-    lamps: bool | None = None,
 ) -> tuple[JsonTable, Sources]:
     """Return the `glare` answer of a picture with its luminance times `factor`, and its sources.
 
@@ -120,7 +113,7 @@ def glare_answer(
     picture, the strongest 20. reference : evalglare's figures, if requested, of fully seen
     directions. Undefined figures are None.
     """
-    panorama, view = picture.panorama, picture.view
+    panorama, view, heading_deg = picture.panorama, picture.view, picture.panorama.heading_deg
     seen_mask = seen_pixels(panorama)
     pixels, warnings = valid_pixels(panorama, path)
     pixels *= np.float32(factor)
@@ -129,22 +122,18 @@ def glare_answer(
     if sun is not None:
         sun = replace(sun, normal_illuminance_lx=sun.normal_illuminance_lx * factor)
     if view is None:
-        heading_deg = panorama.heading_deg
         azimuths = np.asarray(azimuths_deg or view_azimuths_deg(heading_deg), float) % 360.0
         pixels, sun = take_out_sun(pixels, heading_deg, sun)
         views = panorama_views(height, width, heading_deg, azimuths, seen_mask)
     else:
         off_deg = projection.signed_angle_deg(np.asarray(azimuths_deg) - view.azimuth_deg)
         if np.abs(off_deg).max(initial=0.0) > 1e-3:
-            found = (
-                f"--view-azimuth with a picture of one view direction, {view.azimuth_deg:.1f} deg"
-            )
-            expected = "--view-azimuth only with a panorama"
-            raise InputError(path, found, expected, "remove --view-azimuth")
+            found = f"a picture of one view direction, {view.azimuth_deg:.1f} deg"
+            raise InputError(path, found, "a panorama", "remove --view-azimuth")
         views = pictures.picture_views(view, height, width, seen_mask)
         share = min(1.0, float(views.moments[:, 0].sum(dtype=float)) / (2.0 * np.pi))
     sources = glare_sources(pixels, views)
-    rows = _view_rows(pixels, picture, views, sources, sun, lamps)
+    rows = _view_rows(pixels, picture, views, sources, sun)
     if reference:
         _add_reference(rows, pixels, picture, views, sun)
     graded = [np.nan if row["seen"] == projection.NOT_SEEN else row["dgp"] for row in rows]
@@ -152,7 +141,7 @@ def glare_answer(
     answer: JsonTable = {
         "file": str(path),
         "t_utc": utc_text(panorama.t_utc) if panorama.t_utc else None,
-        "heading_deg": panorama.heading_deg,
+        "heading_deg": heading_deg,
         "sun": None if sun is None else asdict(sun),
         "melanopic_der": "D65, assumed" if melanopic_ratio(panorama) is None else "colour",
         "views": rows,
@@ -166,13 +155,8 @@ def glare_answer(
 
 
 def _view_rows(
-    pixels: Floats,
-    picture: pictures.Picture,
-    views: Views,
-    sources: Sources,
-    sun: SunSource | None,
-    lamps: bool | None,
-) -> list[dict[str, Any]]:
+    pixels: Floats, picture: Picture, views: Views, sources: Sources, sun: SunSource | None
+) -> list[JsonTable]:
     """Return the figures of each direction. pixels : luminance [H, W] without the sun."""
     rays = None if sun is None else projection.direction(sun.altitude_deg, sun.azimuth_deg)[None]
     disc = None if sun is None else np.array([sun.normal_illuminance_lx])
@@ -180,18 +164,15 @@ def _view_rows(
     parts = metrics.glare_directions(pixels[None], views, rays, disc, sources=[sources])
     brightest = metrics.brightest_cdm2(pixels[None], views)
     bounds = metrics.unseen_dgp_bounds(coverage, parts["ev_lx"], parts["contrast"], brightest)
-    edi, u_edi = melanopic_edi(
-        picture.panorama, pixels.ravel(), views.illuminance, sun, parts["sun_ev_lx"][0], lamps=lamps
-    )
-    figures = {name: parts[name][0] for name in metrics.METRICS}
-    ratios = metrics.region_ratios(pixels[None], metrics.region_weights(views))
-    figures |= {name: ratio[0] for name, ratio in ratios.items()}
-    figures["melanopic_edi_lx"] = edi
-    figures["u_melanopic_edi_lx"] = np.full_like(edi, np.nan) if u_edi is None else u_edi
+    light = pixels.ravel(), views.illuminance, sun, parts["sun_ev_lx"][0]
+    edi, u_edi = melanopic_edi(picture.panorama, *light, lamps=picture.lamps)
+    figures = {name: parts[name] for name in metrics.METRICS}
+    figures |= metrics.region_ratios(pixels[None], metrics.region_weights(views))
+    figures |= {"melanopic_edi_lx": edi[None], "u_melanopic_edi_lx": u_edi[None]}
     rows = []
     for i, azimuth in enumerate(views.azimuths_deg):
-        row: dict[str, Any] = {"azimuth_deg": float(azimuth)}
-        row |= {name: plain(values[i]) for name, values in figures.items()}
+        row: JsonTable = {"azimuth_deg": float(azimuth)}
+        row |= {name: plain(values[0, i]) for name, values in figures.items()}
         row |= {"verdict": _verdict(row["dgp"]), "seen": coverage.words[i]}
         row["seen_share"] = float(coverage.seen_share[i])
         if row["seen"] == projection.PARTLY_SEEN:
@@ -210,39 +191,31 @@ def _view_rows(
 
 def _verdict(dgp: float) -> str:
     """Return the grade of a DGP, which must not be NaN."""
-    return next(name for limit, name in VERDICTS if dgp < limit)
+    return next((name for limit, name in VERDICTS if dgp < limit), "intolerable")
 
 
 def _source_rows(sources: Sources) -> list[dict[str, float]]:
     """Return the figures of the strongest sources of a single view, the strongest first."""
-    figures = {
-        "mean_cdm2": sources.mean_cdm2,
-        "solid_angle_sr": sources.solid_angle_sr,
-        "right_deg": np.degrees(sources.right_rad),
-        "up_deg": np.degrees(sources.up_rad),
-        "ev_lx": sources.ev_lx,
-    }
+    names = ("mean_cdm2", "solid_angle_sr", "right_deg", "up_deg", "ev_lx")
+    mean, omega, right, up, ev_lx, _ = sources
+    figures = np.stack([mean, omega, np.degrees(right), np.degrees(up), ev_lx])[..., 0]  # [5, s]
     # the 20 strongest: a noisy picture can have thousands
     order = np.argsort(sources.contrast[:, 0])[::-1][:20]
-    return [{name: float(values[i, 0]) for name, values in figures.items()} for i in order]
+    return [dict(zip(names, figures[:, i].tolist(), strict=True)) for i in order]
 
 
 def _add_reference(
-    rows: list[dict[str, Any]],
-    pixels: Floats,
-    picture: pictures.Picture,
-    views: Views,
-    sun: SunSource | None,
+    rows: list[JsonTable], pixels: Floats, picture: Picture, views: Views, sun: SunSource | None
 ) -> None:
     """Add evalglare's figures to the rows; of a panorama, to those of fully seen directions."""
+    heading_deg, view = picture.panorama.heading_deg, picture.view
     for row in rows:
-        if picture.view is not None:
+        if view is not None:
             disc = 0.0 if sun is None else pictures.disc_pixels(views, pixels.shape, sun)
-            found = pictures.reference_glare(pixels + disc, view=picture.view.text)
-            row["reference"] = found._asdict()
+            row["reference"] = pictures.reference_glare(pixels + disc, view=view.text)._asdict()
         elif row["seen"] == projection.SEEN:
-            heading_deg, azimuth_deg = picture.panorama.heading_deg, row["azimuth_deg"]
-            shown = pictures.panorama_to_fisheye(pixels, heading_deg, azimuth_deg, sun=sun)
+            facing = heading_deg, row["azimuth_deg"]
+            shown = pictures.panorama_to_fisheye(pixels, *facing, sun=sun)
             row["reference"] = pictures.reference_glare(shown)._asdict()
 
 
@@ -265,8 +238,7 @@ def valid_pixels(panorama: Panorama, path: Path) -> tuple[Floats32, list[str]]:
     """
     pixels = np.array(panorama.luminance_cdm2, np.float32)
     pixels[~seen_pixels(panorama)] = 0.0
-    bad = int((~np.isfinite(pixels)).sum())
-    if bad:
+    if bad := int((~np.isfinite(pixels)).sum()):
         found = f"{counted(bad, 'pixel')} with an infinite or missing (NaN) luminance"
         expected = "a finite luminance in cd/m2 in every pixel"
         raise InputError(path, found, expected, "merge or render the picture again")
@@ -288,13 +260,8 @@ def take_out_sun(
     disc = None if recorded else find_disc(luminance_cdm2, heading_deg)
     if disc is None:
         return luminance_cdm2, recorded
-    sun = SunSource(
-        disc.altitude_deg,
-        disc.azimuth_deg,
-        normal_illuminance_lx=disc.normal_lx,
-        visible_fraction=1.0,
-        origin="picture",
-    )
+    place = disc.altitude_deg, disc.azimuth_deg
+    sun = SunSource(*place, normal_illuminance_lx=disc.normal_lx, origin="picture")
     return without_disc(luminance_cdm2, disc), sun
 
 
@@ -307,7 +274,7 @@ def plain(value: float) -> float | None:
 # warnings
 
 
-def _picture_texts(picture: pictures.Picture, seen_mask: Mask) -> Iterator[str]:
+def _picture_texts(picture: Picture, seen_mask: Mask) -> Iterator[str]:
     """Yield the reader's notes, and warnings of unseen, dark and clipped pixels."""
     panorama = picture.panorama
     if picture.view is None and not seen_mask.all():
@@ -319,17 +286,13 @@ def _picture_texts(picture: pictures.Picture, seen_mask: Mask) -> Iterator[str]:
     yield from picture.notes
     if not picture.directed:
         yield (
-            "the picture's VIEW has no direction (-vd): the glare figures are right, but the "
-            f"azimuth of {panorama.heading_deg:.0f} deg is an assumption; state the view "
-            "with --view"
+            "the picture's VIEW has no direction (-vd): glare is right, but the azimuth of "
+            f"{panorama.heading_deg:.0f} deg is an assumption; state the view with --view"
         )
     if not (panorama.luminance_cdm2 > 0).any():
-        yield (
-            "the picture has no light: no pixel is above 0 cd/m2, so the glare figures have "
-            "no meaning; check how the picture was written"
-        )
-    clipped = 0 if panorama.flags is None else int((panorama.flags & Flag.CLIPPED_HIGH > 0).sum())
-    if clipped:
+        yield "the picture has no light, so glare has no meaning; check how it was written"
+    flags = 0 if panorama.flags is None else panorama.flags
+    if clipped := int(np.sum(flags & Flag.CLIPPED_HIGH > 0)):
         yield (
             f"clipped in every frame: {counted(clipped, 'pixel')}; the true luminance there, and "
             "DGP, may be higher; capture shorter exposures as well, unless it is the sun's disc"
@@ -353,7 +316,5 @@ def _figure_texts(rows: Sequence[Mapping[str, Any]], share: float, factor: float
         )
     elif 0.0 < highest < MIN_DGP_EV_LX:
         remedy = f"; if the picture is not calibrated, {_SCALE}" if factor == 1.0 else ""
-        yield (
-            f"Ev is at most {highest:.3g} lx: below {MIN_DGP_EV_LX:.0f} lx a DGP may be too low"
-            f"{remedy}"
-        )
+        lowest = f"{MIN_DGP_EV_LX:.0f} lx"
+        yield f"Ev is at most {highest:.3g} lx: below {lowest} a DGP may be too low{remedy}"

@@ -29,6 +29,7 @@ from fieldlum.core.arrays import Floats, Floats32, Mask
 from fieldlum.core.errors import FieldlumError, InputError, input_errors
 from fieldlum.core.files import open_to_read
 from fieldlum.core.records import Panorama, SunSource
+from fieldlum.core.room_states import is_lit
 from fieldlum.optics import images
 from fieldlum.optics.projection import (
     altitude_azimuth_deg,
@@ -37,6 +38,7 @@ from fieldlum.optics.projection import (
     equirect_rays,
     equirect_solid_angles,
 )
+from fieldlum.session import Session, marks
 from fieldlum.session.panorama_sun import read_panorama_with_sun
 from fieldlum.sky.sun import SUN_SOLID_ANGLE_SR
 from fieldlum.sky.sun_disc import SUN_RADIUS_RAD
@@ -44,10 +46,7 @@ from fieldlum.year.glare.sources import Views, angles_from_view
 
 HOW_PANORAMA = "a panorama needs FIELDLUM_VIEW= equirect heading_deg=180 in its header"
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
-_INHERITED = (
-    "the picture inherited its VIEW from an input picture: the VIEW is wrong if "
-    "that picture was cropped"
-)
+_INHERITED = "the VIEW is that of an input picture: it is wrong if that picture was cropped"
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,13 +56,15 @@ class Picture:
     panorama : the pixels, rows from the top, also of a picture that is no panorama; heading_deg is
     then the azimuth of its view. view : the view of a fisheye or perspective picture; None for a
     panorama. directed : False if the view states no direction: its azimuth is then the heading of
-    an .exr, or Radiance's default, north. notes : warnings of the reader.
+    an .exr, or Radiance's default, north. notes : warnings of the reader. lamps : True if the
+    journal of the picture's session marks a lamp as on; None if unknown.
     """
 
     panorama: Panorama
     view: PictureView | None
     directed: bool = True
     notes: tuple[str, ...] = ()
+    lamps: bool | None = None
 
 
 def read_picture(path: Path, view_options: str = "", part: str = "") -> Picture:
@@ -77,8 +78,7 @@ def read_picture(path: Path, view_options: str = "", part: str = "") -> Picture:
     with input_errors(path, what, "check the path", OSError), open_to_read(path) as file:
         is_exr = file.read(4) == _EXR_MAGIC or path.suffix.lower() == ".exr"
     if part and not is_exr:
-        found = "a Radiance picture, which has no parts"
-        raise InputError(path, found, "an .exr for --part", "omit --part")
+        raise InputError(path, "a picture without parts", "an .exr for --part", "omit --part")
     return _read_exr(path, view_options, part) if is_exr else _read_hdr(path, view_options)
 
 
@@ -100,17 +100,16 @@ def _read_hdr(path: Path, view_options: str) -> Picture:
 
 def _check_views(header: images.RadianceHeader, path: Path) -> None:
     """Raise InputError for views of different types, or for a panorama with a view."""
-    remedy = "state the true view with --view"
+    types = {word for text in header.views for word in text.split() if word.startswith("-vt")}
+    found = ""
     if header.heading_deg is not None and header.views:
         found = f"the header has the lines FIELDLUM_VIEW= (a panorama) and VIEW= {header.view[:80]}"
-        raise InputError(path, found, "one of the two", "remove one of the two lines")
-    types = {word for text in header.views for word in text.split() if word.startswith("-vt")}
-    if len(types) > 1:
+    elif len(types) > 1:
         found = f"VIEW lines of several types: {', '.join(sorted(types))}"
-        raise InputError(path, found, "one VIEW", remedy)
-    if not header.view and header.inherited_views:
+    elif not header.view and header.inherited_views:
         found = "different VIEW lines inherited from its input pictures"
-        raise InputError(path, found, "one VIEW", remedy)
+    if found:
+        raise InputError(path, found, "one VIEW", "state the true view with --view")
 
 
 def _read_exr(path: Path, view_options: str, part: str) -> Picture:
@@ -121,12 +120,13 @@ def _read_exr(path: Path, view_options: str, part: str) -> Picture:
         picture = read_panorama_with_sun(path, part=part)
     notes = (picture.attributes["note"],) if "note" in picture.attributes else ()
     if is_panorama:
-        return Picture(picture, None, notes=notes)
+        # panoramas/ can be a link to another disk
+        marked = marks(Session(path.absolute().parent.parent)).get(path.stem, "")
+        return Picture(picture, None, notes=notes, lamps=is_lit(marked) or None)
     text = view_options or ("" if stated == "equirect" else stated.removeprefix("VIEW=").strip())
     view = parse_view(text, path, picture.heading_deg)
     check_proportion(view, picture.luminance_cdm2.shape, 1.0, path)
-    pixels = np.asarray(picture.luminance_cdm2, np.float32)
-    own = replace(picture, luminance_cdm2=pixels, heading_deg=view.azimuth_deg, rgb=None)
+    own = replace(picture, heading_deg=view.azimuth_deg, rgb=None)
     return Picture(own, view, "-vd" in text.split() or not view_options, notes)
 
 
@@ -168,15 +168,9 @@ def picture_views(
         weights[~seen_mask] = 0.0
         ahead &= seen_mask
     flat, azimuths = weights.reshape(-1, 4, 1), np.array([view.azimuth_deg])
-    return Views(
-        azimuths,
-        frames=view.frame[None],
-        illuminance=flat[:, 0],
-        moments=flat[:, 1:],
-        ahead=ahead.reshape(-1, 1),
-        hemisphere=np.array([[np.pi], [2.0 * np.pi], [0.0], [0.0], [HEMISPHERE_SOURCES_SR]]),
-        is_panorama=False,
-    )
+    hemisphere = np.array([[np.pi], [2.0 * np.pi], [0.0], [0.0], [HEMISPHERE_SOURCES_SR]])
+    parts = view.frame[None], flat[:, 0], flat[:, 1:], ahead.reshape(-1, 1), hemisphere
+    return Views(azimuths, *parts, is_panorama=False)
 
 
 def picture_centres(height: int, width: int, rows: slice = slice(None)) -> tuple[Floats, Floats]:
@@ -196,7 +190,7 @@ HOW = f'state the true view, such as --view "{EXAMPLE_VIEW}" for a fisheye that 
 _MAX_DEG = {"a": 360.0, "h": 180.0, "s": 359.0, "v": 179.0}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class PictureView:
     """A Radiance view, which gives the direction of each point of a picture.
 
@@ -288,9 +282,8 @@ def picture_directions(picture: Picture) -> tuple[Floats, Floats]:
 def _reach(kind: str, angle_deg: float) -> float:
     """Return the radius of half an angle in a mapping with focal length 1."""
     half = np.radians(angle_deg) / 2.0
-    return float(
-        {"a": half, "h": np.sin(half), "s": 2.0 * np.tan(half / 2.0), "v": np.tan(half)}[kind]
-    )
+    reach = {"a": half, "h": np.sin(half), "s": 2.0 * np.tan(half / 2.0), "v": np.tan(half)}
+    return float(reach[kind])
 
 
 def check_proportion(
@@ -308,9 +301,8 @@ def check_proportion(
     if abs(actual / expected - 1.0) > 0.02 + 1.0 / min(width, height):
         angles = f"-vh {view.horizontal_deg:g} -vv {view.vertical_deg:g}"
         found = f"{width} x {height} pixels with {angles}"
-        ratio = f"width over height {expected:.3f}"
         remedy = "the picture was cropped, or its VIEW is wrong: state the true view with --view"
-        raise InputError(source, found, ratio, remedy)
+        raise InputError(source, found, f"width over height {expected:.3f}", remedy)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -331,8 +323,7 @@ def parse_view(text: str, source: Path, heading_deg: float = 0.0) -> PictureView
     kind = (re.findall(r"(?<!\S)-vt(\S)(?!\S)", text) or [""])[-1]
     if kind not in _MAX_DEG:
         found = f"the view type -vt{kind}" if kind else "a VIEW without a view type"
-        remedy = "render the picture with -vta" if kind else HOW
-        raise InputError(source, found, "-vta, -vth, -vts or -vtv", remedy)
+        raise InputError(source, found, "-vta, -vth, -vts or -vtv", HOW)
 
     def numbers(name: str, *default: float) -> Floats:
         """Return the numbers of the last option of a name, three of them as a unit vector."""
@@ -357,17 +348,8 @@ def parse_view(text: str, source: Path, heading_deg: float = 0.0) -> PictureView
             expected = f"an angle above 0 and at most {_MAX_DEG[kind]:g} deg"
             raise InputError(source, f"{name} {angle:g} with -vt{kind}", expected, HOW)
     up = up - forward * float(up @ forward)
-    shift, lift = (float(numbers(name, 0.0)[0]) for name in ("vs", "vl"))
-    up /= np.linalg.norm(up)
-    return PictureView(
-        kind=kind,
-        forward=forward,
-        up=up,
-        horizontal_deg=angles[0],
-        vertical_deg=angles[1],
-        shift=shift,
-        lift=lift,
-    )
+    offsets = [float(numbers(name, 0.0)[0]) for name in ("vs", "vl")]
+    return PictureView(kind, forward, up / np.linalg.norm(up), *angles, *offsets)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -395,13 +377,7 @@ def panorama_to_fisheye(
     preserved. Pixels outside the circle are 0.
     """
     height, width = luminance_cdm2.shape
-    view = PictureView(
-        kind="a",
-        forward=direction(0.0, azimuth_deg),
-        up=direction(90.0, 0.0),
-        horizontal_deg=180.0,
-        vertical_deg=180.0,
-    )
+    view = parse_view(FISHEYE_VIEW, Path(), azimuth_deg)
     samples = max(2, int(np.ceil(2.0 * height / size)))
     y, x = picture_centres(size * samples, size * samples)
     rays = picture_rays(view, x, y)[0]
@@ -513,7 +489,6 @@ def _parse(text: str, trouble: str) -> ReferenceGlare:
     if "dgp" not in row:
         remedy = "expected a line that begins with 'dgp,'; install pyradiance again"
         raise FieldlumError(f"evalglare printed no result: {trouble}; {remedy}")
-    head = text.split(maxsplit=1)[0]
     figures = [float(row.get(name, "nan")) for name in _NAMES]
-    sources = int(head) if head.isdigit() else 0
+    sources = int((re.match(r"\d+", text) or "0")[0])
     return ReferenceGlare._make([*figures, sources, reference_version(), " ".join(FLAGS)])

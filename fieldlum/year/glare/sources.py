@@ -119,24 +119,19 @@ class Views:
 
 
 def panorama_views(
-    height: int,
-    width: int,
-    heading_deg: float,
-    azimuths_deg: ArrayLike,
-    seen_mask: Mask | None = None,
+    height: int, width: int, heading_deg: float, azimuths_deg: ArrayLike, seen: Mask | None = None
 ) -> Views:
     """Return `Views` of a panorama: its pixels' weights in d view directions, for all hours.
 
     height, width : of the panorama in pixels; heading_deg : azimuth of its centre column;
-    azimuths_deg : [d] view directions; azimuths are clockwise from north. seen_mask : pixels that a
+    azimuths_deg : [d] view directions; azimuths are clockwise from north. seen : pixels that a
     lens saw [H, W]; None for all. The weights need 16 bytes of memory for each pixel and direction.
     """
     azimuths = np.atleast_1d(np.asarray(azimuths_deg, float))
     rays = equirect_rays(height, width, heading_deg).reshape(-1, 3)
     omega = equirect_solid_angles(height, width).ravel()
-    seen = 1.0 if seen_mask is None else seen_mask.ravel()
-    illuminance = np.empty((len(rays), len(azimuths)), np.float32)
-    moments = np.empty((len(rays), 3, len(azimuths)), np.float32)
+    is_seen = 1.0 if seen is None else seen.ravel()
+    pixels = np.empty((len(rays), 4, len(azimuths)), np.float32)
     frames = np.stack([view_frame(azimuth) for azimuth in azimuths])
     hemisphere = np.empty((5, len(azimuths)))
     # so that a uniform hemisphere gives exactly pi: the cosine in the middle of a pixel is slightly
@@ -149,9 +144,9 @@ def panorama_views(
         weights = facing_sr * np.stack([cosine * closure, np.ones_like(up), right, up])
         hemisphere[:4, i] = weights.sum(axis=1)
         hemisphere[4, i] = (facing_sr / position_index(right, up) ** 2).sum()
-        illuminance[:, i], moments[:, :, i] = weights[0] * seen, (weights[1:] * seen).T
-    ahead = moments[:, 0] > 0.0
-    return Views(azimuths, frames, illuminance, moments, ahead, hemisphere)
+        pixels[:, :, i] = (weights * is_seen).T
+    ahead = pixels[:, 1] > 0.0
+    return Views(azimuths, frames, pixels[:, 0], pixels[:, 1:], ahead, hemisphere)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -272,9 +267,7 @@ def glare_sources(luminance_cdm2: Floats, views: Views) -> Sources:
     power, area = np.maximum(total(bright * omega), 1e-30), total(omega)
     mean, ev_lx = power / np.maximum(area, 1e-30), total(bright * views.illuminance[chosen])
     right, up = (total(bright * moment) / power for moment in (right, up))
-    return Sources(
-        mean, solid_angle_sr=area, right_rad=right, up_rad=up, ev_lx=ev_lx, pixels=pixels
-    )
+    return Sources(mean, area, right, up, ev_lx, pixels)
 
 
 def sources_of(luminance_cdm2: Floats, views: Views | None = None) -> list[NDArray[np.int64]]:

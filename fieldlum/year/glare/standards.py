@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from msgspec import structs
+from numpy.random import Generator
 
 from fieldlum.core.arrays import Floats, Floats32, Mask
 from fieldlum.optics.projection import NOT_SEEN, SEEN
@@ -117,7 +118,7 @@ def protection(
     uncertainty: DgpUncertainty,
     occupied_hours: int,
     azimuths_deg: Floats,
-    rng: np.random.Generator,
+    rng: Generator,
     u_common: Floats | None = None,
 ) -> tuple[DirectionYear, ...]:
     """Return the EN 17037 glare protection in d view directions, with 95 % intervals.
@@ -144,18 +145,12 @@ def protection(
         over = {f"{limit:.2f}": int((dgp[:, i] > limit).sum()) for _, limit in CLASSES}
         row = DirectionYear(float(azimuth), NOT_SEEN, seen=word, hours_over=dict.fromkeys(over))
         if judged[i]:
-            low, high = (None, None) if ends is None else map(float, ends[i])
-            certain = low is not None and high is not None and class_of(low) == class_of(high)
-            row = DirectionYear(
-                row.azimuth_deg,
-                glare_class=class_of(exceeded[i]),
-                certain=certain,
-                seen=word,
-                dgp_exceeded=float(exceeded[i]),
-                low=low,
-                high=high,
-                hours_over=over,
-            )
+            at, figures = float(exceeded[i]), {}
+            if ends is not None:
+                low, high = map(float, ends[i])
+                figures = {"low": low, "high": high, "certain": class_of(low) == class_of(high)}
+            figures |= {"glare_class": class_of(at), "dgp_exceeded": at, "hours_over": over}
+            row = structs.replace(row, **figures)
         rows.append(structs.replace(row, sentence=_sentence(row)))
     return tuple(rows)
 
@@ -167,41 +162,29 @@ def _sentence(row: DirectionYear) -> str:
     text = "below minimum" if row.glare_class == NO_CLASS else f"class {row.glare_class}"
     if row.seen != SEEN:
         text = f"{text}, from the seen part of the view"
+    figure = f"DGP exceeded in 5 % of occupied hours: {row.dgp_exceeded:.3f}"
     if row.low is None:
-        return (
-            f"{text} (DGP {row.dgp_exceeded:.3f} exceeded in 5 % of occupied hours); the model "
-            "states no uncertainty"
-        )
-    interval = (
-        f"DGP exceeded in 5 % of occupied hours: {row.dgp_exceeded:.3f}, 95 % interval "
-        f"{row.low:.3f} to {row.high:.3f}"
-    )
-    if row.certain:
-        return f"{text} ({interval})"
-    return f"cannot tell yet: {text} is the most likely class ({interval})"
+        return f"{text} ({figure}); the model states no uncertainty"
+    if not row.certain:
+        text = f"cannot tell yet: {text} is the most likely class"
+    return f"{text} ({figure}, 95 % interval {row.low:.3f} to {row.high:.3f})"
 
 
 def _interval(
-    dgp: Floats,
-    u_common: Floats,
-    occupied_hours: int,
-    rng: np.random.Generator,
-    uncertainty: DgpUncertainty,
+    dgp: Floats, u_common: Floats, occupied_hours: int, rng: Generator, uncertainty: DgpUncertainty
 ) -> tuple[Floats, Floats]:
     """Return the ends of the 95 % interval of dgp_exceeded for each direction, [d] each."""
-    lows, highs = [], []
-    all_seen = bool(np.array_equal(uncertainty.minimum, uncertainty.maximum, equal_nan=True))
+    ends = []
+    bounds = np.stack([uncertainty.minimum, uncertainty.maximum])  # [2, n, d]
     for k in range(DRAWS):
         year = uncertainty.drawn[k % len(uncertainty.drawn)] - dgp
         year += uncertainty.u_maps * year_errors(dgp.shape, rng) + u_common * rng.standard_normal()
-        darkest = np.clip(uncertainty.minimum + year, 0.0, 1.0)
-        lows.append(exceeded_in_share(darkest, occupied_hours))
-        brightest = np.clip(uncertainty.maximum + year, 0.0, 1.0)
-        highs.append(lows[-1] if all_seen else exceeded_in_share(brightest, occupied_hours))
+        ends.append(exceeded_in_share(np.clip(bounds + year, 0.0, 1.0), occupied_hours))
+    lows, highs = np.stack(ends, axis=1)
     return np.percentile(lows, 2.5, axis=0), np.percentile(highs, 97.5, axis=0)
 
 
-def year_errors(shape: tuple[int, ...], rng: np.random.Generator) -> Floats:
+def year_errors(shape: tuple[int, ...], rng: Generator) -> Floats:
     """Return standard normal errors of one drawn year, [n hours, d directions].
 
     shape: (n, d). The share `COMMON_ERROR` of the variance is one error of a direction in all

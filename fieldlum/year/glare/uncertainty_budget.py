@@ -6,7 +6,7 @@ scale over all its hours.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,7 +25,7 @@ from fieldlum.sky.sky_view.view import SkyView
 from fieldlum.year.glare import standards
 from fieldlum.year.glare.metrics import glare_directions
 from fieldlum.year.glare.picture_glare import seen_pixels, take_out_sun, valid_pixels
-from fieldlum.year.glare.pictures import read_picture
+from fieldlum.year.glare.pictures import Picture, read_picture
 from fieldlum.year.glare.sources import panorama_views
 
 # relative u of a disc's illuminance by DNI: luminous efficacy and glass together; not measured
@@ -78,14 +78,17 @@ class Budget:
 UNITS = {"DGP": "1", "Ev": "lx", "melanopic EDI": "lx", "luminance ahead": "cd/m2"}
 
 
+Contribution = tuple[Source, Mapping[str, Floats]]
+"""A source, and what it adds to the u of each figure, by name, [d] each."""
+
+
 class _Scene(NamedTuple):
     """A picture whose luminance [H, W], sun and heading can be changed; azimuths_deg: [d]."""
 
-    panorama: Panorama
+    picture: Picture
     luminance_cdm2: Floats
     sun: SunSource | None
     azimuths_deg: Floats
-    lamps: bool | None = None
 
     def figures(
         self, more_cdm2: Floats | float = 0.0, more_sun: float = 0.0, turn_deg: float = 0.0
@@ -95,7 +98,7 @@ class _Scene(NamedTuple):
         more_cdm2: added to the luminance; more_sun: share that is added to the recorded sun;
         turn_deg: of views.
         """
-        panorama, sun, azimuths = self.panorama, self.sun, self.azimuths_deg + turn_deg
+        panorama, sun, azimuths = self.picture.panorama, self.sun, self.azimuths_deg + turn_deg
         light = np.maximum(self.luminance_cdm2 + more_cdm2, 0.0)
         height, width = light.shape
         grid = panorama_views(height, width, panorama.heading_deg, azimuths)
@@ -105,7 +108,7 @@ class _Scene(NamedTuple):
         figures = {"DGP": parts["dgp"][0], "Ev": parts["ev_lx"][0]}
         if melanopic_ratio(panorama) is not None:
             of_map = panorama, light.ravel(), grid.illuminance, sun, parts["sun_ev_lx"][0]
-            figures["melanopic EDI"] = melanopic_edi(*of_map, lamps=self.lamps)[0]
+            figures["melanopic EDI"] = melanopic_edi(*of_map, lamps=self.picture.lamps)[0]
         ahead = (azimuths - panorama.heading_deg) / 360.0 * width + width / 2
         column = np.floor(ahead).astype(int) % width
         return figures | {"luminance ahead": light[height // 2, column]}
@@ -128,31 +131,27 @@ def budget_of_file(path: Path, azimuths_deg: Sequence[float], lamps: bool | None
         raise InputError(path, "a picture of one view", expected, remedy)
     sky = path.absolute().parent.parent / "sky_view.exr"
     u_heading_deg = SkyView.read(sky).pose.heading_sd_deg if sky.is_file() else STATED_SD[0]
-    return picture_budget(picture.panorama, path, azimuths_deg, u_heading_deg, lamps=lamps)
+    picture = picture if lamps is None else replace(picture, lamps=lamps)
+    return picture_budget(picture, path, azimuths_deg, u_heading_deg)
 
 
 def picture_budget(
-    panorama: Panorama,
-    path: Path,
-    azimuths_deg: Sequence[float],
-    u_heading_deg: float,
-    *,
-    lamps: bool | None = None,
+    picture: Picture, path: Path, azimuths_deg: Sequence[float], u_heading_deg: float
 ) -> list[Budget]:
     """Return the budgets of DGP, Ev, melanopic EDI and the pixel ahead, in each view direction.
 
-    panorama: with its sun; path: names it in errors. u_heading_deg: standard uncertainty of its
-    heading; lamps: as of `melanopic_edi`. A picture without `u_percent` (of an earlier version or
+    picture: a panorama with its sun; path: names it in errors. u_heading_deg: standard uncertainty
+    of its heading. A picture without `u_percent` (of an earlier version or
     another program) has one source for the complete uncertainty of its pixels, which then counts as
     shared by all of them. Raises InputError for pixels that are not finite, or without uncertainty.
     """
-    azimuths = np.asarray(azimuths_deg, float)
+    panorama, azimuths = picture.panorama, np.asarray(azimuths_deg, float)
     light, _ = valid_pixels(panorama, path)
     if panorama.u_cdm2 is None:
         found, expected = "no uncertainty of its pixels", "a panorama by merge"
         raise InputError(path, found, expected, "omit --budget")
     light, sun = take_out_sun(light, panorama.heading_deg, panorama.sun)
-    scene = _Scene(panorama, light, sun, azimuths, lamps)
+    scene = _Scene(picture, light, sun, azimuths)
     rows = [*_of_pixels(scene), *_of_sun_and_views(scene, u_heading_deg)]
     return _budgets(scene.figures(), azimuths, rows)
 
@@ -205,7 +204,7 @@ def budgets_of_year(
     values: Floats,
     azimuths_deg: Floats,
     changes: Sequence[tuple[Source, Floats]],
-    unseen: tuple[Source, Mapping[str, Floats]],
+    unseen: Contribution,
     unit: str = "1",
 ) -> list[Budget]:
     """Return the budgets of a year's figures: functions of the values of n hours in d directions.
@@ -242,10 +241,7 @@ def budgets_of_year(
 
 
 def _budgets(
-    at: Mapping[str, Floats],
-    azimuths: Floats,
-    rows: Sequence[tuple[Source, Mapping[str, Floats]]],
-    unit: str = "1",
+    at: Mapping[str, Floats], azimuths: Floats, rows: Sequence[Contribution], unit: str = "1"
 ) -> list[Budget]:
     """Return a budget for each direction and figure; `rows` has what each source adds, [d].
 
@@ -302,12 +298,12 @@ def shared_u_rel(panorama: Panorama) -> dict[str, float]:
     return {name: float(text) / 100 for name, text in (word.split("=") for word in words)}
 
 
-def _of_pixels(scene: _Scene) -> Iterator[tuple[Source, Mapping[str, Floats]]]:
+def _of_pixels(scene: _Scene) -> Iterator[Contribution]:
     """Yield what the errors of pixels add to u of each figure: those that all share, and the rest.
 
     A sun that the camera measured has the shared errors too.
     """
-    panorama, light, sun = scene.panorama, scene.luminance_cdm2, scene.sun
+    panorama, light, sun = scene.picture.panorama, scene.luminance_cdm2, scene.sun
     by_camera = sun is not None and sun.origin in MEASURED_ORIGINS
     u = np.nan_to_num(np.asarray(panorama.u_cdm2, float))
     rest = np.where(seen_pixels(panorama), u, 0.0) ** 2
@@ -333,20 +329,17 @@ def _of_pixels(scene: _Scene) -> Iterator[tuple[Source, Mapping[str, Floats]]]:
         yield Source("pixels, as stated", "B", _NORMAL, mean, "%", "all pixels"), change
 
 
-def _of_sun_and_views(
-    scene: _Scene, u_heading_deg: float
-) -> Iterator[tuple[Source, Mapping[str, Floats]]]:
+def _of_sun_and_views(scene: _Scene, u_heading_deg: float) -> Iterator[Contribution]:
     """Yield what the sun's disc, the heading and the melanopic colour add to u of each figure."""
     if scene.sun is not None:
         change, name = scene.half_range(more_sun=U_DISC), "illuminance of the sun's disc"
         yield of_share(name, "B", U_DISC, "disc"), change
     change = scene.half_range(turn_deg=u_heading_deg)
     yield Source("heading", "B", _NORMAL, u_heading_deg, "deg", "all pixels"), change
-    colour = melanopic_ratio(scene.panorama)
-    if colour is not None:
+    if (colour := melanopic_ratio(scene.picture.panorama)) is not None:
         at, of_sun = scene.figures(), scene.half_range(more_sun=1.0)  # half of 2 E less half of 0
         edi, ev_lx = (at[name] - of_sun[name] for name in ("melanopic EDI", "Ev"))
-        u_rel = ratio_u_rel(edi / np.maximum(ev_lx, 1e-9), colour[1], lamps=scene.lamps)
+        u_rel = ratio_u_rel(edi / np.maximum(ev_lx, 1e-9), colour[1], lamps=scene.picture.lamps)
         source = of_share("melanopic ratio by colour", "B", float(u_rel.mean()), "all")
         yield source, {"melanopic EDI": edi * u_rel}
         change = {"melanopic EDI": of_sun["melanopic EDI"] * U_SUN_RATIO}

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -82,7 +82,7 @@ class HourBlock:
         return trusted
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class ModelRoom:
     """Site and room for which a model was trained, the size of its maps, and mirrors of the sun.
 
@@ -128,18 +128,9 @@ def room_of(config: ModelConfig, folder: Path) -> ModelRoom:
     seen_mask = seen_of(folder)
     if seen_mask is not None and seen_mask.shape != (height, width):
         seen_mask = None  # `blocks` rejects the maps of such a model
-    view = SkyView.find(folder / SKY_VIEW)
-    return ModelRoom(
-        setup=setup,
-        height=height,
-        width=width,
-        heading_deg=heading,
-        needs_patch=needs_patch,
-        seen=seen_mask,
-        mirrors=read_mirrors(folder, config),
-        sky_view=view,
-        pose=view.pose if view else CameraPose(axis_deg=heading),
-    )
+    view, mirrors = SkyView.find(folder / SKY_VIEW), read_mirrors(folder, config)
+    pose, size = view.pose if view else CameraPose(axis_deg=heading), (height, width, heading)
+    return ModelRoom(setup, *size, needs_patch, seen_mask, mirrors, view, pose=pose)
 
 
 def blocks(
@@ -274,16 +265,14 @@ class HourFigures(NamedTuple):
 
 def joined(parts: Sequence[HourFigures]) -> HourFigures:
     """Return the figures of all parts, in their order."""
-    first, doubts = parts[0], [part.uncertainty for part in parts]
-    arrays = {
-        name: np.concatenate([getattr(doubt, name) for doubt in doubts], axis=-2)
-        for name in DgpUncertainty._fields[1:]
-    }
-    return HourFigures(
-        {name: np.concatenate([part.hours[name] for part in parts]) for name in first.hours},
-        {name: np.concatenate([part.views[name] for part in parts]) for name in first.views},
-        first.uncertainty._replace(**arrays),
-    )
+
+    def together(tables: Sequence[dict[str, Array]], axis: int = 0) -> dict[str, Array]:
+        return {k: np.concatenate([table[k] for table in tables], axis) for k in tables[0]}
+
+    hours, views, doubts = zip(*parts, strict=True)
+    arrays = [{k: getattr(doubt, k) for k in DgpUncertainty._fields[1:]} for doubt in doubts]
+    doubt = doubts[0]._replace(**together(arrays, -2))
+    return HourFigures(together(hours), together(views), doubt)
 
 
 class HourJudge:
@@ -333,7 +322,7 @@ class HourJudge:
         suns = [self._pose.in_pictures(light.apparent_sun_direction, values) for values in poses]
         per_lx = metrics.sun_per_lx(np.stack(suns), views)
         images = _images(block, views, len(discs_lx))
-        drawn_ev_lx, drawn_contrast = metrics.with_disc(figures, per_lx, discs_lx, images)
+        drawn_ev_lx, drawn_contrast = metrics.with_disc(figures, (per_lx, discs_lx), *images)
         if melanopic is not None:
             unseen_lx = brightest[:, None] * coverage.unseen_illuminance
             figures |= melanopic.figures(light, figures, u_map_rel, drawn_ev_lx, unseen_lx)
@@ -354,10 +343,8 @@ class HourJudge:
             "expected_log10_mse": block.prediction.expected_mse,
             "disturbed_share": disturbed_share(figures["dgp"]),
         }
-        uncertainty = DgpUncertainty(
-            coverage.words, minimum=minimum, maximum=maximum, drawn=drawn, u_maps=u_maps
-        )
-        return HourFigures(hours, figures, uncertainty)
+        doubt = DgpUncertainty(coverage.words, minimum, maximum, drawn, u_maps)
+        return HourFigures(hours, figures, doubt)
 
 
 def relative_uncertainty(
@@ -388,20 +375,16 @@ def relative_uncertainty(
     return of_ev, u_ev_rel, np.hypot((1.0 - share) * of_source, share * U_DISC)
 
 
-def _images(block: HourBlock, views: Views, count: int) -> list[metrics.DiscLight]:
-    """Return what 1 lx of each mirror's image adds to Ev and contrast, and `count` random draws.
+def _images(block: HourBlock, views: Views, count: int) -> Iterator[metrics.DiscLight]:
+    """Yield what 1 lx of each mirror's image adds to Ev and contrast, and `count` random draws.
 
     The draws are the image's illuminance in lx [count, n], or 0 where it is hidden. Draw i (from 0)
     shows it in the hours whose chance of a visible image exceeds (i + 0.5) / count.
     """
     draws = (np.arange(count)[:, None] + 0.5) / count
-    return [
-        (
-            metrics.sun_per_lx(image.towards, views),
-            np.where(draws < image.chance, image.normal_lx, 0.0),
-        )
-        for image in block.images
-    ]
+    for image in block.images:
+        shown_lx = np.where(draws < image.chance, image.normal_lx, 0.0)
+        yield metrics.sun_per_lx(image.towards, views), shown_lx
 
 
 def room_figures(
@@ -447,6 +430,11 @@ class _HoursJob(NamedTuple):
     store: str
     melanopic: MelanopicYear | None
 
+    def block(self, rows: slice) -> Self:
+        """Return the job of some of its hours."""
+        light, disc_lx, discs_lx = self.light[rows], self.disc_lx[rows], self.discs_lx[:, rows]
+        return self._replace(start=rows.start, light=light, disc_lx=disc_lx, discs_lx=discs_lx)
+
 
 def predict_figures(
     model_folder: Path,
@@ -471,23 +459,12 @@ def predict_figures(
     files = [f for f in ("config.json", "weights.npz", SKY_VIEW) if (model / f).is_file()]
     digest = " ".join(sha256(model / file) for file in files)
     place = store.resolve().relative_to(folder).as_posix() if store else ""
-    best_lx, discs_lx = discs_of(room, light, seed)
-    azimuths, units = tuple(float(a) for a in azimuths_deg), []
+    discs, azimuths = discs_of(room, light, seed), tuple(float(a) for a in azimuths_deg)
+    job = _HoursJob(name, digest, 0, light, azimuths, *discs, place, melanopic)
+    units, paths = [], tuple(f"{name}/{file}" for file in files)
     for start in range(0, len(light), BLOCK):
-        rows = slice(start, min(start + BLOCK, len(light)))
-        job = _HoursJob(
-            model=name,
-            digest=digest,
-            start=start,
-            light=light[rows],
-            azimuths_deg=azimuths,
-            disc_lx=best_lx[rows],
-            discs_lx=discs_lx[:, rows],
-            store=place,
-            melanopic=melanopic,
-        )
-        title, paths = f"hours-{start}-{rows.stop}", tuple(f"{name}/{file}" for file in files)
-        units.append(WorkUnit(title, predict_hours, folder, job, files=paths))
+        part = job.block(slice(start, start + BLOCK))
+        units.append(WorkUnit(f"hours-{start}", predict_hours, folder, part, files=paths))
     parts: dict[str, HourFigures] = {}
 
     def take(outcome: UnitOutcome) -> None:

@@ -42,24 +42,24 @@ Figures = Mapping[str, Floats]
 _TYPICAL, _PRIOR = np.array([1.0, 0.25, 0.95, 0.65]), 2.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class MelanopicYear:
     """The ratio of melanopic to photopic light by hour and view direction, from n captures.
 
     kernel, captured : covariance between hours, and the captures' features; coefficients [n, d] :
-    kernel(hours, captured) @ coefficients is Ev over the total light outside. weights [4] : of an
+    kernel(hours, captured) @ coefficients is Ev over the total light outside. u_camera_rel :
+    relative standard uncertainty by each part of the camera's calibration. weights [4] : of an
     overcast sky, of a sky's clearness, of the sun and of lamps; factors [d] : of the directions;
-    u_fit_rel : relative standard uncertainty by days held out; u_camera_rel : by each part of the
-    camera's calibration.
+    u_fit_rel : relative standard uncertainty by days held out.
     """
 
     kernel: Kernel
     captured: Features
     coefficients: Floats
+    u_camera_rel: Mapping[str, float]
     weights: Floats
     factors: Floats
-    u_fit_rel: float
-    u_camera_rel: Mapping[str, float]
+    u_fit_rel: float = 0.0
 
     @property
     def u_rel(self) -> float:
@@ -158,15 +158,8 @@ def fit_year(
         covariance = kernel(features, features) + 1e-2 * np.eye(len(used))
         relative = ev_lx[rows] / used.total_lx[:, None]
         coefficients = np.linalg.solve(covariance, relative)
-        year = MelanopicYear(
-            kernel=kernel,
-            captured=features,
-            coefficients=coefficients,
-            weights=_TYPICAL,
-            factors=np.ones(0),
-            u_fit_rel=0.0,
-            u_camera_rel=u_camera_rel,
-        )
+        start = _TYPICAL, np.ones(ratio.shape[1])
+        year = MelanopicYear(kernel, features, coefficients, u_camera_rel, *start)
         weights, factors = _solve(_parts(used, *year.shares(used)), ratio[rows])
         return replace(year, weights=weights, factors=factors)
 
@@ -200,11 +193,9 @@ def _without_sun(light: Light) -> Light:
 
 def has_colour(pairs: Path) -> bool:
     """Return whether the first picture of a pairs.csv has melanopic colour."""
-    first = [pairs.parent / row.panorama for row in PairsFile.find(pairs).usable if row.panorama][
-        :1
-    ]
-    pictures = (read_panorama(path) for path in first if path.is_file())
-    return any(melanopic.melanopic_ratio(picture) is not None for picture in pictures)
+    named = [row.panorama for row in PairsFile.find(pairs).usable if row.panorama]
+    path = pairs.parent / (named or [""])[0]
+    return path.is_file() and melanopic.melanopic_ratio(read_panorama(path)) is not None
 
 
 def year_of_captures(
@@ -223,12 +214,10 @@ def year_of_captures(
     eye_lx, u_rel = [], 0.0
     for row in usable[::step]:
         picture = read_panorama(pairs.parent / row.panorama)
-        colour = melanopic.melanopic_ratio(picture)
-        if colour is None:
-            continue
-        light = np.maximum(np.nan_to_num(picture.luminance_cdm2), 0.0)
-        eye_lx.append(map_ev_lx(np.stack([light, light * colour[0]]), views))
-        rows, u_rel = [*rows, row], max(u_rel, colour[1])
+        if (colour := melanopic.melanopic_ratio(picture)) is not None:
+            light = np.maximum(np.nan_to_num(picture.luminance_cdm2), 0.0)
+            eye_lx.append(map_ev_lx(np.stack([light, light * colour[0]]), views))
+            rows, u_rel = [*rows, row], max(u_rel, colour[1])
     if not rows:
         raise NotEnoughDataError(f"{pairs}: no picture has melanopic colour; merge them again")
     dni, dhi = (np.array([getattr(row, name) for row in rows]) for name in ("dni_wm2", "dhi_wm2"))
@@ -281,9 +270,8 @@ class YearHours:
         at = self.hour[rows] - first, self.day[rows]
         least = np.zeros((WELL_HOURS[1] - first, int(at[1].max(initial=0)) + 1, edi_lx.shape[1]))
         least[at] = edi_lx[rows]
-        least = least.min(axis=0)
-        limits = zip(ENOUGH_DAYS, WELL_EDI_LX, strict=True)
-        count |= {name: (least >= limit).sum(axis=0) for name, limit in limits}
+        days = (least.min(axis=0) >= np.array(WELL_EDI_LX)[:, None, None]).sum(axis=1)
+        count |= dict(zip(ENOUGH_DAYS, days, strict=True))
         has_edi = np.isfinite(edi_lx).any(axis=0)
         return {k: np.where(has_edi, 100.0 * c / self.days, np.nan) for k, c in count.items()}
 

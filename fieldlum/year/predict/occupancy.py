@@ -134,8 +134,6 @@ def occupied_hours(
     used = occupancy.at(middles.tolist(), zone)
     used[blank] &= position(middles[blank].tolist(), site).altitude_deg <= 0.0
     if not used.any():
-        raise NotEnoughDataError(
-            f"the weather file has no values for any occupied hour ({occupancy.text}) on its "
-            f"{len(days)} days; correct --occupancy, or use a weather file without these gaps"
-        )
+        found = f"the weather file has no values for any occupied hour ({occupancy.text})"
+        raise NotEnoughDataError(f"{found} on its {len(days)} days; correct --occupancy")
     return int(used.sum()), len(days)

@@ -110,9 +110,9 @@ def run(
     light = _daylight(weather, weather_path, lit)
     azimuths = view_azimuths_deg(room.heading_deg, views)
     hours_used, days = occupied_hours(occupancy, weather.t_utc, weather.site)
-    colours = None
+    colours, camera = None, {} if session is None else camera_u_rel(session)
     if coloured is not None:
-        colours = melanopic.year_of_captures(coloured.pairs, room, azimuths, camera_u_rel(coloured))
+        colours = melanopic.year_of_captures(coloured.pairs, room, azimuths, camera)
     # an interruption must not leave the hours of one weather file with the classes of another
     (folder / "predict.json").unlink(missing_ok=True)
     for name in (hour_blocks.NAME, hour_blocks.DRAFT):
@@ -126,7 +126,7 @@ def run(
     found.hours["trusted"] *= not config.untrusted
     summary = structs.replace(about, inputs=inputs, days=days)
     annual = Annual(light.t_utc, azimuths, found.hours, _columns(found), folder, summary)
-    annual, budgets = _judged(annual, found.uncertainty, hours_used, room, session, seed)
+    annual, budgets = _judged(annual, found.uncertainty, hours_used, room, camera, seed)
     if colours is not None:
         hours = melanopic.YearHours.of(light.t_utc, weather.site.timezone, days)
         budgets += melanopic.edi_budget(colours, found.views, hours, azimuths)
@@ -170,40 +170,33 @@ def _judged(
     uncertainty: DgpUncertainty,
     hours_used: int,
     room: ModelRoom,
-    session: Session | None,
+    camera: Mapping[str, float],
     seed: int,
 ) -> tuple[Annual, list[budget.Budget]]:
     """Return the year with the classes of its directions, and the budgets of their exceeded DGP.
 
-    hours_used: number of occupied hours, lit and dark ones.
+    hours_used: number of occupied hours, lit and dark ones. camera: result of `camera_u_rel`.
     """
     used, azimuths, summary = annual.occupied, annual.azimuths_deg, annual.summary
     dgp, ev_lx, u = annual.views["dgp"][used], annual.views["ev_lx"][used], uncertainty.hours(used)
-    camera = {} if session is None else camera_u_rel(session)
     u_rel, rng = float(np.linalg.norm([*camera.values()])), np.random.default_rng(seed)
     rows = protection(dgp, u, hours_used, azimuths, rng, u_rel * dgp_per_scale(dgp, ev_lx))
     budgets = budget.year_budget(dgp, ev_lx, u, hours_used, azimuths, camera)
     count = int(used.sum())
     untrusted, wide = (float(hours.sum()) / max(count, 1) for hours in unsure_hours(annual, rows))
-    shares = (
-        [] if room.seen is None else projection.seen_shares(room.seen, room.heading_deg, azimuths)
-    )
-    rule, notes = summary.inputs["occupancy"], _notes(summary, room, untrusted, wide)
+    shares: Floats | tuple[()] = ()
+    if room.seen is not None:
+        shares = projection.seen_shares(room.seen, room.heading_deg, azimuths)
+    rule = summary.inputs["occupancy"]
     summary = structs.replace(
         summary,
-        occupancy=YearOccupancy(
-            rule,
-            hours=hours_used,
-            lit=count,
-            untrusted_share=untrusted,
-            unsure_share=untrusted + wide,
-        ),
+        occupancy=YearOccupancy(rule, hours_used, count, untrusted, untrusted + wide),
         seen_share=tuple(round(float(share), 3) for share in shares),
         u_scale_rel=u_rel,
-        notes=(*notes, *_camera_note(budgets), *_unseen_notes(rows)),
         protection=rows,
     )
-    return replace(annual, summary=summary), budgets
+    notes = tuple(_notes(summary, room, budgets))
+    return replace(annual, summary=structs.replace(summary, notes=notes)), budgets
 
 
 def _write(annual: Annual, budgets: list[budget.Budget], pictures: Pictures, zone: str) -> None:
@@ -264,8 +257,8 @@ def report_hours(annual: Annual) -> Iterator[tuple[str, int]]:
     """
     used = np.flatnonzero(annual.occupied) if annual.occupied.any() else np.arange(len(annual))
     dgp = annual.views["dgp"][used]
-    ends = best_and_worst(annual.summary.protection)
-    for name, row in () if ends is None else (("worst", ends[1]), ("best", ends[0])):
+    ends = best_and_worst(annual.summary.protection) or ()
+    for name, row in zip(("worst", "best"), ends[::-1], strict=False):
         direction = int(np.argmin(np.abs(annual.azimuths_deg - row.azimuth_deg)))
         order = used[np.argsort(dgp[:, direction], kind="stable")]
         for share, kind in ((0.5, "typical"), (0.95, "p95"), (1.0, "highest")):
@@ -392,23 +385,6 @@ _UNSEEN_NOTES = {
 }
 
 
-def _unseen_notes(rows: Sequence[DirectionYear]) -> Iterator[str]:
-    """Yield a note on directions without a result, and a note on directions with bounds only."""
-    for word, meaning in _UNSEEN_NOTES.items():
-        of = [row.azimuth_deg for row in rows if row.seen == word]
-        if of:
-            named = ", ".join(f"{a:.0f}° ({projection.compass_name(a)})" for a in of)
-            yield f"the view directions {named} {meaning}"
-
-
-def _camera_note(budgets: Sequence[budget.Budget]) -> Iterator[str]:
-    if (share := budget.camera_share(budgets)) > 0.5:
-        yield (
-            f"{100 * share:.0f} % of the variance behind the classes' intervals is the camera's "
-            "calibration (budget.csv): fieldlum calibrate makes them smaller"
-        )
-
-
 def unsure_hours(annual: Annual, rows: Sequence[DirectionYear]) -> tuple[Mask, Mask]:
     """Return the lit occupied hours with an untrusted map, and the others with a wide interval.
 
@@ -424,32 +400,41 @@ def unsure_hours(annual: Annual, rows: Sequence[DirectionYear]) -> tuple[Mask, M
     return untrusted, annual.occupied & ~untrusted & (widest > _WIDE_DGP)
 
 
-def _notes(summary: PredictFile, room: ModelRoom, untrusted: float, wide: float) -> list[str]:
-    notes = [
+def _notes(
+    summary: PredictFile, room: ModelRoom, budgets: Sequence[budget.Budget]
+) -> Iterator[str]:
+    """Yield what a reader of the year must know; summary: with its occupancy and protection."""
+    occupancy, untrusted = summary.occupancy, summary.occupancy.untrusted_share
+    yield (
         "Each hour of the year has one value of the weather. In most weather files it is a mean: "
         "under broken cloud the sun comes and goes within the hour, but the mean shows a constant, "
         "dimmed sun. In files of PVGIS it is one moment, which stands for the hour. So the number "
         "of glare hours can be too low or too high."
-    ]
-    days = summary.days
-    if days < 360:  # a weather file of a year may lack some days
-        notes.append(
-            f"the weather has {days} days, not a year: glare classes are for these days only"
-        )
+    )
+    if (days := summary.days) < 360:  # a weather file of a year may lack some days
+        yield f"the weather has {days} days, not a year: glare classes are for these days only"
     if summary.weather.synthetic:
-        notes.append("the weather is synthetic: it must not be used to judge this place")
-    notes += list(room.sky_view.notes) if room.sky_view else [room.disc_from]
-    if untrusted + wide > 0.05:
+        yield "the weather is synthetic: it must not be used to judge this place"
+    yield from room.sky_view.notes if room.sky_view else [room.disc_from]
+    if (unsure := occupancy.unsure_share or 0.0) > 0.05:
         mirror = "a mirrored sun may be in view, " if room.mirrors else ""
-        notes.append(
-            f"The model's DGP is uncertain in {100 * (untrusted + wide):.0f} % of the occupied "
+        yield (
+            f"The model's DGP is uncertain in {100 * unsure:.0f} % of the occupied "
             f"daylight hours. In {100 * untrusted:.0f} % no similar light was captured, {mirror}or "
-            f"it expects a large error. In {100 * wide:.0f} % the 95 % interval is wider than "
-            f"{_WIDE_DGP:g} in a fully seen direction: often the sky view does not decide whether "
-            "the sun's disc is seen; capture clear hours with the sun in a window, which also give "
-            "the camera's heading"
+            f"it expects a large error. In {100 * (unsure - untrusted):.0f} % the 95 % interval is "
+            f"wider than {_WIDE_DGP:g} in a fully seen direction: often the sky view does not "
+            "decide whether the sun's disc is seen; capture clear hours with the sun in a window, "
+            "which also give the camera's heading"
         )
-    return notes
+    if (share := budget.camera_share(budgets)) > 0.5:
+        yield (
+            f"{100 * share:.0f} % of the variance behind the classes' intervals is the camera's "
+            "calibration (budget.csv): fieldlum calibrate makes them smaller"
+        )
+    for word, meaning in _UNSEEN_NOTES.items():
+        if of := [row.azimuth_deg for row in summary.protection if row.seen == word]:
+            named = ", ".join(f"{a:.0f}° ({projection.compass_name(a)})" for a in of)
+            yield f"the view directions {named} {meaning}"
 
 
 def best_and_worst(rows: Sequence[DirectionYear]) -> tuple[DirectionYear, DirectionYear] | None:
