@@ -77,6 +77,21 @@ def test_without_dask_one_line_states_what_to_install(
     assert result.exit_code == 3 and "pip install '.[cluster]'" in result.stderr
 
 
+@pytest.mark.parametrize("error", [OSError, TimeoutError, ValueError, MemoryError])
+def test_another_program_at_the_address_is_no_scheduler(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: type[Exception]
+) -> None:
+    """An answer without Dask's length in front was reported as data of 3 EiB."""
+
+    def client(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr("distributed.Client", client)
+    some = [WorkUnit("a", units.doubled, tmp_path, 1)]
+    with pytest.raises(InputError, match="no scheduler answers"):
+        units.outcomes_of(some, parse_scheduler("tcp://127.0.0.1:8786"))
+
+
 def test_a_number_of_workers_is_a_number_of_processes(tmp_path: Path) -> None:
     assert parse_scheduler("2") == parse_scheduler("processes:2")
     result = CliRunner().invoke(main, ["merge", str(tmp_path), "--scheduler", "2"])

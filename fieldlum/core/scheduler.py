@@ -396,7 +396,8 @@ def _connect(address: str) -> Any:
 
     try:
         client = Client(address, timeout=CONNECT_S, set_as_default=False, name="fieldlum")
-    except (OSError, TimeoutError, ValueError) as error:
+    # MemoryError: another program, such as Dask's dashboard, whose answer has no length in front.
+    except (OSError, TimeoutError, ValueError, MemoryError) as error:
         finding = f"no scheduler answers ({type(error).__name__})"
         remedy = "start one with: dask scheduler --host 127.0.0.1, or check the certificates"
         raise InputError(address, finding, remedy=remedy) from None
