@@ -102,7 +102,7 @@ def test_clicks_without_noise_give_the_room_itself() -> None:
 
 
 # Seeds of rooms and the height of the panorama that is clicked on.
-ROOMS = {"20": (range(100, 120), 920), "120 other": (range(1000, 1120), 920)}
+ROOMS = {"120": (range(1000, 1120), 920)}
 ROOMS["60 of them, twice the size"] = range(1000, 1060), 1840
 
 
@@ -207,11 +207,11 @@ def test_clicks_that_are_no_box_are_refused() -> None:
 @pytest.mark.slow
 @pytest.mark.analytic
 def test_the_sun_patch_of_a_clicked_room_is_the_true_one() -> None:
-    """IoU of patches (230 x 115, 1 m2 of floor is some 200 px) for 10 of the rooms, clicks of
+    """IoU of patches (230 x 115, 1 m2 of floor is some 200 px) for 5 of the rooms, clicks of
     0.5 px on 1840 x 920.
     """
     shares = []
-    for seed in range(10):
+    for seed in range(5):
         rng = np.random.default_rng(200 + seed)
         room, grid = _room(rng), ClickGrid(920, 1840, 180.0)
         found = room_from_clicks(_clicks(room, grid, 0.5, rng), grid, room.camera_z_m).room

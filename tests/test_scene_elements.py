@@ -78,12 +78,10 @@ def test_what_is_not_there_is_not_found(kind: Kind) -> None:
     "solid",
     [
         Obstruction(0.6, 1.3, 0.7, 1.4, 0.8, 0.05, 0.4),  # a table
-        Obstruction(0.7, 1.2, 0.4, 1.1, 0.6, 0.05, 0.4),  # a low one
-        Obstruction(0.6, 1.1, 0.55, 1.2, 0.8, 0.05, 0.5),
         Obstruction(3.4, 1.0, 0.0, 0.8, 0.8, 0.4, 0.5),  # a chest
         Obstruction(0.0, 1.4, 0.0, 0.4, 1.8, 2.0, 0.5),  # a cabinet at the west wall
     ],
-    ids=["table", "low table", "table of unusual height", "chest", "cabinet"],
+    ids=["table", "chest", "cabinet"],
 )
 def test_furniture_is_found_where_it_is(solid: Obstruction) -> None:
     _, guess = _one(FURNITURE, solid)
