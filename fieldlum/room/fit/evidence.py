@@ -87,18 +87,6 @@ class SceneEvidence:
         """The angle between neighbouring rays [rad]."""
         return np.pi / self.shape[0] / self.sub
 
-    def hours(self, index: NDArray) -> SceneEvidence:
-        """Return the evidence of the hours with the indices `index` [k]."""
-        return replace(
-            self,
-            log_seen=self.log_seen[index],
-            below=self.below[index],
-            direct_lx=self.direct_lx[index],
-            days=self.days[index],
-            clock=self.clock[:, index],
-            rows=self.rows[index],
-        )
-
     def coarse(self, pixels: int = COARSE_PIXELS) -> SceneEvidence:
         """Return the evidence of about this many pixels, evenly from all.
 
@@ -231,7 +219,8 @@ def scene_evidence(
     """
     require_box(room)
     guess = guess_of(room, data.heading_deg)
-    rows = _sunny(data, room)
+    order = np.argsort(direct_on_windows_lx(data, room))[::-1][:MAX_HOURS]
+    rows = np.sort(order[sunny_hours(data, room, near_strongest=True)[order]])  # in order of time
     if len(rows) < min_hours:
         raise NotEnoughDataError(
             f"{len(rows)} captures have direct sun of at least {SUNSHINE_WM2:.0f} W/m² on a "
@@ -256,15 +245,6 @@ def scene_evidence(
         sub=sub,
     )
     return evidence.relit(data, np.zeros_like(evidence.below))
-
-
-def _sunny(data: Dataset, room: Room) -> NDArray[np.intp]:
-    """Return the rows with direct sun on a window, in order of time.
-
-    At most the strongest `MAX_HOURS`.
-    """
-    order = np.argsort(direct_on_windows_lx(data, room))[::-1][:MAX_HOURS]
-    return np.sort(order[sunny_hours(data, room, near_strongest=True)[order]])
 
 
 def _clock_table(data: Dataset, rows: NDArray[np.intp]) -> Array:
@@ -352,7 +332,8 @@ def indirect_component(data: Dataset, seen: Array, patch: Array) -> Array:
     total_lx = data.light.total_lx[:, None].astype(np.float32)  # [n, 1]
     trust = _trust(patch, seen)
     y = np.maximum(seen - patch, 0.02 * seen) / total_lx
-    scale = _middle(y)
+    # the upper median of each pixel; sorting along rows is faster
+    scale = np.partition(np.ascontiguousarray(y.T), len(y) // 2, axis=1)[:, len(y) // 2]
     y = (y / scale).astype(np.float32)  # [n, m] of median 1
     trust = trust.astype(np.float32)
     fit = np.maximum(np.minimum(y, 1.5), 0.05)
@@ -368,12 +349,6 @@ def indirect_component(data: Dataset, seen: Array, patch: Array) -> Array:
         excess = np.where(q > 0.0, q / BRIGHTER, q / DARKER) ** 2
         weight = trust / (y * fit) / (1.0 + excess)
     return np.maximum(fit * scale * total_lx, MIN_CDM2)
-
-
-def _middle(values: Array) -> Array:
-    """Return the upper median of each column of values [n, m], [m]."""
-    half = len(values) // 2
-    return np.partition(np.ascontiguousarray(values.T), half, axis=1)[:, half]
 
 
 def _trust(patch: Array, seen: Array) -> Array:

@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from fieldlum.learn.models.training_data import Dataset
     from fieldlum.room.fit.pose_prior import PosePrior
 
-OPEN_WALL_DEG = 0.5  # chosen: a window's edge 3 m from the camera is 3 cm off
 # Clocks from which searches start if their uncertainty is over a minute: slightly beyond the
 # prior's 5 minutes; chosen.
 START_CLOCKS_MIN, OPEN_CLOCK_MIN = (-6.0, 0.0, 6.0), 1.0
@@ -109,7 +108,7 @@ class SceneSearch:
         self.start = self.guess = guess_of(room, data.heading_deg)
         self.view = window_view(data, self.start)
         self.parameters = room_parameters(self.start, clock_sd_min) + glass_parameters(self.start)
-        clock_u_min = clock_sd_min if pose is None else pose.u_clock_min
+        clock_u_min = clock_sd_min if pose is None else float(pose.covariance[3, 3]) ** 0.5
         self.clocks_min = START_CLOCKS_MIN if clock_u_min > OPEN_CLOCK_MIN else ()
         self.albedo = self.evidence.albedos(self.start, stated_albedo(room))
         self.unit = prior_unit(self.evidence, self.start, self.albedo)
@@ -255,11 +254,6 @@ def _notes(u: dict[str, float], evidence: SceneEvidence) -> list[str]:
         notes.append(
             f"north (+-{u['north_deg']:.1f} degrees) and clock (+-{u['clock_min']:.1f} min) "
             "cannot be separated well: capture another season, or pictures with the sun's disc"
-        )
-    if u["wall_azimuth_deg"] > OPEN_WALL_DEG:
-        notes.append(
-            f"the walls' azimuth (+-{u['wall_azimuth_deg']:.1f} degrees) and the window's edges "
-            f"cannot be separated well: measure the edges again, to 1 cm"
         )
     if len(np.unique(evidence.days)) < 3:
         notes.append(

@@ -48,11 +48,6 @@ class PosePrior:
         fields = dict(zip(POSE_NAMES, (*map(float, pose), float(clock_min)), strict=True))
         return replace(guess, **fields)
 
-    @property
-    def u_clock_min(self) -> float:
-        """Standard uncertainty of the clock [min]."""
-        return float(np.sqrt(self.covariance[3, 3]))
-
 
 def pose_of(
     discs: MeasuredDiscs, site: Site, heading_deg: float, clock_sd_min: float

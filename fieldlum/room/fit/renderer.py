@@ -7,7 +7,6 @@ it passes the inner and the outer rectangle of a window, misses its bars and mis
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,9 +50,12 @@ def surfaces(guess: Guess, rays_world: Float32, spread: float = 0.0) -> Surfaces
     """
     rays = np.ascontiguousarray(rays_world @ guess.camera_turn.T)
     eye = np.ascontiguousarray(np.broadcast_to(np.array(guess.camera_m), rays.shape))
-    low, high = _shell(guess.size_m)
-    low = np.array([*low, *(solid.low_m for solid in guess.solids)])
-    high = np.array([*high, *(solid.high_m for solid in guess.solids)])
+    boxes, axes = SHELL + len(guess.solids), np.arange(3)
+    low = np.full((boxes, 3), -_THICK_M)
+    high = np.tile(np.array(guess.size_m) + _THICK_M, (boxes, 1))
+    high[2 * axes, axes], low[2 * axes + 1, axes] = 0.0, guess.size_m
+    for k, solid in enumerate(guess.solids, start=SHELL):
+        low[k], high[k] = solid.low_m, solid.high_m
     distance, box, axis, sign = nearest_box(low, high, eye, rays)
     position = eye + rays * distance[:, None]
     surface = box.astype(np.int16)
@@ -65,16 +67,6 @@ def surfaces(guess: Guess, rays_world: Float32, spread: float = 0.0) -> Surfaces
         surface[inside & (box == 2 * across + side)] = OUTSIDE
     softness = np.maximum(spread * distance, HARD_M).astype(np.float32)
     return Surfaces(position, axis, sign, surface, softness)
-
-
-@lru_cache(maxsize=64)
-def _shell(size_m: tuple[float, float, float]) -> tuple[Array, Array]:
-    """Return low and high corners of boxes around a room, in the order of its surfaces [6, 3]."""
-    low, high = np.full((6, 3), -_THICK_M), np.tile(np.array(size_m) + _THICK_M, (6, 1))
-    for axis in range(3):
-        high[2 * axis, axis] = 0.0
-        low[2 * axis + 1, axis] = size_m[axis]
-    return low, high
 
 
 def unit_patches(
