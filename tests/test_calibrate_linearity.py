@@ -15,7 +15,7 @@ from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import Exposure
 from fieldlum.merge.linear_frames import Crop, load_raw
 from fieldlum.merge.shots import Shot
-from fieldlum.optics.linear_light import curve_u_rel, linear_counts, true_shutter_s
+from fieldlum.optics.linear_light import curve_u_rel, true_shutter_s
 from fieldlum.optics.photometry import linearity_factor
 from fieldlum.optics.profiles import (
     Bracket,
@@ -111,11 +111,10 @@ def test_the_command_writes_what_merge_applies(tmp_path: Path) -> None:
 
 @pytest.mark.contract
 def test_counts_stay_where_there_is_no_curve_and_impossible_curves_are_refused() -> None:
-    above = np.array([-3.0, 0.0, 100.0, 3000.0])
-    assert linear_counts(above, BLACK, PROFILE) is above
-    curved = replace(PROFILE, sensor=replace(PROFILE.sensor, linearity=TRUE))
-    changed = linear_counts(above, BLACK, curved)
-    assert changed[0] == -3.0 and changed[1] == 0.0 and changed[3] != 3000.0
+    share = np.array([-0.01, 0.0, 0.1, 0.5])
+    assert (linearity_factor(share, ()) == 1.0).all()
+    factor = linearity_factor(share, TRUE)
+    assert (factor[:2] == 1.0).all() and factor[3] != 1.0
     folded = replace(PROFILE, sensor=replace(PROFILE.sensor, linearity=(-0.9,)))
     with pytest.raises(InputError, match="rise with the raw counts"):
         check_camera(folded, "mine.toml")

@@ -96,8 +96,8 @@ def test_furniture_is_found_where_it_is(solid: Obstruction) -> None:
 @pytest.mark.slow
 @pytest.mark.analytic
 def test_an_empty_room_gets_no_furniture() -> None:
-    """Pixels of 0.8 degrees; in pixels of 2.8 degrees, edges of patches look like furniture."""
-    search = _search(ROOM, 230, PIXELS)
+    """Pixels of 1.6 degrees; in pixels of 2.8 degrees, edges of patches look like furniture."""
+    search = _search(ROOM, 115, PIXELS)
     search.run(lambda *_: None, ())
     assert search._with_more((FURNITURE,)) is search.guess
 

@@ -22,7 +22,7 @@ from fieldlum.core.records import Exposure, Flag, Panorama
 from fieldlum.core.statistics import held_out_masks, is_no_worse, robust_sigma, standard_error
 from fieldlum.optics import linear_light
 from fieldlum.optics.images import calibration_mark
-from fieldlum.optics.photometry import saturation_plateau, vignetting_at
+from fieldlum.optics.photometry import linearity_factor, saturation_plateau, vignetting_at
 from fieldlum.optics.profiles import CameraProfile, Lens, Provenance, save_profile
 from fieldlum.optics.projection import angle_of_radius, direction, equirect_rays, relative_radius
 from fieldlum.optics.raw import Mosaic, channel_positions, is_jpeg, read_jpeg, read_mosaic
@@ -313,8 +313,8 @@ def _from_mosaic(path: Path, profile: CameraProfile) -> LinearFrame:
     for plane, black, top in zip(planes, linear_light.black_dn(mosaic, profile), full, strict=True):
         cell = plane.astype(np.float32)
         bad |= cell > FULL * top
-        above = linear_light.linear_counts(cell - black, black, profile)
-        shares.append(above / (profile.sensor.white_dn - black))
+        share = (cell - black) / np.float32(profile.sensor.white_dn - black)
+        shares.append(share * linearity_factor(share, profile.sensor.linearity))
     z = np.stack([shares[0], (shares[1] + shares[2]) / 2, shares[3]], axis=-1)
     rgb = z / linear_light.frame_z_per_cdm2(mosaic.exposure, profile)
     return LinearFrame(path, rgb.astype(np.float32), bad, 2, mosaic.exposure, mosaic.colour_matrix)

@@ -8,10 +8,8 @@ time with its uncertainty, filters, vignetting, response, and the lens on a part
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import InputError, input_errors
@@ -21,7 +19,6 @@ from fieldlum.optics.photometry import (
     ShutterLaw,
     check_vignetting,
     law_of_labels,
-    linearity_factor,
     prior_u_log,
     response_table,
     true_times_s,
@@ -31,7 +28,6 @@ from fieldlum.optics.profiles import CameraProfile, Lens
 from fieldlum.optics.projection import LensGeometry, signed_angle_deg
 from fieldlum.optics.raw import Mosaic, same_model
 
-_T = TypeVar("_T", bound=np.floating)
 # relative: times or apertures closer than this are one setting (settings differ by 12 %); chosen
 SAME_LABEL = 0.02
 # Floor of the relative uncertainty of the exposure ratio of two frames: linearity of the sensor,
@@ -73,19 +69,6 @@ def full_dn(
     """
     tops = zip(profile.sensor.saturation_dn, plateau_dn, strict=True)
     return [min(own, mosaic.white_dn, plateau or np.inf) for own, plateau in tops]
-
-
-def linear_counts(above_dn: NDArray[_T], black: float, profile: CameraProfile) -> NDArray[_T]:
-    """Return counts, corrected by the profile's linearity; without one, unchanged.
-
-    above_dn : counts minus the black level [DN], any shape; black : that black level [DN], from
-    which the full scale follows.
-    """
-    sensor = profile.sensor
-    if not sensor.linearity:
-        return above_dn
-    share = np.asarray(above_dn / (sensor.white_dn - black), above_dn.dtype)
-    return np.asarray(above_dn * linearity_factor(share, sensor.linearity), above_dn.dtype)
 
 
 def curve_u_rel(profile: CameraProfile) -> float:

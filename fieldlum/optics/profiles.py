@@ -415,15 +415,11 @@ def bracket_exposures(bracket: Bracket, filter_name: str = "") -> tuple[Exposure
 
     filter_name: the filter whose exposures of the profile are added; "" for none.
     """
-
-    def group(times_s: Sequence[float], name: str) -> list[Exposure]:
-        return [
-            Exposure(shutter_s=t, f_number=bracket.f_number, iso=bracket.iso, nd=name)
-            for t in sorted(times_s, reverse=True)
-        ]
-
-    filtered = group(bracket.nd_shutter_s, filter_name) if filter_name else []
-    return (*group(bracket.shutter_s, ""), *filtered)
+    times = [(time, "") for time in sorted(bracket.shutter_s, reverse=True)]
+    if filter_name:
+        times += [(time, filter_name) for time in sorted(bracket.nd_shutter_s, reverse=True)]
+    f_number, iso = bracket.f_number, bracket.iso
+    return tuple(Exposure(shutter_s=t, f_number=f_number, iso=iso, nd=name) for t, name in times)
 
 
 def planned_exposures(profile: CameraProfile, setup: CameraSetup) -> tuple[Exposure, ...]:

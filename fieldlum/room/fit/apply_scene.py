@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 
 from fieldlum.core.errors import InputError
-from fieldlum.core.records import Room
 from fieldlum.learn.models.training_data import Dataset
 from fieldlum.optics.projection import signed_angle_deg
 from fieldlum.room.fit.scene_file import SCENE_TOML, Scene, read_scene
@@ -20,22 +19,6 @@ from fieldlum.sky.sky_view.pose import STATED_SD
 # Chosen: larger than the rounding of a panorama's header, smaller than the 0.1 degrees to which
 # north is determined.
 _SAME_HEADING_DEG = 0.05
-
-
-def corrected(data: Dataset, north_deg: float, clock_min: float, room: Room) -> Dataset:
-    """Return the captures relative to true north, with the sun at the true times, and a room.
-
-    north_deg: correction of the stated heading; clock_min: by how much the stated times are late;
-    room: its azimuth is relative to true north. Sun patches and sky view do not change.
-    """
-    heading_deg = (data.setup.camera.heading_deg + north_deg) % 360.0
-    camera = replace(data.setup.camera, heading_deg=heading_deg)
-    return replace(
-        data,
-        light=earlier(data.light, clock_min, data),
-        heading_deg=(data.heading_deg + north_deg) % 360.0,
-        setup=replace(data.setup, camera=camera, room=room),
-    )
 
 
 def with_patches(data: Dataset) -> Dataset:
@@ -88,12 +71,18 @@ def with_scene(data: Dataset, scene: Scene, *, source: Path | str = SCENE_TOML) 
         return replace(data, patch_cdm2=None, scene=about)
     if scene.chosen == "stated":
         return with_patches(replace(data, scene=about))
-    turned = corrected(data, scene.north_deg, scene.clock_min, scene.room)
-    u_deg, latitude_deg = scene.u.get("north_deg", STATED_SD[0]), data.setup.site.latitude_deg
-    view = data.sky_view and data.sky_view.turned(
-        scene.north_deg, u_deg, scene.clock_min, latitude_deg
+    setup, north_deg, clock_min = data.setup, scene.north_deg, scene.clock_min
+    camera = replace(setup.camera, heading_deg=(setup.camera.heading_deg + north_deg) % 360.0)
+    u_deg, latitude_deg = scene.u.get("north_deg", STATED_SD[0]), setup.site.latitude_deg
+    turned = replace(
+        data,
+        scene=about,
+        light=earlier(data.light, clock_min, data),
+        heading_deg=(data.heading_deg + north_deg) % 360.0,
+        setup=replace(setup, camera=camera, room=scene.room),
+        sky_view=data.sky_view and data.sky_view.turned(north_deg, u_deg, clock_min, latitude_deg),
     )
-    return with_patches(replace(turned, scene=about, sky_view=view))
+    return with_patches(turned)
 
 
 def _check_stated(data: Dataset, scene: Scene, source: Path | str) -> None:
