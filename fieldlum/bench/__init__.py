@@ -94,7 +94,7 @@ def run(
     rows += [] if rendering is None else [rendering]
     store(out, "scores", rows, lambda path: speed_accuracy(path, rows, machine()))
     parts = [f"## Scores\n\n{markdown(rows)}\nChosen: {chosen.name}. {chosen.reason}.\n"]
-    if with_stress and loaded.specs:
+    if with_stress:
         cells = _stress(loaded)
         write_csv(out / "stress.csv", cells)
         parts.append(f"## Stress\n\n{markdown(cells)}")

@@ -180,13 +180,11 @@ def _subsets(data: Dataset, test: Dataset) -> Iterator[Case]:
     light, tested, months = test.light, _months(test), _months(data)
     days = data.days.astype("datetime64[D]").astype(int)
     days = days - (days[months == 3].min() if (months == 3).any() else days.min())
+    low = light.sun_altitude_deg < 10.0
     all_data, all_test = np.ones(len(data), bool), np.ones(len(test), bool)
     rows = {
         "sun disc in view": (all_data, test.disc_lx > 0.0),
-        "low sun, under 10 degrees": (
-            all_data,
-            (light.sun_altitude_deg < 10.0) & (light.dni_wm2 > 20.0),
-        ),
+        "low sun, under 10 degrees": (all_data, low & (light.dni_wm2 > 20.0)),
         "overcast captures only, clear test": (
             _sun_share(data.light) < 0.2,
             _sun_share(light) > 0.6,

@@ -28,7 +28,7 @@ def _every(camera: str, out: Path, picture: Path | None = None, as_json: bool = 
     """Declare the options of every part.
 
     Options:
-      --camera TEXT: The profile to start from: a file, or a shipped name.
+      --camera PROFILE: The profile to start from: a file, or a shipped name.
       --out PATH: The profile to write.
       --picture PATH: Draw readings, fit and residuals (PNG, SVG).
     """

@@ -41,7 +41,7 @@ def command(
 
     Options:
       --frames: Merge the named files, or those in a folder, instead of a session.
-      --camera: Camera profile: a TOML file or a name in calibration/ (with --frames).
+      --camera PROFILE: Camera profile: a TOML file, or a shipped name (with --frames).
       --out: OUT.exr or OUT.hdr (with --frames).
       --size WxH: Size of the result. [default: that of the session's panoramas, else 460x230;
           fisheye 1000x1000]
