@@ -125,10 +125,7 @@ class RoomModel:
 
 
 def load_pairs(
-    pairs: Session | str | Path,
-    site: str | Path | None = None,
-    *,
-    scene: str = "",
+    pairs: Session | str | Path, site: str | Path | None = None, *, scene: str = ""
 ) -> Dataset:
     """Read captured hours with their irradiance for training, as `fieldlum train` does.
 

@@ -132,11 +132,7 @@ def read_spectrum(path: Path) -> tuple[float, float]:
 
 
 def _patch(
-    frame: fit_steps.LinearFrame,
-    at: Place,
-    radius_px: float,
-    u_rel: float,
-    profile: CameraProfile,
+    frame: fit_steps.LinearFrame, at: Place, radius_px: float, u_rel: float, profile: CameraProfile
 ) -> tuple[Floats, float]:
     """Return the colour [3] of a patch without vignetting, and the relative u of its comparison."""
     rgb, u_patch = frame.patch(at.x, at.y, radius_px)

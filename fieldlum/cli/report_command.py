@@ -11,9 +11,7 @@ from fieldlum.cli.terminal import say
 
 @command_of("report")
 def command(
-    session: OpenSession,
-    out: Path | None = None,
-    for_reader: Literal["user", "assessor"] = "user",
+    session: OpenSession, out: Path | None = None, for_reader: Literal["user", "assessor"] = "user"
 ) -> None:
     """Write a page that shows in which direction to sit, and why.
 

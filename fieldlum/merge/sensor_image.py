@@ -15,13 +15,7 @@ from fieldlum.core.records import Flag
 from fieldlum.core.statistics import robust_sigma
 from fieldlum.merge.estimator import Merged, Rows, merge_signals
 from fieldlum.merge.linear_frames import Crop, RawSignal, Saturation, Signal, lens_crop, read_frames
-from fieldlum.merge.ratios import (
-    Exposures,
-    RatioCurve,
-    bracket_pairs,
-    exposures_of,
-    take_samples,
-)
+from fieldlum.merge.ratios import Exposures, RatioCurve, bracket_pairs, exposures_of, take_samples
 from fieldlum.merge.shift import shifts
 from fieldlum.merge.shots import Shot, sorted_shots
 from fieldlum.optics.linear_light import lens_geometry, nd_factors, stated_law

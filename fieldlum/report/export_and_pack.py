@@ -209,7 +209,7 @@ def pack(session: Session, out: Path, statement: Statement) -> list[str]:
         )
         raise InputError(session.root, found, "frames without position, owner, serial", remedy)
     notes = _notes(session)
-    if unread := [path.name for path, text in stated if text is None]:
+    if unread := [p.name for p, text in stated if text is None and not p.match("contact-*.png")]:
         found = counted(len(unread), "frame")
         notes.insert(0, f"EXIF of {found} such as {unread[0]} cannot be read: look with exiftool")
     texts = {
