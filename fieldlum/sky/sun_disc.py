@@ -195,17 +195,8 @@ def _band(
     solid_sr = np.repeat(row_solid_angles(height, width)[rows, None], width, axis=1)
     rays = direction(altitudes[rows, None], azimuths[None, :])
     clipped = np.zeros(light.shape, bool) if clipped is None else clipped
-    return _Band(
-        light.shape,
-        rows,
-        light=light[rows],
-        solid_sr=solid_sr,
-        rays=rays,
-        clipped=clipped[rows],
-        pixel_rad=pixel_rad,
-        reach_rad=reach_rad,
-        ring_rad=ring_rad,
-    )
+    sizes = pixel_rad, reach_rad, ring_rad
+    return _Band(light.shape, rows, light[rows], solid_sr, rays, clipped[rows], *sizes)
 
 
 def _measured_disc(band: _Band, search: Mask) -> SunDisc | None:

@@ -28,12 +28,8 @@ class Domain:
 
         It has no standard deviation and NaN as expected error; it trusts hours as in `holds`.
         """
-        return Prediction(
-            luminance_cdm2=maps_cdm2,
-            log10_sd=None,
-            expected_mse=np.full(len(maps_cdm2), np.nan),
-            trusted=self.holds(light),
-        )
+        unknown = np.full(len(maps_cdm2), np.nan)
+        return Prediction(maps_cdm2, None, unknown, self.holds(light))
 
     def holds(self, light: Light) -> Mask:
         """Return a mask [n], True for the hours of `light` that are similar to captured light.

@@ -139,15 +139,14 @@ UNSURE = 1e-2  # relative variance of an hour or a pixel that has half weight; n
 UNCERTAIN_WEIGHT = 0.25  # of an hour that is needed; half of the usual deviation; chosen
 
 
-def sun_is_unmeasured(light: Light, direct: Array) -> Mask:
+def sun_is_unmeasured(light: Light) -> Mask:
     """Return a mask [n], True where direct light is recorded as zero only because it is unmeasured.
 
-    That is so if the sun is under 3 degrees and `direct` is zero or less. direct [n]: irradiance,
-    illuminance or share of light of the sun.
+    That is so if the sun is under 3 degrees and its direct irradiance is zero or less.
     """
     # At a lower sun, closure divides by less than 0.05, so that 2 W/m2 in the horizontal become 40
     # W/m2 in the normal; sun.dni_by_closure gives 0 under 2 degrees
-    return (light.sun_altitude_deg < 3.0) & (direct <= 0.0)
+    return (light.sun_altitude_deg < 3.0) & (light.dni_wm2 <= 0.0)
 
 
 def light_variance(data: Dataset) -> Array:
@@ -161,9 +160,8 @@ def light_variance(data: Dataset) -> Array:
     """
     light = data.light
     variance = (data.steadiness / (np.sqrt(12.0) * _upwards(light))) ** 2
-    unknown = sun_is_unmeasured(light, light.dni_wm2)
     # A sun that was not measured may give as much light as the sky: a relative variance of 1.
-    return variance + np.where(unknown, 1.0, 0.0)
+    return variance + sun_is_unmeasured(light)
 
 
 def _upwards(light: Light) -> Array:
@@ -200,7 +198,7 @@ def beam_is_uncertain(data: Dataset) -> Mask:
     light = data.light
     # DNI of an overcast hour, within the errors of two horizontal readings
     low = (light.sun_altitude_deg < LOW_SUN_DEG) & (light.dni_wm2 > 20.0)
-    uncertain = low | sun_is_unmeasured(light, light.dni_wm2)
+    uncertain = low | sun_is_unmeasured(light)
     return uncertain if data.uncertain is None else uncertain | data.uncertain
 
 

@@ -86,17 +86,11 @@ class CameraPose:
 
         discs: number of discs that determine it.
         """
-        heading, tilt, roll, scale = map(float, values)
-        return CameraPose(
-            heading_deg=heading,
-            tilt_deg=tilt,
-            roll_deg=roll,
-            lens_scale=scale,
-            covariance=tuple(tuple(map(float, row)) for row in covariance),
-            axis_deg=self.axis_deg,
-            discs=discs,
-            notes=(*self.notes, *notes),
-        )
+        names = ("heading_deg", "tilt_deg", "roll_deg", "lens_scale")
+        named = dict(zip(names, map(float, values), strict=True))
+        rows = tuple(tuple(map(float, row)) for row in covariance)
+        notes = (*self.notes, *notes)
+        return replace(self, **named, covariance=rows, discs=discs, notes=notes)
 
     def with_heading(self, by_deg: float, u_deg: float) -> CameraPose:
         """Return the pose with a measured correction to its heading; what is correlated follows.

@@ -122,8 +122,7 @@ def follow(luminance: Floats32, light: Light, rays: Floats, reference: SkyRefere
         count = (~np.isnan(measured)).sum(axis=0)
         spread = np.where(count < min(MIN_CAPTURES, len(light)), np.inf, spread / rest)
         out[:, part] = np.exp(level), spread, count, _forward(measured, light, rays[part])
-    ratio, spread, count, forward = out
-    return Followed(ratio=ratio, spread=spread, count=count, forward=forward)
+    return Followed(*out)
 
 
 def sky_share(luminance: Floats32, sky: Floats32, front: Floats32) -> tuple[Floats, Floats]:
