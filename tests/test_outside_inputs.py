@@ -1015,7 +1015,7 @@ def test_a_reading_is_one_number_or_refused(tmp_path: Path, cell: str) -> None:
     """In a file with decimal commas 1.234 is 1234, and a calibration has no missing values."""
     path = tmp_path / "a.csv"
     path.write_text(f"x_px;y_px;azimuth_deg;note_px\n1,5;2;3;4\n1;{cell};3;4\n")
-    with pytest.raises(InputError, match=f"a.csv:3: y_px is '{re.escape(cell)}'"):
+    with pytest.raises(InputError, match=f"a.csv: line 3: y_px is '{re.escape(cell)}'"):
         _readings(path)
     path.write_text("x_px;y_px;azimuth_deg;note_px\n1,5;2;-99;4\n")
     assert _readings(path)[0]["x_px"] == 1.5 and _readings(path)[0]["azimuth_deg"] == -99.0
@@ -1263,6 +1263,9 @@ def test_a_csv_of_solcast_has_the_middles_of_its_periods(
     zoneless = path.read_text(encoding="utf-8-sig").replace(f"+0{zone}:00", "")
     path.write_text(zoneless)
     with pytest.raises(InputError, match=r"line 2: time '2023-06-01T.*' has no zone"):
+        table(path)
+    path.write_text(zoneless.replace("PT60M", "PT30M").replace("PT1H", "PT30M"))
+    with pytest.raises(InputError, match="line 2: period 'PT30M'; expected hours"):
         table(path)
 
 

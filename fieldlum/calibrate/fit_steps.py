@@ -178,7 +178,7 @@ def read_table(
     rows = table.dicts()
     numbers = [text for _, cells in rows for name, text in cells.items() if name not in _PATHS]
     points = sum(("." in text) - ("," in text) for text in numbers)
-    commas = table.mark != "," and points < 0
+    commas = table.mark != "," and points <= 0
     for line, cells in rows:
         row = {name: _cell(path, line, name, text, commas) for name, text in cells.items() if text}
         if empty := [name for name in required if name not in row]:

@@ -43,7 +43,6 @@ _HEADINGS = {
         "globalhorizontalirradianceghi",
     },
 }
-_DURATION = re.compile(r"PT(?:(\d+)H)?(?:(\d+)M)?")
 _IN_PLANE = {"dni": {"gbi"}, "dhi": {"gdi"}, "ghi": set[str]()}
 # Cells of a TMY2 row: year, month, day, hour, DNI, DHI, GHI (its manual).
 _TMY2 = ((1, 3), (3, 5), (5, 7), (7, 9), (23, 27), (29, 33), (17, 21))
@@ -197,6 +196,12 @@ def _place(path: Path, cells: Sequence[Any], expected: str, name: str) -> tuple[
     return place, clock
 
 
+def _about(lines: Sequence[str]) -> dict[str, str]:
+    """Return what lines such as ``Elevation (m): 10`` state; "#" before them does not count."""
+    stated = (line.lstrip("# ").partition(":") for line in lines)
+    return {key.strip(): value.strip() for key, _, value in stated}
+
+
 def _header_place(
     path: Path, lines: list[str], columns: tuple[int, int, int, int], expected: str
 ) -> tuple[Site, timedelta]:
@@ -330,13 +335,8 @@ def _read_sam(path: Path, lines: list[str], site: Site) -> WeatherTable:
     head = enumerate([*lines, ""][:2], start=1)
     keys, values = (strict_csv.split_header(path, line) for line in head)
     about = {key.lower(): value for key, value in zip(keys, values, strict=False)}
-    spellings = (
-        ("latitude", "lat"),
-        ("longitude", "lon"),
-        ("elevation", "elev"),
-        ("time zone", "tz"),
-    )
-    cells = [next((about[key] for key in keys if key in about), "?") for keys in spellings]
+    spellings = {"latitude": "lat", "longitude": "lon", "elevation": "elev", "time zone": "tz"}
+    cells = [about.get(key, about.get(short, "?")) for key, short in spellings.items()]
     place, clock = _place(path, cells, expected, about.get("city", "").strip("-") or "station")
     headings, found = _below(path, lines, 2)
     names = [name.title() for name in headings]
@@ -409,8 +409,7 @@ def _read_pvgis(path: Path, lines: list[str], site: Site) -> WeatherTable:
     direct irradiance of a plane, which determines DNI only on a horizontal plane.
     """
     header = next((k for k, line in enumerate(lines) if line.startswith("time")), len(lines))
-    stated = (line.partition(":") for line in lines[:header])
-    about = {key.strip(): value.strip() for key, _, value in stated}
+    about = _about(lines[:header])
     # Below the rows, an empty line and a legend follow.
     end = next((k for k, line in enumerate(lines) if k > header and not line.strip()), len(lines))
     for number, line in enumerate(lines[end:], start=end + 1):
@@ -511,13 +510,11 @@ def _read_cams(path: Path, lines: list[str], site: Site) -> WeatherTable:
     The comments above have the place and the names. Wh/m2 of an hour are its mean in W/m2.
     """
     header = next(k for k, line in enumerate(lines) if not line.startswith("#")) - 1
-    stated = (line.strip("# ").partition(":") for line in lines[:header])
-    about = {key.partition(" (")[0]: value.strip() for key, _, value in stated}
+    about = {key.partition(" (")[0]: value for key, value in _about(lines[:header]).items()}
     cells = [*(about.get(key, "?") for key in ("Latitude", "Longitude", "Altitude")), None]
     place, _ = _place(path, cells, "a place in the comments", "CAMS")
-    if not about.get("Time reference", "?").startswith("Universal time"):
-        reference = f"time reference {about.get('Time reference', 'not stated')}"
-        raise InputError(path, reference, "Universal time (UT)", _AGAIN)
+    if not (reference := about.get("Time reference", "?")).startswith("Universal time"):
+        raise InputError(path, f"time reference {reference}", "Universal time (UT)", _AGAIN)
     names, found = _below(path, lines, header, ";")
 
     def when(cells: Cells) -> datetime:
@@ -540,7 +537,7 @@ def _stated(text: str, *, utc: bool = True) -> datetime:
 
 
 def _read_solcast(path: Path, lines: list[str], site: Site) -> WeatherTable:
-    """Return the rows of a csv of Solcast: an end (or start) with a zone, and an ISO duration."""
+    """Return the rows of a csv of Solcast: hours by their end (or start), with a zone."""
     names, found = _below(path, lines, strict_csv.numbered(lines)[0][0] - 1)
     letters = [re.sub("[^a-z]", "", name.lower()) for name in names]
     if "period" not in letters:
@@ -549,12 +546,12 @@ def _read_solcast(path: Path, lines: list[str], site: Site) -> WeatherTable:
     at, span = letters.index("periodend" if is_end else "periodstart"), letters.index("period")
 
     def when(cells: Cells) -> datetime:
-        if not (part := _DURATION.fullmatch(cells[span])) or not any(part.groups()):
-            raise _CellError(f"period '{cells[span]}'", "a duration such as PT60M")
-        half = timedelta(hours=int(part[1] or 0), minutes=int(part[2] or 0)) / 2
-        return _stated(cells[at], utc=False) + (-half if is_end else half)
+        if cells[span] not in ("PT60M", "PT1H"):
+            raise _CellError(f"period '{cells[span]}'", "hours (PT60M)")
+        return _stated(cells[at], utc=False)
 
-    return WeatherTable(_rows(path, found, _columns(path, names), when, names), False)
+    rows = _rows(path, found, _columns(path, names), when, names)
+    return WeatherTable(rows, False, shift=-_HALF if is_end else _HALF)
 
 
 def _normal(rows: Sequence[WeatherRow], place: Site) -> list[WeatherRow]:
