@@ -135,9 +135,10 @@ def test_addresses_come_from_a_file_and_no_error_quotes_one(tmp_path: Path) -> N
     with pytest.raises(InputError, match=r"targets: .* understand address 2 of 2") as unknown:
         apprise_post(read_targets(f"@{path}"), path)
     assert SECRET not in str(unknown.value)
-    path.write_text("ftp://example.org\n")
-    with pytest.raises(InputError, match="http"):
-        read_address(f"@{path}")
+    for wrong in ("ftp://example.org\n", "http://exam ple.org\n"):
+        path.write_text(wrong)
+        with pytest.raises(InputError, match="http"):
+            read_address(f"@{path}")
 
 
 @pytest.mark.slow

@@ -158,11 +158,11 @@ def read_address(option: str) -> str:
     """Return the address in ``@FILE``: the first line that is neither empty nor a comment.
 
     Raises InputError for an option that is not ``@FILE``, an unreadable file, and an address that
-    is neither http nor https; no error contains the address.
+    is neither http nor https or has a blank; no error contains the address.
     """
     address = read_targets(option, name="--heartbeat")[0]
-    if urlsplit(address).scheme not in ("http", "https"):
-        found = "the address in this file does not begin with http:// or https://"
+    if urlsplit(address).scheme not in ("http", "https") or " " in address:
+        found = "the address in this file has a blank, or does not begin with http:// or https://"
         raise InputError(option[1:], found, "an http address", "correct the address")
     return address
 
