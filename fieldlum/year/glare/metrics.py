@@ -275,7 +275,7 @@ def _sun_angles(sun: Floats, views: Views) -> tuple[Floats, Floats, Floats]:
 # Ev), so that the lower bound is not always at 0 cd/m2.
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ViewCoverage:
     """The seen and unseen parts of d view directions.
 
@@ -322,7 +322,12 @@ def view_coverage(views: Views) -> ViewCoverage:
     # the centre is at most 90 degrees from the line of sight
     shrink = np.minimum(1.0 / area, 0.5 * np.pi / np.maximum(np.hypot(right, up), 1e-30))
     together = area / position_index(right * shrink, up * shrink) ** 2
-    return ViewCoverage(share, illuminance, np.maximum(apart, together), seen_words(share))
+    return ViewCoverage(
+        seen_share=share,
+        unseen_illuminance=illuminance,
+        unseen_sources=np.maximum(apart, together),
+        words=seen_words(share),
+    )
 
 
 def brightest_cdm2(luminance_cdm2: Floats, views: Views) -> Floats:

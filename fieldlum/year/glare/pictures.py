@@ -190,7 +190,7 @@ HOW = f'state the true view, such as --view "{EXAMPLE_VIEW}" for a fisheye that 
 _MAX_DEG = {"a": 360.0, "h": 180.0, "s": 359.0, "v": 179.0}
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PictureView:
     """A Radiance view, which gives the direction of each point of a picture.
 
@@ -348,8 +348,15 @@ def parse_view(text: str, source: Path, heading_deg: float = 0.0) -> PictureView
             expected = f"an angle above 0 and at most {_MAX_DEG[kind]:g} deg"
             raise InputError(source, f"{name} {angle:g} with -vt{kind}", expected, HOW)
     up = up - forward * float(up @ forward)
-    offsets = [float(numbers(name, 0.0)[0]) for name in ("vs", "vl")]
-    return PictureView(kind, forward, up / np.linalg.norm(up), *angles, *offsets)
+    return PictureView(
+        kind=kind,
+        forward=forward,
+        up=up / np.linalg.norm(up),
+        horizontal_deg=angles[0],
+        vertical_deg=angles[1],
+        shift=float(numbers("vs", 0.0)[0]),
+        lift=float(numbers("vl", 0.0)[0]),
+    )
 
 
 # ----------------------------------------------------------------------------------------------

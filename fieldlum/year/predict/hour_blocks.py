@@ -82,7 +82,7 @@ class HourBlock:
         return trusted
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ModelRoom:
     """Site and room for which a model was trained, the size of its maps, and mirrors of the sun.
 
@@ -128,9 +128,18 @@ def room_of(config: ModelConfig, folder: Path) -> ModelRoom:
     seen_mask = seen_of(folder)
     if seen_mask is not None and seen_mask.shape != (height, width):
         seen_mask = None  # `blocks` rejects the maps of such a model
-    view, mirrors = SkyView.find(folder / SKY_VIEW), read_mirrors(folder, config)
-    pose, size = view.pose if view else CameraPose(axis_deg=heading), (height, width, heading)
-    return ModelRoom(setup, *size, needs_patch, seen_mask, mirrors, view, pose=pose)
+    view = SkyView.find(folder / SKY_VIEW)
+    return ModelRoom(
+        setup=setup,
+        height=height,
+        width=width,
+        heading_deg=heading,
+        needs_patch=needs_patch,
+        seen=seen_mask,
+        mirrors=read_mirrors(folder, config),
+        sky_view=view,
+        pose=view.pose if view else CameraPose(axis_deg=heading),
+    )
 
 
 def blocks(
