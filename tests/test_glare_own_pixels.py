@@ -204,7 +204,7 @@ def test_a_bad_file_does_not_end_the_batch(tmp_path: Path) -> None:
         str(files[0]),
         str(files[2]),
     ]
-    assert "bad.hdr" in done.stderr and "1 of 3" in done.stderr
+    assert "bad.hdr" in done.stderr
     with table.open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 2 and float(rows[1]["dgp"]) > 0.2 and rows[0]["source_count"] == "2"
