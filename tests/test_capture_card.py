@@ -122,7 +122,7 @@ def test_a_camera_set_to_daylight_saving_time_within_the_month(tmp_path: Path) -
             slot.t_utc + timedelta(seconds=clock_s),
         )
     told = import_card.run(session, tmp_path / "card", utc_offset_s=PDT_S)
-    assert "clock was changed between" in told.notes[0] and "DSC_0048.jpg" in told.notes[0]
+    assert "clock was changed before" in told.notes[0] and "DSC_0048.jpg" in told.notes[0]
     report = import_card.run(session, tmp_path / "card")
     assert [offset.seconds for offset in report.offsets] == [PST_S, PDT_S]
     assert (

@@ -82,7 +82,6 @@ def test_the_panel_fits_narrow_terminals_and_takes_any_text(columns: int) -> Non
         "lost",
         "ok",
         72_000_000_000,
-        0,
         70.4,
         "disk-full: [red]",
     )

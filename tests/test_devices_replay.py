@@ -45,11 +45,11 @@ def card(folder: Path) -> None:
 def test_frames_come_in_the_order_of_the_cameras_clock(tmp_path: Path) -> None:
     card(tmp_path / "card")
     camera = open_camera(f"replay:{tmp_path / 'card'}", clock=CLOCK)
-    assert (camera.info.model, camera.info.frames_left) == ("M", 5)
+    assert camera.info.model == "M"
     given = [camera.expose(e, tmp_path / f"f{i}") for i, e in enumerate((LONG, SHORT, SHORT, LONG))]
     originals = [tmp_path / "card" / "100CANON" / f"IMG_{n}.DNG" for n in (3, 2, 0, 1)]
     assert [p.read_bytes() for p in given] == [p.read_bytes() for p in originals]
-    assert given[0].name == "f0.dng" and camera.info.frames_left == 1
+    assert given[0].name == "f0.dng"
     with pytest.raises(DeviceError, match=r"no unused frame of 1/250 f/5.6 .*, only 1"):
         camera.expose(SHORT, tmp_path / "g")
     camera.close()

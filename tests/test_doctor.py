@@ -190,16 +190,6 @@ def test_another_camera_than_the_profiles_is_told() -> None:
 
 
 @pytest.mark.contract
-def test_a_clock_off_by_whole_hours_is_called_so() -> None:
-    clock = every(doctor.judge_camera, CameraInfo("x", clock_offset_s=-3599.0), "x:", 20)[1]
-    assert clock.verdict == "fail" and "-3599.0 s" in clock.text and "daylight saving" in clock.text
-    assert (
-        "daylight"
-        not in every(doctor.judge_camera, CameraInfo("x", clock_offset_s=1000.0), "x:", 20)[1].text
-    )
-
-
-@pytest.mark.contract
 def test_disk_goes_by_what_the_camera_really_writes(tmp_path: Path) -> None:
     session = _session(tmp_path, megabytes=0.001)
     assert doctor.check_disk(session, NOW, 2_000_000).verdict == "ok"
@@ -269,13 +259,10 @@ def test_this_computer_answers_or_is_not_asked() -> None:
 
 
 @pytest.mark.contract
-def test_a_read_only_or_cloud_folder(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(OSError, match="Not a directory"):
         every(doctor.check_writing, tmp_path / "file")
-    cloud = tmp_path / "Dropbox"
-    cloud.mkdir()
-    assert every(doctor.check_writing, cloud)[-1].verdict == "warn"
 
 
 @pytest.mark.contract

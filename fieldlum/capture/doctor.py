@@ -1,7 +1,6 @@
 """Check, before a campaign, what could ruin a month of captures; each finding is one line."""
 
 import shutil
-import sys
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass
@@ -306,13 +305,10 @@ def _clock_of(offset_s: float | None) -> Finding:
         text = "the camera does not report its time: photograph this computer's clock once"
         return warn(what, text)
     text = f"{offset_s:+.1f} s compared with this computer's clock"
-    hours = round(offset_s / 3600.0)
-    if hours and abs(offset_s - 3600.0 * hours) < CAMERA_CLOCK_FAIL_S:
-        text += ": full hours, so the camera's time zone or daylight saving time is probably wrong"
-        text += "; correct it in the camera's menu"
-    if abs(offset_s) > CAMERA_CLOCK_FAIL_S:
-        return fail(what, text)
-    return (warn if abs(offset_s) > CAMERA_CLOCK_WARN_S else ok)(what, text)
+    if abs(offset_s) <= CAMERA_CLOCK_WARN_S:
+        return ok(what, text)
+    text += ": correct time, time zone and daylight saving time in the camera's menu"
+    return (fail if abs(offset_s) > CAMERA_CLOCK_FAIL_S else warn)(what, text)
 
 
 def check_pyranometer(session: Session, uri: str) -> Iterator[Finding]:
@@ -382,8 +378,6 @@ def judge_pyranometer(
 # ----------------------------------------------------------------------------------------------
 # this computer
 
-SYNCED_FOLDERS = ("dropbox", "onedrive", "google drive", "googledrive", "icloud", "nextcloud")
-
 
 def check_clock(synchronised: bool | None) -> Finding:
     """Return a finding on this computer's clock: a warning unless it is synchronised.
@@ -417,15 +411,9 @@ def check_disk(session: Session, now_utc: datetime, free_bytes: int) -> Finding:
 
 
 def check_writing(folder: Path) -> Iterator[Finding]:
-    """Write into the folder, and warn of one that a cloud service synchronises.
-
-    Raises OSError or InputError if nothing can be written.
-    """
+    """Write into the folder. Raises OSError or InputError if nothing can be written."""
     check_writable(folder)
     yield ok("writing", f"files can be written into {folder}")
-    if any(name in str(folder.resolve()).lower() for name in SYNCED_FOLDERS):
-        text = "the folder's path has the name of a cloud service, which can lock files that it "
-        yield warn("writing", f"{text}synchronises: if it does, move the session to a local folder")
 
 
 def check_awake() -> Iterator[Finding]:
@@ -441,12 +429,7 @@ def check_sleep(locks: str, *, lid: bool = False) -> Finding:
     lid. By logind's default a closed lid overrides a lock on sleep; only a lock on
     handle-lid-switch prevents this.
     """
-    commands = {
-        "linux": "systemd-inhibit --what=sleep:idle:handle-lid-switch fieldlum capture ...",
-        "darwin": "caffeinate -dims fieldlum capture ...",
-    }
-    command = commands.get(sys.platform)
-    how = f"start the capture with: {command}" if command else "switch sleep off in the settings"
+    how = "switch sleep off in the settings of this computer"
     if "sleep" not in locks.split(":"):
         return warn("sleep", f"capture is granted no lock that keeps this computer awake: {how}")
     text = "prevented by capture itself while it runs"

@@ -442,9 +442,8 @@ def offset_contradiction(
         )
     if len(parts := clock_parts(groups, slots, zone)) == 1:
         return ""
-    last, first = parts[0][-1].frames[0].path, parts[1][0].frames[0].path
     return (
         f"one clock offset ({offset.how}) was used for all brackets, but the plan suggests that "
-        f"the camera's clock was changed between {last} and {first}: import these two parts from "
-        "separate folders, each with its own --utc-offset"
+        f"the camera's clock was changed before {parts[1][0].frames[0].path}: import the two parts "
+        "from separate folders, each with its own --utc-offset"
     )

@@ -33,9 +33,8 @@ class Live:
     """State of a running capture: counts of slots, next slot, irradiance, devices, disk.
 
     state: waiting, capturing or finished; left: slots still to capture; next_in_s,
-    ghi_age_s: seconds; camera, pyranometer: ok, closed or lost; bytes_missing: what the next
-    bracket needs and the disk lacks, without the space reserved for journal and rows; disk_days:
-    days of captures that fit. None: unknown.
+    ghi_age_s: seconds; camera, pyranometer: ok, closed or lost; disk_days: days of captures that
+    fit. None: unknown.
     """
 
     state: str
@@ -53,7 +52,6 @@ class Live:
     camera: str
     pyranometer: str
     bytes_free: int
-    bytes_missing: int
     disk_days: float | None
     last_event: str
 
@@ -131,17 +129,20 @@ def run(
     if another process captures, imports or, with a pyranometer, logs in the session;
     NotEnoughDataError if every slot is past and none was begun, or if no slot has an exposure.
     """
-    if pyranometer_uri and open_pyr is None:
-        open_pyr = partial(devices.open_pyranometer, pyranometer_uri, clock=clock, session=session)
-    if meter_uri and open_met is None:
-        open_met = partial(devices.open_meter, meter_uri, clock=clock)
-    open_cam = open_cam or partial(devices.open_camera, camera_uri, clock=clock, session=session)
     uris = {"camera": camera_uri, "pyranometer": pyranometer_uri, "meter": meter_uri}
-    with sole_user(session, "capture"), sole_user(session, "log") if open_pyr else nullcontext():
+    stated = {"camera": open_cam, "pyranometer": open_pyr, "meter": open_met}
+    how = {"clock": clock, "session": session}
+    openers = {
+        name: stated[name] or partial(getattr(devices, f"open_{name}"), uri, **how)
+        for name, uri in uris.items()
+        if uri or stated[name]
+    }
+    logs = sole_user(session, "log") if "pyranometer" in openers else nullcontext()
+    with sole_user(session, "capture"), logs:
         steady = SteadyClock(clock, trusted, options.boot)
-        runner = _Runner(session, steady, options, watch, checks, listen, open_cam)
+        runner = _Runner(session, steady, options, watch, checks, listen, openers)
         with closing(runner):
-            runner.open(open_pyr, open_met, uris)
+            runner.open(uris)
             runner.work()
     return read_slot_states(session)
 
@@ -198,7 +199,7 @@ class _Runner:
     watch: Watch
     checks: FrameChecks
     listen: Listen
-    open_cam: Callable[[], Camera]
+    openers: Mapping[str, Callable[[], Any]]
 
     def __post_init__(self) -> None:
         session, clock, options = self.session, self.clock, self.options
@@ -214,25 +215,23 @@ class _Runner:
         refuse_past_plan(self.slots, before, clock.now(), timedelta(seconds=options.grace_s))
         reserve_bytes, how = options.reserve_bytes, {"flush": options.flush, "listen": self.listen}
         self.recorder = Recorder(session, clock.now, reserve_bytes, **how)
-        self.camera = self._keeper("camera", self.open_cam)
+        keepers = {name: self._keeper(name) for name in self.openers}
+        self.camera: Keeper[Camera] = keepers["camera"]
+        self.meter: Keeper[IlluminanceMeter] | None = keepers.get("meter")
         self.logger: Logger | None = None
-        self.meter: Keeper[IlluminanceMeter] | None = None
+        if "pyranometer" in keepers:
+            keeper, every_s = keepers["pyranometer"], options.log_every_s
+            self.logger = Logger(keeper, self.recorder, clock, every_s)
         self.frame_bytes, self.bytes_per_slot, self.last_frame = 0, 0.0, ""
         for slot in [slot for slot in self.slots if before.state(slot.id).frames][-1:]:
             self._measure_sizes(slot, before.state(slot.id))
         self._state, self._next = "waiting", self._next_to_do()
 
-    def _keeper(self, name: str, open_device: Callable[[], Any]) -> Keeper[Any]:
-        return Keeper(
-            name, open_device, self.clock, self.recorder.write_event, self.options.watchdog_s
-        )
+    def _keeper(self, name: str) -> Keeper[Any]:
+        tell, watchdog_s = self.recorder.write_event, self.options.watchdog_s
+        return Keeper(name, self.openers[name], self.clock, tell, watchdog_s)
 
-    def open(
-        self,
-        open_pyr: Callable[[], Pyranometer] | None,
-        open_met: Callable[[], IlluminanceMeter] | None,
-        uris: dict[str, str],
-    ) -> None:
+    def open(self, uris: dict[str, str]) -> None:
         """Open all devices, or raise DeviceError for a missing one.
 
         When a capture is started again, an instrument that answered before may be missing for a
@@ -241,13 +240,9 @@ class _Runner:
         camera = self.camera.open_or_raise()
         refuse_unavailable_exposures(camera, self.slots, self.states.slots)
         about: DevicesTable = {"uris": uris, "camera": plain_info(camera.info)}
-        if open_pyr is not None:
-            keeper = self._keeper("pyranometer", open_pyr)
-            self._open_instrument(keeper, about)
-            self.logger = Logger(keeper, self.recorder, self.clock, self.options.log_every_s)
-        if open_met is not None:
-            self.meter = self._keeper("meter", open_met)
-            self._open_instrument(self.meter, about)
+        for keeper in (self.logger and self.logger.keeper, self.meter):
+            if keeper is not None:
+                self._open_instrument(keeper, about)
         mark, cut = self.clock.mark(), self.recorder.journal.cut_bytes
         self.recorder.write_event(
             "open", **mark, pid=os.getpid(), fieldlum=__version__, cut_bytes=cut
@@ -435,7 +430,6 @@ class _Runner:
             camera=self.camera.state,
             pyranometer=self.logger.keeper.state if self.logger else "",
             bytes_free=free,
-            bytes_missing=self.recorder.missing_bytes(self.bytes_per_slot),
             disk_days=free / per_day if per_day else None,
             last_event=self.recorder.last_event,
         )

@@ -269,11 +269,11 @@ def open_pyranometer(uri: str, *, clock: Clock, session: Session | None = None) 
     return _open(uri, PYRANOMETERS, "pyranometer", clock=clock, session=session)
 
 
-def open_meter(uri: str, *, clock: Clock) -> IlluminanceMeter:
+def open_meter(uri: str, *, clock: Clock, session: Session | None = None) -> IlluminanceMeter:
     """Open the illuminance meter that a device URI names, such as ``cl200a:/dev/ttyUSB0``.
 
-    Raises DeviceError for a malformed URI, an unknown scheme or option, a port that cannot be
-    opened, or a meter that does not answer.
+    session : no driver uses it. Raises DeviceError for a malformed URI, an unknown scheme or
+    option, a port that cannot be opened, or a meter that does not answer.
     """
     return _open(uri, METERS, "meter", clock=clock)
 

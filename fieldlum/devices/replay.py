@@ -6,7 +6,6 @@ exposure that it matches.
 
 import shutil
 from contextlib import suppress
-from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -54,9 +53,7 @@ class ReplayCamera(Camera):
         self._clock = clock
         self._left = frames_of(folder)
         first = self._left[0][1]
-        self.info = CameraInfo(
-            "replay", make=first.make, model=first.model, frames_left=len(self._left)
-        )
+        self.info = CameraInfo("replay", make=first.make, model=first.model)
 
     def expose(self, exposure: Exposure, target: Path, *, heading_deg: float | None = None) -> Path:
         """Copy the next unused frame with this exposure to `target` plus its suffix.
@@ -70,7 +67,6 @@ class ReplayCamera(Camera):
                 del self._left[i]
                 written = target.with_name(f"{target.name}{path.suffix.lower()}")
                 shutil.copyfile(path, written)
-                self.info = replace(self.info, frames_left=len(self._left))
                 self._clock.sleep(exposure.shutter_s)
                 return written
         found = f"no unused frame of {exposure_text(exposure)}, only {len(self._left)} of others"

@@ -24,6 +24,7 @@ from fieldlum.optics.profiles import CameraProfile
 from fieldlum.optics.projection import relative_radius
 from fieldlum.optics.raw import channel_positions
 from fieldlum.optics.raw.writing import write_dng, write_jpeg
+from fieldlum.session import exposure_text
 from fieldlum.sky.sky_view.picture import SkyGrid
 
 # ----------------------------------------------------------------------------------------------
@@ -166,8 +167,8 @@ class SimulatedCamera(Camera):
         self._overhead_s = profile.bracket.seconds_per_frame if overhead_s is None else overhead_s
         body, lens = profile.camera, profile.lens[0].name
         self._shape, self._is_jpeg = (body.height_px, body.width_px), body.kind == "jpeg"
-        about = {"make": body.make, "model": body.model, "lens": lens, "serial": f"SIM{seed:04d}"}
-        self.info = CameraInfo("sim", **about, clock_offset_s=clock_offset_s)
+        about = "sim", body.make, body.model, f"SIM{seed:04d}"
+        self.info = CameraInfo(*about, lens=lens, clock_offset_s=clock_offset_s)
         self._shading = lru_cache(maxsize=8)(self._shading_of)
         self._last: tuple[Panorama, float, Floats32] | None = None
 
@@ -210,15 +211,12 @@ class SimulatedCamera(Camera):
         profile = self._profile
         apertures = [v.f_number for v in profile.lens[0].vignetting] or [profile.bracket.f_number]
         filters = ["", *(nd.name for nd in profile.nd)]
-        allowed = (
-            (exposure.f_number in apertures, f"f/{exposure.f_number:g}", f"f-numbers {apertures}"),
-            (exposure.nd in filters, f"filter '{exposure.nd}'", f"filters {filters}"),
-            (50 <= exposure.iso <= 6400, f"ISO {exposure.iso:g}", "50 to 6400"),
-        )
-        for is_allowed, found, expected in allowed:
-            if not is_allowed:
-                remedy = "correct [bracket] of the profile, then plan a new session"
-                raise DeviceError(f"simulated camera: no {found}; expected {expected}; {remedy}")
+        is_allowed = exposure.f_number in apertures and exposure.nd in filters
+        if not (is_allowed and 50 <= exposure.iso <= 6400):
+            expected = f"f-numbers {apertures}, filters {filters}, ISO 50 to 6400"
+            remedy = "correct [bracket] of the profile, then plan a new session"
+            found = f"no {exposure_text(exposure)}"
+            raise DeviceError(f"simulated camera: {found}; expected {expected}; {remedy}")
         return nearest(exposure.shutter_s, DIAL_S, "simulated camera: shutter", "s")
 
     def _image(self, panorama: Panorama, heading_deg: float) -> Floats32:

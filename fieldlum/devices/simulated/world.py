@@ -19,7 +19,6 @@ import numpy as np
 from fieldlum.core.arrays import Floats
 from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import CameraSetup, Panorama, Room, Site, SiteFile, Window
-from fieldlum.optics import projection
 from fieldlum.room.scene import traced_view
 from fieldlum.session import Session
 from fieldlum.session.files.irradiance_csv import CleanIrradiance
@@ -106,6 +105,7 @@ SEATTLE = Site("office", 47.6, -122.3, "America/Los_Angeles", 50.0)
 OFFICE = Room(window=(Window("south", left_m=0.5, width_m=5.0, sill_m=0.9, height_m=3.2, panes=3),))
 _HEIGHT = 230  # rows of the panorama, for speed
 _LM_PER_W = 115.0  # luminous efficacy of daylight, typical
+_DAYLIGHT_FACTOR = 0.05  # of a room with large windows: 5 % or more (CIBSE LG10)
 
 
 class Office:
@@ -150,21 +150,16 @@ class Office:
     def _shares(self) -> tuple[Floats, Floats]:
         """Return each pixel's luminance per illuminance of the ground outside, and of the sky.
 
-        All surfaces indoors have one illuminance, by the average daylight factor of Crisp and
-        Littlefair (1984) for windows that see 90 degrees of an overcast sky.
+        All surfaces indoors have one illuminance, by a daylight factor that is typical of a room
+        with large windows.
         """
         view, room = traced_view(self._room, _HEIGHT, self.setup.camera.heading_deg, 1), self._room
-        w, d, h = room.width_m, room.depth_m, room.height_m
-        glass = sum(np.ptp(o.u_m) * np.ptp(o.z_m) * o.transmittance for o in view.scene.openings)
-        mean = (room.reflectance_ceiling + room.reflectance_floor + 2 * room.reflectance_walls) / 4
-        factor = 0.90 * float(glass) / (2.0 * (w * d + w * h + d * h) * (1.0 - mean**2))
         s = view.samples
         outside = np.isin(s.box, view.scene.of_kind("ground"))
-        shown = s.weight * view.scene.reflectance[s.box] * np.where(outside, 1.0, factor)
+        factor = np.where(outside, 1.0, _DAYLIGHT_FACTOR)
+        shown = s.weight * view.scene.reflectance[s.box] * factor
         ground = room.reflectance_ground * view.plain.ravel()
-        upward = projection.equirect_rays(_HEIGHT, 2 * _HEIGHT, 0.0)[..., 2].ravel()
-        sky = view.sky.ravel() * 3.0 / 7.0 * (1.0 + 2.0 * np.abs(upward))  # CIE overcast sky
-        return (np.bincount(s.pixel, shown, len(ground)) + ground) / np.pi, sky / np.pi
+        return (np.bincount(s.pixel, shown, len(ground)) + ground) / np.pi, view.sky.ravel() / np.pi
 
     def _scene(self, t_utc: datetime) -> Panorama:
         light, (lit, sky) = self.irradiance(t_utc), self._fixed()
