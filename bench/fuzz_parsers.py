@@ -98,12 +98,12 @@ def with_crc16(body: str) -> bytes:
 # Lines of one's own, with all that can be stated of them.
 FIXED = ascii_lines.AsciiProfile(
     "fixed",
-    "key-value",
+    "regex",
     (
-        ascii_lines.AsciiField("ghi_wm2", "G", decimals=1, width=6, lowest=-10.0, highest=1600.0),
-        ascii_lines.AsciiField("temperature_c", "T", decimals=1, width=5),
+        ascii_lines.AsciiField("ghi_wm2", "G", decimals=1, lowest=-10.0, highest=1600.0),
+        ascii_lines.AsciiField("temperature_c", "T", decimals=1),
     ),
-    only=True,
+    pattern=r"G=(?P<G>[ \d.+-]{6}) T=(?P<T>[ \d.+-]{5})",
 )
 
 

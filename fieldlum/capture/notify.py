@@ -182,11 +182,8 @@ class Heartbeat:
     def __init__(
         self, address: str, every_s: float = 600.0, use: Callable[[str], None] = fetch
     ) -> None:
-        self._address = address
-        self._every_s = every_s
-        self._use = use
-        self._due = threading.Event()
-        self._closing = False
+        self._address, self._every_s, self._use = address, every_s, use
+        self._due, self._closing = threading.Event(), False
         self._thread = threading.Thread(target=self._work, name="heartbeat", daemon=True)
         self._thread.start()
 

@@ -24,7 +24,13 @@ from fieldlum.session import DEFAULT_GRACE_S, Session, disk_is_full, sole_user
 from fieldlum.session.files.capture_json import Frame
 from fieldlum.session.folder import DevicesTable, store_grace, update_session
 from fieldlum.session.plan_file import read_plan
-from fieldlum.session.slot_states import SlotState, SlotStates, read_slot_states, slots_to_do
+from fieldlum.session.slot_states import (
+    SETTLED,
+    SlotState,
+    SlotStates,
+    read_slot_states,
+    slots_to_do,
+)
 from fieldlum.version import __version__
 
 
@@ -409,7 +415,7 @@ class _Runner:
         """Return the state of the capture."""
         states, now, upcoming = self.states.slots.values(), self.clock.now(), self._next
         outcomes = Counter(state.outcome for state in states)
-        done, missed, aborted = (outcomes[name] for name in ("done", "missed", "aborted"))
+        counts = {name: outcomes[name] for name in SETTLED}
         sample = self.logger.last if self.logger else None
         free = disk_usage(self.session.root).free
         days = max(1, len({slot.t_utc.date() for slot in self.slots}))
@@ -418,10 +424,8 @@ class _Runner:
             state=self._state,
             t_utc=now,
             planned=len(self.slots),
-            done=done,
-            missed=missed,
-            aborted=aborted,
-            left=len(self.slots) - done - missed - aborted,
+            **counts,
+            left=len(self.slots) - sum(counts.values()),
             next_slot=upcoming.id if upcoming else "",
             next_in_s=(upcoming.t_utc - now).total_seconds() if upcoming else None,
             last_frame=self.last_frame,

@@ -16,7 +16,7 @@ from fieldlum.session.permits import Subject, is_permitted, subject
 
 # Options whose values are numbers or single letters in every driver. All others may name a file.
 _HARMLESS = re.compile(
-    "seed|noise|clock_offset|overhead|f_number|delete|unit|dhi_unit|dni_unit|baud|parity|stop|"
+    "seed|noise|clock_offset|f_number|delete|unit|dhi_unit|dni_unit|baud|parity|stop|"
     "timeout|silence|head"
 )
 _NAMES = ("kind", "profile")  # of a shipped file, unless the value is a path

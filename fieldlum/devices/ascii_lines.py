@@ -52,9 +52,8 @@ class AsciiField:
     """One number in a line that an instrument prints: quantity = scale * number + offset.
 
     key : name of the number in the line, or its group in the pattern. The other fields reject
-    damaged numbers: `decimals`, the exact number of digits after the point; `width`, the exact
-    number of characters, as printf's %6.1f or %06.1f print; `unit`, the text directly behind the
-    number; `lowest` and `highest`, limits of the quantity (None: -200 to 4000 W/m2, -60 to 150 C).
+    damaged numbers: `decimals`, the exact number of digits after the point; `lowest` and `highest`,
+    limits of the quantity (None: -200 to 4000 W/m2, -60 to 150 C).
     """
 
     quantity: Literal["ghi_wm2", "dhi_wm2", "dni_wm2", "temperature_c"]
@@ -62,8 +61,6 @@ class AsciiField:
     scale: float = 1.0
     offset: float = 0.0
     decimals: int | None = None
-    width: int | None = None
-    unit: str = ""
     lowest: float | None = None
     highest: float | None = None
 
@@ -72,17 +69,15 @@ class AsciiField:
 class AsciiProfile:
     """The format of the lines that an instrument prints, from instruments/ascii/NAME.toml.
 
-    pattern : regular expression for the form regex, with a group for each entry's key; only : for
-    key-value and json, a line has only the entries' keys, in their order; checksum : the line ends
-    in * and hexadecimal digits, which check the text before the *, without a leading $: two digits
-    for xor (exclusive or of the bytes, as in NMEA), four for crc16 (CRC-16/MODBUS).
+    pattern : regular expression for the form regex, with a group for each entry's key; checksum :
+    the line ends in * and hexadecimal digits, which check the text before the *, without a leading
+    $: two digits for xor (exclusive or of the bytes, as in NMEA), four for crc16 (CRC-16/MODBUS).
     """
 
     name: str
     form: Literal["regex", "key-value", "json"]
     entry: tuple[AsciiField, ...]
     pattern: str = ""
-    only: bool = False
     checksum: Literal["none", "xor", "crc16"] = "none"
     model: str = ""
     serial: str = ""
@@ -128,11 +123,8 @@ def parse_line(profile: AsciiProfile, line: bytes) -> dict[str, float]:
     """
     text = body_of(profile, line)
     words = _WORDS[profile.form](profile, text)
-    keys = [e.key for e in profile.entry]
-    if missing := [key for key in keys if key not in words]:
+    if missing := [e.key for e in profile.entry if e.key not in words]:
         raise _bad_line(text, f"has no key {', '.join(missing)}")
-    if profile.only and profile.form != "regex" and list(words) != keys:
-        raise _bad_line(text, f"has other keys; expected exactly {', '.join(keys)}, in this order")
     return {e.quantity: _value(words[e.key], e, text) for e in profile.entry}
 
 
@@ -211,17 +203,9 @@ _WORDS = {"regex": _by_regex, "key-value": _by_keys, "json": _by_json}
 
 def _value(word: object, entry: AsciiField, text: str) -> float:
     """Return the quantity of an entry. Raises DeviceError for a number of another form or range."""
-    number = word if isinstance(word, str) else ""
-    shown = number.removesuffix(entry.unit)
-    match = _NUMBER.fullmatch(shown.strip()) if number.endswith(entry.unit) else None
-    if (
-        match is None
-        or entry.decimals not in (None, len(match[1] or ""))
-        or entry.width not in (None, len(shown))
-    ):
-        form = f" of {entry.width} characters" if entry.width is not None else ""
-        form += f" with {entry.decimals} decimals" if entry.decimals is not None else ""
-        form += f" and '{entry.unit}'" if entry.unit else ""
+    match = _NUMBER.fullmatch(word.strip()) if isinstance(word, str) else None
+    if match is None or entry.decimals not in (None, len(match[1] or "")):
+        form = f" with {entry.decimals} decimals" if entry.decimals is not None else ""
         raise _bad_line(text, f"has {entry.key} {word!r}; expected a number{form}")
     value = entry.scale * float(match[0]) + entry.offset
     low, high = (MIN_WM2, MAX_WM2) if entry.quantity.endswith("_wm2") else _TEMPERATURES_C

@@ -1,8 +1,7 @@
 """Provide simulated devices: ``sim:office?seed=1`` as a camera or as a pyranometer.
 
 Camera options: seed, profile (name or path; default: the session's, else sim-dual-fisheye),
-clock_offset (s, the camera's clock minus the computer's), overhead (s between frames). Pyranometer
-options: seed, noise (W/m2).
+clock_offset (s, the camera's clock minus the computer's). Pyranometer options: seed, noise (W/m2).
 """
 
 from typing import Annotated
@@ -55,7 +54,6 @@ class _CameraOptions(Struct):
     seed: _Seed = 1
     profile: str = ""
     clock_offset: Annotated[float, Meta(ge=-1e9, le=1e9)] = 0.0
-    overhead: Annotated[float, Meta(ge=0.0, le=600.0)] | None = None
 
 
 class _PyranometerOptions(Struct):
@@ -90,7 +88,6 @@ def open_camera(uri: DeviceUri, *, clock: Clock, session: Session | None = None)
         heading_deg=setup.heading_deg,
         seed=options.seed,
         clock_offset_s=options.clock_offset,
-        overhead_s=options.overhead,
     )
 
 
