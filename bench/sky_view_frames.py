@@ -44,7 +44,7 @@ from fieldlum.year.glare.sources import panorama_views
 
 HEIGHT = 60  # rows of the truth and of panoramas
 YEAR_HOURS = 1500  # of a year, at random, of which the disc is compared
-GLARE_HOURS = 40  # of these, for DGP: those with a true or an estimated disc first
+GLARE_HOURS = 40  # of these, for DGP: those whose disc is most in error
 DIRECTIONS_DEG = np.arange(0.0, 360.0, 45.0)
 SEATTLE = Site("frames", 47.6, -122.3, "America/Los_Angeles")
 WRONG = {"": (0.0, 0.0, 0.0), "heading 1": (1.0, 0.0, 0.0), "heading 5": (5.0, 0.0, 0.0)}
@@ -252,7 +252,7 @@ def in_lens(rays: Floats, axis_deg: float) -> Mask:
 def glare(made: Case, sunny: Indices, own: Floats) -> tuple[float, str]:
     """Return the DGP error of the disc alone on true maps, and how many views change class."""
     truth = simulate.lit_room(made.setup, height=HEIGHT, quality="draft")
-    worst = np.argsort(-(own + made.share[sunny]), kind="stable")[:GLARE_HOURS]
+    worst = np.argsort(-np.abs(own - made.share[sunny]), kind="stable")[:GLARE_HOURS]
     some = made.light[sunny[worst]]
     maps = truth.render(some).luminance_cdm2
     views = panorama_views(*maps.shape[1:], made.setup.camera.heading_deg, DIRECTIONS_DEG)
@@ -264,7 +264,7 @@ def glare(made: Case, sunny: Indices, own: Floats) -> tuple[float, str]:
     ]
     classes = [np.digitize(values, (0.35, 0.40, 0.45)) for values in dgp]
     changed = int((classes[0] != classes[1]).sum())
-    # hours beyond the worst have no disc in either
+    # hours beyond the worst have nearly the true disc
     mse = float(((dgp[1] - dgp[0]) ** 2).sum() / (len(sunny) * len(DIRECTIONS_DEG)))
     return mse, f"{changed}/{classes[0].size}"
 
