@@ -135,7 +135,7 @@ def test_vignetting_beyond_the_lens_is_refused(tmp_path: Path) -> None:
     )
     with pytest.raises(
         InputError,
-        match=r"v.csv: an angle_deg of 160 deg; expected at most 93 deg, .*check that angles",
+        match=r"v.csv: an angle of 160 deg from the axis; expected at most 93 deg, .*check that",
     ):
         vignette.from_table(table, PROFILE)
     table.write_text(

@@ -461,5 +461,5 @@ def chart(colours: Colours, fit: ColourFit) -> Chart:
     """Return a chart of the readings of the patches, and the fitted luminance."""
     new = colours.rgb @ np.array(fit.y_from_rgb) * fit.scale
     title = f"colour to luminance; held-out rms {100 * fit.u_rel:.2g} %"
-    x, y = ("patch", np.arange(1, len(new) + 1)), ("reading, or chart [%]", colours.y)
-    return Chart(title, -fit.residual, colours.places, x, y, new)
+    y = "reading, or chart [%]", colours.y
+    return Chart(title, -fit.residual, colours.places, y=y, fitted=new)

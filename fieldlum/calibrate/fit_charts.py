@@ -37,8 +37,8 @@ class Chart:
     """What a fit shows: readings and fitted values over x, residuals, and where they were taken.
 
     x, y : label and values [n], y of the readings; fitted [n] : y by the fit; off [n] : reading
-    less fit, a share; places [n] : of the readings, empty without any. Without x only the places
-    are drawn.
+    less fit, a share; places [n] : of the readings, empty without any. Without x the readings are
+    numbered; without y only the places are drawn.
     """
 
     title: str
@@ -51,7 +51,7 @@ class Chart:
 
 def draw(chart: Chart, path: Path) -> None:
     """Write a chart as PNG, SVG or PDF, by suffix; the file appears complete or not at all."""
-    curves, has_places = 2 * bool(chart.x[0]), len(chart.places) > 0
+    curves, has_places = 2 * bool(chart.y[0]), len(chart.places) > 0
     count = max(curves + has_places, 1)
     figure = new_figure(4.2 * count, 3.4)
     every = figure.subplots(1, count, squeeze=False)[0]
@@ -65,7 +65,8 @@ def draw(chart: Chart, path: Path) -> None:
 
 
 def _draw_curves(chart: Chart, left: Any, right: Any) -> None:
-    (label, x), (y_label, y) = chart.x, chart.y
+    y_label, y = chart.y
+    label, x = chart.x if chart.x[0] else ("reading", np.arange(1, len(y) + 1))
     shown = {"linestyle": "", "markersize": 3.5, "alpha": min(1.0, 200 / max(len(x), 1))}
     left.plot(x, y, "o", color=RED, **shown)
     left.plot(x, chart.fitted, ".", color=BLUE, **shown)
@@ -135,8 +136,6 @@ def grey_picture(path: Path) -> NDArray[np.uint8]:
             raise InputError(path, "no picture that OpenCV reads", "JPEG, PNG or raw", remedy)
         return np.asarray(picture, np.uint8)
     counts = read_mosaic(path, lens_f_number=1.0).counts.astype(np.float32)
-    rows, columns = (n // 2 * 2 for n in counts.shape)
-    cell = cv2.resize(counts[:rows, :columns], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-    cell = cv2.resize(cell, (columns, rows), interpolation=cv2.INTER_LINEAR)
+    cell = cv2.GaussianBlur(counts, (3, 3), 0)  # half green, a quarter red and blue at each pixel
     low, high = np.percentile(cell, [1, 99.5])
     return (255 * np.clip((cell - low) / max(high - low, 1e-6), 0, 1) ** (1 / 2.2)).astype(np.uint8)

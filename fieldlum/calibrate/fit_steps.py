@@ -51,24 +51,23 @@ def choose(
     what: str,
     candidates: Sequence[tuple[str, int, Floats]],
     unit: str = "%",
-    scale: float = 100.0,
     negligible: float = 0.0,
 ) -> OrderSelection:
     """Return the smallest candidate within one standard error of the best, with a line of text.
 
     candidates : of each the name, the size (number of free parameters, or a rank in their order),
     and the squared errors [n] of held-out data, which are the same for every candidate. The best
-    has the smallest mean of them; the smallest has the lowest size. what : name of the fit; unit,
-    scale : unit of the rms in that line, and the factor that converts it to that unit. negligible :
-    a candidate whose rms is larger by at most this (in the unit of the errors' root) counts as
-    equal to the best.
+    has the smallest mean of them; the smallest has the lowest size. what : name of the fit; unit :
+    of the errors' root in that line, "%" of a share. negligible : a candidate whose rms is larger
+    by at most this (in the unit of the errors' root) counts as equal to the best.
     """
     names, sizes, errors = zip(*candidates, strict=True)
     rms = np.sqrt([e.mean() for e in errors])
     best = int(np.argmin(rms))
     alike = [is_no_worse(e, errors[best]) for e in errors] | (rms - rms[best] <= negligible)
     chosen = int(min(np.flatnonzero(alike), key=lambda i: (sizes[i], rms[i])))
-    tried = ", ".join(f"{n} {scale * r:.3g} {unit}" for n, r in zip(names, rms, strict=True))
+    shown = 100.0 * rms if unit == "%" else rms
+    tried = ", ".join(f"{n} {r:.3g} {unit}" for n, r in zip(names, shown, strict=True))
     smaller = f"smaller than the best, {names[best]}, and not significantly worse"
     why = "the best" if chosen == best else smaller
     line = f"{what}: {names[chosen]} ({why}); held-out rms: {tried}"
@@ -83,15 +82,14 @@ def fit_and_choose(
     errors: Callable[[Model, Parameters, Mask], Floats],
     *,
     unit: str = "%",
-    scale: float = 100.0,
     negligible: float = 0.0,
 ) -> tuple[Model, Parameters, OrderSelection]:
     """Return the model that held-out data choose, its parameters by all data, and the choice.
 
     models : each with its name and size, as in `choose`. groups [n] : of the data, see `folds`.
     solve : fits a model to the data of a mask. errors : squared errors of the data of a mask by a
-    model's parameters, NaN for a datum that cannot be predicted. what, unit, scale, negligible : as
-    in `choose`.
+    model's parameters, NaN for a datum that cannot be predicted. what, unit, negligible : as in
+    `choose`.
     """
     candidates = []
     for name, size, model in models:
@@ -99,7 +97,7 @@ def fit_and_choose(
         for held in folds(groups):
             squares[held] = errors(model, solve(model, ~held), held)
         candidates.append((name, size, squares[np.isfinite(squares)]))
-    choice = choose(what, candidates, unit, scale, negligible)
+    choice = choose(what, candidates, unit, negligible)
     chosen = models[choice.index][2]
     return chosen, solve(chosen, np.ones(len(groups), bool)), choice
 
@@ -196,13 +194,18 @@ def columns(rows: Sequence[CsvRow], *names: str) -> Floats:
     return np.array([[row[name] for row in rows] for name in names], float)
 
 
-def beyond_lens(share: float) -> bool:
-    """Return whether a reading's angle is impossible for its lens, and therefore an error.
+def refuse_beyond_lens(widest_deg: float, lens: Lens, source: Path | str) -> None:
+    """Raise InputError if the widest angle from the axis is impossible for the lens.
 
-    share: the angle from the axis, divided by half of the lens's full angle. Data sheets round full
-    angles, so that true readings are up to 5 % beyond.
+    source : of the angle. Data sheets round full angles, so that true readings are up to 5 % beyond
+    half of them.
     """
-    return share > 1.05
+    half_deg = lens.full_angle_deg / 2
+    if widest_deg > 1.05 * half_deg:
+        finding = f"an angle of {widest_deg:.0f} deg from the axis"
+        expected = f"at most {half_deg:g} deg, half of full_angle_deg"
+        remedy = "check that angles are from the axis, or correct full_angle_deg in the profile"
+        raise InputError(source, finding, expected, remedy)
 
 
 def columns_of(path: Path) -> tuple[str, ...]:

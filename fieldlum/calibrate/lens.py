@@ -52,15 +52,13 @@ class Targets:
 class LensFit(NamedTuple):
     """A fitted lens, its held-out error, and warnings.
 
-    rms_px, rms_deg : rms distance of held-out targets, or of chessboard corners. widest_deg :
-    largest angle of a target from the axis; the mapping extrapolates beyond it. choice : how the
-    polynomial's order was chosen. warnings : sentences about omitted targets and a pose far from
-    the profile's.
+    rms_px : rms distance of held-out targets, or of chessboard corners. widest_deg : largest angle
+    of a target from the axis; the mapping extrapolates beyond it. choice : how the polynomial's
+    order was chosen. warnings : sentences about omitted targets and a pose far from the profile's.
     """
 
     lens: Lens
     rms_px: float
-    rms_deg: float
     widest_deg: float
     choice: fit_steps.OrderSelection
     warnings: tuple[str, ...] = ()
@@ -115,7 +113,6 @@ def fit(targets: Targets, lens: Lens) -> LensFit:
         lambda model, rows: solved(model, used(rows)),
         lambda _, candidate, held: _misses(candidate, targets)[0][used(held)] ** 2,
         unit="px",
-        scale=1.0,
     )
     missed, angle = _misses(fitted, targets)
     _check(fitted, missed[inliers], angle[inliers], targets)
@@ -123,7 +120,6 @@ def fit(targets: Targets, lens: Lens) -> LensFit:
     return LensFit(
         new,
         rms_px=choice.rms,
-        rms_deg=choice.rms * lens.full_angle_deg / 2 / fitted.radius_px,
         widest_deg=float(np.degrees(angle[inliers].max())),
         choice=choice,
         warnings=_warnings(targets, missed, inliers, new, lens),
@@ -204,11 +200,7 @@ def _check(lens: Lens, missed: Array, angle: Array, targets: Targets) -> None:
         finding = f"the best lens misses half of the targets by over {np.median(missed):.0f} px"
         remedy = "check the targets' signs and units, and the columns x_px and y_px"
         raise InputError(targets.source, finding, _WANTED, remedy)
-    widest_deg, half_deg = np.degrees(angle.max()), lens.full_angle_deg / 2
-    if fit_steps.beyond_lens(widest_deg / half_deg):
-        finding = f"a target is {widest_deg:.0f} deg from the axis, the lens ends at {half_deg:.0f}"
-        remedy = "correct the targets, or full_angle_deg in the profile"
-        raise InputError(targets.source, finding, _WANTED, remedy)
+    fit_steps.refuse_beyond_lens(float(np.degrees(angle.max())), lens, targets.source)
 
 
 def _warnings(
@@ -332,8 +324,8 @@ def fit_boards(
     u_px = rms / np.sqrt(2) * np.sqrt(np.diag(np.linalg.pinv(solved.jac.T @ solved.jac))[:2].max())
     text = f"residual of the corners {rms:.2f} px rms, uncertainty of the centre {u_px:.2f} px"
     choice = replace(start.choice, line=f"{start.choice.line}; {text}")
-    new, rms_deg = replace(_rounded(fitted), **_pose_of(lens)), rms * start.rms_deg / start.rms_px
-    return start._replace(lens=new, rms_px=rms, rms_deg=rms_deg, choice=choice), targets
+    new = replace(_rounded(fitted), **_pose_of(lens))
+    return start._replace(lens=new, rms_px=rms, choice=choice), targets
 
 
 def _board_pose(level: Lens, corners: Array, points: Array) -> Array:
@@ -407,14 +399,11 @@ def circle(
     if on_circle < 0.9 or change > _MAX_CHANGE:
         x, y, radius = start
         whose = "the bright area" if guessed else "the profile's circle"
-        place_text = f"{whose} at {x:.0f}, {y:.0f} px, radius {radius:.0f} px"
-        finding = f"{100 * on_circle:.0f} % of the edge of a circle, near {place_text}"
-        near = f"within {100 * _MAX_CHANGE:.0f} % of {whose}"
-        remedy = (
-            "hold white paper in front of the lens for one frame without clipping that shows the "
-            "circle"
-        )
-        raise InputError(source, finding, f"an evenly lit circle on black, {near}", remedy)
+        finding = f"{100 * on_circle:.0f} % of the edge of a circle"
+        near = f"{whose} at {x:.0f}, {y:.0f} px, radius {radius:.0f} px"
+        expected = f"an evenly lit circle on black, within {100 * _MAX_CHANGE:.0f} % of {near}"
+        remedy = "take a frame of white paper in front of the lens, without clipping"
+        raise InputError(source, finding, expected, remedy)
     x, y, radius = place.tolist()
     return Circle((x, y), radius, float(np.hypot(robust_sigma(off, 0.0), 1.0)), edge)
 
@@ -460,21 +449,17 @@ def chart(targets: Targets, fit: LensFit) -> Chart:
     """Return a chart of the targets' distances from the centre over their angles from the axis."""
     level = fit.lens if not targets.pose_known else level_lens(fit.lens)
     x, y, angle_rad = lens_pixels(level, targets.rays)
-    at, fitted = (
-        np.hypot(px - level.centre_px[0], py - level.centre_px[1])
-        for px, py in ((targets.x_px, targets.y_px), (x, y))
-    )
+    x0, y0 = level.centre_px
+    at, fitted = np.hypot(targets.x_px - x0, targets.y_px - y0), np.hypot(x - x0, y - y0)
     angle = "angle from the optical axis [deg]", np.degrees(angle_rad)
-    title = f"lens, {fit.lens.mapping}; held-out rms {fit.rms_px:.2g} px ({fit.rms_deg:.2g} deg)"
+    title = f"lens, {fit.lens.mapping}; rms {fit.rms_px:.2g} px"
     return Chart(title, at / fitted - 1.0, (), angle, ("distance from the centre [px]", at), fitted)
 
 
 def circle_chart(found: Circle, source: Path) -> Chart:
-    """Return a chart of the image circle's edge around its centre, and over `source`."""
+    """Return a chart of the image circle's edge over the frame `source`."""
     (x, y), radius = found.centre_px, found.radius_px
-    right, down = found.edge - np.array([[x], [y]])
-    turn, away = np.degrees(np.arctan2(down, right)), np.hypot(right, down)
+    away = np.hypot(found.edge[0] - x, found.edge[1] - y)
     title = f"centre {x:.1f}, {y:.1f}, radius {radius:.1f} px, uncertainty {found.u_px:.1f} px"
     places = [Place(source, x_px, y_px) for x_px, y_px in found.edge.T.tolist()]
-    around, edge = ("direction from the centre [deg]", turn), ("distance of the edge [px]", away)
-    return Chart(title, away / radius - 1.0, places, around, edge, np.full(len(away), radius))
+    return Chart(title, away / radius - 1.0, places)

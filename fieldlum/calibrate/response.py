@@ -171,14 +171,9 @@ class Places(NamedTuple):
 
 
 class ResponseFit(NamedTuple):
-    """A fitted JPEG response, its residuals, and the choice among the tried responses.
-
-    residual : for R, G, B the rms relative difference of a frame's light at a place from the mean
-    of the frames there, a share.
-    """
+    """A fitted JPEG response, and the choice among the tried responses."""
 
     response: Response
-    residual: tuple[float, ...]
     choice: OrderSelection
 
 
@@ -330,12 +325,22 @@ def residuals(table: Floats, codes: NDArray[np.uint8], log_e: Floats, low: int =
     frames. table [256] : linear light z of each code; codes [places, frames] : of one colour; log_e
     [frames] : ln of exposure. Codes from `low` to 228 count; NaN for places with fewer than two.
     """
+    off = _off_mean(table, codes, log_e, low)
+    freedom = np.isfinite(off).sum(axis=1) - 1
+    none = np.full(len(off), np.nan)
+    return np.divide(np.nansum(off**2, axis=1), freedom, out=none, where=freedom > 0)
+
+
+def _off_mean(table: Floats, codes: NDArray[np.uint8], log_e: Floats, low: int) -> Floats:
+    """Return ln of each frame's light less its mean over the frames, [places, frames].
+
+    Arguments as in `residuals`. NaN for codes and places that do not count.
+    """
     counts = (codes >= low) & (codes <= HIGH)
-    light = np.where(counts, np.log(np.maximum(table[codes], 1e-9)) - log_e, 0.0)
-    n = counts.sum(axis=1)
-    mean = light.sum(axis=1) / np.maximum(n, 1)
-    square = (np.where(counts, light - mean[:, None], 0.0) ** 2).sum(axis=1)
-    return np.divide(square, n - 1, out=np.full(len(n), np.nan), where=n >= 2)
+    counts &= counts.sum(axis=1, keepdims=True) >= 2
+    light = np.log(np.maximum(table[codes], 1e-9)) - log_e
+    mean = np.average(light, axis=1, weights=counts + 1e-12, keepdims=True)
+    return np.where(counts, light - mean, np.nan)
 
 
 def fit(places: Places) -> ResponseFit:
@@ -367,12 +372,8 @@ def fit(places: Places) -> ResponseFit:
         return np.divide(total, count, out=np.full(len(total), np.nan), where=count > 0)
 
     model, tables, choice = fit_and_choose(
-        "response", models, groups, tables_of, misfit, unit="% of light", negligible=_SYSTEMATIC
+        "response", models, groups, tables_of, misfit, negligible=_SYSTEMATIC
     )
-    rms = [
-        float(np.sqrt(np.nanmean(residuals(t, codes[..., c], log_e, low))))
-        for c, t in enumerate(tables)
-    ]
     if choice.rms > 0.1:  # a still scene in steady light leaves 1 to 5 %
         caution = "CAUTION: check that camera and light did not change; take the bracket again"
         choice = replace(choice, line=f"{choice.line}. {caution}")
@@ -381,7 +382,7 @@ def fit(places: Places) -> ResponseFit:
     if kind == "table":
         red, green, blue = (tuple(np.round(table, 7).tolist()) for table in tables)
         response = replace(response, red=red, green=green, blue=blue)
-    return ResponseFit(response, tuple(rms), choice)
+    return ResponseFit(response, choice)
 
 
 def chart(places: Places, fit: ResponseFit) -> Chart:
@@ -392,12 +393,9 @@ def chart(places: Places, fit: ResponseFit) -> Chart:
     r, parts = fit.response, []
     for c, curve in enumerate((r.red, r.green, r.blue)):
         table, codes = response_table(r.kind, curve), places.codes[..., c]
-        counts = (codes >= r.low_code) & (codes <= r.high_code)
-        counts &= counts.sum(axis=1, keepdims=True) >= 2
-        light = np.log(np.maximum(table[codes], 1e-9)) - places.log_exposure
-        mean = np.average(light, axis=1, weights=counts + 1e-12, keepdims=True)
-        expected = np.exp(mean + places.log_exposure)
-        parts.append([values[counts] for values in (codes, expected, table[codes], light - mean)])
-    codes, expected, tables, off = (np.concatenate(values) for values in zip(*parts, strict=True))
+        off = _off_mean(table, codes, places.log_exposure, r.low_code)
+        counts = np.isfinite(off)
+        parts.append([values[counts] for values in (codes, table[codes], off)])
+    codes, tables, off = (np.concatenate(values) for values in zip(*parts, strict=True))
     title = f"JPEG response, {r.kind}; held-out rms {100 * r.u_rel:.2g} %"
-    return Chart(title, off, (), ("code", codes), ("linear light z", expected), tables)
+    return Chart(title, off, (), ("code", codes), ("linear light z", tables * np.exp(-off)), tables)

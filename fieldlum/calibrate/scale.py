@@ -223,5 +223,4 @@ def chart(readings: list[LuminanceReading], fit: ScaleFit) -> Chart:
     meter, image = np.array([(r.meter, r.image * fit.factor) for r in readings]).T
     title = f"scale: k times {fit.factor:.4f}, u {100 * fit.u_rel:.1f} %"
     places = [r.place for r in readings if r.place]
-    number = "reading", np.arange(1, len(readings) + 1)
-    return Chart(title, fit.residual, places, number, ("meter [cd/m2 or lx]", meter), image)
+    return Chart(title, fit.residual, places, y=("meter [cd/m2 or lx]", meter), fitted=image)

@@ -23,7 +23,7 @@ from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.optics.linear_light import black_dn, full_dn, gain_e_per_dn, true_shutter_s
 from fieldlum.optics.photometry import linearity_factor
 from fieldlum.optics.profiles import CameraProfile
-from fieldlum.optics.raw import Mosaic, channel_positions, frame_files, is_jpeg
+from fieldlum.optics.raw import Mosaic, channel_positions, frame_files
 
 
 class PixelDefects(NamedTuple):
@@ -74,8 +74,6 @@ def _deviating(path: Path, profile: CameraProfile) -> Indices:
     """
     import cv2
 
-    if is_jpeg(path):
-        raise InputError(path, "a JPEG frame", "raw frames", "JPEG files blur bad pixels")
     mosaic = fit_steps.own_mosaic(path, profile)
     far = np.zeros(mosaic.counts.shape, bool)
     gain = gain_e_per_dn(mosaic.exposure.iso, profile)
@@ -194,7 +192,6 @@ def fit(levels: Levels) -> LinearityFit:
         np.searchsorted(times, levels.seconds),
         lambda order, rows: _solve(levels, rows, order),
         lambda order, solved, held: _held_out(levels, solved[0], held),
-        unit="% of light",
         negligible=0.04 * _REPEATS,
     )
     u_offset = float(np.sqrt(covariance[0, 0]))

@@ -132,7 +132,6 @@ def fit(readings: Sequence[StrayReading], source: Path | str = "stray") -> Stray
         groups,
         lambda nodes, rows: _falling(designs[nodes][rows], stray[rows]),
         lambda nodes, k, held: (designs[nodes][held] @ k / stray[held] - 1.0) ** 2,
-        unit="% of it",
     )
     share = total_share(nodes, values)
     if share > 0.3:  # the lens is fogged, or the place was not black
@@ -179,5 +178,5 @@ def chart(readings: Sequence[StrayReading], fit: StrayFit) -> Chart:
     recorded = np.array([r.stray_cdm2 for r in readings])
     title = f"Stray light: {100 * fit.total_share:.2g} % of a source's light is spread"
     off, places = recorded / fit.predicted_cdm2 - 1.0, [r.place for r in readings]
-    number = "reading", np.arange(1, len(recorded) + 1)
-    return Chart(title, off, places, number, ("stray light [cd/m²]", recorded), fit.predicted_cdm2)
+    y = "stray light [cd/m²]", recorded
+    return Chart(title, off, places, y=y, fitted=fit.predicted_cdm2)

@@ -76,12 +76,9 @@ def from_table(path: Path, profile: CameraProfile, lens: int = 0) -> Samples:
     rows = fit_steps.read_table(path, ("angle_deg", "value"), optional)
     names = ("angle_deg", "value", "reference", "u_rel")
     angle, value, reference, u_rel = fit_steps.columns(rows, *names)
-    half = profile.lens[lens].full_angle_deg / 2
-    r = np.abs(angle) / half
-    if fit_steps.beyond_lens(r.max()):
-        finding, expected = f"an angle_deg of {half * r.max():g} deg", f"at most {half:g} deg, "
-        remedy = "check that angles are from the axis, or correct full_angle_deg in the profile"
-        raise InputError(path, finding, expected + "half of full_angle_deg", remedy)
+    away_deg, shown = np.abs(angle), profile.lens[lens]
+    fit_steps.refuse_beyond_lens(away_deg.max(), shown, path)
+    r = away_deg / (shown.full_angle_deg / 2)
     return Samples(r, value / reference, u_rel, rows[0]["f_number"], lens, (path,))
 
 
