@@ -442,7 +442,7 @@ def test_stereo_views_in_one_part_are_not_chosen_silently(tmp_path: Path) -> Non
     channels = _planes(3) | _planes(4, "right.")
     path = tmp_path / "a.exr"
     OpenEXR.File([_part("", channels, multiView=["left", "right"])]).write(str(path))
-    with pytest.raises(InputError, match="2 views: left, right; expected one picture"):
+    with pytest.raises(InputError, match="2 views: left, right; expected one of left, right"):
         read_exr(path)
     for name, value in (("left", 3), ("right", 4)):
         assert read_exr(path, name)[0].luminance_cdm2 == pytest.approx(value)

@@ -20,17 +20,17 @@ import sys
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from io import BufferedReader
 from pathlib import Path
 from shutil import copyfileobj
 from tempfile import TemporaryFile
-from typing import Any, BinaryIO, NamedTuple, cast
+from typing import Any, BinaryIO, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fieldlum.core.arrays import Array, Floats, Floats32
+from fieldlum.core.arrays import Floats, Floats32
 from fieldlum.core.errors import InputError, input_errors, kind_of, library_messages
 from fieldlum.core.files import open_to_read, replacing_path
 from fieldlum.core.records import MAX_PIXELS, Flag, Panorama, SunSource, parse_utc, utc_text
@@ -491,13 +491,13 @@ def read_exr(path: Path, part: str = "") -> tuple[Panorama, str]:
     has several pictures and `part` does not name one of them.
     """
     headers = exr_headers(path)
-    picture, layer_note = _chosen(headers, part, path)
-    header = headers[picture.part]
+    number, names, layer_note = _chosen(headers, part, path)
+    header = headers[number]
     aspect = header.get("pixelAspectRatio", 1.0)
     if isinstance(aspect, float) and aspect > 0.0 and abs(aspect - 1.0) > 0.01:
         found, remedy = f"pixels {aspect:g} times as wide as high", "resample the picture"
         raise InputError(path, found, "square pixels", remedy)
-    channels = _channels(path, picture)
+    channels = _channels(path, number, names, header)
     luminance, unit_note = _luminance(channels, header, path)
     # OpenEXR returns a damaged attribute as bytes of unknown type.
     expected = "attributes as fieldlum writes them"
@@ -519,7 +519,7 @@ def read_exr(path: Path, part: str = "") -> tuple[Panorama, str]:
     # OpenEXR itself names the view of a stereo picture in this attribute, such as "left".
     view = str(header.get("view", ""))
     has_view = view.startswith(("equirect", "-v", "VIEW=", "rvu "))
-    return _on_display_window(panorama, header), view if has_view else ""
+    return panorama, view if has_view else ""
 
 
 class _OwnOutput(io.StringIO):
@@ -603,17 +603,34 @@ def _check_size(headers: Sequence[Mapping[str, Any]], path: Path) -> None:
             raise InputError(path, finding, expected, "reduce the picture")
 
 
-def _channels(path: Path, picture: _Picture) -> dict[str, Floats32]:
-    """Return channels [H, W] of a picture by their plain name."""
+def _channels(
+    path: Path, part: int, names: Mapping[str, str], header: Mapping[str, Any]
+) -> dict[str, Floats32]:
+    """Return the channels [H, W] of a picture, on its display window, by their plain name.
+
+    names : plain name by the name in the file. Pixels without data are NaN, and get a flag.
+    """
     with (
         input_errors(path, *_COMPLETE, Exception),  # of OpenEXR
         opened_exr(path, separate_channels=True) as exr,
     ):
-        channels = exr.parts[picture.part].channels
-        return {
-            plain_name: np.asarray(channels[name].pixels).astype(np.float32, copy=False)
-            for name, plain_name in picture.channels.items()
+        of_part = exr.parts[part].channels
+        channels = {
+            plain_name: np.asarray(of_part[name].pixels).astype(np.float32, copy=False)
+            for name, plain_name in names.items()
         }
+    data, display = (np.array(_window(header, name)) for name in ("dataWindow", "displayWindow"))
+    if (data == display).all():
+        return channels
+    first = np.maximum(data[:2], display[:2])  # row and column of what both windows contain
+    last = np.maximum(first, np.minimum(data[2:], display[2:]))
+    given, wanted = (tuple(map(slice, first - w[:2], last - w[:2])) for w in (data, display))
+    channels.setdefault("flags", np.zeros(data[2:] - data[:2], np.float32))
+    for name, values in channels.items():
+        empty = Flag.OUTSIDE_LENS if name == "flags" else np.nan
+        channels[name] = np.full(display[2:] - display[:2], empty, np.float32)
+        channels[name][wanted] = values[given]
+    return channels
 
 
 def _luminance(
@@ -642,79 +659,42 @@ def _luminance(
     return luminance, note
 
 
-def _on_display_window(panorama: Panorama, header: Mapping[str, Any]) -> Panorama:
-    """Return the picture on the display window; pixels without data are outside the lens."""
-    data, display = (np.array(_window(header, name)) for name in ("dataWindow", "displayWindow"))
-    if (data == display).all():
-        return panorama
-    before, after = (data - display)[:2], (display - data)[2:]  # rows, columns to add; < 0: to cut
-
-    def placed(values: Array | None, empty: float) -> Any:
-        if values is None:
-            return None
-        added = [*np.maximum(np.stack([before, after], axis=1), 0), *[(0, 0)] * (values.ndim - 2)]
-        wide = np.pad(values, added, constant_values=empty)
-        (top, left), (bottom, right) = np.maximum(-before, 0), np.maximum(-after, 0)
-        return wide[top : wide.shape[0] - bottom, left : wide.shape[1] - right]
-
-    flags = panorama.flags
-    flags = np.zeros(panorama.luminance_cdm2.shape, np.uint16) if flags is None else flags
-    return replace(
-        panorama,
-        luminance_cdm2=placed(panorama.luminance_cdm2, np.nan),
-        u_cdm2=placed(panorama.u_cdm2, np.nan),
-        flags=placed(flags, int(Flag.OUTSIDE_LENS)),
-        rgb=placed(panorama.rgb, np.nan),
-    )
-
-
 # ----------------------------------------------------------------------------------------------
 # one picture of an EXR file that has several parts, layers or views
 
 
-class _Picture(NamedTuple):
-    """A flat picture in an EXR file: its name, the index of its part, and its channels.
+def _chosen(
+    headers: Sequence[Mapping[str, Any]], name: str, path: Path
+) -> tuple[int, Mapping[str, str], str]:
+    """Return the part and channels of the picture with this name, or of the only one, and a note.
 
-    name : of its part, layer or view; "" for plain channels of a file with one part without a name.
-    channels : plain name, such as R, by the name in the file.
+    name : "" for the only one. Plain channels are the picture of a file with one part: a note names
+    layers next to them. Raises InputError, with the names, if several parts, layers or views could
+    be meant, if there is no such name, and for a file without a flat picture with Y or R, G, B.
     """
-
-    name: str
-    part: int
-    channels: Mapping[str, str]
-
-
-def _chosen(headers: Sequence[Mapping[str, Any]], name: str, path: Path) -> tuple[_Picture, str]:
-    """Return the picture with this name, or the only one if `name` is "", and a note.
-
-    Plain channels are the picture of a file with one part: a note names layers next to them. Raises
-    InputError, with the names, if several parts, layers or views could be meant, if there is no
-    such name, and for a file without a flat picture with Y or R, G, B.
-    """
-    pictures = list(_pictures(headers))
+    pictures = {own: (part, channels) for own, part, channels in _pictures(headers)}
     remedy = "name one with --part NAME (glare, view, info), or write only that picture"
     if not pictures:
         shown = ", ".join(sorted({c for header in headers for c in header["channels"]}))[:120]
         finding = f"{'deep data, ' if any(map(_is_deep, headers)) else ''}channels {shown}"
         expected = "a channel Y in cd/m2, or R, G and B, of one flat layer"
         raise InputError(path, finding, expected, "write only that layer")
-    first = pictures[0]
-    listed = ", ".join(picture.name or "(plain channels)" for picture in pictures)[:200]
-    if name:
-        for picture in pictures:
-            if picture.name == name:
-                return picture, ""
+    listed = ", ".join(own or "(plain channels)" for own in pictures)[:200]
+    if name and name not in pictures:
         raise InputError(path, f"no part {name[:80]}", f"one of {listed}", remedy)
+    part, channels = pictures.get(name) or next(iter(pictures.values()))
+    if name or len(headers) == len(pictures) == 1:
+        return part, channels, ""
+    views = _stereo_views(headers[0])
+    what, names = "views" if views else "layers", list(pictures)
     if len(headers) > 1:
-        every = ", ".join(str(header.get("name", "")) for header in headers)[:200]
-        raise InputError(path, f"{len(headers)} parts: {every}", f"one of {listed}", remedy)
-    if len(pictures) == 1:
-        return first, ""
-    if len(_stereo_views(headers[0])) > 1 or "." in next(iter(first.channels)):
-        what = "views" if _stereo_views(headers[0]) else "layers"
-        raise InputError(path, f"{len(pictures)} {what}: {listed}", "one picture", remedy)
-    others = ", ".join(picture.name for picture in pictures[1:])[:200]
-    return first, f"the plain channels are read; the EXR has further layers: {others}"
+        what, names = "parts", [str(header.get("name", "")) for header in headers]
+    elif len(views) < 2 and "." not in next(iter(channels)):
+        others = ", ".join(names[1:])[:200]
+        note = f"the plain channels are read; the EXR has further layers: {others}"
+        return part, channels, note
+    finding = f"{len(names)} {what}: {', '.join(names)[:200]}"
+    raise InputError(path, finding, f"one of {listed}", remedy)
 
 
 def _stereo_views(header: Mapping[str, Any]) -> list[str]:
@@ -728,8 +708,14 @@ def _is_deep(header: Mapping[str, Any]) -> bool:
     return "deep" in str(header.get("type", "")).lower()
 
 
-def _pictures(headers: Sequence[Mapping[str, Any]]) -> Iterator[_Picture]:
-    """Yield the flat pictures of all parts; of each part, the plain channels come first."""
+def _pictures(
+    headers: Sequence[Mapping[str, Any]],
+) -> Iterator[tuple[str, int, Mapping[str, str]]]:
+    """Yield name, part and channels of each flat picture; a part's plain channels come first.
+
+    name : of part, layer or view; "" for plain channels of a file with one part without a name.
+    channels : plain name, such as R, by the name in the file.
+    """
     several = len(headers) > 1
     for part, header in enumerate(headers):
         names = [] if _is_deep(header) else header["channels"]
@@ -742,7 +728,7 @@ def _pictures(headers: Sequence[Mapping[str, Any]]) -> Iterator[_Picture]:
                 layer = ""
             wanted = ("Y", "R", "G", "B") if prefix else ("Y", "R", "G", "B", "u", "flags")
             channels = {f"{prefix}{c}": c for c in wanted if f"{prefix}{c}" in names}
-            yield _Picture(".".join(filter(None, (own, layer))), part, channels)
+            yield ".".join(filter(None, (own, layer))), part, channels
 
 
 def _is_picture(prefix: str, names: Sequence[str]) -> bool:
@@ -750,6 +736,5 @@ def _is_picture(prefix: str, names: Sequence[str]) -> bool:
 
     X, Y, Z of a layer are a position or a normal; without a layer they are CIE XYZ.
     """
-    if all(f"{prefix}{c}" in names for c in "RGB"):
-        return True
-    return f"{prefix}Y" in names and (not prefix or f"{prefix}X" not in names)
+    has_y = f"{prefix}Y" in names and (not prefix or f"{prefix}X" not in names)
+    return has_y or all(f"{prefix}{c}" in names for c in "RGB")
