@@ -30,7 +30,6 @@ from fieldlum.merge import merge_sensor
 from fieldlum.merge.estimator import Merged
 from fieldlum.merge.linear_frames import Crop, lens_crop
 from fieldlum.merge.project import blend, finish, u_of_edges, view_through
-from fieldlum.merge.ratios import RatioCurve
 from fieldlum.merge.sensor_image import SensorImage
 from fieldlum.merge.shots import U_REPEAT, Shot, sorted_shots
 from fieldlum.optics.linear_light import lens_geometry, true_shutter_s
@@ -309,9 +308,8 @@ def _truth(light, shading, true: CameraProfile, crop: Crop, turn: float, target:
         part = np.select([which == c for c in "RGB"], [part[..., i] for i in range(3)])
         part = part.reshape(crop.height // 2, 2, crop.width)
     blank = np.zeros(part.shape, np.uint8)
-    none = RatioCurve(np.ones(1), np.zeros(1))
     exact = Merged(part.astype(np.float32), np.zeros(part.shape, np.float32), blank)
-    sensor = SensorImage(exact, true, crop, turn, 5.6, none)
+    sensor = SensorImage(exact, true, crop, turn, 5.6, np.zeros_like)
     return [view_through(sensor, lens, target) for lens in true.lens]
 
 

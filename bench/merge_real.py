@@ -269,7 +269,7 @@ def memorial(folder: Path, peers: Path | None) -> None:
     _print_shifts(signals, times)
     maps = {"fieldlum": merged.value_cdm2}
     for name in ("debevec", "robertson"):
-        maps[f"qhan1028 {name}"] = read_radiance_hdr(folder / f"peer_{name}_radiance.hdr").rgb
+        maps[f"qhan1028 {name}"] = read_radiance_hdr(folder / f"peer_{name}_radiance.hdr")[0].rgb
     maps["OpenCV debevec"] = _opencv(codes, times, "Debevec")
     maps["OpenCV robertson"] = _opencv(codes, times, "Robertson")
     if peers:

@@ -94,11 +94,11 @@ def test_exposure_lines_multiply_and_are_undone(tmp_path: Path) -> None:
         tmp_path / "a.hdr", np.full(SHAPE, 100.0), header=("EXPOSURE=2", "EXPOSURE=.5")
     )
     np.testing.assert_allclose(
-        read_radiance_hdr(tmp_path / "a.hdr").luminance_cdm2, 100.0, rtol=0.004
+        read_radiance_hdr(tmp_path / "a.hdr")[0].luminance_cdm2, 100.0, rtol=0.004
     )
     write_radiance_hdr(tmp_path / "b.hdr", np.full(SHAPE, 100.0), header=("EXPOSURE=4",))
     np.testing.assert_allclose(
-        read_radiance_hdr(tmp_path / "b.hdr").luminance_cdm2, 25.0, rtol=0.004
+        read_radiance_hdr(tmp_path / "b.hdr")[0].luminance_cdm2, 25.0, rtol=0.004
     )
 
 
@@ -108,7 +108,7 @@ def test_run_length_pictures_are_read(tmp_path: Path) -> None:
     row = b"\x02\x02\x00\x10" + b"".join(bytes((128 + 16, value)) for value in (128, 64, 32, 129))
     head = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 2 +X 16\n"
     (tmp_path / "a.hdr").write_bytes(head + row + row)
-    found = read_radiance_hdr(tmp_path / "a.hdr").rgb
+    found = read_radiance_hdr(tmp_path / "a.hdr")[0].rgb
     np.testing.assert_allclose(found[1, 3], np.array([128.5, 64.5, 32.5]) / 128.0)
 
 

@@ -93,8 +93,8 @@ def test_any_radiance_pipeline_gives_the_values_of_pvalue(
         picture = _radiance(*command, stdin=picture)
     path = tmp_path / "out.hdr"
     path.write_bytes(picture)
-    image = read_radiance_hdr(path)
-    luminance, header = image.luminance_cdm2, image.header
+    image, header = read_radiance_hdr(path)
+    luminance = image.luminance_cdm2
     expected = _pvalue(path)
     tolerance = {"rtol": 2e-3, "atol": 1e-6 * np.nanmax(expected)}  # pvalue prints four digits
     if header.xyze:
@@ -127,7 +127,7 @@ def test_all_eight_orientations_give_the_same_picture(
     head = f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n{size}"
     pixels = encode_rgbe(np.repeat(stored[..., None], 3, axis=-1)).tobytes()
     (tmp_path / "a.hdr").write_bytes(head.encode() + pixels)
-    found = read_radiance_hdr(tmp_path / "a.hdr").luminance_cdm2 / 179.0
+    found = read_radiance_hdr(tmp_path / "a.hdr")[0].luminance_cdm2 / 179.0
     np.testing.assert_allclose(found, truth, rtol=0.004)
 
 
@@ -137,12 +137,12 @@ def test_xyze_and_other_primaries_keep_their_luminance(tmp_path: Path, rendering
     """ra_xyze between colour spaces: the luminance of each pixel stays, to RGBE's steps."""
     plain = tmp_path / "plain.hdr"
     plain.write_bytes(rendering)
-    truth = read_radiance_hdr(plain).luminance_cdm2
+    truth = read_radiance_hdr(plain)[0].luminance_cdm2
     rec709 = [".64", ".33", ".3", ".6", ".15", ".06", ".3127", ".329"]
     for name, options in (("xyze", ()), ("rec709", ("-r", "-p", *rec709))):
         path = tmp_path / f"{name}.hdr"
         path.write_bytes(_radiance("ra_xyze", *options, str(plain)))
-        found = read_radiance_hdr(path).luminance_cdm2
+        found = read_radiance_hdr(path)[0].luminance_cdm2
         np.testing.assert_allclose(found, truth, rtol=0.02, err_msg=name)
 
 
@@ -153,7 +153,7 @@ def test_old_run_length_coding_is_read(tmp_path: Path) -> None:
     head = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 1 +X 300\n"
     pixels = bytes((128, 64, 32, 129)) + bytes((1, 1, 1, 43)) + bytes((1, 1, 1, 1))
     (tmp_path / "a.hdr").write_bytes(head + pixels)
-    found = read_radiance_hdr(tmp_path / "a.hdr").rgb
+    found = read_radiance_hdr(tmp_path / "a.hdr")[0].rgb
     assert found.shape == (1, 300, 3)
     np.testing.assert_allclose(found[0, 299], np.array([128.5, 64.5, 32.5]) / 128.0)
 
@@ -176,7 +176,7 @@ def test_old_run_length_coding_is_read(tmp_path: Path) -> None:
 def test_headers_of_other_programs(tmp_path: Path, head: str) -> None:
     pixels = encode_rgbe(np.full((2, 3, 3), 7.0)).tobytes()
     (tmp_path / "a.hdr").write_bytes(head.encode() + pixels)
-    found = read_radiance_hdr(tmp_path / "a.hdr").luminance_cdm2
+    found = read_radiance_hdr(tmp_path / "a.hdr")[0].luminance_cdm2
     np.testing.assert_allclose(found, 7.0 * 179.0, rtol=0.004)
 
 
@@ -186,7 +186,7 @@ def test_opencv_and_imageio_files_are_read(tmp_path: Path) -> None:
     cv2 = pytest.importorskip("cv2")
     truth = np.random.default_rng(1).lognormal(0, 2, (20, 30, 3)).astype(np.float32)
     cv2.imwrite(str(tmp_path / "cv.hdr"), truth[..., ::-1])
-    found = read_radiance_hdr(tmp_path / "cv.hdr").rgb
+    found = read_radiance_hdr(tmp_path / "cv.hdr")[0].rgb
     error = np.abs(found - truth) / truth.max(axis=-1, keepdims=True)
     assert error.max() < 1 / 128  # RGBE: one step of the largest channel
 
@@ -196,13 +196,13 @@ def test_inherited_views_count_only_when_the_picture_has_none(tmp_path: Path) ->
     own, inherited = "VIEW= -vta -vh 180 -vv 180", "\tVIEW= -vth -vh 180 -vv 180"
     path = tmp_path / "a.hdr"
     write_radiance_hdr(path, np.ones((4, 4)), header=(inherited, own))
-    header = read_radiance_hdr(path).header
+    header = read_radiance_hdr(path)[1]
     assert "-vta" in header.view and not header.view_is_inherited
     write_radiance_hdr(path, np.ones((4, 4)), header=(inherited, inherited))
-    header = read_radiance_hdr(path).header
+    header = read_radiance_hdr(path)[1]
     assert "-vth" in header.view and header.view_is_inherited
     write_radiance_hdr(path, np.ones((4, 4)), header=(inherited, "\t" + own))
-    assert read_radiance_hdr(path).header.view == ""
+    assert read_radiance_hdr(path)[1].view == ""
 
 
 @pytest.mark.contract

@@ -72,9 +72,10 @@ def frame(per_cdm2: float) -> Rows:
 @pytest.mark.analytic
 def test_a_value_has_the_uncertainty_of_the_frames_that_read_it() -> None:
     curve = ratio_curve([frame(100.0), frame(1.0)], np.diag([0.003, 0.03]) ** 2)
-    assert curve.at(np.array([5000.0, 1.0])) == pytest.approx([0.03, 0.003], rel=0.02)
+    assert curve(np.array([5000.0, 1.0])) == pytest.approx([0.03, 0.003], rel=0.02)
     together = ratio_curve([frame(100.0), frame(1.0)], np.full((2, 2), 0.01**2), extra=0.01)
-    assert together.u_rel == pytest.approx(np.sqrt(2) * 0.01)
+    levels = np.geomspace(1e-4, 1e5, 50)
+    assert together(levels) == pytest.approx(np.sqrt(2) * 0.01)
 
 
 @pytest.mark.analytic

@@ -264,11 +264,9 @@ def test_the_command_on_files(
         200 * np.pi, rel=0.05
     )  # the outermost ring of a lens of 62 pixels is not used
     if suffix == ".hdr":
-        picture = read_radiance_hdr(out)
-        assert picture.header.view.startswith(
-            "-vta -vd 0.000000 -1.000000 " * (projection == "fisheye")
-        )
-        assert bool(picture.header.view) == (projection == "fisheye")
+        picture, header = read_radiance_hdr(out)
+        assert header.view.startswith("-vta -vd 0.000000 -1.000000 " * (projection == "fisheye"))
+        assert bool(header.view) == (projection == "fisheye")
         assert picture.luminance_cdm2[picture.luminance_cdm2 > 100] == pytest.approx(200, rel=0.05)
 
 

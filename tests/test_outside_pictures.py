@@ -523,7 +523,7 @@ def test_an_exposure_of_zero_is_none(tmp_path: Path, line: str, other: str) -> N
     head = f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n{other}{line}\n\n-Y 2 +X 3\n"
     path.write_bytes(head.encode() + bytes((128, 128, 128, 128)) * 6)
     expected = 179.0 * 128.5 / 256.0 / (2.0 if other else 1.0)
-    assert read_radiance_hdr(path).luminance_cdm2 == pytest.approx(expected, rel=1e-4)
+    assert read_radiance_hdr(path)[0].luminance_cdm2 == pytest.approx(expected, rel=1e-4)
 
 
 @pytest.mark.contract
@@ -542,7 +542,7 @@ def test_a_small_file_of_many_equal_pixels_is_refused_before_decoding(tmp_path: 
     """Runs of 127 pixels: 48 values a byte; 160 million pixels took 4.4 GB of memory."""
     path, row = tmp_path / "a.hdr", b"\x02\x02\x4e\x20" + 4 * (157 * b"\xff\x50" + b"\xbd\x50")
     path.write_bytes(b"#?RADIANCE\n\n-Y 100 +X 20000\n" + 100 * row)
-    assert read_radiance_hdr(path).luminance_cdm2.shape == (100, 20000)
+    assert read_radiance_hdr(path)[0].luminance_cdm2.shape == (100, 20000)
     path.write_bytes(b"#?RADIANCE\n\n-Y 8000 +X 20000\n" + 8000 * row)
     with pytest.raises(InputError, match=r"20000 x 8000 pixels; expected .* each byte of a large"):
         read_radiance_hdr(path)
@@ -556,7 +556,9 @@ def test_a_stated_gamma_is_no_linear_picture(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"a gamma of 2\.2; expected linear values"):
         read_radiance_hdr(path)
     path.write_bytes(path.read_bytes().replace(b"GAMMA=2.2", b"GAMMA=1.0"))
-    assert read_radiance_hdr(path).luminance_cdm2 == pytest.approx(179.0 * 128.5 / 256.0, rel=1e-4)
+    assert read_radiance_hdr(path)[0].luminance_cdm2 == pytest.approx(
+        179.0 * 128.5 / 256.0, rel=1e-4
+    )
 
 
 @pytest.mark.contract

@@ -114,8 +114,8 @@ def _exr(path: Path, part: str) -> Facts:
 def _radiance(path: Path) -> Facts:
     from fieldlum.optics.images import read_radiance_hdr
 
-    image = read_radiance_hdr(path)
-    view = image.header.view or ("missing" if image.header.heading_deg is None else "equirect")
+    image, header = read_radiance_hdr(path)
+    view = header.view or ("missing" if header.heading_deg is None else "equirect")
     return {"kind": "Radiance picture", "view": view, **_light(image.luminance_cdm2)}
 
 

@@ -78,7 +78,7 @@ def report_of(
     pairs = [n for part in parts for n in part.exposures.neighbours]
     turns = [turn for part in parts for turn in part.turns]
     surest = max(turns, key=lambda turn: turn.sure_px, default=None)
-    noise = max(value for part in parts for value in (part.noise.shot, part.noise.read))
+    noise = max(value for part in parts for value in part.noise)
     return MergeReport(
         frames=tuple(frame for part in parts for frame in _frames(part)),
         neighbours=tuple(pairs),

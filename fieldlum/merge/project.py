@@ -36,25 +36,20 @@ class Resampler:
     angle_rad: Floats32
 
 
-class _Lattice(NamedTuple):
-    """The lattice of one colour's pixels: sensor pixel = origin + p right + q down.
-
-    p and q are integers; right, down: rows and columns of one step.
-    """
-
-    row: int
-    column: int
-    right: tuple[int, int]
-    down: tuple[int, int]
+_Lattice = tuple[tuple[int, int], tuple[int, int], tuple[int, int]]
 
 
 def _lattice(cfa: str, colour: str) -> _Lattice:
-    """Return the lattice of a colour; without a cfa all colours are at every pixel."""
-    places = [divmod(i, 2) for i, letter in enumerate(cfa) if letter == colour]
+    """Return the lattice of a colour: row and column of its origin, of a step right and one down.
+
+    Its sensor pixels are origin + p right + q down, with integers p and q. Without a cfa all
+    colours are at every pixel.
+    """
+    places = [divmod(i, 2) for i, letter in enumerate(cfa) if letter == colour] or [(0, 0)]
     if len(places) == 2:  # green: at 45 degrees
-        return _Lattice(*places[0], (1, 1), (-1, 1))
+        return places[0], (1, 1), (-1, 1)
     step = 2 if cfa else 1
-    return _Lattice(*(places or [(0, 0)])[0], (0, step), (step, 0))
+    return places[0], (0, step), (step, 0)
 
 
 class _Samples(NamedTuple):
@@ -125,18 +120,18 @@ def _matrix(samples: _Samples, lattice: _Lattice, sensor_shape: tuple[int, int])
     """Return the matrix of one colour: samples distributed bilinearly over four pixels."""
     from scipy import sparse
 
-    x, y = samples.x - (lattice.column + 0.5), samples.y - (lattice.row + 0.5)
-    if lattice.right[0]:
+    origin, right, down = lattice
+    x, y = samples.x - (origin[1] + 0.5), samples.y - (origin[0] + 0.5)
+    if right[0]:
         p, q = (x + y) / 2.0, (x - y) / 2.0
     else:
-        p, q = x / lattice.right[1], y / lattice.down[0]
+        p, q = x / right[1], y / down[0]
     i, j = np.floor(p).astype(np.int32), np.floor(q).astype(np.int32)
     p, q = p - i, q - j
     values, columns = [], []
     for a, of_p in ((0, 1.0 - p), (1, p)):
         for b, of_q in ((0, 1.0 - q), (1, q)):
-            row = lattice.row + (i + a) * lattice.right[0] + (j + b) * lattice.down[0]
-            column = lattice.column + (i + a) * lattice.right[1] + (j + b) * lattice.down[1]
+            row, column = (o + (i + a) * r + (j + b) * d for o, r, d in zip(*lattice, strict=True))
             values.append((samples.share * of_p * of_q).astype(np.float32))
             columns.append(row * sensor_shape[1] + column)
     shape = len(samples.coverage), sensor_shape[0] * sensor_shape[1]
@@ -294,7 +289,7 @@ def view_through(
     worst = max(1.0 - float(vignetting_at(coefficients, 1.0)), 1e-9)
     weights = np.asarray(profile.colour.y_from_rgb)
     parts = np.maximum(rgb * weights, 0.0) + 1e-30
-    u_ratio = (parts * sensor.u_curve.at(rgb)).sum(axis=1) / parts.sum(axis=1)
+    u_ratio = (parts * sensor.u_curve(rgb)).sum(axis=1) / parts.sum(axis=1)
     rgb, var = rgb / v[:, None], var / v[:, None] ** 2
     # a lens fades out in a rim of 0.06 rad if another lens sees the same directions
     edge = np.clip((geometry.half_angle_rad - angle) / 0.06, 0.01, 1.0)

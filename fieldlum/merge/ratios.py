@@ -6,8 +6,9 @@ least squares with priors then give one correction for each frame. Pictures dete
 the priors determine the common level.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -86,23 +87,8 @@ def pair_ratio(
     return PairRatio(long=long, short=short, log_ratio=log_ratio, u_log=u, pixels=y_long.size)
 
 
-@dataclass(frozen=True, slots=True)
-class RatioCurve:
-    """Relative standard uncertainty of a merged value due to the exposures, by luminance.
-
-    levels_cdm2 [n]: luminances of the curve [cd/m2], rising; u_rel [n]: relative uncertainty at
-    each of them.
-    """
-
-    levels_cdm2: Floats
-    u_rel: Floats
-
-    def at(self, value_cdm2: Floats) -> Floats:
-        """Return the relative uncertainty of luminances [...] in cd/m2, by interpolation, [...].
-
-        Outside the curve it is that of the nearest end.
-        """
-        return np.interp(value_cdm2, self.levels_cdm2, self.u_rel)
+RatioCurve = Callable[[Floats], Floats]
+"""Gives the relative standard uncertainty of merged values [...] in cd/m2 due to the exposures."""
 
 
 def take_samples(frames: Sequence[Signal]) -> list[Rows]:
@@ -215,7 +201,8 @@ def ratio_curve(samples: Sequence[Rows], covariance: Floats, extra: float = 0.0)
     samples: one for each frame. The square of the uncertainty is s C s + extra^2, with C the
     `covariance` of the log exposures [frames, frames], s the share (0 to 1) of the weight that each
     frame has in a merged value of that luminance, and `extra` the relative uncertainty that
-    disagreement of the frames adds. Errors of frames are correlated, because
+    disagreement of the frames adds. Between the luminances of the curve it is interpolated, beyond
+    them it is that of the nearest end. Errors of frames are correlated, because
     pictures contain only ratios of exposures. A single value for the bracket would be too small at
     luminances that only an uncertain frame can read.
     """
@@ -231,10 +218,11 @@ def ratio_curve(samples: Sequence[Rows], covariance: Floats, extra: float = 0.0)
     total = np.sum(information, axis=0)
     populated = total > 0
     if not populated.any():
-        return RatioCurve(np.ones(1), np.sqrt(np.diag(covariance).max(keepdims=True) + extra**2))
+        largest = np.diag(covariance).max(keepdims=True)
+        return partial(np.interp, xp=np.ones(1), fp=np.sqrt(largest + extra**2))
     share = np.stack(information, axis=1)[populated] / total[populated, None]
     variance = np.einsum("li,ij,lj->l", share, covariance, share)
-    return RatioCurve(levels[populated], np.sqrt(variance + extra**2))
+    return partial(np.interp, xp=levels[populated], fp=np.sqrt(variance + extra**2))
 
 
 def fit_ratios(pairs: list[PairRatio], prior_covariance: Floats) -> RatioFit:

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -32,24 +31,17 @@ from fieldlum.session.files.sidecar import ShiftQuality
 # transfer; Janesick, SPIE 2007). The fit is robust against motion.
 
 
-class SeenNoise(NamedTuple):
-    """Factors on the variances of shot noise and read noise that the profile gives.
-
-    shot, read: measured variance over the profile's; 1 unless the frames clearly show more noise.
-    """
-
-    shot: float = 1.0
-    read: float = 1.0
+NO_NOISE = (1.0, 1.0)  # factors on variances of shot and read noise
 
 
-def _with_noise(signal: Signal, noise: SeenNoise) -> Signal:
-    if noise == SeenNoise() or not isinstance(signal, RawSignal):
+def _with_noise(signal: Signal, noise: tuple[float, float]) -> Signal:
+    if not isinstance(signal, RawSignal):
         return signal
-    gain, read_dn2 = signal.gain_e_per_dn / noise.shot, signal.noise_dn2 * noise.read
+    gain, read_dn2 = signal.gain_e_per_dn / noise[0], signal.noise_dn2 * noise[1]
     return replace(signal, gain_e_per_dn=gain, noise_dn2=read_dn2)
 
 
-def seen_noise(samples: Sequence[Rows], correction: Floats) -> SeenNoise:
+def seen_noise(samples: Sequence[Rows], correction: Floats) -> tuple[float, float]:
     """Return factors on the variances of the profile's shot and read noise, from raw frames.
 
     samples: one for each frame, most exposed first; correction: fitted over assumed exposure,
@@ -64,7 +56,7 @@ def seen_noise(samples: Sequence[Rows], correction: Floats) -> SeenNoise:
         for row in _steps(long, short, float(ratio))
     ]
     if len(rows) < 4:
-        return SeenNoise()
+        return NO_NOISE
     shot, read, measured = np.array(rows).T
     # divide by the measured variance, so that all steps have equal weight
     table = np.stack([shot / measured, read / measured], axis=1)
@@ -73,7 +65,7 @@ def seen_noise(samples: Sequence[Rows], correction: Floats) -> SeenNoise:
     u = np.sqrt(np.diag(np.linalg.pinv(table.T @ table)) * scatter)
     sure = factors > np.maximum(1.44, 1.0 + 3.0 * u)
     shot_factor, read_factor = np.where(sure, factors, 1.0).tolist()
-    return SeenNoise(shot=shot_factor, read=read_factor)
+    return shot_factor, read_factor
 
 
 def _steps(long: Rows, short: Rows, correction: float) -> list[tuple[float, float, float]]:
@@ -182,15 +174,15 @@ class SensorImage:
 class Findings:
     """What the frames of one heading showed about exposures, noise, saturation and motion.
 
-    saturation: counts at which the colours saturate, and the black level; noise: noise over the
-    profile's. turns: of the camera between frames, only for pairs of frames with enough common
+    saturation: counts at which the colours saturate, and the black level; noise: factors of
+    `seen_noise`. turns: of the camera between frames, only for pairs of frames with enough common
     points. absent: names of frames that were taken without the filter of their label.
     """
 
     shots: tuple[Shot, ...]
     exposures: Exposures
     saturation: Saturation
-    noise: SeenNoise
+    noise: tuple[float, float]
     turns: tuple[ShiftQuality, ...]
     absent: tuple[str, ...] = ()
 
@@ -214,7 +206,7 @@ def merge_sensor(
     turns = shifts([f.small() for f in frames], lenses, [s.path.name for s in shots])
     fits = is_raw if fit is None else fit
     frames, exposures, samples = exposures_of(frames, shots, profile, law, fits)
-    noise = seen_noise(samples, exposures.fit.correction) if fits else SeenNoise()
+    noise = seen_noise(samples, exposures.fit.correction) if fits else NO_NOISE
     frames = [_with_noise(signal, noise) for signal in frames]
     shape = (crop.height // 2, 2, crop.width) if is_raw else (crop.height, crop.width, 3)
     merged = merge_signals(frames, shape, u_ratio=exposures.tolerance)

@@ -113,19 +113,6 @@ class RadianceHeader:
         return np.ascontiguousarray(pixels[rows, columns])
 
 
-@dataclass(frozen=True, slots=True)
-class RadianceImage:
-    """A Radiance picture.
-
-    rgb : [H, W, 3] W/sr/m2, upright, with EXPOSURE and COLORCORR undone, in the file's own
-    primaries (for XYZE, in Radiance's). luminance_cdm2 : [H, W].
-    """
-
-    rgb: Floats32
-    luminance_cdm2: Floats32
-    header: RadianceHeader
-
-
 # ----------------------------------------------------------------------------------------------
 # primaries
 
@@ -173,8 +160,12 @@ def radiance_program(name: str) -> str:
     return str(Path(BINPATH) / name)
 
 
-def read_radiance_hdr(path: Path) -> RadianceImage:
-    """Read a Radiance picture. Raises InputError for any other file, or damaged pixels."""
+def read_radiance_hdr(path: Path) -> tuple[Panorama, RadianceHeader]:
+    """Return a Radiance picture, of a panorama or not, and its header.
+
+    Exposure is undone. rgb is in the file's own primaries, for XYZE in Radiance's; heading_deg is
+    180 (south) without a heading. Raises InputError for any other file, or damaged pixels.
+    """
     remedy = "check the path and the permissions of the picture"
     with input_errors(path, "a readable file", remedy, OSError), open_to_read(path) as file:
         header = _read_header(file, path)
@@ -184,7 +175,8 @@ def read_radiance_hdr(path: Path) -> RadianceImage:
     if header.xyze:
         to_rgb = np.linalg.inv(rgb_to_xyz(RADIANCE_CHROMATICITIES)) / RADIANCE_LM_PER_W  # [3, 3]
         rgb = rgb @ to_rgb.T.astype(np.float32)
-    return RadianceImage(rgb, luminance, header)
+    heading_deg = 180.0 if header.heading_deg is None else header.heading_deg
+    return Panorama(luminance, heading_deg, rgb=rgb), header
 
 
 def _decoded(file: BinaryIO, header: RadianceHeader, path: Path) -> Floats32:
@@ -465,12 +457,8 @@ def read_panorama(path: Path, part: str = "") -> Panorama:
     part : of an .exr, as for `read_exr`. A file without a heading gets 180 (south). The file's view
     is not checked. Raises InputError for a missing or broken file, and for other shapes.
     """
-    if path.suffix.lower() == ".exr":
-        panorama = read_exr(path, part)[0]
-    else:
-        image = read_radiance_hdr(path)
-        heading = 180.0 if image.header.heading_deg is None else image.header.heading_deg
-        panorama = Panorama(image.luminance_cdm2, heading, rgb=image.rgb)
+    is_exr = path.suffix.lower() == ".exr"
+    panorama = (read_exr(path, part) if is_exr else read_radiance_hdr(path))[0]
     height, width = panorama.luminance_cdm2.shape
     if width != 2 * height:
         expected, remedy = "a panorama twice as wide as high", "use a picture of all directions"

@@ -464,8 +464,6 @@ def _arcs_text(good: Sequence[bool]) -> str:
     if all(good):
         return "every direction"
     starts = [k for k in range(360) if good[k] and not good[k - 1]]
-    ends = [k for k in range(360) if good[k] and not good[(k + 1) % 360]]
-    if starts and ends[0] < starts[0]:  # an arc through north
-        ends = [*ends[1:], ends[0]]
+    ends = [next(e for e in range(k, 720) if not good[(e + 1) % 360]) % 360 for k in starts]
     named = [[f"{k}° ({compass_name(k)})" for k in arc] for arc in zip(starts, ends, strict=True)]
     return ", ".join(" to ".join(arc) for arc in named) or "no direction"

@@ -84,18 +84,17 @@ def read_picture(path: Path, view_options: str = "", part: str = "") -> Picture:
 
 def _read_hdr(path: Path, view_options: str) -> Picture:
     """Return a Radiance picture with its view: view_options, else its header's; else a panorama."""
-    image = images.read_radiance_hdr(path)
-    header = image.header
+    picture, header = images.read_radiance_hdr(path)
     text = view_options or header.view
     if not view_options:
         _check_views(header, path)
         if header.heading_deg is not None:
             return Picture(images.read_panorama(path), None)
     view = parse_view(text, path)
-    check_proportion(view, image.luminance_cdm2.shape, header.pixel_aspect, path)
+    check_proportion(view, picture.luminance_cdm2.shape, header.pixel_aspect, path)
     notes = (_INHERITED,) if header.view_is_inherited and not view_options else ()
-    pixels = Panorama(image.luminance_cdm2, view.azimuth_deg)
-    return Picture(pixels, view, "-vd" in text.split(), notes)
+    own = replace(picture, heading_deg=view.azimuth_deg, rgb=None)
+    return Picture(own, view, "-vd" in text.split(), notes)
 
 
 def _check_views(header: images.RadianceHeader, path: Path) -> None:
