@@ -105,9 +105,8 @@ def good_pixels(profile: CameraProfile, crop: Crop, flags: NDArray[np.uint8]) ->
     These are the profile's bad pixels and, for a raw camera, the pixels of `odd_pixels`. Return
     None if every pixel is good. flags: of the merged pixels of the crop, in the frames' shape.
     """
-    places = [(y - crop.top, x - crop.left) for x, y in profile.sensor.bad_px]
-    inside = [(y, x) for y, x in places if 0 <= x < crop.width and 0 <= y < crop.height]
-    bad = np.array(inside, np.intp).reshape(-1, 2)
+    bad = np.array(profile.sensor.bad_px, np.intp).reshape(-1, 2)[:, ::-1] - (crop.top, crop.left)
+    bad = bad[((bad >= 0) & (bad < (crop.height, crop.width))).all(axis=1)]
     if profile.camera.kind == "raw":
         bad = np.concatenate((bad, odd_pixels(flags.reshape(crop.height, crop.width))))
     if not len(bad):

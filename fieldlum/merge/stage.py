@@ -8,13 +8,14 @@ from functools import partial
 from pathlib import Path
 from zoneinfo import ZoneInfo
 
+import cv2
 import numpy as np
 from msgspec import structs
 from numpy.typing import NDArray
 
 from fieldlum.core import scheduler as work
 from fieldlum.core.errors import FieldlumError, InputError, NotEnoughDataError
-from fieldlum.core.false_colour import RANGE_CDM2, UNSEEN_RGB, coloured, png_of
+from fieldlum.core.false_colour import RANGE_CDM2, coloured, png_of
 from fieldlum.core.records import (
     CLIPPED_SUN,
     JsonTable,
@@ -363,21 +364,16 @@ def _sheet(session: Session, sidecars: Sequence[Sidecar], zone: ZoneInfo) -> NDA
 
 
 def _write_text(sheet: NDArray[np.uint8], text: str, at: tuple[int, int]) -> None:
-    import cv2
-
     cv2.putText(sheet, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.36, (0, 0, 0), 1, cv2.LINE_AA)
 
 
 def _thumbnail(path: Path) -> NDArray[np.uint8]:
     """Return one panorama as a picture [height, width, 3]."""
-    import cv2
-
     panorama = read_panorama(path)
-    picture = coloured(panorama.luminance_cdm2)
-    if panorama.flags is not None:
-        picture[panorama.flags > 0] = UNSEEN_RGB
-    small = cv2.resize(picture, (_WIDTH, _HEIGHT), interpolation=cv2.INTER_NEAREST)
-    return np.asarray(small, np.uint8)
+    flags = 0 if panorama.flags is None else panorama.flags
+    light = np.where(flags, np.float32(np.nan), panorama.luminance_cdm2)
+    small = cv2.resize(light, (_WIDTH, _HEIGHT), interpolation=cv2.INTER_NEAREST)
+    return coloured(np.asarray(small, np.float32))
 
 
 def write_summary(session: Session) -> None:

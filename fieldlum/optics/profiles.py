@@ -307,9 +307,8 @@ def coverage_text(profile: CameraProfile, setup: CameraSetup) -> str:
 
     If the heading and its opposite would see all directions, the text names these two.
     """
-    headings = setup.headings or (setup.heading_deg,)
-    turns = [heading - setup.heading_deg for heading in headings]
     heading_deg = setup.heading_deg
+    turns = [heading - heading_deg for heading in setup.headings or (heading_deg,)]
     text = judged_text(seen_by_lenses(profile.lens, turns), heading_deg)
     if not text:
         return ""

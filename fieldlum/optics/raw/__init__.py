@@ -278,7 +278,7 @@ def read_mosaic(path: Path, *, lens_f_number: float = 0.0) -> Mosaic:
             float(black[index[(row + down) % 2, (column + right) % 2]])
             for row, column in channel_positions(cfa)
         )
-        info = info_of(path, tags, _libraw_exposure(raw), lens_f_number=lens_f_number)
+        info = info_of(path, tags, lambda _: _libraw_exposure(raw), lens_f_number)
         white_dn = float(raw.white_level or 0)
         if not 0 <= max(black_dn) < white_dn:
             finding = f"black level {max(black_dn):g}, white level {white_dn:g}"
@@ -302,21 +302,19 @@ def read_exif(path: Path, *, lens_f_number: float = 0.0) -> FrameInfo:
     """
     tags = tags_of(path)
     try:
-        return _info(path, tags, lens_f_number)
+        return info_of(path, tags, _by_program, lens_f_number)
     except InputError:
         if is_jpeg(path):
             _codes(path, MAX_CAMERA_PIXELS)  # damage is the cause, if the file is damaged
         raise
 
 
-def _info(path: Path, tags: Tags, lens_f_number: float = 0.0) -> FrameInfo:
-    """Return what a frame's EXIF tags state, and other programs in their place."""
-    with suppress(InputError):
-        return info_of(path, tags, lens_f_number=lens_f_number)
+def _by_program(path: Path) -> tuple[float, float, float]:
+    """Return a frame's shutter time [s], f-number and ISO by LibRaw, of a JPEG by exiftool."""
     if is_jpeg(path):
-        return info_of(path, tags, by_other_program(path), lens_f_number=lens_f_number)
+        return by_other_program(path)
     with opened(path) as raw:
-        return info_of(path, tags, _libraw_exposure(raw), lens_f_number=lens_f_number)
+        return _libraw_exposure(raw)
 
 
 # ----------------------------------------------------------------------------------------------
@@ -343,7 +341,7 @@ def read_jpeg(path: Path, *, camera_pixels: int = 0) -> JpegFrame:
     tags = tags_of(path)
     # Before the exposure, because a cut file may lack it as well.
     codes = _codes(path, max(MAX_PIXELS, min(camera_pixels, MAX_CAMERA_PIXELS)))
-    return JpegFrame(**_fields(_info(path, tags)), codes=codes)
+    return JpegFrame(**_fields(info_of(path, tags, _by_program)), codes=codes)
 
 
 def jpeg_size(path: Path) -> tuple[int, int]:

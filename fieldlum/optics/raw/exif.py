@@ -5,7 +5,7 @@ import re
 import shutil
 import subprocess
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
@@ -240,22 +240,24 @@ def by_other_program(path: Path) -> tuple[float, float, float]:
 def info_of(
     path: Path,
     tags: Tags,
-    fallback: tuple[float, float, float] = _NO_EXPOSURE,
-    *,
+    by_program: Callable[[Path], tuple[float, float, float]],
     lens_f_number: float = 0.0,
 ) -> FrameInfo:
     """Return the exposure, time and camera that the EXIF tags of a frame state.
 
     path : of the frame, for errors, and for exposures.csv in its folder, which is used where the
-    tags lack a value. fallback : shutter time [s], f-number and ISO by LibRaw, used after it; 0 for
-    a value that LibRaw lacks too. lens_f_number : f-number to use if all of them lack one, as for a
-    lens without electronics; 0 for none. Raises InputError for an exposure time, f-number or ISO
+    tags lack a value. lens_f_number : f-number to use if both lack one, as for a lens without
+    electronics; 0 for none. by_program : gives shutter time [s], f-number and ISO by LibRaw or
+    another program, 0 for one that it lacks; called only if a value is still missing. Raises
+    InputError for an exposure time, f-number or ISO
     that is missing, impossible, or not the one that exposures.csv states.
     """
     stated = stated_exposure(path)
     in_tags = _setting(tags, 33434, 37377, -1.0), _setting(tags, 33437, 37378, 0.5), _iso(tags)
-    sources = zip(in_tags, stated, fallback, (0.0, lens_f_number, 0.0), strict=True)
-    values = [next(filter(None, of_sources), 0.0) for of_sources in sources]
+    own = zip(in_tags, stated, (0.0, lens_f_number, 0.0), strict=True)
+    values = [next(filter(None, sources), 0.0) for sources in own]
+    if not all(values):
+        values = [value or other for value, other in zip(values, by_program(path), strict=True)]
     for value, own, quantity in zip(values, stated, _QUANTITIES, strict=True):
         _check_value(path, value, own, quantity)
     description = text_of(tags, 270)
