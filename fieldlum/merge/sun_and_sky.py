@@ -16,7 +16,7 @@ from itertools import product
 import numpy as np
 from scipy.ndimage import center_of_mass
 
-from fieldlum.core.arrays import Floats, Floats32, Indices, Mask
+from fieldlum.core.arrays import Floats, Indices, Mask
 from fieldlum.core.records import CLIPPED_SUN, Flag, Panorama, Site, SunSource
 from fieldlum.merge.project import LensView, ProjectedImage, blend, view_through
 from fieldlum.merge.sensor_image import SensorImage
@@ -150,7 +150,11 @@ def sun_on_sensor(
     window = np.s_[top : int(y + reach_px) + 2, left : int(x + reach_px) + 2]
     core = np.unravel_index(int(np.argmax(light[window])), light[window].shape)
     bound_only = bool(clipped[window][core])
-    weight = _disc_weight(light[window], clipped[window] if bound_only else None)
+    weight = clipped[window].astype(float)
+    if not bound_only:
+        excess = light[window] - float(np.median(light[window]))
+        # pixels with less than 5 % of the brightest one's excess are sky
+        weight = np.where(excess > 0.05 * excess.max(initial=0.0), excess, 0.0).astype(float)
     if not weight.any():
         return None
     row, column = np.asarray(center_of_mass(weight), float)  # of pixel centres
@@ -161,17 +165,6 @@ def sun_on_sensor(
     ray = projection.lens_rays(lens, left + column + 0.5, top + row + 0.5)
     altitude, azimuth = map(float, projection.altitude_azimuth_deg(ray))
     return altitude, (azimuth + heading_deg) % 360.0, float(np.degrees(sigma_px / px_per_rad))
-
-
-def _disc_weight(light: Floats32, clipped: Mask | None) -> Floats:
-    """Return each pixel's weight for the disc's centre: its excess, or 1 if it is clipped.
-
-    Pixels with less than 5 % of the brightest one's excess count as sky.
-    """
-    if clipped is not None:
-        return clipped.astype(float)
-    excess = light - float(np.median(light))
-    return np.where(excess > 0.05 * excess.max(initial=0.0), excess, 0.0).astype(float)
 
 
 _TILE_DEG = 2  # divides 180; chosen

@@ -100,7 +100,7 @@ class RadianceHeader:
             return np.array([0.0, 1.0, 0.0]) / self.exposure
         # programs write chromaticities to three decimals
         own = np.allclose(self.chromaticities, RADIANCE_CHROMATICITIES, rtol=0.0, atol=5e-4)
-        weights = np.asarray(RADIANCE_Y) if own else luminance_weights(self.chromaticities)
+        weights = np.asarray(RADIANCE_Y) if own else rgb_to_xyz(self.chromaticities)[1]
         return RADIANCE_LM_PER_W * weights / self.exposure
 
     def upright(self, pixels: Floats32) -> Floats32:
@@ -120,6 +120,8 @@ class RadianceHeader:
 def rgb_to_xyz(chromaticities: Sequence[float]) -> Floats:
     """Return the matrix from RGB to XYZ with Y = 1 for R = G = B = 1, [3, 3].
 
+    Its second row has the shares of R, G and B in luminance, negative for a primary that is no real
+    colour.
     chromaticities : x, y of red, green, blue and white, [8]. A primary need not be a real colour:
     blue of ACES AP0 has y = -0.077 (SMPTE ST 2065-1), red and blue of CIE XYZ have y = 0. Raises
     ValueError for values that are not finite, a white with y = 0, and one that is not between the
@@ -138,15 +140,6 @@ def rgb_to_xyz(chromaticities: Sequence[float]) -> Floats:
     if (shares * white[1] <= 0).any():
         raise ValueError("white is not between the three primaries")
     return primaries * shares
-
-
-def luminance_weights(chromaticities: Sequence[float]) -> Floats:
-    """Return the shares of R, G and B in luminance, with sum 1, [3].
-
-    chromaticities : as for `rgb_to_xyz`, whose errors it raises. The share of a primary that is no
-    real colour may be negative.
-    """
-    return rgb_to_xyz(chromaticities)[1]
 
 
 # ----------------------------------------------------------------------------------------------
@@ -296,7 +289,7 @@ def _chromaticities(lines: Sequence[str], path: Path) -> tuple[float, ...]:
         values = tuple(float(word) for word in stated[-1].split()) if stated else ()
         if not any(values):
             return RADIANCE_CHROMATICITIES
-        luminance_weights(values)
+        rgb_to_xyz(values)
     return values
 
 
@@ -636,7 +629,7 @@ def _luminance(
     expected = "chromaticities as x and y of R, G, B and white"
     remedy = "write the picture again with a correct attribute, or without it"
     with input_errors(path, expected, remedy, TypeError, ValueError):
-        weights = luminance_weights(tuple(header.get("chromaticities", _BT709_CHROMATICITIES)))
+        weights = rgb_to_xyz(tuple(header.get("chromaticities", _BT709_CHROMATICITIES)))[1]
     luminance = np.zeros_like(channels["R"])
     with np.errstate(invalid="ignore"):  # of infinite pixels, which are refused where they count
         for name, weight in zip("RGB", weights * scale, strict=True):

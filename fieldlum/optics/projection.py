@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import product
 from typing import Annotated, Literal
 
 import numpy as np
@@ -431,10 +432,9 @@ def seen_by_lenses(
     """
     rays = equirect_rays(height, 2 * height, 0.0)
     out = np.zeros(rays.shape[:2], bool)
-    for lens in lenses:
-        for turn in turns_deg:
-            axis = direction(lens.tilt_deg, lens.azimuth_deg + turn)
-            out |= rays @ axis >= np.cos(lens.half_angle_rad)
+    for lens, turn in product(lenses, turns_deg):
+        axis = direction(lens.tilt_deg, lens.azimuth_deg + turn)
+        out |= rays @ axis >= np.cos(lens.half_angle_rad)
     return out
 
 

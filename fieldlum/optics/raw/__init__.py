@@ -176,8 +176,7 @@ def opened(path: Path) -> Any:
     with open_to_read(path) as file:
         kind = kind_of(file.read(16))
     if kind == "a JPEG picture":
-        named = path.suffix.lower() in (".jpg", ".jpeg")
-        remedy = "name the camera's raw files" if named else "give the file the suffix .jpg"
+        remedy = "name the camera's raw files" if is_jpeg(path) else "give the file the suffix .jpg"
         raise InputError(path, "the file's content is a JPEG", "a camera raw", remedy)
     _check_strips(path)
     try:

@@ -2,7 +2,6 @@
 
 from datetime import datetime
 from fractions import Fraction
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -22,18 +21,13 @@ _XYZ_TO_SRGB = (
 )
 
 
-@lru_cache(maxsize=256)  # a camera writes the same values into each frame
-def _fraction(value: float) -> Any:
-    """Return a number as the fraction that a camera writes, in Pillow's type: 0.004 as 1/250."""
+def _fractions(values: ArrayLike) -> tuple[Any, ...]:
+    """Return numbers, in one flat tuple, as the fractions that a camera writes: 0.004 as 1/250."""
     from PIL.TiffImagePlugin import IFDRational
 
-    limit = int(1e9 / max(abs(value), 1.0))  # numerator and denominator have 32 bits
-    return IFDRational(Fraction(value).limit_denominator(limit))
-
-
-def _fractions(values: ArrayLike) -> tuple[Any, ...]:
-    """Return numbers as `_fraction` does, in one flat tuple."""
-    return tuple(map(_fraction, np.ravel(values).tolist()))
+    numbers = [(value, int(1e9 / max(abs(value), 1.0))) for value in np.ravel(values).tolist()]
+    # numerator and denominator have 32 bits
+    return tuple(IFDRational(Fraction(v).limit_denominator(limit)) for v, limit in numbers)
 
 
 def _exif_fields(exposure: Exposure, t_camera: datetime | None) -> dict[int, Any]:
