@@ -14,7 +14,7 @@ def test_a_table_is_aligned_and_leaves_empty_columns_out() -> None:
     names = ("name", "error", "x", "n", "ev_lx")
     expected = [
         "  name       error   n     ev_lx",
-        "  mean        0.25   3     23457",
+        "  mean       0.250   3     23457",
         "  transport      -  12  2.35e-05",
     ]
     assert table_lines(rows, names, "  ") == expected

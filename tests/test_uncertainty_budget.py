@@ -166,7 +166,8 @@ def test_a_budget_without_uncertain_pixels_is_refused_and_the_others_are_written
 
 @pytest.mark.contract
 @pytest.mark.parametrize(
-    ("command", "option"), [("glare", "--budget"), ("glare", "--csv"), ("view", "--csv")]
+    ("command", "option"),
+    [("glare", "--budget"), ("glare", "--csv"), ("view --region cone:180,0,9", "--csv")],
 )
 def test_no_existing_file_is_replaced_without_force(
     tmp_path: Path, command: str, option: str
@@ -174,10 +175,11 @@ def test_no_existing_file_is_replaced_without_force(
     path, out = tmp_path / "room.exr", tmp_path / "pairs.csv"
     write_panorama(path, room())
     out.write_text("t_utc,panorama\n")
-    ran = CliRunner().invoke(main, [command, str(path), option, str(out)])
+    arguments = [*command.split(), str(path), option, str(out)]
+    ran = CliRunner().invoke(main, arguments)
     assert ran.exit_code == 3 and "pairs.csv: the file exists already" in ran.output, ran.output
     assert out.read_text() == "t_utc,panorama\n"
-    ran = CliRunner().invoke(main, [command, str(path), option, str(out), "--force"])
+    ran = CliRunner().invoke(main, [*arguments, "--force"])
     assert ran.exit_code == 0 and out.read_text() != "t_utc,panorama\n", ran.output
 
 

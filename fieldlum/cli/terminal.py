@@ -62,7 +62,8 @@ def table_lines(
 
 def _cell(value: Any, digits: int) -> str:
     if isinstance(value, float):
-        return f"{value:.0f}" if abs(value) >= 1000.0 else f"{value:.{digits}g}"
+        zeros = "#" if abs(value) < 1.0 else ""  # 0.250 below 0.254
+        return f"{value:.0f}" if abs(value) >= 1000.0 else f"{value:{zeros}.{digits}g}"
     return "-" if value is None else str(value)
 
 
