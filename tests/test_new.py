@@ -50,7 +50,7 @@ def test_a_person_answers_wrongly_and_rightly(tmp_path: Path) -> None:
         ("Latitude", "147"),
         ("expected -90 to 90", "45.07 N"),
         ("Longitude", "7,69 X"),
-        ("is not a number", "7,69 E"),
+        ("is not a valid float", "7,69 E"),
         ("Time zone", "Europe/Rom"),
         ("did you mean 'Europe/Rome'", "America/New_York"),
         ("east are positive", ""),

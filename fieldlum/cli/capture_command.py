@@ -20,7 +20,6 @@ from fieldlum.core.errors import DeviceError
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from fieldlum.capture.notify import Post
     from fieldlum.capture.runner import Live, Watch
     from fieldlum.core.records import Site
     from fieldlum.session.slot_states import SlotState
@@ -63,7 +62,7 @@ def command(
     from fieldlum import capture
     from fieldlum.capture.bracket import FrameChecks
     from fieldlum.capture.frame_checks import clipping_text, compare_exif
-    from fieldlum.capture.notify import open_alerts, read_address
+    from fieldlum.capture.notify import apprise_post, open_alerts, read_address, read_targets
     from fieldlum.capture.steady_clock import wait_for_clock
     from fieldlum.optics.raw import unreadable
 
@@ -84,7 +83,8 @@ def command(
     grace = options.grace_s if grace_s is None else grace_s
     options = replace(options, grace_s=grace, log_every_s=every_s)
     awake = nullcontext() if clock == "fast" else terminal.awake()
-    post, address = _post(notify), read_address(heartbeat) if heartbeat else ""
+    post = apprise_post(read_targets(notify), notify.removeprefix("@")) if notify else None
+    address = read_address(heartbeat) if heartbeat else ""
     if clock == "real":
         wait_for_clock(session, ticking, terminal.say)
     with (
@@ -126,13 +126,6 @@ def _show_end(root: Path, slots: list[SlotState]) -> None:
             f"{aborted} brackets aborted, but only {done} completed; find the cause with fieldlum "
             f"doctor {root}, then plan the lost hours again with fieldlum plan {root} --replan"
         )
-
-
-def _post(option: str) -> Post | None:
-    """Return the function that sends a message to the targets of --notify; None without targets."""
-    from fieldlum.capture.notify import apprise_post, read_targets
-
-    return apprise_post(read_targets(option), option.removeprefix("@")) if option else None
 
 
 # ----------------------------------------------------------------------------------------------

@@ -22,13 +22,13 @@ import typing
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import click
 
 from fieldlum.core.errors import InputError, did_you_mean
 
-_ENTRY = re.compile(r"(--[^\s:]+)(?: (.+?))?: (.+)")
+_ENTRY = re.compile(r"(?P<names>--[^\s:]+)(?: (?P<metavar>.+?))?: (?P<help>.+)")
 
 
 class _LocalPath(click.Path):
@@ -87,37 +87,28 @@ EXISTING_PATH = _LocalPath(path_type=Path, exists=True)
 FILE_PATH = _LocalPath(path_type=Path, dir_okay=False)
 
 
-class _Entry(NamedTuple):
-    """A line below `Options:`: the option with its opposite if it has one, metavar and help."""
-
-    names: str
-    metavar: str | None
-    help: str
-
-    def is_of(self, parameter: str) -> bool:
-        """Return whether the option is that of a parameter of the function."""
-        name = self.names.split("/")[0].removeprefix("--").replace("-", "_")
-        return re.fullmatch(rf"(as_)?{name}s?(_\w*)?", parameter) is not None
-
-
 def declare(
     function: Callable[..., Any], name: str, shared: Mapping[str, click.Parameter]
 ) -> click.Command:
     """Return the command of a function; shared : options by the name of their parameter."""
     text, _, options = inspect.cleandoc(function.__doc__ or "").partition("\n\nOptions:\n")
     lines = re.sub(r"\n {4,}", " ", options).splitlines()
-    entries = [
-        _Entry(*match.groups()) for line in lines if (match := _ENTRY.fullmatch(line.strip()))
-    ]
+    entries = [entry for line in lines if (entry := _ENTRY.fullmatch(line.strip()))]
     hints = typing.get_type_hints(function, include_extras=True)
     parameters = []
     for parameter in inspect.signature(function).parameters.values():
-        own = [entry for entry in entries if entry.is_of(parameter.name)]
-        entry = max(own, key=lambda entry: len(entry.names), default=None)
+        own = [entry for entry in entries if _is_of(parameter.name, entry["names"])]
+        entry = max(own, key=lambda entry: len(entry["names"]), default=None)
         declared = _parameter(parameter, hints[parameter.name], entry)
         is_shared = entry is None and declared.metavar is None
         parameters.append(shared.get(parameter.name, declared) if is_shared else declared)
     return click.Command(name, callback=function, params=parameters, help=text)
+
+
+def _is_of(parameter: str, names: str) -> bool:
+    """Return whether an option, with its opposite if it has one, is that of a parameter."""
+    name = names.split("/")[0].removeprefix("--").replace("-", "_")
+    return re.fullmatch(rf"(as_)?{name}s?(_\w*)?", parameter) is not None
 
 
 def _finite(ctx: click.Context, param: click.Parameter, value: Any) -> Any:
@@ -128,7 +119,9 @@ def _finite(ctx: click.Context, param: click.Parameter, value: Any) -> Any:
     return value
 
 
-def _parameter(parameter: inspect.Parameter, hint: Any, entry: _Entry | None) -> click.Parameter:
+def _parameter(
+    parameter: inspect.Parameter, hint: Any, entry: re.Match[str] | None
+) -> click.Parameter:
     """Return the click option of a line of `Options:`, or the argument of a parameter without."""
     extras: tuple[Any, ...] = ()
     if typing.get_origin(hint) is typing.Annotated:
@@ -161,5 +154,5 @@ def _parameter(parameter: inspect.Parameter, hint: Any, entry: _Entry | None) ->
     settings["show_default"] = (
         not is_required and default not in (None, "", ()) and default is not False
     )
-    declarations = [parameter.name, entry.names]
-    return click.Option(declarations, metavar=entry.metavar, help=entry.help, **settings)
+    declarations, about = [parameter.name, entry["names"]], entry.groupdict()
+    return click.Option(declarations, metavar=about["metavar"], help=about["help"], **settings)

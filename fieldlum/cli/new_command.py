@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, replace
@@ -24,14 +23,6 @@ T = TypeVar("T")
 # Relative standard uncertainties of a profile that nobody calibrated, as in the shipped
 # uncalibrated profiles.
 _GUESSES = {"scale": 0.5, "colour": 0.2, "vignetting": 0.15}
-_NOTES = {  # comments in SITE.toml, by key
-    "latitude_deg": "north positive",
-    "longitude_deg": "east positive",
-    "timezone": "IANA name",
-    "profile": "a shipped name (fieldlum info NAME), or a path",
-    "heading_deg": "the panorama's middle, clockwise from true north",
-    "headings": "azimuths to which a person turns the camera in each bracket",
-}
 
 
 @command_of("new")
@@ -124,10 +115,7 @@ def _name(text: str) -> str:
 
 def _number(low: float, high: float) -> Callable[[str], float]:
     def reader(text: str) -> float:
-        try:
-            value = float(text.replace(",", "."))
-        except ValueError:
-            raise ValueError(f"'{text}' is not a number") from None
+        value = click.FLOAT(text.replace(",", "."))
         if not low <= value <= high:
             raise ValueError(f"{value:g}: expected {low:g} to {high:g}")
         return value
@@ -230,15 +218,12 @@ def site_text(setup: SiteFile) -> str:
     from fieldlum.session.site_toml import site_table
 
     table = site_table(setup)
-    lines = ["# Written by fieldlum new. You can edit it; fieldlum plan checks every key."]
+    lines = ["# Written by fieldlum new. docs/file-formats.md has every key."]
     for name in table["camera"].pop("assumed"):
         del table["camera"][name]
         lines.append(f"# [camera] {name} = ... # not known yet: state it")
     del table["pyranometer"]
-    text = "\n".join([*lines, tomli_w.dumps(table)])
-    for key, note in _NOTES.items():
-        text = re.sub(rf"^{key} = .*$", rf"\g<0> # {note}", text, flags=re.MULTILINE)
-    return text
+    return "\n".join([*lines, tomli_w.dumps(table)])
 
 
 # ----------------------------------------------------------------------------------------------

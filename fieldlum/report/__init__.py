@@ -7,18 +7,14 @@ from pathlib import Path
 
 from fieldlum.core.errors import NotEnoughDataError
 from fieldlum.core.records import Site, slot_id
-from fieldlum.core.strict_csv import read_table
 from fieldlum.learn.models import read_config
 from fieldlum.report import sections
 from fieldlum.report.assessor import assessor_page
-from fieldlum.report.page import Page, Section, Table, direction_name, render
+from fieldlum.report.page import Page, Section, render
 from fieldlum.session import Session, remove_scraps, write_file
-from fieldlum.session.codec import change_of
 from fieldlum.session.files.model_files import HeldOutMaps, ScoresFile
 from fieldlum.session.files.pairs_csv import PairsFile
-from fieldlum.year.glare.uncertainty_budget import BUDGET_FILE
 from fieldlum.year.predict import Annual, newest_annual, read_pictures
-from fieldlum.year.predict.melanopic import WELL_EDI_LX
 
 
 def _model_of(session: Session, annual: Annual | None) -> Path | None:

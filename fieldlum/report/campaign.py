@@ -142,9 +142,7 @@ def _page(name: str, rooms: Sequence[RoomOverview]) -> str:
     judged = [room.worst for room in rooms if room.worst is not None]
     bad = sum(worst.glare_class == "none" for worst in judged)
     answer = f"Rooms with a view direction without protection from glare: {bad} of {len(judged)}."
-    sums = {"captured": "captures", "to_do": "slots to do", "usable": "usable pairs"}
-    facts = [(title, f"{sum(getattr(room, key) for room in rooms)}") for key, title in sums.items()]
-    facts = [("rooms", f"{len(rooms)}"), *facts, ("predicted years", f"{len(judged)}")]
+    facts = [("rooms", f"{len(rooms)}"), ("predicted years", f"{len(judged)}")]
     failed = f"{counted(sum(room.failed for room in rooms), 'slot')} failed"
     why = f"{failed}; {counted(len(broken), 'session')} could not be read."
     skipped = [f"{room.session} was skipped. {room.broken}" for room in broken]

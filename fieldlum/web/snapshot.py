@@ -299,7 +299,7 @@ def battery() -> JsonTable | None:
     return {"percent": round(found.percent), **mains}
 
 
-_FINDINGS_EVERY = timedelta(minutes=5)  # not measured
+_FINDINGS_EVERY_S = 300.0  # chosen
 # A journal this far ahead of the computer's clock comes from `capture --clock fast`. Chosen.
 _REHEARSAL = timedelta(hours=1)
 
@@ -335,7 +335,7 @@ class Snapshots:
         self._setup = session.site_file()
         self._zone = ZoneInfo(self._setup.site.timezone)
         self._plan: tuple[int, list[Slot]] = (-1, [])
-        self._findings: tuple[datetime, list[JsonTable]] | None = None
+        self._findings = lru_cache(1)(self._doctor)
 
     def state(self) -> JsonTable:
         """Return the present state of the session, as JSON for the page.
@@ -374,7 +374,7 @@ class Snapshots:
                 "disk": self._disk(slots),
                 "computer": battery(),
                 "events": self._events(journal),
-                "findings": self._doctor(now),
+                "findings": self._findings(now.timestamp() // _FINDINGS_EVERY_S),
                 "version": f"{self._plan[0]}-{len(merged)}-{hash(tuple(counts)) & 0xFFFFFFFF:x}",
                 "today": self._local_day(now).isoformat(),
             }
@@ -530,13 +530,14 @@ class Snapshots:
                 rows.append({"level": level, "text": text, "local": at, "times": 1})
         return rows[:25]  # about a screen
 
-    def _doctor(self, now: datetime) -> list[JsonTable]:
-        """Return doctor's findings that need no device; a capture may be using the devices."""
-        if self._findings is not None and abs(now - self._findings[0]) < _FINDINGS_EVERY:
-            return self._findings[1]
+    def _doctor(self, period: float) -> list[JsonTable]:
+        """Return doctor's findings that need no device; a capture may be using the devices.
+
+        period: number of the five minutes of the session's time, since 1970.
+        """
+        now = datetime.fromtimestamp(period * _FINDINGS_EVERY_S, UTC)
         findings = doctor.run(self._session, "", "", now, only=doctor.WITHOUT_DEVICES)
-        self._findings = now, [asdict(finding) for finding in findings]
-        return self._findings[1]
+        return [asdict(finding) for finding in findings]
 
     def _local_day(self, t_utc: datetime) -> date:
         return t_utc.astimezone(self._zone).date()

@@ -339,12 +339,10 @@ def brightest_cdm2(luminance_cdm2: Floats, views: Views) -> Floats:
     step = luminance_cdm2[0].size // 20_000 | 1  # odd: not every time the same columns
     weights = views.moments[::step, 0].max(axis=1)
     flat = luminance_cdm2.reshape(len(luminance_cdm2), -1)[:, ::step]
-    order = np.argsort(flat, axis=1)[:, ::-1]
-    share = np.cumsum(weights[order], axis=1, dtype=float) / max(weights.sum(dtype=float), 1e-30)
+    if not weights.any():
+        return np.zeros(len(flat))
     # a window pane is larger than a hundredth, a bright pixel of a reflection smaller; chosen
-    place = (share < 0.01).sum(axis=1)[:, None].clip(max=flat.shape[1] - 1)
-    found = np.take_along_axis(flat, np.take_along_axis(order, place, 1), 1)[:, 0]
-    return np.where(weights.any(), found, 0.0).astype(float)
+    return np.quantile(flat.astype(float), 0.99, 1, weights=weights, method="inverted_cdf")
 
 
 def unseen_dgp_bounds(
