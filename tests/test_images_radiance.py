@@ -197,10 +197,10 @@ def test_inherited_views_count_only_when_the_picture_has_none(tmp_path: Path) ->
     path = tmp_path / "a.hdr"
     write_radiance_hdr(path, np.ones((4, 4)), header=(inherited, own))
     header = read_radiance_hdr(path)[1]
-    assert "-vta" in header.view and not header.view_is_inherited
+    assert "-vta" in header.view and header.views
     write_radiance_hdr(path, np.ones((4, 4)), header=(inherited, inherited))
     header = read_radiance_hdr(path)[1]
-    assert "-vth" in header.view and header.view_is_inherited
+    assert "-vth" in header.view and not header.views
     write_radiance_hdr(path, np.ones((4, 4)), header=(inherited, "\t" + own))
     assert read_radiance_hdr(path)[1].view == ""
 

@@ -86,7 +86,7 @@ def _samples(
     # (0.009 rad) wide, so that large pixels have enough samples.
     cells = max(1, int(np.ceil(target.pixel_rad / 0.009)))
     if isinstance(target, Equirect):
-        top, bottom = target.zenith_angle_rad(np.array(rows, float))
+        top, bottom = (np.array(rows, float) + target.corner[0]) / target.height * np.pi
         widest = np.sin(np.clip(np.pi / 2.0, top, bottom))
         across = max(3, int(np.ceil(sub * widest)))
     sub, across = (-(-count // cells) * cells for count in (sub, across))

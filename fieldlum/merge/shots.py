@@ -55,17 +55,12 @@ def shots_of_slot(folder: Path) -> list[Shot]:
     frames or a frame whose EXIF has no exposure.
     """
     capture = CaptureFile.find(folder / "capture.json")
-    if capture is None or not capture.frames:
-        files = frame_files(folder)
-        for path in files:
-            refuse_link(folder, path)
-        return shots_of_files(files)
-    for frame in capture.frames:
-        refuse_link(folder, folder / frame.file)
-    return [
-        Shot(folder / frame.file, frame.exposure, frame.heading_deg, frame.t_utc, frame.sha256)
-        for frame in capture.frames
-    ]
+    frames = () if capture is None else capture.frames
+    shots = [Shot(folder / f.file, f.exposure, f.heading_deg, f.t_utc, f.sha256) for f in frames]
+    files = [shot.path for shot in shots] or frame_files(folder)
+    for path in files:
+        refuse_link(folder, path)
+    return shots or shots_of_files(files)
 
 
 def verified(shots: Sequence[Shot]) -> list[Shot]:

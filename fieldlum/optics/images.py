@@ -86,11 +86,6 @@ class RadianceHeader:
         return self.inherited_views[0] if len(set(self.inherited_views)) == 1 else ""
 
     @property
-    def view_is_inherited(self) -> bool:
-        """Whether the view is stated only by an input picture."""
-        return not self.views and bool(self.view)
-
-    @property
     def cdm2_per_unit(self) -> Floats:
         """Luminance in cd/m2 of one unit of each decoded channel, [3], with exposure undone.
 

@@ -306,10 +306,6 @@ class Equirect:
         """Angle across one pixel at the horizon, in rad."""
         return float(np.pi / self.height)
 
-    def zenith_angle_rad(self, rows: Floats) -> Floats:
-        """Return the angle from the zenith at continuous rows of the grid, [rows]."""
-        return (rows + self.corner[0]) / self.height * np.pi
-
     def rays(self, rows: Floats, columns: Floats) -> Floats:
         """Return unit vectors at each continuous row and column, [rows, columns, 3].
 
@@ -321,7 +317,7 @@ class Equirect:
 
     def weight(self, rows: Floats, columns: Floats) -> Floats:
         """Return the sine of the zenith angle at continuous rows and columns, [rows, columns]."""
-        down = np.sin(self.zenith_angle_rad(rows))
+        down = np.sin((rows + self.corner[0]) / self.height * np.pi)
         return np.broadcast_to(down[:, None], (rows.size, columns.size))
 
     def solid_angles(self) -> Floats:

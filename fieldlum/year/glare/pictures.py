@@ -92,7 +92,7 @@ def _read_hdr(path: Path, view_options: str) -> Picture:
             return Picture(images.read_panorama(path), None)
     view = parse_view(text, path)
     check_proportion(view, picture.luminance_cdm2.shape, header.pixel_aspect, path)
-    notes = (_INHERITED,) if header.view_is_inherited and not view_options else ()
+    notes = () if header.views or view_options else (_INHERITED,)
     own = replace(picture, heading_deg=view.azimuth_deg, rgb=None)
     return Picture(own, view, "-vd" in text.split(), notes)
 
