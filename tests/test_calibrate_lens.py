@@ -51,7 +51,7 @@ def test_lens_from_known_directions(mapping: str, coefficients: tuple[float, ...
     )
     x, y, _ = lens_pixels(fitted, check.rays)
     assert np.degrees(np.hypot(x - check.x_px, y - check.y_px).max() / 900.0 * np.radians(93)) < 0.1
-    assert found.rms_px < 0.8
+    assert found.choice.rms < 0.8
 
 
 def _with_directions(
@@ -81,7 +81,9 @@ def test_lens_names_slips_and_refuses_mirrored_directions() -> None:
     slipped[[3, 7]] += 40.0
     found = lens.fit(_with_directions(good, slipped, altitude), start)
     assert found.warnings[0].startswith("left out") and found.warnings[0].count("off by") == 2
-    assert found.lens.centre_px == pytest.approx(truth.centre_px, abs=0.4) and found.rms_px < 0.6
+    assert (
+        found.lens.centre_px == pytest.approx(truth.centre_px, abs=0.4) and found.choice.rms < 0.6
+    )
 
 
 @pytest.mark.slow
@@ -120,7 +122,7 @@ def test_lens_from_chessboards() -> None:
     for azimuth in (0.0, 180.0):  # a lens that looks back too: boards' tilt is not a lens's pose
         start = Lens((630.0, 490.0), 440.0, 180.0, azimuth_deg=azimuth)
         found, _ = lens.fit_boards(corners, columns, rows, start)
-        assert found.rms_px == pytest.approx(0.05 * np.sqrt(2), rel=0.1)
+        assert found.choice.rms == pytest.approx(0.05 * np.sqrt(2), rel=0.1)
         assert found.lens.centre_px == pytest.approx(truth.centre_px, abs=0.1)
         assert found.lens.azimuth_deg == azimuth
         assert "uncertainty of the centre 0.0" in found.choice.line

@@ -38,27 +38,25 @@ class Targets:
     """Known directions of n targets, and their places on the sensor.
 
     x_px, y_px [n] : x to the right, y down. rays [n, 3] : unit vectors towards the targets, with y
-    in the camera's heading, x to the right, z up. With pose_known y is the optical axis instead,
-    and the fit does not change the lens's pose. source : file, for errors.
+    in the camera's heading, x to the right, z up. source : file, for errors.
     """
 
     x_px: Array
     y_px: Array
     rays: Array
     source: Path | str = "targets"
-    pose_known: bool = False
 
 
 class LensFit(NamedTuple):
     """A fitted lens, its held-out error, and warnings.
 
-    rms_px : rms distance of held-out targets, or of chessboard corners. widest_deg : largest angle
-    of a target from the axis; the mapping extrapolates beyond it. choice : how the polynomial's
-    order was chosen. warnings : sentences about omitted targets and a pose far from the profile's.
+    widest_deg : largest angle of a target from the axis; the mapping extrapolates beyond it. choice
+    : how the polynomial's order was chosen, with the rms distance of held-out targets or of
+    chessboard corners [px]. warnings : sentences about omitted targets and a pose far from the
+    profile's.
     """
 
     lens: Lens
-    rms_px: float
     widest_deg: float
     choice: fit_steps.OrderSelection
     warnings: tuple[str, ...] = ()
@@ -82,47 +80,42 @@ def from_table(path: Path) -> Targets:
 def fit(targets: Targets, lens: Lens) -> LensFit:
     """Fit centre, radius, pose and mapping by robust least squares in pixels.
 
-    The fit starts from `lens`; with `targets.pose_known` the pose does not change. Mappings with
-    none to three free terms are compared on held-out targets. Targets that no lens explains, at
+    The fit starts from `lens`. Mappings with none to three free terms are compared on held-out
+    targets. Targets that no lens explains, at
     most a quarter, are omitted and listed in `warnings`. Raises NotEnoughDataError for fewer than
     eight targets; InputError for directions that are mirrored, outside the lens's full angle, or
     fit no lens.
     """
-    n, pose = len(targets.x_px), not targets.pose_known
+    n = len(targets.x_px)
     # the parameters of a lens with one free term, and its pose
     fit_steps.require(n, 8, "targets for a lens", "add targets all over the circle to the csv")
-    start = _with_fitted_pose(targets, lens) if pose else level_lens(lens)
+    start = _with_fitted_pose(targets, lens)
     # three targets a parameter
     models = {name: m for name, m in MODELS.items() if not m[1] or n >= 3 * (len(m[1]) + 5)}
 
     def solved(model: Model, rows: Mask) -> Lens:
         at = targets.x_px[rows], targets.y_px[rows]
-        return _solve(start, model, *at, lambda _: targets.rays[rows], pose=pose)[0]
+        return _solve(start, model, *at, lambda _: targets.rays[rows], pose=True)[0]
 
     every = [_misses(solved(model, np.ones(n, bool)), targets)[0] for model in models.values()]
     best = min(every, key=lambda missed: float(np.median(missed)))
-    inliers = np.flatnonzero(~fit_steps.gross_errors(best, 2.0 * MAX_MISS * start.radius_px))
-
-    def used(rows: Mask) -> Mask:
-        return np.isin(np.arange(n), inliers[rows])
-
+    kept = ~fit_steps.gross_errors(best, 2.0 * MAX_MISS * start.radius_px)
     _, fitted, choice = fit_steps.fit_and_choose(
         "lens",
         [(name, max(len(model[1]) - 1, 0), model) for name, model in models.items()],
-        np.arange(len(inliers)),
-        lambda model, rows: solved(model, used(rows)),
-        lambda _, candidate, held: _misses(candidate, targets)[0][used(held)] ** 2,
+        np.arange(n),
+        lambda model, rows: solved(model, rows & kept),
+        lambda _, fit, held: np.where(kept, _misses(fit, targets)[0] ** 2, np.nan)[held],
         unit="px",
     )
     missed, angle = _misses(fitted, targets)
-    _check(fitted, missed[inliers], angle[inliers], targets)
-    new = replace(_rounded(fitted), **({} if pose else _pose_of(lens)))
+    _check(fitted, missed[kept], angle[kept], targets)
+    new = _rounded(fitted)
     return LensFit(
         new,
-        rms_px=choice.rms,
-        widest_deg=float(np.degrees(angle[inliers].max())),
+        widest_deg=float(np.degrees(angle[kept].max())),
         choice=choice,
-        warnings=_warnings(targets, missed, inliers, new, lens),
+        warnings=_warnings(targets, missed, kept, new, lens),
     )
 
 
@@ -204,15 +197,15 @@ def _check(lens: Lens, missed: Array, angle: Array, targets: Targets) -> None:
 
 
 def _warnings(
-    targets: Targets, missed: Array, inliers: Array, new: Lens, before: Lens
+    targets: Targets, missed: Array, kept: Mask, new: Lens, before: Lens
 ) -> tuple[str, ...]:
     """Return warnings of omitted targets, and of a pose over 30 degrees from the profile's.
 
-    missed [n]: distances of targets from the fit [px]; inliers: indices of the targets used.
+    missed [n]: distances of targets from the fit [px]; kept [n]: the targets used.
     """
     far = [
         f"{targets.x_px[i]:g}, {targets.y_px[i]:g} (off by {missed[i]:.0f} px)"
-        for i in np.setdiff1d(np.arange(len(missed)), inliers)
+        for i in np.flatnonzero(~kept)
     ]
     texts = [f"left out because no lens explains them: {'; '.join(far)}"] if far else []
     turn = new.axes() @ before.axes().T
@@ -295,7 +288,7 @@ def fit_boards(
 
     corners : results of `chessboard_corners` [rows * columns, 2] px, one for each picture with a
     board; columns, rows : as there. The fit starts from `lens`, and the result has its pose
-    (azimuth, tilt, roll), because boards do not determine it; its rms_px is the residual of the
+    (azimuth, tilt, roll), because boards do not determine it; its rms is the residual of the
     corners. Raises NotEnoughDataError for fewer than four boards, InputError for corners that no
     lens explains.
     """
@@ -315,7 +308,8 @@ def fit_boards(
     level = level_lens(lens)
     poses = np.concatenate([_board_pose(level, c, points) for c in corners])
     _, poses, _ = _solve(level, MODELS["four terms"], x, y, rays_of, poses, pose=False)
-    targets = Targets(x_px=x, y_px=y, rays=rays_of(poses), source="chessboard", pose_known=True)
+    rays = rays_of(poses)[:, [0, 2, 1]] @ lens.axes()  # from the optical axis to the heading
+    targets = Targets(x_px=x, y_px=y, rays=rays, source="chessboard")
     start = fit(targets, lens)
     powers = tuple(i + 1 for i, c in enumerate(start.lens.coefficients) if c)
     model, own = (start.lens.mapping, powers), level_lens(start.lens)
@@ -323,9 +317,9 @@ def fit_boards(
     rms = float(np.sqrt(2.0 * np.mean(solved.fun**2)))
     u_px = rms / np.sqrt(2) * np.sqrt(np.diag(np.linalg.pinv(solved.jac.T @ solved.jac))[:2].max())
     text = f"residual of the corners {rms:.2f} px rms, uncertainty of the centre {u_px:.2f} px"
-    choice = replace(start.choice, line=f"{start.choice.line}; {text}")
+    choice = replace(start.choice, rms=rms, line=f"{start.choice.line}; {text}")
     new = replace(_rounded(fitted), **_pose_of(lens))
-    return start._replace(lens=new, rms_px=rms, choice=choice), targets
+    return start._replace(lens=new, choice=choice), targets
 
 
 def _board_pose(level: Lens, corners: Array, points: Array) -> Array:
@@ -447,12 +441,11 @@ def _edge_points(picture: NDArray[np.uint8], around: Array, reach: float) -> tup
 
 def chart(targets: Targets, fit: LensFit) -> Chart:
     """Return a chart of the targets' distances from the centre over their angles from the axis."""
-    level = fit.lens if not targets.pose_known else level_lens(fit.lens)
-    x, y, angle_rad = lens_pixels(level, targets.rays)
-    x0, y0 = level.centre_px
+    x, y, angle_rad = lens_pixels(fit.lens, targets.rays)
+    x0, y0 = fit.lens.centre_px
     at, fitted = np.hypot(targets.x_px - x0, targets.y_px - y0), np.hypot(x - x0, y - y0)
     angle = "angle from the optical axis [deg]", np.degrees(angle_rad)
-    title = f"lens, {fit.lens.mapping}; rms {fit.rms_px:.2g} px"
+    title = f"lens, {fit.lens.mapping}; rms {fit.choice.rms:.2g} px"
     return Chart(title, at / fitted - 1.0, (), angle, ("distance from the centre [px]", at), fitted)
 
 

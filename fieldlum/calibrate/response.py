@@ -67,11 +67,10 @@ class Steps(NamedTuple):
         off += f"{100.0 * float(np.abs(self.deviation).max(initial=0.0)):.1f} %"
         text = f"exposure steps: the overlap of the frames contradicts {off}, and was used"
         text = f"{text}; the span of all steps is the labels'" if changed else ""
-        balance = (
-            f"CAUTION: the white balance changes by over {100.0 * self.balance:.0f} % between "
-        )
-        balance += "frames: their colours are not usable; fix it, and take the bracket again"
-        return "; ".join(t for t in (text, balance if self.balance else "") if t)
+        change = f"the white balance changes by over {100.0 * self.balance:.0f} % between frames"
+        remedy = "their colours are not usable; fix it, and take the bracket again"
+        caution = f"CAUTION: {change}: {remedy}" if self.balance else ""
+        return "; ".join(filter(None, [text, caution]))
 
 
 def steps_by_overlap(codes: NDArray[np.uint8], log_exposure: Floats, bracket: Indices) -> Steps:

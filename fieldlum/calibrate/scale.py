@@ -26,7 +26,8 @@ class LuminanceReading(NamedTuple):
 
     label : name of the reading, for messages. meter, image : value by the meter and by the picture,
     at the profile's k, both in cd/m2 (kind "spot") or lx (kind "illuminance"). u_rel : relative
-    uncertainty of their ratio, without that of the meter's calibration. place : in its panorama.
+    uncertainty of their ratio, without that of the meter's calibration; u_image : the part of the
+    picture's value. place : in its panorama.
     """
 
     kind: str  # "spot" or "illuminance"
@@ -34,6 +35,7 @@ class LuminanceReading(NamedTuple):
     meter: float
     image: float
     u_rel: float
+    u_image: float = 0.0
     place: Place | None = None
 
 
@@ -68,22 +70,19 @@ def from_table(
     rows = fit_steps.read_table(path, ("panorama", "azimuth_deg", "altitude_deg"), optional)
     pictures = fit_steps.read_panoramas(rows, profile)
     to_k = {file: _to_k(file, picture, profile) for file, picture in pictures.items()}
-    read = [_reading(path, r, pictures[r["panorama"]], to_k[r["panorama"]]) for r in rows]
+    readings = [_reading(path, r, pictures[r["panorama"]], to_k[r["panorama"]]) for r in rows]
     unmarked = ", ".join(file.name for file, p in pictures.items() if "k" not in p.attributes)
-    uneven = ", ".join(reading.label for reading, u_image in read if u_image > MIN_OUTLIER)
+    uneven = ", ".join(r.label for r in readings if r.u_image > MIN_OUTLIER)
     low = "the luminance is uneven around these readings, which have a low weight"
     notes = {
         f"no factor k is stored in {unmarked}: the profile's is assumed; merge again": unmarked,
         f"{low}: {uneven}: measure places that are even over two degrees": uneven,
     }
-    found = tuple(note for note, names in notes.items() if names)
-    return [reading for reading, _ in read], list(pictures), found
+    return readings, list(pictures), tuple(note for note, names in notes.items() if names)
 
 
-def _reading(
-    path: Path, row: fit_steps.CsvRow, picture: Panorama, to_k: float
-) -> tuple[LuminanceReading, float]:
-    """Return a line of the csv as a reading, and the relative u of the picture's value."""
+def _reading(path: Path, row: fit_steps.CsvRow, picture: Panorama, to_k: float) -> LuminanceReading:
+    """Return a line of the csv as a reading."""
     at = Place(row["panorama"], row["azimuth_deg"], row["altitude_deg"])
     spot, plane = row["luminance_cdm2"], row["illuminance_lx"]
     if (spot is None) == (plane is None):
@@ -101,8 +100,8 @@ def _reading(
     u_rel, label = math.hypot(row["u_rel"], u_image), f"{at.path.stem} {at.x:g}/{at.y:g} deg"
     meter = float(spot or plane or 0.0)
     return LuminanceReading(
-        kind, label, meter=meter, image=image * to_k, u_rel=u_rel, place=at
-    ), u_image
+        kind, label, meter=meter, image=image * to_k, u_rel=u_rel, u_image=u_image, place=at
+    )
 
 
 def _to_k(file: Path, picture: Panorama, profile: CameraProfile) -> float:

@@ -152,22 +152,21 @@ def readings_of(sidecar: Sidecar) -> list[ShutterReading]:
         if max(max(n.long, n.short) for n in run) >= len(frames):
             return []  # damaged: the sidecar lists frames that do not exist
         readings += [_reading(frames[n.long], frames[n.short], n) for n in run]
-    return [r for r in readings if r is not None and 0.0 < r.u_log < 0.01]
+    return [r for r in readings if r is not None]
 
 
 def _reading(
     long: FrameQuality, short: FrameQuality, neighbour: NeighbourQuality
 ) -> ShutterReading | None:
-    """Return the ratio of two neighbouring frames; None for a filter, two ISOs or equal times."""
-    a, b = long.exposure, short.exposure
-    if a.nd or b.nd or abs(b.shutter_s / a.shutter_s - 1) < SAME_LABEL or a.iso != b.iso:
-        return None
-    log_correction = math.log(short.correction) - math.log(long.correction)
-    log_ratio = neighbour.residual_percent / 100 + log_correction
-    if not math.isfinite(log_ratio):
+    """Return the ratio of two neighbouring frames; None for a pair to omit."""
+    a, b, u_log = long.exposure, short.exposure, neighbour.u_percent / 100
+    log_ratio = neighbour.residual_percent / 100 + math.log(short.correction / long.correction)
+    same_time = abs(b.shutter_s / a.shutter_s - 1) < SAME_LABEL
+    is_sure = math.isfinite(log_ratio) and 0.0 < u_log < 0.01
+    if a.nd or b.nd or same_time or a.iso != b.iso or not is_sure:
         return None
     seconds = (short.t_utc - long.t_utc).total_seconds() if short.t_utc and long.t_utc else 0.0
-    pair, u_log = (a.shutter_s, b.shutter_s), neighbour.u_percent / 100
+    pair = a.shutter_s, b.shutter_s
     return ShutterReading(pair, log_ratio=log_ratio, u_log=u_log, seconds=seconds)
 
 

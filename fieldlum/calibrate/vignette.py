@@ -84,9 +84,8 @@ def from_table(path: Path, profile: CameraProfile, lens: int = 0) -> Samples:
 
 def _from_patches(path: Path, profile: CameraProfile) -> Samples:
     """Return the samples of a csv: places of equal light, or of known ratio (column reference)."""
-    rows = fit_steps.read_table(
-        path, ("file", "x_px", "y_px"), {"radius_px": 12.0, "reference": 1.0}
-    )
+    optional = {"radius_px": 12.0, "reference": 1.0}
+    rows = fit_steps.read_table(path, ("file", "x_px", "y_px"), optional)
     weights = np.array(profile.colour.y_from_rgb)
     places = tuple(Place(row["file"], row["x_px"], row["y_px"]) for row in rows)
     lens = fit_steps.nearest_lens(profile, places[0].x, places[0].y)

@@ -150,12 +150,10 @@ def lens(
       --circle: Centre and radius from the edge of one bright FRAME.
       --chessboard CxR: Inner corners across x down of a board in the FRAMEs, like 9x6.
     """
-    if circle and chessboard is not None:
-        raise click.UsageError("--circle and --chessboard exclude each other")
+    if circle and (chessboard is not None or len(sources) != 1):
+        raise click.UsageError("--circle works on one FRAME, and without --chessboard")
     if chessboard is not None and min(chessboard) < 3:
         raise click.UsageError("--chessboard: a board has 3 x 3 inner corners or more, like 9x6")
-    if circle and len(sources) != 1:
-        raise click.UsageError(f"--circle works on one FRAME; {len(sources)} files were named")
     if not circle and chessboard is None and sources[0].suffix.lower() != ".csv":
         raise click.UsageError(f"{sources[0]}: name TARGETS.csv, or --circle or --chessboard CxR")
     index = _lens_index(profile, lens_number)
@@ -326,13 +324,13 @@ def scale(
     readings, frames, notes = scales.from_table(sources, profile)
     fit = scales.fit(readings, meter_u, sources)
     warning = scales.check_level(fit, profile, sources)
-    points, gates = [], []
+    points = []
     for r, off in zip(readings, np.round(100 * fit.residual, 2).tolist(), strict=True):
         picture = r.image * fit.factor
         row = {"reading": r.label, "meter": r.meter, "picture": picture, "off_percent": off}
         points.append(row)
-        if r.kind != "spot":
-            gates.append(illuminance_verdict(picture, r.meter))
+    planes = [r for r in readings if r.kind != "spot"]
+    gates = [illuminance_verdict(r.image * fit.factor, r.meter) for r in planes]
     k, u = round(profile.scale.k * fit.factor, 5), round(fit.u_rel, 4)
     figures = {"points": points, "k": k, "u_rel": u, "factor": fit.factor, "far": fit.far}
     figures["illuminance"] = gates
