@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from pty_instrument import PtyInstrument
 
 from fieldlum.core.errors import DeviceError, InputError
-from fieldlum.devices import FORM_ALONE, open_meter, open_pyranometer
+from fieldlum.devices import open_meter, open_pyranometer
 from fieldlum.devices.ascii_lines import (
     AsciiField,
     AsciiProfile,
@@ -33,7 +33,7 @@ from fieldlum.devices.cl200a import (
     PC_MODE,
     READ_EVXY,
     READ_T10,
-    Cl200a,
+    FramedMeter,
     NotReady,
     bcc,
     frame,
@@ -338,7 +338,7 @@ def test_of_three_quick_lines_the_median_counts(talker: tuple[int, str]) -> None
 def test_a_line_of_another_form_gives_no_number_and_is_handed_out(talker: tuple[int, str]) -> None:
     ours, port = talker
     device = LineInstrument(port, load_ascii_profile("arduino-json"), CLOCK, silence_s=0.3)
-    assert device.info.guard == FORM_ALONE
+    assert not device.info.is_checked
     os.write(ours, b"\n" + 30 * b'{"G": 811.5, "T": 22.0}\n')
     assert device.read().ghi_wm2 == 811.5 and device.refused() == []
     os.write(ours, b'{"G": 811, "T": 22.0}\nboot\n{"G": 811.0, "T": 22.0}\n')
@@ -495,7 +495,7 @@ def test_the_driver_on_a_pty() -> None:
     device.close()
     instrument.unplug()
     with pytest.raises(DeviceError, match="/dev/"):
-        Cl200a(instrument.port, CLOCK.sleep, parity="N")
+        FramedMeter(instrument.port, CLOCK.sleep, parity="N")
 
 
 def t10_answer(head: int = 3, status: bytes = b"0 30", value: bytes = b"+45674") -> bytes:

@@ -326,7 +326,11 @@ def test_any_registers_give_a_plausible_value_or_a_device_error(
 
 @pytest.mark.contract
 @pytest.mark.parametrize(
-    ("name", "said"), [("smp", "Kipp & Zonen"), ("ascii/arduino-keys", "ghi_wm2, dhi_wm2")]
+    ("name", "said"),
+    [
+        ("smp", "name irradiance_wm2, register 5, type s16, power10_register 4"),
+        ("ascii/arduino-keys", "quantity ghi_wm2, key total, decimals 1"),
+    ],
 )
 def test_info_tells_instrument_profiles(name: str, said: str) -> None:
     from click.testing import CliRunner

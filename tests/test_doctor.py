@@ -16,7 +16,7 @@ from fieldlum.capture import doctor
 from fieldlum.cli import main
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import CameraSetup, Exposure, IrradianceSample, SiteFile, Slot
-from fieldlum.devices import FORM_ALONE, CameraInfo, InstrumentInfo
+from fieldlum.devices import CameraInfo, InstrumentInfo
 from fieldlum.optics.profiles import (
     Bracket,
     CameraBody,
@@ -229,7 +229,7 @@ def test_pyranometer_readings() -> None:
         )
     )
     assert "reports a fault" in said and "only global" in said and "years ago" in said
-    rig = InstrumentInfo("ascii", gives=("ghi", "dhi"), guard=FORM_ALONE)
+    rig = InstrumentInfo("ascii", gives=("ghi", "dhi"), is_checked=False)
     told = every(
         doctor.judge_pyranometer, rig, IrradianceSample(NOON, ghi_wm2=500.0, dhi_wm2=80.0), SEATTLE
     )

@@ -48,11 +48,15 @@ def test_info_of_a_panorama_without_light_is_an_error(tmp_path: Path) -> None:
 
 
 def test_info_of_a_predicted_year(tmp_path: Path) -> None:
-    about = {"model": "transport", "hours": 4390, "protection": [{"class": "high"}] * 10}
+    about = {
+        "model": "transport",
+        "hours": 4390,
+        "protection": [{"class": "high", "hours": 7}] * 10,
+    }
     (tmp_path / "predict.json").write_text(json.dumps(about), encoding="utf-8")
     shown = CliRunner().invoke(main, ["info", str(tmp_path)])
     assert shown.exit_code == 0
-    assert "predicted year" in shown.output and "10 entries" in shown.output
+    assert "predicted year" in shown.output and shown.output.count("class high, hours 7") == 10
 
 
 def test_a_long_command_states_its_time_in_a_log(

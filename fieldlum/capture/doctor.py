@@ -366,7 +366,7 @@ def judge_pyranometer(
     if info.gives == ("ghi",):
         text = "the instrument measures only global irradiance: direct and diffuse will be derived "
         yield warn(what, f"{text}from it, with an error of about 30 % in direct irradiance")
-    if info.guard == devices.FORM_ALONE:
+    if not info.is_checked:
         text = "the instrument's lines have no checksum: some damaged lines give wrong values; let "
         text += "the instrument's program print a CRC-16 (profile arduino-crc), or a line a second"
         yield warn(what, text)

@@ -8,6 +8,7 @@ import logging
 import threading
 import urllib.request
 import warnings
+from abc import ABC, abstractmethod
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -42,7 +43,33 @@ class Message:
 Post = Callable[[Message], bool]
 
 
-class Outbox:
+class _Background(ABC):
+    """Works in its own thread: at once, after each `_wake`, and after the pauses of `_step`."""
+
+    def __init__(self, name: str) -> None:
+        self._due, self._closing = threading.Event(), False
+        self._thread = threading.Thread(target=self._work, name=name, daemon=True)
+        self._thread.start()
+
+    @abstractmethod
+    def _step(self) -> float | None:
+        """Do the work that is due; return the longest pause after it [s], None for no limit."""
+
+    def _work(self) -> None:
+        is_last = False
+        while not is_last:
+            self._due.clear()
+            is_last = self._closing  # before the step, so that all earlier work is done
+            pause = self._step()
+            if not is_last:
+                self._due.wait(pause)
+
+    def _end(self) -> None:
+        self._closing = True
+        self._due.set()
+
+
+class Outbox(_Background):
     """Sends messages in order, in the background.
 
     post: sends one message and returns whether it was sent. `put` returns at once, whatever the
@@ -56,41 +83,35 @@ class Outbox:
     ) -> None:
         self._post, self._say, self._first_pause_s = post, say, first_pause_s
         self._waiting: deque[Message] = deque(maxlen=500)  # a month at ten a day
-        self._changed, self._closing = threading.Event(), False
-        self._thread = threading.Thread(target=self._work, name="outbox", daemon=True)
-        self._thread.start()
+        self._failures = 0  # in sequence
+        super().__init__("outbox")
 
     def put(self, message: Message) -> None:
         """Queue a message to be sent in the background; return at once."""
         self._waiting.append(message)
-        self._changed.set()
+        self._due.set()
 
     def close(self, patience_s: float = 10.0) -> int:
         """Send waiting messages for at most `patience_s` seconds; return how many still wait."""
-        self._closing = True
-        self._changed.set()
+        self._end()
         self._thread.join(patience_s)
         return len(self._waiting)
 
-    def _work(self) -> None:
-        failures = 0  # in sequence
-        while True:
-            if self._waiting:
-                message = self._waiting[0]
-                why = self._try(message)
-                if bool(why) != bool(failures):
-                    with suppress(OSError):  # the terminal may be closed
-                        lost = f"note: messages cannot be sent ({why}); they wait"
-                        self._say(lost if why else "note: messages are sent again")
-                failures = failures + 1 if why else 0
-                if not why and self._waiting[0] is message:  # not dropped meanwhile
-                    self._waiting.popleft()
-            if self._closing and (failures or not self._waiting):
-                return
-            if failures or not self._waiting:
-                pause = pause_s(failures, self._first_pause_s, MAX_PAUSE_S) if failures else None
-                self._changed.wait(pause)
-                self._changed.clear()
+    def _step(self) -> float | None:
+        while self._waiting:
+            message = self._waiting[0]
+            why = self._try(message)
+            if bool(why) != bool(self._failures):
+                with suppress(OSError):  # the terminal may be closed
+                    lost = f"note: messages cannot be sent ({why}); they wait"
+                    self._say(lost if why else "note: messages are sent again")
+            if why:
+                self._failures += 1
+                return pause_s(self._failures, self._first_pause_s, MAX_PAUSE_S)
+            self._failures = 0
+            if self._waiting[0] is message:  # not dropped meanwhile
+                self._waiting.popleft()
+        return None
 
     def _try(self, message: Message) -> str:
         """Send a message; return "" or why it was not sent."""
@@ -173,7 +194,7 @@ def fetch(address: str) -> None:
         answer.read(1024)
 
 
-class Heartbeat:
+class Heartbeat(_Background):
     """Fetches an address in its own thread: at once, after each `beat`, and every `every_s` s.
 
     use: fetches the address; its errors are ignored.
@@ -183,9 +204,7 @@ class Heartbeat:
         self, address: str, every_s: float = 600.0, use: Callable[[str], None] = fetch
     ) -> None:
         self._address, self._every_s, self._use = address, every_s, use
-        self._due, self._closing = threading.Event(), False
-        self._thread = threading.Thread(target=self._work, name="heartbeat", daemon=True)
-        self._thread.start()
+        super().__init__("heartbeat")
 
     def beat(self) -> None:
         """Request that the thread fetches the address now; return at once."""
@@ -193,15 +212,13 @@ class Heartbeat:
 
     def close(self) -> None:
         """Tell the thread to end; return at once."""
-        self._closing = True
-        self._due.set()
+        self._end()
 
-    def _work(self) -> None:
-        while not self._closing:
-            self._due.clear()
-            with suppress(Exception):  # without network or monitor, the next beat tries again
+    def _step(self) -> float:
+        with suppress(Exception):  # without network or monitor, the next beat tries again
+            if not self._closing:
                 self._use(self._address)
-            self._due.wait(self._every_s)
+        return self._every_s
 
 
 # ----------------------------------------------------------------------------------------------
@@ -233,7 +250,6 @@ class Alerts:
     _last: dict[str, datetime] = field(default_factory=dict)
     _day: date | None = None
     _counts: Counter[str] = field(default_factory=Counter)  # of the day's outcomes
-    _highest_ghi_wm2: float | None = None  # of the day
 
     def listen(self, event: str, t_utc: datetime, fields: EventFields) -> None:
         """Send the messages that a journal event causes and, on a new day, the daily summary.
@@ -267,8 +283,6 @@ class Alerts:
         """Send the messages that are due by time: lost devices, low disk, the daily summary."""
         with self._lock:
             self._new_day(live.t_utc)
-            if live.ghi_wm2 is not None:
-                self._highest_ghi_wm2 = max(live.ghi_wm2, self._highest_ghi_wm2 or live.ghi_wm2)
             for device, since in self._away_since.items():
                 away = live.t_utc - since
                 if away >= timedelta(minutes=10):
@@ -302,14 +316,13 @@ class Alerts:
         if self._day is None or today <= self._day:
             self._day = self._day or today
             return
-        ended, counts, ghi = self._day, self._counts, self._highest_ghi_wm2
-        self._day, self._counts, self._highest_ghi_wm2 = today, Counter(), None
+        ended, counts = self._day, self._counts
+        self._day, self._counts = today, Counter()
         if counts:
             body = (
                 f"{counts['done']} brackets done ({counts['doubtful']} with a doubt), "
                 f"{counts['missed']} missed, {counts['aborted']} aborted."
             )
-            body += "" if ghi is None else f" Highest global irradiance {ghi:.0f} W/m2."
             self._send(f"summary of {ended.isoformat()}", body, self.contact_sheet())
 
     def _send(

@@ -1,13 +1,10 @@
 """Report the progress of each stage from the session's files."""
 
-from contextlib import suppress
 from pathlib import Path
 
-from fieldlum.core.errors import InputError
 from fieldlum.core.files import read_bytes
 from fieldlum.core.records import JsonTable, Slot, utc_text
 from fieldlum.session import Session, day_files
-from fieldlum.session.files.model_files import ModelConfig
 from fieldlum.session.files.pairs_csv import PairsFile
 from fieldlum.session.journal import damaged_lines
 from fieldlum.session.slot_states import SETTLED, SlotStates, read_slot_states, slots_to_do
@@ -20,7 +17,7 @@ def status(session: Session) -> JsonTable:
     slots done, missed, aborted and owed (still to do), frames; next: id of a slot or None;
     device_lost, clock_steps, suspends: numbers of events; damaged_lines: of the journal.
     irradiance: days, rows, last (date or None), cleaned. merge, pair: done, owed, usable. train:
-    models with name and class. predict: years, the names. report: done. next_step: see `next_step`.
+    models, the names. predict: years, the names. report: done. next_step: see `next_step`.
     Raises InputError for a file of the session that cannot be read.
     """
     slots, recorded = session.slots(), read_slot_states(session)
@@ -40,7 +37,7 @@ def status(session: Session) -> JsonTable:
         "irradiance": _irradiance(session),
         "merge": {"done": len(merged), "owed": len(captured - merged)},
         "pair": {"done": len(paired), "usable": len(pairs.usable), "owed": len(merged - paired)},
-        "train": {"models": _models(session)},
+        "train": {"models": [path.name for path in session.model_folders()]},
         "predict": {"years": sorted(p.name for p in session.annual.glob("*") if p.is_dir())},
         "report": {"done": (session.report / "index.html").is_file()},
         "next_step": "",
@@ -52,7 +49,7 @@ def next_step(answer: JsonTable) -> str:
     """Return the user's next step, mostly a command line, from the result of `status`."""
     root = answer["session"]
     capture, merge, pair = answer["capture"], answer["merge"], answer["pair"]
-    models = [row["name"] for row in answer["train"]["models"]]
+    models = answer["train"]["models"]
     model = f"{root}/models/{(*models, '')[0]}"
     during = "doctor" if capture["frames"] == 0 else "capture"
     after = "" if during == "capture" else f", then fieldlum capture {root}"
@@ -108,14 +105,3 @@ def _irradiance(session: Session) -> JsonTable:
         "last": files[-1].stem if files else None,
         "cleaned": session.clean_irradiance.is_file(),
     }
-
-
-def _models(session: Session) -> list[JsonTable]:
-    """Return name and class of each trained model; the class is empty if config.json is damaged."""
-    rows: list[JsonTable] = []
-    for folder in session.model_folders():
-        model = ""
-        with suppress(InputError):
-            model = ModelConfig.read(folder).model
-        rows.append({"name": folder.name, "class": model})
-    return rows

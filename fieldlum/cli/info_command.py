@@ -36,17 +36,17 @@ def command(files: tuple[Path, ...], part: str = "", json_lines: bool = False) -
         else:
             tell(facts.pop("file"))
             for name, value in facts.items():
-                tell(f"  {name:24} {_short(value)}".replace("\n", " "))
+                is_table = isinstance(value, list) and value and isinstance(value[0], dict)
+                for row in value if is_table else [value]:
+                    tell(f"  {name:24} {_short(row)}".replace("\n", " "))
     if bad:
         raise SystemExit(InputError.exit_code)
 
 
 def _short(value: Any) -> str:
     """Return a value as text, which may be shortened; `--json` has all of it."""
-    rows = value if isinstance(value, list) else [value]
-    if rows and isinstance(rows[0], dict):
-        return f"{len(value)} entries"
-    text = str(value)
+    pairs = value.items() if isinstance(value, dict) else ()
+    text = ", ".join(f"{name} {shown}" for name, shown in pairs) or str(value)
     return text if len(text) <= 200 else f"{text[:200]} ..."
 
 

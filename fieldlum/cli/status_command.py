@@ -42,7 +42,7 @@ def _lines(s: JsonTable) -> list[str]:
     plan, capture, log = s["plan"], s["capture"], s["irradiance"]
     merge, pair = s["merge"], s["pair"]
     truth = " of the simulated truth" if pair["usable"] and not pair["done"] else ""
-    models = ", ".join(m["name"] for m in s["train"]["models"]) or "none"
+    models = ", ".join(s["train"]["models"]) or "none"
     of_set = f" ({plan['set']})" if plan["set"] else ""
     damaged = damage_text(capture["damaged_lines"])
     upcoming = f", next {capture['next']}" if capture["next"] else ""

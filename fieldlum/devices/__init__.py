@@ -38,7 +38,6 @@ from fieldlum.session import Session
 
 T = TypeVar("T")
 _TRIES = 4  # while a camera is busy or a meter changes its range; chosen, not measured
-FORM_ALONE = "form alone"  # the `guard` of an instrument whose lines have no checksum
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,9 +64,8 @@ class InstrumentInfo:
     """Description of an instrument, from its answers, its profile or its driver; "" where unknown.
 
     kind : the driver or register profile; calibration_date : in ISO form; sensitivity : with its
-    unit; status : "" if no fault is reported; gives : any of ghi, dhi, dni, illuminance; guard :
-    how a damaged answer is detected: by CRC-16, by exclusive or, by a second query, or by its form
-    alone.
+    unit; status : "" if no fault is reported; gives : any of ghi, dhi, dni, illuminance; is_checked
+    : whether a checksum or a second query shows damaged answers, not their form alone.
     """
 
     kind: str
@@ -79,7 +77,7 @@ class InstrumentInfo:
     status: str = ""
     port: str = ""
     gives: tuple[str, ...] = ("ghi",)
-    guard: str = ""
+    is_checked: bool = True
 
 
 class Device:

@@ -22,7 +22,7 @@ from msgspec import Meta, Struct
 
 from fieldlum.core.errors import DeviceError, InputError
 from fieldlum.core.records import IrradianceSample
-from fieldlum.devices import FORM_ALONE, DeviceUri, InstrumentInfo, Pyranometer
+from fieldlum.devices import DeviceUri, InstrumentInfo, Pyranometer
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.modbus import MAX_WM2, MIN_WM2, read_profile
 from fieldlum.devices.serial_port import SerialLine, SerialPort
@@ -34,17 +34,6 @@ _MAX_LINE_BYTES = 1000  # bytes; a longer line has lost its end mark. Chosen, no
 # Limits of temperature [C]; a number outside was misread. Chosen wider than any instrument housing
 # in use; not measured.
 _TEMPERATURES_C = (-60.0, 150.0)
-
-
-@dataclass(frozen=True, slots=True)
-class AsciiLine(SerialLine):
-    """Settings of the serial line of an instrument that prints its readings.
-
-    silence_s : time without a line [s] after which the instrument counts as silent. It must be
-    longer than the restart of an Arduino, because opening the line restarts most of them.
-    """
-
-    silence_s: float = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +71,7 @@ class AsciiProfile:
     model: str = ""
     serial: str = ""
     calibration_date: str = ""
-    line: AsciiLine = field(default_factory=AsciiLine)
+    line: SerialLine = field(default_factory=SerialLine)
 
 
 def load_ascii_profile(name: str) -> AsciiProfile:
@@ -227,8 +216,10 @@ def sample_of(t_utc: datetime, values: Mapping[str, float | None], raw: str) -> 
 # ----------------------------------------------------------------------------------------------
 # the driver
 
+# Time without a line [s] after which the instrument counts as silent: longer than the restart of an
+# Arduino, because opening the line restarts most of them.
+SILENCE_S = 5.0
 _VOTES = 3  # lines whose median is taken
-_GUARD = {"none": FORM_ALONE, "xor": "exclusive or", "crc16": "CRC-16"}
 _RECENT_LINES = 60  # whose form counts: half a minute to some minutes
 _NUMBER_OF_STREAM = re.compile(r"[ \t]*[+-]?\d+(?:\.(\d+))?(?:[eE][+-]?\d{1,2})?")
 
@@ -269,11 +260,10 @@ class LineInstrument(Pyranometer):
     """
 
     def __init__(
-        self, place: str, profile: AsciiProfile, clock: Clock, *, silence_s: float | None = None
+        self, place: str, profile: AsciiProfile, clock: Clock, *, silence_s: float = SILENCE_S
     ) -> None:
         p = profile
-        self._profile, self._clock = profile, clock
-        self._silence_s = p.line.silence_s if silence_s is None else silence_s
+        self._profile, self._clock, self._silence_s = profile, clock, silence_s
         self._port = SerialPort(place, p.line, timeout_s=0.05)  # sets how often it is polled
         # None: the first line may have begun before the port was opened.
         self._rest: bytes | None = None
@@ -289,14 +279,14 @@ class LineInstrument(Pyranometer):
             calibration_date=p.calibration_date,
             port=self._port.name,
             gives=gives,
-            guard=_GUARD[p.checksum],
+            is_checked=p.checksum != "none",
         )
 
     def read(self) -> IrradianceSample:
         """Return a reading; wait for a line if there is none.
 
         Raises DeviceError if no line that fits the profile and the format of earlier lines arrives
-        within the silence time (default: that of the profile), or if the port fails.
+        within the silence time (default: 5 s), or if the port fails.
         """
         deadline = time.monotonic() + self._silence_s
         why = "no line received; check cable, power and baud rate"
@@ -362,7 +352,7 @@ class _Options(Struct):
 class _LineOptions(Struct):
     kind: str
     profile: str
-    silence: Annotated[float, Meta(ge=0.1, le=600.0)] | None = None
+    silence: Annotated[float, Meta(ge=0.1, le=600.0)] = SILENCE_S
 
 
 def open_pyranometer(uri: DeviceUri, clock: Clock, session: Session | None = None) -> Pyranometer:

@@ -7,7 +7,6 @@ are sent changes the calibration.
 """
 
 import re
-from abc import abstractmethod
 from collections.abc import Callable
 from functools import reduce
 from operator import xor
@@ -126,29 +125,40 @@ def parse_t10_answer(reply: bytes, head: int) -> float:
     return illuminance_lx
 
 
-class _FramedMeter(IlluminanceMeter):
-    """A meter on a serial port that answers in frames.
+class FramedMeter(IlluminanceMeter):
+    """A CL-200A, or one receptor head of a chain of T-10A, on a serial port.
 
     place : the port; sleep : waits for a number of seconds; parity : "N" for a line of 8 bits
-    without parity: for converters that remove it, and for tests on a pty; head : the receptor head.
-    Raises DeviceError if the port cannot be opened, or if the meter does not answer or its answer
-    is damaged.
+    without parity: for converters that remove it, and for tests on a pty; head : of a T-10A, 0 to
+    29 as set on its rotary switch; None for a CL-200A. Raises DeviceError if the port cannot be
+    opened, or if the meter does not answer or its answer is damaged.
     """
 
-    model = ""
-
     def __init__(
-        self, place: str, sleep: Callable[[float], None], *, parity: _Parity = "E", head: int = 0
+        self,
+        place: str,
+        sleep: Callable[[float], None],
+        *,
+        parity: _Parity = "E",
+        head: int | None = None,
     ) -> None:
         self._sleep, self._head = sleep, head
         line = SerialLine(bits=7 if parity == "E" else 8, parity=parity)
         self._port = SerialPort(place, line, timeout_s=1.5)
-        kind, model = self.model.replace("-", "").lower(), f"Konica Minolta {self.model}"
-        self.info = InstrumentInfo(kind, model=model, port=self._port.name, gives=("illuminance",))
+        kind, self._model = ("cl200a", "CL-200A") if head is None else ("t10a", "T-10A")
+        model, gives = f"Konica Minolta {self._model}", ("illuminance",)
+        self.info = InstrumentInfo(kind, model=model, port=self._port.name, gives=gives)
         with closed_on_error(self):
             self._answer(PC_MODE)
             sleep(_PAUSE_S)
-            self._start()
+            if head is None:
+                self._port.write(frame(HOLD))
+                sleep(_PAUSE_S)
+                self._answer(EXT_ON)
+                sleep(_PAUSE_S)
+            else:  # sets the conditions; the answer's value is older than they are
+                self._answer(b"%02d" % head + READ_T10)
+                sleep(_RANGE_PAUSE_S)
 
     def read(self) -> float:
         """Measure, up to four times until the meter is ready, and return the illuminance [lx].
@@ -158,18 +168,21 @@ class _FramedMeter(IlluminanceMeter):
         """
         return retry(self._measure, lambda error: isinstance(error, NotReady))
 
-    @abstractmethod
-    def _start(self) -> None: ...
-
-    @abstractmethod
-    def _measure(self) -> float: ...
+    def _measure(self) -> float:
+        if self._head is None:
+            self._port.drain()
+            self._port.write(frame(MEASURE))
+        self._sleep(_PAUSE_S)
+        if self._head is None:
+            return parse_answer(self._answer(READ_EVXY))
+        return parse_t10_answer(self._answer(b"%02d" % self._head + READ_T10), self._head)
 
     def _answer(self, command: bytes) -> bytes:
         self._port.drain()
         self._port.write(frame(command))
         reply = self._port.read_until(b"\r\n", 128)
         if not reply:
-            why = f"{self.model} does not answer; switch it on and check its cable"
+            why = f"{self._model} does not answer; switch it on and check its cable"
             raise DeviceError(f"{self._port.name}: {why}")
         unframe(reply)
         return reply
@@ -177,41 +190,6 @@ class _FramedMeter(IlluminanceMeter):
     def close(self) -> None:
         """Close the port."""
         self._port.close()
-
-
-class Cl200a(_FramedMeter):
-    """A CL-200A."""
-
-    model = "CL-200A"
-
-    def _start(self) -> None:
-        self._port.write(frame(HOLD))
-        self._sleep(_PAUSE_S)
-        self._answer(EXT_ON)
-        self._sleep(_PAUSE_S)
-
-    def _measure(self) -> float:
-        self._port.drain()
-        self._port.write(frame(MEASURE))
-        self._sleep(_PAUSE_S)
-        return parse_answer(self._answer(READ_EVXY))
-
-
-class T10a(_FramedMeter):
-    """One receptor head of a chain of T-10A: 0 to 29, as set on its rotary switch."""
-
-    model = "T-10A"
-
-    def _start(self) -> None:
-        self._ask()  # sets the conditions; its value is older than they are
-        self._sleep(_RANGE_PAUSE_S)
-
-    def _measure(self) -> float:
-        self._sleep(_PAUSE_S)
-        return parse_t10_answer(self._ask(), self._head)
-
-    def _ask(self) -> bytes:
-        return self._answer(b"%02d" % self._head + READ_T10)
 
 
 class _Options(Struct):
@@ -222,15 +200,15 @@ class _ChainOptions(_Options):
     head: Annotated[int, Meta(ge=0, le=29)] = 0
 
 
-def open_meter(uri: DeviceUri, *, clock: Clock) -> Cl200a | T10a:
+def open_meter(uri: DeviceUri, *, clock: Clock) -> FramedMeter:
     """Open the meter of ``cl200a:/dev/serial/by-id/...`` or ``t10a:/dev/serial/by-id/...?head=3``.
 
     Options: parity, E (default) or N; of t10a also head, 0 (default) to 29. Raises DeviceError for
     an unknown option or value, a missing port, or no answer.
     """
-    chain = uri.scheme == "t10a"
-    options = structs.asdict(uri.read(_ChainOptions if chain else _Options))
+    kind = _ChainOptions if uri.scheme == "t10a" else _Options
+    options = structs.asdict(uri.read(kind))
     if not uri.place:
         expected = f"expected a URI like {uri.scheme}:/dev/ttyUSB0"
         raise DeviceError(f"{uri.text}: no port; {expected}")
-    return (T10a if chain else Cl200a)(uri.place, clock.sleep, **options)
+    return FramedMeter(uri.place, clock.sleep, **options)

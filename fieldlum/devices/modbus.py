@@ -271,8 +271,7 @@ class ModbusPyranometer(Pyranometer):
         what["model"] = what["model"] or f"{profile.maker} {profile.models[0]}"
         what["calibration_date"] = min(texts("calibration_date"), default="")
         what["status"] = " ".join(d.status for d in about if d.status)
-        how = {"port": self.name, "gives": tuple(units), "guard": "CRC-16"}
-        self.info = InstrumentInfo(profile.kind, **what, **how)
+        self.info = InstrumentInfo(profile.kind, **what, port=self.name, gives=tuple(units))
 
     def read(self) -> IrradianceSample:
         """Read all units, one after the other, and return one reading, with the time of the first.

@@ -134,7 +134,6 @@ class Spn1(Pyranometer):
             firmware=firmware,
             port=self._port.name,
             gives=("ghi", "dhi"),
-            guard="asked twice",
         )
 
     def read(self) -> IrradianceSample:

@@ -29,9 +29,7 @@ class SimulatedSpn1(Pyranometer):
         self._world, self._clock, self._noise_wm2 = world, clock, noise_wm2
         self._rng = np.random.default_rng([seed, 1])
         serial, gives = f"A{100 + seed % 900}", ("ghi", "dhi")
-        self.info = InstrumentInfo(
-            "spn1", model="Delta-T SPN1", serial=serial, gives=gives, guard="asked twice"
-        )
+        self.info = InstrumentInfo("spn1", model="Delta-T SPN1", serial=serial, gives=gives)
 
     def read(self) -> IrradianceSample:
         """Return a reading on which two answers agree; raises as `agreed_sample`."""
