@@ -13,7 +13,7 @@ from fieldlum import devices
 from fieldlum.capture.steady_clock import synchronised
 from fieldlum.core.errors import FieldlumError, InputError
 from fieldlum.core.progress import progress
-from fieldlum.core.records import IrradianceSample, JsonTable, Site, Slot
+from fieldlum.core.records import IrradianceSample, JsonTable, Site, Slot, listed
 from fieldlum.devices import CameraInfo, InstrumentInfo
 from fieldlum.devices.awake import kept_awake
 from fieldlum.devices.clock import Clock
@@ -261,9 +261,8 @@ def judge_exposures(refused: Sequence[str], planned: int) -> Iterator[Finding]:
     refused: a sentence on each of these; planned: number of planned exposures.
     """
     if refused:
-        shown = "; ".join([*refused[:3], *([f"{len(refused) - 3} more"] * (len(refused) > 3))])
-        text = f"the camera cannot set some of the {planned} planned exposures: {shown}; edit "
-        text += "[bracket] in the profile and plan a new session "
+        text = f"the camera cannot set some of the {planned} planned exposures: "
+        text += f"{listed(refused, 3)}; edit [bracket] in the profile and plan a new session "
         yield fail("camera", f"{text}(fieldlum plan SITE.toml --out NEW)")
 
 

@@ -15,7 +15,7 @@ from fieldlum.capture.logger_import import import_rows
 from fieldlum.capture.match_card import CardFrame, Group, Match, Offset, Report
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.progress import progress
-from fieldlum.core.records import CameraSetup, Exposure, SiteFile, Slot, counted, listed
+from fieldlum.core.records import CameraSetup, Exposure, SiteFile, Slot, listed
 from fieldlum.optics.profiles import CameraBody, load_camera_profile
 from fieldlum.optics.raw import RAW_SUFFIXES, is_jpeg, jpeg_size, read_exif, same_model
 from fieldlum.optics.raw.exif import tags_of, text_of
@@ -372,10 +372,7 @@ def _name_pattern(path: Path) -> str:
 
 
 def _note(paths: Sequence[Path], what: str) -> list[str]:
-    if not paths:
-        return []
-    more = f", as are {counted(len(paths) - 1, 'more file')}" if len(paths) > 1 else ""
-    return [f"{paths[0]}: {what}{more}"]
+    return [f"{listed(paths, 1)}: {what}"] if paths else []
 
 
 def of_session_camera(

@@ -228,9 +228,9 @@ class _Runner:
         if "pyranometer" in keepers:
             keeper, every_s = keepers["pyranometer"], options.log_every_s
             self.logger = Logger(keeper, self.recorder, clock, every_s)
-        self.frame_bytes, self.bytes_per_slot, self.last_frame = 0, 0.0, ""
-        for slot in [slot for slot in self.slots if before.state(slot.id).frames][-1:]:
-            self._measure_sizes(slot, before.state(slot.id))
+        self.bytes_per_slot, self.last_frame = session.slot_bytes(), ""
+        counts = [len(frame_requests(s.exposures, self.setup.camera)) for s in self.slots]
+        self.frame_bytes = round(self.bytes_per_slot / (max(counts, default=0) or 1))
         self._state, self._next = "waiting", self._next_to_do()
 
     def _keeper(self, name: str) -> Keeper[Any]:
@@ -347,7 +347,9 @@ class _Runner:
         if self.logger is not None and not self.options.threaded:
             self.clock.sleep(self.logger.due_in_s)
             self.logger.poll_if_due()
-        self._measure_sizes(slot, state)
+        self.frame_bytes = bracket.frame_bytes
+        with suppress(OSError, InputError):
+            self.bytes_per_slot = self.session.slot_bytes()
         return state
 
     def _too_late(self, bracket: BracketCapture, late_s: float) -> SlotState:
@@ -357,15 +359,6 @@ class _Runner:
             return bracket.abort(f"{why} (now {late_s:.0f} s late)")
         self.recorder.write_event("missed", slot=slot, why=f"late by {late_s:.0f} s")
         return SlotState("missed", why="late")
-
-    def _measure_sizes(self, slot: Slot, state: SlotState) -> None:
-        folder, sizes = self.session.capture_file(slot.id).parent, list[int]()
-        with suppress(OSError):
-            sizes = [(folder / frame.file).stat().st_size for frame in state.frames]
-        if sizes:
-            self.frame_bytes = max(sizes)
-            count = len(frame_requests(slot.exposures, self.setup.camera))
-            self.bytes_per_slot = sum(sizes) / len(sizes) * count
 
     def _wait_until(self, t_utc: datetime) -> bool:
         """Wait until a time; return False if the plan changed before that time."""
