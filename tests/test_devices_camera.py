@@ -192,7 +192,7 @@ def test_same_seed_same_moment_same_frame(tmp_path: Path) -> None:
     [
         (Exposure(1 / 60, 5.0), r"no 1/60 f/5 ISO100; expected f-numbers \[4.0, 5.6, 8.0\]"),
         (Exposure(1 / 60, 5.6, 100, "nd9"), r"ND=nd9; expected .* filters \['', 'nd5'\]"),
-        (Exposure(300.0, 5.6), "no 300 f/5.6 ISO100; expected .* 6e-5 to 30 s"),
+        (Exposure(300.0, 5.6), "300 s is not offered by the camera; the nearest value is 30"),
         (Exposure(1 / 60, 5.6, 12.0), "no 1/60 f/5.6 ISO12"),
     ],
 )

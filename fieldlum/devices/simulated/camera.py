@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fieldlum.core.arrays import Floats, Floats32
 from fieldlum.core.errors import DeviceError
 from fieldlum.core.records import Exposure, Panorama
-from fieldlum.devices import Camera, CameraInfo
+from fieldlum.devices import Camera, CameraInfo, nearest
 from fieldlum.devices.clock import Clock
 from fieldlum.devices.simulated import optics
 from fieldlum.devices.simulated.world import World, detail_of
@@ -30,6 +30,13 @@ from fieldlum.sky.sky_view.picture import SkyGrid
 # ----------------------------------------------------------------------------------------------
 # the sensor: from luminance to counts or codes, with noise and clipping
 
+# Nominal shutter times of cameras, in thirds of a stop.
+_SECONDS = "30 25 20 15 13 10 8 6 5 4 3.2 2.5 2 1.6 1.3 1"
+_FRACTIONS = (
+    "1.3 1.6 2 2.5 3 4 5 6 8 10 13 15 20 25 30 40 50 60 80 100 125 160 200 250 320 400 500 640 800 "
+    "1000 1250 1600 2000 2500 3200 4000 5000 6400 8000 10000 12800 16000"
+)
+DIAL_S = (*map(float, _SECONDS.split()), *(1.0 / float(text) for text in _FRACTIONS.split()))
 # A Poisson distribution of more electrons is approximated by a normal one, for speed. Chosen.
 _GAUSSIAN_ABOVE_E = 60.0
 
@@ -172,15 +179,16 @@ class SimulatedCamera(Camera):
         plus the shutter time. Raises DeviceError for a setting that the camera does not have, and
         for a time without a picture in the session's truth/.
         """
-        self.check_offered(exposure)
+        dial_s = self._allowed(exposure)
+        set_to = replace(exposure, shutter_s=dial_s)
         opened = self._clock.now()
         heading = self._heading_deg if heading_deg is None else heading_deg
         image = self._image(self._world.scene(opened), heading) * self._shading(exposure.f_number)
-        true_s, _ = linear_light.true_shutter_s(exposure.shutter_s, self._profile)
-        taken = replace(exposure, shutter_s=true_s)
+        true_s, _ = linear_light.true_shutter_s(dial_s, self._profile)
+        taken = replace(set_to, shutter_s=true_s)
         # Each frame has its own seed, independent of earlier frames, so that a resumed capture
         # gives the same frames as an undisturbed one.
-        name = f"{opened.timestamp():.0f} {exposure} {heading}".encode()
+        name = f"{opened.timestamp():.0f} {set_to} {heading}".encode()
         rng = np.random.default_rng([self._seed, zlib.crc32(name)])
         t_camera = opened + timedelta(seconds=self._clock_offset_s)
         body, sensor = self._profile.camera, self._profile.sensor
@@ -188,24 +196,28 @@ class SimulatedCamera(Camera):
         about["t_camera"] = t_camera.replace(tzinfo=None)  # cameras write no time zone
         path = target.with_name(f"{target.name}.{'jpg' if self._is_jpeg else 'dng'}")
         if self._is_jpeg:
-            write_jpeg(path, jpeg_codes(image, self._profile, taken, rng), exposure, **about)
+            write_jpeg(path, jpeg_codes(image, self._profile, taken, rng), set_to, **about)
         else:
             about |= {"black_dn": sensor.black_dn, "white_dn": sensor.white_dn, "cfa": sensor.cfa}
-            write_dng(path, raw_counts(image, self._profile, taken, rng), exposure, **about)
+            write_dng(path, raw_counts(image, self._profile, taken, rng), set_to, **about)
         self._clock.sleep(self._overhead_s + true_s)
         return path
 
-    def check_offered(self, exposure: Exposure) -> None:
-        """Raise DeviceError for settings that the camera does not have."""
+    def _allowed(self, exposure: Exposure) -> float:
+        """Return the true shutter time of the dial [s].
+
+        Raises DeviceError for settings that the camera does not have.
+        """
         profile = self._profile
         apertures = [v.f_number for v in profile.lens[0].vignetting] or [profile.bracket.f_number]
         filters = ["", *(nd.name for nd in profile.nd)]
         is_allowed = exposure.f_number in apertures and exposure.nd in filters
-        if not (is_allowed and 50 <= exposure.iso <= 6400 and 6e-5 <= exposure.shutter_s <= 30):
-            expected = f"f-numbers {apertures}, filters {filters}, ISO 50 to 6400, 6e-5 to 30 s"
+        if not (is_allowed and 50 <= exposure.iso <= 6400):
+            expected = f"f-numbers {apertures}, filters {filters}, ISO 50 to 6400"
             remedy = "correct [bracket] of the profile, then plan a new session"
             found = f"no {exposure_text(exposure)}"
             raise DeviceError(f"simulated camera: {found}; expected {expected}; {remedy}")
+        return nearest(exposure.shutter_s, DIAL_S, "simulated camera: shutter", "s")
 
     def _image(self, panorama: Panorama, heading_deg: float) -> Floats32:
         """Return camera channels before vignetting, [h, w] on the mosaic or [h, w, 3].
