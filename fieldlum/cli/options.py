@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from fieldlum.core.scheduler import Scheduler
     from fieldlum.session import Session
     from fieldlum.session import Session as OpenSession
+    from fieldlum.session.permits import Subject
 else:
     OpenSession = Any  # the argument SESSION: the session of the folder that the user names
 
@@ -108,32 +110,33 @@ def device_uris(session: Session, *given: str | None) -> tuple[str, ...]:
     given URI that names a program, a file or another computer is permitted from now on. Raises
     InputError for one of the session that was never permitted on this computer.
     """
-    from fieldlum.devices.address_permission import require_permitted
+    from fieldlum.core.errors import DeviceError
+    from fieldlum.devices.address_permission import permission_subject, require_permitted
 
     stored = session.table().get("devices", {}).get("uris", {})
-    for name, uri in zip(DEVICES, given, strict=True):
-        if uri is not None:
-            _permit_device(uri)
-        elif stored.get(name):
+    uris = dict(zip(DEVICES, given, strict=True))
+    for name, uri in uris.items():
+        if uri:
+            with suppress(DeviceError):  # opening the device reports it
+                permit_named(uri, permission_subject(uri))
+        elif uri is None and stored.get(name):
             require_permitted(stored[name], session.toml, f"--{name}")
-    pairs = zip(DEVICES, given, strict=True)
-    return tuple(stored.get(name, "") if uri is None else uri for name, uri in pairs)
+    return tuple(stored.get(name, "") if uri is None else uri for name, uri in uris.items())
 
 
-def _permit_device(uri: str) -> None:
-    """Permit a URI that the user named, for later commands that take it from the session."""
+def permit_named(what: Path | str, wanted: Subject | None) -> None:
+    """Permit what the user named, for later commands; a note tells if that cannot be stored.
+
+    what: a device's URI or a room file. wanted: what to permit, None for nothing.
+    """
     from fieldlum.cli.terminal import say
-    from fieldlum.core.errors import DeviceError
-    from fieldlum.devices.address_permission import permission_subject
     from fieldlum.session.permits import permit
 
     try:
-        if uri and (wanted := permission_subject(uri)):
+        if wanted:
             permit(wanted)
-    except DeviceError:  # opening the device reports it
-        return
     except OSError as error:
-        say(f"note: could not store that you permit {uri} ({error}): name it again next time")
+        say(f"note: could not store that you permit {what} ({error}): name it again next time")
 
 
 def new_file(path: Path | None, force: bool) -> None:

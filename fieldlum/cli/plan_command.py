@@ -10,7 +10,7 @@ import click
 
 from fieldlum.cli import terminal
 from fieldlum.cli.declared import EXISTING_PATH
-from fieldlum.cli.options import CaptureSet, Year, command_of
+from fieldlum.cli.options import CaptureSet, Year, command_of, permit_named
 
 if TYPE_CHECKING:
     from fieldlum.core.records import SiteFile
@@ -107,7 +107,6 @@ def command(
 def _permit_room(setup: SiteFile) -> None:
     """Permit the room file of a SITE.toml that the user named, with a note of what it could run."""
     from fieldlum.room.scene.embedded_commands import described, what_runs
-    from fieldlum.session.permits import permit
 
     if setup.room is None or setup.room.kind == "box":
         return
@@ -115,7 +114,4 @@ def _permit_room(setup: SiteFile) -> None:
     if (wanted := what_runs(path)) is None:
         return
     terminal.say(f"note: {path} is {described(path)}; permitted, as you plan with it")
-    try:
-        permit(wanted)
-    except OSError as error:
-        terminal.say(f"note: could not store the permission ({error}): fieldlum permit {path}")
+    permit_named(path, wanted)
