@@ -12,7 +12,7 @@ import click
 
 from fieldlum.cli.declared import FILE_PATH
 from fieldlum.cli.options import Azimuths, command_of, new_file
-from fieldlum.cli.terminal import print_answer, say, table_lines
+from fieldlum.cli.terminal import notes, print_answer, say, table_lines
 from fieldlum.core.records import JsonTable
 
 if TYPE_CHECKING:
@@ -86,8 +86,7 @@ def command(
     for path in pictures:
         try:
             answer = judge(path, view_azimuths, reference=reference, measured_ev_lx=calibrate_ev_lx)
-            for warning in answer["warnings"]:
-                say(f"note: {path}: {warning}")
+            notes(f"{path}: {warning}" for warning in answer["warnings"])
             rows += csv_rows(answer)
             print_answer(json_lines, answer, _lines(answer))
             if budget_path is not None:

@@ -7,7 +7,7 @@ import click
 
 from fieldlum.cli.declared import FILE_PATH
 from fieldlum.cli.options import command_of, new_file
-from fieldlum.cli.terminal import say, table_lines, tell
+from fieldlum.cli.terminal import notes, say, table_lines, tell
 
 
 def _region(text: str) -> Any:
@@ -65,8 +65,7 @@ def command(
     elif pictures:
         view.write_page(out, pictures, rows)
     for picture in pictures:
-        for note in picture.notes:
-            say(f"note: {picture.name}: {note}")
+        notes(f"{picture.name}: {note}" for note in picture.notes)
     for line in (*table_lines(rows), *([str(out)] if pictures else ())):
         tell(line)
     if csv_path is not None:

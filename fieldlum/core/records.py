@@ -11,7 +11,7 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from fieldlum.core.arrays import Floats, Floats32
+from fieldlum.core.arrays import Floats, Floats32, Mask
 from fieldlum.core.strict_toml import Positive
 
 # Largest picture that is read, unless a camera's profile states more: 0.5 GB of JPEG codes, 1.9 GB
@@ -358,9 +358,13 @@ class Panorama:
     attributes: dict[str, str] = field(default_factory=dict)
 
     @property
+    def seen(self) -> Mask:
+        """Mask [H, W], True for pixels that a lens saw: all without flags."""
+        if self.flags is None:
+            return np.ones(self.luminance_cdm2.shape, bool)
+        return (self.flags & Flag.OUTSIDE_LENS) == 0
+
+    @property
     def seen_cdm2(self) -> Floats32:
         """Luminance [H, W] as a copy, NaN where no lens saw."""
-        values = np.array(self.luminance_cdm2, np.float32)
-        if self.flags is not None:
-            values[(self.flags & Flag.OUTSIDE_LENS) > 0] = np.nan
-        return values
+        return np.where(self.seen, self.luminance_cdm2, np.float32(np.nan)).astype(np.float32)

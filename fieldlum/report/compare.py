@@ -41,7 +41,7 @@ from fieldlum.session import Session, write_file
 from fieldlum.session.codec import write_csv
 from fieldlum.session.panorama_sun import read_panorama_with_sun
 from fieldlum.sky.sun import hour_of_year
-from fieldlum.year.glare.picture_glare import picture_glare, seen_pixels, valid_pixels
+from fieldlum.year.glare.picture_glare import picture_glare, valid_pixels
 from fieldlum.year.glare.pictures import picture_directions, read_picture
 from fieldlum.year.glare.standards import DISTURBING_DGP
 from fieldlum.year.predict import Annual
@@ -202,7 +202,7 @@ def _on_one_grid(
     place = equirect_pixel(*altitude_azimuth_deg(rays), height, width, capture.heading_deg)
     row, column = (np.floor(part).astype(int) for part in place)
     at = np.minimum(row, height - 1), column % width
-    weight = np.where(seen_pixels(capture)[at], weight, 0.0)
+    weight = np.where(capture.seen[at], weight, 0.0)
     if picture.view is not None and picture.view.kind != "v":
         # beyond its angle a fisheye's square has no picture
         ahead = rays @ picture.view.forward

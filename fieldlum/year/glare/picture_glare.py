@@ -114,7 +114,7 @@ def glare_answer(
     directions. Undefined figures are None.
     """
     panorama, view, heading_deg = picture.panorama, picture.view, picture.panorama.heading_deg
-    seen_mask = seen_pixels(panorama)
+    seen_mask = panorama.seen
     pixels, warnings = valid_pixels(panorama, path)
     pixels *= np.float32(factor)
     height, width = pixels.shape
@@ -223,21 +223,13 @@ def _add_reference(
 # pixels
 
 
-def seen_pixels(panorama: Panorama) -> Mask:
-    """Return a mask [H, W], True for pixels that a lens saw: all without flags."""
-    if panorama.flags is None:
-        return np.ones(panorama.luminance_cdm2.shape, bool)
-    return (panorama.flags & Flag.OUTSIDE_LENS) == 0
-
-
 def valid_pixels(panorama: Panorama, path: Path) -> tuple[Floats32, list[str]]:
     """Return a copy of the luminance [H, W] with unseen and negative pixels set to 0, and warnings.
 
     Negative pixels are noise: a warning gives their number; without any the list is empty. Raises
     InputError, which names `path`, if a seen pixel is not finite.
     """
-    pixels = np.array(panorama.luminance_cdm2, np.float32)
-    pixels[~seen_pixels(panorama)] = 0.0
+    pixels = np.where(panorama.seen, panorama.luminance_cdm2, np.float32(0.0)).astype(np.float32)
     if bad := int((~np.isfinite(pixels)).sum()):
         found = f"{counted(bad, 'pixel')} with an infinite or missing (NaN) luminance"
         expected = "a finite luminance in cd/m2 in every pixel"

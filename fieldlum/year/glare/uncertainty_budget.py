@@ -24,7 +24,7 @@ from fieldlum.sky.sky_view.pose import STATED_SD
 from fieldlum.sky.sky_view.view import SkyView
 from fieldlum.year.glare import standards
 from fieldlum.year.glare.metrics import glare_directions
-from fieldlum.year.glare.picture_glare import seen_pixels, take_out_sun, valid_pixels
+from fieldlum.year.glare.picture_glare import take_out_sun, valid_pixels
 from fieldlum.year.glare.pictures import Picture, read_picture
 from fieldlum.year.glare.sources import panorama_views
 
@@ -306,7 +306,7 @@ def _of_pixels(scene: _Scene) -> Iterator[Contribution]:
     panorama, light, sun = scene.picture.panorama, scene.luminance_cdm2, scene.sun
     by_camera = sun is not None and sun.origin in MEASURED_ORIGINS
     u = np.nan_to_num(np.asarray(panorama.u_cdm2, float))
-    rest = np.where(seen_pixels(panorama), u, 0.0) ** 2
+    rest = np.where(panorama.seen, u, 0.0) ** 2
     sines = np.sin((np.arange(len(light)) + 0.5) / len(light) * np.pi)[:, None] * (light > 0)
     mean_seen = float((light * sines).sum() / max(sines.sum(), 1e-9))
     stated = shared_u_rel(panorama)
