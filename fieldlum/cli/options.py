@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
+from datetime import date, datetime, time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -25,6 +26,13 @@ Azimuths = Annotated[tuple[float, ...], click.FloatRange(-360, 360)]
 Port = Annotated[int, click.IntRange(0, 65535)]
 Seed = Annotated[int, click.IntRange(0, 2**32 - 1)]
 Year = Annotated[int | None, click.IntRange(1950, 2100)]
+
+
+def calendar_day(text: str) -> datetime:
+    """Return the midnight that begins a date, without a time zone."""
+    with suppress(ValueError):
+        return datetime.combine(date.fromisoformat(text), time())
+    raise click.BadParameter(f"{text}: expected a date that exists, like 2027-03-20")
 
 
 DEVICES = ("camera", "pyranometer", "meter")

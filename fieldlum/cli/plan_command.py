@@ -10,7 +10,7 @@ import click
 
 from fieldlum.cli import terminal
 from fieldlum.cli.declared import EXISTING_PATH
-from fieldlum.cli.options import CaptureSet, Year, command_of, permit_named
+from fieldlum.cli.options import CaptureSet, Year, calendar_day, command_of, permit_named
 
 if TYPE_CHECKING:
     from fieldlum.core.records import SiteFile
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 def command(
     target: Annotated[Path, "SITE.toml|SESSION", EXISTING_PATH],
     set_: CaptureSet | None = None,
-    start: Annotated[datetime | None, click.DateTime(["%Y-%m-%d"])] = None,
+    start: Annotated[datetime | None, calendar_day] = None,
     year: Year = None,
     days: Annotated[int | None, click.IntRange(1, 366)] = None,
     count: Annotated[int | None, click.IntRange(min=1)] = None,
