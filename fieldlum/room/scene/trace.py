@@ -16,6 +16,7 @@ from fieldlum.room.scene.geometry import Box, BoxScene, glass_optics, upright
 
 EPSILON_M = 1e-4  # points are lifted by multiples of this above their surface, to miss it; chosen
 _GRAZING = 1e-6  # cosine; chosen: a sun 0.00006 degrees above a surface
+_BLOCK = 64  # neighbouring points tested together for light through an opening; 32, 128: slower
 HARD_M = 1e-7  # width of a hard edge; chosen, below any length of a room
 _SMALLEST = 1e-9  # of a direction along an axis: avoids a division by zero; chosen
 SUN_RADIUS_DEG = 0.2665  # mean angular radius seen from the Earth: 959.6 arc seconds (IAU)
@@ -243,6 +244,19 @@ def _past_bars(
 
 
 @compiled
+def _around(position: Floats32, first: int, last: int) -> tuple[Floats, float]:
+    """Return the middle [3] of the box around points first to last, and half its diagonal, m."""
+    middle, square = np.empty(3), 0.0
+    for axis in range(3):
+        low, high = np.inf, -np.inf
+        for point in range(first, last):
+            low, high = min(low, position[point, axis]), max(high, position[point, axis])
+        middle[axis] = (low + high) / 2.0
+        square += ((high - low) / 2.0) ** 2
+    return middle, np.sqrt(square)
+
+
+@compiled
 def add_through(
     opening: Floats, bars: Floats, low: Floats, high: Floats, position: Floats32,
     face: NDArray[np.int8], softness: Floats32, weight: Floats, target: Indices, suns: Floats,
@@ -259,37 +273,49 @@ def add_through(
     """
     axis, outward = int(opening[0]), opening[1]
     along, inner, thickness = 1 - axis, opening[2], (opening[3] - opening[2]) * opening[1]
-    for hour in range(len(suns)):
-        toward = suns[hour, axis] * outward
-        if toward <= _GRAZING or suns[hour, 2] <= 0.0:
-            continue
-        # cosines of the faces +x, +y, +z, -x, -y, -z
-        inverse, cosines = _inverses(suns[hour]), np.append(suns[hour], -suns[hour])
-        slope_u, slope_z = suns[hour, along] / toward, suns[hour, 2] / toward
-        shift_u, shift_z = slope_u * thickness, slope_z * thickness
-        low_u, high_u = opening[4] - min(shift_u, 0.0), opening[5] - max(shift_u, 0.0)
-        low_z, high_z = opening[6] - min(shift_z, 0.0), opening[7] - max(shift_z, 0.0)
-        for point in range(len(face)):
-            cosine = cosines[face[point]] if face[point] >= 0 else 0.0
-            across = (inner - position[point, axis]) * outward
-            if cosine <= _GRAZING or across <= -thickness / 2.0:
+    cosines = np.concatenate((suns, -suns), axis=1)  # of the faces +x, +y, +z, -x, -y, -z
+    for first in range(0, len(face), _BLOCK):
+        last = min(first + _BLOCK, len(face))
+        middle, radius = _around(position, first, last)
+        radius += softness[first:last].max()
+        for hour in range(len(suns)):
+            toward = suns[hour, axis] * outward
+            if toward <= _GRAZING or suns[hour, 2] <= 0.0:
                 continue
-            u = position[point, along] + slope_u * across
-            z = position[point, 2] + slope_z * across
-            soft = softness[point]
-            if across > 2.0 * EPSILON_M:
-                share = _passed(u - low_u, soft) * _passed(high_u - u, soft)
-                share *= _passed(z - low_z, soft) * _passed(high_z - z, soft)
-            else:  # in the reveal: only the outer end is ahead
-                share = _passed(u + shift_u - opening[4], soft)
-                share *= _passed(opening[5] - u - shift_u, soft)
-                share *= _passed(z + shift_z - opening[6], soft)
-                share *= _passed(opening[7] - z - shift_z, soft)
-            if share > 0.0:
-                share *= _past_bars(bars, u, z, slope_u, slope_z, soft)
-            if share > 0.0:
-                share *= _unshaded(low, high, position, point, inverse, soft)
-                totals[hour, target[point]] += share * cosine * glass[hour] * weight[point]
+            slope_u, slope_z = suns[hour, along] / toward, suns[hour, 2] / toward
+            shift_u, shift_z = slope_u * thickness, slope_z * thickness
+            # how far the light through the outer end passes beside the middle of the points
+            across = (inner - middle[axis]) * outward + thickness
+            off_u = abs(middle[along] + slope_u * across - (opening[4] + opening[5]) / 2.0)
+            off_z = abs(middle[2] + slope_z * across - (opening[6] + opening[7]) / 2.0)
+            reach_u = (opening[5] - opening[4]) / 2.0 + radius * np.hypot(1.0, slope_u)
+            reach_z = (opening[7] - opening[6]) / 2.0 + radius * np.hypot(1.0, slope_z)
+            if off_u > reach_u or off_z > reach_z:
+                continue
+            inverse = _inverses(suns[hour])
+            low_u, high_u = opening[4] - min(shift_u, 0.0), opening[5] - max(shift_u, 0.0)
+            low_z, high_z = opening[6] - min(shift_z, 0.0), opening[7] - max(shift_z, 0.0)
+            for point in range(first, last):
+                cosine = cosines[hour, face[point]] if face[point] >= 0 else 0.0
+                across = (inner - position[point, axis]) * outward
+                if cosine <= _GRAZING or across <= -thickness / 2.0:
+                    continue
+                u = position[point, along] + slope_u * across
+                z = position[point, 2] + slope_z * across
+                soft = softness[point]
+                if across > 2.0 * EPSILON_M:
+                    share = _passed(u - low_u, soft) * _passed(high_u - u, soft)
+                    share *= _passed(z - low_z, soft) * _passed(high_z - z, soft)
+                else:  # in the reveal: only the outer end is ahead
+                    share = _passed(u + shift_u - opening[4], soft)
+                    share *= _passed(opening[5] - u - shift_u, soft)
+                    share *= _passed(z + shift_z - opening[6], soft)
+                    share *= _passed(opening[7] - z - shift_z, soft)
+                if share > 0.0:
+                    share *= _past_bars(bars, u, z, slope_u, slope_z, soft)
+                if share > 0.0:
+                    share *= _unshaded(low, high, position, point, inverse, soft)
+                    totals[hour, target[point]] += share * cosine * glass[hour] * weight[point]
 
 
 @compiled
