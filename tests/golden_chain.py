@@ -1,8 +1,8 @@
 """Run every stage of the quick demo on twelve small brackets and summarise what each one wrote.
 
 `tests/test_golden.py` compares the summary with the stored one, `tests/golden/chain.json`. After an
-intended change of results, renew the stored summary and give the figures before and after in
-docs/decisions.md:
+intended change of results, renew the stored summary and state the figures before and after in
+CHANGELOG.md:
 
     python tests/golden_chain.py
 """

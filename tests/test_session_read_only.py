@@ -43,7 +43,7 @@ def test_train_says_at_once_that_the_disk_is_read_only(tmp_path: Path) -> None:
     last = ran.stderr.strip().splitlines()[-1]
     assert last == (
         f"fieldlum train: {session}: Read-only file system; "
-        "change its permissions, or choose another place"
+        "expected a place open to you; change its permissions, or choose another place"
     )
 
 
