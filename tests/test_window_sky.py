@@ -12,7 +12,7 @@ from fieldlum.learn.models.training_data import Dataset
 from fieldlum.learn.train import model_notes
 from fieldlum.learn.train.outliers import find_lamp, process_of
 from fieldlum.learn.transport import Transport, fit, from_state
-from fieldlum.learn.transport.training_arrays import seen_sky, training_arrays_of
+from fieldlum.learn.transport.training_arrays import pixel_scale, seen_sky, training_arrays_of
 from fieldlum.optics.projection import equirect_rays
 from fieldlum.sky import sun
 from fieldlum.sky.daylight import Light, light_at
@@ -64,6 +64,17 @@ UNSEEN, _ = clouded([35, 95, 200, 280], 0.0, seed=4)
 
 def rms_ln(sky: np.ndarray, towards: np.ndarray) -> float:
     return float(np.sqrt((np.log(sky / TRUE.sky_cdm2)[:, towards] ** 2).mean()))
+
+
+@pytest.mark.analytic
+def test_two_hours_of_a_bright_window_are_no_scale_of_a_surface() -> None:
+    arrays = training_arrays_of(CLEAR, with_patch=False)
+    luminance, sky = arrays.luminance.copy(), arrays.sky.copy()
+    luminance[:, 0] *= 1000.0
+    sky[2:, 0] = 0.9 * luminance[2:, 0]
+    sky[:2, 0] = 0.0
+    scale = pixel_scale(replace(arrays, luminance=luminance, sky=sky))
+    assert scale[0] <= scale[1:].max()
 
 
 @pytest.mark.analytic

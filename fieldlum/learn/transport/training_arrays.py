@@ -343,8 +343,9 @@ def pixel_scale(arrays: TrainingArrays, per: Floats | None = None) -> Array:
 
     arrays: of n captures. The result is a geometric mean over the hours in which at most half of
     the pixel's luminance is window sky and at most 30 % is sun patch. per: luminance [n, P] cd/m2
-    to divide by instead of the total light, None for the total light. A pixel without such hours
-    gets the median of the others.
+    to divide by instead of the total light, None for the total light. A pixel with one or two such
+    hours is limited to the range of the other pixels, a pixel without such hours gets their median:
+    as the floor of surfaces, a window's own light would make the demo's DGP four times as wrong.
     """
     total = arrays.light.total_lx[:, None] if per is None else per
     luminance = np.maximum(arrays.luminance, MIN_CDM2)
@@ -355,7 +356,11 @@ def pixel_scale(arrays: TrainingArrays, per: Floats | None = None) -> Array:
     logs = np.log(np.maximum(luminance - direct, 0.02 * luminance) / total)
     count = unlit.sum(axis=0)
     mean = np.where(unlit, logs, 0.0).sum(axis=0) / np.maximum(count, 1)
-    return np.exp(np.where(count > 0, mean, np.median(mean[count > 0] if count.any() else logs)))
+    many = count >= 3
+    if not many.any():
+        return np.exp(np.where(count > 0, mean, np.median(logs)))
+    low, middle, high = np.percentile(mean[many], (1, 50, 99))
+    return np.exp(np.where(many, mean, np.where(count > 0, np.clip(mean, low, high), middle)))
 
 
 def computed_light(
