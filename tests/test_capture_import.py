@@ -145,6 +145,8 @@ def test_a_filter_and_turned_headings_repeat_exposures() -> None:
     slot = Slot(DAWN, 10.0, 120.0, plan)
     planned = import_card.planned_frames(groups[0], slot, setup)
     assert planned == list(frame_requests(plan, setup))
+    again = Group((*groups[0].frames, groups[0].frames[-1]))  # one too many
+    assert import_card.planned_frames(again, slot, setup)[-2:] == [planned[-1]] * 2
 
 
 @pytest.mark.contract

@@ -14,7 +14,7 @@ def test_a_table_is_aligned_and_leaves_empty_columns_out() -> None:
     names = ("name", "error", "x", "n", "ev_lx")
     expected = [
         "  name       error   n     ev_lx",
-        "  mean       0.250   3     23457",
+        "  mean       0.250   3  2.35e+04",
         "  transport      -  12  2.35e-05",
     ]
     assert table_lines(rows, names, "  ") == expected
@@ -23,8 +23,13 @@ def test_a_table_is_aligned_and_leaves_empty_columns_out() -> None:
 
 
 @pytest.mark.contract
-def test_an_angle_keeps_its_tenth() -> None:
-    assert table_lines([{"azimuth_deg": 202.5}, {"azimuth_deg": 180.0}])[1:] == [
-        "      202.5",
-        "        180",
-    ]
+def test_the_numbers_of_a_column_have_equal_decimals() -> None:
+    for values, shown in (
+        ([202.5, 180.0, 0.0], ["202.5", "180.0", "0.0"]),
+        ([23456.7, 12.0], ["23457", "12"]),
+        ([9.5, 0.25], ["9.50", "0.25"]),
+        ([0.254, 0.25], ["0.254", "0.250"]),
+        ([0.0463, 0.000579], ["0.0463", "0.000579"]),
+    ):
+        lines = table_lines([{"x": value} for value in values])[1:]
+        assert [line.strip() for line in lines] == shown

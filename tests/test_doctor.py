@@ -263,6 +263,10 @@ def test_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(OSError, match="Not a directory"):
         every(doctor.check_writing, tmp_path / "file")
+    for name, verdicts in (("Dropbox", ["ok", "warn"]), ("month", ["ok"])):
+        (tmp_path / name).mkdir()
+        found = every(doctor.check_writing, tmp_path / name)
+        assert [finding.verdict for finding in found] == verdicts
 
 
 @pytest.mark.contract

@@ -119,6 +119,9 @@ def test_three_hours_of_low_sun_do_not_throw_a_good_model_away() -> None:
     assert beam_is_uncertain(data)[low].all()
     errors_of_fit = type("Fit", (), {"held_out_mse": log10})()
     assert held_out_warnings(errors_of_fit, data) == []
+    errors_of_fit.held_out_mse = np.where(np.arange(len(data)) % 5, log10, 0.1)  # a lamp at times
+    texts = held_out_warnings(errors_of_fit, data)
+    assert any("of the captures, a prediction from the other days is wrong" in t for t in texts)
 
 
 @pytest.mark.contract

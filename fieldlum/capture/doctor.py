@@ -377,6 +377,8 @@ def judge_pyranometer(
 # ----------------------------------------------------------------------------------------------
 # this computer
 
+SYNCED_FOLDERS = ("dropbox", "onedrive", "google drive", "googledrive", "icloud", "nextcloud")
+
 
 def check_clock(synchronised: bool | None) -> Finding:
     """Return a finding on this computer's clock: a warning unless it is synchronised.
@@ -410,9 +412,15 @@ def check_disk(session: Session, now_utc: datetime, free_bytes: int) -> Finding:
 
 
 def check_writing(folder: Path) -> Iterator[Finding]:
-    """Write into the folder. Raises OSError or InputError if nothing can be written."""
+    """Write into the folder, and warn of one that a cloud service synchronises.
+
+    Raises OSError or InputError if nothing can be written.
+    """
     check_writable(folder)
     yield ok("writing", f"files can be written into {folder}")
+    if any(name in str(folder.resolve()).lower() for name in SYNCED_FOLDERS):
+        text = "the folder's path has the name of a cloud service, which can lock files that it "
+        yield warn("writing", f"{text}synchronises: if it does, move the session to a local folder")
 
 
 def check_awake() -> Iterator[Finding]:

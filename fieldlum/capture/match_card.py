@@ -149,14 +149,14 @@ def split_at_gaps(groups: Sequence[Group], gap_s: float = 5 * 86400.0) -> list[l
 def planned_indices(group: Group, planned: Sequence[Exposure]) -> list[int | None]:
     """Return which planned exposure each frame of a bracket is, as an index; None for another.
 
-    EXIF states neither filter nor heading, so of equal exposures the first one is used first.
+    EXIF states neither filter nor heading, so of equal exposures the first one is used first; a
+    frame too many is the last of them.
     """
-    unused, indices = list(range(len(planned))), []
+    indices: list[int | None] = []
     for frame in group.frames:
-        index = next((k for k in unused if same_exposure(planned[k], frame.exposure)), None)
-        if index is not None:
-            unused.remove(index)
-        indices.append(index)
+        alike = [k for k, exposure in enumerate(planned) if same_exposure(exposure, frame.exposure)]
+        unused = [k for k in alike if k not in indices]
+        indices.append((unused or alike[-1:] or [None])[0])
     return indices
 
 
@@ -231,7 +231,7 @@ def match_groups(
     """
 
     def matching(group: Group, slot: Slot) -> int:
-        return sum(index is not None for index in planned_indices(group, slot.exposures))
+        return len({*planned_indices(group, slot.exposures)} - {None})
 
     def misfit(match: Match) -> tuple[int, float]:
         return -matching(match.group, match.slot), abs(match.late_s)

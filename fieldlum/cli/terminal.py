@@ -1,6 +1,7 @@
 """Print JSON on stdout, notes and progress on stderr; keep long commands running."""
 
 import json
+import math
 import signal
 import sys
 import time
@@ -53,17 +54,28 @@ def table_lines(
     for name in names:
         values = [row.get(name) for row in table]
         if any(value is not None for value in values):
-            digits = 4 if name.endswith("_deg") else 3  # 202.5 degrees
-            cells = [name, *(_cell(value, digits) for value in values)]
+            spec = _spec([abs(value) for value in values if isinstance(value, float)])
+            cells = [name, *(_cell(value, spec) for value in values)]
             sign = "<" if any(isinstance(value, str) for value in values) else ">"
             columns.append([f"{cell:{sign}{max(map(len, cells))}}" for cell in cells])
     return [indent + "  ".join(line).rstrip() for line in zip(*columns, strict=True)]
 
 
-def _cell(value: Any, digits: int) -> str:
+def _spec(sizes: list[float]) -> str:
+    """Return the format of a column's numbers: equal decimals, by the largest finite one.
+
+    Three significant digits each instead where the smallest would lose all but one of its own.
+    """
+    finite = [size for size in sizes if 0.0 < size < math.inf]
+    if not finite:
+        return ".1f"
+    decimals = sum(max(finite) < limit for limit in (1000.0, 10.0, 1.0))
+    return f".{decimals}f" if min(finite) >= 10.0 ** (1 - decimals) else "#.3g"
+
+
+def _cell(value: Any, spec: str) -> str:
     if isinstance(value, float):
-        zeros = "#" if abs(value) < 1.0 else ""  # 0.250 below 0.254
-        return f"{value:.0f}" if abs(value) >= 1000.0 else f"{value:{zeros}.{digits}g}"
+        return f"{value:{spec}}"
     return "-" if value is None else str(value)
 
 

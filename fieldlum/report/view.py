@@ -83,7 +83,7 @@ def region_statistics(region: Region, picture: MeasuredPicture) -> dict[str, flo
     values = picture.luminance_cdm2[mask].astype(float)
     weights = picture.solid_angle_sr[mask].astype(float)
     row: dict[str, float | str | None] = dict.fromkeys(COLUMNS)
-    row |= {"file": picture.name, "region": region.text, "pixels": float(len(values))}
+    row |= {"file": picture.name, "region": region.text, "pixels": len(values)}
     if len(values) == 0:
         return row
     mean = np.average(values, weights=weights)

@@ -16,8 +16,8 @@ from fieldlum.room.scene.geometry import Box, BoxScene, glass_optics, upright
 
 EPSILON_M = 1e-4  # points are lifted by multiples of this above their surface, to miss it; chosen
 _GRAZING = 1e-6  # cosine; chosen: a sun 0.00006 degrees above a surface
-_BLOCK = 64  # neighbouring points tested together for light through an opening; 32, 128: slower
 HARD_M = 1e-7  # width of a hard edge; chosen, below any length of a room
+_BLOCK = 64  # neighbouring points that are tried together first; of 32 to 256 the fastest
 _SMALLEST = 1e-9  # of a direction along an axis: avoids a division by zero; chosen
 SUN_RADIUS_DEG = 0.2665  # mean angular radius seen from the Earth: 959.6 arc seconds (IAU)
 # Attribute of a rendered panorama with a partly hidden disc: for each of `disc_rays` 1 if the
@@ -197,9 +197,10 @@ def _inverses(sun: Floats) -> Floats:
 
 @compiled
 def _unshaded(
-    low: Floats, high: Floats, position: Floats32, point: int, inverse: Floats, softness: float
-) -> float:
-    """Return the share of a point of [r, 3] from which none of the boxes [s, 3] hides the sun.
+    low: Floats, high: Floats, boxes: Indices, position: Floats32, point: int, inverse: Floats,
+    softness: float,
+) -> float:  # fmt: skip
+    """Return the share of a point of [r, 3] from which none of some boxes of [s, 3] hides the sun.
 
     softness: width over which the shade of a box grows at its edges, m. The line to the sun enters
     a box through a face of one axis and leaves it through one of another; its distance from the
@@ -208,25 +209,83 @@ def _unshaded(
     share = 1.0
     # no shade begins farther from a box than this, as a length along the line to the sun
     reach = 0.5 * softness * np.sqrt(inverse[0] ** 2 + inverse[1] ** 2 + inverse[2] ** 2)
-    x, y, z = position[point]
-    for box in range(len(low)):
-        x0, x1 = (low[box, 0] - x) * inverse[0], (high[box, 0] - x) * inverse[0]
-        y0, y1 = (low[box, 1] - y) * inverse[1], (high[box, 1] - y) * inverse[1]
-        z0, z1 = (low[box, 2] - z) * inverse[2], (high[box, 2] - z) * inverse[2]
-        in_x, in_y, in_z = min(x0, x1), min(y0, y1), min(z0, z1)
-        out_x, out_y, out_z = max(x0, x1), max(y0, y1), max(z0, z1)
-        enters, leaves = max(in_x, in_y, in_z), min(out_x, out_y, out_z)
+    for box in boxes:
+        enters, leaves = -np.inf, np.inf
+        for axis in range(3):
+            first = (low[box, axis] - position[point, axis]) * inverse[axis]
+            last = (high[box, axis] - position[point, axis]) * inverse[axis]
+            enters, leaves = max(enters, min(first, last)), min(leaves, max(first, last))
         if leaves <= EPSILON_M or enters - leaves > reach:
             continue
-        entered = 0 if enters == in_x else (1 if enters == in_y else 2)
-        left = 0 if leaves == out_x else (1 if leaves == out_y else 2)
-        if leaves - enters > reach or entered == left:
+        if leaves - enters > reach:
             return 0.0
-        along, across = inverse[entered], inverse[left]
+        along, across, entered, left = 0.0, 0.0, -1, -1
+        for axis in range(3):
+            first = (low[box, axis] - position[point, axis]) * inverse[axis]
+            last = (high[box, axis] - position[point, axis]) * inverse[axis]
+            if entered < 0 and min(first, last) == enters:
+                along, entered = inverse[axis], axis
+            if left < 0 and max(first, last) == leaves:
+                across, left = inverse[axis], axis
+        if entered == left:
+            return 0.0
         share *= 1.0 - _passed((leaves - enters) / np.hypot(along, across), softness)
         if share <= 0.0:
             return 0.0
     return share
+
+
+@compiled
+def _cosine(face: int, sun: Floats) -> float:
+    """Return the cosine of the sun on a face: 0, 1, 2 for +x, +y, +z; 3, 4, 5 for -x, -y, -z."""
+    return sun[face] if face < 3 else -sun[face - 3]
+
+
+@compiled
+def _bounds(position: Floats32, softness: Floats32, first: int, last: int) -> Floats:
+    """Return lowest and highest x, y, z of points first to last, and half their softness, [7]."""
+    out = np.empty(7)
+    for axis in range(3):
+        out[axis] = out[3 + axis] = position[first, axis]
+    out[6] = 0.0
+    for point in range(first, last):
+        for axis in range(3):
+            out[axis] = min(out[axis], position[point, axis])
+            out[3 + axis] = max(out[3 + axis], position[point, axis])
+        out[6] = max(out[6], 0.5 * softness[point])
+    return out
+
+
+@compiled
+def _overlap(bounds: Floats, axis: int, near: float, far: float, low: float, high: float) -> int:
+    """Return how many points of `_bounds`, moved on `axis` by near to far, are from low to high.
+
+    0: none, 1: some or unknown, 2: all.
+    """
+    lowest = bounds[axis] + min(near, far) - bounds[6]
+    highest = bounds[3 + axis] + max(near, far) + bounds[6]
+    if highest < low or lowest > high:
+        return 0
+    return 2 if lowest >= low and highest <= high else 1
+
+
+@compiled
+def _boxes_towards_sun(
+    low: Floats, high: Floats, bounds: Floats, inverse: Floats, boxes: Indices
+) -> int:
+    """Put the boxes that may shade a point of `_bounds` first into `boxes`; return their number."""
+    reach = bounds[6] * np.sqrt(inverse[0] ** 2 + inverse[1] ** 2 + inverse[2] ** 2)
+    count = 0
+    for box in range(len(low)):
+        enters, leaves = -np.inf, np.inf
+        for axis in range(3):
+            one = (low[box, axis] - bounds[3 + axis]) * inverse[axis]
+            other = (high[box, axis] - bounds[axis]) * inverse[axis]
+            enters, leaves = max(enters, min(one, other)), min(leaves, max(one, other))
+        if leaves > EPSILON_M and enters - leaves <= reach:
+            boxes[count] = box
+            count += 1
+    return count
 
 
 @compiled
@@ -244,19 +303,6 @@ def _past_bars(
 
 
 @compiled
-def _around(position: Floats32, first: int, last: int) -> tuple[Floats, float]:
-    """Return the middle [3] of the box around points first to last, and half its diagonal, m."""
-    middle, square = np.empty(3), 0.0
-    for axis in range(3):
-        low, high = np.inf, -np.inf
-        for point in range(first, last):
-            low, high = min(low, position[point, axis]), max(high, position[point, axis])
-        middle[axis] = (low + high) / 2.0
-        square += ((high - low) / 2.0) ** 2
-    return middle, np.sqrt(square)
-
-
-@compiled
 def add_through(
     opening: Floats, bars: Floats, low: Floats, high: Floats, position: Floats32,
     face: NDArray[np.int8], softness: Floats32, weight: Floats, target: Indices, suns: Floats,
@@ -267,84 +313,98 @@ def add_through(
     opening: axis of the wall's normal, its sign outwards, inner and outer face, u from and to, z
     from and to [8]. bars: upright (1 or 0), span from and to, depth from and to, outwards from the
     inner face [b, 5]. low, high: corners of boxes that shade [s, 3]. For r points: position [r, 3],
-    slightly above its surface; face: 0, 1, 2 for +x, +y, +z, 3, 4, 5 for -x, -y, -z, -1 for one
-    that no sun reaches; softness: width over which an edge's shade grows, m; weight; target: column
-    of `totals`. suns: unit vectors [n, 3]; glass: transmittance at each [n]; totals [n, targets].
+    slightly above its surface; face, as in `_cosine`, -1 for one that no sun reaches; softness:
+    width over which an edge's shade grows, m; weight; target: column of `totals`. suns: unit
+    vectors [n, 3]; glass: transmittance at each [n]; totals [n, targets].
     """
     axis, outward = int(opening[0]), opening[1]
     along, inner, thickness = 1 - axis, opening[2], (opening[3] - opening[2]) * opening[1]
-    cosines = np.concatenate((suns, -suns), axis=1)  # of the faces +x, +y, +z, -x, -y, -z
+    inverse, boxes = np.empty((len(suns), 3)), np.arange(len(low))
+    for hour in range(len(suns)):
+        inverse[hour] = _inverses(suns[hour])
     for first in range(0, len(face), _BLOCK):
         last = min(first + _BLOCK, len(face))
-        middle, radius = _around(position, first, last)
-        radius += softness[first:last].max()
+        bounds = _bounds(position, softness, first, last)
         for hour in range(len(suns)):
             toward = suns[hour, axis] * outward
             if toward <= _GRAZING or suns[hour, 2] <= 0.0:
                 continue
             slope_u, slope_z = suns[hour, along] / toward, suns[hour, 2] / toward
             shift_u, shift_z = slope_u * thickness, slope_z * thickness
-            # how far the light through the outer end passes beside the middle of the points
-            across = (inner - middle[axis]) * outward + thickness
-            off_u = abs(middle[along] + slope_u * across - (opening[4] + opening[5]) / 2.0)
-            off_z = abs(middle[2] + slope_z * across - (opening[6] + opening[7]) / 2.0)
-            reach_u = (opening[5] - opening[4]) / 2.0 + radius * np.hypot(1.0, slope_u)
-            reach_z = (opening[7] - opening[6]) / 2.0 + radius * np.hypot(1.0, slope_z)
-            if off_u > reach_u or off_z > reach_z:
-                continue
-            inverse = _inverses(suns[hour])
             low_u, high_u = opening[4] - min(shift_u, 0.0), opening[5] - max(shift_u, 0.0)
             low_z, high_z = opening[6] - min(shift_z, 0.0), opening[7] - max(shift_z, 0.0)
+            near, far = (inner - bounds[axis]) * outward, (inner - bounds[3 + axis]) * outward
+            over = 1
+            if min(near, far) > 2.0 * EPSILON_M:
+                over_u = _overlap(bounds, along, slope_u * near, slope_u * far, low_u, high_u)
+                over_z = _overlap(bounds, 2, slope_z * near, slope_z * far, low_z, high_z)
+                over = min(over_u, over_z)
+            if over == 0:
+                continue
+            some = boxes[: _boxes_towards_sun(low, high, bounds, inverse[hour], boxes)]
+            unshaded = over == 2 and len(some) + len(bars) == 0
             for point in range(first, last):
-                cosine = cosines[hour, face[point]] if face[point] >= 0 else 0.0
-                across = (inner - position[point, axis]) * outward
-                if cosine <= _GRAZING or across <= -thickness / 2.0:
+                if face[point] < 0:
                     continue
+                cosine = _cosine(face[point], suns[hour])
+                if cosine <= _GRAZING:
+                    continue
+                if unshaded:
+                    totals[hour, target[point]] += cosine * glass[hour] * weight[point]
+                    continue
+                across = (inner - position[point, axis]) * outward
                 u = position[point, along] + slope_u * across
                 z = position[point, 2] + slope_z * across
                 soft = softness[point]
                 if across > 2.0 * EPSILON_M:
                     share = _passed(u - low_u, soft) * _passed(high_u - u, soft)
                     share *= _passed(z - low_z, soft) * _passed(high_z - z, soft)
-                else:  # in the reveal: only the outer end is ahead
+                elif across > -thickness / 2.0:  # in the reveal: only the outer end is ahead
                     share = _passed(u + shift_u - opening[4], soft)
                     share *= _passed(opening[5] - u - shift_u, soft)
                     share *= _passed(z + shift_z - opening[6], soft)
                     share *= _passed(opening[7] - z - shift_z, soft)
+                else:
+                    continue
                 if share > 0.0:
                     share *= _past_bars(bars, u, z, slope_u, slope_z, soft)
                 if share > 0.0:
-                    share *= _unshaded(low, high, position, point, inverse, soft)
+                    share *= _unshaded(low, high, some, position, point, inverse[hour], soft)
                     totals[hour, target[point]] += share * cosine * glass[hour] * weight[point]
 
 
 @compiled
 def _add_outside(
-    low: Floats, high: Floats, position: Floats32, face: NDArray[np.int8], softness: Floats32,
-    weight: Floats, target: Indices, suns: Floats, totals: Floats,
+    low: Floats, high: Floats, position: Floats32, face: NDArray[np.int8], weight: Floats,
+    target: Indices, suns: Floats, totals: Floats,
 ) -> None:  # fmt: skip
     """Add weight x cosine of points from which no box hides the suns; see `add_through`."""
-    for hour in range(len(suns)):
-        if suns[hour, 2] <= 0.0:
-            continue
-        inverse, cosines = _inverses(suns[hour]), np.append(suns[hour], -suns[hour])
-        for point in range(len(face)):
-            cosine = cosines[face[point]]
-            if cosine > _GRAZING:
-                share = _unshaded(low, high, position, point, inverse, softness[point])
-                totals[hour, target[point]] += share * cosine * weight[point]
+    boxes, hard = np.arange(len(low)), np.full(len(face), HARD_M, np.float32)
+    for first in range(0, len(face), _BLOCK):
+        last = min(first + _BLOCK, len(face))
+        bounds = _bounds(position, hard, first, last)
+        for hour in range(len(suns)):
+            if suns[hour, 2] <= 0.0:
+                continue
+            inverse = _inverses(suns[hour])
+            some = boxes[: _boxes_towards_sun(low, high, bounds, inverse, boxes)]
+            for point in range(first, last):
+                cosine = _cosine(face[point], suns[hour])
+                if cosine > _GRAZING:
+                    share = _unshaded(low, high, some, position, point, inverse, HARD_M)
+                    totals[hour, target[point]] += share * cosine * weight[point]
 
 
-class _Group(NamedTuple):
-    """Corners of boxes that shade, and points of one kind, as `add_through` describes them."""
+@dataclass(frozen=True)
+class _Group:
+    """Points of one kind, as `add_through` describes them, and corners of the boxes that shade."""
 
-    low: Floats
-    high: Floats
     position: Floats32
     face: NDArray[np.int8]
-    softness: Floats32
     weight: Floats
     target: Indices
+    low: Floats
+    high: Floats
 
 
 @dataclass(frozen=True)
@@ -370,11 +430,17 @@ class SunPoints:
         """
         suns = np.asarray(toward, float).reshape(-1, 3)
         totals = np.zeros((len(suns), self.targets))
+        group = self.inside
+        softness = np.full(len(group.face), HARD_M, np.float32)
         for o in self.scene.openings:
             glass = glass_optics(o.transmittance, suns[:, o.axis])[0]
-            opening = np.array([o.axis, o.outward, o.inner_m, o.outer_m, *o.u_m, *o.z_m], float)
-            add_through(opening, np.empty((0, 5)), *self.inside, suns, glass, totals)
-        _add_outside(*self.outside, suns, totals)
+            add_through(
+                np.array([o.axis, o.outward, o.inner_m, o.outer_m, *o.u_m, *o.z_m], float),
+                np.empty((0, 5)), group.low, group.high, group.position, group.face, softness,
+                group.weight, group.target, suns, glass, totals,
+            )  # fmt: skip
+        g = self.outside
+        _add_outside(g.low, g.high, g.position, g.face, g.weight, g.target, suns, totals)
         return totals.astype(np.float32).reshape(*np.shape(toward)[:-1], self.targets)
 
 
@@ -398,15 +464,16 @@ def sun_points(
     face = np.where(np.asarray(sign) > 0, axis, np.asarray(axis) + 3).astype(np.int8)
 
     def group(chosen: Mask, boxes: list[Box]) -> _Group:
-        """Return the chosen points, and the boxes that may shade them."""
+        """Return the chosen points, in order of their target, and the boxes that may shade them."""
+        rows = np.flatnonzero(chosen)
+        rows = rows[np.argsort(np.asarray(target)[rows], kind="stable")]  # neighbours together
         return _Group(
+            position=raised[rows].astype(np.float32),
+            face=face[rows],
+            weight=weight[rows].astype(float),
+            target=np.asarray(target)[rows].astype(np.intp),
             low=np.array([box.low for box in boxes], float).reshape(-1, 3),
             high=np.array([box.high for box in boxes], float).reshape(-1, 3),
-            position=raised[chosen].astype(np.float32),
-            face=face[chosen],
-            softness=np.full(np.count_nonzero(chosen), HARD_M, np.float32),
-            weight=weight[chosen].astype(float),
-            target=np.asarray(target)[chosen].astype(np.intp),
         )
 
     panes = [
