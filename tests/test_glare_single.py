@@ -228,7 +228,7 @@ def test_the_command_speaks_json_lines_and_a_table(
     assert first["sun"]["normal_illuminance_lx"] == pytest.approx(20_000)
     shown = CliRunner().invoke(main, ["glare", str(panorama), "--view-azimuth", "180"])
     assert shown.exit_code == 0
-    assert "\n          180  " in shown.stdout
+    assert "\n        180.0  " in shown.stdout
 
 
 @pytest.mark.contract

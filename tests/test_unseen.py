@@ -258,7 +258,7 @@ def test_a_partly_covering_picture_has_bounds_that_hold_the_complete_one(
     table = tmp_path / "glare.csv"
     done = CliRunner().invoke(main, ["glare", str(narrow), "--csv", str(table)])
     shown = [f"{part[name]:.3f}" for name in ("dgp", "dgp_low", "dgp_high")]
-    assert done.exit_code == 0 and shown == re.findall(r"0\.\d+", done.output)[:3], done.output
+    assert done.exit_code == 0 and shown == re.findall(r" (0\.\d+)", done.output)[:3], done.output
     with table.open() as file:
         cells = next(iter(csv.DictReader(file)))
     assert float(cells["dgp_high"]) == pytest.approx(part["dgp_high"])
