@@ -83,5 +83,6 @@ def run(session: Session, out: Path | None = None, *, for_assessor: bool = False
     folder, year = out or session.report, newest_annual(session)
     remove_scraps(folder)
     page = folder / ("assessor.html" if for_assessor else "index.html")
-    text = assessor_page(session, year) if for_assessor else _page(session, year)
-    return write_file(page, text)
+    if for_assessor:
+        return write_file(page, assessor_page(session, year, _model_of(session, year)))
+    return write_file(page, _page(session, year))

@@ -7,7 +7,6 @@ honeybee (GA) and ClimateStudio (sDG). requirements.toml has the texts of the re
 import tomllib
 from datetime import UTC, datetime
 from pathlib import Path
-from zoneinfo import ZoneInfo
 
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import SiteFile
@@ -15,8 +14,11 @@ from fieldlum.optics import profiles
 from fieldlum.report import sections
 from fieldlum.report.page import Page, Section, Table, class_name, direction_name, render, sentence
 from fieldlum.session import Session, sha256
+from fieldlum.session.files.model_files import ScoresFile
 from fieldlum.session.files.pairs_csv import PairsFile
+from fieldlum.session.folder import DeviceTable
 from fieldlum.version import __version__
+from fieldlum.year.glare.standards import CLASSES
 from fieldlum.year.predict import Annual
 from fieldlum.year.predict.melanopic import WELL_EDI_LX
 
@@ -43,6 +45,11 @@ def _requirements(annual: Annual, zone: str) -> Table:
     answers = [text for text in sections.disturbed(annual) if text != "–"]
     yes, unknown = (answers.count(word) for word in ("yes", "cannot tell"))
     sdg = f"{yes} of {len(answers)} directions are disturbed, {unknown} cannot be decided"
+    limit = dict(CLASSES)["minimum"]
+    met = sum(row.high is not None and row.high <= limit for row in directions)
+    failed = sum(row.low is not None and row.low > limit for row in directions)
+    leed = f"DGP 0.45: {met} of {len(directions)} directions meet it, {failed} do not"
+    leed += f", {len(directions) - met - failed} cannot be decided"
     edi = well = "cannot tell: no melanopic colour was measured"
     if sections.has_melanopic(annual):
         each = zip(sections.melanopic_shares(annual, zone), annual.judged, strict=True)
@@ -51,18 +58,25 @@ def _requirements(annual: Annual, zone: str) -> Table:
         limits = zip(WELL_EDI_LX, best[1], strict=True)
         days = (f"{limit:.0f} lx on {share.text()} of the days" for limit, share in limits)
         well = f"best direction: {', '.join(days)}"
-    words = {"found": found, "sdg": sdg, "edi": edi, "well": well, "hours": len(annual)}
+    words = {"found": found, "leed": leed, "sdg": sdg, "edi": edi, "well": well}
     text = Path(__file__).with_name("requirements.toml").read_text(encoding="utf-8")
     keys = ("requirement", "asks", "found", "missing")
-    rows = [[row[key].format(**words) for key in keys] for row in tomllib.loads(text)["row"]]
+    rows = [
+        [row[key].format(**words, hours=len(annual)) for key in keys]
+        for row in tomllib.loads(text)["row"]
+    ]
     head = ("requirement", "what it asks", "what was found", "what is missing")
     return Table(head, rows, words=True)
 
 
+def _reported(device: DeviceTable) -> str:
+    """Return model and serial number as the device reported them."""
+    return " ".join(str(device[key]) for key in ("model", "serial") if device.get(key))
+
+
 def _instruments(session: Session, setup: SiteFile) -> Table:
-    meter, zone = setup.pyranometer, ZoneInfo(setup.site.timezone)
-    times = sorted(row.t_utc.astimezone(zone) for row in PairsFile.find(session.pairs).usable)
-    span = f", {times[0]:%d %B %Y} to {times[-1]:%d %B %Y}" if times else ""
+    meter, devices = setup.pyranometer, session.table().get("devices", {})
+    of_meter = _reported(devices.get("pyranometer", {}))
     try:
         path = profiles.find_camera_profile(setup.camera.profile)
         profile = profiles.load_camera_profile(path)
@@ -70,7 +84,7 @@ def _instruments(session: Session, setup: SiteFile) -> Table:
         melanopic = f"{100 * colour.melanopic_u_rel:.1f} %" if colour.melanopic_from_rgb else "none"
         origin = profile.provenance.fitted_by or profile.provenance.source or "not stated"
         rows = {
-            "camera": f"{camera.name} ({camera.make} {camera.model})",
+            "camera's profile": f"{camera.name} ({camera.make} {camera.model})",
             "camera, calibrated": f"{camera.date or 'no date'}, by {origin}",
             "camera, valid until": profile.expires or "not stated",
             "luminance scale, standard uncertainty": f"{100 * profile.scale.u_rel:.1f} %",
@@ -80,29 +94,36 @@ def _instruments(session: Session, setup: SiteFile) -> Table:
     except InputError as error:
         rows = {"camera": f"cannot tell: {error}"}
     rows |= {
-        "pyranometer": f"{meter.kind or 'not stated'} {meter.profile}".strip(),
+        "camera, as it reported itself": _reported(devices.get("camera", {})) or "not recorded",
+        "pyranometer": f"{meter.kind} {meter.profile} {of_meter}".strip() or "not stated",
         "pyranometer, calibration": "state the date of its certificate here: ________",
         "camera's place": f"{setup.camera.height_m:g} m above the floor",
-        "captures used": f"{len(times)}{span}",
     }
     return Table(_ITEMS, tuple(rows.items()), "Instruments and calibrations", words=True)
 
 
-def assessor_page(session: Session, annual: Annual | None) -> str:
-    """Return the page as HTML. `annual`: the predicted year; raises NotEnoughDataError without."""
+def assessor_page(session: Session, annual: Annual | None, model: Path | None) -> str:
+    """Return the page as HTML.
+
+    annual : the predicted year; raises NotEnoughDataError without. model : its folder, of which the
+    page shows the scores; None if it is missing.
+    """
     if annual is None:
         raise NotEnoughDataError(f"{session.root}: no predicted year; run fieldlum predict first")
     setup, summary = session.site_file(), annual.summary
     site, weather, occupancy = setup.site, summary.weather, summary.occupancy
     versions = [
         ("fieldlum", __version__),
-        ("model", str(summary.inputs.get("model", summary.model))),
+        ("model", summary.model),
         ("weather", f"{weather.name}{' (synthetic)' if weather.synthetic else ''}"),
         ("occupied hours", occupancy.text),
         ("hours that the model does not trust", f"{100 * occupancy.untrusted_share:.0f} %"),
     ]
     files = ("predict.json", "hourly.csv")
     versions += [(f"{name}, sha256", sha256(annual.folder / name)) for name in files]
+    measured = sections.captures_section(session, site, PairsFile.find(session.pairs), annual.hours)
+    measured = measured._replace(tables=(_instruments(session, setup), *measured.tables))
+    accuracy = [] if model is None else [sections.accuracy_section(None, ScoresFile.find(model))]
     roles = [(role, "", "", "") for role in ("measured by", "calculated by", "checked by")]
     signatures = Table(("role", "name", "date", "signature"), roles, words=True)
     zone = site.timezone
@@ -112,7 +133,8 @@ def assessor_page(session: Session, annual: Annual | None) -> str:
         sections.melanopic_section(annual, zone),
         sections.budget_section(annual, folded=False),
         Section("method", "Method", " ".join((_METHOD, *map(sentence, summary.notes[:1])))),
-        Section("instruments", "What was measured", tables=(_instruments(session, setup),)),
+        *accuracy,
+        measured,
         Section("versions", "Versions and files", tables=(Table(_ITEMS, versions, words=True),)),
         Section("signatures", "Signatures", tables=(signatures,)),
     )
