@@ -66,8 +66,8 @@ CCT_K = (4000, 5000, 6500, 8000, 12_000, 20_000)
 CHART_K = (5000.0, 6500.0)
 CARD = "grey or bronze glass, a white card read behind it"
 HEAD = (
-    "| light | mean, % | rms, % | largest, % | in the 95 % interval, % | its half width, % |\n"
-    "|---|---|---|---|---|---|"
+    "| light | mean, % | rms, % | 95 % are within, % | largest, % | in the 95 % interval, % "
+    "| its half width, % |\n|---|---|---|---|---|---|---|"
 )
 
 
@@ -170,13 +170,17 @@ def mixed(day: Floats, lamps: Floats, share: float = 0.5) -> Floats:
     return normalised([(1 - share) * a + share * b for a in day for b in lamps])
 
 
-def read_lamps(table: Path, names: Path) -> Floats:
-    """LED, fluorescent and incandescent lamps of IES TM-30-15, [lamps, wavelengths]."""
+LAMPS = ("LED", "Fluorescent", "Incandescent")
+
+
+def read_lamps(table: Path, names: Path) -> tuple[Floats, list[str]]:
+    """Lamps of IES TM-30-15, [lamps, wavelengths], and which of `LAMPS` each is."""
     nm, *columns = np.genfromtxt(table, delimiter=",").T
     kinds = [line.split(",")[2].strip() for line in names.read_text("latin-1").splitlines()[1:]]
-    usual = [kind.startswith(("LED", "Fluo", "Incand")) for kind in kinds]
+    usual = [kind.startswith(LAMPS) for kind in kinds]
     rows = (np.interp(NM, nm, c, left=0, right=0) for c in np.array(columns)[usual])
-    return normalised(rows)
+    names_of = [next(name for name in LAMPS if k.startswith(name)) for k in np.array(kinds)[usual]]
+    return normalised(rows), names_of
 
 
 def read_jeti(folder: Path) -> Floats:
@@ -284,9 +288,10 @@ def row(name: str, light: Setting, cases: list[Case], u: float) -> str:
 
 def cells(name: str, off: Floats, u: Floats) -> str:
     held = 100 * np.mean(np.abs(off) <= 1.96 * u)
-    figures = off.mean(), np.sqrt(np.mean(off**2)), np.abs(off).max(), 1.96 * u.mean()
-    mean, rms, largest, half = (100 * figure for figure in figures)
-    return f"| {name} | {mean:+.1f} | {rms:.1f} | {largest:.1f} | {held:.0f} | {half:.0f} |"
+    mean, rms, half = 100 * off.mean(), 100 * np.sqrt(np.mean(off**2)), 196 * u.mean()
+    most, largest = 100 * np.quantile(np.abs(off), (0.95, 1.0))
+    errors = f"{mean:+.1f} | {rms:.1f} | {most:.1f} | {largest:.1f}"
+    return f"| {name} | {errors} | {held:.0f} | {half:.0f} |"
 
 
 METHODS = (  # title, u behind clear glass, matrices, whether a white surface is read
@@ -383,7 +388,7 @@ def main() -> None:
         write_chart(options.chart, np.stack(parts, axis=1))
     cameras = read_cameras(options.data / "camera_sensitivities")
     more = read_cameras(options.cameras) if options.cameras else {}
-    lamps = read_lamps(*options.lamps) if options.lamps else None
+    lamps, kinds = read_lamps(*options.lamps) if options.lamps else (None, [])
     print_constants(more | cameras, lamps)
     settings = held_out(read_jeti(options.data / "jeti_spectra"))
     if lamps is not None:
@@ -392,6 +397,10 @@ def main() -> None:
             settings[f"other half of TM-30's lamps{stated}"] = Setting(lamps[1::2], *light)
             half = Setting(mixed(day, lamps[1::2]), *light)
             settings[f"half daylight, half one of these{stated}"] = half
+        for kind in LAMPS:
+            own = lamps[1::2][np.array(kinds[1::2]) == kind]
+            name = f"half daylight, half {len(own)} of these, {kind}"
+            settings[name] = Setting(mixed(day, own), True, True)
     groups = (("used for u", sorted(set(cameras) - set(UNSEEN))), ("unseen", UNSEEN))
     for title, u, matrices, grey in METHODS:
         for kind, names in groups:

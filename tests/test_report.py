@@ -289,6 +289,10 @@ def test_the_page_for_an_assessor_has_requirements_evidence_and_what_is_missing(
         "sha256",
         "signature",
         "Nothing on this page is",
+        "held-out map",
+        "of 10 directions have less",
+        "as it reported itself",
+        "Skies of the weather file",
     ):
         assert word in text, word
     assert "no melanopic colour was measured" in text and "index.html" not in text

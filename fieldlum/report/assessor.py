@@ -1,12 +1,15 @@
 """Write the page for an assessor: what EN 17037, BREEAM, LEED and WELL ask, and what was found.
 
 It certifies nothing: an interval that spans a limit is "cannot tell". Names of its columns follow
-honeybee (GA) and ClimateStudio (sDG). requirements.toml has the texts of the requirements.
+honeybee (GA) and ClimateStudio (sDG). requirements.toml has its texts.
 """
 
 import tomllib
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
+
+import numpy as np
 
 from fieldlum.core.errors import InputError, NotEnoughDataError
 from fieldlum.core.records import SiteFile
@@ -23,21 +26,9 @@ from fieldlum.year.predict import Annual
 from fieldlum.year.predict.melanopic import WELL_EDI_LX
 
 _ITEMS = "item", "value"
-_SUBJECT = "What each requirement asks, what was found, and what is missing"
-_CAUTION = (
-    "Nothing on this page is certified. Words in the column of findings are those of the predicted "
-    "year; “cannot tell” means that the interval spans the limit."
-)
-_METHOD = (
-    "A camera captured luminance maps of the room under many suns and skies, while irradiance was "
-    "measured outside. A model learned how the room responds to sky and sun. It was tested on days "
-    "that it had not seen, and predicted each daylight hour of the weather year. DGP, vertical "
-    "illuminance and melanopic EDI were computed from the predicted maps at the camera's place and "
-    "height. Intervals are for 95 %."
-)
 
 
-def _requirements(annual: Annual, zone: str) -> Table:
+def _requirements(annual: Annual, zone: str, texts: Sequence[Mapping[str, str]]) -> Table:
     directions = annual.summary.protection
     decided = [row for row in directions if row.certain]
     classes = ", ".join(f"{direction_name(row.azimuth_deg)} {class_name(row)}" for row in decided)
@@ -45,11 +36,10 @@ def _requirements(annual: Annual, zone: str) -> Table:
     answers = [text for text in sections.disturbed(annual) if text != "–"]
     yes, unknown = (answers.count(word) for word in ("yes", "cannot tell"))
     sdg = f"{yes} of {len(answers)} directions are disturbed, {unknown} cannot be decided"
-    limit = dict(CLASSES)["minimum"]
-    met = sum(row.high is not None and row.high <= limit for row in directions)
-    failed = sum(row.low is not None and row.low > limit for row in directions)
-    leed = f"DGP 0.45: {met} of {len(directions)} directions meet it, {failed} do not"
-    leed += f", {len(directions) - met - failed} cannot be decided"
+    limit, ends = dict(CLASSES)["minimum"], [(row.low, row.high) for row in directions]
+    low, high = np.array(ends, float).reshape(-1, 2).T  # NaN where unknown
+    met = f"{(high <= limit).sum()} of {len(directions)} directions have less"
+    leed = f"{met}, {(low > limit).sum()} have more, the others cannot be decided"
     edi = well = "cannot tell: no melanopic colour was measured"
     if sections.has_melanopic(annual):
         each = zip(sections.melanopic_shares(annual, zone), annual.judged, strict=True)
@@ -59,12 +49,8 @@ def _requirements(annual: Annual, zone: str) -> Table:
         days = (f"{limit:.0f} lx on {share.text()} of the days" for limit, share in limits)
         well = f"best direction: {', '.join(days)}"
     words = {"found": found, "leed": leed, "sdg": sdg, "edi": edi, "well": well}
-    text = Path(__file__).with_name("requirements.toml").read_text(encoding="utf-8")
     keys = ("requirement", "asks", "found", "missing")
-    rows = [
-        [row[key].format(**words, hours=len(annual)) for key in keys]
-        for row in tomllib.loads(text)["row"]
-    ]
+    rows = [[row[key].format(**words, hours=len(annual)) for key in keys] for row in texts]
     head = ("requirement", "what it asks", "what was found", "what is missing")
     return Table(head, rows, words=True)
 
@@ -110,13 +96,13 @@ def assessor_page(session: Session, annual: Annual | None, model: Path | None) -
     """
     if annual is None:
         raise NotEnoughDataError(f"{session.root}: no predicted year; run fieldlum predict first")
-    setup, summary = session.site_file(), annual.summary
+    text = Path(__file__).with_name("requirements.toml").read_text(encoding="utf-8")
+    texts, setup, summary = tomllib.loads(text), session.site_file(), annual.summary
     site, weather, occupancy = setup.site, summary.weather, summary.occupancy
     versions = [
         ("fieldlum", __version__),
         ("model", summary.model),
         ("weather", f"{weather.name}{' (synthetic)' if weather.synthetic else ''}"),
-        ("occupied hours", occupancy.text),
         ("hours that the model does not trust", f"{100 * occupancy.untrusted_share:.0f} %"),
     ]
     files = ("predict.json", "hourly.csv")
@@ -127,20 +113,21 @@ def assessor_page(session: Session, annual: Annual | None, model: Path | None) -
     roles = [(role, "", "", "") for role in ("measured by", "calculated by", "checked by")]
     signatures = Table(("role", "name", "date", "signature"), roles, words=True)
     zone = site.timezone
+    requirements = _requirements(annual, zone, texts["row"])
     shown = (
-        Section("requirements", "Requirements", tables=(_requirements(annual, zone),)),
+        Section("requirements", "Requirements", tables=(requirements,)),
         sections.directions_section(annual)._replace(title="Glare by view direction"),
         sections.melanopic_section(annual, zone),
         sections.budget_section(annual, folded=False),
-        Section("method", "Method", " ".join((_METHOD, *map(sentence, summary.notes[:1])))),
+        Section("method", "Method", " ".join((texts["method"], *map(sentence, summary.notes[:1])))),
         *accuracy,
         measured,
         Section("versions", "Versions and files", tables=(Table(_ITEMS, versions, words=True),)),
         Section("signatures", "Signatures", tables=(signatures,)),
     )
     place, today = f"{site.latitude_deg:.3f}, {site.longitude_deg:.3f}", datetime.now(UTC)
-    facts = [("place", place), ("written", f"{today:%d %B %Y}")]
-    facts.append(("occupied hours", f"{occupancy.hours}"))
+    hours = ("occupied hours", f"{occupancy.hours}")
+    facts = [("place", place), ("written", f"{today:%d %B %Y}"), hours]
     title = f"{site.name}: glare and daylight for an assessor"
-    warnings, why = sections.warnings_of(session, annual), _CAUTION
-    return render(Page(title, _SUBJECT, why, facts=facts, sections=shown, warnings=warnings))
+    warnings, answer, why = sections.warnings_of(session, annual), texts["title"], texts["caution"]
+    return render(Page(title, answer, why, facts=facts, sections=shown, warnings=warnings))

@@ -167,7 +167,7 @@ def _compare_pictures(session: Session, model: Path, out: Path) -> Comparison:
         rows += own
         ratio = own[0]["ratio"]
         shown = [np.where(weight > 0, part, np.nan) for part in (light, model_light)]
-        worst.append((abs(np.log(ratio)), f"{path.stem}, {_off(ratio)}", *shown))
+        worst.append((abs(np.log(ratio)), f"{path.stem}, model {_off(ratio)}", *shown))
         worst = sorted(worst, key=lambda item: -item[0])[:3]
     surfaces = _surfaces(rows)
     _, titles, light, model_light = zip(*worst, strict=True)
@@ -516,8 +516,7 @@ def _compare_hours(
         modelled = columns[figure, azimuth].to_numpy(float)
         ok = np.isfinite(measured) & np.isfinite(modelled)
         if ok.any():
-            part = _Shared(azimuth, figure, hours[both][ok], measured[ok], modelled[ok])
-            shared.append(part)
+            shared.append(_Shared(azimuth, figure, hours[both][ok], measured[ok], modelled[ok]))
     if not shared:
         raise InputError(path, "no value in daylight hours", "numbers in dgp or ev", "export them")
     if weather := annual.summary.inputs.get("weather"):
@@ -588,19 +587,21 @@ class _Shared(NamedTuple):
     def text(self) -> str:
         """Return a sentence on the month and the hour of the day in which the model errs most."""
         off = self.model - self.measured
-        month = np.searchsorted(np.cumsum(_DAYS), self.hour_of_year // 24, side="right")
-        worst_month, worst_hour = (
-            max(set(of.tolist()), key=lambda k, of=of: np.abs(off[of == k]).mean())
-            for of in (month, self.hour_of_year % 24)
-        )
-        values = off, off[month == worst_month], off[self.hour_of_year % 24 == worst_hour]
-        mean, by_month, by_hour = (
-            f"{v.mean():+.3f}" if self.figure == "dgp" else f"{v.mean():+.0f} lx" for v in values
-        )
+        number, unit = ("+.3f", "") if self.figure == "dgp" else ("+.0f", " lx")
+
+        def worst(group: Array) -> tuple[int, str]:
+            """Return the group with the largest mean absolute error, and the error as a text."""
+            errors = {k: float(np.abs(off[group == k]).mean()) for k in set(group.tolist())}
+            k = max(errors, key=errors.__getitem__)
+            return k, f"{errors[k]:{number[1:]}}{unit}"
+
+        month, by_month = worst(np.searchsorted(np.cumsum(_DAYS), self.hour_of_year // 24, "right"))
+        hour, by_hour = worst(self.hour_of_year % 24)
         return (
-            f"{self.figure} facing {self.azimuth_deg:g} deg: the model is {mean} in the mean; most "
-            f"in {calendar.month_name[worst_month + 1]} ({by_month}) and from {worst_hour}:00 to "
-            f"{worst_hour + 1}:00 ({by_hour})."
+            f"{self.figure} facing {self.azimuth_deg:g} deg: the model is {off.mean():{number}}"
+            f"{unit} in the mean; its mean absolute error is largest in "
+            f"{calendar.month_name[month + 1]} ({by_month}) and from {hour}:00 to {hour + 1}:00 "
+            f"({by_hour})."
         )
 
 
