@@ -5,6 +5,7 @@ coefficients nor the uncertainties have seen, at the LED of CIE 015:2018, at hal
 3000 K), at lamps of IES TM-30-15, at daylight with lamps, and at measured daylight. A chart under
 daylight or the colour matrix that raw converters publish calibrates each. Three cameras and half of
 the glazings and lamps are kept unseen. The first lines are the constants of the package.
+The lamps' two files are in luxpy/data/spds of luxpy 1.12.5 (`pip download --no-deps luxpy`).
 
     python bench/melanopic.py DATA            # DATA has camera_sensitivities and jeti_spectra
     python bench/melanopic.py DATA --chart fieldlum/calibrate/chart_daylight.csv
