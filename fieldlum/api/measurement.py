@@ -169,10 +169,7 @@ def write_panorama(file: str | Path, panorama: Panorama) -> None:
     if not isinstance(panorama, Panorama):
         found = f"a value of type {type(panorama).__name__}"
         raise InputError(path, found, "a Panorama", "pass fieldlum.Panorama(map, heading_deg)")
-    height, width = panorama.luminance_cdm2.shape
-    if width != 2 * height:
-        found, expected = f"a map of {width} x {height} pixels", "a map twice as wide as high"
-        raise InputError(path, found, expected, "resample the map to such a shape")
+    images.require_panorama(panorama, path)
     images.write_picture(path, panorama)
 
 

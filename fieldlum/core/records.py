@@ -75,9 +75,7 @@ def slot_id(t_utc: datetime) -> str:
 
     Raises ValueError for a naive time.
     """
-    if t_utc.tzinfo is None:
-        raise ValueError(f"naive time {t_utc}: add a time zone")
-    return t_utc.astimezone(UTC).strftime("%Y%m%dT%H%M%SZ")
+    return re.sub(r"[-:]|\.\d+", "", utc_text(t_utc))
 
 
 # ----------------------------------------------------------------------------------------------

@@ -447,11 +447,16 @@ def read_panorama(path: Path, part: str = "") -> Panorama:
     """
     is_exr = path.suffix.lower() == ".exr"
     panorama = (read_exr(path, part) if is_exr else read_radiance_hdr(path))[0]
+    require_panorama(panorama, path)
+    return panorama
+
+
+def require_panorama(panorama: Panorama, source: Path | str) -> None:
+    """Raise InputError, which names `source`, for a map that is not twice as wide as high."""
     height, width = panorama.luminance_cdm2.shape
     if width != 2 * height:
-        expected, remedy = "a panorama twice as wide as high", "use a picture of all directions"
-        raise InputError(path, f"{width} x {height} pixels", expected, remedy)
-    return panorama
+        found, expected = f"a map of {width} x {height} pixels", "a panorama twice as wide as high"
+        raise InputError(source, found, expected, "use a map of all directions of such a shape")
 
 
 def read_exr(path: Path, part: str = "") -> tuple[Panorama, str]:

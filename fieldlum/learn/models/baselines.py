@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from fieldlum.core.arrays import Floats, Floats32, Mask
+from fieldlum.core.arrays import Floats, Floats32
 from fieldlum.learn.models import ModelState, Patch, Prediction, deserialised, state_of
 from fieldlum.learn.models.training_data import Dataset
 from fieldlum.sky.daylight import Light
@@ -26,19 +26,13 @@ class Domain:
     def prediction(self, maps_cdm2: Floats32, light: Light) -> Prediction:
         """Return maps [n, H, W] cd/m2 as the prediction for the n hours of `light`.
 
-        It has no standard deviation and NaN as expected error; it trusts hours as in `holds`.
-        """
-        unknown = np.full(len(maps_cdm2), np.nan)
-        return Prediction(maps_cdm2, None, unknown, self.holds(light))
-
-    def holds(self, light: Light) -> Mask:
-        """Return a mask [n], True for the hours of `light` that are similar to captured light.
-
-        The sun must be within 12 degrees of that of a sunny capture, or the DNI below 60 W/m2:
-        with less direct light the sun lights a room less than the sky does.
+        It has no standard deviation and NaN as expected error. Hours with light similar to captured
+        light are trusted: the sun must be within 12 degrees of that of a sunny capture, or the DNI
+        below 60 W/m2, with which the sun lights a room less than the sky does.
         """
         cosine = (light.sun_direction @ self.sun_directions.T).max(axis=1, initial=-1.0)
-        return (cosine >= np.cos(np.radians(12.0))) | (light.dni_wm2 < 60.0)
+        is_similar = (cosine >= np.cos(np.radians(12.0))) | (light.dni_wm2 < 60.0)
+        return Prediction(maps_cdm2, None, np.full(len(maps_cdm2), np.nan), is_similar)
 
 
 def domain_of(light: Light) -> Domain:

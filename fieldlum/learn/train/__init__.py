@@ -6,7 +6,7 @@
 import json
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from time import monotonic, process_time
@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from fieldlum.core.arrays import Floats, Mask
 from fieldlum.core.errors import NotEnoughDataError
-from fieldlum.core.progress import progress
 from fieldlum.core.records import counted, listed
 from fieldlum.core.statistics import held_out_masks
 from fieldlum.learn import models
@@ -25,7 +24,6 @@ from fieldlum.learn.model_kinds import MODELS
 from fieldlum.learn.models import TRUSTED_FACTOR, TRUSTED_MSE, Fitted, Patch
 from fieldlum.learn.models.held_out_choice import (
     CRITERIA,
-    beam_is_uncertain,
     choice_weights,
     choose,
     trimmed_mean,

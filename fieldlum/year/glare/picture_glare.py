@@ -12,6 +12,7 @@ from fieldlum.core.arrays import Floats, Floats32, Mask
 from fieldlum.core.errors import InputError
 from fieldlum.core.records import Flag, JsonTable, Panorama, SunSource, counted, utc_text
 from fieldlum.optics import projection
+from fieldlum.optics.images import require_panorama
 from fieldlum.optics.melanopic import melanopic_edi, melanopic_ratio
 from fieldlum.sky.sun_disc import find_disc, without_disc
 from fieldlum.year.glare import metrics, pictures
@@ -77,10 +78,7 @@ def panorama_glare(panorama: Panorama, azimuths_deg: Sequence[float] = ()) -> Js
     if empty. Raises InputError for a map that is not twice as wide as high, or has seen pixels that
     are not finite.
     """
-    height, width = panorama.luminance_cdm2.shape
-    if width != 2 * height:
-        found, remedy = f"a map of {width} x {height} pixels", "use an equirectangular map"
-        raise InputError("panorama", found, "a map twice as wide as high", remedy)
+    require_panorama(panorama, "panorama")
     answer, _ = glare_answer(Picture(panorama, None), Path("panorama"), azimuths_deg)
     return answer | {"file": ""}
 
